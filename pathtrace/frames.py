@@ -1,0 +1,149 @@
+"""The frame set: a folder with transforms.json and one multi-channel OpenEXR file per frame.
+
+The layout follows the Nerfstudio / instant-ngp convention, so that other people's tools open it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+
+from compose.errors import UserError
+from compose.view import Camera, camera_from_json
+
+Image = NDArray[np.float32]
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One captured view.
+
+    Attributes:
+        radiance: (H, W, 3) linear, denoised.
+        albedo: (H, W, 3).
+        normal: (H, W, 3) shading normal in world space.
+        depth: (H, W) along the view axis to the first surface, inf where nothing is hit.
+        unfolded: (H, W) distance along the ray, continued through mirrors, inf where nothing is hit.
+        shape: (H, W) int32 shape index, -1 where nothing is hit.
+    """
+
+    radiance: Image
+    albedo: Image
+    normal: Image
+    depth: Image
+    unfolded: Image
+    shape: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class FrameEntry:
+    """A frame's camera, its file, how many samples it has, and whether training must not see it."""
+
+    camera: Camera
+    file: Path
+    samples: int
+    held_out: bool
+
+
+def write_frame(path: Path, frame: Frame) -> None:
+    """Writes one frame; the file appears whole or not at all."""
+    half, single = np.float16, np.float32
+    channels: dict[str, Any] = {
+        **_planes("", "RGB", frame.radiance, single),
+        **_planes("albedo.", "RGB", frame.albedo, half),
+        **_planes("normal.", "XYZ", frame.normal, half),
+        "Z": np.ascontiguousarray(frame.depth, dtype=single),
+        "unfolded.V": np.ascontiguousarray(frame.unfolded, dtype=single),
+        # OpenEXR knows no signed integers: 0 is "nothing hit".
+        "shape.V": (frame.shape + 1).astype(np.uint32),
+    }
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    temporary = path.with_name(f".{path.name}.part.exr")
+    OpenEXR.File(header, channels).write(str(temporary))
+    os.replace(temporary, path)
+
+
+def read_frame(path: Path) -> Frame:
+    """Inverse of write_frame.
+
+    Raises:
+        UserError: the file is missing, damaged, or not a frame of a frame set.
+    """
+    try:
+        channels = OpenEXR.File(str(path), separate_channels=True).channels()
+        planes = {name: channel.pixels for name, channel in channels.items()}
+        stack = lambda prefix, names: np.stack(  # noqa: E731
+            [planes[prefix + n] for n in names], axis=-1
+        ).astype(np.float32)
+        return Frame(
+            stack("", "RGB"),
+            stack("albedo.", "RGB"),
+            stack("normal.", "XYZ"),
+            planes["Z"],
+            planes["unfolded.V"],
+            planes["shape.V"].astype(np.int32) - 1,
+        )
+    except (OSError, RuntimeError, KeyError, ValueError) as error:
+        raise UserError(f"{path}: not a readable frame ({error}); capture it again") from error
+
+
+def _planes(prefix: str, names: str, image: Image, dtype: Any) -> dict[str, Any]:
+    return {prefix + n: np.ascontiguousarray(image[..., i], dtype=dtype) for i, n in enumerate(names)}
+
+
+@dataclass(frozen=True)
+class FrameSet:
+    """A captured folder: its frames, and the scene that they show."""
+
+    folder: Path
+    scene_name: str
+    scene_hash: str
+    entries: list[FrameEntry]
+
+    @property
+    def training(self) -> list[FrameEntry]:
+        return [entry for entry in self.entries if not entry.held_out]
+
+    @property
+    def held_out(self) -> list[FrameEntry]:
+        return [entry for entry in self.entries if entry.held_out]
+
+
+def read_frame_set(folder: Path) -> FrameSet:
+    """Reads transforms.json and checks that every frame it names is there.
+
+    Raises:
+        UserError: the folder is not a frame set, or its capture was not finished.
+    """
+    path = folder / "transforms.json"
+    if not path.is_file():
+        raise UserError(f"{folder}: not a frame set (no transforms.json); make one with: hybrid capture")
+    try:
+        document = json.loads(path.read_text())
+        entries = [
+            FrameEntry(
+                camera_from_json({**document, **frame}),
+                folder / frame["file_path"],
+                int(frame["samples"]),
+                bool(frame["held_out"]),
+            )
+            for frame in document["frames"]
+        ]
+        name, digest = document["scene"]["name"], document["scene"]["hash"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{path}: not a frame set's description ({error!r})") from error
+    missing = [entry.file.name for entry in entries if not entry.file.is_file()]
+    if missing:
+        raise UserError(
+            f"{folder}: {len(missing)} of {len(entries)} frames are missing ({missing[0]} first); "
+            "run hybrid capture again with the same options, it goes on where it stopped"
+        )
+    return FrameSet(folder, name, digest, entries)

@@ -1,0 +1,220 @@
+"""Radiance and geometry at any list of film positions: a disc, a frame and a warped grid are one call.
+
+Everything that changes from frame to frame (camera, positions, seed) enters the traced functions as
+an evaluated array, so that a moving gaze or camera neither traces Python again nor compiles anything.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.view import Camera
+from pathtrace.scene import Scene
+
+# Lanes are padded to a multiple of this with masked ones: a frozen function records again when the
+# divisibility of its width changes, and masked lanes at the end cost next to nothing.
+_LANE_MULTIPLE = 4096
+# Lanes traced at once: bounds the memory that many samples over a large frame would take.
+_MAX_LANES = 1 << 22
+_RUSSIAN_ROULETTE_DEPTH = 5
+_AOVS = "albedo:albedo,normal:sh_normal"
+_MAX_MIRRORS = 8
+
+
+@dataclass(frozen=True)
+class FilmPositions:
+    """Places on the film to trace, each a unit box filter in pixels.
+
+    Attributes:
+        x, y: (N,) Dr.Jit floats, upper left corner of each box; a pixel's corner is its column and row.
+    """
+
+    x: Any
+    y: Any
+
+    @property
+    def count(self) -> int:
+        return dr.width(self.x)
+
+
+@dataclass(frozen=True)
+class Traced:
+    """What was traced at N film positions.
+
+    Attributes:
+        radiance: three (N,) Dr.Jit floats, linear, unbounded.
+        albedo: three (N,) floats, only with guides.
+        normal: three (N,) floats, shading normal in world space, only with guides.
+    """
+
+    radiance: list[Any]
+    albedo: list[Any] | None = None
+    normal: list[Any] | None = None
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What the rays through the middle of N film positions meet first.
+
+    Attributes:
+        distance: (N,) numpy float32, along the unit ray; inf where nothing is hit.
+        unfolded: (N,) the same, continued through smooth mirrors and glass to the first rough surface:
+            where the thing seen in a mirror seems to be.
+        shape: (N,) numpy int32, index of the shape in the scene, -1 where nothing is hit.
+    """
+
+    distance: NDArray[np.float32]
+    unfolded: NDArray[np.float32]
+    shape: NDArray[np.int32]
+
+
+def pixel_positions(indices: Any, width: int) -> FilmPositions:
+    """Film positions of pixels given by their row-major index, a (N,) Dr.Jit unsigned integer array."""
+    row = indices // width
+    positions = FilmPositions(mi.Float(indices - row * width), mi.Float(row))
+    dr.eval(positions.x, positions.y)
+    return positions
+
+
+def frame_positions(camera: Camera) -> FilmPositions:
+    """Film positions of all pixels, row by row."""
+    return pixel_positions(dr.arange(mi.UInt32, camera.width * camera.height), camera.width)
+
+
+def _opaque_camera(camera: Camera) -> tuple[Any, ...]:
+    """Origin and the three vectors that turn film coordinates into a ray: d ~ x ax + y ay + az."""
+    pose = camera.camera_to_world
+    ax = pose[:3, 0] / camera.fx
+    ay = pose[:3, 1] / camera.fy
+    az = pose[:3, 2] - camera.cx * ax - camera.cy * ay
+    origin, *axes = (vector.tolist() for vector in (pose[:3, 3], ax, ay, az))
+    vectors = mi.Point3f(*origin), *(mi.Vector3f(*axis) for axis in axes)
+    dr.make_opaque(vectors)
+    return vectors
+
+
+class Tracer:
+    """Traces one scene with Mitsuba's `path` (multiple importance sampling of lights and BSDFs).
+
+    Args:
+        scene: what to trace.
+        max_depth: path depth; the scene's own by default.
+    """
+
+    def __init__(self, scene: Scene, max_depth: int | None = None):
+        self.scene = scene
+        depth = max_depth or scene.max_depth
+        path = {"type": "path", "max_depth": depth, "rr_depth": _RUSSIAN_ROULETTE_DEPTH}
+        self._path = mi.load_dict(path)
+        self._path_and_guides = mi.load_dict({"type": "aov", "aovs": _AOVS, "image": path})
+        # One frozen function per tracer: the scene is part of what was recorded.
+        self._trace_radiance = dr.freeze(self._radiance)
+        self._trace_guides = dr.freeze(self._radiance_and_guides)
+
+    def trace(
+        self, camera: Camera, positions: FilmPositions, spp: int = 1, seed: int = 0, guides: bool = False
+    ) -> Traced:
+        """Mean over `spp` independent samples at each position.
+
+        Args:
+            camera: the view; its film coordinates are those of `positions`.
+            positions: N places.
+            spp: samples per position.
+            seed: same seed, same result.
+            guides: also return what a denoiser wants to know.
+        """
+        per_pass = max(1, min(spp, _MAX_LANES // max(1, positions.count)))
+        sums: list[Any] = []
+        done = 0
+        while done < spp:
+            count = min(per_pass, spp - done)
+            channels = self._pass(camera, positions, count, seed, done, guides)
+            sums = [a + b for a, b in zip(sums, channels, strict=True)] if sums else channels
+            dr.eval(sums)
+            done += count
+        means = [channel / spp for channel in sums]
+        dr.eval(means)
+        return Traced(means[0:3], means[3:6], means[6:9]) if guides else Traced(means)
+
+    def hits(self, camera: Camera, positions: FilmPositions) -> Hits:
+        """First hits of the rays through the middle of each position."""
+        origin, ax, ay, az = _opaque_camera(camera)
+        direction = dr.normalize(dr.fma(ax, positions.x + 0.5, dr.fma(ay, positions.y + 0.5, az)))
+        scene = self.scene.mitsuba
+        surface = scene.ray_intersect(mi.Ray3f(origin, direction))
+        valid = surface.is_valid()
+        distance = dr.select(valid, surface.t, dr.inf)
+        shapes = dr.reinterpret_array(mi.UInt32, surface.shape)
+        total = mi.Float(distance)
+        alive = mi.Bool(valid)
+        for _ in range(_MAX_MIRRORS):
+            bsdf = surface.bsdf()
+            alive &= ~mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) & valid
+            # A first sample next to 1 takes a dielectric's transmission, a mirror has one lobe only.
+            sample, weight = bsdf.sample(mi.BSDFContext(), surface, 0.999, mi.Point2f(0.5), alive)
+            alive &= dr.max(weight) > 0
+            surface = scene.ray_intersect(surface.spawn_ray(surface.to_world(sample.wo)), alive)
+            alive &= surface.is_valid()
+            total = dr.select(alive, total + surface.t, total)
+        dr.eval(distance, total, shapes)
+        registry = {int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]): i for i, s in enumerate(scene.shapes())}
+        index = np.array([registry.get(int(v), -1) for v in np.unique(shapes.numpy())], dtype=np.int32)
+        inverse = np.unique(shapes.numpy(), return_inverse=True)[1]
+        return Hits(distance.numpy(), total.numpy(), index[inverse])
+
+    def _pass(
+        self, camera: Camera, positions: FilmPositions, spp: int, seed: int, pass_index: int, guides: bool
+    ) -> list[Any]:
+        """Sums over `spp` samples, one array of N per channel."""
+        lanes = positions.count * spp
+        padded = -(-lanes // _LANE_MULTIPLE) * _LANE_MULTIPLE
+        lane = dr.arange(mi.UInt32, padded)
+        active = lane < dr.opaque(mi.UInt32, lanes)
+        index = lane // spp
+        x = dr.gather(mi.Float, positions.x, index, active)
+        y = dr.gather(mi.Float, positions.y, index, active)
+        # Seeds of different frames and passes must not overlap; numpy's seed sequence mixes them.
+        mixed = int(np.random.SeedSequence([seed, pass_index]).generate_state(1)[0])
+        state = dr.opaque(mi.UInt32, mixed)
+        dr.eval(x, y, active)
+        function = self._trace_guides if guides else self._trace_radiance
+        channels = function(self.scene.mitsuba, x, y, active, state, *_opaque_camera(camera))
+        dr.eval(channels)
+        if spp == 1:
+            return [dr.gather(mi.Float, c, dr.arange(mi.UInt32, lanes)) for c in channels]
+        return [
+            dr.block_sum(dr.gather(mi.Float, c, dr.arange(mi.UInt32, lanes)), spp) for c in channels
+        ]
+
+    @staticmethod
+    def _sample(integrator: Any, scene: Any, x: Any, y: Any, active: Any, seed: Any, camera: Any) -> Any:
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed, dr.width(x))
+        jitter = sampler.next_2d()
+        origin, ax, ay, az = camera
+        direction = dr.normalize(dr.fma(ax, x + jitter.x, dr.fma(ay, y + jitter.y, az)))
+        ray = mi.RayDifferential3f(origin, direction)
+        radiance, _, aovs = integrator.sample(scene, sampler, ray, active=active)
+        # Without this evaluation every later step traces its own paths, three to four times the work.
+        sampler.schedule_state()
+        return radiance, aovs
+
+    def _radiance(self, scene: Any, x: Any, y: Any, active: Any, seed: Any, *camera: Any) -> list[Any]:
+        radiance, _ = self._sample(self._path, scene, x, y, active, seed, camera)
+        channels = [radiance.x, radiance.y, radiance.z]
+        dr.eval(channels)
+        return channels
+
+    def _radiance_and_guides(
+        self, scene: Any, x: Any, y: Any, active: Any, seed: Any, *camera: Any
+    ) -> list[Any]:
+        radiance, aovs = self._sample(self._path_and_guides, scene, x, y, active, seed, camera)
+        channels = [radiance.x, radiance.y, radiance.z, *aovs[-6:]]
+        dr.eval(channels)
+        return channels

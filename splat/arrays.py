@@ -1,0 +1,41 @@
+"""The Dr.Jit array types of one backend, and the way between them and torch."""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Any, Literal
+
+import drjit as dr
+import torch
+
+BackendName = Literal["llvm", "cuda"]
+
+
+class Arrays:
+    """Array types of the LLVM or the CUDA backend.
+
+    Attributes:
+        plain: the module of arrays without derivatives, in which kernels are written by hand.
+        ad: the module of arrays that Dr.Jit differentiates.
+    """
+
+    def __init__(self, backend: BackendName):
+        import drjit.cuda
+        import drjit.llvm
+
+        self.backend = backend
+        self.plain: ModuleType = drjit.llvm if backend == "llvm" else drjit.cuda
+        self.ad: ModuleType = self.plain.ad
+
+    def from_torch(self, tensor: torch.Tensor) -> Any:
+        """A differentiable flat Float of the tensor's elements; aliases a contiguous tensor's memory."""
+        return self.ad.Float(tensor.detach().reshape(-1).contiguous())
+
+    def to_torch(self, array: Any, device: torch.device) -> torch.Tensor:
+        """A flat tensor of an array's elements; on the CPU it shares the memory."""
+        return dr.detach(array, preserve_type=False).torch().to(device)
+
+
+def backend_of(mitsuba_variant: str) -> BackendName:
+    """The backend that a Mitsuba variant's arrays live on."""
+    return "cuda" if mitsuba_variant.startswith("cuda") else "llvm"

@@ -1,0 +1,209 @@
+"""EWA projection of 3D Gaussians and their colour from a view, differentiated by Dr.Jit.
+
+Zwicker et al., EWA Splatting (2002); the low-pass with its compensation is that of Mip-Splatting
+(Yu et al. 2024). The exponent and the determinants follow 3D Gaussian splatting (Kerbl et al. 2023).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from compose.view import Camera
+from splat.arrays import Arrays
+from splat.gaussians import SH_CUBIC, SH_DC, SH_LINEAR, SH_QUADRATIC
+
+# Variance of the pixel filter in px^2 at the pixel grid (Mip-Splatting's screen-space filter).
+PIXEL_FILTER = 0.1
+# A Gaussian seen edge-on has no area before the filter; without a floor its gradient divides by zero.
+_COMPENSATION_FLOOR = 2.5e-5
+# The affine approximation of the projection is taken no further out than this multiple of the half
+# field of view: beyond it, Gaussians at the side of the camera would smear over the whole frame.
+_TANGENT_LIMIT = 1.3
+_NEAR = 0.01
+
+
+@dataclass
+class Splats:
+    """N projected Gaussians, Dr.Jit floats of width N.
+
+    Attributes:
+        x, y: centre in pixels.
+        xx, xy, yy: inverse of the 2D covariance, in 1/px^2.
+        opacity: in 0..1, 0 for a Gaussian that is not seen.
+        red, green, blue: linear radiance.
+        depth: along the view axis; only the order matters.
+    """
+
+    x: Any
+    y: Any
+    xx: Any
+    xy: Any
+    yy: Any
+    opacity: Any
+    red: Any
+    green: Any
+    blue: Any
+    depth: Any
+
+    def differentiable(self) -> list[Any]:
+        """All but the depth: what the rasterizer has gradients for, in the order of declaration."""
+        return [self.x, self.y, self.xx, self.xy, self.yy, self.opacity, self.red, self.green, self.blue]
+
+    def detached(self) -> Splats:
+        """The same numbers as arrays without derivatives."""
+        return Splats(*(dr.detach(v, preserve_type=False) for v in (*self.differentiable(), self.depth)))
+
+
+@dataclass
+class Parameters:
+    """The Gaussians' parameters as Dr.Jit floats: lists of rows, each of width N."""
+
+    means: list[Any]
+    log_scales: list[Any]
+    rotations: list[Any]
+    opacity_logits: Any
+    sh: list[list[Any]]
+
+    def leaves(self) -> list[Any]:
+        """All rows, in the order of the parameter tensors' memory."""
+        return [
+            *self.means,
+            *self.log_scales,
+            *self.rotations,
+            self.opacity_logits,
+            *(channel for coefficient in self.sh for channel in coefficient),
+        ]
+
+
+def project(arrays: Arrays, parameters: Parameters, camera: Camera, low_pass: Any) -> Splats:
+    """Projects Gaussians onto a camera's film.
+
+    Args:
+        arrays: the backend's array types.
+        parameters: the Gaussians.
+        camera: the view.
+        low_pass: variance in px^2 that is added to each 2D covariance; a float or an array of N.
+    """
+    number = arrays.ad.Float
+    opaque = lambda values: [dr.opaque(number, float(v)) for v in np.ravel(values)]  # noqa: E731
+    world = opaque(camera.world_to_camera[:3])
+    eye = opaque(camera.position)
+    fx, fy, cx, cy = opaque([camera.fx, camera.fy, camera.cx, camera.cy])
+    limit_x, limit_y = opaque(_TANGENT_LIMIT * _half_tangents(camera))
+    filter_variance = dr.opaque(number, low_pass) if isinstance(low_pass, float) else low_pass
+
+    mx, my, mz = parameters.means
+    vx, vy, vz = (
+        dr.fma(world[4 * i], mx, dr.fma(world[4 * i + 1], my, dr.fma(world[4 * i + 2], mz, world[4 * i + 3])))
+        for i in range(3)
+    )
+    seen = vz > _NEAR
+    inverse_z = dr.rcp(dr.select(seen, vz, 1))
+    tx, ty = vx * inverse_z, vy * inverse_z
+    x, y = dr.fma(fx, tx, cx), dr.fma(fy, ty, cy)
+
+    # Rows of J W: the projection's derivative, at a clamped tangent, times the camera's rotation.
+    jx, jy = fx * inverse_z, fy * inverse_z
+    cut_x, cut_y = dr.clip(tx, -limit_x, limit_x), dr.clip(ty, -limit_y, limit_y)
+    row_x = [jx * (world[i] - cut_x * world[8 + i]) for i in range(3)]
+    row_y = [jy * (world[4 + i] - cut_y * world[8 + i]) for i in range(3)]
+
+    # Columns of M = J W R S; the 2D covariance is M M^T.
+    rotation = _rotation_matrix(parameters.rotations)
+    scales = [dr.exp(s) for s in parameters.log_scales]
+    mx_row = [sum(row_x[i] * rotation[i][j] for i in range(3)) * scales[j] for j in range(3)]
+    my_row = [sum(row_y[i] * rotation[i][j] for i in range(3)) * scales[j] for j in range(3)]
+    raw_xx = sum(a * a for a in mx_row)
+    raw_yy = sum(b * b for b in my_row)
+    xy = sum(a * b for a, b in zip(mx_row, my_row, strict=True))
+    # Cauchy-Binet: |M M^T| as a sum of squares has none of the cancellation of xx yy - xy^2.
+    raw_determinant = sum(
+        dr.square(mx_row[i] * my_row[j] - mx_row[j] * my_row[i]) for i, j in ((0, 1), (0, 2), (1, 2))
+    )
+    xx, yy = raw_xx + filter_variance, raw_yy + filter_variance
+    determinant = raw_determinant + filter_variance * (raw_xx + raw_yy + filter_variance)
+    inverse_determinant = dr.rcp(determinant)
+    compensation = dr.sqrt(dr.maximum(raw_determinant * inverse_determinant, _COMPENSATION_FLOOR))
+    sigmoid = dr.rcp(1 + dr.exp(-parameters.opacity_logits))
+    opacity = dr.select(seen, sigmoid * compensation, 0)
+
+    direction = _normalized([mx - eye[0], my - eye[1], mz - eye[2]])
+    red, green, blue = (_radiance(value) for value in _harmonics(parameters.sh, direction))
+    return Splats(
+        x,
+        y,
+        yy * inverse_determinant,
+        -xy * inverse_determinant,
+        xx * inverse_determinant,
+        opacity,
+        red,
+        green,
+        blue,
+        dr.detach(vz),
+    )
+
+
+def _half_tangents(camera: Camera) -> np.ndarray:
+    return np.array(
+        [
+            max(camera.cx, camera.width - camera.cx) / camera.fx,
+            max(camera.cy, camera.height - camera.cy) / camera.fy,
+        ]
+    )
+
+
+def _normalized(vector: list[Any]) -> list[Any]:
+    # A quaternion of zeros, or a Gaussian in the eye itself, has no direction: it must not become NaN.
+    inverse = dr.rsqrt(dr.maximum(sum(v * v for v in vector), 1e-20))
+    return [v * inverse for v in vector]
+
+
+def _rotation_matrix(quaternion: list[Any]) -> list[list[Any]]:
+    w, x, y, z = _normalized(quaternion)
+    return [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+
+
+def _harmonics(sh: list[list[Any]], direction: list[Any]) -> list[Any]:
+    """Perceptual radiance of the three channels towards a unit direction (N,) x 3."""
+    basis = _sh_basis(len(sh), direction)
+    return [
+        0.5 + sum(coefficient[c] * value for coefficient, value in zip(sh, basis, strict=True))
+        for c in range(3)
+    ]
+
+
+def _sh_basis(count: int, direction: list[Any]) -> list[Any]:
+    x, y, z = direction
+    basis: list[Any] = [SH_DC]
+    if count > 1:
+        basis += [-SH_LINEAR * y, SH_LINEAR * z, -SH_LINEAR * x]
+    if count > 4:
+        a, b, c = SH_QUADRATIC
+        basis += [a * x * y, -a * y * z, b * (3 * z * z - 1), -a * x * z, c * (x * x - y * y)]
+    if count > 9:
+        a, b, c, d, e = SH_CUBIC
+        basis += [
+            -a * y * (3 * x * x - y * y),
+            b * x * y * z,
+            -c * y * (5 * z * z - 1),
+            d * z * (5 * z * z - 3),
+            -c * x * (5 * z * z - 1),
+            e * z * (x * x - y * y),
+            -a * x * (x * x - 3 * y * y),
+        ]
+    return basis
+
+
+def _radiance(perceptual: Any) -> Any:
+    """Inverse of the sRGB curve, continued above 1; nothing is darker than black."""
+    value = dr.maximum(perceptual, 0)
+    bright = dr.exp2(2.4 * dr.log2((dr.maximum(value, 0.04045) + 0.055) * (1 / 1.055)))
+    return dr.select(value <= 0.04045, value * (1 / 12.92), bright)

@@ -1,0 +1,31 @@
+"""One backend for the whole run, scenes small enough to trace in a test, and where real data lies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pathtrace.backend import Backend, select_backend
+
+REAL_DATA = Path(__file__).resolve().parents[2] / "shared"
+
+
+@pytest.fixture(scope="session")
+def backend() -> Backend:
+    return select_backend()
+
+
+@pytest.fixture(scope="session")
+def arrays(backend):
+    from splat.arrays import Arrays, backend_of
+
+    return Arrays(backend_of(backend.variant))
+
+
+def real_file(relative: str) -> Path:
+    """A file of the real test data beside the project; the test is skipped where it is not there."""
+    path = REAL_DATA / relative
+    if not path.exists():
+        pytest.skip(f"{relative} does not lie beside the project")
+    return path
