@@ -135,7 +135,7 @@ def rounded_box(
     ramp = 1 - np.tan(np.linspace(0, math.pi / 4, steps + 1))
 
     def ticks(k: int) -> np.ndarray:
-        edge = half[k] - radius * ramp[::-1]
+        edge = half[k] - radius * ramp
         middle = np.linspace(-edge[0], edge[0], inner + 2)[1:-1]
         return np.concatenate([-edge[::-1], middle, edge])
 
@@ -149,7 +149,7 @@ def rounded_box(
             core = np.clip(p, -(half - radius), half - radius)
             out = p - core
             p = core + radius * out / np.linalg.norm(out, axis=-1, keepdims=True)
-            swell = np.prod(np.cos(0.5 * math.pi * np.abs(p / half)[..., [i, j]].clip(0, 1)), -1)
+            swell = np.cos(0.5 * math.pi * u / half[i]) * np.cos(0.5 * math.pi * v / half[j])
             p[..., k] += sign * puff * swell
             sides.append(grid(p))
     return merge(sides).moved(centre)
@@ -233,7 +233,7 @@ def corner_normals(mesh: Mesh, crease: float) -> np.ndarray:
     return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
-def write_ply(path: Path, mesh: Mesh, crease: float = 38.0) -> int:
+def write_ply(path: Path, mesh: Mesh, crease: float = 50.0) -> int:
     """Write a binary PLY with normals and texture coordinates; the number of triangles."""
     corners = mesh.faces.ravel()
     columns = [mesh.points[corners], corner_normals(mesh, crease), mesh.uvs[corners]]
@@ -710,8 +710,8 @@ def curtain(left: float, right: float) -> Mesh:
 
 def backdrop() -> Shapes:
     """The painted country outside: a slope that leans back into the sun and lets it pass."""
-    normal, through = np.array([-0.66, -0.40, 0.64]), np.array([5.6, 7.2, 0.0])
-    degrees_right, degrees_up = np.linspace(83, 25, 13), np.array([-35, -17.5, 0, 14, 26.5, 32])
+    normal, through = np.array([-0.66, -0.40, 0.64]), np.array([5.6, 5.6, 0.0])
+    degrees_right, degrees_up = np.linspace(81, 21, 13), np.array([-35, -17.5, 0, 14, 26.5, 30])
     up, right = np.meshgrid(degrees_up, degrees_right, indexing="ij")
     e, a = np.radians(up), np.radians(right)
     ray = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1)
@@ -953,7 +953,7 @@ def lamp() -> Shapes:
         "lamp_shade": (outside.moved(place), "shade"),
         "lamp_lining": (inside.moved(place), "lining"),
         "lamp_fitting": (merge([cap, cable, rose]).moved(place), "brass"),
-        "lamp_bulb": (bulb.moved(place), "lining"),
+        "lamp_bulb": (bulb.moved(place), "bulb"),
     }
 
 
@@ -1193,6 +1193,7 @@ DIFFUSE: dict[str, float | Point | str] = {
     "leaf": (0.11, 0.27, 0.09),
     "young_leaf": (0.24, 0.42, 0.12),
     "lining": 0.1,
+    "bulb": 0.4,
 }
 
 

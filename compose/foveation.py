@@ -1,0 +1,99 @@
+"""The disc that is path-traced, the part that is not rasterized, and the band between them.
+
+Radii are in percent of the frame's height, measured in pixels on the screen (Foveated Path Culling,
+section 3): the path tracer covers r < fov-a, the splats cover r > fov-b, the weight is linear between.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.errors import UserError
+from compose.view import Gaze
+
+
+@dataclass(frozen=True)
+class Foveation:
+    """Where the viewer looks and how large the fovea is.
+
+    Attributes:
+        gaze: in fractions of the frame.
+        fov_a: outer radius in percent of the height; 0 traces nothing.
+        fov_b: inner radius in percent of the height; inside of it nothing is rasterized.
+
+    Raises:
+        UserError: a radius is negative or not finite, or fov-b is larger than fov-a.
+    """
+
+    gaze: Gaze
+    fov_a: float = 20.0
+    fov_b: float = 15.0
+
+    def __post_init__(self) -> None:
+        for option, value in (("--fov-a", self.fov_a), ("--fov-b", self.fov_b)):
+            if not np.isfinite(value) or value < 0:
+                raise UserError(f"{option} {value}: must be a percentage of the height, 0 or more")
+        if self.fov_b > self.fov_a:
+            raise UserError(f"--fov-b {self.fov_b} is larger than --fov-a {self.fov_a}: it is the inner radius")
+
+    def plan(self, width: int, height: int) -> FoveaPlan:
+        """What this foveation means on a frame of that many pixels."""
+        gaze_x, gaze_y = self.gaze.pixel(width, height)
+        outer, inner = self.fov_a / 100 * height, self.fov_b / 100 * height
+        # Only the box around the disc is looked at: a frame has many times the disc's pixels.
+        columns = _span(gaze_x, outer, width)
+        rows = _span(gaze_y, outer, height)
+        x, y = np.meshgrid(columns + 0.5 - gaze_x, rows + 0.5 - gaze_y)
+        radius = np.hypot(x, y)
+        inside = radius < outer
+        pixels = (rows[:, None] * width + columns[None, :])[inside].astype(np.uint32)
+        if len(pixels) == width * height:
+            # Nothing of the periphery is left to blend with.
+            weights = np.ones(len(pixels), dtype=np.float32)
+        elif outer > inner:
+            weights = np.clip((outer - radius[inside]) / (outer - inner), 0, 1).astype(np.float32)
+        else:
+            weights = np.ones(len(pixels), dtype=np.float32)
+        return FoveaPlan(width, height, pixels, weights)
+
+
+@dataclass(frozen=True)
+class FoveaPlan:
+    """A foveation on a frame.
+
+    Attributes:
+        width, height: frame in pixels.
+        pixels: (D,) row-major indices of the pixels to path-trace.
+        weights: (D,) share of the path-traced radiance in each of them, 0..1; 0 in all other pixels.
+    """
+
+    width: int
+    height: int
+    pixels: NDArray[np.uint32]
+    weights: NDArray[np.float32]
+
+    def weight_image(self) -> NDArray[np.float32]:
+        """(H, W) weight of the path-traced radiance; that of the splats is one minus it."""
+        image = np.zeros(self.width * self.height, dtype=np.float32)
+        image[self.pixels] = self.weights
+        return image.reshape(self.height, self.width)
+
+    def peripheral_tiles(self, tile: int) -> NDArray[np.bool_]:
+        """(rows, columns) bool: tiles in which at least one pixel shows some of the splats."""
+        rows, columns = -(-self.height // tile), -(-self.width // tile)
+        in_tile_y = np.minimum(tile, self.height - np.arange(rows) * tile)
+        in_tile_x = np.minimum(tile, self.width - np.arange(columns) * tile)
+        hidden = self.pixels[self.weights >= 1]
+        index = hidden // self.width // tile * columns + hidden % self.width // tile
+        count = np.bincount(index, minlength=rows * columns).reshape(rows, columns)
+        return count < np.outer(in_tile_y, in_tile_x)
+
+
+def _span(centre: float, radius: float, size: int) -> NDArray[np.int64]:
+    """Pixels of one axis whose centres may lie within the radius."""
+    first = int(np.clip(np.floor(centre - radius), 0, size))
+    last = int(np.clip(np.ceil(centre + radius), 0, size))
+    return np.arange(first, last)

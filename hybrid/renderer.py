@@ -1,0 +1,143 @@
+"""The hybrid frame: path-traced disc, splatted periphery, blended."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.blend import Image, blend
+from compose.errors import UserError
+from compose.foveation import FoveaPlan, Foveation
+from compose.view import Camera
+from pathtrace.denoise import denoise
+from pathtrace.scene import Scene
+from pathtrace.tracer import Tracer, pixel_positions
+from splat.arrays import Arrays, backend_of
+from splat.binning import TILE
+from splat.files import Forest
+from splat.raster import image_from_buffer
+from splat.render import SplatRenderer
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One frame and its parts.
+
+    Attributes:
+        composite: (H, W, 3) linear radiance, what the viewer sees.
+        periphery: (H, W, 3) the splats; black in tiles that the fovea hides.
+        fovea: (D, 3) path-traced radiance of the plan's pixels.
+        plan: which pixels those are, and the weights.
+        milliseconds: per pass (plan, splat, trace, denoise, blend) and in all (total).
+    """
+
+    composite: Image
+    periphery: Image
+    fovea: NDArray[np.float32]
+    plan: FoveaPlan
+    milliseconds: dict[str, float]
+
+    def fovea_image(self) -> Image:
+        """(H, W, 3) the path-traced radiance where there is any, else black."""
+        image = np.zeros_like(self.composite)
+        image.reshape(-1, 3)[self.plan.pixels] = self.fovea
+        return image
+
+
+class HybridRenderer:
+    """Renders hybrid frames of one scene with one forest.
+
+    Args:
+        scene: what is path-traced.
+        forest: its Gaussians.
+        max_depth: path depth; the scene's own by default.
+        denoised: whether the disc is denoised before it is blended.
+
+    Raises:
+        UserError: the forest is one of another scene.
+    """
+
+    def __init__(self, scene: Scene, forest: Forest, max_depth: int | None = None, denoised: bool = False):
+        if forest.scene_hash != scene.hash:
+            raise UserError(
+                f"this forest is one of scene {forest.scene_name} "
+                f"({forest.scene_hash[:8]}), not of {scene.name} ({scene.hash[:8]}); train one for this scene"
+            )
+        self.tracer = Tracer(scene, max_depth)
+        self.splats = SplatRenderer(
+            Arrays(backend_of(mi.variant())), forest.gaussians, forest.trained_focal
+        )
+        self.denoised = denoised
+
+    def frame(self, camera: Camera, foveation: Foveation, spp: int = 1, seed: int = 0) -> Frame:
+        """One frame.
+
+        Args:
+            camera: the view.
+            foveation: gaze and radii.
+            spp: samples per pixel in the disc.
+            seed: same seed, same frame.
+        """
+        clock = _Clock()
+        plan = foveation.plan(camera.width, camera.height)
+        clock.lap("plan")
+        buffer, bins = self.splats.render(camera, plan.peripheral_tiles(TILE))
+        periphery = image_from_buffer(buffer, bins)
+        clock.lap("splat")
+        fovea, albedo, normal = self._trace(camera, plan, spp, seed)
+        clock.lap("trace")
+        if self.denoised and len(plan.pixels):
+            fovea = _denoise_disc(fovea, albedo, normal, periphery, plan)
+            clock.lap("denoise")
+        composite = blend(periphery, fovea, plan)
+        clock.lap("blend")
+        return Frame(composite, periphery, fovea, plan, clock.milliseconds())
+
+    def _trace(self, camera: Camera, plan: FoveaPlan, spp: int, seed: int) -> tuple[Image, Image, Image]:
+        """Radiance, albedo and normal (D, 3) of the plan's pixels; the guides only where they are needed."""
+        if not len(plan.pixels):
+            return (np.zeros((0, 3), dtype=np.float32),) * 3
+        positions = pixel_positions(mi.UInt32(plan.pixels), camera.width)
+        traced = self.tracer.trace(camera, positions, spp, seed, guides=self.denoised)
+        stack = lambda channels: np.stack([c.numpy() for c in channels], axis=1)  # noqa: E731
+        radiance = stack(traced.radiance)
+        if traced.albedo is None or traced.normal is None:
+            return radiance, radiance, radiance
+        return radiance, stack(traced.albedo), stack(traced.normal)
+
+
+def _denoise_disc(fovea: Image, albedo: Image, normal: Image, periphery: Image, plan: FoveaPlan) -> Image:
+    """Denoises the square around the disc, with the splats around the disc as context."""
+    rows, columns = plan.pixels // plan.width, plan.pixels % plan.width
+    top, left = int(rows.min()), int(columns.min())
+    box = np.s_[top : int(rows.max()) + 1, left : int(columns.max()) + 1]
+    place = rows - top, columns - left
+    radiance = periphery[box].copy()
+    guides = np.zeros((2, *radiance.shape), dtype=np.float32)
+    # Outside the disc no guide was traced; the picture itself is the best one there is.
+    guides[0] = np.clip(radiance, 0, 1)
+    for target, values in ((radiance, fovea), (guides[0], albedo), (guides[1], normal)):
+        target[place] = values
+    return denoise(radiance, guides[0], guides[1], fast=True)[place]
+
+
+class _Clock:
+    """Laps of one frame, each ended by waiting for the device."""
+
+    def __init__(self) -> None:
+        self._start = self._last = time.perf_counter()
+        self._laps: dict[str, float] = {}
+
+    def lap(self, name: str) -> None:
+        dr.sync_thread()
+        now = time.perf_counter()
+        self._laps[name] = (now - self._last) * 1000
+        self._last = now
+
+    def milliseconds(self) -> dict[str, float]:
+        return {**self._laps, "total": (self._last - self._start) * 1000}

@@ -1,0 +1,87 @@
+"""Density control: where the picture is wrong Gaussians are added, those that nobody sees go.
+
+3D Gaussian splatting infers from gradients where Gaussians are missing, because it has no geometry. Here
+the path tracer knows the distance of every pixel: new ones are placed right there, at pixels drawn in
+proportion to their error.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from splat.gaussians import Gaussians
+from splat.seed import TrainingView, seed_at
+
+_INITIAL_SHARE = 0.5  # of the final number
+_EVERY = 100  # iterations
+_FIRST, _LAST = 0.05, 0.6  # shares of the training between which the number changes
+_MINIMUM_OPACITY = 0.02
+_SIZE = 0.6  # standard deviation of an added Gaussian in pixels
+_ERROR_POWER = 1.0
+
+
+class DensityControl:
+    """Decides when and how the set of Gaussians changes.
+
+    Args:
+        iterations: length of the training.
+        final_count: how many Gaussians there shall be in the end.
+    """
+
+    def __init__(self, iterations: int, final_count: int):
+        self.iterations, self.final_count = iterations, final_count
+        self.initial_count = max(1, int(final_count * _INITIAL_SHARE))
+        self._errors: dict[int, torch.Tensor] = {}
+
+    def observe(self, view: int, error: torch.Tensor) -> None:
+        """Remembers a view's latest error per pixel (H, W)."""
+        self._errors[view] = error
+
+    def is_due(self, iteration: int) -> bool:
+        """Whether the number changes after this iteration."""
+        share = iteration / self.iterations
+        return iteration % _EVERY == _EVERY - 1 and _FIRST <= share <= _LAST
+
+    def change(
+        self, gaussians: Gaussians, views: list[TrainingView], rng: np.random.Generator
+    ) -> tuple[torch.Tensor, Gaussians]:
+        """Indices (M,) of the Gaussians that stay, and new ones."""
+        opacity = torch.sigmoid(gaussians.opacity_logits)
+        finite = torch.isfinite(gaussians.means).all(dim=0) & torch.isfinite(gaussians.log_scales).all(dim=0)
+        kept = torch.nonzero((opacity >= _MINIMUM_OPACITY) & finite)[:, 0]
+        # Towards the final number in equal steps, whatever was pruned.
+        rounds = max(1, int((_LAST - _FIRST) * self.iterations / _EVERY))
+        step = -(-(self.final_count - self.initial_count) // rounds)
+        target = min(self.final_count, len(gaussians) + step)
+        return kept, self._added(target - len(kept), views, gaussians.degree, rng)
+
+    def _added(
+        self, count: int, views: list[TrainingView], degree: int, rng: np.random.Generator
+    ) -> Gaussians:
+        seen = sorted(self._errors)
+        weights = np.array([float(self._errors[v].mean()) for v in seen])
+        shares = rng.multinomial(max(0, count), weights / weights.sum())
+        parts = []
+        for view, share in zip(seen, shares, strict=True):
+            error = self._errors[view].numpy().ravel().astype(np.float64) ** _ERROR_POWER
+            error = np.where(np.isfinite(views[view].distance.ravel()), error, 0)
+            possible = int(np.count_nonzero(error))
+            pixels = rng.choice(
+                error.size, min(int(share), possible), replace=False, p=error / max(error.sum(), 1e-30)
+            ) if possible else np.zeros(0, dtype=np.int64)
+            parts.append(seed_at(views[view], pixels, _SIZE, degree))
+        result = parts[0]
+        for part in parts[1:]:
+            result = result.joined(part)
+        return result
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """What must be saved with a checkpoint."""
+        return {f"error.{view}": error for view, error in self._errors.items()}
+
+    def restore(self, tensors: dict[str, torch.Tensor]) -> None:
+        """Inverse of `state`."""
+        self._errors = {
+            int(name.split(".")[1]): tensor for name, tensor in tensors.items() if name.startswith("error.")
+        }

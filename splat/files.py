@@ -1,0 +1,192 @@
+"""Forest files (safetensors with metadata) and the INRIA 3DGS PLY layout. Nothing is ever unpickled."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from compose.errors import UserError
+from splat.gaussians import MAX_DEGREE, Gaussians, sh_count
+
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Forest:
+    """Trained Gaussians and what they are of.
+
+    Attributes:
+        gaussians: one layer.
+        trained_focal: vertical focal length, in pixels, of the frames that they were trained on.
+        scene_name, scene_hash: the scene that those frames show.
+    """
+
+    gaussians: Gaussians
+    trained_focal: float
+    scene_name: str
+    scene_hash: str
+
+
+def save_forest(path: Path, forest: Forest) -> None:
+    """Writes a forest file; it appears whole or not at all."""
+    metadata = {
+        "format_version": FORMAT_VERSION,
+        "kind": "forest",
+        "layers": 1,
+        "degree": forest.gaussians.degree,
+        "trained_focal": forest.trained_focal,
+        "scene_name": forest.scene_name,
+        "scene_hash": forest.scene_hash,
+    }
+    tensors = {name: tensor.detach().cpu() for name, tensor in forest.gaussians.tensors()}
+    save_tensors(path, tensors, metadata)
+
+
+def load_forest(path: Path) -> Forest:
+    """Inverse of save_forest.
+
+    Raises:
+        UserError: the file is missing, truncated, corrupt, of another version, or holds no finite numbers.
+    """
+    tensors, metadata = load_tensors(path)
+    if metadata.get("kind") != "forest":
+        raise UserError(f"{path}: not a forest file; make one with: hybrid train FRAMES FOREST")
+    try:
+        gaussians = Gaussians(**{name: tensors[name] for name in Gaussians.__dataclass_fields__})
+        forest = Forest(
+            gaussians,
+            float(metadata["trained_focal"]),
+            str(metadata["scene_name"]),
+            str(metadata["scene_hash"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(f"{path}: damaged forest file ({error}); train it again") from error
+    if not len(gaussians):
+        raise UserError(f"{path}: the forest holds no Gaussians; train it again")
+    if not gaussians.is_finite() or not forest.trained_focal > 0:
+        raise UserError(f"{path}: the forest holds numbers that are not finite; train it again")
+    return forest
+
+
+def save_tensors(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[str, Any]) -> None:
+    """Writes tensors and JSON-like metadata beside the target, then renames.
+
+    Raises:
+        UserError: the folder cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_file({k: v.contiguous() for k, v in tensors.items()}, temporary, {"hybrid": json.dumps(metadata)})
+        os.replace(temporary, path)
+    except (OSError, SafetensorError) as error:
+        temporary.unlink(missing_ok=True)
+        raise UserError(f"{path}: cannot be written ({error})") from error
+
+
+def load_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    """Inverse of save_tensors.
+
+    Raises:
+        UserError: the file is missing, truncated, corrupt or of another version.
+    """
+    if not path.is_file():
+        raise UserError(f"{path}: no such file")
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = json.loads((file.metadata() or {}).get("hybrid", "{}"))
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError, ValueError) as error:
+        raise UserError(f"{path}: truncated or corrupt ({error})") from error
+    version = metadata.get("format_version")
+    if version is not None and version != FORMAT_VERSION:
+        raise UserError(f"{path}: format version {version}, this program reads {FORMAT_VERSION}")
+    return tensors, metadata
+
+
+def _ply_properties(degree: int) -> list[str]:
+    rest = 3 * (sh_count(degree) - 1)
+    return [
+        *("x", "y", "z", "nx", "ny", "nz"),
+        *(f"f_dc_{i}" for i in range(3)),
+        *(f"f_rest_{i}" for i in range(rest)),
+        "opacity",
+        *(f"scale_{i}" for i in range(3)),
+        *(f"rot_{i}" for i in range(4)),
+    ]
+
+
+def export_ply(path: Path, gaussians: Gaussians) -> None:
+    """Writes the layout of the INRIA implementation (Kerbl et al. 2023), binary little-endian.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    n = len(gaussians)
+    names = _ply_properties(gaussians.degree)
+    sh = gaussians.sh.detach().cpu()
+    columns = [
+        gaussians.means,
+        torch.zeros(3, n),
+        sh[0],
+        # All coefficients of red, then those of green, then those of blue.
+        sh[1:].permute(1, 0, 2).reshape(-1, n),
+        gaussians.opacity_logits[None],
+        gaussians.log_scales,
+        torch.nn.functional.normalize(gaussians.rotations, dim=0),
+    ]
+    table = torch.cat([c.detach().cpu() for c in columns]).T.contiguous().numpy().astype("<f4")
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
+    header += [f"property float {name}" for name in names] + ["end_header", ""]
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_bytes("\n".join(header).encode() + table.tobytes())
+        os.replace(temporary, path)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def import_ply(path: Path) -> Gaussians:
+    """Reads the layout of the INRIA implementation.
+
+    Raises:
+        UserError: the file is missing, truncated, or not of that layout.
+    """
+    if not path.is_file():
+        raise UserError(f"{path}: no such file")
+    content = path.read_bytes()
+    end = content.find(b"end_header\n")
+    lines = content[: max(end, 0)].decode("ascii", "replace").split("\n")
+    if end < 0 or lines[:2] != ["ply", "format binary_little_endian 1.0"]:
+        raise UserError(f"{path}: not a binary little-endian PLY file")
+    counts = [int(line.split()[2]) for line in lines if line.startswith("element vertex ")]
+    names = [line.split()[2] for line in lines if line.startswith("property float ")]
+    rest = sum(name.startswith("f_rest_") for name in names)
+    degree = round((rest / 3 + 1) ** 0.5) - 1
+    known = 0 <= degree <= MAX_DEGREE and set(_ply_properties(degree)) - {"nx", "ny", "nz"} <= set(names)
+    if len(counts) != 1 or not known or sum(line.startswith("property ") for line in lines) != len(names):
+        raise UserError(f"{path}: not a 3D Gaussian splatting PLY (float properties x, f_dc_0, scale_0, ...)")
+    body = content[end + len(b"end_header\n") :]
+    if len(body) < counts[0] * len(names) * 4:
+        raise UserError(f"{path}: truncated, {counts[0]} Gaussians are announced")
+    table = np.frombuffer(body, "<f4", counts[0] * len(names)).reshape(counts[0], len(names))
+    column = {name: i for i, name in enumerate(names)}
+    take = lambda *wanted: torch.tensor(table[:, [column[w] for w in wanted]].T.copy())  # noqa: E731
+    constant = take(*(f"f_dc_{i}" for i in range(3)))[None]
+    directional = take(*(f"f_rest_{i}" for i in range(rest))).reshape(3, -1, counts[0]).permute(1, 0, 2)
+    return Gaussians(
+        take("x", "y", "z"),
+        take("scale_0", "scale_1", "scale_2"),
+        take("rot_0", "rot_1", "rot_2", "rot_3"),
+        take("opacity")[0],
+        torch.cat([constant, directional]).contiguous(),
+    )
