@@ -37,7 +37,9 @@ class Foveation:
             if not np.isfinite(value) or value < 0:
                 raise UserError(f"{option} {value}: must be a percentage of the height, 0 or more")
         if self.fov_b > self.fov_a:
-            raise UserError(f"--fov-b {self.fov_b} is larger than --fov-a {self.fov_a}: it is the inner radius")
+            raise UserError(
+                f"--fov-b {self.fov_b} is larger than --fov-a {self.fov_a}: it is the inner radius"
+            )
 
     def plan(self, width: int, height: int) -> FoveaPlan:
         """What this foveation means on a frame of that many pixels."""

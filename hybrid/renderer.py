@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -16,7 +17,7 @@ from compose.foveation import FoveaPlan, Foveation
 from compose.view import Camera
 from pathtrace.denoise import denoise
 from pathtrace.scene import Scene
-from pathtrace.tracer import Tracer, pixel_positions
+from pathtrace.tracer import FilmPositions, Traced, Tracer, pixel_positions
 from splat.arrays import Arrays, backend_of
 from splat.binning import TILE
 from splat.files import Forest
@@ -63,15 +64,14 @@ class HybridRenderer:
     """
 
     def __init__(self, scene: Scene, forest: Forest, max_depth: int | None = None, denoised: bool = False):
-        if forest.scene_hash != scene.hash:
+        # An imported forest is bound to no scene.
+        if forest.scene_hash not in ("", scene.hash):
             raise UserError(
                 f"this forest is one of scene {forest.scene_name} "
                 f"({forest.scene_hash[:8]}), not of {scene.name} ({scene.hash[:8]}); train one for this scene"
             )
         self.tracer = Tracer(scene, max_depth)
-        self.splats = SplatRenderer(
-            Arrays(backend_of(mi.variant())), forest.gaussians, forest.trained_focal
-        )
+        self.splats = SplatRenderer(Arrays(backend_of(mi.variant())), forest.gaussians, forest.trained_focal)
         self.denoised = denoised
 
     def frame(self, camera: Camera, foveation: Foveation, spp: int = 1, seed: int = 0) -> Frame:
@@ -89,41 +89,62 @@ class HybridRenderer:
         buffer, bins = self.splats.render(camera, plan.peripheral_tiles(TILE))
         periphery = image_from_buffer(buffer, bins)
         clock.lap("splat")
-        fovea, albedo, normal = self._trace(camera, plan, spp, seed)
+        fovea, guides = self.trace_disc(camera, plan, spp, seed)
         clock.lap("trace")
-        if self.denoised and len(plan.pixels):
-            fovea = _denoise_disc(fovea, albedo, normal, periphery, plan)
+        if guides is not None:
+            fovea = _denoise_disc(fovea, guides, periphery, plan)
             clock.lap("denoise")
         composite = blend(periphery, fovea, plan)
         clock.lap("blend")
         return Frame(composite, periphery, fovea, plan, clock.milliseconds())
 
-    def _trace(self, camera: Camera, plan: FoveaPlan, spp: int, seed: int) -> tuple[Image, Image, Image]:
-        """Radiance, albedo and normal (D, 3) of the plan's pixels; the guides only where they are needed."""
+    def trace_disc(self, camera: Camera, plan: FoveaPlan, spp: int, seed: int) -> tuple[Image, Guides | None]:
+        """Radiance (D, 3) of the plan's pixels and, where the disc is denoised, its guides."""
         if not len(plan.pixels):
-            return (np.zeros((0, 3), dtype=np.float32),) * 3
+            return np.zeros((0, 3), dtype=np.float32), None
         positions = pixel_positions(mi.UInt32(plan.pixels), camera.width)
         traced = self.tracer.trace(camera, positions, spp, seed, guides=self.denoised)
-        stack = lambda channels: np.stack([c.numpy() for c in channels], axis=1)  # noqa: E731
-        radiance = stack(traced.radiance)
-        if traced.albedo is None or traced.normal is None:
-            return radiance, radiance, radiance
-        return radiance, stack(traced.albedo), stack(traced.normal)
+        return _interleaved(traced.radiance), _guides(traced)
+
+    def splat_frame(self, camera: Camera) -> Image:
+        """(H, W, 3) the splats over the whole frame, also where a fovea would hide them."""
+        return image_from_buffer(*self.splats.render(camera))
+
+    def path_traced(self, camera: Camera, positions: FilmPositions, spp: int, seed: int) -> Image:
+        """(H, W, 3) the whole frame, treated as the disc is: what the hybrid frame is compared with."""
+        traced = self.tracer.trace(camera, positions, spp, seed, guides=self.denoised)
+        shape = (camera.height, camera.width, 3)
+        radiance, guides = _interleaved(traced.radiance).reshape(shape), _guides(traced)
+        if guides is None:
+            return radiance
+        return denoise(radiance, guides[0].reshape(shape), guides[1].reshape(shape), fast=True)
 
 
-def _denoise_disc(fovea: Image, albedo: Image, normal: Image, periphery: Image, plan: FoveaPlan) -> Image:
+Guides = tuple[Image, Image]  # albedo and normal, (D, 3) each
+
+
+def _interleaved(channels: list[Any]) -> Image:
+    return np.stack([channel.numpy() for channel in channels], axis=1)
+
+
+def _guides(traced: Traced) -> Guides | None:
+    if traced.albedo is None or traced.normal is None:
+        return None
+    return _interleaved(traced.albedo), _interleaved(traced.normal)
+
+
+def _denoise_disc(fovea: Image, guides: Guides, periphery: Image, plan: FoveaPlan) -> Image:
     """Denoises the square around the disc, with the splats around the disc as context."""
     rows, columns = plan.pixels // plan.width, plan.pixels % plan.width
     top, left = int(rows.min()), int(columns.min())
     box = np.s_[top : int(rows.max()) + 1, left : int(columns.max()) + 1]
     place = rows - top, columns - left
     radiance = periphery[box].copy()
-    guides = np.zeros((2, *radiance.shape), dtype=np.float32)
     # Outside the disc no guide was traced; the picture itself is the best one there is.
-    guides[0] = np.clip(radiance, 0, 1)
-    for target, values in ((radiance, fovea), (guides[0], albedo), (guides[1], normal)):
+    albedo, normal = np.clip(radiance, 0, 1), np.zeros_like(radiance)
+    for target, values in ((radiance, fovea), (albedo, guides[0]), (normal, guides[1])):
         target[place] = values
-    return denoise(radiance, guides[0], guides[1], fast=True)[place]
+    return denoise(radiance, albedo, normal, fast=True)[place]
 
 
 class _Clock:

@@ -13,6 +13,7 @@ from compose.llvm import MINIMUM_LLVM, Llvm, find_llvm
 LLVM_VARIANT = "llvm_ad_rgb"
 CUDA_VARIANT = "cuda_ad_rgb"
 
+
 @dataclass(frozen=True)
 class Backend:
     """What runs the kernels: the Mitsuba variant, the LLVM used by it (None on CUDA), and why."""

@@ -129,7 +129,9 @@ def _prepare(path: Path) -> tuple[str, str, int]:
     defaults = {e.get("name"): e.get("value") for e in root.iter("default")}
     depth = DEFAULT_MAX_DEPTH
     for integrator in root.findall("integrator"):
-        value = next((e.get("value") for e in integrator.iter("integer") if e.get("name") == "max_depth"), None)
+        value = next(
+            (e.get("value") for e in integrator.iter("integer") if e.get("name") == "max_depth"), None
+        )
         if value and value.startswith("$"):
             value = defaults.get(value[1:])
         if value and re.fullmatch(r"-?\d+", value.strip()):
@@ -164,6 +166,6 @@ def _camera(sensor: Any, source: str) -> Camera:
         height,
         focal,
         focal,
-        width * (0.5 + offset[0]),
-        height * (0.5 + offset[1]),
+        width * (0.5 - offset[0]),
+        height * (0.5 - offset[1]),
     )

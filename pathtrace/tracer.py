@@ -163,7 +163,9 @@ class Tracer:
             alive &= surface.is_valid()
             total = dr.select(alive, total + surface.t, total)
         dr.eval(distance, total, shapes)
-        registry = {int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]): i for i, s in enumerate(scene.shapes())}
+        registry = {
+            int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]): i for i, s in enumerate(scene.shapes())
+        }
         index = np.array([registry.get(int(v), -1) for v in np.unique(shapes.numpy())], dtype=np.int32)
         inverse = np.unique(shapes.numpy(), return_inverse=True)[1]
         return Hits(distance.numpy(), total.numpy(), index[inverse])
@@ -188,9 +190,7 @@ class Tracer:
         dr.eval(channels)
         if spp == 1:
             return [dr.gather(mi.Float, c, dr.arange(mi.UInt32, lanes)) for c in channels]
-        return [
-            dr.block_sum(dr.gather(mi.Float, c, dr.arange(mi.UInt32, lanes)), spp) for c in channels
-        ]
+        return [dr.block_sum(dr.gather(mi.Float, c, dr.arange(mi.UInt32, lanes)), spp) for c in channels]
 
     @staticmethod
     def _sample(integrator: Any, scene: Any, x: Any, y: Any, active: Any, seed: Any, camera: Any) -> Any:

@@ -20,7 +20,9 @@ _PROBE = 24  # rays per side of the probing frame
 _TRIES_PER_VIEW = 200
 
 
-def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, height: int, seed: int) -> list[Camera]:
+def choose_views(
+    scene: Scene, surfaces: Surfaces, count: int, width: int, height: int, seed: int
+) -> list[Camera]:
     """Views around the scene's own camera; the first one is that camera itself.
 
     Args:
@@ -59,9 +61,7 @@ def _perturb(home: Camera, scale: float, rng: np.random.Generator) -> Camera:
     yaw, pitch = rng.uniform(-1, 1, 2) * np.radians([_YAW, _PITCH])
     # Yaw about the camera's own upward axis keeps the horizon; pitch about its x axis follows.
     turn_yaw = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
-    turn_pitch = np.array(
-        [[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]]
-    )
+    turn_pitch = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
     moved = np.eye(4)
     moved[:3, :3] = pose[:3, :3] @ turn_yaw @ turn_pitch
     moved[:3, 3] = pose[:3, 3] + offset

@@ -163,9 +163,7 @@ def spline(knots: Sequence[Point], samples: int) -> np.ndarray:
     i = np.minimum(t.astype(int), len(k) - 4)
     f = (t - i)[:, None]
     a, b, c, d = k[i], k[i + 1], k[i + 2], k[i + 3]
-    return 0.5 * (
-        2 * b + (c - a) * f + (2 * a - 5 * b + 4 * c - d) * f**2 + (3 * b - a - 3 * c + d) * f**3
-    )
+    return 0.5 * (2 * b + (c - a) * f + (2 * a - 5 * b + 4 * c - d) * f**2 + (3 * b - a - 3 * c + d) * f**3)
 
 
 def revolve(profile: np.ndarray, segments: int) -> Mesh:
@@ -365,9 +363,7 @@ def rug_picture() -> Image.Image:
     return picture.filter(ImageFilter.GaussianBlur(1.0))
 
 
-def diamond(
-    draw: ImageDraw.ImageDraw, x: float, y: float, size: float, fill: Colour, heart: Colour
-) -> None:
+def diamond(draw: ImageDraw.ImageDraw, x: float, y: float, size: float, fill: Colour, heart: Colour) -> None:
     """A diamond with a smaller one in its middle."""
     for s, colour in ((size, fill), (0.45 * size, heart)):
         draw.polygon([(x - s, y), (x, y - s), (x + s, y), (x, y + s)], fill=colour)
@@ -398,9 +394,7 @@ def books_picture(rng: np.random.Generator) -> Image.Image:
     return sheet
 
 
-def book_spine(
-    height: int, width: int, cover: Colour, ink: Colour, title: str, style: int
-) -> Image.Image:
+def book_spine(height: int, width: int, cover: Colour, ink: Colour, title: str, style: int) -> Image.Image:
     """One spine with its title reading downwards."""
     lying = Image.new("RGB", (height, width), cover)
     draw = ImageDraw.Draw(lying)
@@ -730,9 +724,9 @@ def table() -> Shapes:
     """A table with four turned legs, and the rug below it."""
     x0, x1, y0, y1 = 2.70, 3.80, 1.65, 2.45
     top = rounded_box([x0, y0, 0.715], [x1, y1, 0.75], 0.014, 1, 0).mapped(0.7)
-    apron = [
-        box([x0 + 0.08, y, 0.62], [x1 - 0.08, y + 0.02, 0.715]) for y in (y0 + 0.07, y1 - 0.09)
-    ] + [box([x, y0 + 0.08, 0.62], [x + 0.02, y1 - 0.08, 0.715]) for x in (x0 + 0.07, x1 - 0.09)]
+    apron = [box([x0 + 0.08, y, 0.62], [x1 - 0.08, y + 0.02, 0.715]) for y in (y0 + 0.07, y1 - 0.09)] + [
+        box([x, y0 + 0.08, 0.62], [x + 0.02, y1 - 0.08, 0.715]) for x in (x0 + 0.07, x1 - 0.09)
+    ]
     leg = turned_leg(LEG, 17, 11)
     places = [(x, y) for x in (x0 + 0.08, x1 - 0.08) for y in (y0 + 0.08, y1 - 0.08)]
     legs = [leg.moved([x, y, 0.012]) for x, y in places]
@@ -986,9 +980,7 @@ def pictures() -> Shapes:
     return shapes
 
 
-def frame(
-    corner: np.ndarray, across: np.ndarray, up: np.ndarray, out: np.ndarray, wide: float
-) -> Mesh:
+def frame(corner: np.ndarray, across: np.ndarray, up: np.ndarray, out: np.ndarray, wide: float) -> Mesh:
     """Four bars around a picture, 25 mm deep."""
     a, u = across / np.linalg.norm(across), up / np.linalg.norm(up)
     o, w, h = corner, np.linalg.norm(across), np.linalg.norm(up)
@@ -1043,9 +1035,7 @@ def leaf_blade(length: float, steep: float, width: float) -> Mesh:
 
 def extras() -> Shapes:
     """A footstool near the sofa and the door behind the camera."""
-    stool = turned_leg(
-        [(0.20, 0.06), (0.235, 0.10), (0.24, 0.22), (0.22, 0.33), (0.1, 0.365)], 9, 26
-    )
+    stool = turned_leg([(0.20, 0.06), (0.235, 0.10), (0.24, 0.22), (0.22, 0.33), (0.1, 0.365)], 9, 26)
     foot = turned_leg([(0.016, 0), (0.024, 0.07)], 2, 8)
     feet = [foot.moved([x, y, 0]) for x in (-0.12, 0.12) for y in (-0.12, 0.12)]
     at = [2.05, 2.72, 0]
@@ -1133,10 +1123,7 @@ def colour(name: str, value: float | Point | str) -> str:
 
 def bsdf(name: str, kind: str, body: str) -> str:
     """A two-sided material."""
-    return (
-        f'\t<bsdf type="twosided" id="{name}">\n\t\t<bsdf type="{kind}">\n{body}'
-        "\t\t</bsdf>\n\t</bsdf>\n"
-    )
+    return f'\t<bsdf type="twosided" id="{name}">\n\t\t<bsdf type="{kind}">\n{body}\t\t</bsdf>\n\t</bsdf>\n'
 
 
 def plastic(value: Point | str, alpha: float) -> str:
@@ -1292,10 +1279,7 @@ def write_cornell(folder: Path) -> None:
         text += cornell_shape("rectangle", name, material, steps)
     for name, (material, steps) in CORNELL_BOXES.items():
         text += cornell_shape("cube", name, material, steps)
-    light = (
-        '\t\t<emitter type="area">\n'
-        '\t\t\t<rgb name="radiance" value="30, 26, 18" />\n\t\t</emitter>\n'
-    )
+    light = '\t\t<emitter type="area">\n\t\t\t<rgb name="radiance" value="30, 26, 18" />\n\t\t</emitter>\n'
     steps = ("scale 0.23 0.19 1", "rotate x 90", "translate 0 0.99 0.01")
     text += cornell_shape("rectangle", "light", "white", steps, light)
     (folder / "cornell.xml").write_text(text + "</scene>\n", encoding="utf-8")

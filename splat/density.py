@@ -67,9 +67,13 @@ class DensityControl:
             error = self._errors[view].numpy().ravel().astype(np.float64) ** _ERROR_POWER
             error = np.where(np.isfinite(views[view].distance.ravel()), error, 0)
             possible = int(np.count_nonzero(error))
-            pixels = rng.choice(
-                error.size, min(int(share), possible), replace=False, p=error / max(error.sum(), 1e-30)
-            ) if possible else np.zeros(0, dtype=np.int64)
+            pixels = (
+                rng.choice(
+                    error.size, min(int(share), possible), replace=False, p=error / max(error.sum(), 1e-30)
+                )
+                if possible
+                else np.zeros(0, dtype=np.int64)
+            )
             parts.append(seed_at(views[view], pixels, _SIZE, degree))
         result = parts[0]
         for part in parts[1:]:

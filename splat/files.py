@@ -17,6 +17,8 @@ from compose.errors import UserError
 from splat.gaussians import MAX_DEGREE, Gaussians, sh_count
 
 FORMAT_VERSION = 1
+# Gaussians that come from elsewhere were trained on films that nobody knows: no further filter for them.
+UNBOUND_FOCAL = 1e9
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,9 @@ def save_tensors(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[st
     temporary = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        save_file({k: v.contiguous() for k, v in tensors.items()}, temporary, {"hybrid": json.dumps(metadata)})
+        save_file(
+            {k: v.contiguous() for k, v in tensors.items()}, temporary, {"hybrid": json.dumps(metadata)}
+        )
         os.replace(temporary, path)
     except (OSError, SafetensorError) as error:
         temporary.unlink(missing_ok=True)

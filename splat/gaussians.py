@@ -51,7 +51,9 @@ class Gaussians:
                 raise ValueError(f"{name} has shape {tuple(getattr(self, name).shape)}, expected {shape}")
         k = self.sh.shape[0]
         if tuple(self.sh.shape) != (k, 3, n) or k not in [sh_count(d) for d in range(MAX_DEGREE + 1)]:
-            raise ValueError(f"sh has shape {tuple(self.sh.shape)}, expected (K, 3, {n}) with K in 1, 4, 9, 16")
+            raise ValueError(
+                f"sh has shape {tuple(self.sh.shape)}, expected (K, 3, {n}) with K in 1, 4, 9, 16"
+            )
 
     def __len__(self) -> int:
         return self.opacity_logits.shape[0]

@@ -215,7 +215,9 @@ def _pack(arrays: Arrays, splats: Splats, bins: Bins) -> tuple[Any, Any]:
         splats.green,
     ]
     table = dr.empty(Float, _PACKED * dr.width(splats.x))
-    dr.scatter(table, arrays.plain.ArrayXf(rows), dr.arange(UInt, dr.width(splats.x)), mode=dr.ReduceMode.Permute)
+    dr.scatter(
+        table, arrays.plain.ArrayXf(rows), dr.arange(UInt, dr.width(splats.x)), mode=dr.ReduceMode.Permute
+    )
     dr.eval(table)
     packed = dr.empty(Float, _PACKED * bins.pairs)
     pair = dr.arange(UInt, bins.pairs)

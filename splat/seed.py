@@ -46,7 +46,9 @@ def seed_from_views(
     parts = []
     for view, share in zip(views, shares, strict=True):
         size = view.distance.size
-        parts.append(seed_at(view, rng.choice(size, min(int(share), size), replace=False), spacing * 0.6, degree))
+        parts.append(
+            seed_at(view, rng.choice(size, min(int(share), size), replace=False), spacing * 0.6, degree)
+        )
     return _concatenated(parts)
 
 

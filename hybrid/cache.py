@@ -1,0 +1,81 @@
+"""Where forests and frame sets lie when no path is given: HYBRID_HOME, else the platform's cache folder."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import mitsuba as mi
+import platformdirs
+
+from hybrid.progress import console, progress_bar
+from hybrid.training import train_forest
+from pathtrace.capture import CaptureSettings, capture
+from pathtrace.scene import Scene
+from splat.arrays import Arrays, backend_of
+from splat.files import Forest, load_forest
+from splat.train import TrainingSettings
+
+# What a scene gets that is rendered before it was captured: good enough to look at, in minutes.
+QUICK_CAPTURE = CaptureSettings(views=40, held_out=4, spp=16, held_out_spp=64)
+QUICK_TRAINING = TrainingSettings(iterations=900, gaussians=30_000)
+
+
+def home() -> Path:
+    """The cache folder."""
+    chosen = os.environ.get("HYBRID_HOME")
+    return Path(chosen) if chosen else Path(platformdirs.user_cache_dir("hybrid"))
+
+
+def scene_folder(scene: Scene) -> Path:
+    """Where everything made for one scene lies; another version of the scene has another one."""
+    return home() / f"{scene.name}-{scene.hash[:12]}"
+
+
+def newest_forest(scene: Scene) -> Path | None:
+    """The forest made last for a scene."""
+    found = list((scene_folder(scene) / "forests").glob("*.safetensors"))
+    return max(found, key=lambda path: path.stat().st_mtime) if found else None
+
+
+def forest_for(scene: Scene, given: Path | None) -> Forest:
+    """The forest that was asked for, else the newest one of the scene, else one trained now.
+
+    Raises:
+        UserError: the given file is missing, damaged, or cannot be made.
+    """
+    path = given or newest_forest(scene)
+    if path is not None:
+        return load_forest(path)
+    console.print(f"No forest for scene {scene.name} yet: capturing and training one first.")
+    forest, _ = make_quick_forest(scene, scene_folder(scene), seed=0)
+    return forest
+
+
+def make_quick_forest(
+    scene: Scene, folder: Path, seed: int, seconds: dict[str, float] | None = None
+) -> tuple[Forest, Path]:
+    """Captures and trains with the quick settings.
+
+    Args:
+        scene: what to capture.
+        folder: frame set and forest lie in it.
+        seed: same seed, same forest on the same machine.
+        seconds: receives how long "capture" and "train" took.
+
+    Returns:
+        The forest, and the folder of its frame set.
+    """
+    seconds = {} if seconds is None else seconds
+    frames_folder = folder / f"frames-{seed}"
+    start = time.perf_counter()
+    with progress_bar("capture (samples)") as bar:
+        frames = capture(scene, frames_folder, replace(QUICK_CAPTURE, seed=seed), bar)
+    seconds["capture"] = time.perf_counter() - start
+    path = folder / "forests" / f"quick-{seed}.safetensors"
+    settings = replace(QUICK_TRAINING, seed=seed)
+    with progress_bar("train (steps)") as bar:
+        forest, seconds["train"] = train_forest(Arrays(backend_of(mi.variant())), frames, path, settings, bar)
+    return forest, frames_folder

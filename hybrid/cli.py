@@ -1,0 +1,436 @@
+"""The commands: thin, each checks what the user gave, calls one function and prints what came out.
+
+Mitsuba, torch and everything that needs them are imported inside the commands, so that `--help` answers
+at once and a missing package or LLVM is a line, not a traceback.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from compose.errors import UserError
+from hybrid.progress import progress_bar
+
+if TYPE_CHECKING:
+    from compose.view import Camera
+    from pathtrace.scene import Scene
+    from splat.arrays import Arrays
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Path-traced fovea, Gaussian-splat periphery: one scene, two renderers, one frame.",
+)
+bench_app = typer.Typer(no_args_is_help=True, help="Measure one part alone.")
+app.add_typer(bench_app, name="bench")
+
+SceneName = Annotated[
+    str, typer.Argument(metavar="SCENE", help="A bundled scene's name or a Mitsuba XML file.")
+]
+Backend = Annotated[str, typer.Option(help="auto, cuda or llvm.")]
+Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write what was measured.")]
+Seed = Annotated[int, typer.Option(help="Same seed, same result on the same machine.", min=0)]
+ForestFile = Annotated[
+    Path | None, typer.Option("--forest", metavar="FOREST", help="Default: the newest one of the scene.")
+]
+FovA = Annotated[
+    float, typer.Option("--fov-a", help="Radius of the path-traced disc, percent of the height.")
+]
+FovB = Annotated[float, typer.Option("--fov-b", help="Radius inside of which no splats are drawn, percent.")]
+Spp = Annotated[int, typer.Option("--spp", help="Samples per pixel in the disc.", min=1)]
+
+
+@app.command()
+def doctor(backend: Backend = "auto", json_file: Json = None) -> None:
+    """Say which backend runs, why, and what to install where something is missing."""
+    from hybrid.doctor import examine
+
+    report = examine(backend)
+    for line in report.lines():
+        print(line)
+    _write_json(json_file, report.facts)
+    if report.problem:
+        raise UserError(report.problem)
+
+
+@app.command()
+def scenes(backend: Backend = "auto", json_file: Json = None) -> None:
+    """List the bundled scenes and their facts."""
+    _select(backend)
+    from hybrid.cache import newest_forest
+    from pathtrace.scene import bundled_scenes, load_scene
+
+    rows = []
+    for name, path in bundled_scenes().items():
+        scene = load_scene(name)
+        forest = newest_forest(scene)
+        rows.append(
+            {
+                "scene": name,
+                "triangles": scene.triangles,
+                "emitters": len(scene.mitsuba.emitters()),
+                "max_depth": scene.max_depth,
+                "width": scene.camera.width,
+                "height": scene.camera.height,
+                "file": str(path),
+                "forest": str(forest) if forest else None,
+            }
+        )
+        print(
+            f"{name}: {scene.triangles:,} triangles, {rows[-1]['emitters']} emitters, "
+            f"depth {scene.max_depth}, {scene.camera.width} x {scene.camera.height}, "
+            f"{'forest ' + str(forest) if forest else 'no forest yet'}"
+        )
+    _write_json(json_file, rows)
+
+
+@app.command()
+def quickstart(
+    scene: Annotated[str, typer.Argument(metavar="[SCENE]")] = "room",
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where pictures, page and numbers go.")] = Path(
+        "out"
+    ),
+    fov_a: FovA = 20.0,
+    fov_b: FovB = 15.0,
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """The main job, from nothing to pictures and numbers."""
+    _select(backend)
+    from compose.foveation import Foveation
+    from compose.view import Gaze
+    from hybrid.images import check_writable
+    from hybrid.quickstart import quickstart as run
+
+    Foveation(Gaze(), fov_a, fov_b)  # refuses bad radii before the long work begins
+    check_writable(out / "result.json")
+    result = run(_scene(scene), out, fov_a, fov_b, seed)
+    _write_json(out / "result.json", result)
+    _write_json(json_file, result)
+    print(
+        f"hybrid {result['hybrid']['psnr']:.2f} dB, splats {result['splat']['psnr']:.2f} dB, "
+        f"{result['ratio']:.2f} x faster than full path tracing, {result['seconds']['total']:.0f} s in all"
+    )
+    print(f"Open {out / 'index.html'}")
+
+
+@app.command()
+def capture(
+    scene: SceneName,
+    frames: Annotated[Path, typer.Argument(metavar="FRAMES", help="Folder of the frame set.")],
+    views: Annotated[int, typer.Option(help="Training views.")] = 64,
+    held_out: Annotated[int, typer.Option(help="Views that training never sees.")] = 8,
+    size: Annotated[tuple[int, int], typer.Option(metavar="W H", help="Frame size.")] = (256, 256),
+    spp: Annotated[int, typer.Option(help="Samples per pixel of a training view.")] = 32,
+    held_out_spp: Annotated[int, typer.Option(help="Samples per pixel of a held-out view.")] = 256,
+    max_depth: Annotated[int | None, typer.Option(help="Path depth; default: the scene's.", min=1)] = None,
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Render training frames; an interrupted capture goes on where it stopped."""
+    _select(backend)
+    import time
+
+    from pathtrace.capture import CaptureSettings
+    from pathtrace.capture import capture as run
+
+    settings = _checked(
+        CaptureSettings,
+        views=views,
+        held_out=held_out,
+        width=size[0],
+        height=size[1],
+        spp=spp,
+        held_out_spp=held_out_spp,
+        seed=seed,
+    )
+    start = time.perf_counter()
+    with progress_bar("capture (samples)") as bar:
+        found = run(_scene(scene, max_depth), frames, settings, bar)
+    row = {
+        "scene": found.scene_name,
+        "views": len(found.training),
+        "held_out": len(found.held_out),
+        "width": size[0],
+        "height": size[1],
+        "spp": spp,
+        "seconds": time.perf_counter() - start,
+    }
+    _write_json(json_file, row)
+    print(f"{row['views']} training views and {row['held_out']} held-out views in {frames}")
+
+
+@app.command()
+def train(
+    frames: Annotated[Path, typer.Argument(metavar="FRAMES", help="Folder of a frame set.")],
+    forest: Annotated[Path, typer.Argument(metavar="FOREST", help="File to write.")],
+    iterations: Annotated[int, typer.Option(help="Optimizer steps.")] = 2500,
+    gaussians: Annotated[int, typer.Option(help="How many Gaussians in the end.")] = 40_000,
+    degree: Annotated[int, typer.Option(help="Degree of the spherical harmonics, 0 to 3.")] = 2,
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Train Gaussians on a frame set; an interrupted training goes on from its checkpoint."""
+    _select(backend)
+    from hybrid.images import check_writable
+    from hybrid.training import held_out_quality, train_forest
+    from pathtrace.frames import read_frame_set
+    from splat.train import TrainingSettings
+
+    settings = _checked(
+        TrainingSettings, iterations=iterations, gaussians=gaussians, degree=degree, seed=seed
+    )
+    found = read_frame_set(frames)
+    check_writable(forest)
+    arrays = _arrays()
+    with progress_bar("train (steps)") as bar:
+        trained, seconds = train_forest(arrays, found, forest, settings, bar)
+    row = {
+        "scene": found.scene_name,
+        "splat": held_out_quality(arrays, found, trained),
+        "gaussians": len(trained.gaussians),
+        "iterations": iterations,
+        "seconds": seconds,
+    }
+    _write_json(json_file, row)
+    measured = row["splat"]
+    print(
+        f"{row['gaussians']:,} Gaussians in {seconds:.0f} s"
+        + (f"; held-out views {measured['psnr']:.2f} dB, SSIM {measured['ssim']:.4f}" if measured else "")
+    )
+
+
+@app.command()
+def render(
+    scene: SceneName,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="A .exr or .png file.")],
+    forest: ForestFile = None,
+    camera: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="JSON with the names of transforms.json.")
+    ] = None,
+    gaze: Annotated[tuple[float, float], typer.Option(metavar="X Y", help="Fractions of the frame.")] = (
+        0.5,
+        0.5,
+    ),
+    fov_a: FovA = 20.0,
+    fov_b: FovB = 15.0,
+    spp: Spp = 4,
+    size: Annotated[tuple[int, int] | None, typer.Option(metavar="W H", help="Default: the scene's.")] = None,
+    fovea: Annotated[
+        str, typer.Option(help="raw: what Mitsuba gives, unbiased; denoised: OIDN.")
+    ] = "denoised",
+    max_depth: Annotated[int | None, typer.Option(help="Path depth; default: the scene's.", min=1)] = None,
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Render one hybrid frame: EXR with all layers in linear radiance, or PNG in sRGB."""
+    from compose.foveation import Foveation
+    from compose.view import Gaze
+    from hybrid.images import check_writable, write_layers, write_png
+
+    if output.suffix.lower() not in (".exr", ".png"):
+        raise UserError(f"--output {output}: must end in .exr or .png")
+    if fovea not in ("raw", "denoised"):
+        raise UserError(f"--fovea {fovea}: must be raw or denoised")
+    foveation = Foveation(_checked(Gaze, x=gaze[0], y=gaze[1]), fov_a, fov_b)
+    check_writable(output)
+    _select(backend)
+    from hybrid.cache import forest_for
+    from hybrid.layers import frame_layers
+    from hybrid.renderer import HybridRenderer
+
+    loaded = _scene(scene, max_depth)
+    view = _view(loaded, camera, size)
+    renderer = HybridRenderer(loaded, forest_for(loaded, forest), denoised=fovea == "denoised")
+    frame = renderer.frame(view, foveation, spp, seed)
+    if output.suffix.lower() == ".exr":
+        write_layers(output, frame_layers(renderer, view, foveation.gaze, frame))
+    else:
+        write_png(output, frame.composite)
+    _write_json(
+        json_file,
+        {
+            "scene": loaded.name,
+            "width": view.width,
+            "height": view.height,
+            "spp": spp,
+            "fov_a": fov_a,
+            "fov_b": fov_b,
+            "fovea": fovea,
+            "milliseconds": frame.milliseconds,
+        },
+    )
+    print(f"{output}: {view.width} x {view.height}, {frame.milliseconds['total']:.0f} ms")
+
+
+@app.command("export")
+def export_command(
+    forest: Annotated[Path, typer.Argument(metavar="FOREST")],
+    output: Annotated[Path, typer.Argument(metavar="out.ply")],
+) -> None:
+    """Write a forest as a PLY file that other viewers of 3D Gaussian splatting open."""
+    from splat.files import export_ply, load_forest
+
+    loaded = load_forest(forest)
+    export_ply(output, loaded.gaussians)
+    print(f"{output}: {len(loaded.gaussians):,} Gaussians, degree {loaded.gaussians.degree}")
+
+
+@app.command("import")
+def import_command(
+    source: Annotated[Path, typer.Argument(metavar="in.ply")],
+    forest: Annotated[Path, typer.Argument(metavar="FOREST")],
+) -> None:
+    """Read a PLY file of 3D Gaussian splatting; the forest is bound to no scene."""
+    from splat.files import UNBOUND_FOCAL, Forest, import_ply, save_forest
+
+    gaussians = import_ply(source)
+    save_forest(forest, Forest(gaussians, UNBOUND_FOCAL, source.stem, ""))
+    print(f"{forest}: {len(gaussians):,} Gaussians, degree {gaussians.degree}")
+
+
+@app.command()
+def sweep(
+    scene: SceneName,
+    over: Annotated[str, typer.Option(help="What varies: resolution.")] = "resolution",
+    forest: ForestFile = None,
+    fov_a: FovA = 20.0,
+    fov_b: FovB = 15.0,
+    spp: Spp = 1,
+    repeats: Annotated[int, typer.Option(help="Measured frames per method and row.", min=3)] = 15,
+    warm_up: Annotated[int, typer.Option(help="Frames before that.", min=1)] = 2,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Time hybrid frames against full path tracing, interleaved, with a raw fovea."""
+    if over != "resolution":
+        raise UserError(f"--over {over}: must be resolution")
+    _select(backend)
+    from compose.foveation import Foveation
+    from compose.view import Gaze
+    from hybrid.cache import forest_for
+    from hybrid.renderer import HybridRenderer
+    from hybrid.sweep import resolution_rows
+    from hybrid.timing import machine
+
+    Foveation(Gaze(), fov_a, fov_b)
+    loaded = _scene(scene)
+    renderer = HybridRenderer(loaded, forest_for(loaded, forest))
+    with progress_bar("sweep (rounds)") as bar:
+        rows = resolution_rows(renderer, loaded.camera, fov_a, fov_b, spp, repeats, warm_up, bar)
+    print("   size       hybrid    full     disc   ratio  ceiling   (median ms)")
+    for row in rows:
+        hybrid_ms, full, disc = (row[f"{name}_ms"]["p50"] for name in ("hybrid", "path_traced", "disc"))
+        print(
+            f"{row['width']:>5}x{row['height']:<5} {hybrid_ms:>8.0f} {full:>8.0f} {disc:>8.0f} "
+            f"{row['ratio']:>7.2f} {row['ceiling']:>7.2f}"
+        )
+    _write_json(json_file, [{**row, "machine": machine()} for row in rows])
+
+
+@bench_app.command("raster")
+def bench_raster(
+    gaussians: Annotated[int, typer.Option(min=1)] = 50_000,
+    size: Annotated[tuple[int, int], typer.Option(metavar="W H")] = (512, 512),
+    seed: Seed = 0,
+    repeats: Annotated[int, typer.Option(help="Measured rounds.", min=3)] = 50,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Time the rasterizer and its gradient on random Gaussians that are already on the device."""
+    if min(size) <= 0:
+        raise UserError(f"--size {size[0]} {size[1]}: must be positive")
+    _select(backend)
+    from hybrid.bench import bench_raster as run
+    from hybrid.timing import machine
+
+    with progress_bar("bench (rounds)") as bar:
+        row = run(_arrays(), gaussians, size[0], size[1], seed, repeats, 5, bar)
+    for name in ("forward", "backward"):
+        times = row[f"{name}_ms"]
+        print(f"{name}: median {times['p50']:.1f} ms, p95 {times['p95']:.1f} ms")
+    print(f"pairs: {row['pairs']:,}")
+    _write_json(json_file, {**row, "machine": machine()})
+
+
+def _select(backend: str) -> None:
+    from pathtrace.backend import select_backend
+
+    select_backend(backend)
+
+
+def _arrays() -> Arrays:
+    import mitsuba as mi
+
+    from splat.arrays import Arrays, backend_of
+
+    return Arrays(backend_of(mi.variant()))
+
+
+def _scene(source: str, max_depth: int | None = None) -> Scene:
+    from pathtrace.scene import load_scene
+
+    return load_scene(source, max_depth)
+
+
+def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None) -> Camera:
+    from compose.view import camera_from_json
+
+    camera = scene.camera
+    if file is not None:
+        try:
+            camera = camera_from_json(json.loads(file.read_text()))
+        except OSError as error:
+            raise UserError(f"--camera {file}: cannot be read ({error.strerror})") from error
+        except (ValueError, KeyError, TypeError) as error:
+            raise UserError(
+                f"--camera {file}: must be JSON with w, h, fl_x, fl_y, cx, cy, transform_matrix ({error!r})"
+            ) from error
+    if size is None:
+        return camera
+    if min(size) <= 0:
+        raise UserError(f"--size {size[0]} {size[1]}: must be positive")
+    return camera.resized(*size)
+
+
+def _checked(kind: Any, **values: Any) -> Any:
+    """Settings from options; what they refuse is the user's mistake."""
+    try:
+        return kind(**values)
+    except ValueError as error:
+        raise UserError(str(error)) from error
+
+
+def _write_json(path: Path | None, content: Any) -> None:
+    if path is None:
+        return
+    part = path.with_name(f".{path.name}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(json.dumps(content, indent=1) + "\n")
+        part.replace(path)
+    except OSError as error:
+        raise UserError(f"--json {path}: cannot be written ({error.strerror})") from error
+
+
+def main() -> None:
+    """Entry point: a mistake of the user is one line and exit code 2."""
+    try:
+        app()
+    except UserError as error:
+        print(f"hybrid: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,91 @@
+"""The main job from nothing: capture, training, a foveated frame, its reference, and the numbers."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+
+from compose.foveation import Foveation
+from compose.view import Camera, Gaze
+from hybrid.cache import make_quick_forest
+from hybrid.images import write_layers, write_png
+from hybrid.layers import frame_layers
+from hybrid.page import write_page
+from hybrid.progress import progress_bar
+from hybrid.quality import quality, registration_px
+from hybrid.renderer import HybridRenderer
+from hybrid.sweep import compare
+from hybrid.timing import machine
+from hybrid.training import held_out_quality
+from pathtrace.capture import render_frame
+from pathtrace.frames import read_frame_set
+from pathtrace.scene import Scene
+from splat.arrays import Arrays, backend_of
+
+# What is shown: the scene's own view.
+_SIZE = 512
+_SPP = 4
+_REFERENCE_SPP = 64
+_REPEATS, _WARM_UP = 7, 2
+
+
+def quickstart(scene: Scene, folder: Path, fov_a: float, fov_b: float, seed: int) -> dict[str, Any]:
+    """Does it all and writes pictures, result.json's content and the page.
+
+    Args:
+        scene: what to render.
+        folder: where to; the frame set and the forest lie in it as well.
+        fov_a, fov_b: radii in percent of the height; the gaze is in the middle.
+        seed: same seed, same pictures on the same machine.
+
+    Returns:
+        The content of result.json.
+    """
+    start = time.perf_counter()
+    seconds: dict[str, float] = {}
+    arrays = Arrays(backend_of(mi.variant()))
+    forest, frames_folder = make_quick_forest(scene, folder, seed, seconds)
+    held_out = held_out_quality(arrays, read_frame_set(frames_folder), forest)
+
+    before = time.perf_counter()
+    camera = _square(scene.camera)
+    renderer = HybridRenderer(scene, forest, denoised=True)
+    with progress_bar("reference") as bar:
+        bar(0, 1)
+        reference = render_frame(renderer.tracer, camera, _REFERENCE_SPP, seed + 1_000_003).radiance
+        bar(1, 1)
+    with progress_bar("frames (rounds)") as bar:
+        times = compare(renderer, camera, fov_a, fov_b, _SPP, _REPEATS, _WARM_UP, bar)
+    frame = renderer.frame(camera, Foveation(Gaze(), fov_a, fov_b), _SPP, seed)
+    whole = renderer.splat_frame(camera)
+    seconds["render"] = time.perf_counter() - before
+
+    write_layers(folder / "hybrid.exr", frame_layers(renderer, camera, Gaze(), frame))
+    for name, image in (("hybrid", frame.composite), ("reference", reference), ("splat", whole)):
+        write_png(folder / f"{name}.png", image)
+    seconds["total"] = time.perf_counter() - start
+    result = {
+        "scene": scene.name,
+        "width": camera.width,
+        "height": camera.height,
+        "spp": _SPP,
+        "fov_a": fov_a,
+        "fov_b": fov_b,
+        "seconds": seconds,
+        "splat": held_out,
+        "hybrid": quality(frame.composite, reference),
+        "registration_px": registration_px(whole, reference),
+        **{key: times[key] for key in ("hybrid_ms", "path_traced_ms", "disc_ms", "ratio", "ceiling")},
+        "gaussians": len(forest.gaussians),
+        "reference_spp": _REFERENCE_SPP,
+        "machine": machine(),
+    }
+    write_page(folder / "index.html", folder, result)
+    return result
+
+
+def _square(camera: Camera) -> Camera:
+    return camera.resized(_SIZE, _SIZE)

@@ -1,0 +1,73 @@
+"""Times of frames: warm-up, methods interleaved along a fixed gaze path, medians."""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from compose.view import Gaze
+
+
+def percentiles(milliseconds: list[float]) -> dict[str, float]:
+    """Median and 95th percentile."""
+    return {
+        "p50": float(np.percentile(milliseconds, 50)),
+        "p95": float(np.percentile(milliseconds, 95)),
+    }
+
+
+def gaze_path(count: int) -> list[Gaze]:
+    """A closed curve through the middle of the frame, on which a disc of 20 % of the height stays whole."""
+    turns = (2 * math.pi * i / count for i in range(count))
+    return [Gaze(0.5 + 0.15 * math.sin(t), 0.5 + 0.15 * math.sin(2 * t + 0.5)) for t in turns]
+
+
+def interleaved(
+    methods: dict[str, Callable[[Gaze, int], Any]],
+    repeats: int,
+    warm_up: int,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, list[float]]:
+    """Milliseconds of each method at each step of the gaze path; all methods take a step in turn.
+
+    Args:
+        methods: functions of gaze and seed that return when their frame is complete.
+        repeats: measured frames per method.
+        warm_up: frames before that, not counted.
+        progress: called with (rounds done, rounds in all).
+    """
+    times: dict[str, list[float]] = {name: [] for name in methods}
+    path = gaze_path(repeats)
+    for round_index in range(-warm_up, repeats):
+        gaze = path[round_index % repeats]
+        for name, method in methods.items():
+            start = time.perf_counter()
+            method(gaze, round_index + warm_up)
+            if round_index >= 0:
+                times[name].append((time.perf_counter() - start) * 1000)
+        progress(round_index + warm_up + 1, warm_up + repeats)
+    return times
+
+
+def machine() -> dict[str, Any]:
+    """What the figures were measured on."""
+    model = platform.processor() or platform.machine()
+    try:
+        with open("/proc/cpuinfo") as file:
+            model = next(line.split(":", 1)[1].strip() for line in file if line.startswith("model name"))
+    except (OSError, StopIteration):
+        pass
+    packages = ("mitsuba", "drjit", "torch", "numpy")
+    return {
+        "cpu": model,
+        "cores": len(os.sched_getaffinity(0)),
+        "python": platform.python_version(),
+        "packages": {name: version(name) for name in packages},
+    }

@@ -1,0 +1,117 @@
+"""From a frame set to a forest: training with checkpoints, and how good the result is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from compose.errors import UserError
+from hybrid.quality import quality
+from pathtrace.frames import FrameEntry, FrameSet, read_frame
+from splat.arrays import Arrays
+from splat.files import FORMAT_VERSION, Forest, load_tensors, save_forest, save_tensors
+from splat.raster import image_from_buffer
+from splat.render import SplatRenderer
+from splat.seed import TrainingView
+from splat.train import Trainer, TrainingSettings
+
+_CHECKPOINT_SECONDS = 30.0
+
+
+def training_view(entry: FrameEntry) -> TrainingView:
+    """A captured frame as the splats see it."""
+    frame = read_frame(entry.file)
+    # The normal is that of the mirror, not of what seems to lie behind it.
+    cosine = (entry.camera.rays(entry.camera.pixel_centres()) @ entry.camera.camera_to_world[:3, 2]).reshape(
+        frame.depth.shape
+    )
+    reflected = frame.unfolded * cosine > frame.depth * 1.001
+    normal = np.where(reflected[..., None], 0, frame.normal).astype(np.float32)
+    return TrainingView(entry.camera, frame.radiance, frame.unfolded, normal)
+
+
+def checkpoint_path(forest: Path) -> Path:
+    """Where an unfinished training of this forest lies."""
+    return forest.with_name(forest.name + ".checkpoint")
+
+
+def train_forest(
+    arrays: Arrays,
+    frames: FrameSet,
+    path: Path,
+    settings: TrainingSettings,
+    progress: Callable[[int, int], None],
+) -> tuple[Forest, float]:
+    """Trains a forest and writes it; goes on from the checkpoint of an interrupted training.
+
+    Returns:
+        The forest, and the seconds that training took in this process.
+
+    Raises:
+        UserError: a frame is damaged, there are none to train on, or the file cannot be written.
+    """
+    if not frames.training:
+        raise UserError(f"{frames.folder}: holds no frames to train on")
+    start = time.perf_counter()
+    views = [training_view(entry) for entry in frames.training]
+    trainer = Trainer(arrays, views, settings)
+    checkpoint = checkpoint_path(path)
+    _restore(trainer, checkpoint, frames)
+    saved = time.perf_counter()
+
+    def step(done: int) -> None:
+        nonlocal saved
+        progress(done, settings.iterations)
+        if time.perf_counter() - saved > _CHECKPOINT_SECONDS:
+            _save(trainer, checkpoint, frames)
+            saved = time.perf_counter()
+
+    try:
+        trainer.run(step)
+    except KeyboardInterrupt:
+        _save(trainer, checkpoint, frames)
+        raise
+    gaussians = trainer.gaussians
+    if not gaussians.is_finite():
+        raise RuntimeError("training ended with numbers that are not finite")
+    forest = Forest(gaussians, views[0].camera.fy, frames.scene_name, frames.scene_hash)
+    save_forest(path, forest)
+    checkpoint.unlink(missing_ok=True)
+    return forest, time.perf_counter() - start
+
+
+def _save(trainer: Trainer, path: Path, frames: FrameSet) -> None:
+    tensors, numbers = trainer.state()
+    metadata = {
+        "format_version": FORMAT_VERSION,
+        "kind": "checkpoint",
+        "frames": frames.scene_hash,
+        **numbers,
+    }
+    save_tensors(path, tensors, metadata)
+
+
+def _restore(trainer: Trainer, path: Path, frames: FrameSet) -> None:
+    if not path.is_file():
+        return
+    tensors, metadata = load_tensors(path)
+    if metadata.get("kind") != "checkpoint" or metadata.get("frames") != frames.scene_hash:
+        raise UserError(f"{path}: not a checkpoint of this training; remove it to start anew")
+    try:
+        trainer.restore(tensors, metadata)
+    except (ValueError, KeyError) as error:
+        raise UserError(f"{path}: {error}; remove it to start anew") from error
+
+
+def held_out_quality(arrays: Arrays, frames: FrameSet, forest: Forest) -> dict[str, Any]:
+    """Mean PSNR and SSIM of the splats alone over the frame set's held-out views."""
+    renderer = SplatRenderer(arrays, forest.gaussians, forest.trained_focal)
+    rows = []
+    for entry in frames.held_out:
+        buffer, bins = renderer.render(entry.camera)
+        rows.append(quality(image_from_buffer(buffer, bins), read_frame(entry.file).radiance))
+    return {name: float(np.mean([row[name] for row in rows])) for name in ("psnr", "ssim")} if rows else {}

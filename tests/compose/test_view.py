@@ -1,0 +1,97 @@
+"""Cameras: axes, resizing, projection; the angles of the eye."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from compose.view import (
+    Camera,
+    Gaze,
+    camera_from_json,
+    camera_to_json,
+    eccentricity,
+    from_camera_to_world,
+    look_at,
+    mitsuba_from_opencv,
+    opencv_from_mitsuba,
+    opencv_from_opengl,
+    opengl_from_opencv,
+)
+
+
+def pose() -> np.ndarray:
+    return look_at(np.array([1.0, 2.0, 3.0]), np.array([0.2, -0.5, 0.4]), np.array([0.0, 0.0, 1.0]))
+
+
+def test_a_point_ahead_projects_to_the_principal_point():
+    camera = from_camera_to_world(pose(), 80, 60, 50, 55, 41, 29)
+    pixels, depth = camera.project(camera.position[None] + 2.5 * pose()[:3, 2])
+    np.testing.assert_allclose(pixels, [[41, 29]], atol=1e-9)
+    np.testing.assert_allclose(depth, [2.5])
+
+
+def test_up_in_the_world_is_up_in_the_picture():
+    camera = from_camera_to_world(pose(), 80, 60, 50, 50, 40, 30)
+    ahead = camera.position + 3 * pose()[:3, 2]
+    pixels, _ = camera.project(np.stack([ahead, ahead + [0, 0, 0.1]]))
+    assert pixels[1, 1] < pixels[0, 1]
+
+
+def test_rays_go_back_through_the_pixels_they_came_from():
+    camera = from_camera_to_world(pose(), 80, 60, 50, 55, 41, 29)
+    pixels = np.array([[0.5, 0.5], [79.5, 10.0], [33.0, 59.0]])
+    back, depth = camera.project(camera.position + 4 * camera.rays(pixels))
+    np.testing.assert_allclose(back, pixels, atol=1e-9)
+    assert (depth > 0).all()
+
+
+def test_axes_convert_there_and_back():
+    np.testing.assert_allclose(opencv_from_mitsuba(mitsuba_from_opencv(pose())), pose())
+    np.testing.assert_allclose(opencv_from_opengl(opengl_from_opencv(pose())), pose())
+
+
+def test_a_scale_in_to_world_is_dropped():
+    scaled = mitsuba_from_opencv(pose()) @ np.diag([2.0, 2.0, 2.0, 1.0])
+    np.testing.assert_allclose(opencv_from_mitsuba(scaled), pose())
+
+
+def test_json_holds_the_camera():
+    camera = from_camera_to_world(pose(), 80, 60, 50, 55, 41, 29)
+    back = camera_from_json(camera_to_json(camera))
+    np.testing.assert_allclose(back.world_to_camera, camera.world_to_camera, atol=1e-12)
+    assert (back.width, back.height, back.fx, back.cy) == (80, 60, 50, 29)
+
+
+def test_a_wider_frame_sees_more_and_keeps_its_height():
+    camera = Camera(np.eye(4), 512, 512, 443.4, 443.4, 256, 256)
+    wide = camera.resized(1024, 256)
+    assert wide.vertical_fov == pytest.approx(camera.vertical_fov)
+    assert wide.fx == wide.fy == pytest.approx(221.7)
+    assert wide.cx == 512
+
+
+@pytest.mark.parametrize(("width", "height", "focal"), [(0, 4, 1), (4, -1, 1), (4, 4, 0), (4, 4, np.nan)])
+def test_impossible_cameras_are_refused(width, height, focal):
+    with pytest.raises(ValueError, match=r"positive|finite"):
+        Camera(np.eye(4), width, height, focal, focal, 2, 2)
+
+
+def test_eccentricity_is_a_great_circle():
+    """110 degrees wide and square: the corner lies at tan = sqrt(2) tan 55 deg, 63.66 degrees."""
+    focal = 50 / np.tan(np.radians(55))
+    camera = Camera(np.eye(4), 100, 100, focal, focal, 50, 50)
+    angle = eccentricity(camera, Gaze())
+    rays = camera.rays(np.array([[0.0, 0.0]]))
+    corner = np.degrees(np.arccos(rays[0, 2]))
+    assert corner == pytest.approx(np.degrees(np.arctan(np.sqrt(2) * np.tan(np.radians(55)))))
+    assert angle[0, 0] == pytest.approx(corner, abs=0.5)
+    # The four pixels around the gaze: half a diagonal away, arctan(sqrt(1/2) tan(55 deg) / 50).
+    assert angle.min() == pytest.approx(1.1570, abs=1e-3)
+    # Seen from the corner, the opposite one is twice as far.
+    assert eccentricity(camera, Gaze(0, 0))[-1, -1] == pytest.approx(2 * corner, abs=0.5)
+
+
+def test_a_gaze_that_is_no_number_is_refused():
+    with pytest.raises(ValueError, match="finite"):
+        Gaze(float("nan"), 0.5)
