@@ -3,4 +3,4 @@
 from compose.llvm import point_drjit_to_llvm
 
 # Before anything imports drjit, which loads LLVM at once.
-point_drjit_to_llvm()
+LLVM = point_drjit_to_llvm()

@@ -62,7 +62,7 @@ def find_llvm() -> Llvm:
         UserError: there is none, or only versions that Dr.Jit cannot use.
     """
     explicit = os.environ.get(_PATH_VARIABLE)
-    if explicit and explicit != os.devnull:
+    if explicit:
         llvm = Llvm(Path(explicit), llvm_version(Path(explicit)))
         if not llvm.path.exists():
             raise UserError(f"{_PATH_VARIABLE}={explicit} does not exist; {LLVM_HINT}")
@@ -83,9 +83,16 @@ def find_llvm() -> Llvm:
     raise UserError(f"{seen}, Dr.Jit needs {MINIMUM_LLVM} or newer; {LLVM_HINT}")
 
 
-def point_drjit_to_llvm() -> None:
-    """Sets DRJIT_LIBLLVM_PATH to a good LLVM, or to nothing at all; `find_llvm` then says what is wrong."""
+def point_drjit_to_llvm() -> Llvm | UserError:
+    """Sets DRJIT_LIBLLVM_PATH to a good LLVM or, where there is none, to nothing at all.
+
+    Returns:
+        The LLVM, or what is wrong.
+    """
     try:
-        os.environ[_PATH_VARIABLE] = str(find_llvm().path)
-    except UserError:
+        llvm = find_llvm()
+    except UserError as problem:
         os.environ[_PATH_VARIABLE] = os.devnull
+        return problem
+    os.environ[_PATH_VARIABLE] = str(llvm.path)
+    return llvm

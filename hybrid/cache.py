@@ -7,14 +7,13 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import mitsuba as mi
 import platformdirs
 
+from hybrid.device import device_arrays
 from hybrid.progress import console, progress_bar
 from hybrid.training import train_forest
 from pathtrace.capture import CaptureSettings, capture
 from pathtrace.scene import Scene
-from splat.arrays import Arrays, backend_of
 from splat.files import Forest, load_forest
 from splat.train import TrainingSettings
 
@@ -77,5 +76,5 @@ def make_quick_forest(
     path = folder / "forests" / f"quick-{seed}.safetensors"
     settings = replace(QUICK_TRAINING, seed=seed)
     with progress_bar("train (steps)") as bar:
-        forest, seconds["train"] = train_forest(Arrays(backend_of(mi.variant())), frames, path, settings, bar)
+        forest, seconds["train"] = train_forest(device_arrays(), frames, path, settings, bar)
     return forest, frames_folder

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from compose.errors import UserError
+from compose.files import write_whole
 from hybrid.progress import progress_bar
 
 if TYPE_CHECKING:
     from compose.view import Camera
     from pathtrace.scene import Scene
-    from splat.arrays import Arrays
 
 app = typer.Typer(
     add_completion=False,
@@ -181,6 +181,7 @@ def train(
 ) -> None:
     """Train Gaussians on a frame set; an interrupted training goes on from its checkpoint."""
     _select(backend)
+    from hybrid.device import device_arrays
     from hybrid.images import check_writable
     from hybrid.training import held_out_quality, train_forest
     from pathtrace.frames import read_frame_set
@@ -191,18 +192,18 @@ def train(
     )
     found = read_frame_set(frames)
     check_writable(forest)
-    arrays = _arrays()
+    arrays = device_arrays()
     with progress_bar("train (steps)") as bar:
         trained, seconds = train_forest(arrays, found, forest, settings, bar)
+    measured = held_out_quality(arrays, found, trained)
     row = {
         "scene": found.scene_name,
-        "splat": held_out_quality(arrays, found, trained),
+        "splat": measured,
         "gaussians": len(trained.gaussians),
         "iterations": iterations,
         "seconds": seconds,
     }
     _write_json(json_file, row)
-    measured = row["splat"]
     print(
         f"{row['gaussians']:,} Gaussians in {seconds:.0f} s"
         + (f"; held-out views {measured['psnr']:.2f} dB, SSIM {measured['ssim']:.4f}" if measured else "")
@@ -352,10 +353,11 @@ def bench_raster(
         raise UserError(f"--size {size[0]} {size[1]}: must be positive")
     _select(backend)
     from hybrid.bench import bench_raster as run
+    from hybrid.device import device_arrays
     from hybrid.timing import machine
 
     with progress_bar("bench (rounds)") as bar:
-        row = run(_arrays(), gaussians, size[0], size[1], seed, repeats, 5, bar)
+        row = run(device_arrays(), gaussians, size[0], size[1], seed, repeats, 5, bar)
     for name in ("forward", "backward"):
         times = row[f"{name}_ms"]
         print(f"{name}: median {times['p50']:.1f} ms, p95 {times['p95']:.1f} ms")
@@ -367,14 +369,6 @@ def _select(backend: str) -> None:
     from pathtrace.backend import select_backend
 
     select_backend(backend)
-
-
-def _arrays() -> Arrays:
-    import mitsuba as mi
-
-    from splat.arrays import Arrays, backend_of
-
-    return Arrays(backend_of(mi.variant()))
 
 
 def _scene(source: str, max_depth: int | None = None) -> Scene:
@@ -414,13 +408,8 @@ def _checked(kind: Any, **values: Any) -> Any:
 def _write_json(path: Path | None, content: Any) -> None:
     if path is None:
         return
-    part = path.with_name(f".{path.name}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(json.dumps(content, indent=1) + "\n")
-        part.replace(path)
-    except OSError as error:
-        raise UserError(f"--json {path}: cannot be written ({error.strerror})") from error
+    text = json.dumps(content, indent=1) + "\n"
+    write_whole(path, lambda part: part.write_text(text))
 
 
 def main() -> None:

@@ -12,6 +12,7 @@ from PIL import Image as PillowImage
 
 from compose.blend import Image, bytes_from_radiance
 from compose.errors import UserError
+from compose.files import write_whole
 
 
 def check_writable(path: Path) -> None:
@@ -30,7 +31,9 @@ def check_writable(path: Path) -> None:
 
 def write_png(path: Path, radiance: Image) -> None:
     """Writes linear (H, W, 3) radiance as sRGB."""
-    _write(path, lambda part: PillowImage.fromarray(bytes_from_radiance(radiance)).save(part, format="PNG"))
+    write_whole(
+        path, lambda part: PillowImage.fromarray(bytes_from_radiance(radiance)).save(part, format="PNG")
+    )
 
 
 def write_layers(path: Path, layers: dict[str, NDArray[np.float32]]) -> None:
@@ -45,23 +48,10 @@ def write_layers(path: Path, layers: dict[str, NDArray[np.float32]]) -> None:
         for channel, plane in planes.items():
             channels[prefix + channel] = np.ascontiguousarray(plane, dtype=np.float32)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    _write(path, lambda part: OpenEXR.File(header, channels).write(str(part)))
+    write_whole(path, lambda part: OpenEXR.File(header, channels).write(str(part)))
 
 
 def read_layers(path: Path) -> dict[str, NDArray[np.float32]]:
     """All channels of an EXR file by their full name."""
     file = OpenEXR.File(str(path), separate_channels=True)
     return {name: channel.pixels for name, channel in file.channels().items()}
-
-
-def _write(path: Path, save) -> None:  # type: ignore[no-untyped-def]
-    """The file appears whole or not at all."""
-    # The extension stays: OpenEXR and Pillow look at it.
-    part = path.with_name(f".part-{path.name}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save(part)
-        os.replace(part, path)
-    except (OSError, RuntimeError) as error:
-        part.unlink(missing_ok=True)
-        raise UserError(f"{path}: cannot be written ({error})") from error

@@ -8,6 +8,8 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
+from compose.files import write_whole
+
 _PICTURES = (
     (
         "hybrid",
@@ -59,7 +61,7 @@ def write_page(path: Path, folder: Path, result: dict[str, Any]) -> None:
         figures=figures,
         rows=rows,
     )
-    path.write_text(page, encoding="utf-8")
+    write_whole(path, lambda part: part.write_text(page, encoding="utf-8"))
 
 
 def _figure(folder: Path, result: dict[str, Any], name: str, title: str, caption: str) -> str:

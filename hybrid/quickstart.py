@@ -6,11 +6,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-import mitsuba as mi
-
 from compose.foveation import Foveation
 from compose.view import Camera, Gaze
 from hybrid.cache import make_quick_forest
+from hybrid.device import device_arrays
 from hybrid.images import write_layers, write_png
 from hybrid.layers import frame_layers
 from hybrid.page import write_page
@@ -23,7 +22,6 @@ from hybrid.training import held_out_quality
 from pathtrace.capture import render_frame
 from pathtrace.frames import read_frame_set
 from pathtrace.scene import Scene
-from splat.arrays import Arrays, backend_of
 
 # What is shown: the scene's own view.
 _SIZE = 512
@@ -46,7 +44,7 @@ def quickstart(scene: Scene, folder: Path, fov_a: float, fov_b: float, seed: int
     """
     start = time.perf_counter()
     seconds: dict[str, float] = {}
-    arrays = Arrays(backend_of(mi.variant()))
+    arrays = device_arrays()
     forest, frames_folder = make_quick_forest(scene, folder, seed, seconds)
     held_out = held_out_quality(arrays, read_frame_set(frames_folder), forest)
 

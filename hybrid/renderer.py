@@ -15,10 +15,10 @@ from compose.blend import Image, blend
 from compose.errors import UserError
 from compose.foveation import FoveaPlan, Foveation
 from compose.view import Camera
+from hybrid.device import device_arrays
 from pathtrace.denoise import denoise
 from pathtrace.scene import Scene
 from pathtrace.tracer import FilmPositions, Traced, Tracer, pixel_positions
-from splat.arrays import Arrays, backend_of
 from splat.binning import TILE
 from splat.files import Forest
 from splat.raster import image_from_buffer
@@ -71,7 +71,7 @@ class HybridRenderer:
                 f"({forest.scene_hash[:8]}), not of {scene.name} ({scene.hash[:8]}); train one for this scene"
             )
         self.tracer = Tracer(scene, max_depth)
-        self.splats = SplatRenderer(Arrays(backend_of(mi.variant())), forest.gaussians, forest.trained_focal)
+        self.splats = SplatRenderer(device_arrays(), forest.gaussians, forest.trained_focal)
         self.denoised = denoised
 
     def frame(self, camera: Camera, foveation: Foveation, spp: int = 1, seed: int = 0) -> Frame:

@@ -5,10 +5,12 @@ The variant is the project's one global state (Mitsuba's own), and this is the o
 
 from __future__ import annotations
 
+import ctypes.util
 from dataclasses import dataclass
 
+from compose import LLVM
 from compose.errors import UserError
-from compose.llvm import MINIMUM_LLVM, Llvm, find_llvm
+from compose.llvm import MINIMUM_LLVM, Llvm
 
 LLVM_VARIANT = "llvm_ad_rgb"
 CUDA_VARIANT = "cuda_ad_rgb"
@@ -64,6 +66,8 @@ def select_backend(choice: str = "auto") -> Backend:
 
 
 def _select(choice: str) -> Backend:
+    if isinstance(LLVM, UserError) and (choice == "llvm" or not ctypes.util.find_library("cuda")):
+        raise LLVM
     import drjit as dr
     import mitsuba as mi
 
@@ -73,10 +77,11 @@ def _select(choice: str) -> Backend:
         return Backend(CUDA_VARIANT, None, "a CUDA device with OptiX answers")
     if choice == "cuda":
         raise UserError("--backend cuda: no CUDA device with OptiX answers here; use --backend llvm")
-    llvm = find_llvm()
+    if isinstance(LLVM, UserError):
+        raise LLVM
     loaded = dr.detail.llvm_version()[0]
     if loaded < MINIMUM_LLVM:
         raise UserError(f"Dr.Jit was imported first and took LLVM {loaded}; import hybrid before drjit")
     mi.set_variant(LLVM_VARIANT)
     asked = choice == "llvm"
-    return Backend(LLVM_VARIANT, llvm, "asked for" if asked else "no CUDA device with OptiX answers")
+    return Backend(LLVM_VARIANT, LLVM, "asked for" if asked else "no CUDA device with OptiX answers")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from compose.errors import UserError
+from compose.files import write_whole
 from compose.view import Camera, camera_to_json
 from pathtrace.denoise import denoise
 from pathtrace.frames import FORMAT_VERSION, Frame, FrameSet, read_frame_set, write_frame
@@ -145,10 +145,5 @@ def _write_description(folder: Path, document: dict[str, Any]) -> None:
         if path.read_text() != text:
             raise UserError(f"{folder}: holds another capture; choose another folder or the same options")
         return
-    try:
-        (folder / "frames").mkdir(parents=True, exist_ok=True)
-        temporary = path.with_suffix(".part")
-        temporary.write_text(text)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise UserError(f"{folder}: cannot be written ({error.strerror})") from error
+    write_whole(path, lambda part: part.write_text(text))
+    (folder / "frames").mkdir(exist_ok=True)

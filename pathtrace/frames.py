@@ -6,7 +6,6 @@ The layout follows the Nerfstudio / instant-ngp convention, so that other people
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from compose.errors import UserError
+from compose.files import write_whole
 from compose.view import Camera, camera_from_json
 
 Image = NDArray[np.float32]
@@ -66,9 +66,7 @@ def write_frame(path: Path, frame: Frame) -> None:
         "shape.V": (frame.shape + 1).astype(np.uint32),
     }
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    temporary = path.with_name(f".{path.name}.part.exr")
-    OpenEXR.File(header, channels).write(str(temporary))
-    os.replace(temporary, path)
+    write_whole(path, lambda part: OpenEXR.File(header, channels).write(str(part)))
 
 
 def read_frame(path: Path) -> Frame:

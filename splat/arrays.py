@@ -34,8 +34,3 @@ class Arrays:
     def to_torch(self, array: Any, device: torch.device) -> torch.Tensor:
         """A flat tensor of an array's elements; on the CPU it shares the memory."""
         return dr.detach(array, preserve_type=False).torch().to(device)
-
-
-def backend_of(mitsuba_variant: str) -> BackendName:
-    """The backend that a Mitsuba variant's arrays live on."""
-    return "cuda" if mitsuba_variant.startswith("cuda") else "llvm"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from compose.errors import UserError
+from compose.files import write_whole
 from splat.gaussians import MAX_DEGREE, Gaussians, sh_count
 
 FORMAT_VERSION = 1
@@ -84,16 +84,8 @@ def save_tensors(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[st
     Raises:
         UserError: the folder cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save_file(
-            {k: v.contiguous() for k, v in tensors.items()}, temporary, {"hybrid": json.dumps(metadata)}
-        )
-        os.replace(temporary, path)
-    except (OSError, SafetensorError) as error:
-        temporary.unlink(missing_ok=True)
-        raise UserError(f"{path}: cannot be written ({error})") from error
+    contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
+    write_whole(path, lambda part: save_file(contiguous, part, {"hybrid": json.dumps(metadata)}))
 
 
 def load_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
@@ -150,13 +142,8 @@ def export_ply(path: Path, gaussians: Gaussians) -> None:
     table = torch.cat([c.detach().cpu() for c in columns]).T.contiguous().numpy().astype("<f4")
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
     header += [f"property float {name}" for name in names] + ["end_header", ""]
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes("\n".join(header).encode() + table.tobytes())
-        os.replace(temporary, path)
-    except OSError as error:
-        raise UserError(f"{path}: cannot be written ({error.strerror})") from error
+    content = "\n".join(header).encode() + table.tobytes()
+    write_whole(path, lambda part: part.write_bytes(content))
 
 
 def import_ply(path: Path) -> Gaussians:

@@ -18,9 +18,9 @@ def backend() -> Backend:
 
 @pytest.fixture(scope="session")
 def arrays(backend):
-    from splat.arrays import Arrays, backend_of
+    from hybrid.device import device_arrays
 
-    return Arrays(backend_of(backend.variant))
+    return device_arrays()
 
 
 def real_file(relative: str) -> Path:

@@ -46,7 +46,10 @@ def _quad(scale: float, offset: list[float], reflectance: list[float]) -> dict[s
     return {
         "type": "rectangle",
         "to_world": mi.ScalarTransform4f().translate(offset).scale(scale),
-        "bsdf": {"type": "twosided", "b": {"type": "diffuse", "reflectance": {"type": "rgb", "value": reflectance}}},
+        "bsdf": {
+            "type": "twosided",
+            "b": {"type": "diffuse", "reflectance": {"type": "rgb", "value": reflectance}},
+        },
     }
 
 

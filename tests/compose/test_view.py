@@ -34,7 +34,7 @@ def test_a_point_ahead_projects_to_the_principal_point():
 def test_up_in_the_world_is_up_in_the_picture():
     camera = from_camera_to_world(pose(), 80, 60, 50, 50, 40, 30)
     ahead = camera.position + 3 * pose()[:3, 2]
-    pixels, _ = camera.project(np.stack([ahead, ahead + [0, 0, 0.1]]))
+    pixels, _ = camera.project(np.stack([ahead, ahead + np.array([0, 0, 0.1])]))
     assert pixels[1, 1] < pixels[0, 1]
 
 

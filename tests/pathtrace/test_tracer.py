@@ -39,8 +39,9 @@ def test_radiance_agrees_with_mitsubas_render(backend):
     assert len(tested) > 2000
     threshold = 1 - (1 - 0.01) ** (1 / len(tested))
     assert tested.min() > threshold
-    # And over the whole picture p is uniform: a small bias everywhere would show here.
-    assert stats.kstest(tested, "uniform").pvalue > 1e-3
+    # A small bias everywhere, too small for any pixel, shows in the mean of the whole picture.
+    means = [np.mean(images, axis=(1, 2, 3)) for images in (ours, theirs)]
+    assert stats.ttest_ind(*means, equal_var=False).pvalue > 1e-3
 
 
 def test_the_test_above_can_fail(backend):
@@ -72,7 +73,9 @@ def test_a_disc_is_a_part_of_the_frame():
     scene = load_scene(small.corner())
     camera = scene.camera
     indices = np.array([5, 17, 400, 401, 900], dtype=np.uint32)
-    traced = Tracer(scene).trace(camera, pixel_positions(mi.UInt32(indices), camera.width), 4096, 1, guides=True)
+    traced = Tracer(scene).trace(
+        camera, pixel_positions(mi.UInt32(indices), camera.width), 4096, 1, guides=True
+    )
     whole = Tracer(scene).trace(camera, frame_positions(camera), 512, 2, guides=True)
     for part, full in zip(traced.radiance + traced.albedo, whole.radiance + whole.albedo, strict=True):
         np.testing.assert_allclose(part.numpy(), full.numpy()[indices], rtol=0.15, atol=0.02)
@@ -133,7 +136,7 @@ def test_hits_lie_on_the_surfaces():
     assert on_ball.any()
     # The ball is a mirror: what is seen in it lies farther away than its surface.
     assert (hits.unfolded[on_ball] >= hits.distance[on_ball]).all()
-    assert (hits.unfolded[on_ball] > hits.distance[on_ball] + 0.1).mean() > 0.3
+    assert (hits.unfolded[on_ball] > hits.distance[on_ball] + 0.1).mean() > 0.2
     assert len(np.unique(hits.shape[hits.shape >= 0])) >= 3
 
 
@@ -147,6 +150,7 @@ def test_mitsuba_sees_a_point_in_the_same_pixel(backend):
     sensor["to_world"] = mi.ScalarTransform4f(mitsuba_from_opencv(camera.camera_to_world))
     lamp = {
         "type": "scene",
+        "integrator": {"type": "path"},
         "sensor": sensor,
         "lamp": {
             "type": "sphere",

@@ -1,0 +1,256 @@
+"""The commands: the whole way in small, and one clear line for each mistake."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from hybrid.cli import main
+from hybrid.images import read_layers
+from tests.conftest import real_file
+
+pytestmark = pytest.mark.usefixtures("backend")
+
+TINY_CAPTURE = ["--views", "5", "--held-out", "2", "--size", "32", "32", "--spp", "2", "--held-out-spp", "4"]
+TINY_TRAINING = ["--iterations", "30", "--gaussians", "400", "--degree", "1"]
+
+
+def run(monkeypatch, *arguments: object) -> int:
+    """Runs a command in this process and returns its exit code."""
+    monkeypatch.setattr(sys, "argv", ["hybrid", *map(str, arguments)])
+    try:
+        main()
+    except SystemExit as stopped:
+        return int(stopped.code or 0)
+    return 0
+
+
+@pytest.fixture(autouse=True)
+def own_home(monkeypatch, tmp_path):
+    monkeypatch.setenv("HYBRID_HOME", str(tmp_path / "home"))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A frame set and a forest of the Cornell box, made by the commands."""
+    folder = tmp_path_factory.mktemp("made")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        assert run(monkeypatch, "capture", "cornell", folder / "frames", *TINY_CAPTURE) == 0
+        assert run(monkeypatch, "train", folder / "frames", folder / "box.forest", *TINY_TRAINING) == 0
+    return folder
+
+
+def test_train_reports_what_it_measured(made, monkeypatch, tmp_path):
+    out = tmp_path / "t.json"
+    assert run(monkeypatch, "train", made / "frames", tmp_path / "f", *TINY_TRAINING, "--json", out) == 0
+    row = json.loads(out.read_text())
+    assert row["splat"]["psnr"] > 10
+    assert 0 < row["splat"]["ssim"] <= 1
+    assert row["gaussians"] > 100
+    assert row["seconds"] > 0
+
+
+def test_render_writes_both_kinds_of_picture(made, monkeypatch, tmp_path):
+    common = ["render", "cornell", "--forest", made / "box.forest", "--size", 60, 40, "--gaze", 0.3, 0.6]
+    assert run(monkeypatch, *common, "-o", tmp_path / "a.exr", "--json", tmp_path / "a.json") == 0
+    assert run(monkeypatch, *common, "-o", tmp_path / "a.png", "--fovea", "raw") == 0
+    layers = read_layers(tmp_path / "a.exr")
+    assert layers["composite.R"].shape == (40, 60)
+    assert np.isfinite(layers["composite.R"]).all()
+    assert Image.open(tmp_path / "a.png").size == (60, 40)
+    assert json.loads((tmp_path / "a.json").read_text())["milliseconds"]["total"] > 0
+
+
+def test_render_takes_a_camera_of_transforms_json(made, monkeypatch, tmp_path):
+    document = json.loads((made / "frames" / "transforms.json").read_text())
+    camera = {k: document[k] for k in ("w", "h", "fl_x", "fl_y", "cx", "cy")}
+    camera["transform_matrix"] = document["frames"][2]["transform_matrix"]
+    (tmp_path / "camera.json").write_text(json.dumps(camera))
+    common = ["render", "cornell", "--forest", made / "box.forest", "--fov-a", 0, "--fov-b", 0]
+    assert run(monkeypatch, *common, "--camera", tmp_path / "camera.json", "-o", tmp_path / "a.png") == 0
+    assert Image.open(tmp_path / "a.png").size == (32, 32)
+
+
+def test_export_and_import_there_and_back(made, monkeypatch, tmp_path):
+    assert run(monkeypatch, "export", made / "box.forest", tmp_path / "a.ply") == 0
+    assert run(monkeypatch, "import", tmp_path / "a.ply", tmp_path / "b.forest") == 0
+    assert (
+        run(monkeypatch, "render", "cornell", "--forest", tmp_path / "b.forest", "-o", tmp_path / "b.png")
+        == 0
+    )
+
+
+def test_a_real_ply_goes_through_import(monkeypatch, tmp_path):
+    source = real_file("splats/kacytran_try_it7000.ply")
+    assert run(monkeypatch, "import", source, tmp_path / "k.forest") == 0
+    assert run(monkeypatch, "export", tmp_path / "k.forest", tmp_path / "k.ply") == 0
+
+
+def test_sweep_and_bench_write_their_rows(made, monkeypatch, tmp_path):
+    import hybrid.sweep
+
+    monkeypatch.setattr(hybrid.sweep, "RESOLUTIONS", ((48, 32), (64, 32)))
+    out = tmp_path / "s.json"
+    common = ["sweep", "cornell", "--forest", made / "box.forest", "--repeats", 3, "--warm-up", 1]
+    assert run(monkeypatch, *common, "--over", "resolution", "--json", out) == 0
+    rows = json.loads(out.read_text())
+    assert [(row["width"], row["height"]) for row in rows] == [(48, 32), (64, 32)]
+    for row in rows:
+        assert row["ratio"] == pytest.approx(row["path_traced_ms"]["p50"] / row["hybrid_ms"]["p50"])
+        assert row["ceiling"] == pytest.approx(row["path_traced_ms"]["p50"] / row["disc_ms"]["p50"])
+    out = tmp_path / "b.json"
+    size = ["--gaussians", 500, "--size", 64, 48, "--repeats", 3]
+    assert run(monkeypatch, "bench", "raster", *size, "--json", out) == 0
+    row = json.loads(out.read_text())
+    assert row["pairs"] > 500
+    assert row["forward_ms"]["p50"] > 0
+    assert row["backward_ms"]["p95"] >= row["backward_ms"]["p50"]
+
+
+def test_scenes_and_doctor_say_what_is_there(monkeypatch, capsys, tmp_path):
+    assert run(monkeypatch, "scenes", "--json", tmp_path / "s.json") == 0
+    rows = {row["scene"]: row for row in json.loads((tmp_path / "s.json").read_text())}
+    assert 20_500 <= rows["room"]["triangles"] <= 21_500
+    capsys.readouterr()
+    assert run(monkeypatch, "doctor") == 0
+    assert "kernel: runs" in capsys.readouterr().out
+
+
+def test_quickstart_writes_everything(monkeypatch, tmp_path):
+    """The main job itself, with settings that take seconds."""
+    import hybrid.cache
+    import hybrid.quickstart
+    from pathtrace.capture import CaptureSettings
+    from splat.train import TrainingSettings
+
+    monkeypatch.setattr(
+        hybrid.cache,
+        "QUICK_CAPTURE",
+        CaptureSettings(views=4, held_out=1, width=32, height=32, spp=2, held_out_spp=4),
+    )
+    monkeypatch.setattr(hybrid.cache, "QUICK_TRAINING", TrainingSettings(iterations=20, gaussians=500))
+    monkeypatch.setattr(hybrid.quickstart, "_SIZE", 128)
+    monkeypatch.setattr(hybrid.quickstart, "_REFERENCE_SPP", 4)
+    out = tmp_path / "out"
+    assert run(monkeypatch, "quickstart", "room", "--out", out) == 0
+    wanted = {"hybrid.exr", "hybrid.png", "reference.png", "splat.png", "result.json", "index.html"}
+    assert wanted <= {p.name for p in out.iterdir()}
+    result = json.loads((out / "result.json").read_text())
+    names = (
+        "scene width height spp fov_a fov_b seconds splat hybrid registration_px hybrid_ms path_traced_ms "
+        "ratio ceiling"
+    )
+    assert set(names.split()) <= set(result)
+    assert set(result["seconds"]) == {"capture", "train", "render", "total"}
+    page = (out / "index.html").read_text()
+    assert page.count("data:image/png;base64,") == 3
+    assert f"{result['hybrid']['psnr']:.2f} dB" in page
+    assert "http" not in page.replace("http-equiv", "")
+
+
+MISTAKES = {
+    "a missing scene": (["render", "nowhere.xml", "-o", "{tmp}/a.png"], "nowhere.xml"),
+    "an XML that Mitsuba refuses": (["capture", "{tmp}/bad.xml", "{tmp}/frames"], "bad.xml"),
+    "a missing forest": (["render", "cornell", "--forest", "{tmp}/none", "-o", "{tmp}/a.png"], "none"),
+    "a forest of another scene": (
+        ["render", "room", "--forest", "{made}/box.forest", "-o", "{tmp}/a.png"],
+        "cornell",
+    ),
+    "a truncated forest": (["render", "cornell", "--forest", "{tmp}/cut", "-o", "{tmp}/a.png"], "cut"),
+    "a corrupt forest": (["export", "{tmp}/corrupt", "{tmp}/a.ply"], "corrupt"),
+    "fov-b > fov-a": (
+        ["render", "cornell", "--fov-a", "5", "--fov-b", "9", "-o", "{tmp}/a.png"],
+        "--fov-b 9",
+    ),
+    "a gaze that is no number": (
+        ["render", "cornell", "--gaze", "nan", "0.5", "-o", "{tmp}/a.png"],
+        "gaze",
+    ),
+    "a size of zero": (
+        ["render", "cornell", "--forest", "{made}/box.forest", "--size", "0", "9", "-o", "{tmp}/a.png"],
+        "--size 0 9",
+    ),
+    "a negative size": (["capture", "cornell", "{tmp}/frames", "--size", "-3", "9"], "width is -3"),
+    "no views": (["capture", "cornell", "{tmp}/frames", "--views", "0"], "views is 0"),
+    "samples below one": (["render", "cornell", "--spp", "0", "-o", "{tmp}/a.png"], "--spp"),
+    "an unknown kind of file": (["render", "cornell", "-o", "{tmp}/a.jpg"], "a.jpg"),
+    "an output folder that is a file": (["render", "cornell", "-o", "{tmp}/cut/a.png"], "cut"),
+    "a training folder that is a file": (["train", "{made}/frames", "{tmp}/cut/f"], "cut"),
+    "no frame set": (["train", "{tmp}", "{tmp}/f"], "not a frame set"),
+    "no iterations": (["train", "{made}/frames", "{tmp}/f", "--iterations", "0"], "iterations"),
+    "an unknown sweep": (["sweep", "cornell", "--over", "colour"], "--over colour"),
+    "a file that is no PLY": (["import", "{tmp}/cut", "{tmp}/f"], "cut"),
+    "an unknown backend": (["doctor", "--backend", "metal"], "--backend metal"),
+    "a damaged camera": (
+        ["render", "cornell", "--camera", "{tmp}/bad.xml", "-o", "{tmp}/a.png"],
+        "--camera",
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_one_line_and_exit_code_2(mistake, made, monkeypatch, tmp_path, capsys):
+    (tmp_path / "bad.xml").write_text("<scene version='3.0.0'><shape type='nonsense'/></scene>")
+    (tmp_path / "cut").write_bytes((made / "box.forest").read_bytes()[:500])
+    shutil.copy(made / "box.forest", tmp_path / "corrupt")
+    with open(tmp_path / "corrupt", "r+b") as file:
+        file.write(b"\xff" * 64)
+    before = {p.relative_to(tmp_path) for p in tmp_path.rglob("*")}
+    arguments, named = MISTAKES[mistake]
+    filled = [a.format(tmp=tmp_path, made=made) for a in arguments]
+    assert run(monkeypatch, *filled) == 2
+    message = capsys.readouterr().err
+    assert named in message
+    assert "Traceback" not in message
+    if message.startswith("hybrid:"):
+        assert message.count("\n") == 1
+    assert {p.relative_to(tmp_path) for p in tmp_path.rglob("*")} == before
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_without_permission_is_named(made, monkeypatch, tmp_path, capsys):
+    (tmp_path / "closed").mkdir(mode=0o500)
+    output = tmp_path / "closed" / "a.png"
+    assert run(monkeypatch, "render", "cornell", "--forest", made / "box.forest", "-o", output) == 2
+    assert "closed" in capsys.readouterr().err
+
+
+def shell(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    """A command in a process of its own, as a user starts it."""
+    program = Path(sys.executable).with_name("hybrid")
+    return subprocess.run(
+        [program, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **environment},
+        check=False,
+    )
+
+
+def test_no_usable_llvm_is_one_line(tmp_path):
+    result = shell("scenes", "--backend", "llvm", DRJIT_LIBLLVM_PATH=str(tmp_path / "libLLVM-15.so"))
+    assert result.returncode == 2
+    assert result.stderr.startswith("hybrid: ")
+    assert "pip install karellen-llvm-core" in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["staircase2", "veach-bidir"])
+def test_scenes_in_the_wild_go_through_every_command(name, monkeypatch, tmp_path):
+    scene = real_file(f"scenes/{name}/scene.xml")
+    assert run(monkeypatch, "capture", scene, tmp_path / "frames", *TINY_CAPTURE) == 0
+    assert run(monkeypatch, "train", tmp_path / "frames", tmp_path / "f", *TINY_TRAINING) == 0
+    common = [scene, "--forest", tmp_path / "f", "--size", 64, 48]
+    assert run(monkeypatch, "render", *common, "-o", tmp_path / "a.exr") == 0
+    layers = read_layers(tmp_path / "a.exr")
+    assert all(np.isfinite(layers[f"composite.{c}"]).all() for c in "RGB")
+    assert layers["composite.G"].mean() > 0.01
+    assert run(monkeypatch, "export", tmp_path / "f", tmp_path / "a.ply") == 0

@@ -1,0 +1,86 @@
+"""Scenes: what loads, what is refused and how."""
+
+from __future__ import annotations
+
+import pytest
+
+from compose.errors import UserError
+from pathtrace.scene import bundled_scenes, load_scene
+from tests import small
+from tests.conftest import real_file
+
+pytestmark = pytest.mark.usefixtures("backend")
+
+MINIMAL = """<scene version="3.0.0">
+  <default name="integrator" value="an_integrator_only_its_author_has"/>
+  <default name="max_depth" value="5"/>
+  <integrator type="$integrator"><integer name="max_depth" value="$max_depth"/></integrator>
+  {sensor}
+  <shape type="sphere">{emitter}</shape>
+</scene>"""
+SENSOR = '<sensor type="perspective"><film type="hdrfilm"/></sensor>'
+EMITTER = '<emitter type="area"/>'
+
+
+def test_the_bundled_scenes_load():
+    assert {"cornell", "room"} <= set(bundled_scenes())
+    room = load_scene("room")
+    assert 20_500 <= room.triangles <= 21_500
+    assert len(room.mitsuba.emitters()) == 2
+    assert room.name == "room"
+
+
+def test_an_unknown_integrator_does_not_matter(tmp_path):
+    file = tmp_path / "mine.xml"
+    file.write_text(MINIMAL.format(sensor=SENSOR, emitter=EMITTER))
+    scene = load_scene(file)
+    assert (scene.name, scene.max_depth) == ("mine", 5)
+    assert load_scene(file, max_depth=3).max_depth == 3
+
+
+def test_the_hash_follows_the_content(tmp_path):
+    file = tmp_path / "mine.xml"
+    file.write_text(MINIMAL.format(sensor=SENSOR, emitter=EMITTER))
+    first = load_scene(file).hash
+    assert load_scene(file).hash == first
+    file.write_text(file.read_text().replace("sphere", "cube"))
+    assert load_scene(file).hash != first
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (MINIMAL.format(sensor="", emitter=EMITTER), "no camera"),
+        (MINIMAL.format(sensor=SENSOR, emitter=""), "no light"),
+        (
+            MINIMAL.format(sensor=SENSOR.replace("perspective", "orthographic"), emitter=EMITTER),
+            "perspective",
+        ),
+        ("<scene version='3.0.0'><shape type='nonsense'/></scene>", "Mitsuba refuses"),
+        ("<scene version='3.0.0'><shape", "not well-formed"),
+        ("<shape version='3.0.0' type='sphere'/>", "whole scene"),
+    ],
+)
+def test_a_bad_scene_is_refused_in_one_line(tmp_path, text, complaint):
+    file = tmp_path / "bad.xml"
+    file.write_text(text)
+    with pytest.raises(UserError, match=complaint) as caught:
+        load_scene(file)
+    assert "bad.xml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_scene_is_refused():
+    with pytest.raises(UserError, match=r"nowhere\.xml: no such scene"):
+        load_scene("nowhere.xml")
+
+
+def test_a_dictionary_is_a_scene():
+    assert load_scene(small.furnace()).camera.width == 32
+
+
+@pytest.mark.parametrize("name", ["staircase2", "veach-bidir"])
+def test_scenes_in_the_wild_load(name):
+    scene = load_scene(real_file(f"scenes/{name}/scene.xml"))
+    assert scene.name == name
+    assert scene.triangles > 10_000
