@@ -18,7 +18,7 @@ from pathtrace.frames import FORMAT_VERSION, Frame, FrameSet, read_frame_set, wr
 from pathtrace.scene import Scene
 from pathtrace.surface import Surfaces
 from pathtrace.tracer import Tracer, frame_positions
-from pathtrace.views import choose_views
+from pathtrace.views import ViewSet, choose_views
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,12 @@ class CaptureSettings:
         ValueError: a count or a size is not positive.
     """
 
-    views: int = 96
+    views: int = 64
     held_out: int = 8
     width: int = 256
     height: int = 256
     spp: int = 32
-    held_out_spp: int = 512
+    held_out_spp: int = 256
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -67,7 +67,7 @@ def capture(
     Raises:
         UserError: the folder holds another capture or cannot be written.
     """
-    cameras = choose_views(
+    chosen = choose_views(
         scene,
         Surfaces(scene),
         settings.views + settings.held_out,
@@ -75,7 +75,8 @@ def capture(
         settings.height,
         settings.seed,
     )
-    document = _describe(scene, cameras, settings)
+    cameras = chosen.fixed + chosen.spread
+    document = _describe(scene, cameras, _held_out(chosen, settings.held_out), settings)
     _write_description(folder, document)
     tracer = Tracer(scene)
     total = sum(frame["samples"] for frame in document["frames"])
@@ -110,11 +111,18 @@ def render_frame(tracer: Tracer, camera: Camera, spp: int, seed: int) -> Frame:
     )
 
 
-def _describe(scene: Scene, cameras: list[Camera], settings: CaptureSettings) -> dict[str, Any]:
+def _held_out(views: ViewSet, count: int) -> set[int]:
+    """Indices of the views that training must not see, evenly over those that are spread."""
+    if count > len(views.spread):
+        raise UserError(f"--held-out {count}: more than the {len(views.spread)} views that may be held out")
+    step = len(views.spread) / max(1, count)
+    return {len(views.fixed) + round((i + 1) * step) - 1 for i in range(count)}
+
+
+def _describe(
+    scene: Scene, cameras: list[Camera], held_out: set[int], settings: CaptureSettings
+) -> dict[str, Any]:
     """The content of transforms.json."""
-    # Spread the held-out views over the sequence; the first view, the scene's own, is always trained on.
-    step = len(cameras) / max(1, settings.held_out)
-    held_out = {round((i + 1) * step) - 1 for i in range(settings.held_out)}
     frames = []
     for index, camera in enumerate(cameras):
         pose = camera_to_json(camera)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from scipy.stats import qmc
 
 from compose.errors import UserError
 from compose.view import Array, Camera, from_camera_to_world
@@ -18,47 +21,73 @@ _NEAR_SHARE = 0.1  # share of the frame that may be nearer
 _YAW, _PITCH = 20.0, 10.0  # degrees, one side
 _PROBE = 24  # rays per side of the probing frame
 _TRIES_PER_VIEW = 200
+# Views turned further than all others, in units of the largest yaw and pitch: without them the edge of
+# every other view's picture would be a place that hardly any frame shows.
+_BORDER = tuple((x, y) for x in (-1.6, 0.0, 1.6) for y in (-1.6, 0.0, 1.6) if (x, y) != (0.0, 0.0))
 
 
-def choose_views(
-    scene: Scene, surfaces: Surfaces, count: int, width: int, height: int, seed: int
-) -> list[Camera]:
-    """Views around the scene's own camera; the first one is that camera itself.
+@dataclass(frozen=True)
+class ViewSet:
+    """Chosen cameras.
+
+    Attributes:
+        fixed: the scene's own camera, and those turned to the border of what the others see.
+        spread: evenly spread over positions and directions; any of them may be held out of training.
+    """
+
+    fixed: list[Camera]
+    spread: list[Camera]
+
+
+def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, height: int, seed: int) -> ViewSet:
+    """Views around the scene's own camera.
 
     Args:
         scene, surfaces: the scene and its Embree tree.
-        count: how many.
+        count: how many in all; few views are all spread, but for the scene's own.
         width, height: frame size in pixels.
         seed: same seed, same views.
 
     Raises:
         UserError: the scene leaves no room for that many views.
     """
-    rng = np.random.default_rng(seed)
     home = scene.camera.resized(width, height)
     scale = _median_distance(home, surfaces)
     if not np.isfinite(scale):
         raise UserError(f"{scene.name}: the scene's own camera sees no surface")
-    views = [home]
+    border = [_moved(home, np.zeros(3), yaw, pitch) for yaw, pitch in _BORDER]
+    fixed = [home]
+    if count > 2 * len(border):
+        fixed += [view for view in border if _is_sane(view, home, scale, surfaces)]
+    spread: list[Camera] = []
+    sequence = qmc.Halton(5, seed=seed)
     for _ in range(count * _TRIES_PER_VIEW):
-        if len(views) == count:
-            return views
-        candidate = _perturb(home, scale, rng)
+        if len(fixed) + len(spread) == count:
+            break
+        u = sequence.random(1)[0]
+        candidate = _moved(home, _in_ball(u[:3]) * _REACH * scale, *(2 * u[3:] - 1))
         if _is_sane(candidate, home, scale, surfaces):
-            views.append(candidate)
-    if len(views) < count:
+            spread.append(candidate)
+    found = len(fixed) + len(spread)
+    if found < count:
         raise UserError(
-            f"{scene.name}: only {len(views)} of {count} views fit into the free space around the scene's "
+            f"{scene.name}: only {found} of {count} views fit into the free space around the scene's "
             "camera; ask for fewer with --views"
         )
-    return views
+    return ViewSet(fixed, spread)
 
 
-def _perturb(home: Camera, scale: float, rng: np.random.Generator) -> Camera:
+def _in_ball(u: Array) -> Array:
+    """A point of the unit ball from three numbers in 0..1, uniform in volume."""
+    z, turn = 2 * u[0] - 1, 2 * np.pi * u[1]
+    radius = np.sqrt(1 - z * z)
+    return np.array([radius * np.cos(turn), radius * np.sin(turn), z]) * u[2] ** (1 / 3)
+
+
+def _moved(home: Camera, offset: Array, yaw_share: float, pitch_share: float) -> Camera:
+    """The camera at another place, turned by shares of the largest yaw and pitch."""
     pose = home.camera_to_world
-    direction = rng.normal(size=3)
-    offset = direction / np.linalg.norm(direction) * rng.uniform() ** (1 / 3) * _REACH * scale
-    yaw, pitch = rng.uniform(-1, 1, 2) * np.radians([_YAW, _PITCH])
+    yaw, pitch = np.radians([yaw_share * _YAW, pitch_share * _PITCH])
     # Yaw about the camera's own upward axis keeps the horizon; pitch about its x axis follows.
     turn_yaw = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
     turn_pitch = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
