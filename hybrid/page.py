@@ -14,7 +14,7 @@ _PICTURES = (
     (
         "hybrid",
         "Hybrid",
-        "path-traced inside the inner circle, splats outside the outer one, blended between",
+        "path-traced inside the inner circle, splats outside the outer; point at a picture to see both",
     ),
     ("reference", "Reference", "path-traced, {reference_spp} samples per pixel, denoised"),
     ("splat", "Splats alone", "{gaussians:,} Gaussians"),

@@ -106,6 +106,14 @@ class HybridRenderer:
         traced = self.tracer.trace(camera, positions, spp, seed, guides=self.denoised)
         return _interleaved(traced.radiance), _guides(traced)
 
+    def disc_alone(self, camera: Camera, plan: FoveaPlan, spp: int, seed: int) -> Image:
+        """(D, 3) the disc as a frame shows it, without the splats around it."""
+        fovea, guides = self.trace_disc(camera, plan, spp, seed)
+        if guides is None:
+            return fovea
+        around = np.zeros((plan.height, plan.width, 3), dtype=np.float32)
+        return _denoise_disc(fovea, guides, around, plan)
+
     def splat_frame(self, camera: Camera) -> Image:
         """(H, W, 3) the splats over the whole frame, also where a fovea would hide them."""
         return image_from_buffer(*self.splats.render(camera))

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import drjit as dr
-
 from compose.foveation import Foveation
 from compose.view import Camera, Gaze
 from hybrid.renderer import HybridRenderer
@@ -41,8 +39,7 @@ def compare(
 
     def disc(gaze: Gaze, seed: int) -> None:
         plan = Foveation(gaze, fov_a, fov_b).plan(camera.width, camera.height)
-        renderer.trace_disc(camera, plan, spp, seed)
-        dr.sync_thread()
+        renderer.disc_alone(camera, plan, spp, seed)
 
     times = interleaved({"hybrid": hybrid, "path_traced": full, "disc": disc}, repeats, warm_up, progress)
     row = {f"{name}_ms": percentiles(values) for name, values in times.items()}

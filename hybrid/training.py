@@ -89,7 +89,7 @@ def _save(trainer: Trainer, path: Path, frames: FrameSet) -> None:
     metadata = {
         "format_version": FORMAT_VERSION,
         "kind": "checkpoint",
-        "frames": frames.scene_hash,
+        "frames": frames.digest,
         **numbers,
     }
     save_tensors(path, tensors, metadata)
@@ -99,7 +99,7 @@ def _restore(trainer: Trainer, path: Path, frames: FrameSet) -> None:
     if not path.is_file():
         return
     tensors, metadata = load_tensors(path)
-    if metadata.get("kind") != "checkpoint" or metadata.get("frames") != frames.scene_hash:
+    if metadata.get("kind") != "checkpoint" or metadata.get("frames") != frames.digest:
         raise UserError(f"{path}: not a checkpoint of this training; remove it to start anew")
     try:
         trainer.restore(tensors, metadata)

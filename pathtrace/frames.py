@@ -5,6 +5,7 @@ The layout follows the Nerfstudio / instant-ngp convention, so that other people
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -99,9 +100,10 @@ def _planes(prefix: str, names: str, image: Image, dtype: Any) -> dict[str, Any]
 
 @dataclass(frozen=True)
 class FrameSet:
-    """A captured folder: its frames, and the scene that they show."""
+    """A captured folder: its frames, the scene that they show, and a hash of its description."""
 
     folder: Path
+    digest: str
     scene_name: str
     scene_hash: str
     entries: list[FrameEntry]
@@ -125,7 +127,8 @@ def read_frame_set(folder: Path) -> FrameSet:
     if not path.is_file():
         raise UserError(f"{folder}: not a frame set (no transforms.json); make one with: hybrid capture")
     try:
-        document = json.loads(path.read_text())
+        text = path.read_text()
+        document = json.loads(text)
         entries = [
             FrameEntry(
                 camera_from_json({**document, **frame}),
@@ -135,7 +138,7 @@ def read_frame_set(folder: Path) -> FrameSet:
             )
             for frame in document["frames"]
         ]
-        name, digest = document["scene"]["name"], document["scene"]["hash"]
+        scene = document["scene"]["name"], document["scene"]["hash"]
     except (ValueError, KeyError, TypeError) as error:
         raise UserError(f"{path}: not a frame set's description ({error!r})") from error
     missing = [entry.file.name for entry in entries if not entry.file.is_file()]
@@ -144,4 +147,4 @@ def read_frame_set(folder: Path) -> FrameSet:
             f"{folder}: {len(missing)} of {len(entries)} frames are missing ({missing[0]} first); "
             "run hybrid capture again with the same options, it goes on where it stopped"
         )
-    return FrameSet(folder, name, digest, entries)
+    return FrameSet(folder, hashlib.sha256(text.encode()).hexdigest(), *scene, entries)
