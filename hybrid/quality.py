@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from skimage.metrics import structural_similarity
-from skimage.registration import phase_cross_correlation
 
 from compose.blend import Image, srgb_from_radiance
 
@@ -28,6 +26,9 @@ def ssim(image: Image, reference: Image) -> float:
     Wang et al. 2004: 11 x 11 Gaussian window, sigma 1.5, K 0.01 and 0.03, population covariance, mean
     over the valid region.
     """
+    # Imported here: a frame rendered with a forest at hand need not wait for scikit-image.
+    from skimage.metrics import structural_similarity
+
     _, full = structural_similarity(
         srgb_from_radiance(image),
         srgb_from_radiance(reference),
@@ -54,6 +55,8 @@ def registration_px(image: Image, reference: Image) -> float:
     Raises:
         ValueError: no window is textured enough to tell.
     """
+    from skimage.registration import phase_cross_correlation
+
     first, second = _luminance(image), _luminance(reference)
     taper = np.outer(np.hanning(_WINDOW), np.hanning(_WINDOW))
     shifts = []

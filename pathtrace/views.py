@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from compose.errors import UserError
 from compose.view import Array, Camera, from_camera_to_world
@@ -51,6 +50,9 @@ def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, heigh
     Raises:
         UserError: the scene leaves no room for that many views.
     """
+    # Takes a second to import, which a frame rendered with a forest at hand need not wait for.
+    from scipy.stats import qmc
+
     home = scene.camera.resized(width, height)
     scale = _median_distance(home, surfaces)
     if not np.isfinite(scale):
