@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -69,12 +72,14 @@ def train_forest(
         if time.perf_counter() - saved > _CHECKPOINT_SECONDS:
             _save(trainer, checkpoint, frames)
             saved = time.perf_counter()
+        interrupted()
 
-    try:
-        trainer.run(step)
-    except KeyboardInterrupt:
-        _save(trainer, checkpoint, frames)
-        raise
+    with _interrupts_between_steps() as interrupted:
+        try:
+            trainer.run(step)
+        except KeyboardInterrupt:
+            _save(trainer, checkpoint, frames)
+            raise
     gaussians = trainer.gaussians
     if not gaussians.is_finite():
         raise RuntimeError("training ended with numbers that are not finite")
@@ -82,6 +87,34 @@ def train_forest(
     save_forest(path, forest)
     checkpoint.unlink(missing_ok=True)
     return forest, time.perf_counter() - start
+
+
+@contextmanager
+def _interrupts_between_steps() -> Iterator[Callable[[], None]]:
+    """Ctrl-C waits for the end of a step: in the middle of one there is no state to go on from.
+
+    Yields:
+        A function that raises KeyboardInterrupt if Ctrl-C was pressed since.
+    """
+    pressed = False
+
+    def remember(number: int, frame: object) -> None:
+        nonlocal pressed
+        pressed = True
+
+    def check() -> None:
+        if pressed:
+            raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        # Python delivers signals to the main thread only.
+        yield check
+        return
+    before = signal.signal(signal.SIGINT, remember)
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _save(trainer: Trainer, path: Path, frames: FrameSet) -> None:

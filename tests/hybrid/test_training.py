@@ -1,0 +1,70 @@
+"""Training from a frame set: checkpoints on interruption, and what they refuse."""
+
+from __future__ import annotations
+
+import signal
+
+import pytest
+import torch
+
+from compose.errors import UserError
+from hybrid.training import checkpoint_path, held_out_quality, train_forest
+from pathtrace.capture import CaptureSettings, capture
+from pathtrace.scene import load_scene
+from splat.files import load_forest, save_tensors
+from splat.train import TrainingSettings
+from tests import small
+
+SETTINGS = TrainingSettings(iterations=40, gaussians=300, degree=1)
+
+
+def ignore(done: int, total: int) -> None:
+    pass
+
+
+@pytest.fixture(scope="module")
+def frames(backend, tmp_path_factory):
+    settings = CaptureSettings(views=3, held_out=1, width=24, height=24, spp=2, held_out_spp=4)
+    return capture(load_scene(small.corner()), tmp_path_factory.mktemp("frames"), settings, ignore)
+
+
+def test_ctrl_c_leaves_a_checkpoint_and_the_next_run_ends_the_same(arrays, frames, tmp_path):
+    whole, _ = train_forest(arrays, frames, tmp_path / "whole", SETTINGS, ignore)
+
+    def interrupt(done: int, total: int) -> None:
+        if done == 17:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        train_forest(arrays, frames, tmp_path / "parts", SETTINGS, interrupt)
+    assert not (tmp_path / "parts").exists()
+    assert checkpoint_path(tmp_path / "parts").exists()
+    steps = []
+    train_forest(arrays, frames, tmp_path / "parts", SETTINGS, lambda done, total: steps.append(done))
+    assert steps[0] == 18
+    assert not checkpoint_path(tmp_path / "parts").exists()
+    parts = load_forest(tmp_path / "parts")
+    for (_, a), (_, b) in zip(whole.gaussians.tensors(), parts.gaussians.tensors(), strict=True):
+        assert torch.equal(a, b)
+
+
+def test_a_checkpoint_of_something_else_is_refused(arrays, frames, tmp_path):
+    def interrupt(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_forest(arrays, frames, tmp_path / "f", SETTINGS, interrupt)
+    other = TrainingSettings(iterations=41, gaussians=300, degree=1)
+    with pytest.raises(UserError, match="other settings; remove it"):
+        train_forest(arrays, frames, tmp_path / "f", other, ignore)
+    save_tensors(checkpoint_path(tmp_path / "f"), {"a": torch.zeros(1)}, {"kind": "checkpoint"})
+    with pytest.raises(UserError, match="not a checkpoint of this training"):
+        train_forest(arrays, frames, tmp_path / "f", SETTINGS, ignore)
+
+
+def test_quality_is_of_the_held_out_views(arrays, frames, tmp_path):
+    forest, _ = train_forest(arrays, frames, tmp_path / "f", SETTINGS, ignore)
+    measured = held_out_quality(arrays, frames, forest)
+    assert set(measured) == {"psnr", "ssim"}
+    # Two samples per pixel and forty steps: rough, but the picture of this scene and no other.
+    assert measured["psnr"] > 12
