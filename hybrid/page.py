@@ -81,10 +81,9 @@ def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:
     pair = lambda q: f"{q['psnr']:.2f} dB, SSIM {q['ssim']:.4f}"  # noqa: E731
     time = lambda t: f"{t['p50']:.0f} ms (p95 {t['p95']:.0f} ms)"  # noqa: E731
     seconds = ", ".join(f"{name} {value:.0f} s" for name, value in result["seconds"].items())
-    return [
+    rows = [
         ("Hybrid frame against the reference", pair(result["hybrid"])),
         ("Splats alone, views that training never saw", pair(result["splat"])),
-        ("Registration of splats and path-traced frame", f"{result['registration_px']:.3f} px"),
         ("Hybrid frame", time(result["hybrid_ms"])),
         ("Full path-traced frame, same samples, denoised too", time(result["path_traced_ms"])),
         ("The disc alone", time(result["disc_ms"])),
@@ -95,3 +94,7 @@ def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:
         ("Gaussians", f"{result['gaussians']:,}"),
         ("Time taken", seconds),
     ]
+    if "registration_px" in result:
+        shift = f"{result['registration_px']:.3f} px"
+        rows.insert(2, ("Registration of splats and path-traced frame", shift))
+    return rows

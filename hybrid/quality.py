@@ -47,13 +47,13 @@ def quality(image: Image, reference: Image) -> dict[str, float]:
     return {"psnr": psnr(image, reference), "ssim": ssim(image, reference)}
 
 
-def registration_px(image: Image, reference: Image) -> float:
+def registration_px(image: Image, reference: Image) -> float | None:
     """Median shift in pixels between two pictures of one view, over their textured windows.
 
     Phase correlation in windows of 64 x 64 pixels, to 1/50 px (Guizar-Sicairos et al. 2008).
 
-    Raises:
-        ValueError: no window is textured enough to tell.
+    Returns:
+        The shift, None where no window is textured enough to tell.
     """
     from skimage.registration import phase_cross_correlation
 
@@ -73,9 +73,7 @@ def registration_px(image: Image, reference: Image) -> float:
                 normalization=None,
             )
             shifts.append(float(np.hypot(*shift)))
-    if not shifts:
-        raise ValueError("no textured window to measure the registration in")
-    return float(np.median(shifts))
+    return float(np.median(shifts)) if shifts else None
 
 
 def _luminance(image: Image) -> NDArray[np.float32]:

@@ -75,12 +75,14 @@ def quickstart(scene: Scene, folder: Path, fov_a: float, fov_b: float, seed: int
         "seconds": seconds,
         "splat": held_out,
         "hybrid": quality(frame.composite, reference),
-        "registration_px": registration_px(whole, reference),
         **{key: times[key] for key in ("hybrid_ms", "path_traced_ms", "disc_ms", "ratio", "ceiling")},
         "gaussians": len(forest.gaussians),
         "reference_spp": _REFERENCE_SPP,
         "machine": machine(),
     }
+    registration = registration_px(whole, reference)
+    if registration is not None:
+        result["registration_px"] = registration
     write_page(folder / "index.html", folder, result)
     return result
 

@@ -17,6 +17,7 @@ from hybrid.quality import quality
 from pathtrace.frames import FrameEntry, FrameSet, read_frame
 from splat.arrays import Arrays
 from splat.files import FORMAT_VERSION, Forest, load_tensors, save_forest, save_tensors
+from splat.loss import SMALLEST_SIDE
 from splat.raster import image_from_buffer
 from splat.render import SplatRenderer
 from splat.seed import TrainingView
@@ -59,6 +60,12 @@ def train_forest(
     """
     if not frames.training:
         raise UserError(f"{frames.folder}: holds no frames to train on")
+    camera = frames.training[0].camera
+    if min(camera.width, camera.height) < SMALLEST_SIDE:
+        raise UserError(
+            f"{frames.folder}: frames of {camera.width} x {camera.height} pixels are too small to train on; "
+            f"capture them with at least {SMALLEST_SIDE} pixels on each side"
+        )
     start = time.perf_counter()
     views = [training_view(entry) for entry in frames.training]
     trainer = Trainer(arrays, views, settings)

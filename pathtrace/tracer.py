@@ -201,6 +201,9 @@ class Tracer:
         direction = dr.normalize(dr.fma(ax, x + jitter.x, dr.fma(ay, y + jitter.y, az)))
         ray = mi.RayDifferential3f(origin, direction)
         radiance, _, aovs = integrator.sample(scene, sampler, ray, active=active)
+        # A sample that is not finite counts as black; kept, it would spoil its pixel's mean for good.
+        finite = dr.all(dr.isfinite(radiance))
+        radiance = dr.select(finite, radiance, 0)
         # Without this evaluation every later step traces its own paths, three to four times the work.
         sampler.schedule_state()
         return radiance, aovs

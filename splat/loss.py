@@ -10,6 +10,8 @@ from splat.gaussians import logarithmic_from_radiance
 
 _WINDOW = 11
 _SIGMA = 1.5
+# Below this the similarity's window has no place in the image.
+SMALLEST_SIDE = _WINDOW
 _C1, _C2 = 0.01**2, 0.03**2
 SSIM_WEIGHT = 0.2
 

@@ -124,8 +124,9 @@ def test_scenes_and_doctor_say_what_is_there(monkeypatch, capsys, tmp_path):
     assert "kernel: runs" in capsys.readouterr().out
 
 
-def test_quickstart_writes_everything(monkeypatch, tmp_path):
-    """The main job itself, with settings that take seconds."""
+@pytest.mark.parametrize(("scene", "textured"), [("room", True), ("cornell", False)])
+def test_quickstart_writes_everything(scene, textured, monkeypatch, tmp_path):
+    """The main job itself, with settings that take seconds; what cannot be measured is left out."""
     import hybrid.cache
     import hybrid.quickstart
     from pathtrace.capture import CaptureSettings
@@ -140,15 +141,13 @@ def test_quickstart_writes_everything(monkeypatch, tmp_path):
     monkeypatch.setattr(hybrid.quickstart, "_SIZE", 128)
     monkeypatch.setattr(hybrid.quickstart, "_REFERENCE_SPP", 4)
     out = tmp_path / "out"
-    assert run(monkeypatch, "quickstart", "room", "--out", out) == 0
+    assert run(monkeypatch, "quickstart", scene, "--out", out) == 0
     wanted = {"hybrid.exr", "hybrid.png", "reference.png", "splat.png", "result.json", "index.html"}
     assert wanted <= {p.name for p in out.iterdir()}
     result = json.loads((out / "result.json").read_text())
-    names = (
-        "scene width height spp fov_a fov_b seconds splat hybrid registration_px hybrid_ms path_traced_ms "
-        "ratio ceiling"
-    )
+    names = "scene width height spp fov_a fov_b seconds splat hybrid hybrid_ms path_traced_ms ratio ceiling"
     assert set(names.split()) <= set(result)
+    assert ("registration_px" in result) == textured
     assert set(result["seconds"]) == {"capture", "train", "render", "total"}
     page = (out / "index.html").read_text()
     assert page.count("data:image/png;base64,") == 3

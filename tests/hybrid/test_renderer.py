@@ -166,5 +166,4 @@ def test_the_measures_know_what_they_measure():
     moved = shift(smooth, (0.3, -0.4, 0), order=3, mode="nearest").astype(np.float32)
     assert registration_px(moved, smooth) == pytest.approx(0.5, abs=0.05)
     assert psnr(smooth + 1e-3, smooth) > psnr(moved, smooth)
-    with pytest.raises(ValueError, match="no textured window"):
-        registration_px(smooth * 0, smooth * 0)
+    assert registration_px(smooth * 0, smooth * 0) is None

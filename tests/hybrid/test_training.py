@@ -62,6 +62,13 @@ def test_a_checkpoint_of_something_else_is_refused(arrays, frames, tmp_path):
         train_forest(arrays, frames, tmp_path / "f", SETTINGS, ignore)
 
 
+def test_frames_too_small_for_the_loss_are_refused(arrays, tmp_path):
+    settings = CaptureSettings(views=2, held_out=0, width=16, height=8, spp=1)
+    small_frames = capture(load_scene(small.corner()), tmp_path / "frames", settings, ignore)
+    with pytest.raises(UserError, match="16 x 8 pixels are too small"):
+        train_forest(arrays, small_frames, tmp_path / "f", SETTINGS, ignore)
+
+
 def test_quality_is_of_the_held_out_views(arrays, frames, tmp_path):
     forest, _ = train_forest(arrays, frames, tmp_path / "f", SETTINGS, ignore)
     measured = held_out_quality(arrays, frames, forest)
