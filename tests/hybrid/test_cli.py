@@ -128,6 +128,7 @@ def test_scenes_and_doctor_say_what_is_there(monkeypatch, capsys, tmp_path):
 def test_quickstart_writes_everything(scene, textured, monkeypatch, tmp_path):
     """The main job itself, with settings that take seconds; what cannot be measured is left out."""
     import hybrid.cache
+    import hybrid.quality
     import hybrid.quickstart
     from pathtrace.capture import CaptureSettings
     from splat.train import TrainingSettings
@@ -139,6 +140,8 @@ def test_quickstart_writes_everything(scene, textured, monkeypatch, tmp_path):
     )
     monkeypatch.setattr(hybrid.cache, "QUICK_TRAINING", TrainingSettings(iterations=20, gaussians=500))
     monkeypatch.setattr(hybrid.quickstart, "_SIZE", 128)
+    if not textured:
+        monkeypatch.setattr(hybrid.quality, "_TEXTURE", 10.0)
     monkeypatch.setattr(hybrid.quickstart, "_REFERENCE_SPP", 4)
     out = tmp_path / "out"
     assert run(monkeypatch, "quickstart", scene, "--out", out) == 0
