@@ -14,7 +14,7 @@ from hybrid.progress import console, progress_bar
 from hybrid.training import train_forest
 from pathtrace.capture import CaptureSettings, capture
 from pathtrace.scene import Scene
-from splat.files import Forest, load_forest
+from splat.files import Forest, load_forest, save_forest
 from splat.train import TrainingSettings
 
 # What a scene gets that is rendered before it was captured: good enough to look at, in minutes.
@@ -28,14 +28,24 @@ def home() -> Path:
     return Path(chosen) if chosen else Path(platformdirs.user_cache_dir("hybrid"))
 
 
-def scene_folder(scene: Scene) -> Path:
+def scene_folder(name: str, digest: str) -> Path:
     """Where everything made for one scene lies; another version of the scene has another one."""
-    return home() / f"{scene.name}-{scene.hash[:12]}"
+    return home() / f"{name}-{digest[:12]}"
+
+
+def remember_forest(forest: Forest, name: str) -> None:
+    """Keeps a copy of a forest that was just trained, so that it is the newest one of its scene.
+
+    Raises:
+        UserError: the cache folder cannot be written.
+    """
+    folder = scene_folder(forest.scene_name, forest.scene_hash) / "forests"
+    save_forest(folder / f"{name}.safetensors", forest)
 
 
 def newest_forest(scene: Scene) -> Path | None:
     """The forest made last for a scene."""
-    found = list((scene_folder(scene) / "forests").glob("*.safetensors"))
+    found = list((scene_folder(scene.name, scene.hash) / "forests").glob("*.safetensors"))
     return max(found, key=lambda path: path.stat().st_mtime) if found else None
 
 
@@ -49,7 +59,7 @@ def forest_for(scene: Scene, given: Path | None) -> Forest:
     if path is not None:
         return load_forest(path)
     console.print(f"No forest for scene {scene.name} yet: capturing and training one first.")
-    forest, _ = make_quick_forest(scene, scene_folder(scene), seed=0)
+    forest, _ = make_quick_forest(scene, scene_folder(scene.name, scene.hash), seed=0)
     return forest
 
 
@@ -73,8 +83,9 @@ def make_quick_forest(
     with progress_bar("capture (samples)") as bar:
         frames = capture(scene, frames_folder, replace(QUICK_CAPTURE, seed=seed), bar)
     seconds["capture"] = time.perf_counter() - start
-    path = folder / "forests" / f"quick-{seed}.safetensors"
+    path = folder / f"quick-{seed}.safetensors"
     settings = replace(QUICK_TRAINING, seed=seed)
     with progress_bar("train (steps)") as bar:
         forest, seconds["train"] = train_forest(device_arrays(), frames, path, settings, bar)
+    remember_forest(forest, path.stem)
     return forest, frames_folder

@@ -181,6 +181,7 @@ def train(
 ) -> None:
     """Train Gaussians on a frame set; an interrupted training goes on from its checkpoint."""
     _select(backend)
+    from hybrid.cache import remember_forest
     from hybrid.device import device_arrays
     from hybrid.images import check_writable
     from hybrid.training import held_out_quality, train_forest
@@ -195,6 +196,7 @@ def train(
     arrays = device_arrays()
     with progress_bar("train (steps)") as bar:
         trained, seconds = train_forest(arrays, found, forest, settings, bar)
+    remember_forest(trained, forest.stem)
     measured = held_out_quality(arrays, found, trained)
     row = {
         "scene": found.scene_name,

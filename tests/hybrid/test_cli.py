@@ -43,6 +43,7 @@ def made(tmp_path_factory):
     """A frame set and a forest of the Cornell box, made by the commands."""
     folder = tmp_path_factory.mktemp("made")
     with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setenv("HYBRID_HOME", str(folder / "home"))
         assert run(monkeypatch, "capture", "cornell", folder / "frames", *TINY_CAPTURE) == 0
         assert run(monkeypatch, "train", folder / "frames", folder / "box.forest", *TINY_TRAINING) == 0
     return folder
@@ -77,6 +78,14 @@ def test_render_takes_a_camera_of_transforms_json(made, monkeypatch, tmp_path):
     common = ["render", "cornell", "--forest", made / "box.forest", "--fov-a", 0, "--fov-b", 0]
     assert run(monkeypatch, *common, "--camera", tmp_path / "camera.json", "-o", tmp_path / "a.png") == 0
     assert Image.open(tmp_path / "a.png").size == (32, 32)
+
+
+def test_without_a_name_the_newest_forest_of_the_scene_is_taken(made, monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv("HYBRID_HOME", str(made / "home"))
+    assert run(monkeypatch, "render", "cornell", "--size", 40, 40, "-o", tmp_path / "a.png") == 0
+    assert "training one first" not in capsys.readouterr().err
+    assert run(monkeypatch, "scenes") == 0
+    assert "box.safetensors" in capsys.readouterr().out
 
 
 def test_export_and_import_there_and_back(made, monkeypatch, tmp_path):
