@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
-from splat.gaussians import Gaussians
+from splat.gaussians import Gaussians, concatenated
 from splat.seed import TrainingView, seed_at
 
 _INITIAL_SHARE = 0.5  # of the final number
@@ -18,7 +19,6 @@ _EVERY = 100  # iterations
 _FIRST, _LAST = 0.05, 0.6  # shares of the training between which the number changes
 _MINIMUM_OPACITY = 0.02
 _SIZE = 0.6  # standard deviation of an added Gaussian in pixels
-_ERROR_POWER = 1.0
 
 
 class DensityControl:
@@ -60,25 +60,14 @@ class DensityControl:
         self, count: int, views: list[TrainingView], degree: int, rng: np.random.Generator
     ) -> Gaussians:
         seen = sorted(self._errors)
-        weights = np.array([float(self._errors[v].mean()) for v in seen])
+        # A little for every view: where nothing is wrong anywhere, the shares are equal, not 0 / 0.
+        weights = np.array([float(self._errors[v].mean()) for v in seen]) + 1e-9
         shares = rng.multinomial(max(0, count), weights / weights.sum())
-        parts = []
-        for view, share in zip(seen, shares, strict=True):
-            error = self._errors[view].numpy().ravel().astype(np.float64) ** _ERROR_POWER
-            error = np.where(np.isfinite(views[view].distance.ravel()), error, 0)
-            possible = int(np.count_nonzero(error))
-            pixels = (
-                rng.choice(
-                    error.size, min(int(share), possible), replace=False, p=error / max(error.sum(), 1e-30)
-                )
-                if possible
-                else np.zeros(0, dtype=np.int64)
-            )
-            parts.append(seed_at(views[view], pixels, _SIZE, degree))
-        result = parts[0]
-        for part in parts[1:]:
-            result = result.joined(part)
-        return result
+        parts = [
+            seed_at(views[view], _draw(self._errors[view], views[view], int(share), rng), _SIZE, degree)
+            for view, share in zip(seen, shares, strict=True)
+        ]
+        return concatenated(parts)
 
     def state(self) -> dict[str, torch.Tensor]:
         """What must be saved with a checkpoint."""
@@ -89,3 +78,13 @@ class DensityControl:
         self._errors = {
             int(name.split(".")[1]): tensor for name, tensor in tensors.items() if name.startswith("error.")
         }
+
+
+def _draw(error: torch.Tensor, view: TrainingView, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Indices of pixels that show a surface, drawn without repetition in proportion to their error."""
+    weights = error.numpy().ravel().astype(np.float64)
+    weights[~np.isfinite(view.distance.ravel())] = 0
+    possible = int(np.count_nonzero(weights))
+    if not possible:
+        return np.zeros(0, dtype=np.int64)
+    return rng.choice(weights.size, min(count, possible), replace=False, p=weights / weights.sum())

@@ -72,14 +72,15 @@ class Gaussians:
         """The Gaussians that an index or a mask (N,) names."""
         return Gaussians(**{name: tensor[..., keep].contiguous() for name, tensor in self.tensors()})
 
-    def joined(self, other: Gaussians) -> Gaussians:
-        """These Gaussians followed by others of the same degree."""
-        mine, theirs = dict(self.tensors()), dict(other.tensors())
-        return Gaussians(**{name: torch.cat([mine[name], theirs[name]], dim=-1) for name in mine})
-
     def is_finite(self) -> bool:
         """Whether every number is finite."""
         return all(bool(torch.isfinite(tensor).all()) for _, tensor in self.tensors())
+
+
+def concatenated(parts: list[Gaussians]) -> Gaussians:
+    """All Gaussians of several sets of the same degree, in order."""
+    names = [name for name, _ in parts[0].tensors()]
+    return Gaussians(**{name: torch.cat([getattr(p, name) for p in parts], dim=-1) for name in names})
 
 
 def perceptual_from_radiance(radiance: torch.Tensor) -> torch.Tensor:

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from compose.view import Camera
-from splat.gaussians import SH_DC, Gaussians, perceptual_from_radiance, sh_count
+from splat.gaussians import SH_DC, Gaussians, concatenated, perceptual_from_radiance, sh_count
 
 # A seed is a flat disc on its surface, this much thinner than wide.
 _FLATNESS = 0.2
@@ -49,7 +49,7 @@ def seed_from_views(
         parts.append(
             seed_at(view, rng.choice(size, min(int(share), size), replace=False), spacing * 0.6, degree)
         )
-    return _concatenated(parts)
+    return concatenated(parts)
 
 
 def seed_at(view: TrainingView, pixels: NDArray[np.int64], size: float, degree: int) -> Gaussians:
@@ -91,8 +91,3 @@ def _rotation_to(normals: NDArray[np.float32]) -> NDArray[np.float64]:
     quaternion = np.stack([1 + unit[:, 2], -unit[:, 1], unit[:, 0], np.zeros(len(unit))], axis=1)
     quaternion[unit[:, 2] < -1 + 1e-6] = [0.0, 1.0, 0.0, 0.0]
     return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
-
-
-def _concatenated(parts: list[Gaussians]) -> Gaussians:
-    names = [name for name, _ in parts[0].tensors()]
-    return Gaussians(**{name: torch.cat([getattr(p, name) for p in parts], dim=-1) for name in names})

@@ -12,7 +12,7 @@ import torch
 
 from splat.arrays import Arrays
 from splat.density import DensityControl
-from splat.gaussians import Gaussians
+from splat.gaussians import Gaussians, concatenated
 from splat.loss import Target
 from splat.project import PIXEL_FILTER
 from splat.render import render_differentiable
@@ -105,7 +105,7 @@ class Trainer:
         if self.density.is_due(self.iteration):
             rng = np.random.default_rng([self.settings.seed, 1, self.iteration])
             kept, added = self.density.change(self.gaussians, self.views, rng)
-            self._install(self.gaussians.select(kept).joined(added), kept)
+            self._install(concatenated([self.gaussians.select(kept), added]), kept)
 
     def _view_of(self, iteration: int) -> int:
         """Each view once per round, in an order of its own for each round."""
