@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from compose.foveation import Foveation
-from compose.view import Camera, Gaze
+from compose.view import Gaze
 from hybrid.cache import make_quick_forest
 from hybrid.device import device_arrays
 from hybrid.images import write_layers, write_png
@@ -49,7 +49,7 @@ def quickstart(scene: Scene, folder: Path, fov_a: float, fov_b: float, seed: int
     held_out = held_out_quality(arrays, read_frame_set(frames_folder), forest)
 
     before = time.perf_counter()
-    camera = _square(scene.camera)
+    camera = scene.camera.resized(_SIZE, _SIZE)
     renderer = HybridRenderer(scene, forest, denoised=True)
     with progress_bar("reference") as bar:
         bar(0, 1)
@@ -85,7 +85,3 @@ def quickstart(scene: Scene, folder: Path, fov_a: float, fov_b: float, seed: int
         result["registration_px"] = registration
     write_page(folder / "index.html", folder, result)
     return result
-
-
-def _square(camera: Camera) -> Camera:
-    return camera.resized(_SIZE, _SIZE)

@@ -56,21 +56,20 @@ class HybridRenderer:
     Args:
         scene: what is path-traced.
         forest: its Gaussians.
-        max_depth: path depth; the scene's own by default.
         denoised: whether the disc is denoised before it is blended.
 
     Raises:
         UserError: the forest is one of another scene.
     """
 
-    def __init__(self, scene: Scene, forest: Forest, max_depth: int | None = None, denoised: bool = False):
+    def __init__(self, scene: Scene, forest: Forest, denoised: bool = False):
         # An imported forest is bound to no scene.
         if forest.scene_hash not in ("", scene.hash):
             raise UserError(
                 f"this forest is one of scene {forest.scene_name} "
                 f"({forest.scene_hash[:8]}), not of {scene.name} ({scene.hash[:8]}); train one for this scene"
             )
-        self.tracer = Tracer(scene, max_depth)
+        self.tracer = Tracer(scene)
         self.splats = SplatRenderer(device_arrays(), forest.gaussians, forest.trained_focal)
         self.denoised = denoised
 

@@ -166,8 +166,8 @@ class Tracer:
         registry = {
             int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]): i for i, s in enumerate(scene.shapes())
         }
-        index = np.array([registry.get(int(v), -1) for v in np.unique(shapes.numpy())], dtype=np.int32)
-        inverse = np.unique(shapes.numpy(), return_inverse=True)[1]
+        pointers, inverse = np.unique(shapes.numpy(), return_inverse=True)
+        index = np.array([registry.get(int(pointer), -1) for pointer in pointers], dtype=np.int32)
         return Hits(distance.numpy(), total.numpy(), index[inverse])
 
     def _pass(
