@@ -59,7 +59,7 @@ class Foveation:
             weights = np.clip((outer - radius[inside]) / (outer - inner), 0, 1).astype(np.float32)
         else:
             weights = np.ones(len(pixels), dtype=np.float32)
-        return FoveaPlan(width, height, pixels, weights)
+        return FoveaPlan(width, height, pixels, weights, (gaze_x, gaze_y), inner)
 
 
 @dataclass(frozen=True)
@@ -70,12 +70,16 @@ class FoveaPlan:
         width, height: frame in pixels.
         pixels: (D,) row-major indices of the pixels to path-trace.
         weights: (D,) share of the path-traced radiance in each of them, 0..1; 0 in all other pixels.
+        centre: of the disc, in pixels.
+        inner: radius in pixels inside of which nothing of the splats shows.
     """
 
     width: int
     height: int
     pixels: NDArray[np.uint32]
     weights: NDArray[np.float32]
+    centre: tuple[float, float]
+    inner: float
 
     def weight_image(self) -> NDArray[np.float32]:
         """(H, W) weight of the path-traced radiance; that of the splats is one minus it."""
@@ -85,13 +89,15 @@ class FoveaPlan:
 
     def peripheral_tiles(self, tile: int) -> NDArray[np.bool_]:
         """(rows, columns) bool: tiles in which at least one pixel shows some of the splats."""
-        rows, columns = -(-self.height // tile), -(-self.width // tile)
-        in_tile_y = np.minimum(tile, self.height - np.arange(rows) * tile)
-        in_tile_x = np.minimum(tile, self.width - np.arange(columns) * tile)
-        hidden = self.pixels[self.weights >= 1]
-        index = hidden // self.width // tile * columns + hidden % self.width // tile
-        count = np.bincount(index, minlength=rows * columns).reshape(rows, columns)
-        return count < np.outer(in_tile_y, in_tile_x)
+        if len(self.pixels) == self.width * self.height:
+            return np.zeros((-(-self.height // tile), -(-self.width // tile)), dtype=bool)
+        # A tile is hidden when the one of its pixels furthest from the centre is.
+        y, x = (
+            np.maximum(np.abs(first + 0.5 - middle), np.abs(np.minimum(first + tile, size) - 0.5 - middle))
+            for size, middle in ((self.height, self.centre[1]), (self.width, self.centre[0]))
+            for first in (np.arange(0, size, tile),)
+        )
+        return np.hypot(y[:, None], x[None, :]) >= self.inner
 
 
 def _span(centre: float, radius: float, size: int) -> NDArray[np.int64]:

@@ -6,11 +6,15 @@ z forward) with pinhole intrinsics in pixels. Pixel centres lie at +0.5, rows co
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import json
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from compose.errors import UserError
 
 Array = NDArray[np.float64]
 
@@ -78,6 +82,19 @@ class Camera:
             fy=self.fy * scale,
             cx=width / 2 + (self.cx - self.width / 2) * scale,
             cy=self.cy * scale,
+        )
+
+    def scaled(self, width: int, height: int) -> Camera:
+        """The same view through other pixels, which need not be square."""
+        x, y = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * x,
+            fy=self.fy * y,
+            cx=self.cx * x,
+            cy=self.cy * y,
         )
 
     def project(self, points: Array) -> tuple[Array, Array]:
@@ -175,12 +192,94 @@ class Gaze:
 
 def eccentricity(camera: Camera, gaze: Gaze) -> NDArray[np.float32]:
     """(H, W) angle in degrees between each pixel's ray and the gaze's ray, along the great circle."""
+    angle = eccentricity_at(camera, gaze, camera.pixel_centres())
+    return angle.reshape(camera.height, camera.width).astype(np.float32)
+
+
+def eccentricity_at(camera: Camera, gaze: Gaze, pixels: Array) -> Array:
+    """(N,) angle in degrees between the rays through pixel positions (N, 2) and the gaze's ray."""
     gaze_ray = camera.rays(np.array([gaze.pixel(camera.width, camera.height)]))[0]
-    rays = camera.rays(camera.pixel_centres())
+    rays = camera.rays(pixels)
     # atan2 keeps its precision near zero, where arccos of a dot product loses half its digits.
     sine = np.linalg.norm(np.cross(rays, gaze_ray), axis=1)
-    angle = np.degrees(np.arctan2(sine, rays @ gaze_ray))
-    return angle.reshape(camera.height, camera.width).astype(np.float32)
+    return np.degrees(np.arctan2(sine, rays @ gaze_ray))
+
+
+@dataclass(frozen=True)
+class Display:
+    """The flat display that the viewer looks at, straight in front of its centre.
+
+    A frame is shown pixel by pixel around the display's centre; one larger than the display would go on
+    beyond its edges.
+
+    Attributes:
+        width, height: pixels.
+        fov: width of the display in degrees, as the viewer sees it.
+        luminance: of white, in cd/m2.
+
+    Raises:
+        UserError: a number is not finite or not positive, or the field of view is 180 degrees or more.
+    """
+
+    width: int
+    height: int
+    fov: float
+    luminance: float = 200.0
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height", "fov", "luminance"):
+            value = getattr(self, name)
+            if not isinstance(value, int | float) or not np.isfinite(value) or value <= 0:
+                raise UserError(f"display: {name} is {value}; must be a positive number")
+        if self.fov >= 180:
+            raise UserError(f"display: fov is {self.fov}; a flat display spans less than 180 degrees")
+
+    @property
+    def focal(self) -> float:
+        """Distance of the eye in pixels."""
+        return float(self.width / 2 / np.tan(np.radians(self.fov) / 2))
+
+    @property
+    def pixels_per_degree(self) -> float:
+        """At the centre, where there are fewest."""
+        return float(np.radians(1) * self.focal)
+
+    def viewer(self, width: int, height: int) -> Camera:
+        """The eye as a camera: what angles the pixels of a frame of this size are seen under."""
+        return Camera(np.eye(4), width, height, self.focal, self.focal, width / 2, height / 2)
+
+
+# A 24-inch monitor at half a metre; the headset of Fov-GS's study, one eye.
+DISPLAYS = {"desktop": Display(1920, 1080, 55.0), "hmd": Display(1440, 1700, 97.0, 100.0)}
+
+
+def display_named(source: str) -> Display:
+    """A display by name, or from a JSON file with width, height, fov and, if it is known, luminance.
+
+    Raises:
+        UserError: the file is missing, or no such display.
+    """
+    if source in DISPLAYS:
+        return DISPLAYS[source]
+    names = ", ".join(DISPLAYS)
+    try:
+        entry = json.loads(Path(source).read_text())
+        if not isinstance(entry, dict):
+            raise TypeError("not an object")
+        known = {field.name for field in fields(Display)}
+        unknown = sorted(set(entry) - known)
+        if unknown:
+            raise UserError(f"--display {source}: does not know {unknown[0]}")
+        return Display(**entry)
+    except OSError as error:
+        raise UserError(f"--display {source}: must be {names} or a JSON file ({error.strerror})") from error
+    except (ValueError, TypeError) as error:
+        raise UserError(
+            f"--display {source}: must be JSON with width, height and fov (degrees across), from which the "
+            f"pixels per degree follow ({error})"
+        ) from error
+    except UserError as error:
+        raise UserError(f"--display {source}: {str(error).removeprefix(f'--display {source}: ')}") from error
 
 
 def camera_to_json(camera: Camera) -> dict[str, Any]:

@@ -14,7 +14,8 @@ from hybrid.progress import console, progress_bar
 from hybrid.training import train_forest
 from pathtrace.capture import CaptureSettings, capture
 from pathtrace.scene import Scene
-from splat.files import Forest, load_forest, save_forest
+from splat.files import load_forest, save_forest
+from splat.forest import Forest
 from splat.train import TrainingSettings
 
 # What a scene gets that is rendered before it was captured: good enough to look at, in minutes.

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from compose.acuity import DEFAULT_LAW
 from compose.errors import UserError
 from compose.files import write_whole
 from hybrid.progress import progress_bar
@@ -43,6 +44,16 @@ FovA = Annotated[
     float, typer.Option("--fov-a", help="Radius of the path-traced disc, percent of the height.")
 ]
 FovB = Annotated[float, typer.Option("--fov-b", help="Radius inside of which no splats are drawn, percent.")]
+Law = Annotated[
+    str, typer.Option(help="What the eye resolves: fov-gs, stelacsf, or none for full detail everywhere.")
+]
+Layers = Annotated[
+    tuple[int, int] | None,
+    typer.Option(metavar="LOW HIGH", help="Coarsest and finest layer that may be drawn; 1 is the coarsest."),
+]
+DisplayName = Annotated[
+    str, typer.Option(metavar="NAME", help="desktop, hmd, or a JSON file with width, height and fov.")
+]
 Spp = Annotated[int, typer.Option("--spp", help="Samples per pixel in the disc.", min=1)]
 
 
@@ -65,11 +76,13 @@ def scenes(backend: Backend = "auto", json_file: Json = None) -> None:
     _select(backend)
     from hybrid.cache import newest_forest
     from pathtrace.scene import bundled_scenes, load_scene
+    from splat.files import load_forest
 
     rows = []
     for name, path in bundled_scenes().items():
         scene = load_scene(name)
         forest = newest_forest(scene)
+        counts = load_forest(forest).counts if forest else ()
         rows.append(
             {
                 "scene": name,
@@ -80,12 +93,19 @@ def scenes(backend: Backend = "auto", json_file: Json = None) -> None:
                 "height": scene.camera.height,
                 "file": str(path),
                 "forest": str(forest) if forest else None,
+                "nodes_per_layer": list(counts),
+                "trees": counts[0] if counts else 0,
             }
         )
+        nodes = " + ".join(f"{count:,}" for count in counts)
         print(
             f"{name}: {scene.triangles:,} triangles, {rows[-1]['emitters']} emitters, "
             f"depth {scene.max_depth}, {scene.camera.width} x {scene.camera.height}, "
-            f"{'forest ' + str(forest) if forest else 'no forest yet'}"
+            + (
+                f"forest {forest}: {counts[0]:,} trees, layers of {nodes} nodes"
+                if counts
+                else "no forest yet"
+            )
         )
     _write_json(json_file, rows)
 
@@ -172,14 +192,15 @@ def capture(
 def train(
     frames: Annotated[Path, typer.Argument(metavar="FRAMES", help="Folder of a frame set.")],
     forest: Annotated[Path, typer.Argument(metavar="FOREST", help="File to write.")],
-    iterations: Annotated[int, typer.Option(help="Optimizer steps.")] = 2500,
-    gaussians: Annotated[int, typer.Option(help="How many Gaussians in the end.")] = 40_000,
+    iterations: Annotated[int, typer.Option(help="Optimizer steps, over all layers.")] = 3000,
+    gaussians: Annotated[int, typer.Option(help="How many the finest layer has in the end.")] = 40_000,
+    layers: Annotated[int, typer.Option(help="Layers of the forest; 1 for Gaussians without trees.")] = 4,
     degree: Annotated[int, typer.Option(help="Degree of the spherical harmonics, 0 to 3.")] = 2,
     seed: Seed = 0,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
-    """Train Gaussians on a frame set; an interrupted training goes on from its checkpoint."""
+    """Train a forest on a frame set; an interrupted training goes on from its checkpoint."""
     _select(backend)
     from hybrid.cache import remember_forest
     from hybrid.device import device_arrays
@@ -189,7 +210,12 @@ def train(
     from splat.train import TrainingSettings
 
     settings = _checked(
-        TrainingSettings, iterations=iterations, gaussians=gaussians, degree=degree, seed=seed
+        TrainingSettings,
+        iterations=iterations,
+        gaussians=gaussians,
+        layers=layers,
+        degree=degree,
+        seed=seed,
     )
     found = read_frame_set(frames)
     check_writable(forest)
@@ -200,16 +226,18 @@ def train(
     measured = held_out_quality(arrays, found, trained)
     row = {
         "scene": found.scene_name,
-        "splat": measured,
-        "gaussians": len(trained.gaussians),
+        "layers": measured,
+        "trees": trained.counts[0],
         "iterations": iterations,
         "seconds": seconds,
     }
     _write_json(json_file, row)
-    print(
-        f"{row['gaussians']:,} Gaussians in {seconds:.0f} s"
-        + (f"; held-out views {measured['psnr']:.2f} dB, SSIM {measured['ssim']:.4f}" if measured else "")
-    )
+    print(f"{sum(trained.counts):,} nodes in {trained.counts[0]:,} trees in {seconds:.0f} s")
+    for layer in measured:
+        print(
+            f"layer {layer['layer']}: {layer['nodes']:,} nodes"
+            + (f", held-out views {layer['psnr']:.2f} dB, SSIM {layer['ssim']:.4f}" if found.held_out else "")
+        )
 
 
 @app.command()
@@ -231,35 +259,54 @@ def render(
     fovea: Annotated[
         str, typer.Option(help="raw: what Mitsuba gives, unbiased; denoised: OIDN.")
     ] = "denoised",
+    law: Law = DEFAULT_LAW,
+    layers: Layers = None,
+    display: DisplayName = "desktop",
+    detail: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Also a PNG that shows level, rate and eccentricity."),
+    ] = None,
     max_depth: Annotated[int | None, typer.Option(help="Path depth; default: the scene's.", min=1)] = None,
     seed: Seed = 0,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
     """Render one hybrid frame: EXR with all layers in linear radiance, or PNG in sRGB."""
+    from compose.acuity import law_named
     from compose.foveation import Foveation
-    from compose.view import Gaze
-    from hybrid.images import check_writable, write_layers, write_png
+    from compose.view import Gaze, display_named
+    from hybrid.images import check_writable, write_bytes, write_layers, write_png
 
     if output.suffix.lower() not in (".exr", ".png"):
         raise UserError(f"--output {output}: must end in .exr or .png")
     if fovea not in ("raw", "denoised"):
         raise UserError(f"--fovea {fovea}: must be raw or denoised")
+    if detail is not None and detail.suffix.lower() != ".png":
+        raise UserError(f"--detail {detail}: must end in .png")
     foveation = Foveation(_checked(Gaze, x=gaze[0], y=gaze[1]), fov_a, fov_b)
-    check_writable(output)
+    law_named(law)
+    shown = display_named(display)
+    for file in (output, detail):
+        if file is not None:
+            check_writable(file)
     _select(backend)
     from hybrid.cache import forest_for
+    from hybrid.detail_picture import detail_picture
     from hybrid.layers import frame_layers
+    from hybrid.periphery import Viewing
     from hybrid.renderer import HybridRenderer
 
     loaded = _scene(scene, max_depth)
     view = _view(loaded, camera, size)
-    renderer = HybridRenderer(loaded, forest_for(loaded, forest), denoised=fovea == "denoised")
+    viewing = Viewing(shown, law, layers)
+    renderer = HybridRenderer(loaded, forest_for(loaded, forest), viewing, denoised=fovea == "denoised")
     frame = renderer.frame(view, foveation, spp, seed)
     if output.suffix.lower() == ".exr":
         write_layers(output, frame_layers(renderer, view, foveation.gaze, frame))
     else:
         write_png(output, frame.composite)
+    if detail is not None:
+        write_bytes(detail, detail_picture(frame.composite, frame.detail, frame.plan))
     _write_json(
         json_file,
         {
@@ -270,6 +317,9 @@ def render(
             "fov_a": fov_a,
             "fov_b": fov_b,
             "fovea": fovea,
+            "law": law,
+            "pixels_per_degree": shown.pixels_per_degree,
+            "nodes_drawn": frame.nodes_drawn,
             "milliseconds": frame.milliseconds,
         },
     )
@@ -280,13 +330,20 @@ def render(
 def export_command(
     forest: Annotated[Path, typer.Argument(metavar="FOREST")],
     output: Annotated[Path, typer.Argument(metavar="out.ply")],
+    layer: Annotated[
+        int | None, typer.Option(help="1, the coarsest, to L; default: L.", show_default=False)
+    ] = None,
 ) -> None:
-    """Write a forest as a PLY file that other viewers of 3D Gaussian splatting open."""
+    """Write one layer of a forest as a PLY file that other viewers of 3D Gaussian splatting open."""
     from splat.files import export_ply, load_forest
 
-    loaded = load_forest(forest)
-    export_ply(output, loaded.gaussians)
-    print(f"{output}: {len(loaded.gaussians):,} Gaussians, degree {loaded.gaussians.degree}")
+    layers = load_forest(forest).layers
+    number = len(layers) if layer is None else layer
+    if not 1 <= number <= len(layers):
+        raise UserError(f"--layer {layer}: {forest} has layers 1 to {len(layers)}")
+    gaussians = layers[number - 1].gaussians
+    export_ply(output, gaussians)
+    print(f"{output}: layer {number}, {len(gaussians):,} Gaussians, degree {gaussians.degree}")
 
 
 @app.command("import")
@@ -295,10 +352,11 @@ def import_command(
     forest: Annotated[Path, typer.Argument(metavar="FOREST")],
 ) -> None:
     """Read a PLY file of 3D Gaussian splatting; the forest is bound to no scene."""
-    from splat.files import UNBOUND_FOCAL, Forest, import_ply, save_forest
+    from splat.files import UNBOUND_FOCAL, import_ply, save_forest
+    from splat.forest import forest_of, static_layer
 
     gaussians = import_ply(source)
-    save_forest(forest, Forest(gaussians, UNBOUND_FOCAL, source.stem, ""))
+    save_forest(forest, forest_of([static_layer(gaussians)], UNBOUND_FOCAL, source.stem, ""))
     print(f"{forest}: {len(gaussians):,} Gaussians, degree {gaussians.degree}")
 
 
@@ -365,6 +423,49 @@ def bench_raster(
         print(f"{name}: median {times['p50']:.1f} ms, p95 {times['p95']:.1f} ms")
     print(f"pairs: {row['pairs']:,}")
     _write_json(json_file, {**row, "machine": machine()})
+
+
+@bench_app.command("periphery")
+def bench_periphery(
+    scene: SceneName,
+    forest: ForestFile = None,
+    display: DisplayName = "desktop",
+    fov_b: FovB = 20.0,
+    repeats: Annotated[int, typer.Option(help="Measured passes per law and gaze.", min=3)] = 20,
+    warm_up: Annotated[int, typer.Option(help="Passes before that.", min=1)] = 5,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Time the periphery under each law against full level and full rate, with the quality it keeps."""
+    from compose.foveation import Foveation
+    from compose.view import Gaze, display_named
+
+    Foveation(Gaze(), fov_b, fov_b)
+    shown = display_named(display)
+    _select(backend)
+    from hybrid.bench_periphery import bench_periphery as run
+    from hybrid.bench_periphery import display_camera
+    from hybrid.cache import forest_for
+    from hybrid.device import device_arrays
+    from hybrid.fovvideovdp import INSTALL
+    from hybrid.timing import machine
+
+    loaded = _scene(scene)
+    found = forest_for(loaded, forest)
+    view = display_camera(loaded.camera, shown)
+    with progress_bar("bench (rounds)") as bar:
+        rows = run(device_arrays(), found, view, shown, fov_b, repeats, warm_up, bar)
+    print("gaze     law              ms    full  ratio   nodes     JOD    SSIM")
+    for row in rows:
+        quality = "    -" if row["jod"] is None else f"{row['jod']:5.2f}"
+        print(
+            f"{row['gaze'][0]:.1f} {row['gaze'][1]:.1f}  {row['law']:<14} {row['periphery_ms']['p50']:>5.1f} "
+            f"{row['full_ms']['p50']:>7.1f} {row['ratio']:>6.2f} {row['nodes_drawn']:>8,} {quality:>7} "
+            f"{row['ssim']:.4f}"
+        )
+    if rows[0]["jod"] is None:
+        print(INSTALL)
+    _write_json(json_file, [{**row, "scene": loaded.name, "machine": machine()} for row in rows])
 
 
 def _select(backend: str) -> None:

@@ -31,9 +31,12 @@ def check_writable(path: Path) -> None:
 
 def write_png(path: Path, radiance: Image) -> None:
     """Writes linear (H, W, 3) radiance as sRGB."""
-    write_whole(
-        path, lambda part: PillowImage.fromarray(bytes_from_radiance(radiance)).save(part, format="PNG")
-    )
+    write_bytes(path, bytes_from_radiance(radiance))
+
+
+def write_bytes(path: Path, picture: NDArray[np.uint8]) -> None:
+    """Writes an (H, W, 3) picture that is sRGB already."""
+    write_whole(path, lambda part: PillowImage.fromarray(picture).save(part, format="PNG"))
 
 
 def write_layers(path: Path, layers: dict[str, NDArray[np.float32]]) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.view import Camera, Gaze, eccentricity
+from hybrid.detail_picture import drawn_level, drawn_rate
 from hybrid.renderer import Frame, HybridRenderer
 from pathtrace.tracer import frame_positions
 
@@ -16,10 +17,12 @@ def frame_layers(
     """Everything that a frame consists of.
 
     Layers: the composite (unnamed, and once more under its name), path-traced, splat (H, W, 3); weight of
-    the path-traced radiance, eccentricity in degrees, and depth along the view axis (H, W).
+    the path-traced radiance, eccentricity in degrees on the viewer's display, level (1 to L), rate (log2 of
+    pixels per sample along each axis), and depth along the view axis (H, W).
     """
     hits = renderer.tracer.hits(camera, frame_positions(camera))
     cosine = camera.rays(camera.pixel_centres()) @ camera.camera_to_world[:3, 2]
+    viewer = renderer.periphery.viewing.display.viewer(camera.width, camera.height)
     depth = (hits.distance * cosine).astype(np.float32).reshape(camera.height, camera.width)
     return {
         "": frame.composite,
@@ -27,6 +30,8 @@ def frame_layers(
         "path-traced": frame.fovea_image(),
         "splat": renderer.splat_frame(camera),
         "weight": frame.plan.weight_image(),
-        "eccentricity": eccentricity(camera, gaze),
+        "eccentricity": eccentricity(viewer, gaze),
+        "level": drawn_level(frame.detail),
+        "rate": drawn_rate(frame.detail),
         "depth": depth,
     }

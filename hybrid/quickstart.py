@@ -73,10 +73,11 @@ def quickstart(scene: Scene, folder: Path, fov_a: float, fov_b: float, seed: int
         "fov_a": fov_a,
         "fov_b": fov_b,
         "seconds": seconds,
-        "splat": held_out,
+        "splat": {name: held_out[-1][name] for name in ("psnr", "ssim")},
+        "layers": held_out,
         "hybrid": quality(frame.composite, reference),
         **{key: times[key] for key in ("hybrid_ms", "path_traced_ms", "disc_ms", "ratio", "ceiling")},
-        "gaussians": len(forest.gaussians),
+        "gaussians": len(forest.finest),
         "reference_spp": _REFERENCE_SPP,
         "machine": machine(),
     }

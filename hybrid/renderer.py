@@ -12,17 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.blend import Image, blend
+from compose.detail import DetailMap
 from compose.errors import UserError
 from compose.foveation import FoveaPlan, Foveation
 from compose.view import Camera
 from hybrid.device import device_arrays
+from hybrid.periphery import Periphery, Viewing
 from pathtrace.denoise import denoise
 from pathtrace.scene import Scene
 from pathtrace.tracer import FilmPositions, Traced, Tracer, pixel_positions
-from splat.binning import TILE
-from splat.files import Forest
-from splat.raster import image_from_buffer
-from splat.render import SplatRenderer
+from splat.forest import Forest
 
 
 @dataclass(frozen=True)
@@ -32,15 +31,19 @@ class Frame:
     Attributes:
         composite: (H, W, 3) linear radiance, what the viewer sees.
         periphery: (H, W, 3) the splats; black in tiles that the fovea hides.
+        detail: what the viewer resolves where.
+        nodes_drawn: Gaussians in the periphery, those of several pictures counted in each.
         fovea: (D, 3) path-traced radiance of the plan's pixels.
         plan: which pixels those are, and the weights.
-        milliseconds: per pass (plan, splat, trace, denoise, blend) and in all (total).
+        milliseconds: per pass (plan, detail, splat, trace, denoise, blend) and in all (total).
     """
 
     composite: Image
     periphery: Image
     fovea: NDArray[np.float32]
     plan: FoveaPlan
+    detail: DetailMap
+    nodes_drawn: int
     milliseconds: dict[str, float]
 
     def fovea_image(self) -> Image:
@@ -56,13 +59,14 @@ class HybridRenderer:
     Args:
         scene: what is path-traced.
         forest: its Gaussians.
+        viewing: who looks, on what display.
         denoised: whether the disc is denoised before it is blended.
 
     Raises:
         UserError: the forest is one of another scene.
     """
 
-    def __init__(self, scene: Scene, forest: Forest, denoised: bool = False):
+    def __init__(self, scene: Scene, forest: Forest, viewing: Viewing | None = None, denoised: bool = False):
         # An imported forest is bound to no scene.
         if forest.scene_hash not in ("", scene.hash):
             raise UserError(
@@ -70,7 +74,7 @@ class HybridRenderer:
                 f"({forest.scene_hash[:8]}), not of {scene.name} ({scene.hash[:8]}); train one for this scene"
             )
         self.tracer = Tracer(scene)
-        self.splats = SplatRenderer(device_arrays(), forest.gaussians, forest.trained_focal)
+        self.periphery = Periphery(device_arrays(), forest, viewing or Viewing())
         self.denoised = denoised
 
     def frame(self, camera: Camera, foveation: Foveation, spp: int = 1, seed: int = 0) -> Frame:
@@ -85,8 +89,10 @@ class HybridRenderer:
         clock = _Clock()
         plan = foveation.plan(camera.width, camera.height)
         clock.lap("plan")
-        buffer, bins = self.splats.render(camera, plan.peripheral_tiles(TILE))
-        periphery = image_from_buffer(buffer, bins)
+        detail = self.periphery.detail(camera, foveation.gaze, foveation.fov_b)
+        clock.lap("detail")
+        drawn = self.periphery.draw(camera, detail, plan)
+        periphery = drawn.image()
         clock.lap("splat")
         fovea, guides = self.trace_disc(camera, plan, spp, seed)
         clock.lap("trace")
@@ -95,7 +101,7 @@ class HybridRenderer:
             clock.lap("denoise")
         composite = blend(periphery, fovea, plan)
         clock.lap("blend")
-        return Frame(composite, periphery, fovea, plan, clock.milliseconds())
+        return Frame(composite, periphery, fovea, plan, detail, drawn.nodes, clock.milliseconds())
 
     def trace_disc(self, camera: Camera, plan: FoveaPlan, spp: int, seed: int) -> tuple[Image, Guides | None]:
         """Radiance (D, 3) of the plan's pixels and, where the disc is denoised, its guides."""
@@ -114,8 +120,8 @@ class HybridRenderer:
         return _denoise_disc(fovea, guides, around, plan)
 
     def splat_frame(self, camera: Camera) -> Image:
-        """(H, W, 3) the splats over the whole frame, also where a fovea would hide them."""
-        return image_from_buffer(*self.splats.render(camera))
+        """(H, W, 3) the finest layer over the whole frame, also where a fovea would hide it."""
+        return self.periphery.whole(camera)
 
     def path_traced(self, camera: Camera, positions: FilmPositions, spp: int, seed: int) -> Image:
         """(H, W, 3) the whole frame, treated as the disc is: what the hybrid frame is compared with."""

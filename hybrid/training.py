@@ -16,12 +16,12 @@ from compose.errors import UserError
 from hybrid.quality import quality
 from pathtrace.frames import FrameEntry, FrameSet, read_frame
 from splat.arrays import Arrays
-from splat.files import FORMAT_VERSION, Forest, load_tensors, save_forest, save_tensors
-from splat.loss import SMALLEST_SIDE
-from splat.raster import image_from_buffer
-from splat.render import SplatRenderer
+from splat.files import FORMAT_VERSION, load_tensors, save_forest, save_tensors
+from splat.forest import Forest, forest_of
+from splat.layer_training import reduced
+from splat.pictures import ForestRenderer
 from splat.seed import TrainingView
-from splat.train import Trainer, TrainingSettings
+from splat.train import Trainer, TrainingSettings, most_layers
 
 _CHECKPOINT_SECONDS = 30.0
 
@@ -61,10 +61,11 @@ def train_forest(
     if not frames.training:
         raise UserError(f"{frames.folder}: holds no frames to train on")
     camera = frames.training[0].camera
-    if min(camera.width, camera.height) < SMALLEST_SIDE:
+    if most_layers(camera.width, camera.height) < settings.layers:
         raise UserError(
-            f"{frames.folder}: frames of {camera.width} x {camera.height} pixels are too small to train on; "
-            f"capture them with at least {SMALLEST_SIDE} pixels on each side"
+            f"{frames.folder}: frames of {camera.width} x {camera.height} pixels are too small for "
+            f"{settings.layers} layers; they allow {most_layers(camera.width, camera.height)}, or capture "
+            "larger ones"
         )
     start = time.perf_counter()
     views = [training_view(entry) for entry in frames.training]
@@ -87,10 +88,9 @@ def train_forest(
         except KeyboardInterrupt:
             _save(trainer, checkpoint, frames)
             raise
-    gaussians = trainer.gaussians
-    if not gaussians.is_finite():
+    forest = forest_of(trainer.forest(), views[0].camera.fy, frames.scene_name, frames.scene_hash)
+    if not forest.nodes.gaussians.is_finite():
         raise RuntimeError("training ended with numbers that are not finite")
-    forest = Forest(gaussians, views[0].camera.fy, frames.scene_name, frames.scene_hash)
     save_forest(path, forest)
     checkpoint.unlink(missing_ok=True)
     return forest, time.perf_counter() - start
@@ -147,11 +147,23 @@ def _restore(trainer: Trainer, path: Path, frames: FrameSet) -> None:
         raise UserError(f"{path}: {error}; remove it to start anew") from error
 
 
-def held_out_quality(arrays: Arrays, frames: FrameSet, forest: Forest) -> dict[str, Any]:
-    """Mean PSNR and SSIM of the splats alone over the frame set's held-out views."""
-    renderer = SplatRenderer(arrays, forest.gaussians, forest.trained_focal)
+def held_out_quality(arrays: Arrays, frames: FrameSet, forest: Forest) -> list[dict[str, Any]]:
+    """Mean PSNR and SSIM over the held-out views of each layer alone, coarsest first.
+
+    Layer l is compared with the frames reduced to its resolution, at that size.
+    """
+    renderer = ForestRenderer(arrays, forest)
+    views = [training_view(entry) for entry in frames.held_out]
     rows = []
-    for entry in frames.held_out:
-        buffer, bins = renderer.render(entry.camera)
-        rows.append(quality(image_from_buffer(buffer, bins), read_frame(entry.file).radiance))
-    return {name: float(np.mean([row[name] for row in rows])) for name in ("psnr", "ssim")} if rows else {}
+    for number, count in enumerate(forest.counts, start=1):
+        factor = 2 ** (len(forest.counts) - number)
+        found = []
+        for view in views:
+            small = reduced(view, factor)
+            image = renderer.render_layer(small.camera, number).image()
+            found.append(quality(image, small.radiance))
+        means = (
+            {name: float(np.mean([row[name] for row in found])) for name in ("psnr", "ssim")} if found else {}
+        )
+        rows.append({"layer": number, "nodes": count, **means})
+    return rows

@@ -48,8 +48,27 @@ class Bins:
     pairs: int
 
 
+@dataclass
+class Panels:
+    """Where each splat may be drawn, when a frame is made of several pictures one below the other.
+
+    Attributes:
+        columns: (N,) tiles from the left edge, the width of the splat's picture.
+        top, bottom: (N,) its first row of tiles, and the one after its last.
+    """
+
+    columns: Any
+    top: Any
+    bottom: Any
+
+
 def bin_splats(
-    arrays: Arrays, splats: Splats, width: int, height: int, wanted: np.ndarray | None = None
+    arrays: Arrays,
+    splats: Splats,
+    width: int,
+    height: int,
+    wanted: np.ndarray | None = None,
+    panels: Panels | None = None,
 ) -> Bins:
     """Sorts pairs of splat and tile by tile and depth.
 
@@ -58,6 +77,7 @@ def bin_splats(
         splats: N projected Gaussians, arrays without derivatives.
         width, height: frame in pixels.
         wanted: (rows, columns) bool, the tiles to rasterize; all by default.
+        panels: the part of the frame that each splat is confined to; all of it by default.
     """
     Float, UInt = arrays.plain.Float, arrays.plain.UInt
     columns, rows = -(-width // TILE), -(-height // TILE)
@@ -66,7 +86,7 @@ def bin_splats(
         raise ValueError(f"wanted has shape {mask.shape}, expected {(rows, columns)}")
     tiles = UInt(np.flatnonzero(mask).astype(np.uint32))
 
-    x0, y0, across, down = _touched(arrays, splats, columns, rows)
+    x0, y0, across, down = _touched(arrays, splats, panels or Panels(columns, 0, rows))
     visible = dr.compress(across * down > 0)
     order = dr.gather(UInt, visible, dr.argsort(dr.gather(Float, splats.depth, visible)))
     count = dr.gather(UInt, across, order) * dr.gather(UInt, down, order)
@@ -108,7 +128,7 @@ def bin_splats(
     )
 
 
-def _touched(arrays: Arrays, splats: Splats, columns: int, rows: int) -> tuple[Any, Any, Any, Any]:
+def _touched(arrays: Arrays, splats: Splats, panels: Panels) -> tuple[Any, Any, Any, Any]:
     """First tile and number of tiles, along x and y, of the box around each splat's visible ellipse."""
     Int, UInt = arrays.plain.Int, arrays.plain.UInt
     # exp(-q / 2) opacity = 1/255 is the ellipse q = 2 ln(255 opacity); the covariance's diagonal bounds it.
@@ -117,11 +137,11 @@ def _touched(arrays: Arrays, splats: Splats, columns: int, rows: int) -> tuple[A
     reach_x = dr.sqrt(level * splats.yy * inverse)
     reach_y = dr.sqrt(level * splats.xx * inverse)
     seen = splats.opacity > MINIMUM_ALPHA
-    bound = lambda value, tiles: dr.clip(value * (1 / TILE), 0, tiles)  # noqa: E731
-    x0 = Int(dr.floor(bound(splats.x - reach_x, columns)))
-    y0 = Int(dr.floor(bound(splats.y - reach_y, rows)))
-    x1 = Int(dr.ceil(bound(splats.x + reach_x, columns)))
-    y1 = Int(dr.ceil(bound(splats.y + reach_y, rows)))
+    bound = lambda value, low, high: dr.clip(value * (1 / TILE), low, high)  # noqa: E731
+    x0 = Int(dr.floor(bound(splats.x - reach_x, 0, panels.columns)))
+    y0 = Int(dr.floor(bound(splats.y - reach_y, panels.top, panels.bottom)))
+    x1 = Int(dr.ceil(bound(splats.x + reach_x, 0, panels.columns)))
+    y1 = Int(dr.ceil(bound(splats.y + reach_y, panels.top, panels.bottom)))
     # A NaN compares false everywhere and so touches nothing.
     seen &= (x1 > x0) & (y1 > y0) & dr.isfinite(reach_x + reach_y + splats.x + splats.y)
     across, down = dr.select(seen, UInt(x1 - x0), 0), dr.select(seen, UInt(y1 - y0), 0)

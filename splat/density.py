@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from splat.gaussians import Gaussians, concatenated
 from splat.seed import TrainingView, seed_at
 
-_INITIAL_SHARE = 0.5  # of the final number
+INITIAL_SHARE = 0.5  # of the final number of the finest layer
 _EVERY = 100  # iterations
 _FIRST, _LAST = 0.05, 0.6  # shares of the training between which the number changes
 _MINIMUM_OPACITY = 0.02
@@ -26,12 +26,12 @@ class DensityControl:
 
     Args:
         iterations: length of the training.
-        final_count: how many Gaussians there shall be in the end.
+        initial_count: how many Gaussians it begins with.
+        final_count: how many there shall be in the end.
     """
 
-    def __init__(self, iterations: int, final_count: int):
-        self.iterations, self.final_count = iterations, final_count
-        self.initial_count = max(1, int(final_count * _INITIAL_SHARE))
+    def __init__(self, iterations: int, initial_count: int, final_count: int):
+        self.iterations, self.initial_count, self.final_count = iterations, initial_count, final_count
         self._errors: dict[int, torch.Tensor] = {}
 
     def observe(self, view: int, error: torch.Tensor) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,41 +13,29 @@ from safetensors.torch import save_file
 
 from compose.errors import UserError
 from compose.files import write_whole
+from splat.forest import Forest, Layer, check_forest
 from splat.gaussians import MAX_DEGREE, Gaussians, sh_count
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+_LABELS = ("parent", "semantic", "dynamic")
 # Gaussians that come from elsewhere were trained on films that nobody knows: no further filter for them.
 UNBOUND_FOCAL = 1e9
 
 
-@dataclass(frozen=True)
-class Forest:
-    """Trained Gaussians and what they are of.
-
-    Attributes:
-        gaussians: one layer.
-        trained_focal: vertical focal length, in pixels, of the frames that they were trained on.
-        scene_name, scene_hash: the scene that those frames show.
-    """
-
-    gaussians: Gaussians
-    trained_focal: float
-    scene_name: str
-    scene_hash: str
-
-
 def save_forest(path: Path, forest: Forest) -> None:
     """Writes a forest file; it appears whole or not at all."""
+    nodes = forest.nodes
     metadata = {
         "format_version": FORMAT_VERSION,
         "kind": "forest",
-        "layers": 1,
-        "degree": forest.gaussians.degree,
+        "layers": list(forest.counts),
+        "degree": nodes.gaussians.degree,
         "trained_focal": forest.trained_focal,
         "scene_name": forest.scene_name,
         "scene_hash": forest.scene_hash,
     }
-    tensors = {name: tensor.detach().cpu() for name, tensor in forest.gaussians.tensors()}
+    tensors = {name: tensor.detach().cpu() for name, tensor in nodes.gaussians.tensors()}
+    tensors |= {name: getattr(nodes, name) for name in _LABELS}
     save_tensors(path, tensors, metadata)
 
 
@@ -56,7 +43,8 @@ def load_forest(path: Path) -> Forest:
     """Inverse of save_forest.
 
     Raises:
-        UserError: the file is missing, truncated, corrupt, of another version, or holds no finite numbers.
+        UserError: the file is missing, truncated, corrupt, of another version, holds no finite numbers, or
+            its trees are broken.
     """
     tensors, metadata = load_tensors(path)
     if metadata.get("kind") != "forest":
@@ -64,15 +52,15 @@ def load_forest(path: Path) -> Forest:
     try:
         gaussians = Gaussians(**{name: tensors[name] for name in Gaussians.__dataclass_fields__})
         forest = Forest(
-            gaussians,
+            Layer(gaussians, *(tensors[name] for name in _LABELS)),
+            tuple(int(count) for count in metadata["layers"]),
             float(metadata["trained_focal"]),
             str(metadata["scene_name"]),
             str(metadata["scene_hash"]),
         )
+        check_forest(forest.layers)
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path}: damaged forest file ({error}); train it again") from error
-    if not len(gaussians):
-        raise UserError(f"{path}: the forest holds no Gaussians; train it again")
     if not gaussians.is_finite() or not forest.trained_focal > 0:
         raise UserError(f"{path}: the forest holds numbers that are not finite; train it again")
     return forest

@@ -147,6 +147,23 @@ def project(arrays: Arrays, parameters: Parameters, camera: Camera, low_pass: An
     )
 
 
+def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any, Any, Any, Any]:
+    """Where centres lie on the film: whether in front, x, y in pixels, and pixels per unit of length.
+
+    The last is an upper bound over all directions, as `project` takes them.
+    """
+    number = arrays.plain.Float
+    world = [dr.opaque(number, float(v)) for v in np.ravel(camera.world_to_camera[:3])]
+    limit_x, limit_y = (float(v) for v in _TANGENT_LIMIT * _half_tangents(camera))
+    vx, vy, vz = (sum((world[4 * i + j] * means[j] for j in range(3)), world[4 * i + 3]) for i in range(3))
+    seen = vz > _NEAR
+    inverse_z = dr.rcp(dr.select(seen, vz, 1))
+    tx, ty = vx * inverse_z, vy * inverse_z
+    tilt = dr.square(dr.minimum(dr.abs(tx), limit_x)) + dr.square(dr.minimum(dr.abs(ty), limit_y))
+    spread = inverse_z * dr.sqrt(1 + tilt) * max(camera.fx, camera.fy)
+    return seen, dr.fma(tx, camera.fx, camera.cx), dr.fma(ty, camera.fy, camera.cy), spread
+
+
 def _half_tangents(camera: Camera) -> np.ndarray:
     return np.array(
         [

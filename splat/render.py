@@ -1,4 +1,4 @@
-"""Gaussians to image: projection, binning and rasterization in one call, for rendering and for torch."""
+"""Gaussians to image for torch: projection, binning and rasterization in one call, with the gradient."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 
 from compose.view import Camera
 from splat.arrays import Arrays
-from splat.binning import Bins, bin_splats
+from splat.binning import bin_splats
 from splat.gaussians import Gaussians
 from splat.project import PIXEL_FILTER, Parameters, project
 from splat.raster import padded_size, rasterize, rasterize_backward
@@ -26,44 +26,6 @@ def parameters_from(arrays: Arrays, gaussians: Gaussians) -> Parameters:
         arrays.from_torch(gaussians.opacity_logits),
         [rows(coefficient) for coefficient in gaussians.sh],
     )
-
-
-def low_pass_for(camera: Camera, trained_focal: float) -> float:
-    """Variance in px^2 of the filter on a camera, for Gaussians trained at a focal length in pixels.
-
-    On a finer film than that of the training frames nothing constrains detail between their pixels;
-    the filter keeps its angle there, so that the picture is the trained one, enlarged.
-    """
-    return PIXEL_FILTER * max(1.0, camera.fy / trained_focal) ** 2
-
-
-class SplatRenderer:
-    """Renders one set of Gaussians that stays on the device.
-
-    Args:
-        arrays: the backend's array types.
-        gaussians: what to draw.
-        trained_focal: vertical focal length in pixels of the frames that they were trained on.
-    """
-
-    def __init__(self, arrays: Arrays, gaussians: Gaussians, trained_focal: float):
-        self.arrays = arrays
-        self.trained_focal = trained_focal
-        self._gaussians = gaussians  # keeps the memory alive that the arrays alias
-        self._parameters = parameters_from(arrays, gaussians)
-
-    def render(self, camera: Camera, wanted: np.ndarray | None = None) -> tuple[Any, Bins]:
-        """Linear radiance as a flat buffer of whole tiles, and the bins that say how to read it.
-
-        Args:
-            camera: the view.
-            wanted: (rows, columns) bool, tiles to draw; all by default.
-        """
-        low_pass = low_pass_for(camera, self.trained_focal)
-        splats = project(self.arrays, self._parameters, camera, low_pass).detached()
-        dr.eval(splats.__dict__)
-        bins = bin_splats(self.arrays, splats, camera.width, camera.height, wanted)
-        return rasterize(self.arrays, splats, bins), bins
 
 
 class _Render(torch.autograd.Function):

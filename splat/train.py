@@ -1,33 +1,43 @@
-"""Fits Gaussians to frames: views in turn, Adam, density control, checkpoints."""
+"""Trains a forest: the finest layer first, then layers by chance, each against frames of its resolution.
+
+Fov-GS, section 3.3, for static scenes. Mended: layer l need only look right at 1 / 2^(L - l) of the
+resolution, so that is where it is compared; the coarse layers are nearly free then.
+"""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
 
 from splat.arrays import Arrays
-from splat.density import DensityControl
-from splat.gaussians import Gaussians, concatenated
-from splat.loss import Target
-from splat.project import PIXEL_FILTER
-from splat.render import render_differentiable
+from splat.density import INITIAL_SHARE
+from splat.forest import NO_PARENT, Layer, build_forest, settle, static_layer
+from splat.layer_training import LayerTraining, pixel_footprint, reduced
+from splat.loss import SMALLEST_SIDE
 from splat.seed import TrainingView, seed_from_views
+
+# Share of the steps before there is a forest, and share of the later ones that the finest layer gets: it
+# has four times the pixels of the next one, and it is what the viewer sees nearest to the gaze.
+_ALONE = 0.4
+_FINEST = 0.6
+# When density control is over in all layers, and the trees are completed for good.
+_SETTLED = 0.8
 
 
 @dataclass(frozen=True)
 class TrainingSettings:
-    """How Gaussians are trained.
+    """How a forest is trained.
 
     Attributes:
-        iterations: optimizer steps; one frame each.
-        gaussians: how many there are in the end.
+        iterations: optimizer steps, over all layers; one frame each.
+        gaussians: how many the finest layer has in the end.
+        layers: L; 1 is a set of Gaussians without trees.
         degree: of the spherical harmonics.
-        seed: same seed, same Gaussians.
+        seed: same seed, same forest.
 
     Raises:
         ValueError: a number is out of range.
@@ -35,31 +45,26 @@ class TrainingSettings:
 
     iterations: int = 3000
     gaussians: int = 60_000
+    layers: int = 4
     degree: int = 2
     seed: int = 0
 
     def __post_init__(self) -> None:
         if self.iterations <= 0 or self.gaussians <= 0:
             raise ValueError("iterations and gaussians must be positive")
+        if self.layers <= 0:
+            raise ValueError(f"layers is {self.layers}; a forest must have at least 1")
         if not 0 <= self.degree <= 3:
             raise ValueError(f"degree is {self.degree}; must be 0, 1, 2 or 3")
 
 
-# Learning rates at the start and at the end, exponential between them. Those of 3D Gaussian splatting are
-# for 30,000 steps; with a tenth of the steps the positions need larger ones. Positions are in units of
-# the views' mean distance to what they see, divided by the focal length: pixels.
-_RATES = {
-    "means": (0.15, 0.006),
-    "log_scales": (0.01, 0.002),
-    "rotations": (0.004, 0.001),
-    "opacity_logits": (0.05, 0.01),
-    "sh_constant": (0.008, 0.0012),
-    "sh_directional": (0.0008, 0.0002),
-}
+def most_layers(width: int, height: int) -> int:
+    """How many layers frames of this size can train: the coarsest must fill the similarity's window."""
+    return max(0, int(np.log2(min(width, height) / SMALLEST_SIDE) + 1)) if min(width, height) else 0
 
 
 class Trainer:
-    """Trains one layer of Gaussians; its whole state can be saved between two steps and restored.
+    """Trains a forest; its whole state can be saved between two steps and restored.
 
     Args:
         arrays: the backend's array types.
@@ -68,20 +73,23 @@ class Trainer:
     """
 
     def __init__(self, arrays: Arrays, views: list[TrainingView], settings: TrainingSettings):
-        self.arrays, self.views, self.settings = arrays, views, settings
-        self._targets = [Target(torch.from_numpy(v.radiance)) for v in views]
-        self._pixel = _pixel_footprint(views)
-        self.density = DensityControl(settings.iterations, settings.gaussians)
-        rng = np.random.default_rng([settings.seed, 0])
-        initial = seed_from_views(views, self.density.initial_count, settings.degree, rng)
+        self.settings = settings
+        self._pixel = pixel_footprint(views)
+        self._schedule = _schedule(settings)
+        self._layers = [
+            LayerTraining(
+                arrays,
+                [reduced(view, 2 ** (settings.layers - 1 - index)) for view in views],
+                max(1, int(np.count_nonzero(self._schedule == index))),
+                [settings.seed, index],
+            )
+            for index in range(settings.layers)
+        ]
         self.iteration = 0
-        self._install(initial, None)
-
-    @property
-    def gaussians(self) -> Gaussians:
-        """The Gaussians as they are now, without gradients."""
-        sh = torch.cat([self._leaves["sh_constant"], self._leaves["sh_directional"]]).detach()
-        return Gaussians(**{n: self._leaves[n].detach() for n in _GEOMETRY}, sh=sh)
+        self._settling = int(_SETTLED * settings.iterations)
+        rng = np.random.default_rng([settings.seed, 0])
+        seeds = seed_from_views(views, max(1, int(settings.gaussians * INITIAL_SHARE)), settings.degree, rng)
+        self._layers[-1].begin(static_layer(seeds), settings.gaussians)
 
     def run(self, progress: Callable[[int], None] = lambda done: None, until: int | None = None) -> None:
         """Trains up to iteration `until`, by default to the end."""
@@ -90,65 +98,46 @@ class Trainer:
             self.iteration += 1
             progress(self.iteration)
 
+    def forest(self) -> list[Layer]:
+        """The layers as they are now, coarsest first, in complete trees."""
+        if self._layers[0].density is None:
+            return build_forest(self._layers[-1].layer, self._pixel, self.settings.layers)
+        layers = [training.layer for training in self._layers]
+        return layers if self.iteration > self._settling else settle(layers)
+
     def _step(self) -> None:
-        index = self._view_of(self.iteration)
-        self._set_rates()
-        leaves = self._leaves
-        sh = torch.cat([leaves["sh_constant"], leaves["sh_directional"]])
-        gaussians = Gaussians(**{name: leaves[name] for name in _GEOMETRY}, sh=sh)
-        image = render_differentiable(self.arrays, gaussians, self.views[index].camera, PIXEL_FILTER)
-        loss, error = self._targets[index].loss(image)
-        self._optimizer.zero_grad()
-        loss.backward()
-        self._optimizer.step()
-        self.density.observe(index, error)
-        if self.density.is_due(self.iteration):
-            rng = np.random.default_rng([self.settings.seed, 1, self.iteration])
-            kept, added = self.density.change(self.gaussians, self.views, rng)
-            self._install(concatenated([self.gaussians.select(kept), added]), kept)
+        index = int(self._schedule[self.iteration])
+        if index < len(self._layers) - 1 and self._layers[index].density is None:
+            self._plant()
+        if self.iteration == self._settling and self._layers[0].density is not None:
+            settled = settle([training.layer for training in self._layers])
+            for training, layer in zip(self._layers, settled, strict=True):
+                training.extend(layer)
+        moved = self._layers[index].step()
+        if moved is not None and index + 1 < len(self._layers) and self._layers[index + 1].density:
+            # Children of nodes that are gone look for other parents when the trees are settled.
+            below = self._layers[index + 1]
+            parent = below.layer.parent.clone()
+            known = parent != NO_PARENT
+            parent[known] = moved[parent[known].long()]
+            below.extend(replace(below.layer, parent=parent))
 
-    def _view_of(self, iteration: int) -> int:
-        """Each view once per round, in an order of its own for each round."""
-        turn, place = divmod(iteration, len(self.views))
-        return int(np.random.default_rng([self.settings.seed, 2, turn]).permutation(len(self.views))[place])
-
-    def _set_rates(self) -> None:
-        share = self.iteration / self.settings.iterations
-        for group in self._optimizer.param_groups:
-            start, end = _RATES[group["name"]]
-            unit = self._pixel if group["name"] == "means" else 1.0
-            group["lr"] = unit * math.exp((1 - share) * math.log(start) + share * math.log(end))
-
-    def _install(self, gaussians: Gaussians, kept: torch.Tensor | None) -> None:
-        """Makes Gaussians the ones that are optimized; the momenta of those that were kept stay."""
-        before = getattr(self, "_optimizer", None)
-        tensors = {name: getattr(gaussians, name) for name in _GEOMETRY}
-        tensors |= {"sh_constant": gaussians.sh[:1], "sh_directional": gaussians.sh[1:]}
-        self._leaves = {n: t.clone().contiguous().requires_grad_() for n, t in tensors.items()}
-        groups = [{"params": [leaf], "name": name} for name, leaf in self._leaves.items()]
-        self._optimizer = torch.optim.Adam(groups, lr=0.0, betas=(0.9, 0.999), eps=1e-15, fused=True)
-        if before is None or kept is None:
-            return
-        for old, new in zip(before.param_groups, self._optimizer.param_groups, strict=True):
-            state = before.state.get(old["params"][0])
-            if state:
-                leaf = new["params"][0]
-                grown = {"step": state["step"].clone()}
-                for moment in ("exp_avg", "exp_avg_sq"):
-                    grown[moment] = torch.zeros_like(leaf)
-                    grown[moment][..., : len(kept)] = state[moment][..., kept]
-                self._optimizer.state[leaf] = grown
+    def _plant(self) -> None:
+        """Builds the forest over the finest layer as it is, and begins with the others."""
+        forest = build_forest(self._layers[-1].layer, self._pixel, self.settings.layers)
+        self._layers[-1].extend(forest[-1])
+        for training, layer in zip(self._layers[:-1], forest[:-1], strict=True):
+            training.begin(layer, len(layer))
 
     def state(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
         """Everything that the next step depends on: tensors, and numbers."""
         tensors: dict[str, torch.Tensor] = {}
-        for group in self._optimizer.param_groups:
-            name, leaf = group["name"], group["params"][0]
-            tensors[f"leaf.{name}"] = leaf.detach()
-            for moment, value in self._optimizer.state.get(leaf, {}).items():
-                tensors[f"adam.{moment}.{name}"] = value
-        tensors |= self.density.state()
-        return tensors, {"iteration": self.iteration, "settings": asdict(self.settings)}
+        numbers = []
+        for index, training in enumerate(self._layers):
+            own, counts = training.state()
+            tensors |= {f"{index}.{name}": tensor for name, tensor in own.items()}
+            numbers.append(counts)
+        return tensors, {"iteration": self.iteration, "settings": asdict(self.settings), "layers": numbers}
 
     def restore(self, tensors: dict[str, torch.Tensor], numbers: dict[str, Any]) -> None:
         """Inverse of `state`.
@@ -158,22 +147,20 @@ class Trainer:
         """
         if numbers["settings"] != asdict(self.settings):
             raise ValueError("the checkpoint is of a training with other settings")
-        leaves = {n: tensors[f"leaf.{n}"] for n in (*_GEOMETRY, "sh_constant", "sh_directional")}
-        sh = torch.cat([leaves["sh_constant"], leaves["sh_directional"]])
-        self._install(Gaussians(**{name: leaves[name] for name in _GEOMETRY}, sh=sh), None)
-        for group in self._optimizer.param_groups:
-            moments = {m: tensors.get(f"adam.{m}.{group['name']}") for m in ("step", "exp_avg", "exp_avg_sq")}
-            if moments["step"] is not None:
-                self._optimizer.state[group["params"][0]] = moments
-        self.density.restore(tensors)
+        for index, (training, counts) in enumerate(zip(self._layers, numbers["layers"], strict=True)):
+            prefix = f"{index}."
+            own = {n.removeprefix(prefix): t for n, t in tensors.items() if n.startswith(prefix)}
+            training.restore(own, counts)
         self.iteration = int(numbers["iteration"])
 
 
-_GEOMETRY = ("means", "log_scales", "rotations", "opacity_logits")
-
-
-def _pixel_footprint(views: list[TrainingView]) -> float:
-    """Size of a pixel in world space at the mean distance of what the views see."""
-    distances = [v.distance[np.isfinite(v.distance)] for v in views]
-    seen = np.concatenate([d for d in distances if len(d)] or [np.ones(1, np.float32)])
-    return float(np.median(seen)) / views[0].camera.fy
+def _schedule(settings: TrainingSettings) -> np.ndarray:
+    """(iterations,) index of the layer that each step trains."""
+    finest = settings.layers - 1
+    schedule = np.full(settings.iterations, finest)
+    if finest:
+        later = int(_ALONE * settings.iterations)
+        shares = [(1 - _FINEST) / finest] * finest + [_FINEST]
+        rng = np.random.default_rng([settings.seed, 3])
+        schedule[later:] = rng.choice(settings.layers, settings.iterations - later, p=shares)
+    return schedule

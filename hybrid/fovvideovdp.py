@@ -1,0 +1,43 @@
+"""FovVideoVDP (Mantiuk et al. 2021), where it is installed: its licence keeps it out of the requirements."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from compose.blend import Image, srgb_from_radiance
+from compose.view import Display, Gaze
+
+# What a good monitor reaches in a lit room.
+_CONTRAST = 1000
+INSTALL = "JOD needs FovVideoVDP (CC BY-NC 4.0): pip install 'foveated-hybrid-renderer[metrics]'"
+
+
+def jod(image: Image, reference: Image, display: Display, gaze: Gaze) -> float | None:
+    """Quality of a frame (H, W, 3) in linear radiance to a viewer with that gaze, 10 for no difference.
+
+    Returns:
+        Just-objectionable differences, None where the metric is not installed.
+    """
+    try:
+        import pyfvvdp
+        import torch
+    except ImportError:
+        return None
+    height, width = image.shape[:2]
+    across = float(np.degrees(2 * np.arctan(width / 2 / display.focal)))
+    metric = pyfvvdp.fvvdp(
+        display_geometry=pyfvvdp.fvvdp_display_geometry((width, height), fov_horizontal=across),
+        display_photometry=pyfvvdp.fvvdp_display_photo_eotf(
+            display.luminance, contrast=_CONTRAST, EOTF="sRGB"
+        ),
+        # Without it the fixation is ignored.
+        foveated=True,
+        device=torch.device("cpu"),
+    )
+    score, _ = metric.predict(
+        srgb_from_radiance(image),
+        srgb_from_radiance(reference),
+        dim_order="HWC",
+        fixation_point=torch.tensor(gaze.pixel(width, height)),
+    )
+    return float(score)

@@ -1,0 +1,117 @@
+"""The splatted periphery of a frame: what the eye resolves where, and the pictures that this asks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.acuity import DEFAULT_LAW, LAWS, law_named
+from compose.blend import Image
+from compose.detail import CELL, COARSEST_RATE, DetailMap, detail_map
+from compose.errors import UserError
+from compose.foveation import FoveaPlan
+from compose.saliency import saliency
+from compose.view import DISPLAYS, Camera, Display, Gaze
+from splat.arrays import Arrays
+from splat.binning import TILE
+from splat.forest import Forest
+from splat.pictures import ForestRenderer, JoinedFrame, Picture, finest_frequency
+
+# Side, in pixels, of the coarse picture in which attention is looked for.
+_COARSE = 64
+# The lattice's cells are the rasterizer's tiles: what is wanted of the one is drawn by the other.
+assert CELL == TILE
+
+
+@dataclass(frozen=True)
+class Viewing:
+    """Who looks, and with what eyes.
+
+    Attributes:
+        display: the frame is shown around its centre.
+        law: name of the law from eccentricity to cut-off.
+        layers: coarsest and finest layer that may be drawn, (1, L); None for all.
+
+    Raises:
+        UserError: there is no such law.
+    """
+
+    display: Display = DISPLAYS["desktop"]
+    law: str = DEFAULT_LAW
+    layers: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        law_named(self.law)
+
+
+class Periphery:
+    """Draws the periphery of frames with one forest for one viewer.
+
+    Args:
+        arrays: the rasterizer's array types.
+        forest: what to draw.
+        viewing: for whom.
+
+    Raises:
+        UserError: the forest does not have those layers.
+    """
+
+    def __init__(self, arrays: Arrays, forest: Forest, viewing: Viewing):
+        count = len(forest.counts)
+        self._low, self._high = viewing.layers or (1, count)
+        if not 1 <= self._low <= self._high <= count:
+            raise UserError(f"--layers {self._low} {self._high}: this forest has layers 1 to {count}")
+        self.forest, self.viewing = forest, viewing
+        self._renderer = ForestRenderer(arrays, forest)
+        self._attention: tuple[bytes, NDArray[np.float32]] | None = None
+
+    def detail(self, camera: Camera, gaze: Gaze, fov_b: float) -> DetailMap:
+        """The detail that the viewer resolves in a frame."""
+        found = detail_map(
+            self.viewing.display,
+            gaze,
+            camera.width,
+            camera.height,
+            LAWS[self.viewing.law],
+            self._high,
+            finest_frequency(camera, self.forest, self._high),
+            fov_b,
+            self.saliency(camera) if self.viewing.law != "none" else None,
+        )
+        return found.at_least(self._low)
+
+    def saliency(self, camera: Camera) -> NDArray[np.float32]:
+        """(h, w) in 0..1: where layer 1, drawn coarsely, draws attention. Kept until the camera moves."""
+        factor = max(1, -(-max(camera.width, camera.height) // _COARSE))
+        coarse = camera.scaled(-(-camera.width // factor), -(-camera.height // factor))
+        key = repr((coarse.width, coarse.height, coarse.fx, coarse.fy, coarse.cx, coarse.cy)).encode()
+        key += coarse.world_to_camera.tobytes()
+        if self._attention is None or self._attention[0] != key:
+            self._attention = (key, saliency(self._renderer.render_layer(coarse, 1).image()))
+        return self._attention[1]
+
+    def draw(self, camera: Camera, detail: DetailMap, plan: FoveaPlan) -> JoinedFrame:
+        """What of a frame the fovea does not hide, at the detail that is needed."""
+        pictures = [
+            Picture(layer, rate, share)
+            for rate in range(COARSEST_RATE + 1)
+            for layer in range(self._low, self._high + 1)
+            if (share := self._share(camera, detail, layer, rate)).any()
+        ]
+        return self._renderer.render(camera, pictures, detail.cutoff, plan.peripheral_tiles(TILE))
+
+    def _share(self, camera: Camera, detail: DetailMap, layer: int, rate: int) -> NDArray[np.float32]:
+        """Of a layer at a rate. A layer has nothing to show between the pixels that it was trained on."""
+        least = 0
+        if self.viewing.law != "none":
+            spacing = np.log2(camera.fy / self.forest.focal_of(layer))
+            oversampled = 0 if LAWS[self.viewing.law].relative else 1
+            least = int(np.clip(np.floor(spacing - oversampled), 0, COARSEST_RATE))
+        weight = detail.rate_weight(rate, least)
+        return detail.layer_weight(layer) * weight
+
+    def whole(self, camera: Camera) -> Image:
+        """(H, W, 3) the finest layer that may be drawn, over the whole frame at full rate."""
+        return self._renderer.render_layer(camera, self._high).image()
