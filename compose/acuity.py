@@ -103,20 +103,18 @@ def with_saliency(cutoff: Array, saliency: Array) -> Array:
 
 
 def continuous_level(cutoff: Array, finest: float, layers: int) -> Array:
-    """Level 1..L, not rounded: lambda = L - log2(finest / f).
+    """Level, not rounded and not limited to 1..L: lambda = L - log2(finest / f).
 
     Fov-GS's Eq. 7 without its steps, as f = 1 / a, when the finest frequency is the cut-off f(e0) at the
     edge of the full-quality region: with L = 4 and e0 = 10 degrees its law then gives whole levels at 10,
     20.95, 42.84 and 86.6 degrees.
 
     Args:
-        cutoff: f, inf where nothing is cut off.
+        cutoff: f, inf where nothing is cut off; there the level is inf.
         finest: the frequency up to which layer L is needed, in the same unit.
         layers: L.
     """
-    finite = np.isfinite(cutoff)
-    ratio = np.where(finite, finest / np.where(finite, cutoff, 1.0), 1.0)
-    return np.clip(layers - np.log2(np.maximum(ratio, 1.0)), 1, layers)
+    return layers + np.log2(np.asarray(cutoff, dtype=np.float64) / finest)
 
 
 @cache

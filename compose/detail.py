@@ -6,7 +6,7 @@ between. They, and the weights that follow from them, are continuous in the gaze
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -32,60 +32,63 @@ class DetailMap:
 
     Attributes:
         width, height: frame in pixels.
-        layers: L, of the forest.
+        lowest: the coarsest layer that may be drawn.
+        finest_rates: of layers 1 to L, the finest rate that is worth its samples; a rate is the log2 of the
+            pixels per sample along each axis.
         eccentricity: (rows + 1, columns + 1) in degrees.
         cutoff: (rows + 1, columns + 1) highest frequency that is resolved, in cycles per pixel, at most 0.5.
-        level: (rows + 1, columns + 1) from 1, the coarsest layer, to L.
-        rate: (rows + 1, columns + 1) log2 of the pixels per sample, along each axis, that the cut-off allows.
+        level: (rows + 1, columns + 1) as the law has it; above L where more than layer L would be seen.
+        rate: (rows + 1, columns + 1) that the cut-off allows.
     """
 
     width: int
     height: int
-    layers: int
+    lowest: int
+    finest_rates: tuple[int, ...]
     eccentricity: Lattice
     cutoff: Lattice
     level: Lattice
     rate: Lattice
 
-    def at_least(self, layer: int) -> DetailMap:
-        """The same map where no layer coarser than this one may be drawn."""
-        return replace(self, level=np.maximum(self.level, np.float32(layer)))
+    @property
+    def layers(self) -> int:
+        """L."""
+        return len(self.finest_rates)
 
     @cached_property
-    def _layers_left(self) -> Lattice:
-        return _soft_ceil(self.layers - self.level)
+    def drawn_level(self) -> Lattice:
+        """Layer as drawn, between two where both are joined.
+
+        A layer fades into the next one just before the boundary of its level, where Fov-GS's Eq. 7 steps
+        down: at the edge of the full-quality region the second layer is seen alone.
+        """
+        left = self.layers - np.minimum(self.level, np.float32(self.layers + 1))
+        steps = _soft_ceil((left + np.float32(_FADE)).astype(np.float32))
+        return np.clip(self.layers - steps, self.lowest, self.layers)
 
     @cached_property
-    def _rate_reached(self) -> Lattice:
-        return _soft_ceil(self.rate) - 1
+    def drawn_rate(self) -> Lattice:
+        """Rate as drawn, between two where both are joined."""
+        shares = [self._layer_share(n) * self._rate_of(n) for n in range(self.lowest, self.layers + 1)]
+        return np.sum(shares, axis=0, dtype=np.float32)
 
-    def layer_weight(self, layer: int) -> Lattice:
-        """Share of a layer in the picture, 0..1; those of all layers sum to 1.
+    def share(self, layer: int, rate: int) -> Lattice:
+        """Share in the picture, 0..1, of a layer drawn at a rate; all shares together sum to 1."""
+        near = np.maximum(1 - np.abs(self._rate_of(layer) - rate), 0)
+        return (self._layer_share(layer) * near).astype(np.float32)
 
-        Beyond the boundary of its level, where Fov-GS's Eq. 7 steps down, a layer fades into the next.
-        """
-        return _share(self._layers_left, self.layers - layer)
+    def _layer_share(self, layer: int) -> Lattice:
+        return np.maximum(1 - np.abs(self.drawn_level - layer), 0)
 
-    def rate_weight(self, rate: int, least: int = 0) -> Lattice:
-        """Share of the samples taken at a rate, 0..1; those of all rates sum to 1.
-
-        A coarser rate fades in from where it carries all that the cut-off lets through.
-
-        Args:
-            rate: log2 of pixels per sample along each axis.
-            least: the finest rate that is worth its samples, for what they are taken of.
-        """
-        return _share(np.clip(self._rate_reached, least, COARSEST_RATE), rate)
+    def _rate_of(self, layer: int) -> Lattice:
+        # A coarser rate fades in from where it carries all that the cut-off lets through.
+        return np.clip(_soft_ceil(self.rate) - 1, self.finest_rates[layer - 1], COARSEST_RATE)
 
 
 def _soft_ceil(values: Lattice) -> Lattice:
-    """Rounds up, but rises to the next integer over a share of the way."""
+    """Rounds up, but rises to the next integer over a share of the way, from each integer on."""
     whole = np.floor(values)
     return whole + np.minimum((values - whole) / _FADE, 1)
-
-
-def _share(place: Lattice, step: int) -> Lattice:
-    return np.maximum(1 - np.abs(place - step), 0).astype(np.float32)
 
 
 def detail_map(
@@ -94,9 +97,10 @@ def detail_map(
     width: int,
     height: int,
     law: Law,
-    layers: int,
-    finest_frequency: float,
     fov_b: float,
+    finest_frequency: float,
+    finest_rates: tuple[int, ...],
+    lowest: int = 1,
     saliency: NDArray[np.float32] | None = None,
 ) -> DetailMap:
     """The detail that a viewer of a display resolves.
@@ -106,9 +110,10 @@ def detail_map(
         gaze: where the viewer looks.
         width, height: frame in pixels.
         law: from eccentricity to cut-off.
-        layers: L, of the forest.
-        finest_frequency: highest frequency that layer L can show, in cycles per pixel of the frame.
         fov_b: radius of the region of full quality, in percent of the height; its edge is Fov-GS's e0.
+        finest_frequency: highest frequency that layer L can show, in cycles per pixel of the frame.
+        finest_rates: of layers 1 to L, see DetailMap.
+        lowest: the coarsest layer that may be drawn.
         saliency: (h, w) in 0..1 over the frame, None for none.
     """
     x, y, per_degree, rays = _corners(display, width, height)
@@ -129,9 +134,9 @@ def detail_map(
         # What layer L does not show well, no coarser layer need show either.
         finest = min(finest, _FAITHFUL * finest_frequency)
     rate = np.clip(-np.log2(np.minimum(2 * cutoff, 1)), 0, COARSEST_RATE + 1)
-    level = continuous_level(cutoff, finest, layers)
+    level = continuous_level(cutoff, finest, len(finest_rates))
     arrays = (angle, np.minimum(cutoff, 0.5), level, rate)
-    return DetailMap(width, height, layers, *(a.astype(np.float32) for a in arrays))
+    return DetailMap(width, height, lowest, finest_rates, *(a.astype(np.float32) for a in arrays))
 
 
 @lru_cache(maxsize=4)

@@ -8,14 +8,13 @@ from PIL import Image as Pillow
 from PIL import ImageDraw, ImageFont
 
 from compose.blend import Image, bytes_from_radiance
-from compose.detail import CELL, DetailMap
+from compose.detail import CELL, COARSEST_RATE, DetailMap
 from compose.foveation import FoveaPlan
 
 # Level 1 to L from red to blue; what is in between is mixed.
 _COARSE, _FINE = np.array([230.0, 70.0, 40.0]), np.array([40.0, 110.0, 240.0])
 _TINT = 0.5
 _RING = 10  # degrees between two rings
-_RATES = ("every pixel", "1 sample per 2 x 2", "1 sample per 4 x 4")
 
 
 def per_pixel(detail: DetailMap, lattice: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -27,28 +26,17 @@ def per_pixel(detail: DetailMap, lattice: NDArray[np.float32]) -> NDArray[np.flo
     return (rows[:, column] * (1 - fx) + rows[:, column + 1] * fx).astype(np.float32)
 
 
-def drawn_rate(detail: DetailMap) -> NDArray[np.float32]:
-    """(H, W) log2 of pixels per sample along each axis as drawn, 0 to 2."""
-    return per_pixel(detail, detail.rate_weight(1) + 2 * detail.rate_weight(2))
-
-
-def drawn_level(detail: DetailMap) -> NDArray[np.float32]:
-    """(H, W) layer as drawn: 1 to L, between two where both are joined."""
-    weights = [layer * detail.layer_weight(layer) for layer in range(1, detail.layers + 1)]
-    return per_pixel(detail, np.sum(weights, axis=0))
-
-
 def detail_picture(frame: Image, detail: DetailMap, plan: FoveaPlan) -> NDArray[np.uint8]:
     """(H + legend, W, 3) sRGB: the frame in grey, tinted by level, with tiles by rate and rings by angle.
 
-    Full rate shows the frame as it is, half and quarter rate in blocks of their samples; white rings stand
-    at every 10 degrees of eccentricity; what is path-traced alone is left in its own colours.
+    Below full rate the frame is shown in blocks as large as its samples; white rings stand at every 10
+    degrees of eccentricity, black lines between rates; what is path-traced alone keeps its colours.
     """
     picture = bytes_from_radiance(frame).astype(np.float64)
-    rate = np.rint(drawn_rate(detail)).astype(int)
-    for step in (1, 2):
+    rate = np.rint(per_pixel(detail, detail.drawn_rate)).astype(int)
+    for step in range(1, COARSEST_RATE + 1):
         picture = np.where((rate == step)[..., None], _in_blocks(picture, 1 << step), picture)
-    share = ((drawn_level(detail) - 1) / max(detail.layers - 1, 1))[..., None]
+    share = ((per_pixel(detail, detail.drawn_level) - 1) / max(detail.layers - 1, 1))[..., None]
     tint = _COARSE * (1 - share) + _FINE * share
     grey = picture.mean(axis=2, keepdims=True)
     tinted = (1 - _TINT) * grey + _TINT * tint * (0.4 + 0.6 * grey / 255)
@@ -59,7 +47,7 @@ def detail_picture(frame: Image, detail: DetailMap, plan: FoveaPlan) -> NDArray[
     edge[:, 1:] |= ring[:, 1:] != ring[:, :-1]
     edge[1:] |= ring[1:] != ring[:-1]
     picture[edge] = 255
-    for step in (1, 2):
+    for step in range(1, COARSEST_RATE + 1):
         border = np.zeros(rate.shape, dtype=bool)
         border[:, 1:] |= (rate[:, 1:] >= step) != (rate[:, :-1] >= step)
         border[1:] |= (rate[1:] >= step) != (rate[:-1] >= step)
@@ -86,7 +74,9 @@ def _legend(detail: DetailMap, rate: NDArray[np.int64]) -> NDArray[np.uint8]:
         draw.rectangle((x, size // 2, x + size, size // 2 + size), fill=colour)
         draw.text((x + 1.3 * size, size // 2), f"layer {layer}", "black", font)
         x += int(1.3 * size + draw.textlength("layer 0  ", font))
-    present = ", ".join(_RATES[step] for step in sorted(set(rate.ravel().tolist())))
-    text = f"white: every {_RING} degrees from the gaze   black: between rates ({present})"
+    present = ", ".join(f"{1 << step} x {1 << step}" for step in sorted(set(rate.ravel().tolist())))
+    text = (
+        f"white: every {_RING} degrees from the gaze   black: between rates (one sample per {present} pixels)"
+    )
     draw.text((size // 2, 1.7 * size), text, "black", font)
     return np.asarray(strip)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.view import Camera, Gaze, eccentricity
-from hybrid.detail_picture import drawn_level, drawn_rate
+from hybrid.detail_picture import per_pixel
 from hybrid.renderer import Frame, HybridRenderer
 from pathtrace.tracer import frame_positions
 
@@ -31,7 +31,7 @@ def frame_layers(
         "splat": renderer.splat_frame(camera),
         "weight": frame.plan.weight_image(),
         "eccentricity": eccentricity(viewer, gaze),
-        "level": drawn_level(frame.detail),
-        "rate": drawn_rate(frame.detail),
+        "level": per_pixel(frame.detail, frame.detail.drawn_level),
+        "rate": per_pixel(frame.detail, frame.detail.drawn_rate),
         "depth": depth,
     }

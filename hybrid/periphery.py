@@ -69,18 +69,25 @@ class Periphery:
 
     def detail(self, camera: Camera, gaze: Gaze, fov_b: float) -> DetailMap:
         """The detail that the viewer resolves in a frame."""
-        found = detail_map(
+        limited = self.viewing.law != "none"
+        return detail_map(
             self.viewing.display,
             gaze,
             camera.width,
             camera.height,
             LAWS[self.viewing.law],
-            self._high,
-            finest_frequency(camera, self.forest, self._high),
             fov_b,
-            self.saliency(camera) if self.viewing.law != "none" else None,
+            finest_frequency(camera, self.forest, self._high),
+            tuple(self._finest_rate(camera, n) if limited else 0 for n in range(1, self._high + 1)),
+            self._low,
+            self.saliency(camera) if limited else None,
         )
-        return found.at_least(self._low)
+
+    def _finest_rate(self, camera: Camera, layer: int) -> int:
+        """A layer has nothing to show between the pixels that it was trained on."""
+        pixel = camera.fy / self.forest.focal_of(layer)
+        samples = 1 if LAWS[self.viewing.law].relative else 2
+        return int(np.clip(np.floor(np.log2(pixel / samples)), 0, COARSEST_RATE))
 
     def saliency(self, camera: Camera) -> NDArray[np.float32]:
         """(h, w) in 0..1: where layer 1, drawn coarsely, draws attention. Kept until the camera moves."""
@@ -98,19 +105,9 @@ class Periphery:
             Picture(layer, rate, share)
             for rate in range(COARSEST_RATE + 1)
             for layer in range(self._low, self._high + 1)
-            if (share := self._share(camera, detail, layer, rate)).any()
+            if (share := detail.share(layer, rate)).any()
         ]
         return self._renderer.render(camera, pictures, detail.cutoff, plan.peripheral_tiles(TILE))
-
-    def _share(self, camera: Camera, detail: DetailMap, layer: int, rate: int) -> NDArray[np.float32]:
-        """Of a layer at a rate. A layer has nothing to show between the pixels that it was trained on."""
-        least = 0
-        if self.viewing.law != "none":
-            spacing = np.log2(camera.fy / self.forest.focal_of(layer))
-            oversampled = 0 if LAWS[self.viewing.law].relative else 1
-            least = int(np.clip(np.floor(spacing - oversampled), 0, COARSEST_RATE))
-        weight = detail.rate_weight(rate, least)
-        return detail.layer_weight(layer) * weight
 
     def whole(self, camera: Camera) -> Image:
         """(H, W, 3) the finest layer that may be drawn, over the whole frame at full rate."""

@@ -102,9 +102,24 @@ class Forest:
 
 
 def forest_of(layers: list[Layer], trained_focal: float, scene_name: str, scene_hash: str) -> Forest:
-    """A forest from its layers, coarsest first."""
+    """A forest from its layers, coarsest first.
+
+    The nodes of each layer are put in order along a curve through space: those that are drawn together then
+    lie together in memory.
+    """
+    arranged: list[Layer] = []
+    place: NDArray[np.int64] | None = None
+    for layer in layers:
+        order = _along_z_curve(_means(layer))
+        moved = layer.select(torch.from_numpy(order))
+        if place is not None:
+            parent = torch.from_numpy(place[moved.parent.numpy()].astype(np.int32))
+            moved = replace(moved, parent=parent)
+        place = np.empty(len(layer), dtype=np.int64)
+        place[order] = np.arange(len(layer))
+        arranged.append(moved)
     counts = tuple(len(layer) for layer in layers)
-    return Forest(joined(layers), counts, trained_focal, scene_name, scene_hash)
+    return Forest(joined(arranged), counts, trained_focal, scene_name, scene_hash)
 
 
 def _part(layer: Layer, start: int, end: int) -> Layer:
@@ -492,6 +507,8 @@ def _label_codes(below: Layer, above: Layer) -> tuple[Ints, Ints]:
 
 def _along_z_curve(points: Floats) -> Ints:
     """Order (N,) in which neighbours in space mostly follow each other (Morton 1966)."""
+    # A training gone wrong is refused elsewhere; here its points only need some place.
+    points = np.nan_to_num(points)
     low = points.min(axis=0)
     extent = max(float((points.max(axis=0) - low).max()), 1e-30)
     cell = ((points - low) / extent * (2**20 - 1)).astype(np.uint64)

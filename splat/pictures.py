@@ -28,7 +28,7 @@ from splat.raster import BLOCK, padded_size, rasterize
 from splat.render import parameters_from
 
 Lattice = NDArray[np.float32]
-_COARSEST = 3  # rate: one sample per 8 x 8 pixels
+_BLOCK_RATE = 2  # of samples as large as a lane's block of pixels
 # Standard deviations at which the most opaque Gaussian falls to 1/255.
 _REACH = 3.33
 
@@ -39,7 +39,7 @@ class Picture:
 
     Attributes:
         layer: 1, the coarsest, to L.
-        rate: log2 of pixels per sample along each axis: 0 to 3.
+        rate: log2 of pixels per sample along each axis, 0 for every pixel.
         share: (rows + 1, columns + 1) share in the frame, 0..1, at the corners of cells of TILE pixels.
     """
 
@@ -100,10 +100,10 @@ class ForestRenderer:
         """
         panels = _lay_out(camera, [p for p in pictures if bool((p.share > 0).any())], wanted)
         if not panels:
-            stride, rows = -(-camera.width // TILE) * TILE, -(-camera.height // TILE)
-            black = dr.zeros(self.arrays.plain.Float, stride * rows * TILE * 3)
-            return JoinedFrame(black, camera.width, camera.height, stride, 0)
+            return self._black(camera)
         index, panel, low_pass = self._select(camera, panels, cutoff)
+        if not dr.width(index):
+            return self._black(camera)
         splats = project(self.arrays, _gathered(self._parameters, index), camera, low_pass).detached()
         table = _PanelTable(self.arrays, panels, panel)
         splats = table.moved(splats)
@@ -120,6 +120,11 @@ class ForestRenderer:
             image, stride = joint.join(camera.width, camera.height), -(-camera.width // TILE) * TILE
         return JoinedFrame(image, camera.width, camera.height, stride, dr.width(index))
 
+    def _black(self, camera: Camera) -> JoinedFrame:
+        stride, rows = -(-camera.width // TILE) * TILE, -(-camera.height // TILE) * TILE
+        black = dr.zeros(self.arrays.plain.Float, stride * rows * 3)
+        return JoinedFrame(black, camera.width, camera.height, stride, 0)
+
     def render_layer(self, camera: Camera, layer: int) -> JoinedFrame:
         """A layer alone, over the whole frame at full rate."""
         cells = (-(-camera.height // TILE), -(-camera.width // TILE))
@@ -135,7 +140,10 @@ class ForestRenderer:
         Float, UInt = self.arrays.plain.Float, self.arrays.plain.UInt
         rates = sorted({p.picture.rate for p in panels})
         widest = max(*self._trained_blur(camera), 2.0 ** rates[-1], 0.5 / float(cutoff.min()))
+        none = dr.zeros(UInt, 0), dr.zeros(UInt, 0), dr.zeros(Float, 0)
         node, layer, x, y, size = self._in_frame(camera, panels, widest)
+        if not dr.width(node):
+            return none
         resolved = 0.5 / _interpolated(self.arrays, Float(cutoff.ravel()), cutoff.shape, x, y)
         shows, blurs = [], []
         for rate in rates:
@@ -158,7 +166,7 @@ class ForestRenderer:
                 variance = PIXEL_FILTER * dr.square(dr.gather(Float, blur, index))
                 found.append((dr.gather(UInt, node, index), panel, variance))
         if not found:
-            return dr.zeros(UInt, 0), dr.zeros(UInt, 0), dr.zeros(Float, 0)
+            return none
         parts = [list(part) for part in zip(*found, strict=True)]
         joined = tuple(dr.concat(part) if len(part) > 1 else part[0] for part in parts)
         dr.eval(joined)
@@ -196,20 +204,19 @@ class ForestRenderer:
     def _touches(
         self, camera: Camera, panels: list[_Panel], rate: int, layer: Any, x: Any, y: Any, reach: Any
     ) -> Any:
-        """Whether a box around positions in pixels holds a drawn tile of the node's layer."""
+        """Whether a box around positions in pixels holds a cell in which the node's layer has a share."""
         UInt, Int = self.arrays.plain.UInt, self.arrays.plain.Int
-        size = TILE << rate
-        rows, columns = -(-camera.height // size), -(-camera.width // size)
+        rows, columns = -(-camera.height // TILE), -(-camera.width // TILE)
         # With sums over all tiles above and to the left, any box takes four look-ups.
         sums = np.zeros((len(self.forest.counts), rows + 1, columns + 1), dtype=np.int32)
         for panel in panels:
             if panel.picture.rate == rate:
-                sums[panel.picture.layer - 1, 1:, 1:] = panel.wanted.cumsum(axis=0).cumsum(axis=1)
+                sums[panel.picture.layer - 1, 1:, 1:] = panel.cells.cumsum(axis=0).cumsum(axis=1)
         table, base = Int(sums.ravel()), layer * ((rows + 1) * (columns + 1))
-        left = UInt(dr.clip(dr.floor((x - reach) * (1 / size)), 0, columns))
-        right = UInt(dr.clip(dr.ceil((x + reach) * (1 / size)), 0, columns))
-        top = UInt(dr.clip(dr.floor((y - reach) * (1 / size)), 0, rows))
-        bottom = UInt(dr.clip(dr.ceil((y + reach) * (1 / size)), 0, rows))
+        left = UInt(dr.clip(dr.floor((x - reach) * (1 / TILE)), 0, columns))
+        right = UInt(dr.clip(dr.ceil((x + reach) * (1 / TILE)), 0, columns))
+        top = UInt(dr.clip(dr.floor((y - reach) * (1 / TILE)), 0, rows))
+        bottom = UInt(dr.clip(dr.ceil((y + reach) * (1 / TILE)), 0, rows))
         at = lambda row, column: dr.gather(Int, table, base + row * (columns + 1) + column)  # noqa: E731
         return at(bottom, right) - at(top, right) - at(bottom, left) + at(top, left) > 0
 
@@ -251,12 +258,15 @@ class _Panel:
         picture: what it shows.
         top, bottom: first row of tiles, and the one after the last.
         wanted: (rows, columns) bool, its tiles that are drawn.
+        cells: (rows, columns) bool, the cells of TILE pixels of the frame in which it has a share. A tile
+            of a coarse picture holds many of them.
     """
 
     picture: Picture
     top: int
     bottom: int
     wanted: NDArray[np.bool_]
+    cells: NDArray[np.bool_]
 
 
 def _lay_out(camera: Camera, pictures: Sequence[Picture], wanted: NDArray[np.bool_]) -> list[_Panel]:
@@ -264,9 +274,10 @@ def _lay_out(camera: Camera, pictures: Sequence[Picture], wanted: NDArray[np.boo
     for picture in pictures:
         share = picture.share
         cells = np.maximum.reduce([share[:-1, :-1], share[1:, :-1], share[:-1, 1:], share[1:, 1:]]) > 0
-        tiles = _pooled(cells & wanted, 1 << picture.rate)
+        cells &= wanted
+        tiles = _pooled(cells, 1 << picture.rate)
         if tiles.any():
-            panels.append(_Panel(picture, top, top + tiles.shape[0], tiles))
+            panels.append(_Panel(picture, top, top + tiles.shape[0], tiles, cells))
             top += tiles.shape[0]
     return panels
 
@@ -323,13 +334,12 @@ class _Joint:
         rows, columns = -(-height // TILE), -(-width // TILE)
         rates = {p.picture.rate for p in self.panels}
         mixed: dict[int, _Samples] = {}
-        if _COARSEST in rates:
-            # Blocks of 4 x 4 pixels know samples up to their own size; those twice as large join them first.
-            rates = (rates | {_COARSEST - 1}) - {_COARSEST}
-            coarsest = self._mixed(_COARSEST, width, height, None)
-            mixed[_COARSEST - 1] = self._mixed(_COARSEST - 1, width, height, coarsest)
-        for rate in rates - set(mixed):
-            mixed[rate] = self._mixed(rate, width, height, None)
+        # Blocks of 4 x 4 pixels know samples up to their own size; larger ones are joined step by step.
+        coarser = None
+        for rate in range(max(rates), _BLOCK_RATE, -1):
+            coarser = self._mixed(rate, width, height, coarser)
+        for rate in sorted({min(rate, _BLOCK_RATE) for rate in rates}):
+            mixed[rate] = self._mixed(rate, width, height, coarser if rate == _BLOCK_RATE else None)
         # Which rates a cell needs; a pixel at its border looks up samples of its neighbours.
         needed = np.zeros((rows, columns), dtype=np.int64)
         for rate, samples in mixed.items():

@@ -20,7 +20,7 @@ from tests.conftest import real_file
 pytestmark = pytest.mark.usefixtures("backend")
 
 TINY_CAPTURE = ["--views", "5", "--held-out", "2", "--size", "32", "32", "--spp", "2", "--held-out-spp", "4"]
-TINY_TRAINING = ["--iterations", "30", "--gaussians", "400", "--degree", "1"]
+TINY_TRAINING = ["--iterations", "40", "--gaussians", "400", "--degree", "1", "--layers", "2"]
 
 
 def run(monkeypatch, *arguments: object) -> int:
@@ -53,9 +53,11 @@ def test_train_reports_what_it_measured(made, monkeypatch, tmp_path):
     out = tmp_path / "t.json"
     assert run(monkeypatch, "train", made / "frames", tmp_path / "f", *TINY_TRAINING, "--json", out) == 0
     row = json.loads(out.read_text())
-    assert row["splat"]["psnr"] > 10
-    assert 0 < row["splat"]["ssim"] <= 1
-    assert row["gaussians"] > 100
+    assert [layer["layer"] for layer in row["layers"]] == [1, 2]
+    for layer in row["layers"]:
+        assert layer["psnr"] > 10
+        assert 0 < layer["ssim"] <= 1
+    assert row["layers"][1]["nodes"] > row["layers"][0]["nodes"] == row["trees"] > 50
     assert row["seconds"] > 0
 
 
@@ -68,6 +70,50 @@ def test_render_writes_both_kinds_of_picture(made, monkeypatch, tmp_path):
     assert np.isfinite(layers["composite.R"]).all()
     assert Image.open(tmp_path / "a.png").size == (60, 40)
     assert json.loads((tmp_path / "a.json").read_text())["milliseconds"]["total"] > 0
+
+
+def test_render_shows_what_the_eye_resolves(made, monkeypatch, tmp_path):
+    common = ["render", "cornell", "--forest", made / "box.forest", "--size", 320, 200, "--fov-a", 9]
+    common += ["--fov-b", 6, "--display", "hmd"]
+    out = tmp_path / "a.json"
+    detail = ["--detail", tmp_path / "d.png", "--json", out]
+    assert run(monkeypatch, *common, "--law", "fov-gs", "-o", tmp_path / "a.exr", *detail) == 0
+    layers = read_layers(tmp_path / "a.exr")
+    assert layers["level.V"].min() < 2
+    assert layers["rate.V"].max() >= 1
+    picture = np.asarray(Image.open(tmp_path / "d.png"))
+    assert picture.shape[0] > 200
+    assert picture.shape[1] == 320
+    assert json.loads(out.read_text())["pixels_per_degree"] == pytest.approx(11.1, abs=0.1)
+    # The coarsest layer alone is what `--layers 1 1` draws.
+    assert run(monkeypatch, *common, "--layers", 1, 1, "-o", tmp_path / "b.exr") == 0
+    assert (read_layers(tmp_path / "b.exr")["level.V"] == 1).all()
+
+
+def test_bench_periphery_writes_a_row_per_law_and_gaze(made, monkeypatch, tmp_path):
+    display, out = tmp_path / "display.json", tmp_path / "p.json"
+    display.write_text(json.dumps({"width": 192, "height": 128, "fov": 60}))
+    common = ["bench", "periphery", "cornell", "--forest", made / "box.forest", "--display", display]
+    assert run(monkeypatch, *common, "--repeats", 3, "--warm-up", 1, "--json", out) == 0
+    rows = json.loads(out.read_text())
+    assert [(row["law"], row["gaze"]) for row in rows[:4]] == [
+        (law, [0.5, 0.5]) for law in ("fov-gs", "stelacsf", "geisler-perry", "none")
+    ]
+    assert len(rows) == 8
+    for row in rows:
+        names = "law gaze width height periphery_ms full_ms ratio nodes_drawn jod ssim"
+        assert set(names.split()) <= set(row)
+        assert row["periphery_ms"]["p50"] <= row["periphery_ms"]["p95"]
+        if row["law"] == "none":
+            assert row["ratio"] == 1
+            assert row["ssim"] == pytest.approx(1)
+
+
+def test_a_layer_is_exported_by_its_number(made, monkeypatch, tmp_path, capsys):
+    assert run(monkeypatch, "export", made / "box.forest", tmp_path / "a.ply", "--layer", 1) == 0
+    assert "layer 1," in capsys.readouterr().out
+    assert run(monkeypatch, "export", made / "box.forest", tmp_path / "b.ply") == 0
+    assert (tmp_path / "b.ply").stat().st_size > (tmp_path / "a.ply").stat().st_size
 
 
 def test_render_takes_a_camera_of_transforms_json(made, monkeypatch, tmp_path):
@@ -85,7 +131,9 @@ def test_without_a_name_the_newest_forest_of_the_scene_is_taken(made, monkeypatc
     assert run(monkeypatch, "render", "cornell", "--size", 40, 40, "-o", tmp_path / "a.png") == 0
     assert "training one first" not in capsys.readouterr().err
     assert run(monkeypatch, "scenes") == 0
-    assert "box.safetensors" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "box.safetensors" in out
+    assert "trees, layers of" in out
 
 
 def test_export_and_import_there_and_back(made, monkeypatch, tmp_path):
@@ -147,7 +195,9 @@ def test_quickstart_writes_everything(scene, textured, monkeypatch, tmp_path):
         "QUICK_CAPTURE",
         CaptureSettings(views=4, held_out=1, width=32, height=32, spp=2, held_out_spp=4),
     )
-    monkeypatch.setattr(hybrid.cache, "QUICK_TRAINING", TrainingSettings(iterations=20, gaussians=500))
+    monkeypatch.setattr(
+        hybrid.cache, "QUICK_TRAINING", TrainingSettings(iterations=20, gaussians=500, layers=2)
+    )
     monkeypatch.setattr(hybrid.quickstart, "_SIZE", 128)
     if not textured:
         monkeypatch.setattr(hybrid.quality, "_TEXTURE", 10.0)
@@ -200,6 +250,18 @@ MISTAKES = {
     "an unknown sweep": (["sweep", "cornell", "--over", "colour"], "--over colour"),
     "a file that is no PLY": (["import", "{tmp}/cut", "{tmp}/f"], "cut"),
     "an unknown backend": (["doctor", "--backend", "metal"], "--backend metal"),
+    "a layer that is not there": (
+        ["export", "{made}/box.forest", "{tmp}/a.ply", "--layer", "3"],
+        "--layer 3",
+    ),
+    "layers that are not there": (
+        ["render", "cornell", "--forest", "{made}/box.forest", "--layers", "2", "3", "-o", "{tmp}/a.png"],
+        "--layers 2 3",
+    ),
+    "zero layers": (["train", "{made}/frames", "{tmp}/f", "--layers", "0"], "layers is 0"),
+    "more layers than pixels": (["train", "{made}/frames", "{tmp}/f", "--layers", "4"], "allow 2"),
+    "an unknown law": (["render", "cornell", "--law", "blur", "-o", "{tmp}/a.png"], "--law blur"),
+    "an unknown display": (["bench", "periphery", "cornell", "--display", "wall"], "--display wall"),
     "a damaged camera": (
         ["render", "cornell", "--camera", "{tmp}/bad.xml", "-o", "{tmp}/a.png"],
         "--camera",

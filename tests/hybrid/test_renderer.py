@@ -12,14 +12,16 @@ from compose.foveation import Foveation
 from compose.view import Gaze, camera_from_json, camera_to_json
 from hybrid.images import read_layers, write_layers
 from hybrid.layers import frame_layers
+from hybrid.periphery import Viewing
 from hybrid.quality import psnr, registration_px, ssim
 from hybrid.renderer import HybridRenderer
 from pathtrace.capture import render_frame
 from pathtrace.scene import Scene, load_scene
 from pathtrace.tracer import Tracer, frame_positions
-from splat.files import Forest
+from splat.forest import Forest, build_forest, static_layer
+from splat.forest import forest_of as forest_from
 from splat.gaussians import Gaussians
-from splat.render import SplatRenderer
+from splat.pictures import ForestRenderer
 from splat.seed import TrainingView, seed_from_views
 from splat.train import Trainer, TrainingSettings
 from tests import small
@@ -32,13 +34,14 @@ def forest_of(scene: Scene, degree: int = 0) -> Forest:
     frame = render_frame(Tracer(scene), scene.camera, 4, 0)
     view = TrainingView(scene.camera, frame.radiance, frame.unfolded, frame.normal)
     gaussians = seed_from_views([view], 500, degree, small.rng())
-    return Forest(gaussians, scene.camera.fy, scene.name, scene.hash)
+    layers = build_forest(static_layer(gaussians), 0.05, 3)
+    return forest_from(layers, scene.camera.fy, scene.name, scene.hash)
 
 
 @pytest.fixture(scope="module")
 def renderer(backend) -> HybridRenderer:
     scene = load_scene(small.corner())
-    return HybridRenderer(scene, forest_of(scene))
+    return HybridRenderer(scene, forest_of(scene), Viewing(law="none"))
 
 
 def test_a_covering_disc_is_the_path_traced_frame_exactly(renderer):
@@ -91,9 +94,11 @@ def test_in_a_closed_sphere_the_composite_is_one(arrays):
     scene = load_scene(small.furnace(), max_depth=40)
     frames = [render_frame(Tracer(scene), scene.camera, 16, seed) for seed in range(2)]
     views = [TrainingView(scene.camera, f.radiance, f.unfolded, f.normal) for f in frames]
-    trainer = Trainer(arrays, views, TrainingSettings(iterations=150, gaussians=1000, degree=0))
+    trainer = Trainer(arrays, views, TrainingSettings(iterations=150, gaussians=1000, layers=1, degree=0))
     trainer.run()
-    renderer = HybridRenderer(scene, Forest(trainer.gaussians, scene.camera.fy, scene.name, scene.hash))
+    renderer = HybridRenderer(
+        scene, forest_from(trainer.forest(), scene.camera.fy, scene.name, scene.hash), Viewing(law="none")
+    )
     frame = renderer.frame(scene.camera, Foveation(Gaze(0.4, 0.6), 50, 25), spp=256)
     weight = frame.plan.weight_image()
     for region in (weight >= 1, (weight > 0) & (weight < 1), weight == 0):
@@ -120,9 +125,8 @@ def test_one_point_lies_in_one_pixel_for_all(arrays, tmp_path):
 
     splats = project(arrays, parameters_from(arrays, dot), camera, 0.1)
     np.testing.assert_allclose([splats.x[0], splats.y[0]], expected[0], atol=1e-3)
-    from splat.raster import image_from_buffer
-
-    image = image_from_buffer(*SplatRenderer(arrays, dot, camera.fy).render(camera))[..., 0]
+    forest = forest_from([static_layer(dot)], camera.fy, "", "")
+    image = ForestRenderer(arrays, forest).render_layer(camera, 1).image()[..., 0]
     y, x = np.mgrid[0:48, 0:64] + 0.5
     centre = np.array([(image * x).sum(), (image * y).sum()]) / image.sum()
     # The cut at 1/255 is not symmetric about the centre; worst seen 0.01 px.
@@ -142,9 +146,17 @@ def test_exr_layers_hold_everything(renderer, tmp_path):
     layers = frame_layers(renderer, camera, gaze, frame)
     write_layers(tmp_path / "f.exr", layers)
     channels = read_layers(tmp_path / "f.exr")
-    assert {"R", "composite.R", "path-traced.G", "splat.B", "weight.V", "eccentricity.V", "depth.V"} <= set(
-        channels
-    )
+    assert {
+        "R",
+        "composite.R",
+        "path-traced.G",
+        "splat.B",
+        "weight.V",
+        "eccentricity.V",
+        "level.V",
+        "rate.V",
+        "depth.V",
+    } <= set(channels)
     np.testing.assert_array_equal(channels["composite.G"], frame.composite[..., 1])
     np.testing.assert_array_equal(channels["weight.V"], frame.plan.weight_image())
     # Degrees, and nothing of them where the viewer looks.

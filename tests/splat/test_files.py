@@ -6,14 +6,16 @@ import pytest
 import torch
 
 from compose.errors import UserError
-from splat.files import Forest, export_ply, import_ply, load_forest, save_forest, save_tensors
+from splat.files import export_ply, import_ply, load_forest, load_tensors, save_forest, save_tensors
+from splat.forest import Forest, build_forest, forest_of, static_layer
 from splat.gaussians import Gaussians
 from tests.conftest import real_file
 from tests.splat.test_raster import camera, gaussians
 
 
 def forest() -> Forest:
-    return Forest(gaussians("overlap", n=20, degree=2), 120.5, "somewhere", "ab" * 32)
+    layers = build_forest(static_layer(gaussians("overlap", n=20, degree=2)), 0.2, 3)
+    return forest_of(layers, 120.5, "somewhere", "ab" * 32)
 
 
 def same(a: Gaussians, b: Gaussians) -> bool:
@@ -23,7 +25,12 @@ def same(a: Gaussians, b: Gaussians) -> bool:
 def test_a_forest_reads_back_equal(tmp_path):
     save_forest(tmp_path / "f.safetensors", forest())
     back = load_forest(tmp_path / "f.safetensors")
-    assert same(back.gaussians, forest().gaussians)
+    assert same(back.nodes.gaussians, forest().nodes.gaussians)
+    assert back.counts == forest().counts
+    for name in ("parent", "semantic", "dynamic"):
+        assert torch.equal(getattr(back.nodes, name), getattr(forest().nodes, name))
+    # The layers share the memory of all nodes.
+    assert back.layers[0].gaussians.means.data_ptr() == back.nodes.gaussians.means.data_ptr()
     assert (back.trained_focal, back.scene_name, back.scene_hash) == (120.5, "somewhere", "ab" * 32)
     assert [p.name for p in tmp_path.iterdir()] == ["f.safetensors"]
 
@@ -50,18 +57,29 @@ def test_other_files_are_not_forests(tmp_path):
 
 
 def test_missing_and_wrong_numbers_are_named(tmp_path):
-    good = forest()
-    tensors = dict(good.gaussians.tensors())
-    metadata = {"kind": "forest", "trained_focal": 1.0, "scene_name": "s", "scene_hash": "h"}
-    for broken, complaint in (
-        ({k: v for k, v in tensors.items() if k != "sh"}, "damaged"),
-        ({**tensors, "means": tensors["means"][:, :5]}, "damaged"),
-        ({**tensors, "means": tensors["means"] * float("nan")}, "not finite"),
-        ({k: v[..., :0] for k, v in tensors.items()}, "no Gaussians"),
+    save_forest(tmp_path / "good", forest())
+    tensors, metadata = load_tensors(tmp_path / "good")
+    counts = forest().counts
+    parent, semantic = tensors["parent"].clone(), tensors["semantic"].clone()
+    orphan, crowded, moved = parent.clone(), parent.clone(), semantic.clone()
+    orphan[-1] = -1
+    crowded[counts[0] : counts[0] + counts[1]] = 0
+    moved[-1] = 4
+    for broken, changes, complaint in (
+        ({k: v for k, v in tensors.items() if k != "sh"}, {}, "damaged"),
+        ({**tensors, "means": tensors["means"][:, :5]}, {}, "damaged"),
+        ({**tensors, "means": tensors["means"] * float("nan")}, {}, "not finite"),
+        (tensors, {"layers": []}, "zero layers"),
+        (tensors, {"layers": [*counts, 3]}, "do not make up"),
+        ({k: v[..., :0] for k, v in tensors.items()}, {"layers": [0]}, "holds no nodes"),
+        ({**tensors, "parent": orphan}, {}, "broken tree: node 19 of layer 3 has no parent"),
+        ({**tensors, "parent": crowded}, {}, "broken tree: node 1 of layer 1 has no child"),
+        ({**tensors, "semantic": moved}, {}, "labels disagree: node 19 of layer 3"),
     ):
-        save_tensors(tmp_path / "f", broken, metadata)
-        with pytest.raises(UserError, match=complaint):
+        save_tensors(tmp_path / "f", broken, {**metadata, **changes})
+        with pytest.raises(UserError, match=complaint) as caught:
             load_forest(tmp_path / "f")
+        assert "\n" not in str(caught.value)
 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path):
@@ -80,22 +98,20 @@ def test_ply_reads_back_equal(tmp_path, degree):
 
 
 def test_a_real_ply_imports_and_renders(arrays):
-    from splat.render import SplatRenderer
-
     found = import_ply(real_file("splats/kacytran_try_it7000.ply"))
     assert len(found) > 5000
     assert found.is_finite()
     import numpy as np
 
     from compose.view import from_camera_to_world, look_at
-    from splat.raster import image_from_buffer
+    from splat.pictures import ForestRenderer
 
     centre = found.means.median(dim=1).values.double().numpy()
     spread = float((found.means - found.means.median(dim=1, keepdim=True).values).norm(dim=0).median())
     pose = look_at(centre + np.array([0, 0, -3 * spread]), centre, np.array([0.0, -1, 0]))
-    image = image_from_buffer(
-        *SplatRenderer(arrays, found, 1e9).render(from_camera_to_world(pose, 96, 96, 100, 100, 48, 48))
-    )
+    forest = forest_of([static_layer(found)], 1e9, "", "")
+    camera = from_camera_to_world(pose, 96, 96, 100, 100, 48, 48)
+    image = ForestRenderer(arrays, forest).render_layer(camera, 1).image()
     assert np.isfinite(image).all()
     assert (image.max(axis=2) > 0.02).mean() > 0.2
 
