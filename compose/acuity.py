@@ -25,10 +25,11 @@ class Law:
     Attributes:
         cutoff: highest spatial frequency that is resolved, in cycles per degree, from eccentricities in
             degrees.
-        relative: whether levels count from the edge of the full-quality region, whatever the finest layer
-            can show there, and each layer is taken for what its pixels can hold at most, as Fov-GS has it
-            (Eq. 7). Otherwise a layer is only left where the eye cannot tell the next one from it, and is
-            sampled twice as finely as it was trained.
+        relative: whether levels are as Fov-GS has them (Eq. 7): by eccentricity alone, counted from the
+            edge of the full-quality region, whatever the finest layer can show there, and each layer taken
+            for what its pixels can hold at most. Otherwise a layer is only left where the eye cannot tell
+            the next one from it, what draws attention included, and is sampled twice as finely as it was
+            trained.
     """
 
     cutoff: Callable[[Array], Array]

@@ -7,23 +7,38 @@ between. They, and the weights that follow from them, are continuous in the gaze
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from compose.acuity import Law, continuous_level, with_saliency
+from compose.acuity import Law, with_saliency
 from compose.view import Display, Gaze, eccentricity_at
 
 CELL = 16  # pixels
-COARSEST_RATE = 3  # log2 of pixels per sample along each axis
-# Share of an octave over which one layer, or one rate, turns into the next. Over a whole octave two of
-# them would be drawn nearly everywhere; a step would pop.
-_FADE = 0.25
+COARSEST_RATE = 4  # log2 of pixels per sample along each axis
+# Share of an octave over which one step turns into the next. Over a whole octave two of them would be drawn
+# nearly everywhere; without any they would pop.
+_FADE = 0.22
 # Gaussians trained on pixels show detail of up to this share of the pixels' Nyquist frequency as it is.
 _FAITHFUL = 0.5
 Lattice = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Step:
+    """A layer at a rate, and from where on it is drawn.
+
+    Attributes:
+        octaves: log2 of one over the cut-off, in pixels per cycle, at which it begins to fade in.
+        layer: 1, the coarsest, to L.
+        rate: log2 of pixels per sample along each axis.
+    """
+
+    octaves: float
+    layer: int
+    rate: int
 
 
 @dataclass(frozen=True)
@@ -32,63 +47,68 @@ class DetailMap:
 
     Attributes:
         width, height: frame in pixels.
-        lowest: the coarsest layer that may be drawn.
-        finest_rates: of layers 1 to L, the finest rate that is worth its samples; a rate is the log2 of the
-            pixels per sample along each axis.
+        layers: L.
         eccentricity: (rows + 1, columns + 1) in degrees.
         cutoff: (rows + 1, columns + 1) highest frequency that is resolved, in cycles per pixel, at most 0.5.
-        level: (rows + 1, columns + 1) as the law has it; above L where more than layer L would be seen.
-        rate: (rows + 1, columns + 1) that the cut-off allows.
+        steps: what is drawn, from fine to coarse.
+        place: (rows + 1, columns + 1) where a point is in the steps, 0 for the first; between two whole
+            numbers both are joined.
     """
 
     width: int
     height: int
-    lowest: int
-    finest_rates: tuple[int, ...]
+    layers: int
     eccentricity: Lattice
     cutoff: Lattice
-    level: Lattice
-    rate: Lattice
+    steps: tuple[Step, ...]
+    place: Lattice
 
     @property
-    def layers(self) -> int:
-        """L."""
-        return len(self.finest_rates)
-
-    @cached_property
     def drawn_level(self) -> Lattice:
-        """Layer as drawn, between two where both are joined.
+        """Layer as drawn, between two where both are joined."""
+        return np.interp(self.place, np.arange(len(self.steps)), [s.layer for s in self.steps]).astype(
+            np.float32
+        )
 
-        A layer fades into the next one just before the boundary of its level, where Fov-GS's Eq. 7 steps
-        down: at the edge of the full-quality region the second layer is seen alone.
-        """
-        left = self.layers - np.minimum(self.level, np.float32(self.layers + 1))
-        steps = _soft_ceil((left + np.float32(_FADE)).astype(np.float32))
-        return np.clip(self.layers - steps, self.lowest, self.layers)
-
-    @cached_property
+    @property
     def drawn_rate(self) -> Lattice:
         """Rate as drawn, between two where both are joined."""
-        shares = [self._layer_share(n) * self._rate_of(n) for n in range(self.lowest, self.layers + 1)]
-        return np.sum(shares, axis=0, dtype=np.float32)
+        return np.interp(self.place, np.arange(len(self.steps)), [s.rate for s in self.steps]).astype(
+            np.float32
+        )
 
-    def share(self, layer: int, rate: int) -> Lattice:
-        """Share in the picture, 0..1, of a layer drawn at a rate; all shares together sum to 1."""
-        near = np.maximum(1 - np.abs(self._rate_of(layer) - rate), 0)
-        return (self._layer_share(layer) * near).astype(np.float32)
-
-    def _layer_share(self, layer: int) -> Lattice:
-        return np.maximum(1 - np.abs(self.drawn_level - layer), 0)
-
-    def _rate_of(self, layer: int) -> Lattice:
-        # A coarser rate fades in from where it carries all that the cut-off lets through.
-        return np.clip(_soft_ceil(self.rate) - 1, self.finest_rates[layer - 1], COARSEST_RATE)
+    def share(self, step: int) -> Lattice:
+        """Share in the picture, 0..1, of a step; all shares together sum to 1."""
+        return np.maximum(1 - np.abs(self.place - np.float32(step)), 0)
 
 
-def _soft_ceil(values: Lattice) -> Lattice:
-    """Rounds up, but rises to the next integer over a share of the way, from each integer on."""
-    whole = np.floor(values)
-    return whole + np.minimum((values - whole) / _FADE, 1)
+def steps_down(finest: float, finest_rates: tuple[int, ...], lowest: int) -> tuple[Step, ...]:
+    """What is drawn as the cut-off falls: layer after layer, each at one rate.
+
+    A layer fades into the next one just before the boundary of its level, where Fov-GS's Eq. 7 steps down:
+    at the edge of the full-quality region the second layer is seen alone. With the layer changes the rate,
+    to the coarsest one that still carries what the cut-off lets through there. Only where a layer is
+    needed over many octaves, as the finest and the coarsest are, its rate changes alone.
+
+    Args:
+        finest: the cut-off, in cycles per pixel, down to which layer L is needed.
+        finest_rates: of layers 1 to L, the finest rate that is worth its samples.
+        lowest: the coarsest layer that may be drawn.
+    """
+    layers = len(finest_rates)
+    steps = [Step(-np.inf, layers, finest_rates[-1])]
+    first = -np.log2(finest) - _FADE if lowest < layers else np.inf
+    # A rate carries frequencies up to half its samples: rate r begins at 1 + r octaves.
+    for rate in range(steps[0].rate + 1, COARSEST_RATE + 1):
+        if 1 + rate + _FADE <= first:
+            steps.append(Step(1.0 + rate, layers, rate))
+    for layer in range(layers - 1, lowest - 1, -1):
+        octaves = first + layers - 1 - layer
+        carried = min(int(np.floor(octaves + _FADE - 1)), COARSEST_RATE)
+        steps.append(Step(octaves, layer, max(carried, steps[-1].rate, finest_rates[layer - 1])))
+    for rate in range(steps[-1].rate + 1, COARSEST_RATE + 1):
+        steps.append(Step(max(1.0 + rate, steps[-1].octaves + _FADE), lowest, rate))
+    return tuple(steps)
 
 
 def detail_map(
@@ -112,45 +132,57 @@ def detail_map(
         law: from eccentricity to cut-off.
         fov_b: radius of the region of full quality, in percent of the height; its edge is Fov-GS's e0.
         finest_frequency: highest frequency that layer L can show, in cycles per pixel of the frame.
-        finest_rates: of layers 1 to L, see DetailMap.
+        finest_rates: of layers 1 to L, the finest rate that is worth its samples.
         lowest: the coarsest layer that may be drawn.
-        saliency: (h, w) in 0..1 over the frame, None for none.
+        saliency: (rows + 1, columns + 1) in 0..1 at the cells' corners, None for none.
     """
-    x, y, per_degree, rays = _corners(display, width, height)
+    per_degree, rays = _corners(display, width, height)
     viewer = display.viewer(width, height)
     position = np.array(gaze.pixel(width, height))
     # Within the region of full quality all is as at its edge, where the periphery begins.
     around = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     circle = position + np.stack([np.cos(around), np.sin(around)], axis=1) * (fov_b / 100 * height)
     edge = float(eccentricity_at(viewer, gaze, circle).min())
-    # The chord between unit vectors keeps its precision near zero, as an arc cosine does not.
-    chord = np.linalg.norm(rays - viewer.rays(position[None])[0], axis=-1)
-    angle = np.degrees(2 * np.arcsin(np.minimum(chord / 2, 1)))
+    # Near zero an arc cosine loses half of its digits; what is left is more than float32 holds.
+    angle = np.degrees(np.arccos(np.clip(rays @ viewer.rays(position[None])[0], -1, 1)))
     cutoff = law.cutoff(np.maximum(angle, edge)) / per_degree
+    deciding = cutoff
     if saliency is not None:
-        cutoff = with_saliency(cutoff, _sampled(saliency, x / width, y / height).astype(np.float64))
+        cutoff = with_saliency(cutoff, saliency.astype(np.float64))
+        deciding = deciding if law.relative else cutoff
     finest = min(float(law.cutoff(np.array(edge))) / display.pixels_per_degree, 0.5)
     if not law.relative:
         # What layer L does not show well, no coarser layer need show either.
         finest = min(finest, _FAITHFUL * finest_frequency)
-    rate = np.clip(-np.log2(np.minimum(2 * cutoff, 1)), 0, COARSEST_RATE + 1)
-    level = continuous_level(cutoff, finest, len(finest_rates))
-    arrays = (angle, np.minimum(cutoff, 0.5), level, rate)
-    return DetailMap(width, height, lowest, finest_rates, *(a.astype(np.float32) for a in arrays))
+    steps = steps_down(finest, finest_rates, lowest)
+    with np.errstate(divide="ignore"):
+        octaves = -np.log2(deciding)
+    place = np.zeros_like(cutoff)
+    for step in steps[1:]:
+        place += np.clip((octaves - step.octaves) / _FADE, 0, 1)
+    arrays = (a.astype(np.float32) for a in (angle, np.minimum(cutoff, 0.5), place))
+    eccentricity, cutoff, place = arrays
+    return DetailMap(width, height, len(finest_rates), eccentricity, cutoff, steps, place)
 
 
 @lru_cache(maxsize=4)
 def _corners(display: Display, width: int, height: int) -> tuple[NDArray[np.float64], ...]:
-    """Of the cells' corners: x and y in pixels, pixels per degree there, and rays (rows, columns, 3)."""
-    rows, columns = -(-height // CELL), -(-width // CELL)
-    x, y = np.meshgrid(np.arange(columns + 1) * float(CELL), np.arange(rows + 1) * float(CELL))
+    """Of the cells' corners: pixels per degree there, and rays (rows, columns, 3)."""
+    x, y = _corner_positions(width, height)
     # Across the line of sight; along it pixels are seen under a still smaller angle.
     per_degree = np.radians(1) * np.sqrt(display.focal**2 + (x - width / 2) ** 2 + (y - height / 2) ** 2)
     rays = display.viewer(width, height).rays(np.stack([x.ravel(), y.ravel()], axis=1))
-    return x, y, per_degree, rays.reshape(*x.shape, 3)
+    return per_degree, rays.reshape(*x.shape, 3)
 
 
-def _sampled(image: NDArray[np.float32], x: NDArray[np.float64], y: NDArray[np.float64]) -> Lattice:
-    """The image, linear between its pixels' centres, at positions in fractions of its size."""
-    place = [y * image.shape[0] - 0.5, x * image.shape[1] - 0.5]
+def _corner_positions(width: int, height: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    rows, columns = -(-height // CELL), -(-width // CELL)
+    x, y = np.meshgrid(np.arange(columns + 1) * float(CELL), np.arange(rows + 1) * float(CELL))
+    return x, y
+
+
+def at_corners(image: NDArray[np.float32], width: int, height: int) -> Lattice:
+    """A coarse picture (h, w) of a frame, linear between its pixels' centres, at the corners of the cells."""
+    x, y = _corner_positions(width, height)
+    place = [y / height * image.shape[0] - 0.5, x / width * image.shape[1] - 0.5]
     return map_coordinates(image, place, order=1, mode="nearest")

@@ -13,7 +13,7 @@ from hybrid.timing import percentiles
 from splat.arrays import Arrays
 from splat.binning import bin_splats
 from splat.project import Splats
-from splat.raster import padded_size, rasterize, rasterize_backward
+from splat.raster import CHANNELS, padded_size, rasterize, rasterize_backward
 
 
 def random_splats(arrays: Arrays, count: int, width: int, height: int, rng: np.random.Generator) -> Splats:
@@ -53,7 +53,9 @@ def bench_raster(
         middle = time.perf_counter()
         if step == -warm_up:
             padded = padded_size(bins)
-            gradient = arrays.plain.Float(rng.normal(size=padded[0] * padded[1] * 3).astype(np.float32))
+            gradient = arrays.plain.Float(
+                rng.normal(size=padded[0] * padded[1] * CHANNELS).astype(np.float32)
+            )
             dr.eval(gradient)
             middle = time.perf_counter()
         rasterize_backward(arrays, splats, bins, image, gradient)

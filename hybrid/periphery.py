@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from compose.acuity import DEFAULT_LAW, LAWS, law_named
 from compose.blend import Image
-from compose.detail import CELL, COARSEST_RATE, DetailMap, detail_map
+from compose.detail import CELL, COARSEST_RATE, DetailMap, at_corners, detail_map
 from compose.errors import UserError
 from compose.foveation import FoveaPlan
 from compose.saliency import saliency
@@ -17,7 +17,8 @@ from compose.view import DISPLAYS, Camera, Display, Gaze
 from splat.arrays import Arrays
 from splat.binning import TILE
 from splat.forest import Forest
-from splat.pictures import ForestRenderer, JoinedFrame, Picture, finest_frequency
+from splat.joining import Picture
+from splat.pictures import ForestRenderer, JoinedFrame, finest_frequency
 
 # Side, in pixels, of the coarse picture in which attention is looked for.
 _COARSE = 64
@@ -90,22 +91,23 @@ class Periphery:
         return int(np.clip(np.floor(np.log2(pixel / samples)), 0, COARSEST_RATE))
 
     def saliency(self, camera: Camera) -> NDArray[np.float32]:
-        """(h, w) in 0..1: where layer 1, drawn coarsely, draws attention. Kept until the camera moves."""
+        """In 0..1 at the corners of the cells: where layer 1, drawn coarsely, draws attention.
+
+        Kept until the camera moves.
+        """
         factor = max(1, -(-max(camera.width, camera.height) // _COARSE))
         coarse = camera.scaled(-(-camera.width // factor), -(-camera.height // factor))
-        key = repr((coarse.width, coarse.height, coarse.fx, coarse.fy, coarse.cx, coarse.cy)).encode()
+        key = repr((camera.width, camera.height, coarse.fx, coarse.fy, coarse.cx, coarse.cy)).encode()
         key += coarse.world_to_camera.tobytes()
         if self._attention is None or self._attention[0] != key:
-            self._attention = (key, saliency(self._renderer.render_layer(coarse, 1).image()))
+            found = saliency(self._renderer.render_layer(coarse, 1).image())
+            self._attention = (key, at_corners(found, camera.width, camera.height))
         return self._attention[1]
 
     def draw(self, camera: Camera, detail: DetailMap, plan: FoveaPlan) -> JoinedFrame:
         """What of a frame the fovea does not hide, at the detail that is needed."""
         pictures = [
-            Picture(layer, rate, share)
-            for rate in range(COARSEST_RATE + 1)
-            for layer in range(self._low, self._high + 1)
-            if (share := detail.share(layer, rate)).any()
+            Picture(step.layer, step.rate, detail.share(number)) for number, step in enumerate(detail.steps)
         ]
         return self._renderer.render(camera, pictures, detail.cutoff, plan.peripheral_tiles(TILE))
 

@@ -34,3 +34,22 @@ class Arrays:
     def to_torch(self, array: Any, device: torch.device) -> torch.Tensor:
         """A flat tensor of an array's elements; on the CPU it shares the memory."""
         return dr.detach(array, preserve_type=False).torch().to(device)
+
+    def records(self, rows: list[Any]) -> Any:
+        """Flat Float in which the rows' elements lie side by side, index by index.
+
+        Records are read several times faster than rows wherever the index jumps.
+
+        Args:
+            rows: Floats of one width, a power of two of them; integers come as their bits.
+        """
+        count = max(dr.width(row) for row in rows)
+        table = dr.empty(self.plain.Float, len(rows) * count)
+        index = dr.arange(self.plain.UInt, count)
+        dr.scatter(table, self.plain.ArrayXf(rows), index, mode=dr.ReduceMode.Permute)
+        return table
+
+    def record(self, table: Any, index: Any, size: int) -> list[Any]:
+        """The `size` rows of a table of records, at an index."""
+        record = dr.gather(self.plain.ArrayXf, table, index, shape=(size, dr.width(index)))
+        return [record[k] for k in range(size)]

@@ -9,9 +9,11 @@ import drjit as dr
 import numpy as np
 
 from splat.arrays import Arrays
-from splat.project import Splats
+from splat.project import NEAR, Splats
 
-# 16 x 16 pixels: with 4 x 4 pixels per lane the 16 lanes of a tile fill one AVX-512 vector and half a warp.
+# The 16 lanes of a tile fill one AVX-512 vector and half a warp.
+LANES_ACROSS = 4
+# 16 x 16 pixels, 4 x 4 per lane: the more pixels a splat covers, the more a large tile saves.
 TILE = 16
 # Below this a contribution is invisible on an 8-bit display; every extent follows from it.
 MINIMUM_ALPHA = 1 / 255
@@ -23,6 +25,7 @@ class Bins:
 
     Attributes:
         width, height: frame in pixels.
+        tile: side of a tile in pixels.
         columns, rows: tiles per row and column.
         tiles: (T,) indices of the tiles that are rasterized.
         start, end: (columns * rows,) range of each tile in the lists.
@@ -35,6 +38,7 @@ class Bins:
 
     width: int
     height: int
+    tile: int
     columns: int
     rows: int
     tiles: Any
@@ -69,6 +73,7 @@ def bin_splats(
     height: int,
     wanted: np.ndarray | None = None,
     panels: Panels | None = None,
+    tile: int = TILE,
 ) -> Bins:
     """Sorts pairs of splat and tile by tile and depth.
 
@@ -78,44 +83,52 @@ def bin_splats(
         width, height: frame in pixels.
         wanted: (rows, columns) bool, the tiles to rasterize; all by default.
         panels: the part of the frame that each splat is confined to; all of it by default.
+        tile: side of a tile in pixels, a multiple of 4.
     """
     Float, UInt = arrays.plain.Float, arrays.plain.UInt
-    columns, rows = -(-width // TILE), -(-height // TILE)
+    columns, rows = -(-width // tile), -(-height // tile)
     mask = np.ones((rows, columns), dtype=bool) if wanted is None else wanted
     if mask.shape != (rows, columns):
         raise ValueError(f"wanted has shape {mask.shape}, expected {(rows, columns)}")
     tiles = UInt(np.flatnonzero(mask).astype(np.uint32))
 
-    x0, y0, across, down = _touched(arrays, splats, panels or Panels(columns, 0, rows))
-    visible = dr.compress(across * down > 0)
-    order = dr.gather(UInt, visible, dr.argsort(dr.gather(Float, splats.depth, visible)))
+    x0, y0, across, down = _touched(arrays, splats, panels or Panels(columns, 0, rows), tile)
+    order = _by_depth(arrays, splats.depth, across > 0)
     count = dr.gather(UInt, across, order) * dr.gather(UInt, down, order)
     first = dr.prefix_sum(count)
-    dr.eval(order, count, first)
-    candidates = int(dr.sum(count)[0]) if dr.width(order) else 0
+    shape = [splats.x, splats.y, splats.xx, splats.xy, splats.yy, splats.opacity]
+    bits = lambda number: dr.reinterpret_array(Float, number)  # noqa: E731
+    table = arrays.records([*shape, bits(x0 | y0 << 16), bits(across)])
+    ranked = arrays.records([bits(order), bits(first)])
+    candidates_of = dr.sum(count)
+    dr.eval(order, count, first, table, ranked, candidates_of)
+    candidates = int(candidates_of[0])
     if not candidates or not mask.any():
         none, empty = dr.zeros(UInt, 0), dr.zeros(UInt, columns * rows)
-        return Bins(width, height, columns, rows, tiles, empty, empty, none, none, none, none, none, 0)
+        return Bins(width, height, tile, columns, rows, tiles, empty, empty, none, none, none, none, none, 0)
 
     # Which splat does pair number j belong to? Mark where each neighbourhood begins, and count the marks.
     marks = dr.zeros(UInt, candidates)
-    dr.scatter(marks, UInt(1), first)
+    dr.scatter(marks, UInt(1), first, count > 0)
     rank = dr.cumsum(marks) - 1
-    splat = dr.gather(UInt, order, rank)
-    within = dr.arange(UInt, candidates) - dr.gather(UInt, first, rank)
+    splat, begin = (dr.reinterpret_array(UInt, n) for n in arrays.record(ranked, rank, 2))
+    *shape, corner, across = arrays.record(table, splat, 8)
+    within = dr.arange(UInt, candidates) - begin
     # Masked lanes divide too; a zero there raises SIGFPE on the CPU.
-    pair_across = dr.maximum(dr.gather(UInt, across, splat), 1)
+    pair_across = dr.maximum(dr.reinterpret_array(UInt, across), 1)
     pair_row = within // pair_across
-    tile_x = dr.gather(UInt, x0, splat) + within - pair_row * pair_across
-    tile_y = dr.gather(UInt, y0, splat) + pair_row
-    tile = tile_y * columns + tile_x
-    keep = _reaches(arrays, splats, splat, tile_x, tile_y)
+    pair_corner = dr.reinterpret_array(UInt, corner)
+    tile_x = (pair_corner & 0xFFFF) + within - pair_row * pair_across
+    tile_y = (pair_corner >> 16) + pair_row
+    number = tile_y * columns + tile_x
+    keep = _reaches(arrays, shape, tile_x, tile_y, tile)
     if wanted is not None:
-        keep &= dr.gather(arrays.plain.Bool, arrays.plain.Bool(mask.ravel()), tile)
-    key = dr.select(keep, tile, columns * rows)
+        keep &= dr.gather(arrays.plain.Bool, arrays.plain.Bool(mask.ravel()), number)
+    key = dr.select(keep, number, columns * rows)
     dr.eval(key, splat)
 
-    sorting = dr.argsort(key)
+    # Tiles are few enough for one pass of the sort that dr.argsort makes three passes of.
+    sorting = dr.detail.block_mkperm(key, candidates, columns * rows + 1)
     per_tile = dr.zeros(UInt, columns * rows + 1)
     dr.scatter_reduce(dr.ReduceOp.Add, per_tile, UInt(1), key)
     start = dr.prefix_sum(per_tile)
@@ -124,11 +137,44 @@ def bin_splats(
     dr.eval(sorted_splat, start, end)
     pairs = int(start[columns * rows])
     return Bins(
-        width, height, columns, rows, tiles, start, end, sorted_splat, sorting, first, count, order, pairs
+        width,
+        height,
+        tile,
+        columns,
+        rows,
+        tiles,
+        start,
+        end,
+        sorted_splat,
+        sorting,
+        first,
+        count,
+        order,
+        pairs,
     )
 
 
-def _touched(arrays: Arrays, splats: Splats, panels: Panels) -> tuple[Any, Any, Any, Any]:
+def _by_depth(arrays: Arrays, depth: Any, seen: Any) -> Any:
+    """Indices of the splats from near to far, those that are not seen last.
+
+    Depths count as equal, and keep the order of their indices, where they agree to one part in 100,000.
+    """
+    UInt = arrays.plain.UInt
+    # The bits of positive floats rise with them; what is left of them after the shift takes two passes.
+    steps = dr.reinterpret_array(UInt, dr.maximum(depth, NEAR)) - dr.reinterpret_array(
+        UInt, arrays.plain.Float(NEAR)
+    )
+    key = dr.select(seen, dr.minimum(steps >> 6, (1 << 22) - 2), (1 << 22) - 1)
+    low, high = key & 0x7FF, key >> 11
+    dr.eval(low, high)
+    count = dr.width(key)
+    order = dr.detail.block_mkperm(low, count, 1 << 11)
+    high = dr.gather(UInt, high, order)
+    dr.eval(high)
+    return dr.gather(UInt, order, dr.detail.block_mkperm(high, count, 1 << 11))
+
+
+def _touched(arrays: Arrays, splats: Splats, panels: Panels, tile: int) -> tuple[Any, Any, Any, Any]:
     """First tile and number of tiles, along x and y, of the box around each splat's visible ellipse."""
     Int, UInt = arrays.plain.Int, arrays.plain.UInt
     # exp(-q / 2) opacity = 1/255 is the ellipse q = 2 ln(255 opacity); the covariance's diagonal bounds it.
@@ -137,7 +183,7 @@ def _touched(arrays: Arrays, splats: Splats, panels: Panels) -> tuple[Any, Any, 
     reach_x = dr.sqrt(level * splats.yy * inverse)
     reach_y = dr.sqrt(level * splats.xx * inverse)
     seen = splats.opacity > MINIMUM_ALPHA
-    bound = lambda value, low, high: dr.clip(value * (1 / TILE), low, high)  # noqa: E731
+    bound = lambda value, low, high: dr.clip(value * (1 / tile), low, high)  # noqa: E731
     x0 = Int(dr.floor(bound(splats.x - reach_x, 0, panels.columns)))
     y0 = Int(dr.floor(bound(splats.y - reach_y, panels.top, panels.bottom)))
     x1 = Int(dr.ceil(bound(splats.x + reach_x, 0, panels.columns)))
@@ -146,22 +192,21 @@ def _touched(arrays: Arrays, splats: Splats, panels: Panels) -> tuple[Any, Any, 
     seen &= (x1 > x0) & (y1 > y0) & dr.isfinite(reach_x + reach_y + splats.x + splats.y)
     across, down = dr.select(seen, UInt(x1 - x0), 0), dr.select(seen, UInt(y1 - y0), 0)
     first_x, first_y = UInt(x0), UInt(y0)
-    dr.eval(first_x, first_y, across, down)
+    # With the splats themselves, if they are not yet: then it is one kernel.
+    dr.eval(splats.__dict__, first_x, first_y, across, down)
     return first_x, first_y, across, down
 
 
-def _reaches(arrays: Arrays, splats: Splats, splat: Any, tile_x: Any, tile_y: Any) -> Any:
+def _reaches(arrays: Arrays, shape: list[Any], tile_x: Any, tile_y: Any, tile: int) -> Any:
     """Whether a splat is visible anywhere between the outermost pixel centres of a tile.
 
     The box of a long diagonal splat holds many tiles that its ellipse misses. The largest value of the
     Gaussian over a rectangle lies at its centre or on one of the two edges next to the centre.
     """
     Float = arrays.plain.Float
-    x, y = dr.gather(Float, splats.x, splat), dr.gather(Float, splats.y, splat)
-    xx, xy = dr.gather(Float, splats.xx, splat), dr.gather(Float, splats.xy, splat)
-    yy, opacity = dr.gather(Float, splats.yy, splat), dr.gather(Float, splats.opacity, splat)
-    left, top = Float(tile_x * TILE) + 0.5 - x, Float(tile_y * TILE) + 0.5 - y
-    right, bottom = left + (TILE - 1), top + (TILE - 1)
+    x, y, xx, xy, yy, opacity = shape
+    left, top = Float(tile_x * tile) + 0.5 - x, Float(tile_y * tile) + 0.5 - y
+    right, bottom = left + (tile - 1), top + (tile - 1)
     near_x, near_y = dr.clip(0, left, right), dr.clip(0, top, bottom)
     along_y = dr.clip(-xy * near_x / yy, top, bottom)
     along_x = dr.clip(-xy * near_y / xx, left, right)

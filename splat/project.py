@@ -23,7 +23,8 @@ _COMPENSATION_FLOOR = 2.5e-5
 # The affine approximation of the projection is taken no further out than this multiple of the half
 # field of view: beyond it, Gaussians at the side of the camera would smear over the whole frame.
 _TANGENT_LIMIT = 1.3
-_NEAR = 0.01
+# What lies nearer to the eye is not drawn.
+NEAR = 0.01
 
 
 @dataclass
@@ -84,11 +85,11 @@ def project(arrays: Arrays, parameters: Parameters, camera: Camera, low_pass: An
 
     Args:
         arrays: the backend's array types.
-        parameters: the Gaussians.
+        parameters: the Gaussians; what comes out has derivatives if they have.
         camera: the view.
         low_pass: variance in px^2 that is added to each 2D covariance; a float or an array of N.
     """
-    number = arrays.ad.Float
+    number = type(parameters.opacity_logits)
     opaque = lambda values: [dr.opaque(number, float(v)) for v in np.ravel(values)]  # noqa: E731
     world = opaque(camera.world_to_camera[:3])
     eye = opaque(camera.position)
@@ -101,7 +102,7 @@ def project(arrays: Arrays, parameters: Parameters, camera: Camera, low_pass: An
         dr.fma(world[4 * i], mx, dr.fma(world[4 * i + 1], my, dr.fma(world[4 * i + 2], mz, world[4 * i + 3])))
         for i in range(3)
     )
-    seen = vz > _NEAR
+    seen = vz > NEAR
     inverse_z = dr.rcp(dr.select(seen, vz, 1))
     tx, ty = vx * inverse_z, vy * inverse_z
     x, y = dr.fma(fx, tx, cx), dr.fma(fy, ty, cy)
@@ -156,7 +157,7 @@ def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any
     world = [dr.opaque(number, float(v)) for v in np.ravel(camera.world_to_camera[:3])]
     limit_x, limit_y = (float(v) for v in _TANGENT_LIMIT * _half_tangents(camera))
     vx, vy, vz = (sum((world[4 * i + j] * means[j] for j in range(3)), world[4 * i + 3]) for i in range(3))
-    seen = vz > _NEAR
+    seen = vz > NEAR
     inverse_z = dr.rcp(dr.select(seen, vz, 1))
     tx, ty = vx * inverse_z, vy * inverse_z
     tilt = dr.square(dr.minimum(dr.abs(tx), limit_x)) + dr.square(dr.minimum(dr.abs(ty), limit_y))

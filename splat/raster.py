@@ -1,7 +1,7 @@
 """Blends binned splats front to back, and the gradient of that, tile by tile.
 
-One lane owns a block of 4 x 4 pixels whose transmittance and colour live in the loop's variables, so
-that each splat fetched from memory serves 16 pixels. Contribution of splat m to a pixel (Fov-GS Eq. 1
+One lane owns a block of pixels, 4 x 4 in tiles of 16, whose transmittance and colour live in the loop's
+variables, so that each splat fetched from memory serves 16 pixels. Contribution of splat m to a pixel (Fov-GS Eq. 1
 without its normalization): c_m = alpha_m prod_{n<m} (1 - alpha_n),
 alpha_m = min(0.99, opacity exp(-d^T Sigma'^-1 d / 2)), nothing below 1/255.
 
@@ -11,24 +11,26 @@ them by less than 1e-4 of its radiance.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
 import numpy as np
 
 from splat.arrays import Arrays
-from splat.binning import MINIMUM_ALPHA, TILE, Bins
+from splat.binning import LANES_ACROSS, MINIMUM_ALPHA, Bins
 from splat.project import Splats
 
-BLOCK = 4
-_BLOCKS_PER_TILE = (TILE // BLOCK) ** 2
-_PIXELS = BLOCK * BLOCK
+# A pixel's radiance and opacity lie side by side, so that they come with one load.
+CHANNELS = 4
 MAXIMUM_ALPHA = 0.99
 MINIMUM_TRANSMITTANCE = 1e-4
 _LOG2_E = 1.4426950408889634
-# Eight numbers of a splat lie side by side and come with one packet load; blue comes on its own.
-_PACKED = 8
+# The numbers of a splat lie side by side, eight and two, and come with two packet loads; loads of single
+# floats from places that differ by lane are several times slower.
+_PACKED = (8, 2)
+# Floats of an image that a lane reads or writes at once: two pixels.
+_CHUNK = 2 * CHANNELS
 # Minimax polynomial of 2^f on -0.5..0.5, relative error 7.5e-8.
 _EXP2 = (1.00000007, 0.69314697, 0.2402212, 0.05550713, 0.00967554, 0.00132765)
 _ROUNDING = 12582912.0  # 1.5 * 2^23: adding it rounds a float to an integer in its low mantissa bits
@@ -36,21 +38,22 @@ _ROUNDING = 12582912.0  # 1.5 * 2^23: adding it rounds a float to an integer in 
 
 def padded_size(bins: Bins) -> tuple[int, int]:
     """Width and height of the image buffer: whole tiles."""
-    return bins.columns * TILE, bins.rows * TILE
+    return bins.columns * bins.tile, bins.rows * bins.tile
 
 
 def rasterize(arrays: Arrays, splats: Splats, bins: Bins) -> Any:
-    """Linear radiance of all wanted tiles; the others are black.
+    """Linear radiance and opacity of all wanted tiles; the others hold zeros.
 
     Returns:
-        Flat float array: padded height x padded width x 3, rows from the top.
+        Flat float array: padded height x padded width x 4, rows from the top.
     """
     Float = arrays.plain.Float
     width, height = padded_size(bins)
-    image = dr.zeros(Float, width * height * 3)
     if not bins.pairs:
-        dr.eval(image)
-        return image
+        return dr.zeros(Float, width * height * CHANNELS)
+    # Where every tile is drawn there is nothing to clear.
+    all_drawn = dr.width(bins.tiles) == bins.columns * bins.rows
+    image = (dr.empty if all_drawn else dr.zeros)(Float, width * height * CHANNELS)
     block = _Blocks(arrays, bins)
     packed = _pack(arrays, splats, bins)
 
@@ -67,14 +70,19 @@ def rasterize(arrays: Arrays, splats: Splats, bins: Bins) -> Any:
         return i + 1, transmittance, colour
 
     # Built one by one: [Float(0)] * n would be a single accumulator n times.
-    state = (block.first, [Float(1) for _ in range(_PIXELS)], [Float(0) for _ in range(3 * _PIXELS)])
-    _, _, colour = dr.while_loop(
+    state = (
+        block.first,
+        [Float(1) for _ in range(block.pixels)],
+        [Float(0) for _ in range(3 * block.pixels)],
+    )
+    _, transmittance, colour = dr.while_loop(
         state, lambda i, transmittance, colour: block.goes_on(i, transmittance), blend, mode="symbolic"
     )
     # Evaluated before it is scattered: otherwise every scatter runs the whole loop again.
-    dr.eval(colour)
-    for target, chunk in block.chunks(width):
-        values = arrays.plain.ArrayXf([colour[4 * chunk + k] for k in range(4)])
+    dr.eval(transmittance, colour)
+    pixels = [[*colour[3 * p : 3 * p + 3], 1 - transmittance[p]] for p in range(block.pixels)]
+    for target, first in block.chunks(width):
+        values = arrays.plain.ArrayXf([*pixels[first], *pixels[first + 1]])
         dr.scatter(image, values, target, mode=dr.ReduceMode.Permute)
     dr.eval(image)
     return image
@@ -88,7 +96,8 @@ def rasterize_backward(arrays: Arrays, splats: Splats, bins: Bins, image: Any, g
 
     Args:
         splats, bins, image: as given to and returned by `rasterize`.
-        gradient: flat array like `image`, derivative of the loss by it.
+        gradient: flat array like `image`, derivative of the loss by the radiance; that by the opacity is
+            taken for zero.
 
     Returns:
         Nine (N,) arrays in the order of `Splats.differentiable`.
@@ -100,9 +109,8 @@ def rasterize_backward(arrays: Arrays, splats: Splats, bins: Bins, image: Any, g
     width, _ = padded_size(bins)
     block = _Blocks(arrays, bins)
     packed = _pack(arrays, splats, bins)
-    flow = _chunks_to_pixels(block, width, lambda target: _load4(arrays, gradient, target))
-    final = _chunks_to_pixels(block, width, lambda target: _load4(arrays, image, target))
-    behind = [sum(flow[3 * p + c] * final[3 * p + c] for c in range(3)) for p in range(_PIXELS)]
+    flow, final = block.loaded(gradient, width), block.loaded(image, width)
+    behind = [sum(flow[3 * p + c] * final[3 * p + c] for c in range(3)) for p in range(block.pixels)]
     dr.eval(flow, behind)
     # One slot per pair and quantity. All lanes of a tile reach a pair together and sum in their vector,
     # so that nothing here depends on the timing of threads.
@@ -141,7 +149,7 @@ def rasterize_backward(arrays: Arrays, splats: Splats, bins: Bins, image: Any, g
             dr.scatter_reduce(dr.ReduceOp.Add, slot, value, home, mode=dr.ReduceMode.Local)
         return i + 1, transmittance, behind, slots
 
-    state = (block.first, [Float(1) for _ in range(_PIXELS)], behind, slots)
+    state = (block.first, [Float(1) for _ in range(block.pixels)], behind, slots)
     _, _, _, slots = dr.while_loop(
         state, lambda i, transmittance, behind, slots: block.goes_on(i, transmittance), walk, mode="symbolic"
     )
@@ -151,17 +159,23 @@ def rasterize_backward(arrays: Arrays, splats: Splats, bins: Bins, image: Any, g
 
 
 class _Blocks:
-    """The lanes: one per block of 4 x 4 pixels, the 16 blocks of a tile side by side."""
+    """The lanes: one per block of pixels, the 16 blocks of a tile side by side.
+
+    Attributes:
+        side, pixels: of a block.
+    """
 
     def __init__(self, arrays: Arrays, bins: Bins):
         Float, UInt = arrays.plain.Float, arrays.plain.UInt
-        lane = dr.arange(UInt, dr.width(bins.tiles) * _BLOCKS_PER_TILE)
-        tile = dr.gather(UInt, bins.tiles, lane // _BLOCKS_PER_TILE)
-        block = lane % _BLOCKS_PER_TILE
+        self._arrays = arrays
+        self.side = bins.tile // LANES_ACROSS
+        self.pixels = self.side**2
+        lane = dr.arange(UInt, dr.width(bins.tiles) * LANES_ACROSS**2)
+        tile = dr.gather(UInt, bins.tiles, lane // LANES_ACROSS**2)
+        block = lane % LANES_ACROSS**2
         row = tile // bins.columns
-        per_side = TILE // BLOCK
-        self.x = (tile - row * bins.columns) * TILE + block % per_side * BLOCK
-        self.y = row * TILE + block // per_side * BLOCK
+        self.x = (tile - row * bins.columns) * bins.tile + block % LANES_ACROSS * self.side
+        self.y = row * bins.tile + block // LANES_ACROSS * self.side
         self.centre_x, self.centre_y = Float(self.x) + 0.5, Float(self.y) + 0.5
         self.first = dr.gather(UInt, bins.start, tile)
         self.last = dr.gather(UInt, bins.end, tile)
@@ -175,34 +189,29 @@ class _Blocks:
 
     def offset(self, pixel: int, splat: Sequence[Any]) -> tuple[Any, Any]:
         """From the splat's centre to the centre of the block's pixel."""
-        dx = self.centre_x + float(pixel % BLOCK) - splat[0]
-        return dx, self.centre_y + float(pixel // BLOCK) - splat[1]
+        dx = self.centre_x + float(pixel % self.side) - splat[0]
+        return dx, self.centre_y + float(pixel // self.side) - splat[1]
 
     def chunks(self, width: int) -> list[tuple[Any, int]]:
-        """Where each run of four floats of the block's 48 lies in the image, in units of four floats."""
-        per_row = BLOCK * 3 // 4
+        """Where the block's pixels lie in an image, by twos: in units of two pixels, and the first's number."""
         return [
-            (((self.y + row) * width + self.x) * 3 // 4 + part, row * per_row + part)
-            for row in range(BLOCK)
-            for part in range(per_row)
+            (((self.y + pixel // self.side) * width + self.x + pixel % self.side) // 2, pixel)
+            for pixel in range(0, self.pixels, 2)
         ]
 
-
-def _chunks_to_pixels(block: _Blocks, width: int, load: Callable[[Any], Any]) -> list[Any]:
-    """The block's 48 floats, pixel by pixel, from an image read by fours."""
-    values: list[Any] = []
-    for target, _ in block.chunks(width):
-        values += list(load(target))
-    return values
-
-
-def _load4(arrays: Arrays, source: Any, index: Any) -> Any:
-    return dr.gather(arrays.plain.ArrayXf, source, index, shape=(4, dr.width(index)))
+    def loaded(self, image: Any, width: int) -> list[Any]:
+        """Three channels of the block's pixels, pixel by pixel, from an image."""
+        values: list[Any] = []
+        for target, _ in self.chunks(width):
+            shape = (_CHUNK, dr.width(target))
+            two = dr.gather(self._arrays.plain.ArrayXf, image, target, shape=shape)
+            values += [two[k] for k in (0, 1, 2, CHANNELS, CHANNELS + 1, CHANNELS + 2)]
+        return values
 
 
 def _pack(arrays: Arrays, splats: Splats, bins: Bins) -> tuple[Any, Any]:
-    """Splats in the order in which the tiles read them: eight floats per pair, and blue."""
-    Float, UInt = arrays.plain.Float, arrays.plain.UInt
+    """The splats' numbers in the order in which the tiles read them."""
+    Float, UInt, ArrayXf = arrays.plain.Float, arrays.plain.UInt, arrays.plain.ArrayXf
     # Powers of two cost less than powers of e, and the opacity joins the exponent as its logarithm.
     rows = [
         splats.x,
@@ -213,40 +222,46 @@ def _pack(arrays: Arrays, splats: Splats, bins: Bins) -> tuple[Any, Any]:
         dr.log2(dr.maximum(splats.opacity, 1e-12)),
         splats.red,
         splats.green,
+        splats.blue,
+        Float(0),
     ]
-    table = dr.empty(Float, _PACKED * dr.width(splats.x))
-    dr.scatter(
-        table, arrays.plain.ArrayXf(rows), dr.arange(UInt, dr.width(splats.x)), mode=dr.ReduceMode.Permute
-    )
-    dr.eval(table)
-    packed = dr.empty(Float, _PACKED * bins.pairs)
+    count = dr.width(splats.x)
+    parts = rows[: _PACKED[0]], rows[_PACKED[0] :]
+    tables = [dr.empty(Float, size * count) for size in _PACKED]
+    for table, part in zip(tables, parts, strict=True):
+        dr.scatter(table, ArrayXf(part), dr.arange(UInt, count), mode=dr.ReduceMode.Permute)
+    dr.eval(tables)
+    packed = [dr.empty(Float, size * bins.pairs) for size in _PACKED]
     pair = dr.arange(UInt, bins.pairs)
     splat = dr.gather(UInt, bins.splat, pair)
-    values = dr.gather(arrays.plain.ArrayXf, table, splat, shape=(_PACKED, bins.pairs))
-    dr.scatter(packed, values, pair, mode=dr.ReduceMode.Permute)
-    blue = dr.gather(Float, splats.blue, splat)
-    dr.eval(packed, blue)
-    return packed, blue
+    for size, table, target in zip(_PACKED, tables, packed, strict=True):
+        values = dr.gather(ArrayXf, table, splat, shape=(size, bins.pairs))
+        dr.scatter(target, values, pair, mode=dr.ReduceMode.Permute)
+    dr.eval(packed)
+    return packed[0], packed[1]
 
 
 def _fetch(arrays: Arrays, packed: tuple[Any, Any], i: Any) -> list[Any]:
     """x, y, three coefficients of the exponent, log2 of the opacity, red, green, blue of pair i."""
-    eight = dr.gather(arrays.plain.ArrayXf, packed[0], i, shape=(_PACKED, dr.width(i)))
-    return [*(eight[k] for k in range(_PACKED)), dr.gather(arrays.plain.Float, packed[1], i)]
+    eight, two = (
+        dr.gather(arrays.plain.ArrayXf, table, i, shape=(size, dr.width(i)))
+        for size, table in zip(_PACKED, packed, strict=True)
+    )
+    return [*(eight[k] for k in range(_PACKED[0])), two[0]]
 
 
 def _powers(block: _Blocks, splat: Sequence[Any]) -> list[tuple[int, Any]]:
     """For each pixel of the block, log2 of opacity times Gaussian; the row's share is computed once."""
-    across = [block.offset(column, splat)[0] for column in range(BLOCK)]
+    across = [block.offset(column, splat)[0] for column in range(block.side)]
     across_xx = [splat[2] * dx for dx in across]
     powers = []
-    for row in range(BLOCK):
-        dy = block.offset(row * BLOCK, splat)[1]
+    for row in range(block.side):
+        dy = block.offset(row * block.side, splat)[1]
         base = dr.fma(splat[4] * dy, dy, splat[5])
         slope = splat[3] * dy
-        for column in range(BLOCK):
+        for column in range(block.side):
             power = dr.fma(across[column], across_xx[column] + slope, base)
-            powers.append((row * BLOCK + column, power))
+            powers.append((row * block.side + column, power))
     return powers
 
 
@@ -304,4 +319,4 @@ def _from_moments(splats: Splats, sums: list[Any]) -> list[Any]:
 def image_from_buffer(buffer: Any, bins: Bins) -> np.ndarray:
     """(H, W, 3) float32 view of a flat image buffer."""
     width, height = padded_size(bins)
-    return buffer.numpy().reshape(height, width, 3)[: bins.height, : bins.width]
+    return buffer.numpy().reshape(height, width, CHANNELS)[: bins.height, : bins.width, :3]

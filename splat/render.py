@@ -13,7 +13,7 @@ from splat.arrays import Arrays
 from splat.binning import bin_splats
 from splat.gaussians import Gaussians
 from splat.project import PIXEL_FILTER, Parameters, project
-from splat.raster import padded_size, rasterize, rasterize_backward
+from splat.raster import CHANNELS, padded_size, rasterize, rasterize_backward
 
 
 def parameters_from(arrays: Arrays, gaussians: Gaussians) -> Parameters:
@@ -45,16 +45,16 @@ class _Render(torch.autograd.Function):
         image = rasterize(arrays, splats, bins)
         ctx.state = (arrays, leaves, projected, splats, bins, image, [t.shape for t in tensors])
         width, height = padded_size(bins)
-        buffer = arrays.to_torch(image, tensors[0].device).reshape(height, width, 3)
+        buffer = arrays.to_torch(image, tensors[0].device).reshape(height, width, CHANNELS)
         # A copy: the backward pass still needs the buffer as it is.
-        return buffer[: camera.height, : camera.width].clone()
+        return buffer[: camera.height, : camera.width, :3].clone()
 
     @staticmethod
     def backward(ctx: Any, gradient: torch.Tensor) -> tuple[Any, ...]:  # type: ignore[override]
         arrays, leaves, projected, splats, bins, image, shapes = ctx.state
         width, height = padded_size(bins)
-        padded = torch.zeros(height, width, 3, device=gradient.device)
-        padded[: bins.height, : bins.width] = gradient
+        padded = torch.zeros(height, width, CHANNELS, device=gradient.device)
+        padded[: bins.height, : bins.width, :3] = gradient
         flow = dr.detach(arrays.from_torch(padded), preserve_type=False)
         gradients = rasterize_backward(arrays, splats, bins, image, flow)
         for value, by_value in zip(projected.differentiable(), gradients, strict=True):

@@ -12,7 +12,8 @@ from scipy.ndimage import map_coordinates
 from compose.view import Camera, from_camera_to_world
 from splat.forest import Forest, build_forest, forest_of, static_layer
 from splat.gaussians import Gaussians
-from splat.pictures import ForestRenderer, Picture
+from splat.joining import Picture
+from splat.pictures import ForestRenderer
 from splat.project import PIXEL_FILTER
 from tests.splat import reference
 from tests.splat.test_raster import gaussians
