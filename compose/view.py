@@ -105,6 +105,12 @@ class Camera:
         y = self.fy * local[:, 1] / depth + self.cy
         return np.stack([x, y], axis=1), depth
 
+    @property
+    def key(self) -> bytes:
+        """The same for cameras that see the same, and only for those."""
+        numbers = (self.width, self.height, self.fx, self.fy, self.cx, self.cy)
+        return np.array(numbers, dtype=np.float64).tobytes() + self.world_to_camera.tobytes()
+
     def rays(self, pixels: Array) -> Array:
         """Unit directions (N, 3) in world space through pixel positions (N, 2)."""
         local = np.stack(

@@ -95,13 +95,11 @@ class Periphery:
 
         Kept until the camera moves.
         """
-        factor = max(1, -(-max(camera.width, camera.height) // _COARSE))
-        coarse = camera.scaled(-(-camera.width // factor), -(-camera.height // factor))
-        key = repr((camera.width, camera.height, coarse.fx, coarse.fy, coarse.cx, coarse.cy)).encode()
-        key += coarse.world_to_camera.tobytes()
-        if self._attention is None or self._attention[0] != key:
+        if self._attention is None or self._attention[0] != camera.key:
+            factor = max(1, -(-max(camera.width, camera.height) // _COARSE))
+            coarse = camera.scaled(-(-camera.width // factor), -(-camera.height // factor))
             found = saliency(self._renderer.render_layer(coarse, 1).image())
-            self._attention = (key, at_corners(found, camera.width, camera.height))
+            self._attention = (camera.key, at_corners(found, camera.width, camera.height))
         return self._attention[1]
 
     def draw(self, camera: Camera, detail: DetailMap, plan: FoveaPlan) -> JoinedFrame:

@@ -74,6 +74,7 @@ def bin_splats(
     wanted: np.ndarray | None = None,
     panels: Panels | None = None,
     tile: int = TILE,
+    in_order: bool = False,
 ) -> Bins:
     """Sorts pairs of splat and tile by tile and depth.
 
@@ -84,6 +85,7 @@ def bin_splats(
         wanted: (rows, columns) bool, the tiles to rasterize; all by default.
         panels: the part of the frame that each splat is confined to; all of it by default.
         tile: side of a tile in pixels, a multiple of 4.
+        in_order: whether splats that meet in a tile come from near to far already.
     """
     Float, UInt = arrays.plain.Float, arrays.plain.UInt
     columns, rows = -(-width // tile), -(-height // tile)
@@ -93,7 +95,11 @@ def bin_splats(
     tiles = UInt(np.flatnonzero(mask).astype(np.uint32))
 
     x0, y0, across, down = _touched(arrays, splats, panels or Panels(columns, 0, rows), tile)
-    order = _by_depth(arrays, splats.depth, across > 0)
+    order = dr.compress(across > 0) if in_order else _by_depth(arrays, splats.depth, across > 0)
+    none, empty = dr.zeros(UInt, 0), dr.zeros(UInt, columns * rows)
+    nothing = Bins(width, height, tile, columns, rows, tiles, empty, empty, none, none, none, none, none, 0)
+    if not dr.width(order) or not mask.any():
+        return nothing
     count = dr.gather(UInt, across, order) * dr.gather(UInt, down, order)
     first = dr.prefix_sum(count)
     shape = [splats.x, splats.y, splats.xx, splats.xy, splats.yy, splats.opacity]
@@ -103,9 +109,8 @@ def bin_splats(
     candidates_of = dr.sum(count)
     dr.eval(order, count, first, table, ranked, candidates_of)
     candidates = int(candidates_of[0])
-    if not candidates or not mask.any():
-        none, empty = dr.zeros(UInt, 0), dr.zeros(UInt, columns * rows)
-        return Bins(width, height, tile, columns, rows, tiles, empty, empty, none, none, none, none, none, 0)
+    if not candidates:
+        return nothing
 
     # Which splat does pair number j belong to? Mark where each neighbourhood begins, and count the marks.
     marks = dr.zeros(UInt, candidates)

@@ -1,4 +1,4 @@
-"""Joins pictures of one view, drawn at several sampling rates, into a frame: pixel by pixel, by their shares."""
+"""Joins pictures of one view, drawn at several sampling rates, into one frame: pixel by pixel, by shares."""
 
 from __future__ import annotations
 

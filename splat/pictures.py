@@ -22,18 +22,14 @@ from numpy.typing import NDArray
 from compose.view import Camera
 from splat.arrays import Arrays
 from splat.binning import TILE, Panels, bin_splats
+from splat.footprints import ForestFootprints, LayerFootprints
 from splat.forest import Forest
-from splat.gaussians import Gaussians
 from splat.joining import Lattice, Panel, Picture, join, lay_out
-from splat.project import PIXEL_FILTER, Parameters, Splats, project, view_position
+from splat.project import PIXEL_FILTER, Splats, filtered
 from splat.raster import CHANNELS, padded_size, rasterize
 
-# Standard deviations at which the most opaque Gaussian falls to 1/255.
-_REACH = 3.33
 # Side of a tile in samples, where samples are larger than pixels: few splats cover many of those.
 _COARSE_TILE = 8
-# Floats that one load brings.
-_LOAD = 8
 
 
 @dataclass
@@ -70,12 +66,7 @@ class ForestRenderer:
 
     def __init__(self, arrays: Arrays, forest: Forest):
         self.arrays, self.forest = arrays, forest
-        self._nodes = _NodeTable(arrays, forest.nodes.gaussians)
-        first = np.cumsum([0, *forest.counts])
-        self._layers = [
-            _Places(arrays, forest.nodes.gaussians, int(first[n]), int(first[n + 1]))
-            for n in range(len(forest.counts))
-        ]
+        self._footprints = ForestFootprints(arrays, forest)
 
     def render(
         self, camera: Camera, pictures: Sequence[Picture], cutoff: Lattice, wanted: NDArray[np.bool_]
@@ -92,18 +83,16 @@ class ForestRenderer:
         pictures = [p for p in pictures if bool((p.share > 0).any())]
         tile = TILE if all(p.rate == 0 for p in pictures) else _COARSE_TILE
         panels = lay_out(pictures, wanted, tile)
-        touching = [self._touching(camera, panel, cutoff) for panel in panels]
-        dr.eval(touching)
-        chosen = [dr.compress(mask) for mask in touching]
+        chosen = self._chosen(camera, panels, cutoff)
         if not any(dr.width(index) for index in chosen):
             return self._black(camera)
-        splats, confined = self._projected(camera, panels, chosen, cutoff, tile)
+        splats, confined = self._splats(camera, panels, chosen, cutoff, tile)
         columns = max(panel.tiles.shape[1] for panel in panels)
         mask = np.vstack(
             [np.pad(panel.tiles, ((0, 0), (0, columns - panel.tiles.shape[1]))) for panel in panels]
         )
         size = columns * tile, mask.shape[0] * tile
-        bins = bin_splats(self.arrays, splats, *size, mask, confined, tile)
+        bins = bin_splats(self.arrays, splats, *size, mask, confined, tile, in_order=True)
         image = rasterize(self.arrays, splats, bins)
         stride, channels = padded_size(bins)[0], CHANNELS
         if not _is_whole(panels):
@@ -131,43 +120,53 @@ class ForestRenderer:
         """
         return max(camera.fy / self.forest.focal_of(picture.layer), 2.0**picture.rate)
 
-    def _touching(self, camera: Camera, panel: Panel, cutoff: Lattice) -> Any:
-        """Which nodes of the panel's layer may show in its cells, a mask."""
-        UInt, Int = self.arrays.plain.UInt, self.arrays.plain.Int
-        picture, places = panel.picture, self._layers[panel.picture.layer - 1]
-        seen, x, y, spread = view_position(self.arrays, places.means, camera)
+    def _chosen(self, camera: Camera, panels: Sequence[Panel], cutoff: Lattice) -> list[Any]:
+        """For each panel, which of its layer's nodes in the frame may show in its cells: indices."""
         near = np.minimum.reduce([cutoff[:-1, :-1], cutoff[1:, :-1], cutoff[:-1, 1:], cutoff[1:, 1:]])
-        blur = max(0.5 / float(near[panel.cells].min()), self._least_blur(camera, picture))
+        blurs = [
+            max(0.5 / float(near[panel.cells].min()), self._least_blur(camera, panel.picture))
+            for panel in panels
+        ]
+        layers = [panel.picture.layer for panel in panels]
+        seen = self._footprints.layers(camera, max(blurs, default=1.0), layers)
+        masks = [
+            None if layer is None else self._touching(panel, layer, blur)
+            for panel, layer, blur in zip(panels, seen, blurs, strict=True)
+        ]
+        dr.eval(masks)
+        none = dr.zeros(self.arrays.plain.UInt, 0)
+        return [none if mask is None else dr.compress(mask) for mask in masks]
+
+    def _touching(self, panel: Panel, nodes: LayerFootprints, blur: float) -> Any:
+        """Which nodes touch a panel's cells if they are filtered that much, a mask."""
+        UInt, Int = self.arrays.plain.UInt, self.arrays.plain.Int
         # At lower rates pixels look up samples that lie up to one sample away.
-        beyond = 2.0**picture.rate if picture.rate else 0.0
-        variance = dr.square(places.size * spread) + PIXEL_FILTER * blur**2
-        reach = dr.fma(dr.sqrt(variance), _REACH, beyond)
-        # Not for what is not a number, nor for what has no end.
-        seen &= reach < np.inf
-        # With sums over all cells above and to the left, any box takes four look-ups.
+        beyond = 2.0**panel.picture.rate if panel.picture.rate else 0.0
+        reach_x, reach_y = (
+            dr.sqrt(nodes.extent * (variance + PIXEL_FILTER * blur**2)) + beyond
+            for variance in (nodes.xx, nodes.yy)
+        )
+        # Not what is not a number, nor what has no end.
+        known = (nodes.extent > 0) & (reach_x + reach_y < np.inf)
         rows, columns = panel.cells.shape
+        first = lambda place, count: UInt(dr.clip(place * (1 / TILE), 0, count))  # noqa: E731
+        end = lambda place, count: UInt(dr.ceil(dr.clip(place * (1 / TILE), 0, count)))  # noqa: E731
+        left, right = first(nodes.x - reach_x, columns), end(nodes.x + reach_x, columns)
+        top, bottom = first(nodes.y - reach_y, rows), end(nodes.y + reach_y, rows)
+        # With sums over all cells above and to the left, any box takes four look-ups.
         sums = np.zeros((rows + 1, columns + 1), dtype=np.int32)
         sums[1:, 1:] = panel.cells.cumsum(axis=0).cumsum(axis=1)
         table = Int(sums.ravel())
-        left, top = (UInt(dr.clip((v - reach) * (1 / TILE), 0, n)) for v, n in ((x, columns), (y, rows)))
-        right, bottom = (
-            UInt(dr.ceil(dr.clip((v + reach) * (1 / TILE), 0, n))) for v, n in ((x, columns), (y, rows))
-        )
-        at = lambda row, column: dr.gather(Int, table, row * (columns + 1) + column, seen)  # noqa: E731
-        touches = at(bottom, right) - at(top, right) - at(bottom, left) + at(top, left) > 0
-        return seen & touches
+        at = lambda row, column: dr.gather(Int, table, row * (columns + 1) + column, known)  # noqa: E731
+        return known & (at(bottom, right) - at(top, right) - at(bottom, left) + at(top, left) > 0)
 
-    def _projected(
+    def _splats(
         self, camera: Camera, panels: Sequence[Panel], chosen: Sequence[Any], cutoff: Lattice, tile: int
     ) -> tuple[Splats, Panels]:
-        """The chosen nodes of all panels in samples of the image that holds them, and where they may be drawn."""
+        """The chosen nodes of all panels in samples of the image that holds them, and where each is drawn."""
         Float, UInt = self.arrays.plain.Float, self.arrays.plain.UInt
-        firsts = [self._layers[panel.picture.layer - 1].first for panel in panels]
-        # Arithmetic with arrays of no width is refused.
-        index = dr.concat(
-            [part + first for part, first in zip(chosen, firsts, strict=True) if dr.width(part)]
-        )
-        number, lane, start = UInt(0), dr.arange(UInt, dr.width(index)), 0
+        raw = self._footprints.footprints([panel.picture.layer for panel in panels], chosen)
+        number, lane, start = UInt(0), dr.arange(UInt, dr.width(raw.x)), 0
         for part in chosen[:-1]:
             start += dr.width(part)
             number += dr.select(lane >= dr.opaque(UInt, start), UInt(1), UInt(0))
@@ -177,13 +176,10 @@ class ForestRenderer:
                 for values in zip(*(self._row_of(camera, panel, tile) for panel in panels), strict=True)
             ]
         )
-        scale, least, offset, columns, top, bottom, _, _ = self.arrays.record(per_panel, number, _LOAD)
-        parameters = self._nodes.parameters(index)
-        _, x, y, _ = view_position(self.arrays, parameters.means, camera)
+        scale, least, offset, columns, top, bottom, _, _ = self.arrays.record(per_panel, number, 8)
         # Fov-GS's Eq. 8, mended: variance c (ppd / 2f)^2 px^2.
-        resolved = 0.5 / _interpolated(self.arrays, cutoff, x, y)
-        low_pass = PIXEL_FILTER * dr.square(dr.maximum(resolved, least))
-        splats = project(self.arrays, parameters, camera, low_pass)
+        resolved = 0.5 / _interpolated(self.arrays, cutoff, raw.x, raw.y)
+        splats = filtered(raw, PIXEL_FILTER * dr.square(dr.maximum(resolved, least)))
         return _in_samples(splats, scale, offset), Panels(columns, top, bottom)
 
     def _row_of(self, camera: Camera, panel: Panel, tile: int) -> tuple[float, ...]:
@@ -192,46 +188,6 @@ class ForestRenderer:
         top = panel.top // tile
         least = self._least_blur(camera, panel.picture)
         return 0.5**panel.picture.rate, least, panel.top, columns, top, top + rows, 0.0, 0.0
-
-
-class _Places:
-    """Where the nodes of one layer are, and how large: enough to see whether they show.
-
-    Attributes:
-        first: index of the first in the forest.
-        means: three rows.
-        size: longest axis, as a standard deviation.
-    """
-
-    def __init__(self, arrays: Arrays, gaussians: Gaussians, first: int, end: int):
-        plain = lambda row: dr.detach(arrays.from_torch(row), preserve_type=False)  # noqa: E731
-        self.first = first
-        self.means = [plain(row) for row in gaussians.means[:, first:end]]
-        self.size = plain(gaussians.log_scales[:, first:end].max(dim=0).values.exp())
-
-
-class _NodeTable:
-    """All parameters of a node side by side, as nodes are picked from all over the forest."""
-
-    def __init__(self, arrays: Arrays, gaussians: Gaussians):
-        self.arrays = arrays
-        self._coefficients = gaussians.sh.shape[0]
-        rows = [*gaussians.means, *gaussians.log_scales, *gaussians.rotations, gaussians.opacity_logits]
-        rows += list(gaussians.sh.reshape(-1, len(gaussians)))
-        self._loads = -(-len(rows) // _LOAD)
-        table = np.zeros((len(gaussians), self._loads * _LOAD), dtype=np.float32)
-        for column, row in enumerate(rows):
-            table[:, column] = row.numpy()
-        self._table = arrays.plain.Float(table.ravel())
-
-    def parameters(self, index: Any) -> Parameters:
-        """Of the nodes at these indices."""
-        values: list[Any] = []
-        for load in range(self._loads):
-            values += self.arrays.record(self._table, index * self._loads + load, _LOAD)
-        colours = values[11 : 11 + 3 * self._coefficients]
-        sh = [colours[3 * k : 3 * k + 3] for k in range(self._coefficients)]
-        return Parameters(values[:3], values[3:6], values[6:10], values[10], sh)
 
 
 def finest_frequency(camera: Camera, forest: Forest, layer: int) -> float:

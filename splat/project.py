@@ -60,6 +60,32 @@ class Splats:
 
 
 @dataclass
+class Footprints:
+    """N Gaussians on the film, not filtered yet, Dr.Jit floats of width N.
+
+    Attributes:
+        x, y: centre in pixels.
+        xx, xy, yy: 2D covariance in px^2.
+        determinant: of that covariance, in px^4, with less cancellation than its entries allow.
+        opacity: in 0..1, 0 for a Gaussian that is not seen.
+        red, green, blue: linear radiance.
+        depth: along the view axis.
+    """
+
+    x: Any
+    y: Any
+    xx: Any
+    xy: Any
+    yy: Any
+    determinant: Any
+    opacity: Any
+    red: Any
+    green: Any
+    blue: Any
+    depth: Any
+
+
+@dataclass
 class Parameters:
     """The Gaussians' parameters as Dr.Jit floats: lists of rows, each of width N."""
 
@@ -80,22 +106,46 @@ class Parameters:
         ]
 
 
-def project(arrays: Arrays, parameters: Parameters, camera: Camera, low_pass: Any) -> Splats:
-    """Projects Gaussians onto a camera's film.
+def project(parameters: Parameters, camera: Camera, low_pass: Any) -> Splats:
+    """Projects Gaussians onto a camera's film and filters them.
 
     Args:
-        arrays: the backend's array types.
         parameters: the Gaussians; what comes out has derivatives if they have.
         camera: the view.
         low_pass: variance in px^2 that is added to each 2D covariance; a float or an array of N.
     """
+    return filtered(footprints(parameters, camera), low_pass)
+
+
+def filtered(raw: Footprints, low_pass: Any) -> Splats:
+    """The footprints, blurred by a Gaussian of that variance in px^2, each with the light that it had."""
+    variance = dr.opaque(type(raw.opacity), low_pass) if isinstance(low_pass, float) else low_pass
+    xx, yy = raw.xx + variance, raw.yy + variance
+    determinant = raw.determinant + variance * (raw.xx + raw.yy + variance)
+    inverse = dr.rcp(determinant)
+    compensation = dr.sqrt(dr.maximum(raw.determinant * inverse, _COMPENSATION_FLOOR))
+    return Splats(
+        raw.x,
+        raw.y,
+        yy * inverse,
+        -raw.xy * inverse,
+        xx * inverse,
+        raw.opacity * compensation,
+        raw.red,
+        raw.green,
+        raw.blue,
+        raw.depth,
+    )
+
+
+def footprints(parameters: Parameters, camera: Camera) -> Footprints:
+    """Projects Gaussians onto a camera's film."""
     number = type(parameters.opacity_logits)
     opaque = lambda values: [dr.opaque(number, float(v)) for v in np.ravel(values)]  # noqa: E731
     world = opaque(camera.world_to_camera[:3])
     eye = opaque(camera.position)
     fx, fy, cx, cy = opaque([camera.fx, camera.fy, camera.cx, camera.cy])
     limit_x, limit_y = opaque(_TANGENT_LIMIT * _half_tangents(camera))
-    filter_variance = dr.opaque(number, low_pass) if isinstance(low_pass, float) else low_pass
 
     mx, my, mz = parameters.means
     vx, vy, vz = (
@@ -118,34 +168,18 @@ def project(arrays: Arrays, parameters: Parameters, camera: Camera, low_pass: An
     scales = [dr.exp(s) for s in parameters.log_scales]
     mx_row = [sum(row_x[i] * rotation[i][j] for i in range(3)) * scales[j] for j in range(3)]
     my_row = [sum(row_y[i] * rotation[i][j] for i in range(3)) * scales[j] for j in range(3)]
-    raw_xx = sum(a * a for a in mx_row)
-    raw_yy = sum(b * b for b in my_row)
+    xx = sum(a * a for a in mx_row)
+    yy = sum(b * b for b in my_row)
     xy = sum(a * b for a, b in zip(mx_row, my_row, strict=True))
     # Cauchy-Binet: |M M^T| as a sum of squares has none of the cancellation of xx yy - xy^2.
-    raw_determinant = sum(
+    determinant = sum(
         dr.square(mx_row[i] * my_row[j] - mx_row[j] * my_row[i]) for i, j in ((0, 1), (0, 2), (1, 2))
     )
-    xx, yy = raw_xx + filter_variance, raw_yy + filter_variance
-    determinant = raw_determinant + filter_variance * (raw_xx + raw_yy + filter_variance)
-    inverse_determinant = dr.rcp(determinant)
-    compensation = dr.sqrt(dr.maximum(raw_determinant * inverse_determinant, _COMPENSATION_FLOOR))
-    sigmoid = dr.rcp(1 + dr.exp(-parameters.opacity_logits))
-    opacity = dr.select(seen, sigmoid * compensation, 0)
+    opacity = dr.select(seen, dr.rcp(1 + dr.exp(-parameters.opacity_logits)), 0)
 
     direction = _normalized([mx - eye[0], my - eye[1], mz - eye[2]])
     red, green, blue = (_radiance(value) for value in _harmonics(parameters.sh, direction))
-    return Splats(
-        x,
-        y,
-        yy * inverse_determinant,
-        -xy * inverse_determinant,
-        xx * inverse_determinant,
-        opacity,
-        red,
-        green,
-        blue,
-        dr.detach(vz),
-    )
+    return Footprints(x, y, xx, xy, yy, determinant, opacity, red, green, blue, dr.detach(vz))
 
 
 def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any, Any, Any, Any]:

@@ -1,8 +1,8 @@
 """Blends binned splats front to back, and the gradient of that, tile by tile.
 
 One lane owns a block of pixels, 4 x 4 in tiles of 16, whose transmittance and colour live in the loop's
-variables, so that each splat fetched from memory serves 16 pixels. Contribution of splat m to a pixel (Fov-GS Eq. 1
-without its normalization): c_m = alpha_m prod_{n<m} (1 - alpha_n),
+variables, so that each splat fetched from memory serves 16 pixels. Contribution of splat m to a pixel
+(Fov-GS Eq. 1 without its normalization): c_m = alpha_m prod_{n<m} (1 - alpha_n),
 alpha_m = min(0.99, opacity exp(-d^T Sigma'^-1 d / 2)), nothing below 1/255.
 
 A block stops when all of its pixels have let through less than 1e-4: what lies behind could change
@@ -193,7 +193,7 @@ class _Blocks:
         return dx, self.centre_y + float(pixel // self.side) - splat[1]
 
     def chunks(self, width: int) -> list[tuple[Any, int]]:
-        """Where the block's pixels lie in an image, by twos: in units of two pixels, and the first's number."""
+        """Where pairs of the block's pixels lie in an image, in units of pairs, and the number of the first."""
         return [
             (((self.y + pixel // self.side) * width + self.x + pixel % self.side) // 2, pixel)
             for pixel in range(0, self.pixels, 2)

@@ -38,7 +38,7 @@ class _Render(torch.autograd.Function):
         parameters = parameters_from(arrays, Gaussians(*tensors))
         leaves = parameters.leaves()
         dr.enable_grad(leaves)
-        projected = project(arrays, parameters, camera, low_pass)
+        projected = project(parameters, camera, low_pass)
         splats = projected.detached()
         dr.eval(splats.__dict__, projected.differentiable())
         bins = bin_splats(arrays, splats, camera.width, camera.height)

@@ -123,7 +123,7 @@ def test_one_point_lies_in_one_pixel_for_all(arrays, tmp_path):
     from splat.project import project
     from splat.render import parameters_from
 
-    splats = project(arrays, parameters_from(arrays, dot), camera, 0.1)
+    splats = project(parameters_from(arrays, dot), camera, 0.1)
     np.testing.assert_allclose([splats.x[0], splats.y[0]], expected[0], atol=1e-3)
     forest = forest_from([static_layer(dot)], camera.fy, "", "")
     image = ForestRenderer(arrays, forest).render_layer(camera, 1).image()[..., 0]
