@@ -150,7 +150,9 @@ def detail_map(
     if saliency is not None:
         cutoff = with_saliency(cutoff, saliency.astype(np.float64))
         deciding = deciding if law.relative else cutoff
-    finest = min(float(law.cutoff(np.array(edge))) / display.pixels_per_degree, 0.5)
+    # As if the viewer looked straight ahead: the steps must not change with the gaze, or they would pop.
+    ahead = np.degrees(np.arctan(fov_b / 100 * height / display.focal))
+    finest = min(float(law.cutoff(ahead)) / display.pixels_per_degree, 0.5)
     if not law.relative:
         # What layer L does not show well, no coarser layer need show either.
         finest = min(finest, _FAITHFUL * finest_frequency)
@@ -160,9 +162,9 @@ def detail_map(
     place = np.zeros_like(cutoff)
     for step in steps[1:]:
         place += np.clip((octaves - step.octaves) / _FADE, 0, 1)
-    arrays = (a.astype(np.float32) for a in (angle, np.minimum(cutoff, 0.5), place))
-    eccentricity, cutoff, place = arrays
-    return DetailMap(width, height, len(finest_rates), eccentricity, cutoff, steps, place)
+    single = lambda values: values.astype(np.float32)  # noqa: E731
+    lattices = single(angle), single(np.minimum(cutoff, 0.5))
+    return DetailMap(width, height, len(finest_rates), *lattices, steps, single(place))
 
 
 @lru_cache(maxsize=4)

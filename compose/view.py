@@ -84,19 +84,6 @@ class Camera:
             cy=self.cy * scale,
         )
 
-    def scaled(self, width: int, height: int) -> Camera:
-        """The same view through other pixels, which need not be square."""
-        x, y = width / self.width, height / self.height
-        return replace(
-            self,
-            width=width,
-            height=height,
-            fx=self.fx * x,
-            fy=self.fy * y,
-            cx=self.cx * x,
-            cy=self.cy * y,
-        )
-
     def project(self, points: Array) -> tuple[Array, Array]:
         """Pixel positions (N, 2) and depths along the view axis (N,) of world points (N, 3)."""
         local = points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
 import numpy as np
 
 from compose.acuity import LAWS
-from compose.foveation import Foveation
+from compose.foveation import FoveaPlan, Foveation
 from compose.view import Camera, Display, Gaze
 from hybrid.fovvideovdp import jod
 from hybrid.periphery import Periphery, Viewing
@@ -18,9 +19,12 @@ from hybrid.quality import ssim
 from hybrid.timing import percentiles
 from splat.arrays import Arrays
 from splat.forest import Forest
+from splat.pictures import JoinedFrame
 
 GAZES = (Gaze(0.5, 0.5), Gaze(0.2, 0.2))
 FULL = "none"
+# Units of the scene per pass: far enough for another camera, near enough for the same picture.
+_STEP = 1e-4
 
 
 def display_camera(scene_camera: Camera, display: Display) -> Camera:
@@ -44,27 +48,25 @@ def bench_periphery(
 ) -> list[dict[str, Any]]:
     """One row per gaze and law; the laws' passes are interleaved with those of full level and full rate.
 
-    A pass is everything from the gaze to the joined picture of what lies outside fov-b. The attention map is
-    kept while the camera stands still, as it does here; what a moving camera pays for it stands in
-    `saliency_ms`. Quality is that of the frame with only the periphery exchanged.
+    A pass is everything from the gaze to the joined picture of what lies outside fov-b. What depends on the
+    camera alone, the nodes' footprints and the map of attention, is kept while the camera stands still, as it
+    does in `periphery_ms` and `full_ms`; in `moving_ms` and `moving_full_ms` every pass has another camera.
+    Quality is that of the frame with only the periphery exchanged.
     """
-    renderers = {law: Periphery(arrays, forest, Viewing(display, law)) for law in LAWS}
-    saliency = _saliency_times(arrays, forest, camera, display, repeats)
+    passes = _Passes(arrays, forest, display, fov_b)
     rows = []
-    rounds = len(GAZES) * (repeats + warm_up)
+    turns = range(-warm_up, repeats)
     for number, gaze in enumerate(GAZES):
         plan = Foveation(gaze, fov_b, fov_b).plan(camera.width, camera.height)
-        times: dict[str, list[float]] = {law: [] for law in LAWS}
-        frames, nodes = {}, {}
-        for turn in range(-warm_up, repeats):
-            for law, renderer in renderers.items():
-                start = time.perf_counter()
-                drawn = renderer.draw(camera, renderer.detail(camera, gaze, fov_b), plan)
-                dr.sync_thread()
-                if turn >= 0:
-                    times[law].append((time.perf_counter() - start) * 1000)
-                frames[law], nodes[law] = drawn, drawn.nodes
-            progress(number * (repeats + warm_up) + turn + warm_up + 1, rounds)
+        kinds: list[dict[str, list[float]]] = []
+        for moving in (True, False):
+            times: dict[str, list[float]] = {law: [] for law in LAWS}
+            for turn in turns:
+                view = _moved(camera, turn * _STEP) if moving else camera
+                frames = passes.run(view, gaze, plan, times if turn >= 0 else None)
+                done = (2 * number + len(kinds)) * len(turns) + turn + warm_up + 1
+                progress(done, 2 * len(GAZES) * len(turns))
+            kinds.append(times)
         full = frames[FULL].image().copy()
         fovea = plan.weight_image()[..., None]
         for law in LAWS:
@@ -75,11 +77,8 @@ def bench_periphery(
                 "width": camera.width,
                 "height": camera.height,
                 "fov_b": fov_b,
-                "periphery_ms": percentiles(times[law]),
-                "full_ms": percentiles(times[FULL]),
-                "ratio": float(np.median(times[FULL]) / np.median(times[law])),
-                "saliency_ms": 0.0 if law == FULL else saliency,
-                "nodes_drawn": nodes[law],
+                **_times(law, *kinds),
+                "nodes_drawn": frames[law].nodes,
                 "jod": jod(image, full, display, gaze),
                 "ssim": ssim(image, full),
                 "repeats": repeats,
@@ -89,15 +88,41 @@ def bench_periphery(
     return rows
 
 
-def _saliency_times(arrays: Arrays, forest: Forest, camera: Camera, display: Display, repeats: int) -> float:
-    """Median milliseconds of the attention map of a camera that was not seen before."""
-    times = []
-    for turn in range(-2, repeats):
-        # A new renderer has no map to keep.
-        fresh = Periphery(arrays, forest, Viewing(display))
-        dr.sync_thread()
-        start = time.perf_counter()
-        fresh.saliency(camera)
-        if turn >= 0:
-            times.append((time.perf_counter() - start) * 1000)
-    return float(np.median(times))
+def _times(law: str, moving: dict[str, list[float]], still: dict[str, list[float]]) -> dict[str, Any]:
+    ratio = lambda times: float(np.median(times[FULL]) / np.median(times[law]))  # noqa: E731
+    return {
+        "periphery_ms": percentiles(still[law]),
+        "full_ms": percentiles(still[FULL]),
+        "ratio": ratio(still),
+        "moving_ms": percentiles(moving[law]),
+        "moving_full_ms": percentiles(moving[FULL]),
+        "moving_ratio": ratio(moving),
+    }
+
+
+class _Passes:
+    """The periphery once under each law, one after the other."""
+
+    def __init__(self, arrays: Arrays, forest: Forest, display: Display, fov_b: float):
+        # One renderer each: none may live on what another one has just kept.
+        self._renderers = {law: Periphery(arrays, forest, Viewing(display, law)) for law in LAWS}
+        self._fov_b = fov_b
+
+    def run(
+        self, camera: Camera, gaze: Gaze, plan: FoveaPlan, times: dict[str, list[float]] | None
+    ) -> dict[str, JoinedFrame]:
+        frames = {}
+        for law, renderer in self._renderers.items():
+            start = time.perf_counter()
+            frames[law] = renderer.draw(camera, renderer.detail(camera, gaze, self._fov_b), plan)
+            dr.sync_thread()
+            if times is not None:
+                times[law].append((time.perf_counter() - start) * 1000)
+        return frames
+
+
+def _moved(camera: Camera, distance: float) -> Camera:
+    """A camera a little to the right."""
+    pose = camera.world_to_camera.copy()
+    pose[0, 3] -= distance
+    return replace(camera, world_to_camera=pose)

@@ -455,16 +455,55 @@ def bench_periphery(
     view = display_camera(loaded.camera, shown)
     with progress_bar("bench (rounds)") as bar:
         rows = run(device_arrays(), found, view, shown, fov_b, repeats, warm_up, bar)
-    print("gaze     law              ms    full  ratio   nodes     JOD    SSIM")
+    print("                       camera still       |    moving           |")
+    print("gaze     law              ms    full ratio     ms    full ratio   nodes     JOD   SSIM")
     for row in rows:
         quality = "    -" if row["jod"] is None else f"{row['jod']:5.2f}"
         print(
             f"{row['gaze'][0]:.1f} {row['gaze'][1]:.1f}  {row['law']:<14} {row['periphery_ms']['p50']:>5.1f} "
-            f"{row['full_ms']['p50']:>7.1f} {row['ratio']:>6.2f} {row['nodes_drawn']:>8,} {quality:>7} "
-            f"{row['ssim']:.4f}"
+            f"{row['full_ms']['p50']:>7.1f} {row['ratio']:>5.2f} {row['moving_ms']['p50']:>6.1f} "
+            f"{row['moving_full_ms']['p50']:>7.1f} {row['moving_ratio']:>5.2f} {row['nodes_drawn']:>7,} "
+            f"{quality:>7} {row['ssim']:.4f}"
         )
     if rows[0]["jod"] is None:
         print(INSTALL)
+    _write_json(json_file, [{**row, "scene": loaded.name, "machine": machine()} for row in rows])
+
+
+@bench_app.command("gaze")
+def bench_gaze(
+    scene: SceneName,
+    forest: ForestFile = None,
+    display: DisplayName = "desktop",
+    fov_b: FovB = 20.0,
+    step: Annotated[float, typer.Option(help="Degrees between two frames.", min=0.01)] = 0.1,
+    span: Annotated[float, typer.Option(help="Degrees from the first frame to the last.", min=0.1)] = 20.0,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Move the gaze in small steps and see how much the periphery changes from each to the next."""
+    from compose.foveation import Foveation
+    from compose.view import Gaze, display_named
+
+    Foveation(Gaze(), fov_b, fov_b)
+    shown = display_named(display)
+    if span < step:
+        raise UserError(f"--span {span}: must be at least one --step, {step}")
+    _select(backend)
+    from hybrid.bench_gaze import bench_gaze as run
+    from hybrid.bench_periphery import display_camera
+    from hybrid.cache import forest_for
+    from hybrid.device import device_arrays
+    from hybrid.timing import machine
+
+    loaded = _scene(scene)
+    found = forest_for(loaded, forest)
+    view = display_camera(loaded.camera, shown)
+    with progress_bar("bench (frames)") as bar:
+        rows = run(device_arrays(), found, view, shown, fov_b, step, span, bar)
+    print("change per step, in 1/255   99.9th percentile   largest")
+    for row in rows:
+        print(f"{row['law']:<27} {row['change_p99_9']:>17.2f} {row['change_max']:>9.2f}")
     _write_json(json_file, [{**row, "scene": loaded.name, "machine": machine()} for row in rows])
 
 

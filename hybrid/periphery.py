@@ -96,9 +96,8 @@ class Periphery:
         Kept until the camera moves.
         """
         if self._attention is None or self._attention[0] != camera.key:
-            factor = max(1, -(-max(camera.width, camera.height) // _COARSE))
-            coarse = camera.scaled(-(-camera.width // factor), -(-camera.height // factor))
-            found = saliency(self._renderer.render_layer(coarse, 1).image())
+            rate = max(0, round(np.log2(max(camera.width, camera.height) / _COARSE)))
+            found = saliency(self._renderer.render_layer(camera, 1, rate).image())
             self._attention = (camera.key, at_corners(found, camera.width, camera.height))
         return self._attention[1]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import ModuleType
 from typing import Any, Literal
 
@@ -53,3 +54,40 @@ class Arrays:
         """The `size` rows of a table of records, at an index."""
         record = dr.gather(self.plain.ArrayXf, table, index, shape=(size, dr.width(index)))
         return [record[k] for k in range(size)]
+
+    def joined(self, parts: Sequence[Any]) -> Any:
+        """Arrays of one type, one behind the other.
+
+        `dr.concat` compiles another kernel for every combination of widths.
+        """
+        kind, widths = type(parts[0]), [dr.width(part) for part in parts]
+        result, start = dr.empty(kind, sum(widths)), 0
+        for part, width in zip(parts, widths, strict=True):
+            # Arithmetic with arrays of no width is refused.
+            if width:
+                place = dr.arange(self.plain.UInt, width) + dr.opaque(self.plain.UInt, start)
+                dr.scatter(result, part, place, mode=dr.ReduceMode.Permute)
+            start += width
+        return result
+
+    def sorting(self, key: Any, below: int) -> Any:
+        """Indices that sort an array of UInt, all less than `below`; equal ones keep their order.
+
+        On the CPU one pass of a radix sort does for small keys, and two for larger ones, where `dr.argsort`
+        makes three.
+        """
+        count = dr.width(key)
+        if self.backend != "llvm" or not count:
+            return dr.argsort(key)
+        order, shift = None, 0
+        while shift == 0 or below > 1 << shift:
+            # Passes of up to 2^14 buckets stay in the cache.
+            bits = 14 if below <= 1 << 14 else 11
+            digit = (key if order is None else dr.gather(self.plain.UInt, key, order)) >> shift & (
+                1 << bits
+            ) - 1
+            dr.eval(digit)
+            step = dr.detail.block_mkperm(digit, count, min(1 << bits, -(-below // (1 << shift))))
+            order = step if order is None else dr.gather(self.plain.UInt, order, step)
+            shift += bits
+        return order

@@ -15,6 +15,7 @@ from splat.project import NEAR, Splats
 LANES_ACROSS = 4
 # 16 x 16 pixels, 4 x 4 per lane: the more pixels a splat covers, the more a large tile saves.
 TILE = 16
+_DEPTH_BITS = 22  # from the near plane they reach over 32 octaves
 # Below this a contribution is invisible on an 8-bit display; every extent follows from it.
 MINIMUM_ALPHA = 1 / 255
 
@@ -95,7 +96,7 @@ def bin_splats(
     tiles = UInt(np.flatnonzero(mask).astype(np.uint32))
 
     x0, y0, across, down = _touched(arrays, splats, panels or Panels(columns, 0, rows), tile)
-    order = dr.compress(across > 0) if in_order else _by_depth(arrays, splats.depth, across > 0)
+    order = dr.compress(across > 0) if in_order else by_depth(arrays, splats.depth, across > 0)
     none, empty = dr.zeros(UInt, 0), dr.zeros(UInt, columns * rows)
     nothing = Bins(width, height, tile, columns, rows, tiles, empty, empty, none, none, none, none, none, 0)
     if not dr.width(order) or not mask.any():
@@ -132,8 +133,7 @@ def bin_splats(
     key = dr.select(keep, number, columns * rows)
     dr.eval(key, splat)
 
-    # Tiles are few enough for one pass of the sort that dr.argsort makes three passes of.
-    sorting = dr.detail.block_mkperm(key, candidates, columns * rows + 1)
+    sorting = arrays.sorting(key, columns * rows + 1)
     per_tile = dr.zeros(UInt, columns * rows + 1)
     dr.scatter_reduce(dr.ReduceOp.Add, per_tile, UInt(1), key)
     start = dr.prefix_sum(per_tile)
@@ -159,24 +159,16 @@ def bin_splats(
     )
 
 
-def _by_depth(arrays: Arrays, depth: Any, seen: Any) -> Any:
-    """Indices of the splats from near to far, those that are not seen last.
+def by_depth(arrays: Arrays, depth: Any, seen: Any) -> Any:
+    """Indices of splats from near to far, those that are not seen last.
 
     Depths count as equal, and keep the order of their indices, where they agree to one part in 100,000.
     """
-    UInt = arrays.plain.UInt
-    # The bits of positive floats rise with them; what is left of them after the shift takes two passes.
-    steps = dr.reinterpret_array(UInt, dr.maximum(depth, NEAR)) - dr.reinterpret_array(
-        UInt, arrays.plain.Float(NEAR)
-    )
-    key = dr.select(seen, dr.minimum(steps >> 6, (1 << 22) - 2), (1 << 22) - 1)
-    low, high = key & 0x7FF, key >> 11
-    dr.eval(low, high)
-    count = dr.width(key)
-    order = dr.detail.block_mkperm(low, count, 1 << 11)
-    high = dr.gather(UInt, high, order)
-    dr.eval(high)
-    return dr.gather(UInt, order, dr.detail.block_mkperm(high, count, 1 << 11))
+    bits = lambda value: dr.reinterpret_array(arrays.plain.UInt, value)  # noqa: E731
+    # The bits of positive floats rise with them; the upper ones are enough.
+    steps = bits(dr.maximum(depth, NEAR)) - bits(arrays.plain.Float(NEAR))
+    last = (1 << _DEPTH_BITS) - 1
+    return arrays.sorting(dr.select(seen, dr.minimum(steps >> 6, last - 1), last), last + 1)
 
 
 def _touched(arrays: Arrays, splats: Splats, panels: Panels, tile: int) -> tuple[Any, Any, Any, Any]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from compose.view import Camera
 from splat.arrays import Arrays
+from splat.binning import by_depth
 from splat.forest import Forest
 from splat.gaussians import Gaussians
 from splat.project import PIXEL_FILTER, Footprints, Parameters, footprints, view_position
@@ -58,7 +59,7 @@ class ForestFootprints:
         ]
         self._key: tuple[bytes, float] | None = None
         self._layers: dict[int, LayerFootprints | None] = {}
-        self._first: dict[int, int] = {}
+        self._first: dict[int, Any] = {}
         self._table: list[Any] = []
 
     def layers(self, camera: Camera, blur: float, layers: Sequence[int]) -> list[LayerFootprints | None]:
@@ -87,17 +88,19 @@ class ForestFootprints:
             layers: 1 to L.
             chosen: indices of the nodes in each of them; in one of them at least there are some.
         """
-        # Arithmetic with arrays of no width is refused.
-        index = dr.concat([i + self._first[n] for n, i in zip(layers, chosen, strict=True) if dr.width(i)])
+        some = [i + self._first[n] for n, i in zip(layers, chosen, strict=True) if dr.width(i)]
+        index = self.arrays.joined(some)
         values = self.arrays.record(self._table[0], index, _LOAD)
         return Footprints(*values, *self.arrays.record(self._table[1], index, _LOAD // 2)[:3])
 
     def _join_tables(self) -> None:
         made = {n: layer for n, layer in self._layers.items() if layer is not None}
         starts = np.cumsum([0, *(dr.width(layer.x) for layer in made.values())])
-        self._first = {n: int(start) for n, start in zip(made, starts, strict=False)}
-        self._first |= {n: 0 for n, layer in self._layers.items() if layer is None}
-        self._table = [dr.concat([layer.records[k] for layer in made.values()]) for k in (0, 1) if made]
+        opaque = lambda start: dr.opaque(self.arrays.plain.UInt, int(start))  # noqa: E731
+        self._first = {n: opaque(start) for n, start in zip(made, starts, strict=False)}
+        self._table = [
+            self.arrays.joined([layer.records[k] for layer in made.values()]) for k in (0, 1) if made
+        ]
 
     def _seen(self, camera: Camera, layer: int, blur: float) -> LayerFootprints | None:
         places, plain = self._places[layer - 1], self.arrays.plain
@@ -111,17 +114,19 @@ class ForestFootprints:
         if not dr.width(index):
             return None
         raw = footprints(self._nodes.parameters(index + places.first), camera)
-        dr.eval(raw.__dict__)
-        order = dr.argsort(raw.depth)
-        raw = Footprints(*(dr.gather(plain.Float, row, order) for row in raw.__dict__.values()))
-        extent = 2 * dr.log(dr.maximum(raw.opacity * 255, 1))
         rows = list(raw.__dict__.values())
-        records = (
-            self.arrays.records(rows[:_LOAD]),
-            self.arrays.records([*rows[_LOAD:], plain.Float(0)]),
-        )
-        dr.eval(raw.x, raw.y, raw.xx, raw.yy, extent, records)
-        return LayerFootprints(raw.x, raw.y, raw.xx, raw.yy, extent, records)
+        records = [self.arrays.records(rows[:_LOAD]), self.arrays.records([*rows[_LOAD:], plain.Float(0)])]
+        dr.eval(records, raw.depth)
+        order = by_depth(self.arrays, raw.depth, plain.Bool(True))
+        near_to_far = [
+            self.arrays.record(table, order, size)
+            for table, size in zip(records, (_LOAD, _LOAD // 2), strict=True)
+        ]
+        x, y, xx, _, yy, _, opacity, _ = near_to_far[0]
+        extent = 2 * dr.log(dr.maximum(opacity * 255, 1))
+        ordered = self.arrays.records(near_to_far[0]), self.arrays.records(near_to_far[1])
+        dr.eval(x, y, xx, yy, extent, ordered)
+        return LayerFootprints(x, y, xx, yy, extent, ordered)
 
 
 class _Places:

@@ -12,7 +12,7 @@ image. A picture at rate r has one sample per 2^r x 2^r pixels, in their middle.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -83,34 +83,39 @@ class ForestRenderer:
         pictures = [p for p in pictures if bool((p.share > 0).any())]
         tile = TILE if all(p.rate == 0 for p in pictures) else _COARSE_TILE
         panels = lay_out(pictures, wanted, tile)
+        drawn = self._drawn(camera, panels, cutoff, tile)
+        if not drawn.nodes or _is_whole(panels):
+            return drawn
+        joined = join(self.arrays, panels, drawn.radiance, drawn.stride, camera.width, camera.height)
+        stride = -(-camera.width // TILE) * TILE
+        return JoinedFrame(joined, camera.width, camera.height, stride, 3, drawn.nodes)
+
+    def render_layer(self, camera: Camera, layer: int, rate: int = 0) -> JoinedFrame:
+        """A layer alone, over the whole frame, its samples as they are: (H / 2^rate, W / 2^rate)."""
+        cells = (-(-camera.height // TILE), -(-camera.width // TILE))
+        corners = (cells[0] + 1, cells[1] + 1)
+        picture = Picture(layer, rate, np.ones(corners, np.float32))
+        tile = _COARSE_TILE if rate else TILE
+        panels = lay_out([picture], np.ones(cells, dtype=bool), tile)
+        samples = self._drawn(camera, panels, np.full(corners, 0.5, np.float32), tile)
+        return replace(samples, width=-(-camera.width >> rate), height=-(-camera.height >> rate))
+
+    def _drawn(self, camera: Camera, panels: Sequence[Panel], cutoff: Lattice, tile: int) -> JoinedFrame:
+        """The image that holds all panels; the frame's own size if nothing is to be seen in any."""
         chosen = self._chosen(camera, panels, cutoff)
         if not any(dr.width(index) for index in chosen):
-            return self._black(camera)
+            stride, rows = -(-camera.width // TILE) * TILE, -(-camera.height // TILE) * TILE
+            black = dr.zeros(self.arrays.plain.Float, stride * rows * 3)
+            return JoinedFrame(black, camera.width, camera.height, stride, 3, 0)
         splats, confined = self._splats(camera, panels, chosen, cutoff, tile)
         columns = max(panel.tiles.shape[1] for panel in panels)
-        mask = np.vstack(
-            [np.pad(panel.tiles, ((0, 0), (0, columns - panel.tiles.shape[1]))) for panel in panels]
-        )
+        wider = [np.pad(panel.tiles, ((0, 0), (0, columns - panel.tiles.shape[1]))) for panel in panels]
+        mask = np.vstack(wider)
         size = columns * tile, mask.shape[0] * tile
         bins = bin_splats(self.arrays, splats, *size, mask, confined, tile, in_order=True)
         image = rasterize(self.arrays, splats, bins)
-        stride, channels = padded_size(bins)[0], CHANNELS
-        if not _is_whole(panels):
-            image = join(self.arrays, panels, image, stride, camera.width, camera.height)
-            stride, channels = -(-camera.width // TILE) * TILE, 3
-        return JoinedFrame(image, camera.width, camera.height, stride, channels, dr.width(splats.x))
-
-    def _black(self, camera: Camera) -> JoinedFrame:
-        stride, rows = -(-camera.width // TILE) * TILE, -(-camera.height // TILE) * TILE
-        black = dr.zeros(self.arrays.plain.Float, stride * rows * 3)
-        return JoinedFrame(black, camera.width, camera.height, stride, 3, 0)
-
-    def render_layer(self, camera: Camera, layer: int) -> JoinedFrame:
-        """A layer alone, over the whole frame at full rate."""
-        cells = (-(-camera.height // TILE), -(-camera.width // TILE))
-        corners = (cells[0] + 1, cells[1] + 1)
-        picture = Picture(layer, 0, np.ones(corners, np.float32))
-        return self.render(camera, [picture], np.full(corners, 0.5, np.float32), np.ones(cells, dtype=bool))
+        stride = padded_size(bins)[0]
+        return JoinedFrame(image, camera.width, camera.height, stride, CHANNELS, dr.width(splats.x))
 
     def _least_blur(self, camera: Camera, picture: Picture) -> float:
         """The filter's width never falls below this, in units of that at the pixel grid.
@@ -142,9 +147,10 @@ class ForestRenderer:
         UInt, Int = self.arrays.plain.UInt, self.arrays.plain.Int
         # At lower rates pixels look up samples that lie up to one sample away.
         beyond = 2.0**panel.picture.rate if panel.picture.rate else 0.0
+        # Opaque, like all that changes with the gaze or the camera: a literal would be compiled in.
+        widest = dr.opaque(self.arrays.plain.Float, PIXEL_FILTER * blur**2)
         reach_x, reach_y = (
-            dr.sqrt(nodes.extent * (variance + PIXEL_FILTER * blur**2)) + beyond
-            for variance in (nodes.xx, nodes.yy)
+            dr.sqrt(nodes.extent * (variance + widest)) + beyond for variance in (nodes.xx, nodes.yy)
         )
         # Not what is not a number, nor what has no end.
         known = (nodes.extent > 0) & (reach_x + reach_y < np.inf)

@@ -193,7 +193,7 @@ class _Blocks:
         return dx, self.centre_y + float(pixel // self.side) - splat[1]
 
     def chunks(self, width: int) -> list[tuple[Any, int]]:
-        """Where pairs of the block's pixels lie in an image, in units of pairs, and the number of the first."""
+        """Where the block's pixels lie in an image, by twos: in units of two, and the number of the first."""
         return [
             (((self.y + pixel // self.side) * width + self.x + pixel % self.side) // 2, pixel)
             for pixel in range(0, self.pixels, 2)

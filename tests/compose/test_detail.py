@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from compose.acuity import LAWS
-from compose.detail import COARSEST_RATE, DetailMap, detail_map
+from compose.detail import COARSEST_RATE, DetailMap, at_corners, detail_map, steps_down
 from compose.errors import UserError
 from compose.saliency import saliency
 from compose.view import DISPLAYS, Display, Gaze, display_named, eccentricity
@@ -27,14 +27,15 @@ def desktop(law: str = "fov-gs", gaze: Gaze = Gaze(), layers: int = 4, **others)
 @pytest.mark.parametrize("layers", [1, 2, 4])
 def test_all_shares_sum_to_one(law, gaze, layers):
     found = desktop(law, gaze, layers)
-    shares = [found.share(layer, rate) for layer in range(1, layers + 1) for rate in range(COARSEST_RATE + 1)]
+    shares = [found.share(step) for step in range(len(found.steps))]
     np.testing.assert_allclose(np.sum(shares, axis=0), 1, atol=1e-5)
     assert min(share.min() for share in shares) >= 0
 
 
 def test_without_a_law_only_the_finest_layer_is_drawn_at_full_rate():
     found = desktop("none")
-    assert (found.share(4, 0) == 1).all()
+    assert (found.steps[0].layer, found.steps[0].rate) == (4, 0)
+    assert (found.share(0) == 1).all()
     assert (found.cutoff == 0.5).all()
 
 
@@ -54,33 +55,68 @@ def test_the_boundary_of_a_level_is_where_the_law_has_it():
     found = desktop("fov-gs")
     edge = np.degrees(np.arctan(216 / DESKTOP.focal))
     twice = (2 * (1 / 48 + 0.022 * edge) - 1 / 48) / 0.022
-    row, column = np.unravel_index(np.abs(found.eccentricity - twice).argmin(), found.level.shape)
-    # Levels count in cycles per pixel: towards the edges there are more pixels to a degree.
-    assert found.level[row, column] == pytest.approx(3, abs=0.15)
+    row, column = np.unravel_index(np.abs(found.eccentricity - twice).argmin(), found.cutoff.shape)
+    # Levels count in cycles per pixel: towards the edges there are more pixels to a degree. At the boundary
+    # of a level, where the next one begins, the fade into it is just over.
+    assert found.drawn_level[row, column] == pytest.approx(2, abs=0.3)
+    closer = np.abs(found.eccentricity - 0.75 * twice).argmin()
+    assert found.drawn_level.flat[closer] == 3
 
 
 def test_no_layer_below_the_lowest_one():
     found = desktop("fov-gs", lowest=3)
     assert found.drawn_level.min() >= 3
-    assert (found.share(2, 3) == 0).all()
+    assert {step.layer for step in found.steps} == {3, 4}
 
 
 def test_a_small_step_of_the_gaze_changes_shares_a_little():
     """0.1 degree on the desktop is 3.2 pixels; no share changes by more than a tenth."""
     before, after = (desktop("fov-gs", Gaze(0.4 + step / 1920, 0.5)) for step in (0, 3.2))
-    for layer in range(1, 5):
-        for rate in range(COARSEST_RATE + 1):
-            assert np.abs(before.share(layer, rate) - after.share(layer, rate)).max() < 0.1
+    assert before.steps == after.steps
+    for step in range(len(before.steps)):
+        assert np.abs(before.share(step) - after.share(step)).max() < 0.1
+
+
+def test_the_steps_of_fov_gs_on_paper():
+    """Cut-off 0.25 at the edge; the layers' own pixels are 1, 2, 4 and 8 display pixels.
+
+    Level boundaries lie at 0.25, 0.125 and 0.0625 cycles per pixel: 2, 3 and 4 octaves. There samples of
+    2, 4 and 8 pixels carry what is left.
+    """
+    steps = steps_down(0.25, (3, 2, 1, 0), 1)
+    assert [(step.layer, step.rate) for step in steps] == [(4, 0), (3, 1), (2, 2), (1, 3), (1, 4)]
+    np.testing.assert_allclose([step.octaves + 0.22 for step in steps[1:4]], [2, 3, 4])
+    assert steps[4].octaves == 5
+
+
+def test_a_forest_of_one_layer_still_loses_samples():
+    steps = steps_down(0.25, (0,), 1)
+    assert [(step.layer, step.rate) for step in steps] == [(1, rate) for rate in range(COARSEST_RATE + 1)]
+    assert [step.octaves for step in steps[1:]] == [2, 3, 4, 5]
+
+
+def test_what_is_salient_keeps_its_level_under_fov_gs_alone():
+    """Fov-GS's level follows eccentricity (Eq. 7); attention sharpens its filter (Eq. 9)."""
+    salient = np.ones((69, 121), np.float32)
+    for law in ("fov-gs", "stelacsf", "geisler-perry"):
+        same = np.array_equal(desktop(law).place, desktop(law, saliency=salient).place)
+        assert same == (law == "fov-gs")
 
 
 def test_saliency_keeps_more_where_it_is_high():
     plain = desktop("fov-gs")
-    salient = np.zeros((9, 16), np.float32)
-    salient[:, 12:] = 1
+    salient = np.zeros((69, 121), np.float32)
+    salient[:, 90:] = 1
     drawn = desktop("fov-gs", saliency=salient)
     right, left = np.s_[:, -10:], np.s_[:, :60]
     np.testing.assert_allclose(drawn.cutoff[right], np.minimum(plain.cutoff[right] * 1.4, 0.5), rtol=1e-5)
     np.testing.assert_allclose(drawn.cutoff[left], plain.cutoff[left], rtol=1e-6)
+
+
+def test_a_coarse_picture_at_the_corners_of_cells():
+    """64 x 32 pixels in two halves: linear between the centres at x = 16 and 48, constant beyond them."""
+    image = np.array([[0.0, 1.0]], np.float32)
+    np.testing.assert_allclose(at_corners(image, 64, 32), np.tile([0, 0, 0.5, 1, 1], (3, 1)), atol=1e-6)
 
 
 def test_pixels_per_degree_of_a_display():
