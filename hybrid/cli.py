@@ -45,7 +45,10 @@ FovA = Annotated[
 ]
 FovB = Annotated[float, typer.Option("--fov-b", help="Radius inside of which no splats are drawn, percent.")]
 Law = Annotated[
-    str, typer.Option(help="What the eye resolves: fov-gs, stelacsf, or none for full detail everywhere.")
+    str,
+    typer.Option(
+        help="What the eye resolves: geisler-perry, stelacsf, fov-gs, or none for full detail everywhere."
+    ),
 ]
 Layers = Annotated[
     tuple[int, int] | None,
@@ -470,6 +473,26 @@ def bench_periphery(
     _write_json(json_file, [{**row, "scene": loaded.name, "machine": machine()} for row in rows])
 
 
+@bench_app.command("forest")
+def bench_forest(
+    nodes: Annotated[int, typer.Option(help="Gaussians of the finest layer.", min=1)] = 1_000_000,
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Grow a forest over random Gaussians, load it again, and see what memory rendering takes."""
+    _select(backend)
+    from hybrid.bench_forest import bench_forest as run
+    from hybrid.device import device_arrays
+    from hybrid.timing import machine
+
+    row = run(nodes, seed, device_arrays().backend)
+    _write_json(json_file, {**row, "machine": machine()})
+    print(f"layers of {', '.join(f'{count:,}' for count in row['layers'])} nodes")
+    print(f"grown in {row['build_s']:.1f} s, loaded in {row['load_s']:.1f} s")
+    print(f"peak memory of loading and rendering: {row['peak_bytes'] / 1e9:.2f} GB")
+
+
 @bench_app.command("gaze")
 def bench_gaze(
     scene: SceneName,
@@ -505,6 +528,39 @@ def bench_gaze(
     for row in rows:
         print(f"{row['law']:<27} {row['change_p99_9']:>17.2f} {row['change_max']:>9.2f}")
     _write_json(json_file, [{**row, "scene": loaded.name, "machine": machine()} for row in rows])
+
+
+@bench_app.command("held-out")
+def bench_held_out(
+    frames: Annotated[Path, typer.Argument(metavar="FRAMES", help="Folder of a frame set.")],
+    forest: Annotated[Path, typer.Argument(metavar="FOREST", help="Trained on the other frames of the set.")],
+    display: DisplayName = "desktop",
+    fov_b: FovB = 20.0,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Put the forest's periphery into converged held-out frames and see what a viewer would notice."""
+    from compose.foveation import Foveation
+    from compose.view import Gaze, display_named
+
+    Foveation(Gaze(), fov_b, fov_b)
+    shown = display_named(display)
+    _select(backend)
+    from hybrid.bench_held_out import bench_held_out as run
+    from hybrid.device import device_arrays
+    from hybrid.fovvideovdp import INSTALL
+    from pathtrace.frames import read_frame_set
+    from splat.files import load_forest
+
+    with progress_bar("bench (frames)") as bar:
+        rows = run(device_arrays(), read_frame_set(frames), load_forest(forest), shown, fov_b, bar)
+    print("law               JOD  lowest    PSNR    SSIM")
+    for row in rows:
+        jods = "    -       -" if row["jod"] is None else f"{row['jod']:5.2f}  {row['lowest_jod']:6.2f}"
+        print(f"{row['law']:<14}  {jods}  {row['psnr']:6.2f}  {row['ssim']:.4f}")
+    if rows[0]["jod"] is None:
+        print(INSTALL)
+    _write_json(json_file, rows)
 
 
 def _select(backend: str) -> None:

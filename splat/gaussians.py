@@ -74,7 +74,13 @@ class Gaussians:
 
     def is_finite(self) -> bool:
         """Whether every number is finite."""
-        return all(bool(torch.isfinite(tensor).all()) for _, tensor in self.tensors())
+        # Infinities are extremes, and what is not a number becomes both; no tensor of flags is needed.
+        return all(
+            bool(torch.isfinite(extreme))
+            for _, t in self.tensors()
+            if t.numel()
+            for extreme in torch.aminmax(t)
+        )
 
 
 def concatenated(parts: list[Gaussians]) -> Gaussians:

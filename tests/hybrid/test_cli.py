@@ -103,10 +103,50 @@ def test_bench_periphery_writes_a_row_per_law_and_gaze(made, monkeypatch, tmp_pa
     for row in rows:
         names = "law gaze width height periphery_ms full_ms ratio nodes_drawn jod ssim"
         assert set(names.split()) <= set(row)
-        assert row["periphery_ms"]["p50"] <= row["periphery_ms"]["p95"]
+        for name in ("periphery_ms", "full_ms", "moving_ms", "moving_full_ms"):
+            assert 0 < row[name]["p50"] <= row[name]["p95"]
         if row["law"] == "none":
             assert row["ratio"] == 1
             assert row["ssim"] == pytest.approx(1)
+
+
+def test_bench_forest_grows_loads_and_renders(monkeypatch, tmp_path):
+    out = tmp_path / "f.json"
+    assert run(monkeypatch, "bench", "forest", "--nodes", 3000, "--json", out) == 0
+    row = json.loads(out.read_text())
+    assert row["layers"][-1] == 3000
+    assert row["layers"] == sorted(row["layers"])
+    assert row["nodes_drawn"] > 0
+    assert row["build_s"] > 0
+    assert row["load_s"] > 0
+    assert row["peak_bytes"] > 1e8
+
+
+def test_bench_gaze_tells_how_much_a_step_changes(made, monkeypatch, tmp_path, capsys):
+    display, out = tmp_path / "display.json", tmp_path / "g.json"
+    display.write_text(json.dumps({"width": 192, "height": 128, "fov": 60}))
+    common = ["bench", "gaze", "cornell", "--forest", made / "box.forest", "--display", display]
+    assert run(monkeypatch, *common, "--step", 2, "--span", 6, "--json", out) == 0
+    rows = json.loads(out.read_text())
+    assert [row["law"] for row in rows] == ["fov-gs", "stelacsf", "geisler-perry"]
+    for row in rows:
+        assert 0 <= row["median_change_p99_9"] <= row["change_p99_9"] <= row["change_max"] < 255
+    assert rows[0]["change_max"] > 0
+    assert run(monkeypatch, *common, "--step", 2, "--span", 1) == 2
+    assert "--span 1.0: must be at least one --step, 2.0" in capsys.readouterr().err
+
+
+def test_bench_held_out_exchanges_the_periphery_alone(made, monkeypatch, tmp_path):
+    out = tmp_path / "h.json"
+    common = ["bench", "held-out", made / "frames", made / "box.forest", "--json", out]
+    assert run(monkeypatch, *common, "--fov-b", 20) == 0
+    rows = json.loads(out.read_text())
+    assert [row["views"] for row in rows] == [2] * 4
+    assert run(monkeypatch, *common, "--fov-b", 100) == 0
+    whole = json.loads(out.read_text())
+    for part, same in zip(rows, whole, strict=True):
+        assert part["psnr"] < 60 < same["psnr"]
+        assert same["ssim"] == pytest.approx(1)
 
 
 def test_a_layer_is_exported_by_its_number(made, monkeypatch, tmp_path, capsys):
