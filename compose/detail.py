@@ -19,8 +19,9 @@ from compose.view import Display, Gaze, eccentricity_at
 CELL = 16  # pixels
 COARSEST_RATE = 4  # log2 of pixels per sample along each axis
 # Share of an octave over which one step turns into the next. Over a whole octave two of them would be drawn
-# nearly everywhere; without any they would pop.
-_FADE = 0.22
+# nearly everywhere; without any they would pop. Where attention has a say in the level, boundaries move
+# faster than the gaze, and the second share holds.
+_FADE, _FADE_BY_ATTENTION = 0.22, 0.4
 # Gaussians trained on pixels show detail of up to this share of the pixels' Nyquist frequency as it is.
 _FAITHFUL = 0.5
 Lattice = NDArray[np.float32]
@@ -82,7 +83,9 @@ class DetailMap:
         return np.maximum(1 - np.abs(self.place - np.float32(step)), 0)
 
 
-def steps_down(finest: float, finest_rates: tuple[int, ...], lowest: int) -> tuple[Step, ...]:
+def steps_down(
+    finest: float, ahead: float, finest_rates: tuple[int, ...], lowest: int, fade: float
+) -> tuple[Step, ...]:
     """What is drawn as the cut-off falls: layer after layer, each at one rate.
 
     A layer fades into the next one just before the boundary of its level, where Fov-GS's Eq. 7 steps down:
@@ -92,22 +95,25 @@ def steps_down(finest: float, finest_rates: tuple[int, ...], lowest: int) -> tup
 
     Args:
         finest: the cut-off, in cycles per pixel, down to which layer L is needed.
+        ahead: the same for a viewer who looks straight ahead. Rates follow from it: they must not change
+            with the gaze, or a whole layer would pop.
         finest_rates: of layers 1 to L, the finest rate that is worth its samples.
         lowest: the coarsest layer that may be drawn.
+        fade: share of an octave over which a step fades in.
     """
     layers = len(finest_rates)
     steps = [Step(-np.inf, layers, finest_rates[-1])]
-    first = -np.log2(finest) - _FADE if lowest < layers else np.inf
+    first = -np.log2(finest) - fade if lowest < layers else np.inf
     # A rate carries frequencies up to half its samples: rate r begins at 1 + r octaves.
     for rate in range(steps[0].rate + 1, COARSEST_RATE + 1):
-        if 1 + rate + _FADE <= first:
+        if lowest == layers or 1 + rate + fade <= -np.log2(ahead) - fade:
             steps.append(Step(1.0 + rate, layers, rate))
     for layer in range(layers - 1, lowest - 1, -1):
-        octaves = first + layers - 1 - layer
-        carried = min(int(np.floor(octaves + _FADE - 1)), COARSEST_RATE)
-        steps.append(Step(octaves, layer, max(carried, steps[-1].rate, finest_rates[layer - 1])))
+        below = layers - 1 - layer
+        carried = min(int(np.floor(below - np.log2(ahead) - 1)), COARSEST_RATE)
+        steps.append(Step(first + below, layer, max(carried, steps[-1].rate, finest_rates[layer - 1])))
     for rate in range(steps[-1].rate + 1, COARSEST_RATE + 1):
-        steps.append(Step(max(1.0 + rate, steps[-1].octaves + _FADE), lowest, rate))
+        steps.append(Step(max(1.0 + rate, steps[-1].octaves + fade), lowest, rate))
     return tuple(steps)
 
 
@@ -150,18 +156,17 @@ def detail_map(
     if saliency is not None:
         cutoff = with_saliency(cutoff, saliency.astype(np.float64))
         deciding = deciding if law.relative else cutoff
-    # As if the viewer looked straight ahead: the steps must not change with the gaze, or they would pop.
-    ahead = np.degrees(np.arctan(fov_b / 100 * height / display.focal))
-    finest = min(float(law.cutoff(ahead)) / display.pixels_per_degree, 0.5)
-    if not law.relative:
-        # What layer L does not show well, no coarser layer need show either.
-        finest = min(finest, _FAITHFUL * finest_frequency)
-    steps = steps_down(finest, finest_rates, lowest)
+    straight = float(np.degrees(np.arctan(fov_b / 100 * height / display.focal)))
+    # What layer L does not show well, no coarser layer need show either.
+    most = 0.5 if law.relative else min(0.5, _FAITHFUL * finest_frequency)
+    needed = [min(float(law.cutoff(np.array(e))) / display.pixels_per_degree, most) for e in (edge, straight)]
+    fade = _FADE if law.relative else _FADE_BY_ATTENTION
+    steps = steps_down(needed[0], needed[1], finest_rates, lowest, fade)
     with np.errstate(divide="ignore"):
         octaves = -np.log2(deciding)
     place = np.zeros_like(cutoff)
     for step in steps[1:]:
-        place += np.clip((octaves - step.octaves) / _FADE, 0, 1)
+        place += np.clip((octaves - step.octaves) / fade, 0, 1)
     single = lambda values: values.astype(np.float32)  # noqa: E731
     lattices = single(angle), single(np.minimum(cutoff, 0.5))
     return DetailMap(width, height, len(finest_rates), *lattices, steps, single(place))

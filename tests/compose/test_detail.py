@@ -72,7 +72,7 @@ def test_no_layer_below_the_lowest_one():
 def test_a_small_step_of_the_gaze_changes_shares_a_little():
     """0.1 degree on the desktop is 3.2 pixels; no share changes by more than a tenth."""
     before, after = (desktop("fov-gs", Gaze(0.4 + step / 1920, 0.5)) for step in (0, 3.2))
-    assert before.steps == after.steps
+    assert [(s.layer, s.rate) for s in before.steps] == [(s.layer, s.rate) for s in after.steps]
     for step in range(len(before.steps)):
         assert np.abs(before.share(step) - after.share(step)).max() < 0.1
 
@@ -83,14 +83,24 @@ def test_the_steps_of_fov_gs_on_paper():
     Level boundaries lie at 0.25, 0.125 and 0.0625 cycles per pixel: 2, 3 and 4 octaves. There samples of
     2, 4 and 8 pixels carry what is left.
     """
-    steps = steps_down(0.25, (3, 2, 1, 0), 1)
+    steps = steps_down(0.25, 0.25, (3, 2, 1, 0), 1, 0.22)
     assert [(step.layer, step.rate) for step in steps] == [(4, 0), (3, 1), (2, 2), (1, 3), (1, 4)]
     np.testing.assert_allclose([step.octaves + 0.22 for step in steps[1:4]], [2, 3, 4])
     assert steps[4].octaves == 5
 
 
+def test_rates_do_not_change_with_the_gaze():
+    """A boundary of rates moves; a whole layer never changes its rate at once, whatever the gaze."""
+    found = {
+        tuple((s.layer, s.rate) for s in desktop(law, Gaze(x, 0.5)).steps)
+        for law in ("fov-gs", "stelacsf")
+        for x in np.linspace(-0.2, 1.2, 57)
+    }
+    assert len(found) == 2
+
+
 def test_a_forest_of_one_layer_still_loses_samples():
-    steps = steps_down(0.25, (0,), 1)
+    steps = steps_down(0.25, 0.25, (0,), 1, 0.22)
     assert [(step.layer, step.rate) for step in steps] == [(1, rate) for rate in range(COARSEST_RATE + 1)]
     assert [step.octaves for step in steps[1:]] == [2, 3, 4, 5]
 
