@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from compose.acuity import Law, with_saliency
-from compose.view import Display, Gaze, eccentricity_at
+from compose.view import Display, Gaze
 
 CELL = 16  # pixels
 COARSEST_RATE = 4  # log2 of pixels per sample along each axis
 # Share of an octave over which one step turns into the next. Over a whole octave two of them would be drawn
 # nearly everywhere; without any they would pop. Where attention has a say in the level, boundaries move
 # faster than the gaze, and the second share holds.
-_FADE, _FADE_BY_ATTENTION = 0.22, 0.4
+_FADE, _FADE_BY_ATTENTION = 0.22, 0.5
 # Gaussians trained on pixels show detail of up to this share of the pixels' Nyquist frequency as it is.
 _FAITHFUL = 0.5
 Lattice = NDArray[np.float32]
@@ -148,9 +148,10 @@ def detail_map(
     # Within the region of full quality all is as at its edge, where the periphery begins.
     around = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     circle = position + np.stack([np.cos(around), np.sin(around)], axis=1) * (fov_b / 100 * height)
-    edge = float(eccentricity_at(viewer, gaze, circle).min())
+    ray = viewer.rays(position[None])[0]
+    edge = float(np.degrees(np.arccos(min(1.0, (viewer.rays(circle) @ ray).max()))))
     # Near zero an arc cosine loses half of its digits; what is left is more than float32 holds.
-    angle = np.degrees(np.arccos(np.clip(rays @ viewer.rays(position[None])[0], -1, 1)))
+    angle = np.degrees(np.arccos(np.clip(rays @ ray, -1, 1)))
     cutoff = law.cutoff(np.maximum(angle, edge)) / per_degree
     deciding = cutoff
     if saliency is not None:

@@ -113,23 +113,21 @@ def _by_rates(
     Returns:
         Rates, cells, and for each of the rates, cell by cell, the number of the panel.
     """
-    groups: dict[tuple[int, ...], list[tuple[NDArray[np.uint32], list[int]]]] = {}
     codes = (1 << np.arange(len(which))) @ which
+    # Of each combination of panels: which group of rates it belongs to, and the panels' numbers in it.
+    groups: dict[tuple[int, ...], int] = {}
+    group_of = np.zeros(1 << len(which), dtype=np.int64)
+    number_of = np.zeros((len(which), 1 << len(which)), dtype=np.uint32)
     for code in np.flatnonzero(np.bincount(codes)):
         numbers = [n for n in range(len(which)) if code >> n & 1]
-        cells = np.flatnonzero(codes == code).astype(np.uint32)
-        groups.setdefault(tuple(rates[n] for n in numbers), []).append((cells, numbers))
-    return [
-        (
-            list(key),
-            np.concatenate([cells for cells, _ in members]),
-            [
-                np.concatenate([np.full(len(cells), numbers[k], np.uint32) for cells, numbers in members])
-                for k in range(len(key))
-            ],
-        )
-        for key, members in groups.items()
-    ]
+        group_of[code] = groups.setdefault(tuple(rates[n] for n in numbers), len(groups))
+        number_of[: len(numbers), code] = numbers
+    group, found = group_of[codes], []
+    for key, number in groups.items():
+        cells = np.flatnonzero(group == number)
+        of_cells = codes[cells]
+        found.append((list(key), cells.astype(np.uint32), [row[of_cells] for row in number_of[: len(key)]]))
+    return found
 
 
 class _Block:
