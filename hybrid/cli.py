@@ -15,7 +15,23 @@ import typer
 
 from compose.acuity import DEFAULT_LAW
 from compose.errors import UserError
-from compose.files import write_whole
+from hybrid.cli_bench import bench_app
+from hybrid.options import (
+    Backend,
+    DisplayName,
+    ForestFile,
+    FovA,
+    FovB,
+    Json,
+    Law,
+    Layers,
+    SceneName,
+    Seed,
+    Spp,
+    loaded_scene,
+    select,
+    write_json,
+)
 from hybrid.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -28,36 +44,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Path-traced fovea, Gaussian-splat periphery: one scene, two renderers, one frame.",
 )
-bench_app = typer.Typer(no_args_is_help=True, help="Measure one part alone.")
 app.add_typer(bench_app, name="bench")
-
-SceneName = Annotated[
-    str, typer.Argument(metavar="SCENE", help="A bundled scene's name or a Mitsuba XML file.")
-]
-Backend = Annotated[str, typer.Option(help="auto, cuda or llvm.")]
-Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write what was measured.")]
-Seed = Annotated[int, typer.Option(help="Same seed, same result on the same machine.", min=0)]
-ForestFile = Annotated[
-    Path | None, typer.Option("--forest", metavar="FOREST", help="Default: the newest one of the scene.")
-]
-FovA = Annotated[
-    float, typer.Option("--fov-a", help="Radius of the path-traced disc, percent of the height.")
-]
-FovB = Annotated[float, typer.Option("--fov-b", help="Radius inside of which no splats are drawn, percent.")]
-Law = Annotated[
-    str,
-    typer.Option(
-        help="What the eye resolves: geisler-perry, stelacsf, fov-gs, or none for full detail everywhere."
-    ),
-]
-Layers = Annotated[
-    tuple[int, int] | None,
-    typer.Option(metavar="LOW HIGH", help="Coarsest and finest layer that may be drawn; 1 is the coarsest."),
-]
-DisplayName = Annotated[
-    str, typer.Option(metavar="NAME", help="desktop, hmd, or a JSON file with width, height and fov.")
-]
-Spp = Annotated[int, typer.Option("--spp", help="Samples per pixel in the disc.", min=1)]
 
 
 @app.command()
@@ -68,7 +55,7 @@ def doctor(backend: Backend = "auto", json_file: Json = None) -> None:
     report = examine(backend)
     for line in report.lines():
         print(line)
-    _write_json(json_file, report.facts)
+    write_json(json_file, report.facts)
     if report.problem:
         raise UserError(report.problem)
 
@@ -76,7 +63,7 @@ def doctor(backend: Backend = "auto", json_file: Json = None) -> None:
 @app.command()
 def scenes(backend: Backend = "auto", json_file: Json = None) -> None:
     """List the bundled scenes and their facts."""
-    _select(backend)
+    select(backend)
     from hybrid.cache import newest_forest
     from pathtrace.scene import bundled_scenes, load_scene
     from splat.files import load_forest
@@ -110,7 +97,7 @@ def scenes(backend: Backend = "auto", json_file: Json = None) -> None:
                 else "no forest yet"
             )
         )
-    _write_json(json_file, rows)
+    write_json(json_file, rows)
 
 
 @app.command()
@@ -126,7 +113,7 @@ def quickstart(
     json_file: Json = None,
 ) -> None:
     """The main job, from nothing to pictures and numbers."""
-    _select(backend)
+    select(backend)
     from compose.foveation import Foveation
     from compose.view import Gaze
     from hybrid.images import check_writable
@@ -134,9 +121,9 @@ def quickstart(
 
     Foveation(Gaze(), fov_a, fov_b)  # refuses bad radii before the long work begins
     check_writable(out / "result.json")
-    result = run(_scene(scene), out, fov_a, fov_b, seed)
-    _write_json(out / "result.json", result)
-    _write_json(json_file, result)
+    result = run(loaded_scene(scene), out, fov_a, fov_b, seed)
+    write_json(out / "result.json", result)
+    write_json(json_file, result)
     print(
         f"hybrid {result['hybrid']['psnr']:.2f} dB, splats {result['splat']['psnr']:.2f} dB, "
         f"{result['ratio']:.2f} x faster than full path tracing, {result['seconds']['total']:.0f} s in all"
@@ -159,7 +146,7 @@ def capture(
     json_file: Json = None,
 ) -> None:
     """Render training frames; an interrupted capture goes on where it stopped."""
-    _select(backend)
+    select(backend)
     import time
 
     from pathtrace.capture import CaptureSettings
@@ -177,7 +164,7 @@ def capture(
     )
     start = time.perf_counter()
     with progress_bar("capture (samples)") as bar:
-        found = run(_scene(scene, max_depth), frames, settings, bar)
+        found = run(loaded_scene(scene, max_depth), frames, settings, bar)
     row = {
         "scene": found.scene_name,
         "views": len(found.training),
@@ -187,7 +174,7 @@ def capture(
         "spp": spp,
         "seconds": time.perf_counter() - start,
     }
-    _write_json(json_file, row)
+    write_json(json_file, row)
     print(f"{row['views']} training views and {row['held_out']} held-out views in {frames}")
 
 
@@ -204,7 +191,7 @@ def train(
     json_file: Json = None,
 ) -> None:
     """Train a forest on a frame set; an interrupted training goes on from its checkpoint."""
-    _select(backend)
+    select(backend)
     from hybrid.cache import remember_forest
     from hybrid.device import device_arrays
     from hybrid.images import check_writable
@@ -234,7 +221,7 @@ def train(
         "iterations": iterations,
         "seconds": seconds,
     }
-    _write_json(json_file, row)
+    write_json(json_file, row)
     print(f"{sum(trained.counts):,} nodes in {trained.counts[0]:,} trees in {seconds:.0f} s")
     for layer in measured:
         print(
@@ -292,14 +279,14 @@ def render(
     for file in (output, detail):
         if file is not None:
             check_writable(file)
-    _select(backend)
+    select(backend)
     from hybrid.cache import forest_for
     from hybrid.detail_picture import detail_picture
     from hybrid.layers import frame_layers
     from hybrid.periphery import Viewing
     from hybrid.renderer import HybridRenderer
 
-    loaded = _scene(scene, max_depth)
+    loaded = loaded_scene(scene, max_depth)
     view = _view(loaded, camera, size)
     viewing = Viewing(shown, law, layers)
     renderer = HybridRenderer(loaded, forest_for(loaded, forest), viewing, denoised=fovea == "denoised")
@@ -310,7 +297,7 @@ def render(
         write_png(output, frame.composite)
     if detail is not None:
         write_bytes(detail, detail_picture(frame.composite, frame.detail, frame.plan))
-    _write_json(
+    write_json(
         json_file,
         {
             "scene": loaded.name,
@@ -379,7 +366,7 @@ def sweep(
     """Time hybrid frames against full path tracing, interleaved, with a raw fovea."""
     if over != "resolution":
         raise UserError(f"--over {over}: must be resolution")
-    _select(backend)
+    select(backend)
     from compose.foveation import Foveation
     from compose.view import Gaze
     from hybrid.cache import forest_for
@@ -388,7 +375,7 @@ def sweep(
     from hybrid.timing import machine
 
     Foveation(Gaze(), fov_a, fov_b)
-    loaded = _scene(scene)
+    loaded = loaded_scene(scene)
     renderer = HybridRenderer(loaded, forest_for(loaded, forest))
     with progress_bar("sweep (rounds)") as bar:
         rows = resolution_rows(renderer, loaded.camera, fov_a, fov_b, spp, repeats, warm_up, bar)
@@ -399,180 +386,7 @@ def sweep(
             f"{row['width']:>5}x{row['height']:<5} {hybrid_ms:>8.0f} {full:>8.0f} {disc:>8.0f} "
             f"{row['ratio']:>7.2f} {row['ceiling']:>7.2f}"
         )
-    _write_json(json_file, [{**row, "machine": machine()} for row in rows])
-
-
-@bench_app.command("raster")
-def bench_raster(
-    gaussians: Annotated[int, typer.Option(min=1)] = 50_000,
-    size: Annotated[tuple[int, int], typer.Option(metavar="W H")] = (512, 512),
-    seed: Seed = 0,
-    repeats: Annotated[int, typer.Option(help="Measured rounds.", min=3)] = 50,
-    backend: Backend = "auto",
-    json_file: Json = None,
-) -> None:
-    """Time the rasterizer and its gradient on random Gaussians that are already on the device."""
-    if min(size) <= 0:
-        raise UserError(f"--size {size[0]} {size[1]}: must be positive")
-    _select(backend)
-    from hybrid.bench import bench_raster as run
-    from hybrid.device import device_arrays
-    from hybrid.timing import machine
-
-    with progress_bar("bench (rounds)") as bar:
-        row = run(device_arrays(), gaussians, size[0], size[1], seed, repeats, 5, bar)
-    for name in ("forward", "backward"):
-        times = row[f"{name}_ms"]
-        print(f"{name}: median {times['p50']:.1f} ms, p95 {times['p95']:.1f} ms")
-    print(f"pairs: {row['pairs']:,}")
-    _write_json(json_file, {**row, "machine": machine()})
-
-
-@bench_app.command("periphery")
-def bench_periphery(
-    scene: SceneName,
-    forest: ForestFile = None,
-    display: DisplayName = "desktop",
-    fov_b: FovB = 20.0,
-    repeats: Annotated[int, typer.Option(help="Measured passes per law and gaze.", min=3)] = 20,
-    warm_up: Annotated[int, typer.Option(help="Passes before that.", min=1)] = 5,
-    backend: Backend = "auto",
-    json_file: Json = None,
-) -> None:
-    """Time the periphery under each law against full level and full rate, with the quality it keeps."""
-    from compose.foveation import Foveation
-    from compose.view import Gaze, display_named
-
-    Foveation(Gaze(), fov_b, fov_b)
-    shown = display_named(display)
-    _select(backend)
-    from hybrid.bench_periphery import bench_periphery as run
-    from hybrid.bench_periphery import display_camera
-    from hybrid.cache import forest_for
-    from hybrid.device import device_arrays
-    from hybrid.fovvideovdp import INSTALL
-    from hybrid.timing import machine
-
-    loaded = _scene(scene)
-    found = forest_for(loaded, forest)
-    view = display_camera(loaded.camera, shown)
-    with progress_bar("bench (rounds)") as bar:
-        rows = run(device_arrays(), found, view, shown, fov_b, repeats, warm_up, bar)
-    print("                       camera still       |    moving           |")
-    print("gaze     law              ms    full ratio     ms    full ratio   nodes     JOD   SSIM")
-    for row in rows:
-        quality = "    -" if row["jod"] is None else f"{row['jod']:5.2f}"
-        print(
-            f"{row['gaze'][0]:.1f} {row['gaze'][1]:.1f}  {row['law']:<14} {row['periphery_ms']['p50']:>5.1f} "
-            f"{row['full_ms']['p50']:>7.1f} {row['ratio']:>5.2f} {row['moving_ms']['p50']:>6.1f} "
-            f"{row['moving_full_ms']['p50']:>7.1f} {row['moving_ratio']:>5.2f} {row['nodes_drawn']:>7,} "
-            f"{quality:>7} {row['ssim']:.4f}"
-        )
-    if rows[0]["jod"] is None:
-        print(INSTALL)
-    _write_json(json_file, [{**row, "scene": loaded.name, "machine": machine()} for row in rows])
-
-
-@bench_app.command("forest")
-def bench_forest(
-    nodes: Annotated[int, typer.Option(help="Gaussians of the finest layer.", min=1)] = 1_000_000,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    json_file: Json = None,
-) -> None:
-    """Grow a forest over random Gaussians, load it again, and see what memory rendering takes."""
-    _select(backend)
-    from hybrid.bench_forest import bench_forest as run
-    from hybrid.device import device_arrays
-    from hybrid.timing import machine
-
-    row = run(nodes, seed, device_arrays().backend)
-    _write_json(json_file, {**row, "machine": machine()})
-    print(f"layers of {', '.join(f'{count:,}' for count in row['layers'])} nodes")
-    print(f"grown in {row['build_s']:.1f} s, loaded in {row['load_s']:.1f} s")
-    print(f"peak memory of loading and rendering: {row['peak_bytes'] / 1e9:.2f} GB")
-
-
-@bench_app.command("gaze")
-def bench_gaze(
-    scene: SceneName,
-    forest: ForestFile = None,
-    display: DisplayName = "desktop",
-    fov_b: FovB = 20.0,
-    step: Annotated[float, typer.Option(help="Degrees between two frames.", min=0.01)] = 0.1,
-    span: Annotated[float, typer.Option(help="Degrees from the first frame to the last.", min=0.1)] = 20.0,
-    backend: Backend = "auto",
-    json_file: Json = None,
-) -> None:
-    """Move the gaze in small steps and see how much the periphery changes from each to the next."""
-    from compose.foveation import Foveation
-    from compose.view import Gaze, display_named
-
-    Foveation(Gaze(), fov_b, fov_b)
-    shown = display_named(display)
-    if span < step:
-        raise UserError(f"--span {span}: must be at least one --step, {step}")
-    _select(backend)
-    from hybrid.bench_gaze import bench_gaze as run
-    from hybrid.bench_periphery import display_camera
-    from hybrid.cache import forest_for
-    from hybrid.device import device_arrays
-    from hybrid.timing import machine
-
-    loaded = _scene(scene)
-    found = forest_for(loaded, forest)
-    view = display_camera(loaded.camera, shown)
-    with progress_bar("bench (frames)") as bar:
-        rows = run(device_arrays(), found, view, shown, fov_b, step, span, bar)
-    print("change per step, in 1/255   99.9th percentile   largest")
-    for row in rows:
-        print(f"{row['law']:<27} {row['change_p99_9']:>17.2f} {row['change_max']:>9.2f}")
-    _write_json(json_file, [{**row, "scene": loaded.name, "machine": machine()} for row in rows])
-
-
-@bench_app.command("held-out")
-def bench_held_out(
-    frames: Annotated[Path, typer.Argument(metavar="FRAMES", help="Folder of a frame set.")],
-    forest: Annotated[Path, typer.Argument(metavar="FOREST", help="Trained on the other frames of the set.")],
-    display: DisplayName = "desktop",
-    fov_b: FovB = 20.0,
-    backend: Backend = "auto",
-    json_file: Json = None,
-) -> None:
-    """Put the forest's periphery into converged held-out frames and see what a viewer would notice."""
-    from compose.foveation import Foveation
-    from compose.view import Gaze, display_named
-
-    Foveation(Gaze(), fov_b, fov_b)
-    shown = display_named(display)
-    _select(backend)
-    from hybrid.bench_held_out import bench_held_out as run
-    from hybrid.device import device_arrays
-    from hybrid.fovvideovdp import INSTALL
-    from pathtrace.frames import read_frame_set
-    from splat.files import load_forest
-
-    with progress_bar("bench (frames)") as bar:
-        rows = run(device_arrays(), read_frame_set(frames), load_forest(forest), shown, fov_b, bar)
-    print("law               JOD  lowest    PSNR    SSIM")
-    for row in rows:
-        jods = "    -       -" if row["jod"] is None else f"{row['jod']:5.2f}  {row['lowest_jod']:6.2f}"
-        print(f"{row['law']:<14}  {jods}  {row['psnr']:6.2f}  {row['ssim']:.4f}")
-    if rows[0]["jod"] is None:
-        print(INSTALL)
-    _write_json(json_file, rows)
-
-
-def _select(backend: str) -> None:
-    from pathtrace.backend import select_backend
-
-    select_backend(backend)
-
-
-def _scene(source: str, max_depth: int | None = None) -> Scene:
-    from pathtrace.scene import load_scene
-
-    return load_scene(source, max_depth)
+    write_json(json_file, [{**row, "machine": machine()} for row in rows])
 
 
 def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None) -> Camera:
@@ -601,13 +415,6 @@ def _checked(kind: Any, **values: Any) -> Any:
         return kind(**values)
     except ValueError as error:
         raise UserError(str(error)) from error
-
-
-def _write_json(path: Path | None, content: Any) -> None:
-    if path is None:
-        return
-    text = json.dumps(content, indent=1) + "\n"
-    write_whole(path, lambda part: part.write_text(text))
 
 
 def main() -> None:
