@@ -14,11 +14,22 @@ from compose.errors import UserError
 from compose.files import write_whole
 from compose.view import Camera, camera_to_json
 from pathtrace.denoise import denoise
-from pathtrace.frames import FORMAT_VERSION, Frame, FrameSet, read_frame_set, write_frame
+from pathtrace.frames import (
+    FORMAT_VERSION,
+    Estimate,
+    Frame,
+    FrameSet,
+    read_frame_set,
+    write_estimate,
+    write_frame,
+)
 from pathtrace.scene import Scene
 from pathtrace.surface import Surfaces
 from pathtrace.tracer import Tracer, frame_positions
 from pathtrace.views import ViewSet, choose_views
+
+# Samples per pixel of the estimates that are kept of some held-out views: what a fovea may be traced with.
+_ESTIMATES = (1, 2, 4, 16, 64)
 
 
 @dataclass(frozen=True)
@@ -85,7 +96,12 @@ def capture(
         path = folder / entry["file_path"]
         if not path.is_file():
             # The frame's own seed: a capture that was interrupted ends with the very same frames.
-            write_frame(path, render_frame(tracer, camera, entry["samples"], settings.seed * 100_003 + index))
+            counts = {e["samples"]: folder / e["file_path"] for e in entry["estimates"]}
+            seed = settings.seed * 100_003 + index
+            frame, estimates = render_estimates(tracer, camera, entry["samples"], seed, tuple(counts))
+            for file, estimate in zip(counts.values(), estimates, strict=True):
+                write_estimate(file, estimate)
+            write_frame(path, frame)
         done += entry["samples"]
         progress(done, total)
     return read_frame_set(folder)
@@ -93,22 +109,36 @@ def capture(
 
 def render_frame(tracer: Tracer, camera: Camera, spp: int, seed: int) -> Frame:
     """One denoised frame with everything that training wants to know of it."""
+    return render_estimates(tracer, camera, spp, seed, ())[0]
+
+
+def render_estimates(
+    tracer: Tracer, camera: Camera, spp: int, seed: int, counts: tuple[int, ...]
+) -> tuple[Frame, list[Estimate]]:
+    """One denoised frame, and estimates from disjoint parts of its samples, each of so many per pixel."""
     positions = frame_positions(camera)
-    traced = tracer.trace(camera, positions, spp, seed, guides=True)
     hits = tracer.hits(camera, positions)
     shape = (camera.height, camera.width)
     image = lambda channels: np.stack([c.numpy() for c in channels], axis=-1).reshape(*shape, 3)  # noqa: E731
-    albedo, normal = image(traced.albedo), image(traced.normal)
-    axis = camera.camera_to_world[:3, 2]
-    cosine = (camera.rays(camera.pixel_centres()) @ axis).astype(np.float32)
-    return Frame(
-        denoise(image(traced.radiance), albedo, normal),
+    parts = []
+    for number, count in enumerate((*counts, spp - sum(counts))):
+        traced = tracer.trace(camera, positions, count, seed + number * 1_000_033, guides=True)
+        parts.append(Estimate(image(traced.radiance), image(traced.albedo), image(traced.normal)))
+    weights = np.array((*counts, spp - sum(counts)), dtype=np.float32) / spp
+    mean = lambda name: sum(  # noqa: E731
+        weight * getattr(part, name) for weight, part in zip(weights, parts, strict=True)
+    )
+    radiance, albedo, normal = mean("radiance"), mean("albedo"), mean("normal")
+    cosine = (camera.rays(camera.pixel_centres()) @ camera.camera_to_world[:3, 2]).astype(np.float32)
+    frame = Frame(
+        denoise(radiance, albedo, normal),
         albedo,
         normal,
         (hits.distance * cosine).reshape(shape),
         hits.unfolded.reshape(shape),
         hits.shape.reshape(shape),
     )
+    return frame, parts[:-1]
 
 
 def _held_out(views: ViewSet, count: int) -> set[int]:
@@ -123,6 +153,10 @@ def _describe(
     scene: Scene, cameras: list[Camera], held_out: set[int], settings: CaptureSettings
 ) -> dict[str, Any]:
     """The content of transforms.json."""
+    # Every third held-out view is kept from fitting the fusion as well.
+    fitted = {index for number, index in enumerate(sorted(held_out)) if number % 3 != 2}
+    # Half of a reference's samples at most.
+    counts = [n for i, n in enumerate(_ESTIMATES) if 2 * sum(_ESTIMATES[: i + 1]) <= settings.held_out_spp]
     frames = []
     for index, camera in enumerate(cameras):
         pose = camera_to_json(camera)
@@ -133,6 +167,11 @@ def _describe(
                 "time": 0.0,
                 "samples": settings.held_out_spp if index in held_out else settings.spp,
                 "held_out": index in held_out,
+                "estimates": [
+                    {"samples": count, "file_path": f"frames/{index:04d}-{count}.exr"}
+                    for count in counts
+                    if index in fitted
+                ],
             }
         )
     intrinsics = {k: v for k, v in camera_to_json(cameras[0]).items() if k != "transform_matrix"}

@@ -20,7 +20,7 @@ from compose.files import write_whole
 from compose.view import Camera, camera_from_json
 
 Image = NDArray[np.float32]
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -45,29 +45,55 @@ class Frame:
 
 
 @dataclass(frozen=True)
+class Estimate:
+    """A view traced with few samples, as it comes from the tracer.
+
+    Attributes:
+        radiance: (H, W, 3) linear, not denoised.
+        albedo: (H, W, 3), of the same samples.
+        normal: (H, W, 3), of the same samples.
+    """
+
+    radiance: Image
+    albedo: Image
+    normal: Image
+
+
+@dataclass(frozen=True)
 class FrameEntry:
-    """A frame's camera, its file, how many samples it has, and whether training must not see it."""
+    """What a frame set says of a frame.
+
+    Attributes:
+        camera: the view.
+        file: its Frame.
+        samples: per pixel.
+        held_out: training must not see it.
+        estimates: samples per pixel and file of estimates of the same view, where there are any.
+    """
 
     camera: Camera
     file: Path
     samples: int
     held_out: bool
+    estimates: dict[int, Path]
 
 
 def write_frame(path: Path, frame: Frame) -> None:
     """Writes one frame; the file appears whole or not at all."""
-    half, single = np.float16, np.float32
+    single = np.float32
     channels: dict[str, Any] = {
-        **_planes("", "RGB", frame.radiance, single),
-        **_planes("albedo.", "RGB", frame.albedo, half),
-        **_planes("normal.", "XYZ", frame.normal, half),
+        **_shaded(frame),
         "Z": np.ascontiguousarray(frame.depth, dtype=single),
         "unfolded.V": np.ascontiguousarray(frame.unfolded, dtype=single),
         # OpenEXR knows no signed integers: 0 is "nothing hit".
         "shape.V": (frame.shape + 1).astype(np.uint32),
     }
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    write_whole(path, lambda part: OpenEXR.File(header, channels).write(str(part)))
+    _write(path, channels)
+
+
+def write_estimate(path: Path, estimate: Estimate) -> None:
+    """Writes one estimate; the file appears whole or not at all."""
+    _write(path, _shaded(estimate))
 
 
 def read_frame(path: Path) -> Frame:
@@ -76,22 +102,61 @@ def read_frame(path: Path) -> Frame:
     Raises:
         UserError: the file is missing, damaged, or not a frame of a frame set.
     """
+    planes = _read(path)
     try:
-        channels = OpenEXR.File(str(path), separate_channels=True).channels()
-        planes = {name: channel.pixels for name, channel in channels.items()}
-        stack = lambda prefix, names: np.stack(  # noqa: E731
-            [planes[prefix + n] for n in names], axis=-1
-        ).astype(np.float32)
         return Frame(
-            stack("", "RGB"),
-            stack("albedo.", "RGB"),
-            stack("normal.", "XYZ"),
+            *_shading(planes),
             planes["Z"],
             planes["unfolded.V"],
             planes["shape.V"].astype(np.int32) - 1,
         )
-    except (OSError, RuntimeError, KeyError, ValueError) as error:
-        raise UserError(f"{path}: not a readable frame ({error}); capture it again") from error
+    except KeyError as error:
+        raise _unreadable(path, error) from error
+
+
+def read_estimate(path: Path) -> Estimate:
+    """Inverse of write_estimate.
+
+    Raises:
+        UserError: the file is missing, damaged, or not an estimate of a frame set.
+    """
+    planes = _read(path)
+    try:
+        return Estimate(*_shading(planes))
+    except KeyError as error:
+        raise _unreadable(path, error) from error
+
+
+def _write(path: Path, channels: dict[str, Any]) -> None:
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    write_whole(path, lambda part: OpenEXR.File(header, channels).write(str(part)))
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        channels = OpenEXR.File(str(path), separate_channels=True).channels()
+        return {name: channel.pixels for name, channel in channels.items()}
+    except (OSError, RuntimeError, ValueError) as error:
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: Exception) -> UserError:
+    return UserError(f"{path}: not a readable frame ({error}); capture it again")
+
+
+def _shaded(image: Frame | Estimate) -> dict[str, Any]:
+    return {
+        **_planes("", "RGB", image.radiance, np.float32),
+        **_planes("albedo.", "RGB", image.albedo, np.float16),
+        **_planes("normal.", "XYZ", image.normal, np.float16),
+    }
+
+
+def _shading(planes: dict[str, Any]) -> tuple[Image, Image, Image]:
+    stack = lambda prefix, names: np.stack(  # noqa: E731
+        [planes[prefix + n] for n in names], axis=-1
+    ).astype(np.float32)
+    return stack("", "RGB"), stack("albedo.", "RGB"), stack("normal.", "XYZ")
 
 
 def _planes(prefix: str, names: str, image: Image, dtype: Any) -> dict[str, Any]:
@@ -129,22 +194,29 @@ def read_frame_set(folder: Path) -> FrameSet:
     try:
         text = path.read_text()
         document = json.loads(text)
+        if document["format_version"] != FORMAT_VERSION:
+            raise UserError(
+                f"{path}: format version {document['format_version']}, this program reads {FORMAT_VERSION}; "
+                "capture the frames again"
+            )
         entries = [
             FrameEntry(
                 camera_from_json({**document, **frame}),
                 folder / frame["file_path"],
                 int(frame["samples"]),
                 bool(frame["held_out"]),
+                {int(e["samples"]): folder / e["file_path"] for e in frame["estimates"]},
             )
             for frame in document["frames"]
         ]
         scene = document["scene"]["name"], document["scene"]["hash"]
     except (ValueError, KeyError, TypeError) as error:
         raise UserError(f"{path}: not a frame set's description ({error!r})") from error
-    missing = [entry.file.name for entry in entries if not entry.file.is_file()]
+    files = [file for entry in entries for file in (entry.file, *entry.estimates.values())]
+    missing = [file.name for file in files if not file.is_file()]
     if missing:
         raise UserError(
-            f"{folder}: {len(missing)} of {len(entries)} frames are missing ({missing[0]} first); "
+            f"{folder}: {len(missing)} of {len(files)} files are missing ({missing[0]} first); "
             "run hybrid capture again with the same options, it goes on where it stopped"
         )
     return FrameSet(folder, hashlib.sha256(text.encode()).hexdigest(), *scene, entries)

@@ -100,7 +100,7 @@ def test_an_interrupted_capture_ends_with_the_same_frames(tmp_path):
 
     with pytest.raises(InterruptError):
         capture(scene, tmp_path / "parts", SETTINGS, interrupt)
-    with pytest.raises(UserError, match="frames are missing"):
+    with pytest.raises(UserError, match="files are missing"):
         read_frame_set(tmp_path / "parts")
     parts = capture(scene, tmp_path / "parts", SETTINGS, ignore)
     assert len(parts.training) == 4
