@@ -87,6 +87,24 @@ class FoveaPlan:
         image[self.pixels] = self.weights
         return image.reshape(self.height, self.width)
 
+    def box(self) -> tuple[slice, slice]:
+        """Rows and columns of the smallest rectangle around the disc; there must be a disc."""
+        rows, columns = self.pixels // self.width, self.pixels % self.width
+        return (
+            slice(int(rows[0]), int(rows[-1]) + 1),
+            slice(int(columns.min()), int(columns.max()) + 1),
+        )
+
+    def foveal_tiles(self, tile: int) -> NDArray[np.bool_]:
+        """(rows, columns) bool: tiles that the rectangle around the disc touches."""
+        tiles = np.zeros((-(-self.height // tile), -(-self.width // tile)), dtype=bool)
+        if len(self.pixels):
+            rows, columns = self.box()
+            tiles[
+                rows.start // tile : -(-rows.stop // tile), columns.start // tile : -(-columns.stop // tile)
+            ] = True
+        return tiles
+
     def peripheral_tiles(self, tile: int) -> NDArray[np.bool_]:
         """(rows, columns) bool: tiles in which at least one pixel shows some of the splats."""
         if len(self.pixels) == self.width * self.height:

@@ -210,8 +210,8 @@ def train(
     found = read_frame_set(frames)
     check_writable(forest)
     arrays = device_arrays()
-    with progress_bar("train (steps)") as bar:
-        trained, seconds = train_forest(arrays, found, forest, settings, bar)
+    with progress_bar("train (steps)") as bar, progress_bar("fusion (steps)") as fusion_bar:
+        trained, seconds = train_forest(arrays, found, forest, settings, bar, fusion_bar)
     remember_forest(trained, forest.stem)
     measured = held_out_quality(arrays, found, trained)
     row = {
@@ -247,8 +247,11 @@ def render(
     spp: Spp = 4,
     size: Annotated[tuple[int, int] | None, typer.Option(metavar="W H", help="Default: the scene's.")] = None,
     fovea: Annotated[
-        str, typer.Option(help="raw: what Mitsuba gives, unbiased; denoised: OIDN.")
-    ] = "denoised",
+        str,
+        typer.Option(
+            help="raw: what Mitsuba gives, unbiased; denoised: OIDN; fused: with the splats under the disc."
+        ),
+    ] = "fused",
     law: Law = DEFAULT_LAW,
     layers: Layers = None,
     display: DisplayName = "desktop",
@@ -269,8 +272,6 @@ def render(
 
     if output.suffix.lower() not in (".exr", ".png"):
         raise UserError(f"--output {output}: must end in .exr or .png")
-    if fovea not in ("raw", "denoised"):
-        raise UserError(f"--fovea {fovea}: must be raw or denoised")
     if detail is not None and detail.suffix.lower() != ".png":
         raise UserError(f"--detail {detail}: must end in .png")
     foveation = Foveation(_checked(Gaze, x=gaze[0], y=gaze[1]), fov_a, fov_b)
@@ -289,7 +290,7 @@ def render(
     loaded = loaded_scene(scene, max_depth)
     view = _view(loaded, camera, size)
     viewing = Viewing(shown, law, layers)
-    renderer = HybridRenderer(loaded, forest_for(loaded, forest), viewing, denoised=fovea == "denoised")
+    renderer = HybridRenderer(loaded, forest_for(loaded, forest), viewing, fovea)
     frame = renderer.frame(view, foveation, spp, seed)
     if output.suffix.lower() == ".exr":
         write_layers(output, frame_layers(renderer, view, foveation.gaze, frame))
@@ -310,6 +311,7 @@ def render(
             "law": law,
             "pixels_per_degree": shown.pixels_per_degree,
             "nodes_drawn": frame.nodes_drawn,
+            "pixels_excluded": frame.fovea.excluded,
             "milliseconds": frame.milliseconds,
         },
     )

@@ -18,6 +18,11 @@ _PICTURES = (
     ),
     ("reference", "Reference", "path-traced, {reference_spp} samples per pixel, denoised"),
     ("splat", "Splats alone", "{gaussians:,} Gaussians"),
+    (
+        "weights",
+        "What the fovea is made of",
+        "red: path-traced samples, green: the same denoised, blue: splats",
+    ),
 )
 
 _PAGE = Template("""<!doctype html>

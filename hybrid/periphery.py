@@ -108,6 +108,17 @@ class Periphery:
         ]
         return self._renderer.render(camera, pictures, detail.cutoff, plan.peripheral_tiles(TILE))
 
+    def under_fovea(self, camera: Camera, plan: FoveaPlan) -> JoinedFrame:
+        """The finest layer that may be drawn at full rate, over the rectangle around the disc."""
+        wanted = plan.foveal_tiles(TILE)
+        corners = (wanted.shape[0] + 1, wanted.shape[1] + 1)
+        picture = Picture(self._high, 0, np.ones(corners, dtype=np.float32))
+        return self._renderer.render(camera, [picture], np.full(corners, 0.5, dtype=np.float32), wanted)
+
+    def enlargement(self, camera: Camera) -> float:
+        """Side of the pixels that the finest layer was trained on, in pixels of a camera."""
+        return camera.fy / self.forest.focal_of(self._high)
+
     def whole(self, camera: Camera) -> Image:
         """(H, W, 3) the finest layer that may be drawn, over the whole frame at full rate."""
         return self._renderer.render_layer(camera, self._high).image()

@@ -10,7 +10,7 @@ from compose.foveation import Foveation
 from compose.view import Gaze
 from hybrid.cache import make_quick_forest
 from hybrid.device import device_arrays
-from hybrid.images import write_layers, write_png
+from hybrid.images import write_bytes, write_layers, write_png
 from hybrid.layers import frame_layers
 from hybrid.page import write_page
 from hybrid.progress import progress_bar
@@ -19,6 +19,7 @@ from hybrid.renderer import HybridRenderer
 from hybrid.sweep import compare
 from hybrid.timing import machine
 from hybrid.training import held_out_quality
+from hybrid.weights_picture import weights_picture
 from pathtrace.capture import render_frame
 from pathtrace.frames import read_frame_set
 from pathtrace.scene import Scene
@@ -50,7 +51,7 @@ def quickstart(scene: Scene, folder: Path, fov_a: float, fov_b: float, seed: int
 
     before = time.perf_counter()
     camera = scene.camera.resized(_SIZE, _SIZE)
-    renderer = HybridRenderer(scene, forest, denoised=True)
+    renderer = HybridRenderer(scene, forest, mode="fused")
     with progress_bar("reference") as bar:
         bar(0, 1)
         reference = render_frame(renderer.tracer, camera, _REFERENCE_SPP, seed + 1_000_003).radiance
@@ -64,6 +65,7 @@ def quickstart(scene: Scene, folder: Path, fov_a: float, fov_b: float, seed: int
     write_layers(folder / "hybrid.exr", frame_layers(renderer, camera, Gaze(), frame))
     for name, image in (("hybrid", frame.composite), ("reference", reference), ("splat", whole)):
         write_png(folder / f"{name}.png", image)
+    write_bytes(folder / "weights.png", weights_picture(frame))
     seconds["total"] = time.perf_counter() - start
     result = {
         "scene": scene.name,

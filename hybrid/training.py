@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from compose.errors import UserError
+from hybrid.fusing import with_fusion
 from hybrid.quality import quality
 from pathtrace.frames import FrameEntry, FrameSet, read_frame
 from splat.arrays import Arrays
@@ -49,8 +50,9 @@ def train_forest(
     path: Path,
     settings: TrainingSettings,
     progress: Callable[[int, int], None],
+    fusion_progress: Callable[[int, int], None],
 ) -> tuple[Forest, float]:
-    """Trains a forest and writes it; goes on from the checkpoint of an interrupted training.
+    """Trains a forest, fits the fusion to it, and writes both; goes on from the checkpoint of an interrupted training.
 
     Returns:
         The forest, and the seconds that training took in this process.
@@ -91,6 +93,7 @@ def train_forest(
     forest = forest_of(trainer.forest(), views[0].camera.fy, frames.scene_name, frames.scene_hash)
     if not forest.nodes.gaussians.is_finite():
         raise RuntimeError("training ended with numbers that are not finite")
+    forest = with_fusion(arrays, frames, forest, settings.seed, fusion_progress)
     save_forest(path, forest)
     checkpoint.unlink(missing_ok=True)
     return forest, time.perf_counter() - start

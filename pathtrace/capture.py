@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from compose.errors import UserError
 from compose.files import write_whole
-from compose.view import Camera, camera_to_json
+from compose.view import Camera, camera_from_json, camera_to_json
 from pathtrace.denoise import denoise
 from pathtrace.frames import (
     FORMAT_VERSION,
@@ -30,6 +30,8 @@ from pathtrace.views import ViewSet, choose_views
 
 # Samples per pixel of the estimates that are kept of some held-out views: what a fovea may be traced with.
 _ESTIMATES = (1, 2, 4, 16, 64)
+# Of those views, parts are rendered at so many times the resolution, half as wide and high as the view.
+_CLOSER = (2, 4)
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ def capture(
         scene: what to render.
         folder: where to; made if it does not exist.
         settings: which frames.
-        progress: called with (samples done, samples in all).
+        progress: called with samples done and samples in all.
 
     Raises:
         UserError: the folder holds another capture or cannot be written.
@@ -87,22 +89,25 @@ def capture(
         settings.seed,
     )
     cameras = chosen.fixed + chosen.spread
-    document = _describe(scene, cameras, _held_out(chosen, settings.held_out), settings)
+    document = _describe(scene, cameras, chosen, settings)
     _write_description(folder, document)
     tracer = Tracer(scene)
-    total = sum(frame["samples"] for frame in document["frames"])
+    entries = document["frames"] + document["close_ups"]
+    pixels = [_pixels(camera_from_json({**document, **entry})) for entry in entries]
+    total = sum(entry["samples"] * count for entry, count in zip(entries, pixels, strict=True))
     done = 0
-    for index, (camera, entry) in enumerate(zip(cameras, document["frames"], strict=True)):
+    for index, entry in enumerate(entries):
         path = folder / entry["file_path"]
         if not path.is_file():
             # The frame's own seed: a capture that was interrupted ends with the very same frames.
             counts = {e["samples"]: folder / e["file_path"] for e in entry["estimates"]}
             seed = settings.seed * 100_003 + index
+            camera = camera_from_json({**document, **entry})
             frame, estimates = render_estimates(tracer, camera, entry["samples"], seed, tuple(counts))
             for file, estimate in zip(counts.values(), estimates, strict=True):
                 write_estimate(file, estimate)
             write_frame(path, frame)
-        done += entry["samples"]
+        done += entry["samples"] * pixels[index]
         progress(done, total)
     return read_frame_set(folder)
 
@@ -141,6 +146,10 @@ def render_estimates(
     return frame, parts[:-1]
 
 
+def _pixels(camera: Camera) -> int:
+    return camera.width * camera.height
+
+
 def _held_out(views: ViewSet, count: int) -> set[int]:
     """Indices of the views that training must not see, evenly over those that are spread."""
     if count > len(views.spread):
@@ -150,39 +159,68 @@ def _held_out(views: ViewSet, count: int) -> set[int]:
 
 
 def _describe(
-    scene: Scene, cameras: list[Camera], held_out: set[int], settings: CaptureSettings
+    scene: Scene, cameras: list[Camera], chosen: ViewSet, settings: CaptureSettings
 ) -> dict[str, Any]:
     """The content of transforms.json."""
+    held_out = _held_out(chosen, settings.held_out)
     # Every third held-out view is kept from fitting the fusion as well.
     fitted = {index for number, index in enumerate(sorted(held_out)) if number % 3 != 2}
-    # Half of a reference's samples at most.
-    counts = [n for i, n in enumerate(_ESTIMATES) if 2 * sum(_ESTIMATES[: i + 1]) <= settings.held_out_spp]
-    frames = []
-    for index, camera in enumerate(cameras):
-        pose = camera_to_json(camera)
-        frames.append(
-            {
-                "file_path": f"frames/{index:04d}.exr",
-                "transform_matrix": pose["transform_matrix"],
-                "time": 0.0,
-                "samples": settings.held_out_spp if index in held_out else settings.spp,
-                "held_out": index in held_out,
-                "estimates": [
-                    {"samples": count, "file_path": f"frames/{index:04d}-{count}.exr"}
-                    for count in counts
-                    if index in fitted
-                ],
-            }
+    frames = [
+        _entry(
+            camera,
+            f"frames/{index:04d}",
+            settings.held_out_spp if index in held_out else settings.spp,
+            _counts(settings.held_out_spp) if index in fitted else [],
+            index in held_out,
         )
-    intrinsics = {k: v for k, v in camera_to_json(cameras[0]).items() if k != "transform_matrix"}
+        for index, camera in enumerate(cameras)
+    ]
+    rng = np.random.default_rng(settings.seed)
+    close_ups = []
+    for index in sorted(fitted):
+        for factor in _CLOSER:
+            camera = _part_of(cameras[index], factor, rng)
+            path = f"frames/{index:04d}-closer{factor}"
+            entry = _entry(camera, path, settings.held_out_spp, _counts(settings.held_out_spp), True)
+            close_ups.append({**entry, **_intrinsics(camera)})
     return {
         "camera_model": "OPENCV",
-        **intrinsics,
+        **_intrinsics(cameras[0]),
         "format_version": FORMAT_VERSION,
         "scene": {"name": scene.name, "hash": scene.hash, "max_depth": scene.max_depth},
         "settings": asdict(settings),
         "frames": frames,
+        # Apart from the frames, which other programs take for training.
+        "close_ups": close_ups,
     }
+
+
+def _entry(camera: Camera, path: str, spp: int, counts: list[int], held_out: bool) -> dict[str, Any]:
+    return {
+        "file_path": f"{path}.exr",
+        "transform_matrix": camera_to_json(camera)["transform_matrix"],
+        "time": 0.0,
+        "samples": spp,
+        "held_out": held_out,
+        "estimates": [{"samples": count, "file_path": f"{path}-{count}spp.exr"} for count in counts],
+    }
+
+
+def _counts(spp: int) -> list[int]:
+    """Samples per pixel of the estimates: all together half of the reference's at most."""
+    return [count for i, count in enumerate(_ESTIMATES) if 2 * sum(_ESTIMATES[: i + 1]) <= spp]
+
+
+def _part_of(camera: Camera, factor: int, rng: np.random.Generator) -> Camera:
+    """Half the view's width and height in pixels, of the view at a multiple of its resolution."""
+    large = camera.resized(camera.width * factor, camera.height * factor)
+    width, height = max(1, camera.width // 2), max(1, camera.height // 2)
+    left, top = int(rng.integers(large.width - width + 1)), int(rng.integers(large.height - height + 1))
+    return replace(large, width=width, height=height, cx=large.cx - left, cy=large.cy - top)
+
+
+def _intrinsics(camera: Camera) -> dict[str, Any]:
+    return {name: value for name, value in camera_to_json(camera).items() if name != "transform_matrix"}
 
 
 def _write_description(folder: Path, document: dict[str, Any]) -> None:

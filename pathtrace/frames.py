@@ -165,13 +165,22 @@ def _planes(prefix: str, names: str, image: Image, dtype: Any) -> dict[str, Any]
 
 @dataclass(frozen=True)
 class FrameSet:
-    """A captured folder: its frames, the scene that they show, and a hash of its description."""
+    """A captured folder.
+
+    Attributes:
+        folder: where it lies.
+        digest: hash of its description.
+        scene_name, scene_hash: what the frames show.
+        entries: the frames.
+        close_ups: parts of held-out frames at a multiple of their resolution.
+    """
 
     folder: Path
     digest: str
     scene_name: str
     scene_hash: str
     entries: list[FrameEntry]
+    close_ups: list[FrameEntry]
 
     @property
     def training(self) -> list[FrameEntry]:
@@ -199,24 +208,28 @@ def read_frame_set(folder: Path) -> FrameSet:
                 f"{path}: format version {document['format_version']}, this program reads {FORMAT_VERSION}; "
                 "capture the frames again"
             )
-        entries = [
-            FrameEntry(
-                camera_from_json({**document, **frame}),
-                folder / frame["file_path"],
-                int(frame["samples"]),
-                bool(frame["held_out"]),
-                {int(e["samples"]): folder / e["file_path"] for e in frame["estimates"]},
-            )
-            for frame in document["frames"]
-        ]
+        entries, close_ups = (
+            [_entry(folder, {**document, **frame}) for frame in document[name]]
+            for name in ("frames", "close_ups")
+        )
         scene = document["scene"]["name"], document["scene"]["hash"]
     except (ValueError, KeyError, TypeError) as error:
         raise UserError(f"{path}: not a frame set's description ({error!r})") from error
-    files = [file for entry in entries for file in (entry.file, *entry.estimates.values())]
+    files = [file for entry in entries + close_ups for file in (entry.file, *entry.estimates.values())]
     missing = [file.name for file in files if not file.is_file()]
     if missing:
         raise UserError(
             f"{folder}: {len(missing)} of {len(files)} files are missing ({missing[0]} first); "
             "run hybrid capture again with the same options, it goes on where it stopped"
         )
-    return FrameSet(folder, hashlib.sha256(text.encode()).hexdigest(), *scene, entries)
+    return FrameSet(folder, hashlib.sha256(text.encode()).hexdigest(), *scene, entries, close_ups)
+
+
+def _entry(folder: Path, frame: dict[str, Any]) -> FrameEntry:
+    return FrameEntry(
+        camera_from_json(frame),
+        folder / frame["file_path"],
+        int(frame["samples"]),
+        bool(frame["held_out"]),
+        {int(e["samples"]): folder / e["file_path"] for e in frame["estimates"]},
+    )

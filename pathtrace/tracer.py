@@ -23,7 +23,9 @@ _LANE_MULTIPLE = 4096
 # Lanes traced at once: bounds the memory that many samples over a large frame would take.
 _MAX_LANES = 1 << 22
 _RUSSIAN_ROULETTE_DEPTH = 5
-_AOVS = "albedo:albedo,normal:sh_normal"
+_AOVS = "albedo:albedo,normal:sh_normal,place:position,shape:shape_index"
+# Where nothing is hit, the sky is this far away.
+_FAR = 1e5
 _GOLDEN = 0.6180339887498949
 _MAX_MIRRORS = 8
 
@@ -53,12 +55,17 @@ class Traced:
         albedo: three (N,) floats, only with guides.
         normal: three (N,) floats, shading normal in world space, only with guides.
         squares: three (N,) floats, mean of the samples' squared radiance, only with guides.
+        place: three (N,) floats, where the first of the samples met a surface, only with guides.
+        gloss: (N,) unsigned integers, only with guides: 0 where that surface is matt, 1 where it is glossy, 2
+            where it is a mirror or glass.
     """
 
     radiance: list[Any]
     albedo: list[Any] | None = None
     normal: list[Any] | None = None
     squares: list[Any] | None = None
+    place: list[Any] | None = None
+    gloss: Any | None = None
 
 
 @dataclass(frozen=True)
@@ -102,6 +109,17 @@ def _opaque_camera(camera: Camera) -> tuple[Any, ...]:
     return vectors
 
 
+def _registered(shape: Any) -> int:
+    """The number by which kernels know a shape."""
+    return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
+
+
+def _gloss(flags: int) -> int:
+    if mi.has_flag(flags, mi.BSDFFlags.Delta):
+        return 2
+    return int(mi.has_flag(flags, mi.BSDFFlags.Glossy))
+
+
 class Tracer:
     """Traces one scene with Mitsuba's `path` (multiple importance sampling of lights and BSDFs).
 
@@ -116,6 +134,8 @@ class Tracer:
         path = {"type": "path", "max_depth": depth, "rr_depth": _RUSSIAN_ROULETTE_DEPTH}
         self._path = mi.load_dict(path)
         self._path_and_guides = mi.load_dict({"type": "aov", "aovs": _AOVS, "image": path})
+        gloss = {_registered(shape): _gloss(shape.bsdf().flags()) for shape in scene.mitsuba.shapes()}
+        self._gloss = mi.UInt32([gloss.get(number, 0) for number in range(max(gloss) + 1)])
         # One frozen function per tracer: the scene is part of what was recorded.
         self._trace_radiance = dr.freeze(self._radiance)
         self._trace_guides = dr.freeze(self._radiance_and_guides)
@@ -134,16 +154,23 @@ class Tracer:
         """
         per_pass = max(1, min(spp, _MAX_LANES // max(1, positions.count)))
         sums: list[Any] = []
+        first: list[Any] = []
         done = 0
         while done < spp:
             count = min(per_pass, spp - done)
-            channels = self._pass(camera, positions, count, seed, done, guides)
+            channels, hit = self._pass(camera, positions, count, seed, done, guides)
             sums = [a + b for a, b in zip(sums, channels, strict=True)] if sums else channels
-            dr.eval(sums)
+            first = first or hit
+            dr.eval(sums, first)
             done += count
         means = [channel / spp for channel in sums]
-        dr.eval(means)
-        return Traced(*(means[i : i + 3] for i in range(0, len(means), 3)))
+        triples = [means[i : i + 3] for i in range(0, len(means), 3)]
+        if not guides:
+            dr.eval(means)
+            return Traced(*triples)
+        gloss = dr.gather(mi.UInt32, self._gloss, mi.UInt32(first[3]), first[3] >= 0)
+        dr.eval(means, gloss)
+        return Traced(*triples, first[:3], gloss)
 
     def hits(self, camera: Camera, positions: FilmPositions) -> Hits:
         """First hits of the rays through the middle of each position."""
@@ -166,17 +193,15 @@ class Tracer:
             alive &= surface.is_valid()
             total = dr.select(alive, total + surface.t, total)
         dr.eval(distance, total, shapes)
-        registry = {
-            int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]): i for i, s in enumerate(scene.shapes())
-        }
+        registry = {_registered(shape): i for i, shape in enumerate(scene.shapes())}
         pointers, inverse = np.unique(shapes.numpy(), return_inverse=True)
         index = np.array([registry.get(int(pointer), -1) for pointer in pointers], dtype=np.int32)
         return Hits(distance.numpy(), total.numpy(), index[inverse])
 
     def _pass(
         self, camera: Camera, positions: FilmPositions, spp: int, seed: int, pass_index: int, guides: bool
-    ) -> list[Any]:
-        """Sums over `spp` samples, one array of N per channel."""
+    ) -> tuple[list[Any], list[Any]]:
+        """Sums over `spp` samples, and place and shape of the first of them: one array of N per channel."""
         lanes = positions.count * spp
         padded = -(-lanes // _LANE_MULTIPLE) * _LANE_MULTIPLE
         lane = dr.arange(mi.UInt32, padded)
@@ -196,10 +221,13 @@ class Tracer:
         function = self._trace_guides if guides else self._trace_radiance
         channels = function(self.scene.mitsuba, x, y, active, state, *_opaque_camera(camera))
         dr.eval(channels)
-        samples = [dr.gather(mi.Float, c, dr.arange(mi.UInt32, lanes)) for c in channels]
+        samples = [dr.gather(mi.Float, c, dr.arange(mi.UInt32, lanes)) for c in channels[:9]]
+        first: list[Any] = []
         if guides:
             samples += [dr.square(c) for c in samples[:3]]
-        return samples if spp == 1 else [dr.block_sum(c, spp) for c in samples]
+            ahead = dr.arange(mi.UInt32, positions.count) * spp
+            first = [dr.gather(mi.Float, c, ahead) for c in channels[9:]]
+        return samples if spp == 1 else [dr.block_sum(c, spp) for c in samples], first
 
     @staticmethod
     def _sample(integrator: Any, scene: Any, x: Any, y: Any, active: Any, seed: Any, camera: Any) -> Any:
@@ -214,10 +242,10 @@ class Tracer:
         radiance = dr.select(finite, radiance, 0)
         # Without this evaluation every later step traces its own paths, three to four times the work.
         sampler.schedule_state()
-        return radiance, aovs
+        return radiance, aovs, ray
 
     def _radiance(self, scene: Any, x: Any, y: Any, active: Any, seed: Any, *camera: Any) -> list[Any]:
-        radiance, _ = self._sample(self._path, scene, x, y, active, seed, camera)
+        radiance, _, _ = self._sample(self._path, scene, x, y, active, seed, camera)
         channels = [radiance.x, radiance.y, radiance.z]
         dr.eval(channels)
         return channels
@@ -225,7 +253,10 @@ class Tracer:
     def _radiance_and_guides(
         self, scene: Any, x: Any, y: Any, active: Any, seed: Any, *camera: Any
     ) -> list[Any]:
-        radiance, aovs = self._sample(self._path_and_guides, scene, x, y, active, seed, camera)
-        channels = [radiance.x, radiance.y, radiance.z, *aovs[-6:]]
+        radiance, aovs, ray = self._sample(self._path_and_guides, scene, x, y, active, seed, camera)
+        *shading, px, py, pz, shape = aovs[-10:]
+        hit = dr.squared_norm(mi.Vector3f(*shading[3:])) > 0
+        place = dr.select(hit, mi.Point3f(px, py, pz), ray(_FAR))
+        channels = [*radiance, *shading, *place, dr.select(hit, shape, -1)]
         dr.eval(channels)
         return channels

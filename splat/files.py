@@ -18,6 +18,7 @@ from splat.gaussians import MAX_DEGREE, Gaussians, sh_count
 
 FORMAT_VERSION = 2
 _LABELS = ("parent", "semantic", "dynamic")
+_ATTACHED = "attached."
 # Gaussians that come from elsewhere were trained on films that nobody knows: no further filter for them.
 UNBOUND_FOCAL = 1e9
 
@@ -36,6 +37,7 @@ def save_forest(path: Path, forest: Forest) -> None:
     }
     tensors = {name: tensor.detach().cpu() for name, tensor in nodes.gaussians.tensors()}
     tensors |= {name: getattr(nodes, name) for name in _LABELS}
+    tensors |= {_ATTACHED + name: tensor for name, tensor in forest.attached.items()}
     save_tensors(path, tensors, metadata)
 
 
@@ -57,6 +59,7 @@ def load_forest(path: Path) -> Forest:
             float(metadata["trained_focal"]),
             str(metadata["scene_name"]),
             str(metadata["scene_hash"]),
+            {n.removeprefix(_ATTACHED): t for n, t in tensors.items() if n.startswith(_ATTACHED)},
         )
         check_forest(forest.layers)
     except (KeyError, TypeError, ValueError) as error:

@@ -8,7 +8,7 @@ so it goes on below as a child of its own; without that, finer layers would have
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -71,6 +71,7 @@ class Forest:
         counts: nodes per layer.
         trained_focal: vertical focal length, in pixels, of the frames that layer L was trained on.
         scene_name, scene_hash: the scene that those frames show.
+        attached: further tensors that were fitted to this forest, by name; kept with it, not looked at.
     """
 
     nodes: Layer
@@ -78,6 +79,7 @@ class Forest:
     trained_focal: float
     scene_name: str
     scene_hash: str
+    attached: dict[str, torch.Tensor] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.counts:

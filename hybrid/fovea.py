@@ -1,0 +1,200 @@
+"""The fovea of a frame: samples of the disc, denoised, fused with the splats under it, with their history."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.blend import Image
+from compose.errors import UserError
+from compose.foveation import FoveaPlan
+from compose.fusion import Fusion, Parents, fuse
+from compose.history import History, Samples
+from compose.view import Camera
+from pathtrace.denoise import denoise
+from pathtrace.tracer import Traced, Tracer, pixel_positions
+
+MODES = ("raw", "denoised", "fused")
+DEFAULT_MODE = "fused"
+# With fewer samples per pixel the better network costs more than it is worth.
+_FAST_BELOW = 3.0
+
+
+@dataclass(frozen=True)
+class Underlay:
+    """The splats' picture under the disc.
+
+    Attributes:
+        camera: the view.
+        radiance: (H, W, 3) of the whole frame; only the rectangle around the disc is looked at.
+        enlargement: side of the pixels that the splats were trained on, in pixels of this picture.
+    """
+
+    camera: Camera
+    radiance: Image
+    enlargement: float
+
+
+@dataclass(frozen=True)
+class FoveaPicture:
+    """The fovea and what it was made of, for the D pixels of a plan.
+
+    Attributes:
+        radiance: (D, 3) linear.
+        samples: per pixel, with those of earlier frames.
+        denoised: (D, 3), unless raw.
+        weights: (D, 3) share of each parent (compose.fusion.PARENTS), only if fused.
+        excluded: pixels in which a parent was left out because it was not finite or negative.
+    """
+
+    radiance: Image
+    samples: Samples
+    denoised: Image | None = None
+    weights: Image | None = None
+    excluded: int = 0
+
+
+class Fovea:
+    """Makes the foveas of one scene.
+
+    Args:
+        tracer: of the scene.
+        mode: raw, what Mitsuba gives, unbiased; denoised, by OIDN; fused, with the splats as well.
+        fusion: fitted to the scene and its splats; None fuses by statistics alone.
+        remembers: whether samples of earlier frames count.
+
+    Raises:
+        UserError: there is no such mode.
+    """
+
+    def __init__(
+        self, tracer: Tracer, mode: str = DEFAULT_MODE, fusion: Fusion | None = None, remembers: bool = False
+    ):
+        if mode not in MODES:
+            raise UserError(f"--fovea {mode}: must be {', '.join(MODES[:-1])} or {MODES[-1]}")
+        self.tracer, self.mode = tracer, mode
+        self._fusion = fusion
+        self._history = History() if remembers else None
+
+    def trace(self, camera: Camera, plan: FoveaPlan, spp: int, seed: int) -> Samples:
+        """Samples of the plan's pixels, together with what is remembered of them."""
+        if not len(plan.pixels):
+            return _no_samples()
+        positions = pixel_positions(mi.UInt32(plan.pixels), camera.width)
+        samples = samples_of(self.tracer.trace(camera, positions, spp, seed, guides=True), plan.pixels, spp)
+        return samples if self._history is None else self._history.add(camera, samples)
+
+    def picture(
+        self, camera: Camera, plan: FoveaPlan, samples: Samples, around: Image, under: Underlay | None
+    ) -> FoveaPicture:
+        """The fovea that the samples give.
+
+        Args:
+            camera: the view.
+            plan: the disc.
+            samples: of its pixels.
+            around: (H, W, 3) radiance that stands in for the corners of the rectangle around the disc.
+            under: the splats under the disc, of the same view; only looked at if fused.
+
+        Raises:
+            ValueError: the splats' picture is missing, or of another camera or size.
+        """
+        if self.mode == "raw" or not len(plan.pixels):
+            return FoveaPicture(samples.radiance, samples)
+        if self.mode == "denoised":
+            box, place = _frame_of(plan)
+            denoised = denoised_box(samples, around[box], place)[place]
+            return FoveaPicture(denoised, samples, denoised)
+        return self._fused(plan, samples, _checked(camera, under))
+
+    def _fused(self, plan: FoveaPlan, samples: Samples, under: Underlay) -> FoveaPicture:
+        box, place = _frame_of(plan)
+        splat = under.radiance[box]
+        denoised = denoised_box(samples, splat, place)
+        laid = lambda ground, values: _laid_into(ground, place, values)  # noqa: E731
+        fused = fuse(
+            Parents(
+                laid(splat, samples.radiance),
+                laid(np.full_like(splat, np.inf), samples.variance()),
+                denoised,
+                splat,
+                laid(np.clip(splat, 0, 1), samples.albedo),
+                laid(np.zeros_like(splat), samples.normal),
+                laid(np.ones((*splat.shape[:2], 1)), samples.count[:, None]),
+                under.enlargement,
+            ),
+            self._fusion,
+        )
+        return FoveaPicture(
+            fused.radiance[place], samples, denoised[place], fused.weights[place], fused.excluded
+        )
+
+
+def samples_of(traced: Traced, pixels: NDArray[np.uint32], spp: int) -> Samples:
+    """What was traced with guides at those pixels."""
+    assert traced.gloss is not None
+    triple = lambda channels: np.stack([c.numpy() for c in channels], axis=1)  # noqa: E731
+    return Samples(
+        pixels,
+        np.full(len(pixels), spp, dtype=np.float32),
+        triple(traced.radiance),
+        triple(traced.squares),
+        triple(traced.albedo),
+        triple(traced.normal),
+        triple(traced.place),
+        traced.gloss.numpy().astype(np.uint8),
+    )
+
+
+def denoised_box(samples: Samples, around: Image, place: Any) -> Image:
+    """(h, w, 3) the rectangle around a disc, denoised.
+
+    Args:
+        samples: of the disc.
+        around: (h, w, 3) what is known of the rectangle's other pixels.
+        place: rows and columns of the disc's pixels in the rectangle.
+    """
+    # Outside the disc no guide was traced; the picture itself is the best one there is.
+    radiance = _laid_into(around, place, samples.radiance)
+    albedo = _laid_into(np.clip(around, 0, 1), place, samples.albedo)
+    normal = _laid_into(np.zeros_like(around), place, samples.normal)
+    return denoise(radiance, albedo, normal, fast=is_quick(float(samples.count.mean())))
+
+
+def is_quick(spp: float) -> bool:
+    """Whether the quicker denoiser is the better deal at so many samples per pixel."""
+    return spp < _FAST_BELOW
+
+
+def _frame_of(plan: FoveaPlan) -> tuple[Any, Any]:
+    rows, columns = plan.box()
+    return (rows, columns), (plan.pixels // plan.width - rows.start, plan.pixels % plan.width - columns.start)
+
+
+def _laid_into(ground: Image, place: Any, values: Image) -> Image:
+    image = np.array(ground, dtype=np.float32)
+    image[place] = values
+    return image
+
+
+def _checked(camera: Camera, under: Underlay | None) -> Underlay:
+    if under is None:
+        raise ValueError("a fused fovea needs the splats' picture under the disc")
+    size = under.radiance.shape[:2]
+    if size != (camera.height, camera.width):
+        raise ValueError(
+            f"the splats' picture is {size[1]} x {size[0]}, the frame {camera.width} x {camera.height}"
+        )
+    if under.camera.key != camera.key:
+        raise ValueError("the splats' picture is one of another camera")
+    return under
+
+
+def _no_samples() -> Samples:
+    triple = np.zeros((0, 3), dtype=np.float32)
+    pixels, gloss = np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.uint8)
+    return Samples(pixels, triple[:, 0], triple, triple, triple, triple, triple, gloss)

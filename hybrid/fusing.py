@@ -1,0 +1,81 @@
+"""Fitting the fusion on a frame set, and finding it in a forest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from compose.errors import UserError
+from compose.fitting import LEAST_SIZE, Example, fit
+from compose.fusion import Fusion, Parents
+from hybrid.fovea import is_quick
+from pathtrace.denoise import denoise
+from pathtrace.frames import FrameSet, read_estimate, read_frame
+from splat.arrays import Arrays
+from splat.forest import Forest
+from splat.pictures import ForestRenderer
+
+_PREFIX = "fusion."
+
+
+def with_fusion(
+    arrays: Arrays, frames: FrameSet, forest: Forest, seed: int, progress: Callable[[int, int], None]
+) -> Forest:
+    """The forest, with a fusion fitted on the frame set's estimates; without any that are
+    large enough, as it is."""
+    examples = list(_examples(arrays, frames, forest))
+    if not examples:
+        return forest
+    fusion = fit(examples, seed, progress)
+    return replace(
+        forest, attached={_PREFIX + name: tensor.clone() for name, tensor in fusion.state_dict().items()}
+    )
+
+
+def fusion_of(forest: Forest) -> Fusion | None:
+    """The fusion that was fitted to a forest, None if there is none.
+
+    Raises:
+        UserError: it is of another version or damaged.
+    """
+    state = {n.removeprefix(_PREFIX): t for n, t in forest.attached.items() if n.startswith(_PREFIX)}
+    if not state:
+        return None
+    fusion = Fusion()
+    try:
+        fusion.load_state_dict(state)
+    except RuntimeError as error:
+        raise UserError("the forest's fusion is damaged or of another version; train it again") from error
+    if not all(bool(tensor.isfinite().all()) for tensor in state.values()):
+        raise UserError("the forest's fusion holds numbers that are not finite; train it again")
+    return fusion.requires_grad_(False).eval()
+
+
+def _examples(arrays: Arrays, frames: FrameSet, forest: Forest) -> Iterator[Example]:
+    """What foveas would be made of in the views that have estimates, and what they should be."""
+    renderer = ForestRenderer(arrays, forest)
+    for entry in frames.held_out + frames.close_ups:
+        if min(entry.camera.width, entry.camera.height) < LEAST_SIZE:
+            continue
+        reference = read_frame(entry.file).radiance
+        finest = len(forest.counts)
+        splat = np.array(renderer.render_layer(entry.camera, finest).image())
+        enlargement = entry.camera.fy / forest.focal_of(finest)
+        for spp, file in entry.estimates.items():
+            traced = read_estimate(file)
+            denoised = denoise(traced.radiance, traced.albedo, traced.normal, fast=is_quick(spp))
+            yield Example(
+                Parents(
+                    traced.radiance,
+                    np.full_like(denoised, np.inf),
+                    denoised,
+                    splat,
+                    traced.albedo,
+                    traced.normal,
+                    np.full((*denoised.shape[:2], 1), spp, dtype=np.float32),
+                    enlargement,
+                ),
+                reference,
+            )
