@@ -9,15 +9,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from compose.fusion import Fusion, Parents, as_batch, features, mixture, perceived
+from compose.fusion import Fusion, Parents, as_batch, looks_of, mixture, perceived
 
 # Side of what is looked at at once, and least side of an example, in pixels.
 LEAST_SIZE = _PATCH = 64
-_ITERATIONS = 1000
+_ITERATIONS = 1200
 _BATCH = 6
 _RATE = 4e-3
-# Share of patches whose splats are made wrong: a world that has changed must be noticed.
+# Share of patches whose splats are made wrong: a world that has changed must be noticed. Fewer samples than
+# these cannot tell a change from noise, and learning to see changes in them would see some everywhere.
 _CHANGED = 0.25
+_CHANGED_IN_NOISE = 0.05
+_TELLING = 4
 # What a stack holds, in channels.
 _CHANNELS = [3, 3, 3, 3, 3, 3, 1]
 
@@ -61,11 +64,11 @@ def fit(examples: Sequence[Example], seed: int, progress: Callable[[int, int], N
         picks = [int(rng.integers(len(examples))) for _ in range(_BATCH)]
         patches = torch.stack([_patch(stacks[pick], rng) for pick in picks])
         enlargement = torch.tensor([float(examples[pick].parents.enlargement) for pick in picks])
-        traced, denoised, splat, albedo, normal, reference, count = patches.split(_CHANNELS, dim=1)
-        judged = fusion(features(traced, denoised, splat, albedo, normal, count, enlargement))
-        radiance, _ = mixture(judged, traced, denoised, splat, albedo)
+        *images, reference, count = patches.split(_CHANNELS, dim=1)
+        looks = looks_of(images, count, enlargement)
+        radiance, _ = mixture(fusion(looks), images[:3], looks.texture)
         error = ((perceived(radiance) - perceived(reference)) ** 2).mean((1, 2, 3))
-        loss = torch.log(error + 1e-5).mean()
+        loss = torch.log(error + 1e-6).mean()
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(fusion.parameters(), 1.0)
@@ -90,7 +93,8 @@ def _patch(stack: Tensor, rng: np.random.Generator) -> Tensor:
     height, width = stack.shape[-2:]
     top, left = rng.integers(height - _PATCH + 1), rng.integers(width - _PATCH + 1)
     patch = stack[:, top : top + _PATCH, left : left + _PATCH].clone()
-    if rng.random() < _CHANGED:
+    telling = float(patch[-1, 0, 0]) >= _TELLING
+    if rng.random() < (_CHANGED if telling else _CHANGED_IN_NOISE):
         patch[6:9] = _changed(patch[6:9], rng)
     if rng.random() < 0.5:
         patch = patch.flip(2)

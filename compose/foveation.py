@@ -100,9 +100,8 @@ class FoveaPlan:
         tiles = np.zeros((-(-self.height // tile), -(-self.width // tile)), dtype=bool)
         if len(self.pixels):
             rows, columns = self.box()
-            tiles[
-                rows.start // tile : -(-rows.stop // tile), columns.start // tile : -(-columns.stop // tile)
-            ] = True
+            down, across = (slice(s.start // tile, -(-s.stop // tile)) for s in (rows, columns))
+            tiles[down, across] = True
         return tiles
 
     def peripheral_tiles(self, tile: int) -> NDArray[np.bool_]:

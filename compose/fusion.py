@@ -13,7 +13,9 @@ them and says per pixel what each is worth. Three things are built around it:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -80,27 +82,45 @@ class Fused:
 class Fusion(torch.nn.Module):
     """The fitted part: what each parent is worth, from what they show.
 
-    Works at half the resolution: a block of 2 x 2 pixels is one place with four times the channels.
+    It judges blocks of 2 x 2 pixels, each pixel for itself.
     """
 
-    CHANNELS = 32
-    INPUTS = 31
+    CHANNELS = 24
     OUTPUTS = 9
 
     def __init__(self) -> None:
         super().__init__()
-        self.reduce = torch.nn.Conv2d(self.INPUTS, self.CHANNELS, 2, stride=2)
-        self.relate = torch.nn.Conv2d(self.CHANNELS, self.CHANNELS, 3, padding=1)
+        self.reduce = torch.nn.Conv2d(Looks.FINE, self.CHANNELS, 2, stride=2)
+        self.relate = torch.nn.Conv2d(self.CHANNELS + Looks.COARSE, self.CHANNELS, 3, padding=1)
         self.judge = torch.nn.Conv2d(self.CHANNELS, 4 * self.OUTPUTS, 3, padding=1)
         torch.nn.init.zeros_(self.judge.weight)
         assert self.judge.bias is not None
         torch.nn.init.zeros_(self.judge.bias)
 
-    def forward(self, features: Tensor) -> Tensor:
-        """(N, OUTPUTS, H, W) from (N, INPUTS, H, W), both sides even."""
-        hidden = functional.relu(self.reduce(features))
+    def forward(self, looks: Looks) -> Tensor:
+        """(N, OUTPUTS, H, W)."""
+        hidden = torch.cat([functional.relu(self.reduce(looks.fine)), looks.coarse], 1)
         hidden = functional.relu(self.relate(hidden))
         return functional.pixel_shuffle(self.judge(hidden), 2)
+
+
+@dataclass(frozen=True)
+class Looks:
+    """What the network looks at, and the texture that it may give the splats.
+
+    Attributes:
+        fine: (N, FINE, H, W).
+        coarse: (N, COARSE, H / 2, W / 2).
+        texture: three of (N, 3, H, W): logarithm of the albedo over its mean in windows of 3, 6 and 12
+            pixels, which is what a blur of that size takes from a picture.
+    """
+
+    FINE: ClassVar[int] = 10
+    COARSE: ClassVar[int] = 21
+
+    fine: Tensor
+    coarse: Tensor
+    texture: list[Tensor]
 
 
 def perceived(radiance: Tensor) -> Tensor:
@@ -115,81 +135,80 @@ def _mean(image: Tensor, reach: int) -> Tensor:
     return functional.avg_pool2d(padded, 2 * reach + 1, 1)
 
 
-def _wide_mean(image: Tensor) -> Tensor:
-    """Mean over some 16 x 16 pixels, at the price of one over 4 x 4."""
-    small = functional.avg_pool2d(image, 4, ceil_mode=True)
-    return functional.interpolate(_mean(small, 1), size=image.shape[-2:], mode="bilinear")
+def _halved(image: Tensor) -> Tensor:
+    return functional.avg_pool2d(image, 2, ceil_mode=True)
+
+
+def _enlarged(image: Tensor, like: Tensor) -> Tensor:
+    return functional.interpolate(image, size=like.shape[-2:], mode="bilinear")
 
 
 def _luminance(image: Tensor) -> Tensor:
     return 0.2126 * image[:, 0:1] + 0.7152 * image[:, 1:2] + 0.0722 * image[:, 2:3]
 
 
-def texture(albedo: Tensor) -> list[Tensor]:
-    """Logarithm of albedo over its mean in windows of 3, 7 and some 16 pixels: what a blur takes away."""
-    means = (_mean(albedo, 1), _mean(albedo, 3), _wide_mean(albedo))
-    return [torch.log((albedo + _DARK) / (mean + _DARK)) for mean in means]
-
-
 def _spread(moments: Tensor) -> Tensor:
     return (moments[:, 1:2] - moments[:, 0:1] ** 2).clamp(min=0)
 
 
-def features(
-    traced: Tensor,
-    denoised: Tensor,
-    splat: Tensor,
-    albedo: Tensor,
-    normal: Tensor,
-    count: Tensor,
-    enlargement: Tensor,
-) -> Tensor:
-    """(N, INPUTS, H, W): what the network looks at.
+def _evidence(traced: Tensor, splat: Tensor) -> list[Tensor]:
+    """Whether samples and splats differ by more than noise, at half the resolution.
 
-    Images (N, 3, H, W), count of samples (N, 1, H, W), enlargement (N,).
+    Mean of their relative difference, and its t-value, over windows of 6 and of 12 pixels.
     """
-    seen_traced, seen_denoised, seen_splat = (perceived(image) for image in (traced, denoised, splat))
-    residual = seen_traced - seen_denoised
-    noise = _mean((residual**2).mean(1, keepdim=True), 2)
-    # Whether splats and samples differ by more than noise: mean and t-value over small and large windows.
     expected = _luminance(splat) + 0.05
-    ratio = ((_luminance(traced) - expected + 0.05) / expected).clamp(-8, 8)
-    moments = torch.cat([ratio, ratio**2], 1)
-    wide = _wide_mean(moments)
+    ratio = ((_luminance(traced) + 0.05) / expected - 1).clamp(-8, 8)
+    moments = _halved(torch.cat([ratio, ratio**2], 1))
+    small, large = _mean(moments, 1), _enlarged(_mean(_halved(moments), 1), moments)
     # Where no light has been found yet a small window shows no spread; the neighbourhood tells of it.
-    floor = _spread(wide)
-    evidence = []
-    for mean, pixels in ((_mean(moments, 2), 25), (wide, 144)):
+    floor = _spread(large)
+    found = []
+    for mean, pixels in ((small, 36), (large, 144)):
         t = mean[:, 0:1] / torch.sqrt(torch.maximum(_spread(mean), floor) / pixels + 1e-4)
-        evidence += [mean[:, 0:1].clamp(-1, 1), t / (3 + t.abs())]
-    height, width = traced.shape[-2:]
-    constant = torch.log2(enlargement).clamp(-2, 4).view(-1, 1, 1, 1).expand(-1, 1, height, width)
-    return torch.cat(
-        [
-            seen_splat,
-            seen_denoised - seen_splat,
-            _luminance(residual),
-            _mean(_luminance(residual), 1),
-            *texture(albedo),
-            albedo,
-            normal,
-            *evidence,
-            torch.log(noise + 1e-5) / 4,
-            (seen_denoised - seen_splat).abs().mean(1, keepdim=True),
-            torch.log2(count.clamp(1, 64)) / 3 - 1,
-            constant,
-        ],
-        1,
-    )
+        found += [mean[:, 0:1].clamp(-1, 1), t / (3 + t.abs())]
+    return found
 
 
-def mixture(
-    judged: Tensor, traced: Tensor, denoised: Tensor, splat: Tensor, albedo: Tensor
-) -> tuple[Tensor, Tensor]:
+def looks_of(images: Sequence[Tensor], count: Tensor, enlargement: Tensor) -> Looks:
+    """What the network looks at.
+
+    Args:
+        images: traced, denoised, splat, albedo, normal, each (N, 3, H, W), both sides even.
+        count: (N, 1, H, W) samples.
+        enlargement: (N,).
+    """
+    traced, denoised, splat, albedo, normal = images
+    seen_denoised, seen_splat = perceived(denoised), perceived(splat)
+    residual = _luminance(perceived(traced) - seen_denoised)
+    difference = seen_denoised - seen_splat
+    logarithm, coarse_albedo = torch.log(albedo + _DARK), _halved(albedo)
+    means = [_mean(coarse_albedo, 1), _mean(_halved(coarse_albedo), 1)]
+    blurred = [torch.log(mean + _DARK) for mean in (_mean(albedo, 1), *means)]
+    texture = [logarithm - blurred[0], *(logarithm - _enlarged(mean, logarithm) for mean in blurred[1:])]
+    coarse_logarithm = torch.log(coarse_albedo + _DARK)
+    constant = torch.log2(enlargement).clamp(-2, 4).view(-1, 1, 1, 1)
+    moments = _mean(_halved(torch.cat([residual, residual**2], 1)), 1)
+    coarse = [
+        coarse_albedo,
+        _halved(normal),
+        coarse_logarithm - blurred[1],
+        coarse_logarithm - _enlarged(blurred[2], coarse_logarithm),
+        *_evidence(traced, splat),
+        moments[:, 0:1],
+        torch.log(moments[:, 1:2] + 1e-5) / 4,
+        _halved(difference.abs().mean(1, keepdim=True)),
+        torch.log2(_halved(count).clamp(1, 64)) / 3 - 1,
+        constant.expand(-1, 1, *coarse_albedo.shape[-2:]),
+    ]
+    return Looks(torch.cat([seen_splat, difference, texture[0], residual], 1), torch.cat(coarse, 1), texture)
+
+
+def mixture(judged: Tensor, parents: Sequence[Tensor], texture: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
     """Radiance (N, 3, H, W) and weights (N, 3, H, W) that the network's outputs mean."""
+    traced, denoised, splat = parents
     weights = torch.softmax(judged[:, 0:3] + judged.new_tensor([-2.0, 0, 0]).view(1, 3, 1, 1), 1)
     gain = 0.5 * torch.tanh(judged[:, 6:9])
-    for number, lost in enumerate(texture(albedo)):
+    for number, lost in enumerate(texture):
         gain = gain + judged[:, 3 + number : 4 + number] * lost
     sharpened = splat * torch.exp(gain.clamp(-2, 2))
     radiance = weights[:, 0:1] * traced + weights[:, 1:2] * denoised + weights[:, 2:3] * sharpened
@@ -203,33 +222,37 @@ def fuse(parents: Parents, fusion: Fusion | None) -> Fused:
         parents: pictures of one view.
         fusion: fitted to the scene; None decides by `statistical` instead.
     """
-    images, unusable = _usable(parents)
-    traced, denoised, splat, albedo, normal = images
-    if fusion is None:
-        radiance, weights = statistical(traced, denoised, splat, as_batch(parents.variance))
-    else:
-        with torch.inference_mode():
-            enlargement = torch.tensor([float(parents.enlargement)])
-            looked_at = features(*images, as_batch(parents.count), enlargement)
-            judged = _evenly(fusion, looked_at)
-            radiance, weights = mixture(judged, traced, denoised, splat, albedo)
-    share = trust(radiance, traced, as_batch(parents.variance))
-    radiance = torch.lerp(traced, radiance, share)
-    weights = weights * share
-    weights[:, 0:1] += 1 - share
-    return Fused(_interleaved(radiance), _interleaved(weights), unusable)
+    height, width = parents.traced.shape[:2]
+    usable, excluded = _usable(parents)
+    with torch.inference_mode():
+        # The network judges blocks of 2 x 2.
+        even = [_even(as_batch(image)) for image in usable]
+        *images, variance, count = even
+        traced, denoised, splat = images[:3]
+        if fusion is None:
+            radiance, weights = statistical(traced, denoised, splat, variance)
+        else:
+            looks = looks_of(images, count, torch.tensor([float(parents.enlargement)]))
+            radiance, weights = mixture(fusion(looks), images[:3], looks.texture)
+        share = trust(radiance, traced, variance)
+        radiance = torch.lerp(traced, radiance, share)
+        weights = weights * share
+        weights[:, 0:1] += 1 - share
+    interleaved = lambda found: found[0, :, :height, :width].permute(1, 2, 0).numpy()  # noqa: E731
+    return Fused(interleaved(radiance), interleaved(weights), excluded)
 
 
 def statistical(traced: Tensor, denoised: Tensor, splat: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
     """The splats' bias against the variance of the denoised samples, without anything fitted.
 
-    The squared bias is what of the squared difference between samples and splats, averaged over 7 x 7
+    The squared bias is what of the squared difference between samples and splats, averaged over some 6 x 6
     pixels, variance does not explain; denoising is taken to average over as many pixels.
     """
-    known = torch.where(torch.isfinite(variance), variance, _mean((traced - denoised) ** 2, 3))
-    explained = _mean(known.mean(1, keepdim=True), 3)
-    bias = (_mean(((traced - splat) ** 2).mean(1, keepdim=True), 3) - explained).clamp(min=0)
-    share = bias / (bias + explained / 49 + 1e-8)
+    known = torch.where(torch.isfinite(variance), variance, (traced - denoised) ** 2)
+    explained = _mean(_halved(known.mean(1, keepdim=True)), 1)
+    found = _mean(_halved(((traced - splat) ** 2).mean(1, keepdim=True)), 1)
+    bias = (found - explained).clamp(min=0)
+    share = _enlarged(bias / (bias + explained / 36 + 1e-8), splat)
     weights = torch.cat([torch.zeros_like(share), share, 1 - share], 1)
     return torch.lerp(splat, denoised, share), weights
 
@@ -238,51 +261,48 @@ def trust(estimate: Tensor, traced: Tensor, variance: Tensor) -> Tensor:
     """(N, 1, H, W): share that an estimate of unknown bias keeps beside the unbiased one, 0..1.
 
     v / (v + b^2) is the best share for independent errors of variance v and bias b. The squared bias is
-    estimated over 7 x 7 pixels, and taken at the lower end of its confidence interval (two standard
-    errors): noise alone must not count as bias.
+    estimated over some 6 x 6 pixels, and taken at the lower end of its confidence interval (two standard
+    errors, of noise alone: bias may vary as it likes): noise must not count as bias.
     """
-    known = torch.isfinite(variance)
+    known = torch.isfinite(variance).all(1, keepdim=True)
     explained = torch.where(known, variance, 0).mean(1, keepdim=True)
     excess = ((estimate - traced) ** 2).mean(1, keepdim=True) - explained
-    first, second = _mean(excess, 3), _mean(excess**2, 3)
-    error = torch.sqrt((second - first**2).clamp(min=0) / 49)
     floor = (_FLOOR * _luminance(estimate)) ** 2
-    bias = torch.maximum(first - 2 * error, floor)
-    explained = _mean(explained, 3)
+    maps = _mean(_halved(torch.cat([excess, excess**2, explained, floor], 1)), 1)
+    explained = maps[:, 2:3]
+    error = torch.minimum(torch.sqrt(_spread(maps) / 36), 1.5 * explained)
+    bias = torch.maximum(maps[:, 0:1] - 2 * error, maps[:, 3:4])
     share = explained / (explained + bias + 1e-20)
-    return torch.where(known.all(1, keepdim=True), share, 1.0)
+    return torch.where(known, _enlarged(share, traced), 1.0)
 
 
-def _usable(parents: Parents) -> tuple[list[Tensor], int]:
-    """The images, and how many pixels had to be taken from another parent."""
-    images = [
-        getattr(parents, name).astype(np.float32)
-        for name in ("traced", "denoised", "splat", "albedo", "normal")
-    ]
-    bad = [(~np.isfinite(image) | (image < 0)).any(axis=-1) for image in images[:3]]
-    traced, denoised, splat = images[:3]
+def _usable(parents: Parents) -> tuple[list[Image], int]:
+    """Traced, denoised, splat, albedo, normal, variance, count; and how many pixels were replaced."""
+    images = [parents.traced, parents.denoised, parents.splat]
+    others = [parents.albedo, parents.normal, parents.variance, parents.count]
+    # Minimum and sum tell at once that nothing is wrong, as is nearly always so.
+    if all(np.isfinite(image.sum()) and image.min() >= 0 for image in images) and all(
+        np.isfinite(guide.sum()) for guide in others[:2]
+    ):
+        return images + others, 0
+    bad = [(~np.isfinite(image) | (image < 0)).any(axis=-1, keepdims=True) for image in images]
+    traced, denoised, splat = images
     # The denoised picture has seen its neighbours: it is the first to stand in for another.
-    denoised = np.where(bad[1][..., None], np.where(bad[2][..., None], 0, splat), denoised)
-    images[:3] = (
-        np.where(bad[0][..., None], denoised, traced),
-        denoised,
-        np.where(bad[2][..., None], denoised, splat),
-    )
-    images[3:] = (np.nan_to_num(image, posinf=0, neginf=0) for image in images[3:])
-    return [as_batch(image) for image in images], int(np.count_nonzero(bad[0] | bad[1] | bad[2]))
-
-
-def _evenly(fusion: Fusion, looked_at: Tensor) -> Tensor:
-    """The network's outputs, for pictures with odd sides as well."""
-    height, width = looked_at.shape[-2:]
-    padded = functional.pad(looked_at, (0, width % 2, 0, height % 2), mode="replicate")
-    return fusion(padded)[..., :height, :width]
+    denoised = np.where(bad[1], np.where(bad[2], 0, splat), denoised)
+    images = [np.where(bad[0], denoised, traced), denoised, np.where(bad[2], denoised, splat)]
+    others[:2] = (np.nan_to_num(guide, posinf=0, neginf=0) for guide in others[:2])
+    others[2] = np.where(bad[0], np.inf, others[2])
+    return images + others, int(np.count_nonzero(bad[0] | bad[1] | bad[2]))
 
 
 def as_batch(image: Image) -> Tensor:
     """(1, C, H, W) of an image (H, W, C)."""
-    return torch.from_numpy(np.ascontiguousarray(np.moveaxis(image, -1, 0)))[None]
+    return torch.from_numpy(np.ascontiguousarray(image, dtype=np.float32)).permute(2, 0, 1).contiguous()[None]
 
 
-def _interleaved(images: Tensor) -> Image:
-    return np.ascontiguousarray(np.moveaxis(images[0].numpy(), 0, -1))
+def _even(image: Tensor) -> Tensor:
+    """With the last row or column repeated where their number is odd."""
+    height, width = image.shape[-2:]
+    if not (height % 2 or width % 2):
+        return image
+    return functional.pad(image, (0, width % 2, 0, height % 2), mode="replicate")

@@ -111,7 +111,7 @@ class History:
         seen = np.flatnonzero(self._count)
         means, count, position = self._means[seen], self._count[seen], self._position[seen]
         seen_from, gloss = self._seen_from[seen], self._gloss[seen]
-        pixel, depth = camera.project(position)
+        pixel, depth = camera.project(position.astype(np.float64))
         column, row = np.floor(pixel[:, 0]), np.floor(pixel[:, 1])
         kept = (depth > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
         kept &= _turn(position, seen_from, camera.position) <= _MOST_TURN[gloss]

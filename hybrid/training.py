@@ -52,7 +52,7 @@ def train_forest(
     progress: Callable[[int, int], None],
     fusion_progress: Callable[[int, int], None],
 ) -> tuple[Forest, float]:
-    """Trains a forest, fits the fusion to it, and writes both; goes on from the checkpoint of an interrupted training.
+    """Trains a forest, fits the fusion to it, and writes both; goes on where it was interrupted.
 
     Returns:
         The forest, and the seconds that training took in this process.

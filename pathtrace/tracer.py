@@ -164,13 +164,12 @@ class Tracer:
             dr.eval(sums, first)
             done += count
         means = [channel / spp for channel in sums]
-        triples = [means[i : i + 3] for i in range(0, len(means), 3)]
+        dr.eval(means)
         if not guides:
-            dr.eval(means)
-            return Traced(*triples)
+            return Traced(means)
         gloss = dr.gather(mi.UInt32, self._gloss, mi.UInt32(first[3]), first[3] >= 0)
-        dr.eval(means, gloss)
-        return Traced(*triples, first[:3], gloss)
+        dr.eval(gloss)
+        return Traced(means[0:3], means[3:6], means[6:9], means[9:12], first[:3], gloss)
 
     def hits(self, camera: Camera, positions: FilmPositions) -> Hits:
         """First hits of the rays through the middle of each position."""

@@ -63,7 +63,7 @@ def test_each_pixel_is_the_weighted_mean_of_both(renderer, gaze):
     frame = renderer.frame(camera, Foveation(gaze, 40, 20), spp=1)
     weight = frame.plan.weight_image()[..., None]
     whole = renderer.splat_frame(camera)
-    expected = weight * frame.fovea_image() + (1 - weight) * whole
+    expected = weight * frame.of_disc(frame.fovea.radiance) + (1 - weight) * whole
     np.testing.assert_allclose(frame.composite, expected, atol=1e-5)
     assert np.isfinite(frame.composite).all()
 
@@ -71,7 +71,7 @@ def test_each_pixel_is_the_weighted_mean_of_both(renderer, gaze):
 def test_only_the_disc_is_traced_and_hidden_tiles_are_not_rasterized(renderer):
     camera = renderer.tracer.scene.camera.resized(160, 160)
     frame = renderer.frame(camera, Foveation(Gaze(), 45, 40), spp=1)
-    assert len(frame.fovea) == frame.plan.weight_image().astype(bool).sum()
+    assert len(frame.fovea.radiance) == frame.plan.weight_image().astype(bool).sum()
     assert (frame.periphery[72:88, 72:88] == 0).all()
     assert (renderer.splat_frame(camera)[72:88, 72:88] > 0).any()
 
@@ -81,7 +81,7 @@ def test_a_denoised_disc_is_closer_to_the_truth(renderer):
     camera = scene.camera.resized(96, 96)
     truth = renderer.path_traced(camera, frame_positions(camera), 1024, 1)
     foveation = Foveation(Gaze(), 60, 55)
-    clean = HybridRenderer(scene, forest_of(scene), denoised=True).frame(camera, foveation, spp=2)
+    clean = HybridRenderer(scene, forest_of(scene), mode="denoised").frame(camera, foveation, spp=2)
     raw = renderer.frame(camera, foveation, spp=2)
     inside = clean.plan.weight_image() >= 1
     # Seen on a screen: in linear radiance a single firefly outweighs all the rest.

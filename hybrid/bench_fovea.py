@@ -1,0 +1,178 @@
+"""What a fused fovea is worth: against each of its parents, on views that nothing was fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from compose.blend import Image
+from compose.errors import UserError
+from compose.foveation import FoveaPlan, Foveation
+from compose.history import Samples
+from compose.view import Camera, Gaze
+from hybrid.flip import flip
+from hybrid.fovea import Fovea, Underlay
+from hybrid.fusing import fusion_of
+from hybrid.periphery import Periphery, Viewing
+from hybrid.quality import quality
+from pathtrace.capture import render_frame
+from pathtrace.denoise import denoise
+from pathtrace.frames import FrameSet
+from pathtrace.scene import Scene
+from pathtrace.tracer import Tracer
+from splat.arrays import Arrays
+from splat.forest import Forest
+
+METHODS = ("splat", "raw", "denoised", "mean", "statistical", "fused")
+
+
+@dataclass(frozen=True)
+class Crop:
+    """The middle of a view, as a camera of its own.
+
+    Attributes:
+        view: number of the view it is of.
+        scale: its resolution over that of the frame set.
+        camera: sees the crop alone.
+    """
+
+    view: int
+    scale: int
+    camera: Camera
+
+
+def unfitted_views(frames: FrameSet) -> list[Camera]:
+    """Cameras that neither the splats nor the fusion were fitted to.
+
+    Raises:
+        UserError: there is none.
+    """
+    cameras = [entry.camera for entry in frames.held_out if not entry.estimates]
+    if not cameras:
+        raise UserError(f"{frames.folder}: no view is kept from fitting; capture with --held-out 3 or more")
+    return cameras
+
+
+def crops(cameras: list[Camera], scales: tuple[int, ...], share: float) -> Iterator[Crop]:
+    """The middle of each view, `share` of its width and height, at each resolution."""
+    for number, camera in enumerate(cameras):
+        for scale in scales:
+            large = camera.resized(camera.width * scale, camera.height * scale)
+            width, height = (2 * round(share * side / 2) for side in (large.width, large.height))
+            left, top = (large.width - width) / 2, (large.height - height) / 2
+            cx, cy = large.cx - left, large.cy - top
+            yield Crop(number, scale, replace(large, width=width, height=height, cx=cx, cy=cy))
+
+
+def whole_plan(camera: Camera) -> FoveaPlan:
+    """A disc that covers the frame."""
+    return Foveation(Gaze(), 1000.0, 1000.0).plan(camera.width, camera.height)
+
+
+class Candidates:
+    """All methods on the same samples.
+
+    Args:
+        arrays, scene, forest: what is rendered.
+    """
+
+    def __init__(self, arrays: Arrays, scene: Scene, forest: Forest):
+        self.tracer = Tracer(scene)
+        self._periphery = Periphery(arrays, forest, Viewing(law="none"))
+        self._fused = Fovea(self.tracer, "fused", fusion_of(forest))
+        self._statistical = Fovea(self.tracer, "fused", None)
+
+    def samples(self, camera: Camera, spp: int, seed: int) -> Samples:
+        """Of every pixel."""
+        return self._fused.trace(camera, whole_plan(camera), spp, seed)
+
+    def underlay(self, camera: Camera) -> Underlay:
+        """The splats' picture."""
+        return Underlay(camera, self._periphery.whole(camera), self._periphery.enlargement(camera))
+
+    def pictures(self, camera: Camera, samples: Samples) -> dict[str, Image]:
+        """(H, W, 3) of each method."""
+        under, plan = self.underlay(camera), whole_plan(camera)
+        image = lambda values: values.reshape(camera.height, camera.width, 3)  # noqa: E731
+        fovea = lambda maker: image(  # noqa: E731
+            maker.picture(camera, plan, samples, under.radiance, under).radiance
+        )
+        raw = image(samples.radiance)
+        # The better network always: it is what fusion must beat.
+        denoised = denoise(raw, image(samples.albedo), image(samples.normal))
+        return {
+            "splat": under.radiance,
+            "raw": raw,
+            "denoised": denoised,
+            "mean": 0.5 * (denoised + under.radiance),
+            "statistical": fovea(self._statistical),
+            "fused": fovea(self._fused),
+        }
+
+
+def reference(tracer: Tracer, camera: Camera, spp: int, seed: int) -> tuple[Image, float]:
+    """Converged radiance (H, W, 3), and the PSNR that the noise left in it allows, from its two halves."""
+    halves = [render_frame(tracer, camera, spp // 2, seed + half).radiance for half in range(2)]
+    mean = 0.5 * (halves[0] + halves[1])
+    # Their difference has four times the mean's squared error.
+    return mean, quality(halves[0], halves[1])["psnr"] + 10 * np.log10(4)
+
+
+def measured(image: Image, truth: Image) -> dict[str, float]:
+    """All metrics that are installed."""
+    found = quality(image, truth)
+    difference = flip(image, truth)
+    return found if difference is None else {**found, "flip": difference}
+
+
+def bench_fusion(
+    arrays: Arrays,
+    scene: Scene,
+    frames: FrameSet,
+    forest: Forest,
+    counts: tuple[int, ...],
+    scales: tuple[int, ...],
+    seeds: int,
+    reference_spp: int,
+    progress: Callable[[int, int], None],
+) -> list[dict[str, Any]]:
+    """One row per resolution, sample count and method: means over views and seeds.
+
+    Args:
+        arrays, scene, forest: what is rendered.
+        frames: that the forest was trained on; its unfitted views are measured.
+        counts: samples per pixel.
+        scales: resolutions of the crops over that of the frames.
+        seeds: runs of each.
+        reference_spp: samples per pixel of the references.
+        progress: called with crops done and crops in all.
+    """
+    candidates = Candidates(arrays, scene, forest)
+    found: dict[tuple[int, int, str], list[dict[str, float]]] = {}
+    limits: dict[int, list[float]] = {}
+    places = list(crops(unfitted_views(frames), scales, 0.4))
+    for done, crop in enumerate(places):
+        truth, limit = reference(candidates.tracer, crop.camera, reference_spp, 1_000_003)
+        limits.setdefault(crop.scale, []).append(limit)
+        for spp in counts:
+            for seed in range(seeds):
+                samples = candidates.samples(crop.camera, spp, seed)
+                for method, image in candidates.pictures(crop.camera, samples).items():
+                    found.setdefault((crop.scale, spp, method), []).append(measured(image, truth))
+        progress(done + 1, len(places))
+    return [
+        {
+            "scene": scene.name,
+            "scale": scale,
+            "spp": spp,
+            "method": method,
+            "views": len(places) // len(scales),
+            "seeds": seeds,
+            "reference_psnr": float(np.mean(limits[scale])),
+            **{name: float(np.mean([row[name] for row in rows])) for name in rows[0]},
+        }
+        for (scale, spp, method), rows in found.items()
+    ]
