@@ -1,13 +1,14 @@
 """What the fovea has already seen: samples of earlier frames, carried along with the surfaces they hit.
 
-While the camera stands still, samples add up pixel by pixel, wherever the gaze goes. When it has moved, each
-pixel's samples go to the pixel in which their place in the world is seen now. Where they lie in their pixel
-is known, so that going from pixel to pixel again and again does not blur: they are moved, never resampled.
+While the camera stands still, samples add up pixel by pixel, wherever the gaze goes. When it moves, the
+samples of the last frames go to where their places in the world are seen now, each from where it was traced:
+nothing is resampled twice, so that nothing blurs or drifts however long the walk.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections import deque
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +20,10 @@ Array = NDArray[np.float32]
 # Nothing farther away counts as another surface if its distance differs by less, relatively.
 _SAME_SURFACE = 0.02
 # Degrees by which the direction of sight may change until what shines there is another: by gloss.
-_MOST_TURN = np.array([np.inf, 2.0, 0.2])
-# Samples per pixel that a moving camera remembers: old errors fade.
-_MOST_MOVING = 48.0
+_MOST_TURN = np.array([np.inf, 5.0, 0.2])
+# Views that a moving camera remembers, and samples per pixel of each: old errors fade.
+_VIEWS = 16
+_MOST_SAMPLES = 32.0
 
 DIFFUSE, GLOSSY, SPECULAR = 0, 1, 2
 
@@ -57,6 +59,32 @@ class Samples:
             return np.where(count > 1, spread / np.maximum(count - 1, 1e-6), np.inf).astype(np.float32)
 
 
+@dataclass(frozen=True)
+class _Seen:
+    """Sums over samples, for the pixels of a rectangle of a frame.
+
+    Attributes:
+        rows, columns: the rectangle.
+        count: (h, w).
+        sums: (h, w, 12) of radiance, squares, albedo, normal, times count.
+    """
+
+    rows: slice
+    columns: slice
+    count: NDArray[np.float64]
+    sums: NDArray[np.float64]
+
+    def at(self, row: NDArray[np.int64], column: NDArray[np.int64]) -> tuple[Array, Array]:
+        """(D,) counts and (D, 12) sums of pixels; 0 outside of the rectangle."""
+        count = np.zeros(len(row), dtype=np.float32)
+        sums = np.zeros((len(row), 12), dtype=np.float32)
+        inside = (row >= self.rows.start) & (row < self.rows.stop)
+        inside &= (column >= self.columns.start) & (column < self.columns.stop)
+        place = row[inside] - self.rows.start, column[inside] - self.columns.start
+        count[inside], sums[inside] = self.count[place], self.sums[place]
+        return count, sums
+
+
 class History:
     """Samples of all pixels of a view, as far as anything has been seen of them.
 
@@ -65,6 +93,9 @@ class History:
 
     def __init__(self) -> None:
         self._camera: Camera | None = None
+        # Earlier views, each with the place that it was seen from; what of them is seen now.
+        self._views: deque[tuple[Samples, NDArray[np.float64]]] = deque(maxlen=_VIEWS)
+        self._past: _Seen | None = None
 
     def add(self, camera: Camera, new: Samples) -> Samples:
         """Remembers new samples.
@@ -73,92 +104,139 @@ class History:
             The new samples' pixels, with all that is remembered of them.
         """
         if self._camera is None or (self._camera.width, self._camera.height) != (camera.width, camera.height):
-            self._forget(camera)
+            self._views.clear()
+            self._past = None
+            self._begin(camera)
         elif self._camera.key != camera.key:
-            self._move(camera, new)
-        pixels = new.pixels
-        old_count, count = self._count[pixels], new.count
-        total = (old_count + count)[:, None]
-        fresh = np.hstack([new.radiance, new.squares, new.albedo, new.normal])
-        means = (self._means[pixels] * old_count[:, None] + fresh * count[:, None]) / total
-        # Between two surfaces there is nothing: only places on the same one are averaged.
-        same = _distances_agree(camera, self._position[pixels], new.position) & (old_count > 0)
-        middle = (self._position[pixels] * old_count[:, None] + new.position * count[:, None]) / total
-        position = np.where(same[:, None], middle, new.position)
-        self._means[pixels], self._count[pixels] = means, total[:, 0]
-        self._position[pixels], self._gloss[pixels] = position, new.gloss
-        self._seen_from[pixels] = camera.position
+            self._views.append((self._seen_here(), self._camera.position))
+            self._past = _seen_from(self._views, camera, new)
+            self._begin(camera)
+        own_count, own = self._accumulate(new)
+        if self._past is not None:
+            pixels = new.pixels.astype(np.int64)
+            count, sums = self._past.at(pixels // camera.width, pixels % camera.width)
+            own_count, own = own_count + count, own + sums
+        means = own / own_count[:, None]
         return replace(
             new,
-            count=total[:, 0],
+            count=own_count,
             radiance=means[:, 0:3],
             squares=means[:, 3:6],
             albedo=means[:, 6:9],
             normal=means[:, 9:12],
         )
 
-    def _forget(self, camera: Camera) -> None:
+    def _begin(self, camera: Camera) -> None:
+        """Nothing has been traced from this camera yet."""
         size = camera.width * camera.height
         self._camera = camera
-        self._means = np.zeros((size, 12), dtype=np.float32)
         self._count = np.zeros(size, dtype=np.float32)
+        self._sums = np.zeros((size, 12), dtype=np.float32)
         self._position = np.zeros((size, 3), dtype=np.float32)
-        self._seen_from = np.zeros((size, 3), dtype=np.float32)
         self._gloss = np.zeros(size, dtype=np.uint8)
 
-    def _move(self, camera: Camera, new: Samples) -> None:
-        """Takes every pixel's samples to where their place is seen now; drops those that no longer hold."""
-        seen = np.flatnonzero(self._count)
-        means, count, position = self._means[seen], self._count[seen], self._position[seen]
-        seen_from, gloss = self._seen_from[seen], self._gloss[seen]
-        pixel, depth = camera.project(position.astype(np.float64))
-        column, row = np.floor(pixel[:, 0]), np.floor(pixel[:, 1])
-        kept = (depth > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-        kept &= _turn(position, seen_from, camera.position) <= _MOST_TURN[gloss]
-        target = np.where(kept, row * camera.width + column, 0).astype(np.int64)
-        distance = np.linalg.norm(position - camera.position, axis=1)
-        nearest, farthest = _distance_range(camera, new)
-        kept &= (distance >= nearest[target] * (1 - _SAME_SURFACE)) & (
-            distance <= farthest[target] * (1 + _SAME_SURFACE)
+    def _accumulate(self, new: Samples) -> tuple[Array, Array]:
+        """Counts and sums of the new samples' pixels, from this camera alone."""
+        pixels = new.pixels
+        first = self._count[pixels] == 0
+        self._position[pixels[first]], self._gloss[pixels[first]] = new.position[first], new.gloss[first]
+        fresh = np.hstack([new.radiance, new.squares, new.albedo, new.normal])
+        self._sums[pixels] += fresh * new.count[:, None]
+        self._count[pixels] += new.count
+        return self._count[pixels], self._sums[pixels]
+
+    def _seen_here(self) -> Samples:
+        """All that was traced from this camera."""
+        pixels = np.flatnonzero(self._count)
+        count = self._count[pixels]
+        radiance, squares, albedo, normal = np.split(self._sums[pixels] / count[:, None], 4, axis=1)
+        return Samples(
+            pixels.astype(np.uint32),
+            np.minimum(count, _MOST_SAMPLES),
+            *(radiance, squares, albedo, normal),
+            self._position[pixels],
+            self._gloss[pixels],
         )
-        self._forget(camera)
-        chosen = np.flatnonzero(kept)
-        if not len(chosen):
-            return
-        order = chosen[np.lexsort((-distance[chosen], target[chosen]))]
-        places, first = np.unique(target[order], return_index=True)
-        weight = count[order]
-        total = np.add.reduceat(weight, first)
-        self._count[places] = np.minimum(total, _MOST_MOVING)
-        self._means[places] = np.add.reduceat(means[order] * weight[:, None], first) / total[:, None]
-        # The nearest one lies last.
-        last = order[np.append(first[1:], len(order)) - 1]
-        self._position[places], self._gloss[places] = position[last], gloss[last]
-        self._seen_from[places] = seen_from[last]
 
 
-def _turn(position: Array, before: Array, now: NDArray[np.float64]) -> NDArray[np.float64]:
+def _seen_from(
+    views: deque[tuple[Samples, NDArray[np.float64]]], camera: Camera, new: Samples
+) -> _Seen | None:
+    """What earlier views tell of what a camera sees, without what no longer holds."""
+    names = [field.name for field in fields(Samples)]
+    old = Samples(*(np.concatenate([getattr(samples, name) for samples, _ in views]) for name in names))
+    before = np.concatenate([np.broadcast_to(place, (len(s.pixels), 3)) for s, place in views])
+    pixel, depth = camera.project(old.position.astype(np.float64))
+    visible = (depth > 0) & (pixel >= 0).all(axis=1) & (pixel < [camera.width, camera.height]).all(axis=1)
+    shiny = np.flatnonzero(visible & (old.gloss > DIFFUSE))
+    turn = _turn(old.position[shiny], before[shiny], camera.position)
+    visible[shiny] = turn <= _MOST_TURN[old.gloss[shiny]]
+    kept = np.flatnonzero(visible)
+    rows, columns, nearest, farthest = _distance_range(camera, new)
+    height, width = nearest.shape
+    # In quarters of pixels.
+    across, down = (np.floor(2 * pixel[kept, axis]).astype(np.int64) for axis in (0, 1))
+    across, down = across - 2 * columns.start, down - 2 * rows.start
+    inside = (down >= 0) & (down < 2 * height) & (across >= 0) & (across < 2 * width)
+    kept, across, down = kept[inside], across[inside], down[inside]
+    # Whatever was seen from this very place is seen from it still.
+    certain = (np.abs(before[kept] - camera.position) < 1e-6).all(axis=1)
+    distance = np.linalg.norm(old.position[kept] - camera.position, axis=1)
+    same = distance >= nearest[down // 2, across // 2] * (1 - _SAME_SURFACE)
+    same &= distance <= farthest[down // 2, across // 2] * (1 + _SAME_SURFACE)
+    same |= certain
+    kept, across, down, distance = kept[same], across[same], down[same], distance[same]
+    if not len(kept):
+        return None
+    quarter = down * 2 * width + across
+    # What lies behind something nearer in the same quarter of a pixel is hidden by it.
+    front = np.full(4 * height * width, np.inf)
+    np.minimum.at(front, quarter, distance)
+    seen = certain[same] | (distance <= front[quarter] * (1 + _SAME_SURFACE))
+    kept, quarter, target = kept[seen], quarter[seen], (down // 2 * width + across // 2)[seen]
+    weight = old.count[kept].astype(np.float64)
+    light = np.hstack([old.radiance[kept], old.squares[kept]])
+    count, sums = _added_up(target, weight, light, height * width)
+    # Guides hardly differ but at edges. Quarters of a pixel count alike there, however many samples fell into
+    # each, as if they had been stratified.
+    guides = np.hstack([old.albedo[kept], old.normal[kept]])
+    quarter_count, quarters = _added_up(quarter, weight, guides, 4 * height * width)
+    quarters /= np.maximum(quarter_count, 1e-9)[:, None]
+    split = (height, 2, width, 2)
+    present = (quarter_count > 0).reshape(*split).sum(axis=(1, 3)).reshape(-1, 1)
+    means = quarters.reshape(*split, 6).sum(axis=(1, 3)).reshape(-1, 6) / np.maximum(present, 1)
+    everything = np.hstack([sums, means * count[:, None]])
+    return _Seen(rows, columns, count.reshape(height, width), everything.reshape(height, width, 12))
+
+
+def _added_up(
+    target: NDArray[np.int64], weight: NDArray[np.float64], values: Array, size: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(size,) sums of the weights and (size, C) of the weighted values that go to each target."""
+    count = np.bincount(target, weight, size).astype(np.float64)
+    sums = [np.bincount(target, weight * values[:, i], size) for i in range(values.shape[1])]
+    return count, np.stack(sums, axis=1).astype(np.float64)
+
+
+def _turn(position: Array, before: NDArray[np.float64], now: NDArray[np.float64]) -> NDArray[np.float64]:
     """Degrees between the directions in which places were seen and are seen."""
     one, other = position - before, position - now
     sine = np.linalg.norm(np.cross(one, other), axis=1)
     return np.degrees(np.arctan2(sine, (one * other).sum(axis=1)))
 
 
-def _distances_agree(camera: Camera, one: Array, other: Array) -> NDArray[np.bool_]:
-    first, second = (np.linalg.norm(place - camera.position, axis=1) for place in (one, other))
-    return np.abs(first - second) <= _SAME_SURFACE * second
-
-
-def _distance_range(camera: Camera, new: Samples) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(H * W,) nearest and farthest of what is seen now in each pixel and its neighbours; any elsewhere."""
+def _distance_range(
+    camera: Camera, new: Samples
+) -> tuple[slice, slice, NDArray[np.float64], NDArray[np.float64]]:
+    """The rectangle of the new samples, and the nearest and farthest of what is seen around each pixel."""
+    row, column = new.pixels.astype(np.int64) // camera.width, new.pixels.astype(np.int64) % camera.width
+    rows = slice(int(row.min()), int(row.max()) + 1)
+    columns = slice(int(column.min()), int(column.max()) + 1)
     distance = np.linalg.norm(new.position - camera.position, axis=1)
     extremes = []
-    for unknown, choose in ((np.inf, np.minimum), (-np.inf, np.maximum)):
-        image = np.full(camera.width * camera.height, unknown)
-        image[new.pixels] = distance
-        padded = np.pad(image.reshape(camera.height, camera.width), 1, constant_values=unknown)
-        across = choose(choose(padded[:, :-2], padded[:, 1:-1]), padded[:, 2:])
-        around = choose(choose(across[:-2], across[1:-1]), across[2:])
-        extremes.append(np.where(np.isfinite(around), around, -unknown).ravel())
-    nearest, farthest = extremes
-    return np.where(nearest == -np.inf, 0, nearest), farthest
+    for unknown, choose in ((np.inf, np.minimum), (0.0, np.maximum)):
+        image = np.full((rows.stop - rows.start + 2, columns.stop - columns.start + 2), unknown)
+        image[row - rows.start + 1, column - columns.start + 1] = distance
+        across = choose(choose(image[:, :-2], image[:, 1:-1]), image[:, 2:])
+        extremes.append(choose(choose(across[:-2], across[1:-1]), across[2:]))
+    return rows, columns, extremes[0], extremes[1]

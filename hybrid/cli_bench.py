@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -184,3 +184,108 @@ def bench_held_out(
     if rows[0]["jod"] is None:
         print(INSTALL)
     write_json(json_file, rows)
+
+
+FramesFolder = Annotated[Path, typer.Argument(metavar="FRAMES", help="Folder of the scene's frame set.")]
+ForestArgument = Annotated[Path, typer.Argument(metavar="FOREST", help="Trained on that frame set.")]
+ReferenceSpp = Annotated[int, typer.Option(help="Samples per pixel of the references.", min=2)]
+
+
+@bench_app.command("fusion")
+def bench_fusion(
+    scene: SceneName,
+    frames: FramesFolder,
+    forest: ForestArgument,
+    spp: Annotated[
+        list[int] | None, typer.Option(help="Samples per pixel; may be given several times.", min=1)
+    ] = None,
+    seeds: Annotated[int, typer.Option(help="Runs of each.", min=1)] = 2,
+    reference_spp: ReferenceSpp = 1024,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Compare the fused fovea with each of its parents, on views that nothing was fitted to."""
+    select(backend)
+    from hybrid.bench_fovea import bench_fusion as run
+    from hybrid.device import device_arrays
+    from pathtrace.frames import read_frame_set
+    from splat.files import load_forest
+
+    counts = tuple(spp or (1, 2, 4, 16, 64))
+    found, loaded = load_forest(forest), loaded_scene(scene)
+    with progress_bar("bench (crops)") as bar:
+        rows = run(
+            device_arrays(), loaded, read_frame_set(frames), found, counts, (1, 2), seeds, reference_spp, bar
+        )
+    print("scale   spp  method        PSNR    SSIM    FLIP   reference")
+    for row in rows:
+        print(
+            f"{row['scale']:>4}x {row['spp']:>5}  {row['method']:<11} {_metrics(row)}  "
+            f"{row['reference_psnr']:>6.1f} dB"
+        )
+    write_json(json_file, rows)
+
+
+@bench_app.command("change")
+def bench_change(
+    scene: SceneName,
+    frames: FramesFolder,
+    forest: ForestArgument,
+    spp: Annotated[int, typer.Option(help="Samples per pixel in the fovea.", min=1)] = 16,
+    reference_spp: ReferenceSpp = 512,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Change the scene after training, and see whether the fused fovea shows what is there."""
+    select(backend)
+    from hybrid.bench_change import bench_change as run
+    from hybrid.device import device_arrays
+    from pathtrace.frames import read_frame_set
+    from splat.files import load_forest
+
+    found = load_forest(forest)
+    with progress_bar("bench (pictures)") as bar:
+        rows = run(
+            device_arrays(),
+            lambda: loaded_scene(scene),
+            read_frame_set(frames),
+            found,
+            spp,
+            reference_spp,
+            bar,
+        )
+    print("change            method        PSNR    SSIM    FLIP")
+    for row in rows:
+        print(f"{row['change']:<16}  {row['method']:<11} {_metrics(row)}")
+    write_json(json_file, rows)
+
+
+@bench_app.command("motion")
+def bench_motion(
+    scene: SceneName,
+    frames: FramesFolder,
+    forest: ForestArgument,
+    reference_spp: ReferenceSpp = 512,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Walk and turn at one sample a frame, and compare the last frame with single ones."""
+    select(backend)
+    from hybrid.bench_motion import bench_motion as run
+    from hybrid.device import device_arrays
+    from pathtrace.frames import read_frame_set
+    from splat.files import load_forest
+
+    found, loaded = load_forest(forest), loaded_scene(scene)
+    with progress_bar("bench (walks)") as bar:
+        rows = run(device_arrays(), loaded, read_frame_set(frames), found, reference_spp, bar)
+    print("fovea     method                  PSNR    SSIM    FLIP   where nothing was seen before")
+    for row in rows:
+        fresh = f"{row['fresh_psnr']:.2f} dB" if "fresh_psnr" in row else "-"
+        print(f"{row['mode']:<9} {row['method']:<21} {_metrics(row)}  {fresh:>9}")
+    write_json(json_file, rows)
+
+
+def _metrics(row: dict[str, Any]) -> str:
+    flip = f"{row['flip']:.4f}" if "flip" in row else "     -"
+    return f"{row['psnr']:6.2f}  {row['ssim']:.4f}  {flip}"

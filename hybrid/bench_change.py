@@ -1,0 +1,114 @@
+"""Whether the fovea is fooled: worlds that changed after the splats were trained."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from compose.view import Camera
+from hybrid.bench_fovea import Candidates, crops, measured, reference, unfitted_views
+from pathtrace.frames import FrameSet
+from pathtrace.scene import Scene
+from pathtrace.tracer import Tracer, frame_positions
+from splat.arrays import Arrays
+from splat.forest import Forest
+
+# What a shape should take of a crop to be worth moving or painting.
+_SHARE = 0.1
+_DIMMED = 0.4
+
+
+def dim_lamps(scene: Scene, camera: Camera) -> None:
+    """All area lights at two fifths."""
+    parameters = mi.traverse(scene.mitsuba)
+    for key in _named(parameters, "emitter", "radiance"):
+        parameters[key] = parameters[key] * _DIMMED
+    parameters.update()
+
+
+def swap_colours(scene: Scene, camera: Camera) -> None:
+    """Red, green and blue change places in every reflectance of the shapes that the camera sees most of."""
+    parameters = mi.traverse(scene.mitsuba)
+    for index in _seen(scene, camera)[:3]:
+        prefix = scene.mitsuba.shapes()[index].bsdf().id()
+        for key in _named(parameters, f"{prefix}.", "reflectance"):
+            value = parameters[key]
+            if key.endswith(".data") and value.shape[-1] == 3:
+                parameters[key] = mi.TensorXf(np.ascontiguousarray(value.numpy()[..., [1, 2, 0]]))
+            elif key.endswith(".value") and len(value) == 3:
+                parameters[key] = type(value)(value.y, value.z, value.x)
+    parameters.update()
+
+
+def move_object(scene: Scene, camera: Camera) -> None:
+    """The shape that fills about a tenth of what the camera sees goes aside by half its size."""
+    parameters = mi.traverse(scene.mitsuba)
+    index = _seen(scene, camera)[0]
+    key = scene.mitsuba.shapes()[index].id() + ".vertex_positions"
+    vertices = parameters[key].numpy().reshape(-1, 3)
+    aside = camera.camera_to_world[:3, 0] * 0.5 * float(np.ptp(vertices, axis=0).max())
+    parameters[key] = mi.Float((vertices + aside).ravel().astype(np.float32))
+    parameters.update()
+
+
+CHANGES: dict[str, Callable[[Scene, Camera], None]] = {
+    "object moved": move_object,
+    "texture swapped": swap_colours,
+    "lamp dimmed": dim_lamps,
+}
+
+
+def bench_change(
+    arrays: Arrays,
+    load: Callable[[], Scene],
+    frames: FrameSet,
+    forest: Forest,
+    spp: int,
+    reference_spp: int,
+    progress: Callable[[int, int], None],
+) -> list[dict[str, Any]]:
+    """One row per change and method: means over the unfitted views' crops, the forest as it was.
+
+    Args:
+        arrays: the rasterizer's.
+        load: gives the scene anew, to be changed.
+        frames, forest: of the scene as it was.
+        spp: samples per pixel in the fovea.
+        reference_spp: of the changed scene's references.
+        progress: called with pictures done and pictures in all.
+    """
+    places = list(crops(unfitted_views(frames), (1,), 0.4))
+    found: dict[tuple[str, str], list[dict[str, float]]] = {}
+    for number, (change, apply) in enumerate(CHANGES.items()):
+        for place, crop in enumerate(places):
+            scene = load()
+            apply(scene, crop.camera)
+            candidates = Candidates(arrays, scene, forest)
+            truth, _ = reference(candidates.tracer, crop.camera, reference_spp, 1_000_003)
+            samples = candidates.samples(crop.camera, spp, 0)
+            for method, image in candidates.pictures(crop.camera, samples).items():
+                found.setdefault((change, method), []).append(measured(image, truth))
+            progress(number * len(places) + place + 1, len(CHANGES) * len(places))
+    return [
+        {
+            "change": change,
+            "method": method,
+            "spp": spp,
+            **{name: float(np.mean([row[name] for row in rows])) for name in rows[0]},
+        }
+        for (change, method), rows in found.items()
+    ]
+
+
+def _named(parameters: Any, *parts: str) -> list[str]:
+    return [key for key, _ in parameters if all(part in key for part in parts)]
+
+
+def _seen(scene: Scene, camera: Camera) -> list[int]:
+    """Indices of the shapes in sight, those first that fill about a tenth of it."""
+    shapes = Tracer(scene).hits(camera, frame_positions(camera)).shape
+    indices, counts = np.unique(shapes[shapes >= 0], return_counts=True)
+    return indices[np.argsort(np.abs(counts / len(shapes) - _SHARE))].tolist()
