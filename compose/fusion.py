@@ -29,6 +29,8 @@ Image = NDArray[np.float32]
 _DARK = 0.03
 # Relative bias that no parent but the traced one is trusted to stay below.
 _FLOOR = 0.005
+# How much wider than a normal distribution's the interval around a few samples' bias may be.
+_TAILS = 20.0
 # Parents, in the order of their weights.
 PARENTS = ("traced", "denoised", "splat")
 
@@ -234,7 +236,7 @@ def fuse(parents: Parents, fusion: Fusion | None) -> Fused:
         else:
             looks = looks_of(images, count, torch.tensor([float(parents.enlargement)]))
             radiance, weights = mixture(fusion(looks), images[:3], looks.texture)
-        share = trust(radiance, traced, variance)
+        share = trust(radiance, traced, variance, count)
         radiance = torch.lerp(traced, radiance, share)
         weights = weights * share
         weights[:, 0:1] += 1 - share
@@ -257,21 +259,26 @@ def statistical(traced: Tensor, denoised: Tensor, splat: Tensor, variance: Tenso
     return torch.lerp(splat, denoised, share), weights
 
 
-def trust(estimate: Tensor, traced: Tensor, variance: Tensor) -> Tensor:
+def trust(estimate: Tensor, traced: Tensor, variance: Tensor, count: Tensor) -> Tensor:
     """(N, 1, H, W): share that an estimate of unknown bias keeps beside the unbiased one, 0..1.
 
     v / (v + b^2) is the best share for independent errors of variance v and bias b. The squared bias is
     estimated over some 6 x 6 pixels, and taken at the lower end of its confidence interval (two standard
-    errors, of noise alone: bias may vary as it likes): noise must not count as bias.
+    errors): noise must not count as bias. Where few samples have found any light yet, both they and their
+    variance are too small together, so that the neighbourhood's relative variance counts where it is larger;
+    and the fewer the samples, the wider the interval may be.
     """
     known = torch.isfinite(variance).all(1, keepdim=True)
     explained = torch.where(known, variance, 0).mean(1, keepdim=True)
     excess = ((estimate - traced) ** 2).mean(1, keepdim=True) - explained
-    floor = (_FLOOR * _luminance(estimate)) ** 2
-    maps = _mean(_halved(torch.cat([excess, excess**2, explained, floor], 1)), 1)
-    explained = maps[:, 2:3]
-    error = torch.minimum(torch.sqrt(_spread(maps) / 36), 1.5 * explained)
-    bias = torch.maximum(maps[:, 0:1] - 2 * error, maps[:, 3:4])
+    level = _luminance(estimate) ** 2 + 1e-8
+    maps = _halved(torch.cat([excess, excess**2, explained, level], 1))
+    small, large = _mean(maps, 1), _enlarged(_mean(_halved(_halved(maps)), 1), maps)
+    level = small[:, 3:4]
+    explained = torch.maximum(small[:, 2:3], large[:, 2:3] / large[:, 3:4] * level)
+    error = torch.sqrt(torch.maximum(_spread(small), _spread(large)) / 36)
+    error = torch.minimum(error, explained * (1.5 + _TAILS / torch.sqrt(_halved(count))))
+    bias = torch.maximum(small[:, 0:1] - 2 * error, _FLOOR**2 * level)
     share = explained / (explained + bias + 1e-20)
     return torch.where(known, _enlarged(share, traced), 1.0)
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.samples import DIFFUSE, Samples
 from compose.view import Camera
 
 Array = NDArray[np.float32]
@@ -24,39 +25,6 @@ _MOST_TURN = np.array([np.inf, 5.0, 0.2])
 # Views that a moving camera remembers, and samples per pixel of each: old errors fade.
 _VIEWS = 16
 _MOST_SAMPLES = 32.0
-
-DIFFUSE, GLOSSY, SPECULAR = 0, 1, 2
-
-
-@dataclass(frozen=True)
-class Samples:
-    """Samples of D pixels of one view.
-
-    Attributes:
-        pixels: (D,) row-major indices, each once.
-        count: (D,) samples in each.
-        radiance: (D, 3) their mean, linear.
-        squares: (D, 3) mean of their squares.
-        albedo, normal: (D, 3) their means.
-        position: (D, 3) in the world, where one of them met a surface; far away where none did.
-        gloss: (D,) DIFFUSE, GLOSSY or SPECULAR, of that surface.
-    """
-
-    pixels: NDArray[np.uint32]
-    count: Array
-    radiance: Array
-    squares: Array
-    albedo: Array
-    normal: Array
-    position: Array
-    gloss: NDArray[np.uint8]
-
-    def variance(self) -> Array:
-        """(D, 3) of the mean radiance; inf where one sample does not tell."""
-        count = self.count[:, None]
-        spread = np.maximum(self.squares - self.radiance**2, 0)
-        with np.errstate(divide="ignore"):
-            return np.where(count > 1, spread / np.maximum(count - 1, 1e-6), np.inf).astype(np.float32)
 
 
 @dataclass(frozen=True)

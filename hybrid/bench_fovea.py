@@ -11,7 +11,7 @@ import numpy as np
 from compose.blend import Image
 from compose.errors import UserError
 from compose.foveation import FoveaPlan, Foveation
-from compose.history import Samples
+from compose.samples import Samples
 from compose.view import Camera, Gaze
 from hybrid.flip import flip
 from hybrid.fovea import Fovea, Underlay

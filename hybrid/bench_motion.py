@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from compose.blend import Image
 from compose.foveation import FoveaPlan, Foveation
 from compose.fusion import Fusion
-from compose.history import Samples
+from compose.samples import Samples
 from compose.view import Camera, Gaze
 from hybrid.bench_fovea import measured, reference, unfitted_views
 from hybrid.fovea import Fovea, Underlay

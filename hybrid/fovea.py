@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import mitsuba as mi
@@ -13,7 +13,9 @@ from compose.blend import Image
 from compose.errors import UserError
 from compose.foveation import FoveaPlan
 from compose.fusion import Fusion, Parents, fuse
-from compose.history import History, Samples
+from compose.history import History
+from compose.samples import Samples, merged
+from compose.sampling import allotted, disagreement
 from compose.view import Camera
 from pathtrace.denoise import denoise
 from pathtrace.tracer import Traced, Tracer, pixel_positions
@@ -22,6 +24,11 @@ MODES = ("raw", "denoised", "fused")
 DEFAULT_MODE = "fused"
 # With fewer samples per pixel the better network costs more than it is worth.
 _FAST_BELOW = 3.0
+# From so many samples per pixel on, a part of them, traced everywhere, tells where the others are needed.
+_ADAPTIVE_FROM = 4
+_FIRST_SHARE = 0.25
+_FEWEST_FIRST = 2
+_SECOND_STREAM = 0x5EED0000
 
 
 @dataclass(frozen=True)
@@ -80,13 +87,47 @@ class Fovea:
         self._fusion = fusion
         self._history = History() if remembers else None
 
-    def trace(self, camera: Camera, plan: FoveaPlan, spp: int, seed: int) -> Samples:
-        """Samples of the plan's pixels, together with what is remembered of them."""
+    def trace(
+        self, camera: Camera, plan: FoveaPlan, spp: int, seed: int, under: Underlay | None = None
+    ) -> Samples:
+        """Samples of the plan's pixels, together with what is remembered of them.
+
+        Args:
+            camera: the view.
+            plan: the disc.
+            spp: samples per pixel, on the mean over the disc.
+            seed: same seed, same samples.
+            under: the splats under the disc; with them, samples go where they help. Without, and where they
+                are few, all pixels get the same number.
+        """
         if not len(plan.pixels):
             return _no_samples()
-        positions = pixel_positions(mi.UInt32(plan.pixels), camera.width)
-        samples = samples_of(self.tracer.trace(camera, positions, spp, seed, guides=True), plan.pixels, spp)
+        if under is None or spp < _ADAPTIVE_FROM:
+            samples = self._traced(camera, plan.pixels, spp, seed)
+        else:
+            samples = self._traced_where_needed(camera, plan, spp, seed, _checked(camera, under))
         return samples if self._history is None else self._history.add(camera, samples)
+
+    def _traced(
+        self, camera: Camera, pixels: NDArray[np.uint32], spp: int | NDArray[np.int64], seed: int
+    ) -> Samples:
+        positions = pixel_positions(mi.UInt32(pixels), camera.width)
+        return samples_of(self.tracer.trace(camera, positions, spp, seed, guides=True), pixels, spp)
+
+    def _traced_where_needed(
+        self, camera: Camera, plan: FoveaPlan, spp: int, seed: int, under: Underlay
+    ) -> Samples:
+        """A few samples everywhere, then more where they disagree with the splats."""
+        box, place = _frame_of(plan)
+        splat = under.radiance[box]
+        fewer = max(_FEWEST_FIRST, int(_FIRST_SHARE * spp))
+        first = self._traced(camera, plan.pixels, fewer, seed)
+        worth = disagreement(denoised_box(first, splat, place), splat)[place]
+        counts = allotted(worth, (spp - fewer) * len(plan.pixels), seed)
+        chosen = np.flatnonzero(counts)
+        # Another stream of random numbers than that of the first ones.
+        more = self._traced(camera, plan.pixels[chosen], counts[chosen], seed + _SECOND_STREAM)
+        return merged(first, _spread_out(more, chosen, first))
 
     def picture(
         self, camera: Camera, plan: FoveaPlan, samples: Samples, around: Image, under: Underlay | None
@@ -134,13 +175,13 @@ class Fovea:
         )
 
 
-def samples_of(traced: Traced, pixels: NDArray[np.uint32], spp: int) -> Samples:
-    """What was traced with guides at those pixels."""
+def samples_of(traced: Traced, pixels: NDArray[np.uint32], spp: int | NDArray[np.int64]) -> Samples:
+    """What was traced with guides at those pixels, with so many samples each."""
     assert traced.gloss is not None
     triple = lambda channels: np.stack([c.numpy() for c in channels], axis=1)  # noqa: E731
     return Samples(
         pixels,
-        np.full(len(pixels), spp, dtype=np.float32),
+        np.broadcast_to(np.float32(spp), len(pixels)),
         triple(traced.radiance),
         triple(traced.squares),
         triple(traced.albedo),
@@ -148,6 +189,16 @@ def samples_of(traced: Traced, pixels: NDArray[np.uint32], spp: int) -> Samples:
         triple(traced.place),
         traced.gloss.numpy().astype(np.uint8),
     )
+
+
+def _spread_out(samples: Samples, chosen: NDArray[np.int64], like: Samples) -> Samples:
+    """Samples of the chosen among other pixels as samples of all of them, none of those not chosen."""
+    spread = {}
+    for field in fields(Samples):
+        values = np.zeros_like(getattr(like, field.name))
+        values[chosen] = getattr(samples, field.name)
+        spread[field.name] = values
+    return Samples(**spread)
 
 
 def denoised_box(samples: Samples, around: Image, place: Any) -> Image:

@@ -104,7 +104,7 @@ class HybridRenderer:
         clock.lap("splat")
         under = self.underlay(camera, plan)
         clock.lap("under")
-        samples = self.fovea.trace(camera, plan, spp, seed)
+        samples = self.fovea.trace(camera, plan, spp, seed, under)
         clock.lap("trace")
         fovea = self.fovea.picture(camera, plan, samples, periphery, under)
         clock.lap("fovea")
@@ -121,9 +121,10 @@ class HybridRenderer:
 
     def disc_alone(self, camera: Camera, plan: FoveaPlan, spp: int, seed: int) -> Image:
         """(D, 3) the disc as a frame shows it, without the splats around it."""
-        samples = self.fovea.trace(camera, plan, spp, seed)
+        under = self.underlay(camera, plan)
+        samples = self.fovea.trace(camera, plan, spp, seed, under)
         around = np.zeros((plan.height, plan.width, 3), dtype=np.float32)
-        return self.fovea.picture(camera, plan, samples, around, self.underlay(camera, plan)).radiance
+        return self.fovea.picture(camera, plan, samples, around, under).radiance
 
     def splat_frame(self, camera: Camera) -> Image:
         """(H, W, 3) the finest layer over the whole frame, also where a fovea would hide it."""

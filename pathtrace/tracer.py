@@ -120,6 +120,55 @@ def _gloss(flags: int) -> int:
     return int(mi.has_flag(flags, mi.BSDFFlags.Glossy))
 
 
+@dataclass(frozen=True)
+class _Lanes:
+    """Which lane traces which sample of which position; the samples of a position lie side by side.
+
+    Attributes:
+        count: lanes in use; the others pad.
+        active: which those are.
+        index, step: position and number of the sample in it, of each lane.
+        stride: one over the position's samples.
+        first: (N,) lane of each position's first sample.
+        spp: samples per position.
+    """
+
+    count: int
+    active: Any
+    index: Any
+    step: Any
+    stride: Any
+    first: Any
+    spp: int | NDArray[np.int64]
+
+    @staticmethod
+    def of(positions: int, spp: int | NDArray[np.int64]) -> _Lanes:
+        """Lanes for so many samples of each position."""
+        count = positions * spp if isinstance(spp, int) else int(spp.sum())
+        padded = -(-count // _LANE_MULTIPLE) * _LANE_MULTIPLE
+        lane = dr.arange(mi.UInt32, padded)
+        active = lane < dr.opaque(mi.UInt32, count)
+        if isinstance(spp, int):
+            index = lane // spp
+            stride = dr.opaque(mi.Float, 1 / spp)
+            first = dr.arange(mi.UInt32, positions) * spp
+            return _Lanes(count, active, index, mi.Float(lane - index * spp), stride, first, spp)
+        first = mi.UInt32(np.cumsum(spp) - spp)
+        index = mi.UInt32(np.pad(np.repeat(np.arange(positions), spp), (0, padded - count)))
+        stride = dr.gather(mi.Float, mi.Float(1 / np.maximum(spp, 1)), index)
+        step = mi.Float(lane - dr.gather(mi.UInt32, first, index))
+        return _Lanes(count, active, index, step, stride, first, spp)
+
+    def added_up(self, channel: Any) -> Any:
+        """(N,) sums over each position's samples."""
+        if isinstance(self.spp, int):
+            return channel if self.spp == 1 else dr.block_sum(channel, self.spp)
+        # A pass may have no sample for a position.
+        before = np.concatenate([[0.0], np.cumsum(channel.numpy(), dtype=np.float64)])
+        first = self.first.numpy()
+        return mi.Float(before[first + self.spp] - before[first])
+
+
 class Tracer:
     """Traces one scene with Mitsuba's `path` (multiple importance sampling of lights and BSDFs).
 
@@ -141,29 +190,36 @@ class Tracer:
         self._trace_guides = dr.freeze(self._radiance_and_guides)
 
     def trace(
-        self, camera: Camera, positions: FilmPositions, spp: int = 1, seed: int = 0, guides: bool = False
+        self,
+        camera: Camera,
+        positions: FilmPositions,
+        spp: int | NDArray[np.int64] = 1,
+        seed: int = 0,
+        guides: bool = False,
     ) -> Traced:
         """Mean over `spp` samples at each position, stratified over its box.
 
         Args:
             camera: the view; its film coordinates are those of `positions`.
             positions: N places.
-            spp: samples per position.
+            spp: samples per position, the same for all or (N,) at least 1 each.
             seed: same seed, same result.
             guides: also return what denoising and fusion want to know.
         """
-        per_pass = max(1, min(spp, _MAX_LANES // max(1, positions.count)))
+        most = int(np.max(spp))
+        lanes = positions.count * spp if isinstance(spp, int) else int(spp.sum())
+        passes = min(most, -(-lanes // _MAX_LANES))
         sums: list[Any] = []
         first: list[Any] = []
-        done = 0
-        while done < spp:
-            count = min(per_pass, spp - done)
-            channels, hit = self._pass(camera, positions, count, seed, done, guides)
+        for number in range(passes):
+            # As even as whole numbers can be, and never none of a position's in the first pass.
+            share = (spp * (number + 1) + passes - 1) // passes - (spp * number + passes - 1) // passes
+            channels, hit = self._pass(camera, positions, share, seed, number, guides)
             sums = [a + b for a, b in zip(sums, channels, strict=True)] if sums else channels
             first = first or hit
             dr.eval(sums, first)
-            done += count
-        means = [channel / spp for channel in sums]
+        samples = spp if isinstance(spp, int) else mi.Float(spp)
+        means = [channel / samples for channel in sums]
         dr.eval(means)
         if not guides:
             return Traced(means)
@@ -198,35 +254,36 @@ class Tracer:
         return Hits(distance.numpy(), total.numpy(), index[inverse])
 
     def _pass(
-        self, camera: Camera, positions: FilmPositions, spp: int, seed: int, pass_index: int, guides: bool
+        self,
+        camera: Camera,
+        positions: FilmPositions,
+        spp: int | NDArray[np.int64],
+        seed: int,
+        number: int,
+        guides: bool,
     ) -> tuple[list[Any], list[Any]]:
-        """Sums over `spp` samples, and place and shape of the first of them: one array of N per channel."""
-        lanes = positions.count * spp
-        padded = -(-lanes // _LANE_MULTIPLE) * _LANE_MULTIPLE
-        lane = dr.arange(mi.UInt32, padded)
-        active = lane < dr.opaque(mi.UInt32, lanes)
-        index = lane // spp
+        """Sums over the samples, and place and shape of the first of them: one array of N per channel."""
+        lanes = _Lanes.of(positions.count, spp)
         # Seeds of different frames and passes must not overlap; numpy's seed sequence mixes them.
-        mixed = np.random.SeedSequence([seed, pass_index]).generate_state(3).tolist()
-        state, *shifts = (dr.opaque(mi.UInt32, number) for number in mixed)
+        mixed = np.random.SeedSequence([seed, number]).generate_state(3).tolist()
+        state, *shifts = (dr.opaque(mi.UInt32, value) for value in mixed)
         # A lattice over each box, shifted at random (Cranley and Patterson 1976): unbiased as independent
         # places are, but edges and textures, and with them the guides, have far less noise.
-        step = mi.Float(lane - index * spp)
-        u = dr.fma(step, dr.opaque(mi.Float, 1 / spp), mi.sample_tea_float32(index, shifts[0]))
-        v = dr.fma(step, _GOLDEN, mi.sample_tea_float32(index, shifts[1]))
-        x = dr.gather(mi.Float, positions.x, index, active) + (u - dr.floor(u))
-        y = dr.gather(mi.Float, positions.y, index, active) + (v - dr.floor(v))
+        u = dr.fma(lanes.step, lanes.stride, mi.sample_tea_float32(lanes.index, shifts[0]))
+        v = dr.fma(lanes.step, _GOLDEN, mi.sample_tea_float32(lanes.index, shifts[1]))
+        x = dr.gather(mi.Float, positions.x, lanes.index, lanes.active) + (u - dr.floor(u))
+        y = dr.gather(mi.Float, positions.y, lanes.index, lanes.active) + (v - dr.floor(v))
+        active = lanes.active
         dr.eval(x, y, active)
         function = self._trace_guides if guides else self._trace_radiance
         channels = function(self.scene.mitsuba, x, y, active, state, *_opaque_camera(camera))
         dr.eval(channels)
-        samples = [dr.gather(mi.Float, c, dr.arange(mi.UInt32, lanes)) for c in channels[:9]]
-        first: list[Any] = []
-        if guides:
-            samples += [dr.square(c) for c in samples[:3]]
-            ahead = dr.arange(mi.UInt32, positions.count) * spp
-            first = [dr.gather(mi.Float, c, ahead) for c in channels[9:]]
-        return samples if spp == 1 else [dr.block_sum(c, spp) for c in samples], first
+        samples = [dr.gather(mi.Float, c, dr.arange(mi.UInt32, lanes.count)) for c in channels[:9]]
+        if not guides:
+            return [lanes.added_up(c) for c in samples], []
+        samples += [dr.square(c) for c in samples[:3]]
+        first = [dr.gather(mi.Float, c, lanes.first) for c in channels[9:]]
+        return [lanes.added_up(c) for c in samples], first
 
     @staticmethod
     def _sample(integrator: Any, scene: Any, x: Any, y: Any, active: Any, seed: Any, camera: Any) -> Any:

@@ -106,9 +106,11 @@ def test_noise_alone_is_not_taken_for_bias():
     batch = lambda image: torch.from_numpy(image.copy()).permute(2, 0, 1)[None]  # noqa: E731
     truth, traced = batch(given.reference), batch(given.parents.traced)
     variance = batch(given.parents.variance)
-    assert trust(truth, traced, variance).mean() > 0.97
+    count = torch.full_like(truth[:, :1], 4)
+    assert trust(truth, traced, variance, count).mean() > 0.97
+    many = torch.full_like(count, 1024)
     biased = truth + 3 * variance.sqrt().mean()
-    assert trust(biased, traced, variance).mean() < 0.3
+    assert trust(biased, traced, variance, many).mean() < 0.3
 
 
 def test_weights_are_shares():

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from compose.history import DIFFUSE, GLOSSY, SPECULAR, History, Samples
+from compose.history import History
+from compose.samples import DIFFUSE, GLOSSY, SPECULAR, Samples
 from compose.view import Camera, look_at
 from tests import small
 

@@ -178,3 +178,39 @@ def test_the_projected_point_is_exact_in_mitsubas_sensor(backend):
     si.p = mi.Point3f(*point[0].tolist())
     sample, _ = scene.mitsuba.sensors()[0].sample_direction(si, mi.Point2f(0.5))
     np.testing.assert_allclose(np.array(sample.uv).ravel(), expected[0], atol=1e-3)
+
+
+def test_each_position_may_have_its_own_number_of_samples():
+    """Means agree with those of equal numbers, within their noise; variance falls with the number."""
+    scene = load_scene(small.corner())
+    camera = scene.camera
+    tracer, positions = Tracer(scene), frame_positions(camera)
+    counts = np.where(np.arange(positions.count) % 3, 64, 256)
+    varied = tracer.trace(camera, positions, counts, seed=1, guides=True)
+    even = tracer.trace(camera, positions, 256, seed=2, guides=True)
+    means, variances = [], []
+    for traced, count in ((varied, counts), (even, 256)):
+        mean, squares = traced.radiance[0].numpy(), traced.squares[0].numpy()
+        means.append(mean)
+        variances.append(np.maximum(squares - mean**2, 0) / (count - 1))
+    # Over the whole picture, and over the pixels that have few samples and those that have many.
+    for part in (counts > 0, counts == 64, counts == 256):
+        difference = (means[0] - means[1])[part].sum()
+        assert abs(difference) < 4 * np.sqrt(sum(variance[part].sum() for variance in variances))
+    # A quarter of the samples, four times the variance, pixel for pixel.
+    few = variances[0][counts == 64].sum() / variances[1][counts == 64].sum()
+    assert 3 < few < 5
+    assert 0.75 < variances[0][counts == 256].sum() / variances[1][counts == 256].sum() < 1.3
+    for a, b in zip(varied.albedo, even.albedo, strict=True):
+        assert np.abs(a.numpy() - b.numpy()).mean() < 0.01
+
+
+def test_many_samples_are_traced_in_parts(monkeypatch):
+    """However few lanes there are at once, every sample is traced and counted once."""
+    scene = load_scene(small.furnace(0.5), max_depth=40)
+    camera = scene.camera.resized(8, 8)
+    monkeypatch.setattr("pathtrace.tracer._MAX_LANES", 100)
+    tracer, positions = Tracer(scene), frame_positions(camera)
+    for spp in (7, np.arange(1, 65)):
+        traced = tracer.trace(camera, positions, spp, seed=3, guides=True)
+        assert np.mean([c.numpy().mean() for c in traced.radiance]) == pytest.approx(1, abs=0.03)
