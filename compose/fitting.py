@@ -13,7 +13,7 @@ from compose.fusion import Fusion, Parents, as_batch, looks_of, mixture, perceiv
 
 # Side of what is looked at at once, and least side of an example, in pixels.
 LEAST_SIZE = _PATCH = 64
-_ITERATIONS = 1200
+ITERATIONS = 1200
 _BATCH = 6
 _RATE = 4e-3
 # Share of patches whose splats are made wrong: a world that has changed must be noticed. Fewer samples than
@@ -58,9 +58,9 @@ def fit(examples: Sequence[Example], seed: int, progress: Callable[[int, int], N
         torch.manual_seed(seed)
         fusion = Fusion()
     optimizer = torch.optim.Adam(fusion.parameters(), lr=_RATE)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, _RATE, _ITERATIONS)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, _RATE, ITERATIONS)
     stacks = [_stack(example) for example in examples]
-    for step in range(_ITERATIONS):
+    for step in range(ITERATIONS):
         picks = [int(rng.integers(len(examples))) for _ in range(_BATCH)]
         patches = torch.stack([_patch(stacks[pick], rng) for pick in picks])
         enlargement = torch.tensor([float(examples[pick].parents.enlargement) for pick in picks])
@@ -74,7 +74,7 @@ def fit(examples: Sequence[Example], seed: int, progress: Callable[[int, int], N
         torch.nn.utils.clip_grad_norm_(fusion.parameters(), 1.0)
         optimizer.step()
         schedule.step()
-        progress(step + 1, _ITERATIONS)
+        progress(step + 1, ITERATIONS)
     return fusion.requires_grad_(False).eval()
 
 

@@ -86,7 +86,7 @@ def make_quick_forest(
     seconds["capture"] = time.perf_counter() - start
     path = folder / f"quick-{seed}.safetensors"
     settings = replace(QUICK_TRAINING, seed=seed)
-    with progress_bar("train (steps)") as bar, progress_bar("fusion (steps)") as fusion_bar:
-        forest, seconds["train"] = train_forest(device_arrays(), frames, path, settings, bar, fusion_bar)
+    with progress_bar("train (steps)") as bar:
+        forest, seconds["train"] = train_forest(device_arrays(), frames, path, settings, bar)
     remember_forest(forest, path.stem)
     return forest, frames_folder

@@ -210,8 +210,8 @@ def train(
     found = read_frame_set(frames)
     check_writable(forest)
     arrays = device_arrays()
-    with progress_bar("train (steps)") as bar, progress_bar("fusion (steps)") as fusion_bar:
-        trained, seconds = train_forest(arrays, found, forest, settings, bar, fusion_bar)
+    with progress_bar("train (steps)") as bar:
+        trained, seconds = train_forest(arrays, found, forest, settings, bar)
     remember_forest(trained, forest.stem)
     measured = held_out_quality(arrays, found, trained)
     row = {

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from compose.errors import UserError
-from compose.fitting import LEAST_SIZE, Example, fit
+from compose.fitting import ITERATIONS, LEAST_SIZE, Example, fit
 from compose.fusion import Fusion, Parents
 from hybrid.fovea import is_quick
 from pathtrace.denoise import denoise
-from pathtrace.frames import FrameSet, read_estimate, read_frame
+from pathtrace.frames import FrameEntry, FrameSet, read_estimate, read_frame
 from splat.arrays import Arrays
 from splat.forest import Forest
 from splat.pictures import ForestRenderer
@@ -34,6 +34,11 @@ def with_fusion(
     )
 
 
+def fusion_steps(frames: FrameSet) -> int:
+    """Steps of the fit that `with_fusion` makes."""
+    return ITERATIONS if any(entry.estimates for entry in _usable(frames)) else 0
+
+
 def fusion_of(forest: Forest) -> Fusion | None:
     """The fusion that was fitted to a forest, None if there is none.
 
@@ -53,12 +58,19 @@ def fusion_of(forest: Forest) -> Fusion | None:
     return fusion.requires_grad_(False).eval()
 
 
+def _usable(frames: FrameSet) -> list[FrameEntry]:
+    """Views that training has not seen, and parts of them, that are large enough to fit the fusion to."""
+    return [
+        entry
+        for entry in frames.held_out + frames.close_ups
+        if min(entry.camera.width, entry.camera.height) >= LEAST_SIZE
+    ]
+
+
 def _examples(arrays: Arrays, frames: FrameSet, forest: Forest) -> Iterator[Example]:
     """What foveas would be made of in the views that have estimates, and what they should be."""
     renderer = ForestRenderer(arrays, forest)
-    for entry in frames.held_out + frames.close_ups:
-        if min(entry.camera.width, entry.camera.height) < LEAST_SIZE:
-            continue
+    for entry in _usable(frames):
         reference = read_frame(entry.file).radiance
         finest = len(forest.counts)
         splat = np.array(renderer.render_layer(entry.camera, finest).image())

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from compose.errors import UserError
-from hybrid.fusing import with_fusion
+from hybrid.fusing import fusion_steps, with_fusion
 from hybrid.quality import quality
 from pathtrace.frames import FrameEntry, FrameSet, read_frame
 from splat.arrays import Arrays
@@ -50,7 +50,6 @@ def train_forest(
     path: Path,
     settings: TrainingSettings,
     progress: Callable[[int, int], None],
-    fusion_progress: Callable[[int, int], None],
 ) -> tuple[Forest, float]:
     """Trains a forest, fits the fusion to it, and writes both; goes on where it was interrupted.
 
@@ -76,9 +75,11 @@ def train_forest(
     _restore(trainer, checkpoint, frames)
     saved = time.perf_counter()
 
+    total = settings.iterations + fusion_steps(frames)
+
     def step(done: int) -> None:
         nonlocal saved
-        progress(done, settings.iterations)
+        progress(done, total)
         if time.perf_counter() - saved > _CHECKPOINT_SECONDS:
             _save(trainer, checkpoint, frames)
             saved = time.perf_counter()
@@ -93,7 +94,8 @@ def train_forest(
     forest = forest_of(trainer.forest(), views[0].camera.fy, frames.scene_name, frames.scene_hash)
     if not forest.nodes.gaussians.is_finite():
         raise RuntimeError("training ended with numbers that are not finite")
-    forest = with_fusion(arrays, frames, forest, settings.seed, fusion_progress)
+    fit_step = lambda done, _: progress(settings.iterations + done, total)  # noqa: E731
+    forest = with_fusion(arrays, frames, forest, settings.seed, fit_step)
     save_forest(path, forest)
     checkpoint.unlink(missing_ok=True)
     return forest, time.perf_counter() - start

@@ -58,7 +58,7 @@ def random_fusion() -> Fusion:
 @pytest.fixture(scope="module")
 def fitted() -> Fusion:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fitting, "_ITERATIONS", 250)
+        patch.setattr(fitting, "ITERATIONS", 250)
         examples = [example(seed, spp) for seed in range(3) for spp in (2, 16)]
         return fit(examples, 0, lambda done, total: None)
 
@@ -80,7 +80,7 @@ def test_splats_of_another_world_are_noticed(fitted):
 
 
 def test_fitting_again_gives_the_same(monkeypatch):
-    monkeypatch.setattr(fitting, "_ITERATIONS", 3)
+    monkeypatch.setattr(fitting, "ITERATIONS", 3)
     states = [fit([example(0, 4)], 5, lambda done, total: None).state_dict() for _ in range(2)]
     assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
 

@@ -252,7 +252,7 @@ def test_quickstart_writes_everything(scene, textured, monkeypatch, tmp_path):
     assert ("registration_px" in result) == textured
     assert set(result["seconds"]) == {"capture", "train", "render", "total"}
     page = (out / "index.html").read_text()
-    assert page.count("data:image/png;base64,") == 3
+    assert page.count("data:image/png;base64,") == 4
     assert f"{result['hybrid']['psnr']:.2f} dB" in page
     assert "http" not in page.replace("http-equiv", "")
 

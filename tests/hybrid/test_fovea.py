@@ -122,7 +122,7 @@ def test_a_still_view_converges(scene, forest):
 
 
 def test_training_leaves_a_fusion_in_the_forest(arrays, scene, forest, tmp_path, monkeypatch):
-    monkeypatch.setattr(fitting, "_ITERATIONS", 5)
+    monkeypatch.setattr(fitting, "ITERATIONS", 5)
     settings = CaptureSettings(views=2, held_out=3, width=128, height=128, spp=1, held_out_spp=14)
     frames = capture(scene, tmp_path / "frames", settings, lambda done, total: None)
     steps = []
