@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -17,7 +16,7 @@ from compose.history import History
 from compose.samples import Samples, merged
 from compose.sampling import allotted, disagreement
 from compose.view import Camera
-from pathtrace.denoise import denoise
+from pathtrace.denoise import denoise, denoise_coarsely
 from pathtrace.tracer import Traced, Tracer, pixel_positions
 
 MODES = ("raw", "denoised", "fused")
@@ -118,11 +117,12 @@ class Fovea:
         self, camera: Camera, plan: FoveaPlan, spp: int, seed: int, under: Underlay
     ) -> Samples:
         """A few samples everywhere, then more where they disagree with the splats."""
-        box, place = _frame_of(plan)
-        splat = under.radiance[box]
+        around = _Rectangle.around(plan)
+        splat = around.part_of(under.radiance)
         fewer = max(_FEWEST_FIRST, int(_FIRST_SHARE * spp))
         first = self._traced(camera, plan.pixels, fewer, seed)
-        worth = disagreement(denoised_box(first, splat, place), splat)[place]
+        denoised = _Laid.of(first, splat, around).denoised(coarse=True)
+        worth = around.taken(disagreement(denoised, splat)[..., None])[:, 0]
         counts = allotted(worth, (spp - fewer) * len(plan.pixels), seed)
         chosen = np.flatnonzero(counts)
         # Another stream of random numbers than that of the first ones.
@@ -146,33 +146,102 @@ class Fovea:
         """
         if self.mode == "raw" or not len(plan.pixels):
             return FoveaPicture(samples.radiance, samples)
+        rectangle = _Rectangle.around(plan)
         if self.mode == "denoised":
-            box, place = _frame_of(plan)
-            denoised = denoised_box(samples, around[box], place)[place]
+            laid = _Laid.of(samples, rectangle.part_of(around), rectangle)
+            denoised = rectangle.taken(laid.denoised(coarse=False))
             return FoveaPicture(denoised, samples, denoised)
-        return self._fused(plan, samples, _checked(camera, under))
+        return self._fused(rectangle, samples, _checked(camera, under))
 
-    def _fused(self, plan: FoveaPlan, samples: Samples, under: Underlay) -> FoveaPicture:
-        box, place = _frame_of(plan)
-        splat = under.radiance[box]
-        denoised = denoised_box(samples, splat, place)
-        laid = lambda ground, values: _laid_into(ground, place, values)  # noqa: E731
-        fused = fuse(
-            Parents(
-                laid(splat, samples.radiance),
-                laid(np.full_like(splat, np.inf), samples.variance()),
-                denoised,
-                splat,
-                laid(np.clip(splat, 0, 1), samples.albedo),
-                laid(np.zeros_like(splat), samples.normal),
-                laid(np.ones((*splat.shape[:2], 1)), samples.count[:, None]),
-                under.enlargement,
-            ),
-            self._fusion,
+    def _fused(self, rectangle: _Rectangle, samples: Samples, under: Underlay) -> FoveaPicture:
+        splat = rectangle.part_of(under.radiance)
+        laid = _Laid.of(samples, splat, rectangle)
+        denoised = laid.denoised(coarse=True)
+        variance = rectangle.laid(np.full_like(splat, np.inf), samples.variance())
+        parents = Parents(
+            *(laid.radiance, variance, denoised, splat, laid.albedo, laid.normal, laid.count),
+            enlargement=under.enlargement,
         )
+        fused = fuse(parents, self._fusion)
+        taken = rectangle.taken
         return FoveaPicture(
-            fused.radiance[place], samples, denoised[place], fused.weights[place], fused.excluded
+            taken(fused.radiance), samples, taken(denoised), taken(fused.weights), fused.excluded
         )
+
+
+def denoised_for_fusion(radiance: Image, albedo: Image, normal: Image, spp: float) -> Image:
+    """(H, W, 3) denoised as one parent of several: with few samples, not worth its full price."""
+    if is_quick(spp):
+        return denoise_coarsely(radiance, albedo, normal)
+    return denoise(radiance, albedo, normal)
+
+
+@dataclass(frozen=True)
+class _Rectangle:
+    """The rectangle around a disc.
+
+    Attributes:
+        box: its rows and columns.
+        shape: how many they are.
+        place: (D,) row-major index in it of each of the disc's pixels.
+    """
+
+    box: tuple[slice, slice]
+    shape: tuple[int, int]
+    place: NDArray[np.int64]
+
+    @staticmethod
+    def around(plan: FoveaPlan) -> _Rectangle:
+        rows, columns = plan.box()
+        pixels = plan.pixels.astype(np.int64)
+        shape = rows.stop - rows.start, columns.stop - columns.start
+        place = (pixels // plan.width - rows.start) * shape[1] + pixels % plan.width - columns.start
+        return _Rectangle((rows, columns), shape, place)
+
+    def part_of(self, image: Image) -> Image:
+        """(h, w, C) of an image of the frame."""
+        return np.ascontiguousarray(image[self.box])
+
+    def laid(self, ground: Image, values: NDArray[np.float32]) -> Image:
+        """(h, w, C): the disc's values (D, C) on a ground (h, w, C)."""
+        image = np.array(ground, dtype=np.float32, order="C")
+        image.reshape(-1, image.shape[2])[self.place] = values
+        return image
+
+    def taken(self, image: Image) -> NDArray[np.float32]:
+        """(D, C): the disc's values of an image (h, w, C)."""
+        return np.take(image.reshape(-1, image.shape[2]), self.place, axis=0)
+
+
+@dataclass(frozen=True)
+class _Laid:
+    """A disc's samples in the rectangle around it; outside of the disc, what is known of that.
+
+    Attributes:
+        radiance, albedo, normal: (h, w, 3).
+        count: (h, w, 1).
+    """
+
+    radiance: Image
+    albedo: Image
+    normal: Image
+    count: Image
+
+    @staticmethod
+    def of(samples: Samples, around: Image, rectangle: _Rectangle) -> _Laid:
+        laid = rectangle.laid
+        return _Laid(
+            laid(around, samples.radiance),
+            # Outside the disc no guide was traced; the picture itself is the best one there is.
+            laid(np.clip(around, 0, 1), samples.albedo),
+            laid(np.zeros_like(around), samples.normal),
+            laid(np.ones((*rectangle.shape, 1), dtype=np.float32), samples.count[:, None]),
+        )
+
+    def denoised(self, coarse: bool) -> Image:
+        """(h, w, 3); coarse as one parent of several may be."""
+        images, spp = (self.radiance, self.albedo, self.normal), float(self.count.mean())
+        return denoised_for_fusion(*images, spp) if coarse else denoise(*images, is_quick(spp))
 
 
 def samples_of(traced: Traced, pixels: NDArray[np.uint32], spp: int | NDArray[np.int64]) -> Samples:
@@ -201,35 +270,9 @@ def _spread_out(samples: Samples, chosen: NDArray[np.int64], like: Samples) -> S
     return Samples(**spread)
 
 
-def denoised_box(samples: Samples, around: Image, place: Any) -> Image:
-    """(h, w, 3) the rectangle around a disc, denoised.
-
-    Args:
-        samples: of the disc.
-        around: (h, w, 3) what is known of the rectangle's other pixels.
-        place: rows and columns of the disc's pixels in the rectangle.
-    """
-    # Outside the disc no guide was traced; the picture itself is the best one there is.
-    radiance = _laid_into(around, place, samples.radiance)
-    albedo = _laid_into(np.clip(around, 0, 1), place, samples.albedo)
-    normal = _laid_into(np.zeros_like(around), place, samples.normal)
-    return denoise(radiance, albedo, normal, fast=is_quick(float(samples.count.mean())))
-
-
 def is_quick(spp: float) -> bool:
     """Whether the quicker denoiser is the better deal at so many samples per pixel."""
     return spp < _FAST_BELOW
-
-
-def _frame_of(plan: FoveaPlan) -> tuple[Any, Any]:
-    rows, columns = plan.box()
-    return (rows, columns), (plan.pixels // plan.width - rows.start, plan.pixels % plan.width - columns.start)
-
-
-def _laid_into(ground: Image, place: Any, values: Image) -> Image:
-    image = np.array(ground, dtype=np.float32)
-    image[place] = values
-    return image
 
 
 def _checked(camera: Camera, under: Underlay | None) -> Underlay:

@@ -10,8 +10,7 @@ import numpy as np
 from compose.errors import UserError
 from compose.fitting import ITERATIONS, LEAST_SIZE, Example, fit
 from compose.fusion import Fusion, Parents
-from hybrid.fovea import is_quick
-from pathtrace.denoise import denoise
+from hybrid.fovea import denoised_for_fusion
 from pathtrace.frames import FrameEntry, FrameSet, read_estimate, read_frame
 from splat.arrays import Arrays
 from splat.forest import Forest
@@ -77,7 +76,7 @@ def _examples(arrays: Arrays, frames: FrameSet, forest: Forest) -> Iterator[Exam
         enlargement = entry.camera.fy / forest.focal_of(finest)
         for spp, file in entry.estimates.items():
             traced = read_estimate(file)
-            denoised = denoise(traced.radiance, traced.albedo, traced.normal, fast=is_quick(spp))
+            denoised = denoised_for_fusion(traced.radiance, traced.albedo, traced.normal, spp)
             yield Example(
                 Parents(
                     traced.radiance,
