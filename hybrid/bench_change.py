@@ -8,6 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from compose.errors import UserError
 from compose.view import Camera
 from hybrid.bench_fovea import Candidates, crops, measured, reference, unfitted_views
 from pathtrace.frames import FrameSet
@@ -22,9 +23,12 @@ _DIMMED = 0.4
 
 
 def dim_lamps(scene: Scene, camera: Camera) -> None:
-    """All area lights at two fifths."""
+    """All lights that have a radiance or an irradiance at two fifths."""
     parameters = mi.traverse(scene.mitsuba)
-    for key in _named(parameters, "emitter", "radiance"):
+    keys = _named(parameters, "radiance.")
+    if not keys:
+        raise UserError(f"{scene.name}: has no light that could be dimmed")
+    for key in keys:
         parameters[key] = parameters[key] * _DIMMED
     parameters.update()
 
@@ -46,9 +50,15 @@ def swap_colours(scene: Scene, camera: Camera) -> None:
 def move_object(scene: Scene, camera: Camera) -> None:
     """The shape that fills about a tenth of what the camera sees goes aside by half its size."""
     parameters = mi.traverse(scene.mitsuba)
-    index = _seen(scene, camera)[0]
-    key = scene.mitsuba.shapes()[index].id() + ".vertex_positions"
-    vertices = parameters[key].numpy().reshape(-1, 3)
+    shape = scene.mitsuba.shapes()[_seen(scene, camera)[0]]
+    values = mi.traverse(shape)["vertex_positions"].numpy()
+    # Shapes may be without a name: the one with these vertices is it.
+    (key,) = (
+        key
+        for key in _named(parameters, "vertex_positions")
+        if np.array_equal(parameters[key].numpy(), values)
+    )
+    vertices = values.reshape(-1, 3)
     aside = camera.camera_to_world[:3, 0] * 0.5 * float(np.ptp(vertices, axis=0).max())
     parameters[key] = mi.Float((vertices + aside).ravel().astype(np.float32))
     parameters.update()

@@ -68,6 +68,8 @@ def test_render_writes_both_kinds_of_picture(made, monkeypatch, tmp_path):
     layers = read_layers(tmp_path / "a.exr")
     assert layers["composite.R"].shape == (40, 60)
     assert np.isfinite(layers["composite.R"]).all()
+    wanted = {"fovea.R", "variance.G", "denoised.B", "fusion.traced.V", "fusion.denoised.V", "fusion.splat.V"}
+    assert wanted <= set(layers)
     assert Image.open(tmp_path / "a.png").size == (60, 40)
     assert json.loads((tmp_path / "a.json").read_text())["milliseconds"]["total"] > 0
 

@@ -138,3 +138,20 @@ def test_training_leaves_a_fusion_in_the_forest(arrays, scene, forest, tmp_path,
 def test_a_damaged_fusion_is_refused(forest):
     with pytest.raises(UserError, match="damaged or of another version"):
         fusion_of(replace(forest, attached={"fusion.reduce.weight": torch.zeros(3)}))
+
+
+def test_samples_go_where_samples_and_splats_disagree(scene, forest):
+    """As many rays as without, and more of them where the splats are wrong."""
+    renderer = renderer_of(scene, forest, "fused")
+    camera = scene.camera.resized(64, 64)
+    plan = Foveation(Gaze(), 100, 100).plan(64, 64)
+    under = renderer.underlay(camera, plan)
+    wrong = under.radiance.copy()
+    wrong[:, 32:] = 1 - np.clip(wrong[:, 32:], 0, 1)
+    samples = renderer.fovea.trace(camera, plan, 8, 0, replace(under, radiance=wrong))
+    assert samples.count.sum() == 8 * 64 * 64
+    count = samples.count.reshape(64, 64)
+    assert count.min() >= 2
+    assert count[:, 34:].mean() > 1.5 * count[:, :30].mean()
+    even = renderer.fovea.trace(camera, plan, 8, 0)
+    assert (even.count == 8).all()

@@ -1,0 +1,44 @@
+"""How many samples each pixel gets."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from compose.sampling import allotted, disagreement
+from tests import small
+
+
+@pytest.mark.parametrize("total", [1000, 4000, 12345])
+def test_all_samples_are_given_and_each_pixel_its_due(total):
+    worth = small.rng().uniform(0.5, 2, 1000).astype(np.float32)
+    counts = allotted(worth, total, 3)
+    assert counts.sum() == total
+    due = worth / worth.mean() * total / 1000
+    assert np.abs(counts - due).max() < 1 + 1e-3
+
+
+def test_nothing_gets_nearly_all_or_nearly_nothing():
+    worth = np.full(1000, 1e-6, dtype=np.float32)
+    worth[:10] = 1e6
+    counts = allotted(worth, 100_000, 0)
+    assert counts.min() > 10
+    assert counts.max() < 600
+
+
+def test_the_dice_do_not_favour_any_pixel():
+    """Over many seeds, the mean is what each is due, however small."""
+    worth = np.linspace(1, 2, 50).astype(np.float32)
+    mean = np.mean([allotted(worth, 60, seed) for seed in range(2000)], axis=0)
+    due = worth / worth.mean() * 60 / 50
+    # A whole number below or above varies by at most a half.
+    assert np.abs(mean - due).max() < 4 * 0.5 / np.sqrt(2000)
+
+
+def test_pictures_that_agree_disagree_nowhere_else():
+    picture = small.rng(1).uniform(0, 1, (32, 32, 3)).astype(np.float32)
+    other = picture.copy()
+    other[10:14, 10:14] = 1 - other[10:14, 10:14]
+    found = disagreement(picture, other)
+    assert found[12, 12] > 10 * found[25, 25]
+    assert found.min() > 0
