@@ -14,6 +14,19 @@ from numpy.typing import NDArray
 from compose.errors import UserError
 from compose.view import Gaze
 
+_MODES = ("raw", "denoised", "fused")
+
+
+def mode_named(name: str) -> str:
+    """The name of a way to make the fovea, checked.
+
+    Raises:
+        UserError: there is no such way.
+    """
+    if name not in _MODES:
+        raise UserError(f"--fovea {name}: must be {', '.join(_MODES[:-1])} or {_MODES[-1]}")
+    return name
+
 
 @dataclass(frozen=True)
 class Foveation:

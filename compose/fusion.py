@@ -19,11 +19,10 @@ from typing import ClassVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-Image = NDArray[np.float32]
+from compose.blend import Image
 
 # Albedo below this is not told from black: its logarithm would be noise.
 _DARK = 0.03

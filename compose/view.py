@@ -84,6 +84,10 @@ class Camera:
             cy=self.cy * scale,
         )
 
+    def cropped(self, left: float, top: float, width: int, height: int) -> Camera:
+        """The camera that sees a rectangle of this frame alone, `left` and `top` in pixels."""
+        return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
+
     def project(self, points: Array) -> tuple[Array, Array]:
         """Pixel positions (N, 2) and depths along the view axis (N,) of world points (N, 3)."""
         local = points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]

@@ -10,7 +10,7 @@ import numpy as np
 
 from compose.errors import UserError
 from compose.view import Camera
-from hybrid.bench_fovea import Candidates, crops, measured, reference, unfitted_views
+from hybrid.bench_fovea import Candidates, crops, means, measured, reference, unfitted_views
 from pathtrace.frames import FrameSet
 from pathtrace.scene import Scene
 from pathtrace.tracer import Tracer, frame_positions
@@ -107,7 +107,7 @@ def bench_change(
             "change": change,
             "method": method,
             "spp": spp,
-            **{name: float(np.mean([row[name] for row in rows])) for name in rows[0]},
+            **means(rows),
         }
         for (change, method), rows in found.items()
     ]

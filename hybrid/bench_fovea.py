@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,20 +26,16 @@ from pathtrace.tracer import Tracer
 from splat.arrays import Arrays
 from splat.forest import Forest
 
-METHODS = ("splat", "raw", "denoised", "mean", "statistical", "fused")
-
 
 @dataclass(frozen=True)
 class Crop:
     """The middle of a view, as a camera of its own.
 
     Attributes:
-        view: number of the view it is of.
         scale: its resolution over that of the frame set.
         camera: sees the crop alone.
     """
 
-    view: int
     scale: int
     camera: Camera
 
@@ -58,18 +54,22 @@ def unfitted_views(frames: FrameSet) -> list[Camera]:
 
 def crops(cameras: list[Camera], scales: tuple[int, ...], share: float) -> Iterator[Crop]:
     """The middle of each view, `share` of its width and height, at each resolution."""
-    for number, camera in enumerate(cameras):
+    for camera in cameras:
         for scale in scales:
             large = camera.resized(camera.width * scale, camera.height * scale)
             width, height = (2 * round(share * side / 2) for side in (large.width, large.height))
             left, top = (large.width - width) / 2, (large.height - height) / 2
-            cx, cy = large.cx - left, large.cy - top
-            yield Crop(number, scale, replace(large, width=width, height=height, cx=cx, cy=cy))
+            yield Crop(scale, large.cropped(left, top, width, height))
 
 
 def whole_plan(camera: Camera) -> FoveaPlan:
     """A disc that covers the frame."""
     return Foveation(Gaze(), 1000.0, 1000.0).plan(camera.width, camera.height)
+
+
+def whole_underlay(periphery: Periphery, camera: Camera) -> Underlay:
+    """The splats' picture of the whole frame."""
+    return Underlay(camera, periphery.whole(camera), periphery.enlargement(camera))
 
 
 class Candidates:
@@ -89,13 +89,9 @@ class Candidates:
         """Of every pixel."""
         return self._fused.trace(camera, whole_plan(camera), spp, seed)
 
-    def underlay(self, camera: Camera) -> Underlay:
-        """The splats' picture."""
-        return Underlay(camera, self._periphery.whole(camera), self._periphery.enlargement(camera))
-
     def pictures(self, camera: Camera, samples: Samples) -> dict[str, Image]:
         """(H, W, 3) of each method."""
-        under, plan = self.underlay(camera), whole_plan(camera)
+        under, plan = whole_underlay(self._periphery, camera), whole_plan(camera)
         image = lambda values: values.reshape(camera.height, camera.width, 3)  # noqa: E731
         fovea = lambda maker: image(  # noqa: E731
             maker.picture(camera, plan, samples, under.radiance, under).radiance
@@ -126,6 +122,12 @@ def measured(image: Image, truth: Image) -> dict[str, float]:
     found = quality(image, truth)
     difference = flip(image, truth)
     return found if difference is None else {**found, "flip": difference}
+
+
+def means(rows: list[dict[str, float]]) -> dict[str, float]:
+    """Mean of each metric over the rows that have it."""
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: float(np.mean([row[name] for row in rows if name in row])) for name in names}
 
 
 def bench_fusion(
@@ -172,7 +174,7 @@ def bench_fusion(
             "views": len(places) // len(scales),
             "seeds": seeds,
             "reference_psnr": float(np.mean(limits[scale])),
-            **{name: float(np.mean([row[name] for row in rows])) for name in rows[0]},
+            **means(rows),
         }
         for (scale, spp, method), rows in found.items()
     ]

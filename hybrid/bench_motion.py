@@ -15,10 +15,11 @@ from compose.foveation import FoveaPlan, Foveation
 from compose.fusion import Fusion
 from compose.samples import Samples
 from compose.view import Camera, Gaze
-from hybrid.bench_fovea import measured, reference, unfitted_views
-from hybrid.fovea import Fovea, Underlay
+from hybrid.bench_fovea import means, measured, reference, unfitted_views, whole_underlay
+from hybrid.fovea import Fovea, Rectangle
 from hybrid.fusing import fusion_of
 from hybrid.periphery import Periphery, Viewing
+from hybrid.quality import psnr
 from pathtrace.frames import FrameSet
 from pathtrace.scene import Scene
 from pathtrace.tracer import FilmPositions, Tracer
@@ -76,25 +77,19 @@ def bench_motion(
     for done, view in enumerate(views):
         camera = view.resized(view.width * _SCALE, view.height * _SCALE)
         plan = _disc(camera, Gaze())
-        truth = _reference(tracer, camera, plan, reference_spp)
+        around = Rectangle.around(plan)
+        truth = _reference(tracer, camera, around, reference_spp)
         for mode in ("raw", "denoised", "fused"):
             discs, fresh = _discs(tracer, periphery, fusion, mode, camera, plan)
             for method, disc in discs.items():
-                row = _measured(plan, disc, truth)
-                if fresh.any():
-                    row["fresh_psnr"] = _measured(plan, np.where(fresh[:, None], disc, truth), truth)["psnr"]
-                    row["fresh_psnr"] += 10 * float(np.log10(fresh.mean()))
-                found.setdefault((mode, method), []).append(row)
+                found.setdefault((mode, method), []).append(_measured(around, disc, truth, fresh))
         progress(done + 1, len(views))
     return [
         {
             "scene": scene.name,
             "mode": mode,
             "method": method,
-            **{
-                name: float(np.mean([row[name] for row in rows if name in row]))
-                for name in sorted({name for row in rows for name in row})
-            },
+            **means(rows),
         }
         for (mode, method), rows in found.items()
     ]
@@ -113,7 +108,7 @@ def _discs(
     ray = camera.rays(np.array([[camera.cx, camera.cy]]))
     watched = camera.position + distance * ray
     fovea, alone = Fovea(tracer, mode, fusion, remembers=True), Fovea(tracer, mode, fusion)
-    under = Underlay(camera, periphery.whole(camera), periphery.enlargement(camera))
+    under = whole_underlay(periphery, camera)
 
     def shown(maker: Fovea, samples: Samples) -> Image:
         return maker.picture(camera, plan, samples, under.radiance, under).radiance
@@ -130,32 +125,22 @@ def _discs(
     return discs, samples.count <= 1
 
 
-def _reference(tracer: Tracer, camera: Camera, plan: FoveaPlan, spp: int) -> Image:
+def _reference(tracer: Tracer, camera: Camera, around: Rectangle, spp: int) -> Image:
     """(D, 3) of the disc, from a crop around it."""
-    rows, columns = plan.box()
-    crop = replace(
-        camera,
-        width=columns.stop - columns.start,
-        height=rows.stop - rows.start,
-        cx=camera.cx - columns.start,
-        cy=camera.cy - rows.start,
-    )
-    return reference(tracer, crop, spp, 1_000_003)[0][_place(plan)]
+    rows, columns = around.box
+    height, width = around.shape
+    crop = camera.cropped(columns.start, rows.start, width, height)
+    return around.taken(reference(tracer, crop, spp, 1_000_003)[0])
 
 
-def _measured(plan: FoveaPlan, disc: Image, truth: Image) -> dict[str, float]:
+def _measured(around: Rectangle, disc: Image, truth: Image, fresh: NDArray[np.bool_]) -> dict[str, float]:
     """Metrics over the rectangle around the disc, equal in its corners; PSNR over the disc alone."""
-    rows, columns = plan.box()
-    pictures = []
-    for values in (disc, truth):
-        picture = np.zeros((rows.stop - rows.start, columns.stop - columns.start, 3), dtype=np.float32)
-        picture[_place(plan)] = values
-        pictures.append(picture)
-    found = measured(*pictures)
-    found["psnr"] += 10 * float(np.log10(len(disc) / pictures[0][..., 0].size))
+    black = np.zeros((*around.shape, 3), dtype=np.float32)
+    right = around.laid(black, truth)
+    found = measured(around.laid(black, disc), right)
+    found["psnr"] += 10 * float(np.log10(len(disc) / black[..., 0].size))
+    if fresh.any():
+        elsewhere_right = around.laid(black, np.where(fresh[:, None], disc, truth))
+        share = np.count_nonzero(fresh) / black[..., 0].size
+        found["fresh_psnr"] = psnr(elsewhere_right, right) + 10 * float(np.log10(share))
     return found
-
-
-def _place(plan: FoveaPlan) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    rows, columns = plan.box()
-    return plan.pixels // plan.width - rows.start, plan.pixels % plan.width - columns.start

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
-from hybrid.bench_fovea import crops, measured, reference, unfitted_views, whole_plan
-from hybrid.fovea import Fovea, Underlay
+from hybrid.bench_fovea import crops, means, measured, reference, unfitted_views, whole_plan, whole_underlay
+from hybrid.fovea import Fovea
 from hybrid.fusing import fusion_of
 from hybrid.periphery import Periphery, Viewing
 from pathtrace.frames import FrameSet
@@ -45,7 +43,7 @@ def bench_samples(
     for done, crop in enumerate(places):
         camera, plan = crop.camera, whole_plan(crop.camera)
         truth, _ = reference(fovea.tracer, camera, reference_spp, 1_000_003)
-        under = Underlay(camera, periphery.whole(camera), periphery.enlargement(camera))
+        under = whole_underlay(periphery, camera)
         for spp in counts:
             for seed in range(seeds):
                 for name, guide in (("uniform", None), ("adaptive", under)):
@@ -61,7 +59,7 @@ def bench_samples(
             "scale": scale,
             "spp": spp,
             "method": name,
-            **{metric: float(np.mean([row[metric] for row in rows])) for metric in rows[0]},
+            **means(rows),
         }
         for (scale, spp, name), rows in found.items()
     ]

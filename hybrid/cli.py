@@ -266,7 +266,7 @@ def render(
 ) -> None:
     """Render one hybrid frame: EXR with all layers in linear radiance, or PNG in sRGB."""
     from compose.acuity import law_named
-    from compose.foveation import Foveation
+    from compose.foveation import Foveation, mode_named
     from compose.view import Gaze, display_named
     from hybrid.images import check_writable, write_bytes, write_layers, write_png
 
@@ -276,6 +276,7 @@ def render(
         raise UserError(f"--detail {detail}: must end in .png")
     foveation = Foveation(_checked(Gaze, x=gaze[0], y=gaze[1]), fov_a, fov_b)
     law_named(law)
+    mode_named(fovea)
     shown = display_named(display)
     for file in (output, detail):
         if file is not None:

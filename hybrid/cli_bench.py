@@ -188,6 +188,10 @@ def bench_held_out(
 
 FramesFolder = Annotated[Path, typer.Argument(metavar="FRAMES", help="Folder of the scene's frame set.")]
 ForestArgument = Annotated[Path, typer.Argument(metavar="FOREST", help="Trained on that frame set.")]
+SppList = Annotated[
+    list[int] | None, typer.Option(help="Samples per pixel; may be given several times.", min=1)
+]
+Seeds = Annotated[int, typer.Option(help="Runs of each.", min=1)]
 ReferenceSpp = Annotated[int, typer.Option(help="Samples per pixel of the references.", min=2)]
 
 
@@ -196,10 +200,8 @@ def bench_fusion(
     scene: SceneName,
     frames: FramesFolder,
     forest: ForestArgument,
-    spp: Annotated[
-        list[int] | None, typer.Option(help="Samples per pixel; may be given several times.", min=1)
-    ] = None,
-    seeds: Annotated[int, typer.Option(help="Runs of each.", min=1)] = 2,
+    spp: SppList = None,
+    seeds: Seeds = 2,
     reference_spp: ReferenceSpp = 1024,
     backend: Backend = "auto",
     json_file: Json = None,
@@ -231,10 +233,8 @@ def bench_samples(
     scene: SceneName,
     frames: FramesFolder,
     forest: ForestArgument,
-    spp: Annotated[
-        list[int] | None, typer.Option(help="Samples per pixel; may be given several times.", min=1)
-    ] = None,
-    seeds: Annotated[int, typer.Option(help="Runs of each.", min=1)] = 2,
+    spp: SppList = None,
+    seeds: Seeds = 2,
     reference_spp: ReferenceSpp = 1024,
     backend: Backend = "auto",
     json_file: Json = None,

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.blend import Image
-from compose.errors import UserError
-from compose.foveation import FoveaPlan
+from compose.foveation import FoveaPlan, mode_named
 from compose.fusion import Fusion, Parents, fuse
 from compose.history import History
 from compose.samples import Samples, merged
@@ -19,8 +18,6 @@ from compose.view import Camera
 from pathtrace.denoise import denoise, denoise_coarsely
 from pathtrace.tracer import Traced, Tracer, pixel_positions
 
-MODES = ("raw", "denoised", "fused")
-DEFAULT_MODE = "fused"
 # With fewer samples per pixel the better network costs more than it is worth.
 _FAST_BELOW = 3.0
 # From so many samples per pixel on, a part of them, traced everywhere, tells where the others are needed.
@@ -77,12 +74,8 @@ class Fovea:
         UserError: there is no such mode.
     """
 
-    def __init__(
-        self, tracer: Tracer, mode: str = DEFAULT_MODE, fusion: Fusion | None = None, remembers: bool = False
-    ):
-        if mode not in MODES:
-            raise UserError(f"--fovea {mode}: must be {', '.join(MODES[:-1])} or {MODES[-1]}")
-        self.tracer, self.mode = tracer, mode
+    def __init__(self, tracer: Tracer, mode: str, fusion: Fusion | None = None, remembers: bool = False):
+        self.tracer, self.mode = tracer, mode_named(mode)
         self._fusion = fusion
         self._history = History() if remembers else None
 
@@ -117,7 +110,7 @@ class Fovea:
         self, camera: Camera, plan: FoveaPlan, spp: int, seed: int, under: Underlay
     ) -> Samples:
         """A few samples everywhere, then more where they disagree with the splats."""
-        around = _Rectangle.around(plan)
+        around = Rectangle.around(plan)
         splat = around.part_of(under.radiance)
         fewer = max(_FEWEST_FIRST, int(_FIRST_SHARE * spp))
         first = self._traced(camera, plan.pixels, fewer, seed)
@@ -146,14 +139,14 @@ class Fovea:
         """
         if self.mode == "raw" or not len(plan.pixels):
             return FoveaPicture(samples.radiance, samples)
-        rectangle = _Rectangle.around(plan)
+        rectangle = Rectangle.around(plan)
         if self.mode == "denoised":
             laid = _Laid.of(samples, rectangle.part_of(around), rectangle)
             denoised = rectangle.taken(laid.denoised(coarse=False))
             return FoveaPicture(denoised, samples, denoised)
         return self._fused(rectangle, samples, _checked(camera, under))
 
-    def _fused(self, rectangle: _Rectangle, samples: Samples, under: Underlay) -> FoveaPicture:
+    def _fused(self, rectangle: Rectangle, samples: Samples, under: Underlay) -> FoveaPicture:
         splat = rectangle.part_of(under.radiance)
         laid = _Laid.of(samples, splat, rectangle)
         denoised = laid.denoised(coarse=True)
@@ -177,7 +170,7 @@ def denoised_for_fusion(radiance: Image, albedo: Image, normal: Image, spp: floa
 
 
 @dataclass(frozen=True)
-class _Rectangle:
+class Rectangle:
     """The rectangle around a disc.
 
     Attributes:
@@ -191,12 +184,13 @@ class _Rectangle:
     place: NDArray[np.int64]
 
     @staticmethod
-    def around(plan: FoveaPlan) -> _Rectangle:
+    def around(plan: FoveaPlan) -> Rectangle:
+        """That of a plan; there must be a disc."""
         rows, columns = plan.box()
         pixels = plan.pixels.astype(np.int64)
         shape = rows.stop - rows.start, columns.stop - columns.start
         place = (pixels // plan.width - rows.start) * shape[1] + pixels % plan.width - columns.start
-        return _Rectangle((rows, columns), shape, place)
+        return Rectangle((rows, columns), shape, place)
 
     def part_of(self, image: Image) -> Image:
         """(h, w, C) of an image of the frame."""
@@ -228,7 +222,7 @@ class _Laid:
     count: Image
 
     @staticmethod
-    def of(samples: Samples, around: Image, rectangle: _Rectangle) -> _Laid:
+    def of(samples: Samples, around: Image, rectangle: Rectangle) -> _Laid:
         laid = rectangle.laid
         return _Laid(
             laid(around, samples.radiance),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -93,22 +93,21 @@ def capture(
     _write_description(folder, document)
     tracer = Tracer(scene)
     entries = document["frames"] + document["close_ups"]
-    pixels = [_pixels(camera_from_json({**document, **entry})) for entry in entries]
-    total = sum(entry["samples"] * count for entry, count in zip(entries, pixels, strict=True))
-    done = 0
-    for index, entry in enumerate(entries):
+    views = [camera_from_json({**document, **entry}) for entry in entries]
+    samples = [
+        entry["samples"] * view.width * view.height for entry, view in zip(entries, views, strict=True)
+    ]
+    for index, (entry, camera) in enumerate(zip(entries, views, strict=True)):
         path = folder / entry["file_path"]
         if not path.is_file():
             # The frame's own seed: a capture that was interrupted ends with the very same frames.
             counts = {e["samples"]: folder / e["file_path"] for e in entry["estimates"]}
             seed = settings.seed * 100_003 + index
-            camera = camera_from_json({**document, **entry})
             frame, estimates = render_estimates(tracer, camera, entry["samples"], seed, tuple(counts))
             for file, estimate in zip(counts.values(), estimates, strict=True):
                 write_estimate(file, estimate)
             write_frame(path, frame)
-        done += entry["samples"] * pixels[index]
-        progress(done, total)
+        progress(sum(samples[: index + 1]), sum(samples))
     return read_frame_set(folder)
 
 
@@ -144,10 +143,6 @@ def render_estimates(
         hits.shape.reshape(shape),
     )
     return frame, parts[:-1]
-
-
-def _pixels(camera: Camera) -> int:
-    return camera.width * camera.height
 
 
 def _held_out(views: ViewSet, count: int) -> set[int]:
@@ -216,7 +211,7 @@ def _part_of(camera: Camera, factor: int, rng: np.random.Generator) -> Camera:
     large = camera.resized(camera.width * factor, camera.height * factor)
     width, height = max(1, camera.width // 2), max(1, camera.height // 2)
     left, top = int(rng.integers(large.width - width + 1)), int(rng.integers(large.height - height + 1))
-    return replace(large, width=width, height=height, cx=large.cx - left, cy=large.cy - top)
+    return large.cropped(left, top, width, height)
 
 
 def _intrinsics(camera: Camera) -> dict[str, Any]:
