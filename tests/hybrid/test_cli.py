@@ -303,6 +303,7 @@ MISTAKES = {
     "zero layers": (["train", "{made}/frames", "{tmp}/f", "--layers", "0"], "layers is 0"),
     "more layers than pixels": (["train", "{made}/frames", "{tmp}/f", "--layers", "4"], "allow 2"),
     "an unknown law": (["render", "cornell", "--law", "blur", "-o", "{tmp}/a.png"], "--law blur"),
+    "an unknown fovea": (["render", "cornell", "--fovea", "sharp", "-o", "{tmp}/a.png"], "--fovea sharp"),
     "an unknown display": (["bench", "periphery", "cornell", "--display", "wall"], "--display wall"),
     "a damaged camera": (
         ["render", "cornell", "--camera", "{tmp}/bad.xml", "-o", "{tmp}/a.png"],
