@@ -11,9 +11,10 @@ import numpy as np
 from compose.errors import UserError
 from compose.view import Camera
 from hybrid.bench_fovea import Candidates, crops, means, measured, reference, unfitted_views
+from pathtrace.film import frame_positions
 from pathtrace.frames import FrameSet
 from pathtrace.scene import Scene
-from pathtrace.tracer import Tracer, frame_positions
+from pathtrace.tracer import Tracer
 from splat.arrays import Arrays
 from splat.forest import Forest
 

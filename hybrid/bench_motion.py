@@ -20,9 +20,10 @@ from hybrid.fovea import Fovea, Rectangle
 from hybrid.fusing import fusion_of
 from hybrid.periphery import Periphery, Viewing
 from hybrid.quality import psnr
+from pathtrace.film import FilmPositions
 from pathtrace.frames import FrameSet
 from pathtrace.scene import Scene
-from pathtrace.tracer import FilmPositions, Tracer
+from pathtrace.tracer import Tracer
 from splat.arrays import Arrays
 from splat.forest import Forest
 

@@ -16,7 +16,8 @@ from compose.samples import Samples, merged
 from compose.sampling import allotted, disagreement
 from compose.view import Camera
 from pathtrace.denoise import denoise, denoise_coarsely
-from pathtrace.tracer import Traced, Tracer, pixel_positions
+from pathtrace.film import pixel_positions
+from pathtrace.tracer import Traced, Tracer
 
 # With fewer samples per pixel the better network costs more than it is worth.
 _FAST_BELOW = 3.0

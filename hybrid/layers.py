@@ -9,7 +9,7 @@ from compose.fusion import PARENTS
 from compose.view import Camera, Gaze, eccentricity
 from hybrid.detail_picture import per_pixel
 from hybrid.renderer import Frame, HybridRenderer
-from pathtrace.tracer import frame_positions
+from pathtrace.film import frame_positions
 
 
 def frame_layers(

@@ -19,8 +19,9 @@ from hybrid.fovea import Fovea, FoveaPicture, Underlay, is_quick
 from hybrid.fusing import fusion_of
 from hybrid.periphery import Periphery, Viewing
 from pathtrace.denoise import denoise
+from pathtrace.film import FilmPositions
 from pathtrace.scene import Scene
-from pathtrace.tracer import FilmPositions, Tracer
+from pathtrace.tracer import Tracer
 from splat.forest import Forest
 
 

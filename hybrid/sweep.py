@@ -9,7 +9,7 @@ from compose.foveation import Foveation
 from compose.view import Camera, Gaze
 from hybrid.renderer import HybridRenderer
 from hybrid.timing import interleaved, percentiles
-from pathtrace.tracer import frame_positions
+from pathtrace.film import frame_positions
 
 RESOLUTIONS = ((800, 600), (1012, 1061), (1954, 1061), (3316, 1061))
 

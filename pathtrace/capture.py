@@ -14,6 +14,7 @@ from compose.errors import UserError
 from compose.files import write_whole
 from compose.view import Camera, camera_from_json, camera_to_json
 from pathtrace.denoise import denoise
+from pathtrace.film import frame_positions
 from pathtrace.frames import (
     FORMAT_VERSION,
     Estimate,
@@ -25,7 +26,7 @@ from pathtrace.frames import (
 )
 from pathtrace.scene import Scene
 from pathtrace.surface import Surfaces
-from pathtrace.tracer import Tracer, frame_positions
+from pathtrace.tracer import Tracer
 from pathtrace.views import ViewSet, choose_views
 
 # Samples per pixel of the estimates that are kept of some held-out views: what a fovea may be traced with.

@@ -7,6 +7,7 @@ an evaluated array, so that a moving gaze or camera neither traces Python again 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -15,35 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.view import Camera
+from pathtrace.film import FilmPositions, Lanes, opaque_camera, ray_through
 from pathtrace.scene import Scene
+from pathtrace.sight import guides_and_place, guides_of, has_clear_surfaces, look
 
-# Lanes are padded to a multiple of this with masked ones: a frozen function records again when the
-# divisibility of its width changes, and masked lanes at the end cost next to nothing.
-_LANE_MULTIPLE = 4096
 # Lanes traced at once: bounds the memory that many samples over a large frame would take.
 _MAX_LANES = 1 << 22
 _RUSSIAN_ROULETTE_DEPTH = 5
-_AOVS = "albedo:albedo,normal:sh_normal,place:position,shape:shape_index"
-# Where nothing is hit, the sky is this far away.
-_FAR = 1e5
-_GOLDEN = 0.6180339887498949
-_MAX_MIRRORS = 8
-
-
-@dataclass(frozen=True)
-class FilmPositions:
-    """Places on the film to trace, each a unit box filter in pixels.
-
-    Attributes:
-        x, y: (N,) Dr.Jit floats, upper left corner of each box; a pixel's corner is its column and row.
-    """
-
-    x: Any
-    y: Any
-
-    @property
-    def count(self) -> int:
-        return dr.width(self.x)
+# Places per pixel of which albedo and normal are known at least: they cost a twentieth of a path each, and
+# with fewer the guides' own noise shows in what they guide.
+_GUIDED = 4
 
 
 @dataclass(frozen=True)
@@ -55,9 +37,9 @@ class Traced:
         albedo: three (N,) floats, only with guides.
         normal: three (N,) floats, shading normal in world space, only with guides.
         squares: three (N,) floats, mean of the samples' squared radiance, only with guides.
-        place: three (N,) floats, where the first of the samples met a surface, only with guides.
-        gloss: (N,) unsigned integers, only with guides: 0 where that surface is matt, 1 where it is glossy, 2
-            where it is a mirror or glass.
+        place: three (N,) floats, where what the first of the samples saw seems to be: on the surface that it
+            met, or behind a flat mirror; only with guides.
+        gloss: (N,) floats, only with guides: pathtrace.sight's MATT, GLOSSY or SPECULAR.
     """
 
     radiance: list[Any]
@@ -84,91 +66,6 @@ class Hits:
     shape: NDArray[np.int32]
 
 
-def pixel_positions(indices: Any, width: int) -> FilmPositions:
-    """Film positions of pixels given by their row-major index, a (N,) Dr.Jit unsigned integer array."""
-    row = indices // width
-    positions = FilmPositions(mi.Float(indices - row * width), mi.Float(row))
-    dr.eval(positions.x, positions.y)
-    return positions
-
-
-def frame_positions(camera: Camera) -> FilmPositions:
-    """Film positions of all pixels, row by row."""
-    return pixel_positions(dr.arange(mi.UInt32, camera.width * camera.height), camera.width)
-
-
-def _opaque_camera(camera: Camera) -> tuple[Any, ...]:
-    """Origin and the three vectors that turn film coordinates into a ray: d ~ x ax + y ay + az."""
-    pose = camera.camera_to_world
-    ax = pose[:3, 0] / camera.fx
-    ay = pose[:3, 1] / camera.fy
-    az = pose[:3, 2] - camera.cx * ax - camera.cy * ay
-    origin, *axes = (vector.tolist() for vector in (pose[:3, 3], ax, ay, az))
-    vectors = mi.Point3f(*origin), *(mi.Vector3f(*axis) for axis in axes)
-    dr.make_opaque(vectors)
-    return vectors
-
-
-def _registered(shape: Any) -> int:
-    """The number by which kernels know a shape."""
-    return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
-
-
-def _gloss(flags: int) -> int:
-    if mi.has_flag(flags, mi.BSDFFlags.Delta):
-        return 2
-    return int(mi.has_flag(flags, mi.BSDFFlags.Glossy))
-
-
-@dataclass(frozen=True)
-class _Lanes:
-    """Which lane traces which sample of which position; the samples of a position lie side by side.
-
-    Attributes:
-        count: lanes in use; the others pad.
-        active: which those are.
-        index, step: position and number of the sample in it, of each lane.
-        stride: one over the position's samples.
-        first: (N,) lane of each position's first sample.
-        spp: samples per position.
-    """
-
-    count: int
-    active: Any
-    index: Any
-    step: Any
-    stride: Any
-    first: Any
-    spp: int | NDArray[np.int64]
-
-    @staticmethod
-    def of(positions: int, spp: int | NDArray[np.int64]) -> _Lanes:
-        """Lanes for so many samples of each position."""
-        count = positions * spp if isinstance(spp, int) else int(spp.sum())
-        padded = -(-count // _LANE_MULTIPLE) * _LANE_MULTIPLE
-        lane = dr.arange(mi.UInt32, padded)
-        active = lane < dr.opaque(mi.UInt32, count)
-        if isinstance(spp, int):
-            index = lane // spp
-            stride = dr.opaque(mi.Float, 1 / spp)
-            first = dr.arange(mi.UInt32, positions) * spp
-            return _Lanes(count, active, index, mi.Float(lane - index * spp), stride, first, spp)
-        first = mi.UInt32(np.cumsum(spp) - spp)
-        index = mi.UInt32(np.pad(np.repeat(np.arange(positions), spp), (0, padded - count)))
-        stride = dr.gather(mi.Float, mi.Float(1 / np.maximum(spp, 1)), index)
-        step = mi.Float(lane - dr.gather(mi.UInt32, first, index))
-        return _Lanes(count, active, index, step, stride, first, spp)
-
-    def added_up(self, channel: Any) -> Any:
-        """(N,) sums over each position's samples."""
-        if isinstance(self.spp, int):
-            return channel if self.spp == 1 else dr.block_sum(channel, self.spp)
-        # A pass may have no sample for a position.
-        before = np.concatenate([[0.0], np.cumsum(channel.numpy(), dtype=np.float64)])
-        first = self.first.numpy()
-        return mi.Float(before[first + self.spp] - before[first])
-
-
 class Tracer:
     """Traces one scene with Mitsuba's `path` (multiple importance sampling of lights and BSDFs).
 
@@ -180,14 +77,12 @@ class Tracer:
     def __init__(self, scene: Scene, max_depth: int | None = None):
         self.scene = scene
         depth = max_depth or scene.max_depth
-        path = {"type": "path", "max_depth": depth, "rr_depth": _RUSSIAN_ROULETTE_DEPTH}
-        self._path = mi.load_dict(path)
-        self._path_and_guides = mi.load_dict({"type": "aov", "aovs": _AOVS, "image": path})
-        gloss = {_registered(shape): _gloss(shape.bsdf().flags()) for shape in scene.mitsuba.shapes()}
-        self._gloss = mi.UInt32([gloss.get(number, 0) for number in range(max(gloss) + 1)])
-        # One frozen function per tracer: the scene is part of what was recorded.
+        self._path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": _RUSSIAN_ROULETTE_DEPTH})
+        self._clear = has_clear_surfaces(scene.mitsuba)
+        # Frozen functions of this tracer: the scene is part of what was recorded.
         self._trace_radiance = dr.freeze(self._radiance)
-        self._trace_guides = dr.freeze(self._radiance_and_guides)
+        self._trace_all = dr.freeze(self._radiance_and_guides)
+        self._trace_guides = dr.freeze(self._guides)
 
     def trace(
         self,
@@ -196,8 +91,10 @@ class Tracer:
         spp: int | NDArray[np.int64] = 1,
         seed: int = 0,
         guides: bool = False,
+        taken: int | NDArray[np.int64] = 0,
+        pattern: int | None = None,
     ) -> Traced:
-        """Mean over `spp` samples at each position, stratified over its box.
+        """Mean over `spp` samples at each position, spread evenly over its box.
 
         Args:
             camera: the view; its film coordinates are those of `positions`.
@@ -205,114 +102,129 @@ class Tracer:
             spp: samples per position, the same for all or (N,) at least 1 each.
             seed: same seed, same result.
             guides: also return what denoising and fusion want to know.
+            taken: samples that each position already has; with the same pattern, these go where those left
+                gaps.
+            pattern: of the places of samples in their boxes; by default the seed's own.
         """
         most = int(np.max(spp))
         lanes = positions.count * spp if isinstance(spp, int) else int(spp.sum())
         passes = min(most, -(-lanes // _MAX_LANES))
         sums: list[Any] = []
         first: list[Any] = []
+        done = spp * 0
         for number in range(passes):
             # As even as whole numbers can be, and never none of a position's in the first pass.
-            share = (spp * (number + 1) + passes - 1) // passes - (spp * number + passes - 1) // passes
-            channels, hit = self._pass(camera, positions, share, seed, number, guides)
+            share = (spp * (number + 1) + passes - 1) // passes - done
+            lattice = _Lattice(camera, positions, share, taken + done, seed if pattern is None else pattern)
+            channels, hit = self._pass(lattice, seed, number, guides)
             sums = [a + b for a, b in zip(sums, channels, strict=True)] if sums else channels
             first = first or hit
+            done = done + share
             dr.eval(sums, first)
         samples = spp if isinstance(spp, int) else mi.Float(spp)
-        means = [channel / samples for channel in sums]
+        means = [channel / samples for channel in sums[:6]]
         dr.eval(means)
         if not guides:
             return Traced(means)
-        gloss = dr.gather(mi.UInt32, self._gloss, mi.UInt32(first[3]), first[3] >= 0)
-        dr.eval(gloss)
-        return Traced(means[0:3], means[3:6], means[6:9], means[9:12], first[:3], gloss)
+        more = max(0, _GUIDED - int(np.min(taken + spp)))
+        seen = sums[6:]
+        if more:
+            lattice = _Lattice(camera, positions, more, taken + spp, seed if pattern is None else pattern)
+            seen = [a + b for a, b in zip(seen, self._more_guides(lattice), strict=True)]
+        seen = [channel / (samples + more) for channel in seen]
+        dr.eval(seen)
+        return Traced(means[0:3], seen[0:3], seen[3:6], means[3:6], first[:3], first[3])
 
     def hits(self, camera: Camera, positions: FilmPositions) -> Hits:
         """First hits of the rays through the middle of each position."""
-        origin, ax, ay, az = _opaque_camera(camera)
-        direction = dr.normalize(dr.fma(ax, positions.x + 0.5, dr.fma(ay, positions.y + 0.5, az)))
-        scene = self.scene.mitsuba
-        surface = scene.ray_intersect(mi.Ray3f(origin, direction))
-        valid = surface.is_valid()
-        distance = dr.select(valid, surface.t, dr.inf)
-        shapes = dr.reinterpret_array(mi.UInt32, surface.shape)
-        total = mi.Float(distance)
-        alive = mi.Bool(valid)
-        for _ in range(_MAX_MIRRORS):
-            bsdf = surface.bsdf()
-            alive &= ~mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) & valid
-            # A first sample next to 1 takes a dielectric's transmission, a mirror has one lobe only.
-            sample, weight = bsdf.sample(mi.BSDFContext(), surface, 0.999, mi.Point2f(0.5), alive)
-            alive &= dr.max(weight) > 0
-            surface = scene.ray_intersect(surface.spawn_ray(surface.to_world(sample.wo)), alive)
-            alive &= surface.is_valid()
-            total = dr.select(alive, total + surface.t, total)
-        dr.eval(distance, total, shapes)
-        registry = {_registered(shape): i for i, shape in enumerate(scene.shapes())}
+        ray = ray_through(opaque_camera(camera), positions.x + 0.5, positions.y + 0.5)
+        sight = look(self.scene.mitsuba, ray, mi.Bool(True))
+        distance = dr.select(sight.surface.is_valid(), sight.surface.t, dr.inf)
+        shapes = dr.reinterpret_array(mi.UInt32, sight.surface.shape)
+        unfolded = dr.select(sight.surface.is_valid(), sight.unfolded, dr.inf)
+        dr.eval(distance, unfolded, shapes)
+        registry = {_registered(shape): i for i, shape in enumerate(self.scene.mitsuba.shapes())}
         pointers, inverse = np.unique(shapes.numpy(), return_inverse=True)
         index = np.array([registry.get(int(pointer), -1) for pointer in pointers], dtype=np.int32)
-        return Hits(distance.numpy(), total.numpy(), index[inverse])
+        return Hits(distance.numpy(), unfolded.numpy(), index[inverse])
 
-    def _pass(
-        self,
-        camera: Camera,
-        positions: FilmPositions,
-        spp: int | NDArray[np.int64],
-        seed: int,
-        number: int,
-        guides: bool,
-    ) -> tuple[list[Any], list[Any]]:
-        """Sums over the samples, and place and shape of the first of them: one array of N per channel."""
-        lanes = _Lanes.of(positions.count, spp)
+    def _pass(self, lattice: _Lattice, seed: int, number: int, guides: bool) -> tuple[list[Any], list[Any]]:
+        """Sums over the samples, and place and gloss of the first of them: one array of N per channel."""
         # Seeds of different frames and passes must not overlap; numpy's seed sequence mixes them.
-        mixed = np.random.SeedSequence([seed, number]).generate_state(3).tolist()
-        state, *shifts = (dr.opaque(mi.UInt32, value) for value in mixed)
-        # A lattice over each box, shifted at random (Cranley and Patterson 1976): unbiased as independent
-        # places are, but edges and textures, and with them the guides, have far less noise.
-        u = dr.fma(lanes.step, lanes.stride, mi.sample_tea_float32(lanes.index, shifts[0]))
-        v = dr.fma(lanes.step, _GOLDEN, mi.sample_tea_float32(lanes.index, shifts[1]))
-        x = dr.gather(mi.Float, positions.x, lanes.index, lanes.active) + (u - dr.floor(u))
-        y = dr.gather(mi.Float, positions.y, lanes.index, lanes.active) + (v - dr.floor(v))
-        active = lanes.active
-        dr.eval(x, y, active)
-        function = self._trace_guides if guides else self._trace_radiance
-        channels = function(self.scene.mitsuba, x, y, active, state, *_opaque_camera(camera))
+        state = dr.opaque(mi.UInt32, int(np.random.SeedSequence([seed, number]).generate_state(1)[0]))
+        lanes, rays = lattice.lanes, lattice.rays()
+        function = self._trace_all if guides else self._trace_radiance
+        channels = function(self.scene.mitsuba, state, *rays)
         dr.eval(channels)
-        samples = [dr.gather(mi.Float, c, dr.arange(mi.UInt32, lanes.count)) for c in channels[:9]]
         if not guides:
-            return [lanes.added_up(c) for c in samples], []
-        samples += [dr.square(c) for c in samples[:3]]
+            return [lanes.added_up(c) for c in channels], []
+        samples = [*channels[:3], *(dr.square(c) for c in channels[:3]), *channels[3:9]]
         first = [dr.gather(mi.Float, c, lanes.first) for c in channels[9:]]
         return [lanes.added_up(c) for c in samples], first
 
-    @staticmethod
-    def _sample(integrator: Any, scene: Any, x: Any, y: Any, active: Any, seed: Any, camera: Any) -> Any:
+    def _more_guides(self, lattice: _Lattice) -> list[Any]:
+        """Sums of the guides alone."""
+        channels = self._trace_guides(self.scene.mitsuba, *lattice.rays())
+        dr.eval(channels)
+        return [lattice.lanes.added_up(c) for c in channels]
+
+    def _sample(self, scene: Any, state: Any, x: Any, y: Any, active: Any, camera: Any) -> Any:
         sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(seed, dr.width(x))
-        origin, ax, ay, az = camera
-        direction = dr.normalize(dr.fma(ax, x, dr.fma(ay, y, az)))
-        ray = mi.RayDifferential3f(origin, direction)
-        radiance, _, aovs = integrator.sample(scene, sampler, ray, active=active)
+        sampler.seed(state, dr.width(x))
+        ray = ray_through(camera, x, y)
+        radiance, _, _ = self._path.sample(scene, sampler, ray, active=active)
         # A sample that is not finite counts as black; kept, it would spoil its pixel's mean for good.
         finite = dr.all(dr.isfinite(radiance))
         radiance = dr.select(finite, radiance, 0)
         # Without this evaluation every later step traces its own paths, three to four times the work.
         sampler.schedule_state()
-        return radiance, aovs, ray
+        return radiance, ray
 
-    def _radiance(self, scene: Any, x: Any, y: Any, active: Any, seed: Any, *camera: Any) -> list[Any]:
-        radiance, _, _ = self._sample(self._path, scene, x, y, active, seed, camera)
+    def _radiance(self, scene: Any, state: Any, x: Any, y: Any, active: Any, *camera: Any) -> list[Any]:
+        radiance, _ = self._sample(scene, state, x, y, active, camera)
         channels = [radiance.x, radiance.y, radiance.z]
         dr.eval(channels)
         return channels
 
     def _radiance_and_guides(
-        self, scene: Any, x: Any, y: Any, active: Any, seed: Any, *camera: Any
+        self, scene: Any, state: Any, x: Any, y: Any, active: Any, *camera: Any
     ) -> list[Any]:
-        radiance, aovs, ray = self._sample(self._path_and_guides, scene, x, y, active, seed, camera)
-        *shading, px, py, pz, shape = aovs[-10:]
-        hit = dr.squared_norm(mi.Vector3f(*shading[3:])) > 0
-        place = dr.select(hit, mi.Point3f(px, py, pz), ray(_FAR))
-        channels = [*radiance, *shading, *place, dr.select(hit, shape, -1)]
+        radiance, ray = self._sample(scene, state, x, y, active, camera)
+        channels = [*radiance, *guides_and_place(scene, ray, active, self._clear)]
         dr.eval(channels)
         return channels
+
+    def _guides(self, scene: Any, x: Any, y: Any, active: Any, *camera: Any) -> list[Any]:
+        channels = guides_of(scene, ray_through(camera, x, y), active, self._clear)
+        dr.eval(channels)
+        return channels
+
+
+@dataclass(frozen=True)
+class _Lattice:
+    """Where samples go: so many at each position, after those it already has."""
+
+    camera: Camera
+    positions: FilmPositions
+    spp: int | NDArray[np.int64]
+    taken: int | NDArray[np.int64]
+    pattern: int
+
+    @cached_property
+    def lanes(self) -> Lanes:
+        return Lanes.of(self.positions.count, self.spp)
+
+    def rays(self) -> tuple[Any, ...]:
+        """Film coordinates, mask and camera of all lanes, as the traced functions take them."""
+        lanes = self.lanes
+        mixed = int(np.random.SeedSequence(self.pattern).generate_state(1)[0])
+        taken = self.taken if isinstance(self.taken, int) else self.taken.astype(np.uint32)
+        x, y = lanes.places(self.positions, mi.UInt32(taken), dr.opaque(mi.UInt32, mixed))
+        active = lanes.active
+        dr.eval(x, y, active)
+        return x, y, active, *opaque_camera(self.camera)
+
+
+def _registered(shape: Any) -> int:
+    """The number by which kernels know a shape."""
+    return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])

@@ -18,8 +18,9 @@ from hybrid.fusing import fusion_of, with_fusion
 from hybrid.periphery import Viewing
 from hybrid.renderer import HybridRenderer
 from pathtrace.capture import CaptureSettings, capture
+from pathtrace.film import frame_positions
 from pathtrace.scene import load_scene
-from pathtrace.tracer import Tracer, frame_positions
+from pathtrace.tracer import Tracer
 from splat.files import load_forest, save_forest
 from tests import small
 from tests.hybrid.test_renderer import forest_of

@@ -16,8 +16,9 @@ from hybrid.periphery import Viewing
 from hybrid.quality import psnr, registration_px, ssim
 from hybrid.renderer import HybridRenderer
 from pathtrace.capture import render_frame
+from pathtrace.film import frame_positions
 from pathtrace.scene import Scene, load_scene
-from pathtrace.tracer import Tracer, frame_positions
+from pathtrace.tracer import Tracer
 from splat.forest import Forest, build_forest, static_layer
 from splat.forest import forest_of as forest_from
 from splat.gaussians import Gaussians

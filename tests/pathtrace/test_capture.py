@@ -36,7 +36,8 @@ def test_embree_finds_analytic_shapes_and_meshes():
 
 
 def test_embree_agrees_with_mitsuba_in_the_room():
-    from pathtrace.tracer import Tracer, frame_positions
+    from pathtrace.film import frame_positions
+    from pathtrace.tracer import Tracer
 
     scene = load_scene("room")
     camera = scene.camera.resized(64, 64)

@@ -9,8 +9,9 @@ import pytest
 from scipy import stats
 
 from compose.view import mitsuba_from_opencv
+from pathtrace.film import FilmPositions, frame_positions, pixel_positions
 from pathtrace.scene import load_scene
-from pathtrace.tracer import FilmPositions, Tracer, frame_positions, pixel_positions
+from pathtrace.tracer import Tracer
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")

@@ -1,0 +1,136 @@
+"""Film positions, the rays through them, and the lanes that trace several samples of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.view import Camera
+
+# Lanes are padded to a multiple of this with masked ones: a frozen function records again when the
+# divisibility of its width changes, and masked lanes at the end cost next to nothing.
+_LANE_MULTIPLE = 4096
+# The steps of the sequence whose every part covers the unit square evenly (Roberts 2018), times 2^32.
+_STEP_X, _STEP_Y = 3242174889, 2447445414
+
+
+@dataclass(frozen=True)
+class FilmPositions:
+    """Places on the film to trace, each a unit box filter in pixels.
+
+    Attributes:
+        x, y: (N,) Dr.Jit floats, upper left corner of each box; a pixel's corner is its column and row.
+    """
+
+    x: Any
+    y: Any
+
+    @property
+    def count(self) -> int:
+        return dr.width(self.x)
+
+
+def pixel_positions(indices: Any, width: int) -> FilmPositions:
+    """Film positions of pixels given by their row-major index, a (N,) Dr.Jit unsigned integer array."""
+    row = indices // width
+    positions = FilmPositions(mi.Float(indices - row * width), mi.Float(row))
+    dr.eval(positions.x, positions.y)
+    return positions
+
+
+def frame_positions(camera: Camera) -> FilmPositions:
+    """Film positions of all pixels, row by row."""
+    return pixel_positions(dr.arange(mi.UInt32, camera.width * camera.height), camera.width)
+
+
+def opaque_camera(camera: Camera) -> tuple[Any, ...]:
+    """Origin and the three vectors that turn film coordinates into a ray: d ~ x ax + y ay + az."""
+    pose = camera.camera_to_world
+    ax = pose[:3, 0] / camera.fx
+    ay = pose[:3, 1] / camera.fy
+    az = pose[:3, 2] - camera.cx * ax - camera.cy * ay
+    origin, *axes = (vector.tolist() for vector in (pose[:3, 3], ax, ay, az))
+    vectors = mi.Point3f(*origin), *(mi.Vector3f(*axis) for axis in axes)
+    dr.make_opaque(vectors)
+    return vectors
+
+
+def ray_through(camera: tuple[Any, ...], x: Any, y: Any) -> Any:
+    """Ray of an `opaque_camera` through film coordinates."""
+    origin, ax, ay, az = camera
+    return mi.RayDifferential3f(origin, dr.normalize(dr.fma(ax, x, dr.fma(ay, y, az))))
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """Which lane traces which sample of which position; the samples of a position lie side by side.
+
+    Attributes:
+        count: lanes in use; the others pad.
+        active: which those are.
+        index, step: position and number of the sample in it, of each lane.
+        first: (N,) lane of each position's first sample.
+        spp: samples per position.
+    """
+
+    count: int
+    active: Any
+    index: Any
+    step: Any
+    first: Any
+    spp: int | NDArray[np.int64]
+
+    @staticmethod
+    def of(positions: int, spp: int | NDArray[np.int64]) -> Lanes:
+        """Lanes for so many samples of each position."""
+        count = positions * spp if isinstance(spp, int) else int(spp.sum())
+        padded = -(-count // _LANE_MULTIPLE) * _LANE_MULTIPLE
+        lane = dr.arange(mi.UInt32, padded)
+        active = lane < dr.opaque(mi.UInt32, count)
+        if isinstance(spp, int):
+            index = lane // spp
+            first = dr.arange(mi.UInt32, positions) * spp
+            return Lanes(count, active, index, lane - index * spp, first, spp)
+        first = mi.UInt32(np.cumsum(spp) - spp)
+        index = mi.UInt32(np.pad(np.repeat(np.arange(positions), spp), (0, padded - count)))
+        step = lane - dr.gather(mi.UInt32, first, index, active)
+        return Lanes(count, active, index, step, first, spp)
+
+    def places(self, positions: FilmPositions, taken: Any, pattern: Any) -> tuple[Any, Any]:
+        """Film coordinates of each lane.
+
+        Each box has a sequence of its own, shifted at random (Cranley and Patterson 1976): unbiased as
+        independent places are, but edges and textures, and with them the guides, have far less noise.
+
+        Args:
+            positions: of all samples.
+            taken: how many places of its sequence each position has used before; one for all, or (N,).
+            pattern: another one, other shifts.
+        """
+        gathered = lambda values: dr.gather(type(values), values, self.index, self.active)  # noqa: E731
+        corner = [gathered(positions.x), gathered(positions.y)]
+        if dr.width(taken) > 1:
+            taken = gathered(taken)
+        bits = [dr.reinterpret_array(mi.UInt32, value) for value in corner]
+        shifts = mi.sample_tea_32(bits[0], bits[1] + pattern)
+        number = self.step + taken
+        unit = [
+            mi.Float((number * mi.UInt32(step) + shift) >> 8) * 2**-24
+            for step, shift in zip((_STEP_X, _STEP_Y), shifts, strict=True)
+        ]
+        return corner[0] + unit[0], corner[1] + unit[1]
+
+    def added_up(self, channel: Any) -> Any:
+        """(N,) sums over each position's samples."""
+        channel = dr.gather(mi.Float, channel, dr.arange(mi.UInt32, self.count))
+        if isinstance(self.spp, int):
+            return channel if self.spp == 1 else dr.block_sum(channel, self.spp)
+        # A pass may have no sample for a position.
+        before = np.concatenate([[0.0], np.cumsum(channel.numpy(), dtype=np.float64)])
+        first = self.first.numpy()
+        return mi.Float(before[first + self.spp] - before[first])

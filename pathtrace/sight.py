@@ -1,0 +1,98 @@
+"""What a ray sees: the first surface, or what mirrors and clear glass show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+# Where nothing is hit, the sky is this far away.
+FAR = 1e5
+MATT, GLOSSY, SPECULAR = 0, 1, 2
+_MOST_BOUNCES = 8
+# Of a frame's rays: the picture hardly depends on what is left after so many.
+_BOUNCES = 4
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What rays see; Dr.Jit arrays, one entry per ray.
+
+    Attributes:
+        surface: the first interaction; invalid where nothing is hit.
+        last: where mirrors and glass have led to.
+        unfolded: length of the way there; that of the first hit where it leads out of the scene.
+        tint: what mirrors and glass on the way leave of the light.
+        plain: whether only flat mirrors were on the way: what they show seems to stand still behind them.
+    """
+
+    surface: Any
+    last: Any
+    unfolded: Any
+    tint: Any
+    plain: Any
+
+
+def has_clear_surfaces(scene: Any) -> bool:
+    """Whether a scene has mirrors or clear glass."""
+    return any(not mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth) for shape in scene.shapes())
+
+
+def look(scene: Any, ray: Any, active: Any, bounces: int = _MOST_BOUNCES) -> Sight:
+    """Follows rays to the first surface that is not clear, through at most so many that are."""
+    flags = mi.RayFlags.All | mi.RayFlags.dNSdUV if bounces else mi.RayFlags.All
+    surface = scene.ray_intersect(ray, flags, False, active)
+    valid = surface.is_valid()
+    last, alive = surface, active & valid
+    unfolded, tint, plain = mi.Float(surface.t), mi.Color3f(1), mi.Bool(True)
+    for _ in range(bounces):
+        bsdf = last.bsdf()
+        kinds = bsdf.flags()
+        clear = alive & ~mi.has_flag(kinds, mi.BSDFFlags.Smooth)
+        # A first sample next to 1 takes a dielectric's transmission, a mirror has one lobe only.
+        sample, weight = bsdf.sample(mi.BSDFContext(), last, 0.999, mi.Point2f(0.5), clear)
+        clear &= dr.max(weight) > 0
+        onward = scene.ray_intersect(last.spawn_ray(last.to_world(sample.wo)), flags, False, clear)
+        flat = dr.squared_norm(last.dn_du) + dr.squared_norm(last.dn_dv) == 0
+        mirror = flat & ~mi.has_flag(kinds, mi.BSDFFlags.Transmission)
+        plain &= dr.select(clear, mirror, True)
+        tint = dr.select(clear, tint * weight, tint)
+        alive = clear & onward.is_valid()
+        unfolded = dr.select(alive, unfolded + onward.t, unfolded)
+        last = dr.select(clear, onward, last)
+    return Sight(surface, last, unfolded, tint, plain)
+
+
+def guides_of(scene: Any, ray: Any, active: Any, clear: bool) -> list[Any]:
+    """Albedo and normal of what rays see, three channels each; 0 where that is the sky.
+
+    Those of what is seen in a mirror or through glass are what denoising needs there.
+    """
+    return _guides(look(scene, ray, active, _BOUNCES if clear else 0), ray, active)
+
+
+def _guides(sight: Sight, ray: Any, active: Any) -> list[Any]:
+    last = sight.last
+    seen = active & last.is_valid()
+    albedo = sight.tint * last.bsdf(ray).eval_diffuse_reflectance(last, seen)
+    return [*dr.select(seen, albedo, 0), *dr.select(seen, last.sh_frame.n, 0)]
+
+
+def guides_and_place(scene: Any, ray: Any, active: Any, clear: bool) -> list[Any]:
+    """Albedo, normal, the place in the world where what rays see seems to be, and its gloss.
+
+    Returns:
+        Ten channels: three each, and MATT, GLOSSY or SPECULAR.
+    """
+    sight = look(scene, ray, active, _BOUNCES if clear else 0)
+    hit = active & sight.surface.is_valid()
+    shown = sight.last if clear else sight.surface
+    place = dr.select(hit & shown.is_valid(), ray(sight.unfolded), ray(FAR))
+    kinds = shown.bsdf(ray).flags()
+    delta, glossy = (mi.has_flag(kinds, kind) for kind in (mi.BSDFFlags.Delta, mi.BSDFFlags.Glossy))
+    gloss = dr.select(delta, SPECULAR, dr.select(glossy, GLOSSY, mi.Float(MATT)))
+    gloss = dr.select(shown.is_valid(), gloss, MATT)
+    gloss = dr.select(hit & ~sight.plain, SPECULAR, gloss)
+    return [*_guides(sight, ray, active), *place, gloss]
