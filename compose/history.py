@@ -34,7 +34,7 @@ class _Seen:
     Attributes:
         rows, columns: the rectangle.
         count: (h, w).
-        sums: (h, w, 12) of radiance, squares, albedo, normal, times count.
+        sums: (h, w, 6) of radiance and squares, times count.
     """
 
     rows: slice
@@ -43,9 +43,9 @@ class _Seen:
     sums: NDArray[np.float64]
 
     def at(self, row: NDArray[np.int64], column: NDArray[np.int64]) -> tuple[Array, Array]:
-        """(D,) counts and (D, 12) sums of pixels; 0 outside of the rectangle."""
+        """(D,) counts and (D, 6) sums of pixels; 0 outside of the rectangle."""
         count = np.zeros(len(row), dtype=np.float32)
-        sums = np.zeros((len(row), 12), dtype=np.float32)
+        sums = np.zeros((len(row), 6), dtype=np.float32)
         inside = (row >= self.rows.start) & (row < self.rows.stop)
         inside &= (column >= self.columns.start) & (column < self.columns.stop)
         place = row[inside] - self.rows.start, column[inside] - self.columns.start
@@ -65,7 +65,16 @@ class History:
         self._views: deque[tuple[Samples, NDArray[np.float64]]] = deque(maxlen=_VIEWS)
         self._past: _Seen | None = None
 
-    def add(self, camera: Camera, new: Samples) -> Samples:
+    def taken(self, camera: Camera, pixels: NDArray[np.uint32], seed: int) -> tuple[NDArray[np.int64], int]:
+        """How many samples of (D,) pixels came from this camera, and the seed of the first of them.
+
+        With the tracer's help, further samples go where those left gaps.
+        """
+        if self._camera is None or self._camera.key != camera.key:
+            return np.zeros(len(pixels), dtype=np.int64), seed
+        return self._count[pixels].astype(np.int64), self._pattern
+
+    def add(self, camera: Camera, new: Samples, seed: int) -> Samples:
         """Remembers new samples.
 
         Returns:
@@ -74,30 +83,32 @@ class History:
         if self._camera is None or (self._camera.width, self._camera.height) != (camera.width, camera.height):
             self._views.clear()
             self._past = None
-            self._begin(camera)
+            self._begin(camera, seed)
         elif self._camera.key != camera.key:
             self._views.append((self._seen_here(), self._camera.position))
             self._past = _seen_from(self._views, camera, new)
-            self._begin(camera)
-        own_count, own = self._accumulate(new)
+            self._begin(camera, seed)
+        count, sums = self._accumulate(new)
+        # Guides are traced anew at several places of each pixel: none that were carried along are as good.
+        guides, light = sums[:, 6:] / count[:, None], sums[:, :6]
         if self._past is not None:
             pixels = new.pixels.astype(np.int64)
-            count, sums = self._past.at(pixels // camera.width, pixels % camera.width)
-            own_count, own = own_count + count, own + sums
-        means = own / own_count[:, None]
+            more, past = self._past.at(pixels // camera.width, pixels % camera.width)
+            count, light = count + more, light + past
+        light = light / count[:, None]
         return replace(
             new,
-            count=own_count,
-            radiance=means[:, 0:3],
-            squares=means[:, 3:6],
-            albedo=means[:, 6:9],
-            normal=means[:, 9:12],
+            count=count,
+            radiance=light[:, 0:3],
+            squares=light[:, 3:6],
+            albedo=guides[:, 0:3],
+            normal=guides[:, 3:6],
         )
 
-    def _begin(self, camera: Camera) -> None:
+    def _begin(self, camera: Camera, seed: int) -> None:
         """Nothing has been traced from this camera yet."""
         size = camera.width * camera.height
-        self._camera = camera
+        self._camera, self._pattern = camera, seed
         self._count = np.zeros(size, dtype=np.float32)
         self._sums = np.zeros((size, 12), dtype=np.float32)
         self._position = np.zeros((size, 3), dtype=np.float32)
@@ -165,16 +176,7 @@ def _seen_from(
     weight = old.count[kept].astype(np.float64)
     light = np.hstack([old.radiance[kept], old.squares[kept]])
     count, sums = _added_up(target, weight, light, height * width)
-    # Guides hardly differ but at edges. Quarters of a pixel count alike there, however many samples fell into
-    # each, as if they had been stratified.
-    guides = np.hstack([old.albedo[kept], old.normal[kept]])
-    quarter_count, quarters = _added_up(quarter, weight, guides, 4 * height * width)
-    quarters /= np.maximum(quarter_count, 1e-9)[:, None]
-    split = (height, 2, width, 2)
-    present = (quarter_count > 0).reshape(*split).sum(axis=(1, 3)).reshape(-1, 1)
-    means = quarters.reshape(*split, 6).sum(axis=(1, 3)).reshape(-1, 6) / np.maximum(present, 1)
-    everything = np.hstack([sums, means * count[:, None]])
-    return _Seen(rows, columns, count.reshape(height, width), everything.reshape(height, width, 12))
+    return _Seen(rows, columns, count.reshape(height, width), sums.reshape(height, width, 6))
 
 
 def _added_up(

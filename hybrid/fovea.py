@@ -95,32 +95,53 @@ class Fovea:
         """
         if not len(plan.pixels):
             return _no_samples()
+        taken, pattern = np.zeros(len(plan.pixels), dtype=np.int64), seed
+        if self._history is not None:
+            taken, pattern = self._history.taken(camera, plan.pixels, seed)
         if under is None or spp < _ADAPTIVE_FROM:
-            samples = self._traced(camera, plan.pixels, spp, seed)
+            samples = self._traced(camera, plan.pixels, spp, seed, taken, pattern)
         else:
-            samples = self._traced_where_needed(camera, plan, spp, seed, _checked(camera, under))
-        return samples if self._history is None else self._history.add(camera, samples)
+            under = _checked(camera, under)
+            samples = self._traced_where_needed(camera, plan, spp, seed, taken, pattern, under)
+        return samples if self._history is None else self._history.add(camera, samples, seed)
 
     def _traced(
-        self, camera: Camera, pixels: NDArray[np.uint32], spp: int | NDArray[np.int64], seed: int
+        self,
+        camera: Camera,
+        pixels: NDArray[np.uint32],
+        spp: int | NDArray[np.int64],
+        seed: int,
+        taken: NDArray[np.int64],
+        pattern: int,
     ) -> Samples:
+        """Samples of those pixels, placed in them where those that were taken before left gaps."""
         positions = pixel_positions(mi.UInt32(pixels), camera.width)
-        return samples_of(self.tracer.trace(camera, positions, spp, seed, guides=True), pixels, spp)
+        traced = self.tracer.trace(camera, positions, spp, seed, guides=True, taken=taken, pattern=pattern)
+        return samples_of(traced, pixels, spp)
 
     def _traced_where_needed(
-        self, camera: Camera, plan: FoveaPlan, spp: int, seed: int, under: Underlay
+        self,
+        camera: Camera,
+        plan: FoveaPlan,
+        spp: int,
+        seed: int,
+        taken: NDArray[np.int64],
+        pattern: int,
+        under: Underlay,
     ) -> Samples:
         """A few samples everywhere, then more where they disagree with the splats."""
         around = Rectangle.around(plan)
         splat = around.part_of(under.radiance)
         fewer = max(_FEWEST_FIRST, int(_FIRST_SHARE * spp))
-        first = self._traced(camera, plan.pixels, fewer, seed)
+        first = self._traced(camera, plan.pixels, fewer, seed, taken, pattern)
         denoised = _Laid.of(first, splat, around).denoised(coarse=True)
         worth = around.taken(disagreement(denoised, splat)[..., None])[:, 0]
         counts = allotted(worth, (spp - fewer) * len(plan.pixels), seed)
         chosen = np.flatnonzero(counts)
         # Another stream of random numbers than that of the first ones.
-        more = self._traced(camera, plan.pixels[chosen], counts[chosen], seed + _SECOND_STREAM)
+        seed += _SECOND_STREAM
+        taken = taken[chosen] + fewer
+        more = self._traced(camera, plan.pixels[chosen], counts[chosen], seed, taken, pattern)
         return merged(first, _spread_out(more, chosen, first))
 
     def picture(

@@ -9,14 +9,15 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import qmc
 
 from compose.view import Camera
 
 # Lanes are padded to a multiple of this with masked ones: a frozen function records again when the
 # divisibility of its width changes, and masked lanes at the end cost next to nothing.
 _LANE_MULTIPLE = 4096
-# The steps of the sequence whose every part covers the unit square evenly (Roberts 2018), times 2^32.
-_STEP_X, _STEP_Y = 3242174889, 2447445414
+# Logarithm of the number of places in a box before its sequence begins anew, shifted otherwise.
+_PLACES = 12
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,12 @@ def ray_through(camera: tuple[Any, ...], x: Any, y: Any) -> Any:
     return mi.RayDifferential3f(origin, dr.normalize(dr.fma(ax, x, dr.fma(ay, y, az))))
 
 
+def _sobol() -> list[Any]:
+    """Two (2 ** _PLACES,) Dr.Jit arrays: the binary digits of Sobol's points."""
+    points = qmc.Sobol(2, scramble=False, bits=32).random_base2(_PLACES)
+    return [mi.UInt32((column * 2.0**32).astype(np.uint32)) for column in points.T]
+
+
 @dataclass(frozen=True)
 class Lanes:
     """Which lane traces which sample of which position; the samples of a position lie side by side.
@@ -104,8 +111,9 @@ class Lanes:
     def places(self, positions: FilmPositions, taken: Any, pattern: Any) -> tuple[Any, Any]:
         """Film coordinates of each lane.
 
-        Each box has a sequence of its own, shifted at random (Cranley and Patterson 1976): unbiased as
-        independent places are, but edges and textures, and with them the guides, have far less noise.
+        Each box has a Sobol sequence of its own, its digits flipped at random (Kollig and Keller 2002):
+        unbiased as independent places are, but edges and textures, and with them the guides, have far less
+        noise, and later samples go where earlier ones left gaps.
 
         Args:
             positions: of all samples.
@@ -117,11 +125,12 @@ class Lanes:
         if dr.width(taken) > 1:
             taken = gathered(taken)
         bits = [dr.reinterpret_array(mi.UInt32, value) for value in corner]
-        shifts = mi.sample_tea_32(bits[0], bits[1] + pattern)
         number = self.step + taken
+        flips = mi.sample_tea_32(bits[0], bits[1] + pattern + (number >> _PLACES))
+        number &= (1 << _PLACES) - 1
         unit = [
-            mi.Float((number * mi.UInt32(step) + shift) >> 8) * 2**-24
-            for step, shift in zip((_STEP_X, _STEP_Y), shifts, strict=True)
+            mi.Float((dr.gather(mi.UInt32, digits, number) ^ flip) >> 8) * 2**-24
+            for digits, flip in zip(_sobol(), flips, strict=True)
         ]
         return corner[0] + unit[0], corner[1] + unit[1]
 
