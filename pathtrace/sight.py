@@ -88,11 +88,12 @@ def guides_and_place(scene: Any, ray: Any, active: Any, clear: bool) -> list[Any
     """
     sight = look(scene, ray, active, _BOUNCES if clear else 0)
     hit = active & sight.surface.is_valid()
-    shown = sight.last if clear else sight.surface
-    place = dr.select(hit & shown.is_valid(), ray(sight.unfolded), ray(FAR))
-    kinds = shown.bsdf(ray).flags()
+    # What is bent or mirrored by something round does not stand still: there, the glass itself is the place.
+    place = ray(dr.select(sight.plain, sight.unfolded, sight.surface.t))
+    place = dr.select(hit & (sight.last.is_valid() | ~sight.plain), place, ray(FAR))
+    kinds = sight.last.bsdf(ray).flags()
     delta, glossy = (mi.has_flag(kinds, kind) for kind in (mi.BSDFFlags.Delta, mi.BSDFFlags.Glossy))
     gloss = dr.select(delta, SPECULAR, dr.select(glossy, GLOSSY, mi.Float(MATT)))
-    gloss = dr.select(shown.is_valid(), gloss, MATT)
+    gloss = dr.select(sight.last.is_valid(), gloss, MATT)
     gloss = dr.select(hit & ~sight.plain, SPECULAR, gloss)
     return [*_guides(sight, ray, active), *place, gloss]
