@@ -74,11 +74,14 @@ class History:
             return np.zeros(len(pixels), dtype=np.int64), seed
         return self._count[pixels].astype(np.int64), self._pattern
 
-    def add(self, camera: Camera, new: Samples, seed: int) -> Samples:
-        """Remembers new samples.
+    def recall(self, camera: Camera, seen: Samples, places: int, seed: int) -> Samples:
+        """What is remembered of pixels.
 
-        Returns:
-            The new samples' pixels, with all that is remembered of them.
+        Args:
+            camera: the view.
+            seen: the pixels with their guides, without light.
+            places: of which the guides are means.
+            seed: of the samples that are to come.
         """
         if self._camera is None or (self._camera.width, self._camera.height) != (camera.width, camera.height):
             self._views.clear()
@@ -86,18 +89,21 @@ class History:
             self._begin(camera, seed)
         elif self._camera.key != camera.key:
             self._views.append((self._seen_here(), self._camera.position))
-            self._past = _seen_from(self._views, camera, new)
+            self._past = _seen_from(self._views, camera, seen)
             self._begin(camera, seed)
-        count, sums = self._accumulate(new)
-        # Guides are traced anew at several places of each pixel: none that were carried along are as good.
-        guides, light = sums[:, 6:] / count[:, None], sums[:, :6]
+        pixels = seen.pixels
+        # Guides are traced anew in every frame: none that were carried along would be as good.
+        self._guides[pixels] += np.hstack([seen.albedo, seen.normal]) * places
+        self._places[pixels] += places
+        guides = self._guides[pixels] / self._places[pixels][:, None]
+        count, light = self._count[pixels], self._light[pixels]
         if self._past is not None:
-            pixels = new.pixels.astype(np.int64)
-            more, past = self._past.at(pixels // camera.width, pixels % camera.width)
+            index = pixels.astype(np.int64)
+            more, past = self._past.at(index // camera.width, index % camera.width)
             count, light = count + more, light + past
-        light = light / count[:, None]
+        light = light / np.maximum(count, 1e-6)[:, None]
         return replace(
-            new,
+            seen,
             count=count,
             radiance=light[:, 0:3],
             squares=light[:, 3:6],
@@ -105,30 +111,31 @@ class History:
             normal=guides[:, 3:6],
         )
 
+    def remember(self, new: Samples) -> None:
+        """Adds samples of the view that was recalled last."""
+        pixels = new.pixels
+        first = (self._count[pixels] == 0) & (new.count > 0)
+        self._position[pixels[first]], self._gloss[pixels[first]] = new.position[first], new.gloss[first]
+        self._light[pixels] += np.hstack([new.radiance, new.squares]) * new.count[:, None]
+        self._count[pixels] += new.count
+
     def _begin(self, camera: Camera, seed: int) -> None:
         """Nothing has been traced from this camera yet."""
         size = camera.width * camera.height
         self._camera, self._pattern = camera, seed
         self._count = np.zeros(size, dtype=np.float32)
-        self._sums = np.zeros((size, 12), dtype=np.float32)
+        self._light = np.zeros((size, 6), dtype=np.float32)
+        self._places = np.zeros(size, dtype=np.float32)
+        self._guides = np.zeros((size, 6), dtype=np.float32)
         self._position = np.zeros((size, 3), dtype=np.float32)
         self._gloss = np.zeros(size, dtype=np.uint8)
-
-    def _accumulate(self, new: Samples) -> tuple[Array, Array]:
-        """Counts and sums of the new samples' pixels, from this camera alone."""
-        pixels = new.pixels
-        first = self._count[pixels] == 0
-        self._position[pixels[first]], self._gloss[pixels[first]] = new.position[first], new.gloss[first]
-        fresh = np.hstack([new.radiance, new.squares, new.albedo, new.normal])
-        self._sums[pixels] += fresh * new.count[:, None]
-        self._count[pixels] += new.count
-        return self._count[pixels], self._sums[pixels]
 
     def _seen_here(self) -> Samples:
         """All that was traced from this camera."""
         pixels = np.flatnonzero(self._count)
         count = self._count[pixels]
-        radiance, squares, albedo, normal = np.split(self._sums[pixels] / count[:, None], 4, axis=1)
+        radiance, squares = np.split(self._light[pixels] / count[:, None], 2, axis=1)
+        albedo, normal = np.split(self._guides[pixels] / self._places[pixels][:, None], 2, axis=1)
         return Samples(
             pixels.astype(np.uint32),
             np.minimum(count, _MOST_SAMPLES),

@@ -18,12 +18,12 @@ class Samples:
 
     Attributes:
         pixels: (D,) row-major indices, each once.
-        count: (D,) samples in each.
+        count: (D,) samples in each; 0 where only the guides are known.
         radiance: (D, 3) their mean, linear.
         squares: (D, 3) mean of their squares.
-        albedo, normal: (D, 3) their means.
-        position: (D, 3) in the world, where one of them met a surface; far away where none did.
-        gloss: (D,) DIFFUSE, GLOSSY or SPECULAR, of that surface.
+        albedo, normal: (D, 3) means over places in the pixel.
+        position: (D, 3) in the world, where what is seen in one of them seems to be; far away if the sky.
+        gloss: (D,) DIFFUSE, GLOSSY or SPECULAR, of that.
     """
 
     pixels: NDArray[np.uint32]
@@ -44,9 +44,8 @@ class Samples:
 
 
 def merged(one: Samples, other: Samples) -> Samples:
-    """Samples of the same pixels in one; places and gloss are those of the first."""
+    """Light of two sets of samples of the same pixels in one; everything else is the first's."""
     count = one.count + other.count
-    share = (other.count / count)[:, None]
+    share = (other.count / np.maximum(count, 1e-6))[:, None]
     mean = lambda name: getattr(one, name) * (1 - share) + getattr(other, name) * share  # noqa: E731
-    names = ("radiance", "squares", "albedo", "normal")
-    return replace(one, count=count, **{name: mean(name) for name in names})
+    return replace(one, count=count, radiance=mean("radiance"), squares=mean("squares"))

@@ -1,4 +1,4 @@
-"""Samples where they help: how many more each pixel gets, from what the first ones have shown.
+"""Samples where they help: how many more each pixel gets, from those it has and what they have shown.
 
 Where the denoised samples and the splats agree, more samples change little; where they differ, one of them is
 wrong, and only samples can tell which.
@@ -12,8 +12,12 @@ from scipy.ndimage import uniform_filter
 
 from compose.blend import Image, srgb_from_radiance
 
-# Least and most that a pixel gets, in means.
+# Least and most that a pixel should have, in means.
 _LEAST, _MOST = 0.15, 5.0
+# Most that it gets at once, in means.
+_MOST_AT_ONCE = 8.0
+# Of the interval that holds the level up to which samples are filled.
+_HALVINGS = 25
 # Difference that is there anyway.
 _FLOOR = 0.005
 _WINDOW = 5
@@ -25,16 +29,28 @@ def disagreement(denoised: Image, splat: Image) -> NDArray[np.float32]:
     return np.sqrt(np.maximum(uniform_filter(difference, _WINDOW, mode="nearest"), 0)) + _FLOOR
 
 
-def allotted(worth: NDArray[np.float32], total: int, seed: int) -> NDArray[np.int64]:
-    """(D,) samples per pixel, `total` in all, in proportion to what they are worth (D,).
+def allotted(
+    worth: NDArray[np.float32], have: NDArray[np.float32], total: int, seed: int
+) -> NDArray[np.int64]:
+    """(D,) further samples per pixel, `total` in all, so that all pixels have what they are worth.
 
-    By systematic sampling: each gets the whole number below or above its due.
+    None where there are more already, at least one where there are none at all.
+
+    Args:
+        worth: (D,) samples that pixels should have, relative to each other.
+        have: (D,) samples that they have.
+        total: at least D.
+        seed: of the rounding: each gets the whole number below or above its due, by systematic sampling.
     """
-    due = worth / worth.mean()
-    # Clipping changes the mean; a few rounds bring it back.
-    for _ in range(4):
-        due = np.clip(due, _LEAST, _MOST)
-        due /= due.mean()
-    ends = np.cumsum(due, dtype=np.float64) * (total / len(due))
+    if (have == have[0]).all() and (worth == worth[0]).all() and total % len(have) == 0:
+        return np.full(len(have), total // len(have), dtype=np.int64)
+    worth = np.clip(worth / worth.mean(), _LEAST, _MOST)
+    least, most = (have < 1).astype(np.float64), _MOST_AT_ONCE * total / len(have)
+    low, high = 0.0, float((have.max() + most) / worth.min())
+    for _ in range(_HALVINGS):
+        level = 0.5 * (low + high)
+        due = np.clip(worth * level - have, least, most)
+        low, high = (level, high) if due.sum() < total else (low, level)
+    ends = np.cumsum(due, dtype=np.float64) * (total / due.sum())
     start = np.random.default_rng(seed).random()
     return np.diff(np.floor(np.concatenate([[0.0], ends[:-1], [total]]) + start)).astype(np.int64)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 
 import mitsuba as mi
 import numpy as np
@@ -17,7 +17,7 @@ from compose.sampling import allotted, disagreement
 from compose.view import Camera
 from pathtrace.denoise import denoise, denoise_coarsely
 from pathtrace.film import pixel_positions
-from pathtrace.tracer import Traced, Tracer
+from pathtrace.tracer import Tracer, guide_places
 
 # With fewer samples per pixel the better network costs more than it is worth.
 _FAST_BELOW = 3.0
@@ -94,55 +94,68 @@ class Fovea:
                 are few, all pixels get the same number.
         """
         if not len(plan.pixels):
-            return _no_samples()
-        taken, pattern = np.zeros(len(plan.pixels), dtype=np.int64), seed
-        if self._history is not None:
-            taken, pattern = self._history.taken(camera, plan.pixels, seed)
-        if under is None or spp < _ADAPTIVE_FROM:
-            samples = self._traced(camera, plan.pixels, spp, seed, taken, pattern)
-        else:
-            under = _checked(camera, under)
-            samples = self._traced_where_needed(camera, plan, spp, seed, taken, pattern, under)
-        return samples if self._history is None else self._history.add(camera, samples, seed)
+            return _dark(plan.pixels)
+        history, places = self._history, guide_places(spp)
+        sequence = _Sequence(np.zeros(len(plan.pixels), dtype=np.int64), seed)
+        if history is not None:
+            sequence = _Sequence(*history.taken(camera, plan.pixels, seed))
+        nothing = self._seen(camera, plan, places, sequence)
+        known = nothing if history is None else history.recall(camera, nothing, places, seed)
+        total, new = spp * len(plan.pixels), nothing
+        worth = np.ones(len(plan.pixels), dtype=np.float32)
+        if under is not None and spp >= _ADAPTIVE_FROM:
+            # A few everywhere, then more where they disagree with the splats.
+            first = max(_FEWEST_FIRST, int(_FIRST_SHARE * spp)) * len(plan.pixels)
+            counts = allotted(worth, known.count, first, seed)
+            new = self._traced(camera, new, counts, seed, sequence)
+            worth = self._worth(plan, merged(known, new), _checked(camera, under))
+            # Another stream of random numbers than that of the first ones.
+            total, seed = total - first, seed + _SECOND_STREAM
+        counts = allotted(worth, known.count + new.count, total, seed)
+        new = self._traced(camera, new, counts, seed, sequence)
+        if history is not None:
+            history.remember(new)
+        return merged(known, new)
+
+    def _seen(self, camera: Camera, plan: FoveaPlan, places: int, sequence: _Sequence) -> Samples:
+        """The plan's pixels with their guides, without light."""
+        if self.mode == "raw" and self._history is None:
+            # Nobody would look at them.
+            return _dark(plan.pixels)
+        positions = pixel_positions(mi.UInt32(plan.pixels), camera.width)
+        seen = self.tracer.guides(camera, positions, places, sequence.pattern, sequence.taken)
+        return replace(
+            _dark(plan.pixels),
+            albedo=_triple(seen.albedo),
+            normal=_triple(seen.normal),
+            position=_triple(seen.place),
+            gloss=seen.gloss.numpy().astype(np.uint8),
+        )
 
     def _traced(
-        self,
-        camera: Camera,
-        pixels: NDArray[np.uint32],
-        spp: int | NDArray[np.int64],
-        seed: int,
-        taken: NDArray[np.int64],
-        pattern: int,
+        self, camera: Camera, known: Samples, counts: NDArray[np.int64], seed: int, sequence: _Sequence
     ) -> Samples:
-        """Samples of those pixels, placed in them where those that were taken before left gaps."""
+        """With so many more samples of each pixel, placed in them where earlier ones left gaps."""
+        chosen = np.flatnonzero(counts)
+        counts, pixels = counts[chosen], known.pixels[chosen]
+        taken = sequence.taken[chosen] + known.count[chosen].astype(np.int64)
+        spp = int(counts[0]) if (counts == counts[0]).all() else counts
         positions = pixel_positions(mi.UInt32(pixels), camera.width)
-        traced = self.tracer.trace(camera, positions, spp, seed, guides=True, taken=taken, pattern=pattern)
-        return samples_of(traced, pixels, spp)
+        traced = self.tracer.trace(camera, positions, spp, seed, taken, sequence.pattern)
+        light = {}
+        for name, values in (("radiance", _triple(traced.radiance)), ("squares", _triple(traced.squares))):
+            light[name] = np.zeros_like(known.radiance)
+            light[name][chosen] = values
+        count = np.zeros_like(known.count)
+        count[chosen] = counts
+        return merged(known, replace(known, count=count, **light))
 
-    def _traced_where_needed(
-        self,
-        camera: Camera,
-        plan: FoveaPlan,
-        spp: int,
-        seed: int,
-        taken: NDArray[np.int64],
-        pattern: int,
-        under: Underlay,
-    ) -> Samples:
-        """A few samples everywhere, then more where they disagree with the splats."""
+    def _worth(self, plan: FoveaPlan, samples: Samples, under: Underlay) -> NDArray[np.float32]:
+        """(D,) where the denoised samples and the splats differ."""
         around = Rectangle.around(plan)
         splat = around.part_of(under.radiance)
-        fewer = max(_FEWEST_FIRST, int(_FIRST_SHARE * spp))
-        first = self._traced(camera, plan.pixels, fewer, seed, taken, pattern)
-        denoised = _Laid.of(first, splat, around).denoised(coarse=True)
-        worth = around.taken(disagreement(denoised, splat)[..., None])[:, 0]
-        counts = allotted(worth, (spp - fewer) * len(plan.pixels), seed)
-        chosen = np.flatnonzero(counts)
-        # Another stream of random numbers than that of the first ones.
-        seed += _SECOND_STREAM
-        taken = taken[chosen] + fewer
-        more = self._traced(camera, plan.pixels[chosen], counts[chosen], seed, taken, pattern)
-        return merged(first, _spread_out(more, chosen, first))
+        denoised = _Laid.of(samples, splat, around).denoised(coarse=True)
+        return around.taken(disagreement(denoised, splat)[..., None])[:, 0]
 
     def picture(
         self, camera: Camera, plan: FoveaPlan, samples: Samples, around: Image, under: Underlay | None
@@ -260,30 +273,16 @@ class _Laid:
         return denoised_for_fusion(*images, spp) if coarse else denoise(*images, is_quick(spp))
 
 
-def samples_of(traced: Traced, pixels: NDArray[np.uint32], spp: int | NDArray[np.int64]) -> Samples:
-    """What was traced with guides at those pixels, with so many samples each."""
-    assert traced.gloss is not None
-    triple = lambda channels: np.stack([c.numpy() for c in channels], axis=1)  # noqa: E731
-    return Samples(
-        pixels,
-        np.broadcast_to(np.float32(spp), len(pixels)),
-        triple(traced.radiance),
-        triple(traced.squares),
-        triple(traced.albedo),
-        triple(traced.normal),
-        triple(traced.place),
-        traced.gloss.numpy().astype(np.uint8),
-    )
+@dataclass(frozen=True)
+class _Sequence:
+    """Where samples go in their pixels: (D,) how many there are already, and the seed of the pattern."""
+
+    taken: NDArray[np.int64]
+    pattern: int
 
 
-def _spread_out(samples: Samples, chosen: NDArray[np.int64], like: Samples) -> Samples:
-    """Samples of the chosen among other pixels as samples of all of them, none of those not chosen."""
-    spread = {}
-    for field in fields(Samples):
-        values = np.zeros_like(getattr(like, field.name))
-        values[chosen] = getattr(samples, field.name)
-        spread[field.name] = values
-    return Samples(**spread)
+def _triple(channels: list[mi.Float]) -> NDArray[np.float32]:
+    return np.stack([channel.numpy() for channel in channels], axis=1)
 
 
 def is_quick(spp: float) -> bool:
@@ -304,7 +303,7 @@ def _checked(camera: Camera, under: Underlay | None) -> Underlay:
     return under
 
 
-def _no_samples() -> Samples:
-    triple = np.zeros((0, 3), dtype=np.float32)
-    pixels, gloss = np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.uint8)
+def _dark(pixels: NDArray[np.uint32]) -> Samples:
+    """No samples of those pixels."""
+    triple, gloss = np.zeros((len(pixels), 3), dtype=np.float32), np.zeros(len(pixels), dtype=np.uint8)
     return Samples(pixels, triple[:, 0], triple, triple, triple, triple, triple, gloss)

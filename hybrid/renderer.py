@@ -21,7 +21,7 @@ from hybrid.periphery import Periphery, Viewing
 from pathtrace.denoise import denoise
 from pathtrace.film import FilmPositions
 from pathtrace.scene import Scene
-from pathtrace.tracer import Tracer
+from pathtrace.tracer import Tracer, guide_places
 from splat.forest import Forest
 
 
@@ -133,14 +133,14 @@ class HybridRenderer:
 
     def path_traced(self, camera: Camera, positions: FilmPositions, spp: int, seed: int) -> Image:
         """(H, W, 3) the whole frame without splats, denoised unless the fovea is raw."""
-        traced = self.tracer.trace(camera, positions, spp, seed, guides=True)
         image = lambda channels: np.stack(  # noqa: E731
             [channel.numpy() for channel in channels], axis=1
         ).reshape(camera.height, camera.width, 3)
-        radiance = image(traced.radiance)
+        radiance = image(self.tracer.trace(camera, positions, spp, seed).radiance)
         if self.fovea.mode == "raw":
             return radiance
-        return denoise(radiance, image(traced.albedo), image(traced.normal), is_quick(spp))
+        guides = self.tracer.guides(camera, positions, guide_places(spp), seed)
+        return denoise(radiance, image(guides.albedo), image(guides.normal), is_quick(spp))
 
 
 class _Clock:

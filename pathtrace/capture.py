@@ -26,7 +26,7 @@ from pathtrace.frames import (
 )
 from pathtrace.scene import Scene
 from pathtrace.surface import Surfaces
-from pathtrace.tracer import Tracer
+from pathtrace.tracer import Tracer, guide_places
 from pathtrace.views import ViewSet, choose_views
 
 # Samples per pixel of the estimates that are kept of some held-out views: what a fovea may be traced with.
@@ -127,8 +127,10 @@ def render_estimates(
     image = lambda channels: np.stack([c.numpy() for c in channels], axis=-1).reshape(*shape, 3)  # noqa: E731
     parts = []
     for number, count in enumerate((*counts, spp - sum(counts))):
-        traced = tracer.trace(camera, positions, count, seed + number * 1_000_033, guides=True)
-        parts.append(Estimate(image(traced.radiance), image(traced.albedo), image(traced.normal)))
+        part_seed = seed + number * 1_000_033
+        traced = tracer.trace(camera, positions, count, part_seed)
+        guides = tracer.guides(camera, positions, guide_places(count), part_seed)
+        parts.append(Estimate(image(traced.radiance), image(guides.albedo), image(guides.normal)))
     weights = np.array((*counts, spp - sum(counts)), dtype=np.float32) / spp
     mean = lambda name: sum(  # noqa: E731
         weight * getattr(part, name) for weight, part in zip(weights, parts, strict=True)

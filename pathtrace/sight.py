@@ -65,35 +65,28 @@ def look(scene: Any, ray: Any, active: Any, bounces: int = _MOST_BOUNCES) -> Sig
     return Sight(surface, last, unfolded, tint, plain)
 
 
-def guides_of(scene: Any, ray: Any, active: Any, clear: bool) -> list[Any]:
-    """Albedo and normal of what rays see, three channels each; 0 where that is the sky.
-
-    Those of what is seen in a mirror or through glass are what denoising needs there.
-    """
-    return _guides(look(scene, ray, active, _BOUNCES if clear else 0), ray, active)
-
-
-def _guides(sight: Sight, ray: Any, active: Any) -> list[Any]:
-    last = sight.last
-    seen = active & last.is_valid()
-    albedo = sight.tint * last.bsdf(ray).eval_diffuse_reflectance(last, seen)
-    return [*dr.select(seen, albedo, 0), *dr.select(seen, last.sh_frame.n, 0)]
-
-
-def guides_and_place(scene: Any, ray: Any, active: Any, clear: bool) -> list[Any]:
+def guides(scene: Any, ray: Any, active: Any, clear: bool) -> list[Any]:
     """Albedo, normal, the place in the world where what rays see seems to be, and its gloss.
 
+    Behind mirrors and clear glass, albedo and normal are those of what they show: denoising needs them there.
+
+    Args:
+        scene: a Mitsuba scene.
+        ray, active: what looks.
+        clear: whether the scene has mirrors or clear glass at all.
+
     Returns:
-        Ten channels: three each, and MATT, GLOSSY or SPECULAR.
+        Ten channels: three each, 0 where that is the sky, and MATT, GLOSSY or SPECULAR.
     """
     sight = look(scene, ray, active, _BOUNCES if clear else 0)
-    hit = active & sight.surface.is_valid()
-    # What is bent or mirrored by something round does not stand still: there, the glass itself is the place.
+    hit, last = active & sight.surface.is_valid(), sight.last
+    shown = active & last.is_valid()
+    albedo = sight.tint * last.bsdf(ray).eval_diffuse_reflectance(last, shown)
+    # What is bent, or mirrored by something round, does not stand still: there, the glass is the place.
     place = ray(dr.select(sight.plain, sight.unfolded, sight.surface.t))
-    place = dr.select(hit & (sight.last.is_valid() | ~sight.plain), place, ray(FAR))
-    kinds = sight.last.bsdf(ray).flags()
+    place = dr.select(hit & (shown | ~sight.plain), place, ray(FAR))
+    kinds = last.bsdf(ray).flags()
     delta, glossy = (mi.has_flag(kinds, kind) for kind in (mi.BSDFFlags.Delta, mi.BSDFFlags.Glossy))
     gloss = dr.select(delta, SPECULAR, dr.select(glossy, GLOSSY, mi.Float(MATT)))
-    gloss = dr.select(sight.last.is_valid(), gloss, MATT)
-    gloss = dr.select(hit & ~sight.plain, SPECULAR, gloss)
-    return [*_guides(sight, ray, active), *place, gloss]
+    gloss = dr.select(hit & ~sight.plain, SPECULAR, dr.select(shown, gloss, MATT))
+    return [*dr.select(shown, albedo, 0), *dr.select(shown, last.sh_frame.n, 0), *place, gloss]

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from compose.view import Camera
 from pathtrace.film import FilmPositions, Lanes, opaque_camera, ray_through
 from pathtrace.scene import Scene
-from pathtrace.sight import guides_and_place, guides_of, has_clear_surfaces, look
+from pathtrace.sight import guides, has_clear_surfaces, look
 
 # Lanes traced at once: bounds the memory that many samples over a large frame would take.
 _MAX_LANES = 1 << 22
 _RUSSIAN_ROULETTE_DEPTH = 5
-# Places per pixel of which albedo and normal are known at least: they cost a twentieth of a path each, and
-# with fewer the guides' own noise shows in what they guide.
-_GUIDED = 4
+# Places of a pixel where albedo and normal are looked up. With fewer, the guides' own noise shows in what
+# they guide; each costs a twentieth of a path.
+_LEAST_PLACES, _MOST_PLACES = 4, 16
 
 
 @dataclass(frozen=True)
@@ -34,20 +34,29 @@ class Traced:
 
     Attributes:
         radiance: three (N,) Dr.Jit floats, linear, unbounded.
-        albedo: three (N,) floats, only with guides.
-        normal: three (N,) floats, shading normal in world space, only with guides.
-        squares: three (N,) floats, mean of the samples' squared radiance, only with guides.
-        place: three (N,) floats, where what the first of the samples saw seems to be: on the surface that it
-            met, or behind a flat mirror; only with guides.
-        gloss: (N,) floats, only with guides: pathtrace.sight's MATT, GLOSSY or SPECULAR.
+        squares: three (N,) floats, mean of the samples' squared radiance.
     """
 
     radiance: list[Any]
-    albedo: list[Any] | None = None
-    normal: list[Any] | None = None
-    squares: list[Any] | None = None
-    place: list[Any] | None = None
-    gloss: Any | None = None
+    squares: list[Any]
+
+
+@dataclass(frozen=True)
+class Guides:
+    """What denoising and fusion want to know of N film positions.
+
+    Attributes:
+        albedo: three (N,) Dr.Jit floats.
+        normal: three (N,) floats, shading normal in world space.
+        place: three (N,) floats, where what the first of the rays sees seems to be: on the surface that it
+            meets, or behind a flat mirror.
+        gloss: (N,) floats: pathtrace.sight's MATT, GLOSSY or SPECULAR, of that.
+    """
+
+    albedo: list[Any]
+    normal: list[Any]
+    place: list[Any]
+    gloss: Any
 
 
 @dataclass(frozen=True)
@@ -66,6 +75,11 @@ class Hits:
     shape: NDArray[np.int32]
 
 
+def guide_places(spp: int) -> int:
+    """Of how many places guides should be means, beside so many samples per pixel."""
+    return min(max(spp, _LEAST_PLACES), _MOST_PLACES)
+
+
 class Tracer:
     """Traces one scene with Mitsuba's `path` (multiple importance sampling of lights and BSDFs).
 
@@ -81,7 +95,6 @@ class Tracer:
         self._clear = has_clear_surfaces(scene.mitsuba)
         # Frozen functions of this tracer: the scene is part of what was recorded.
         self._trace_radiance = dr.freeze(self._radiance)
-        self._trace_all = dr.freeze(self._radiance_and_guides)
         self._trace_guides = dr.freeze(self._guides)
 
     def trace(
@@ -90,7 +103,6 @@ class Tracer:
         positions: FilmPositions,
         spp: int | NDArray[np.int64] = 1,
         seed: int = 0,
-        guides: bool = False,
         taken: int | NDArray[np.int64] = 0,
         pattern: int | None = None,
     ) -> Traced:
@@ -101,7 +113,6 @@ class Tracer:
             positions: N places.
             spp: samples per position, the same for all or (N,) at least 1 each.
             seed: same seed, same result.
-            guides: also return what denoising and fusion want to know.
             taken: samples that each position already has; with the same pattern, these go where those left
                 gaps.
             pattern: of the places of samples in their boxes; by default the seed's own.
@@ -110,30 +121,42 @@ class Tracer:
         lanes = positions.count * spp if isinstance(spp, int) else int(spp.sum())
         passes = min(most, -(-lanes // _MAX_LANES))
         sums: list[Any] = []
-        first: list[Any] = []
         done = spp * 0
         for number in range(passes):
             # As even as whole numbers can be, and never none of a position's in the first pass.
             share = (spp * (number + 1) + passes - 1) // passes - done
             lattice = _Lattice(camera, positions, share, taken + done, seed if pattern is None else pattern)
-            channels, hit = self._pass(lattice, seed, number, guides)
+            channels = self._pass(lattice, seed, number)
             sums = [a + b for a, b in zip(sums, channels, strict=True)] if sums else channels
-            first = first or hit
             done = done + share
-            dr.eval(sums, first)
+            dr.eval(sums)
         samples = spp if isinstance(spp, int) else mi.Float(spp)
-        means = [channel / samples for channel in sums[:6]]
+        means = [channel / samples for channel in sums]
         dr.eval(means)
-        if not guides:
-            return Traced(means)
-        more = max(0, _GUIDED - int(np.min(taken + spp)))
-        seen = sums[6:]
-        if more:
-            lattice = _Lattice(camera, positions, more, taken + spp, seed if pattern is None else pattern)
-            seen = [a + b for a, b in zip(seen, self._more_guides(lattice), strict=True)]
-        seen = [channel / (samples + more) for channel in seen]
-        dr.eval(seen)
-        return Traced(means[0:3], seen[0:3], seen[3:6], means[3:6], first[:3], first[3])
+        return Traced(means[:3], means[3:])
+
+    def guides(
+        self,
+        camera: Camera,
+        positions: FilmPositions,
+        places: int,
+        pattern: int,
+        taken: int | NDArray[np.int64] = 0,
+    ) -> Guides:
+        """Means over so many places of each position: those of samples, so that they fit together.
+
+        Args:
+            camera, positions: as in `trace`.
+            places: how many.
+            pattern, taken: as in `trace`: the first ray is that of the next sample.
+        """
+        lattice = _Lattice(camera, positions, places, taken, pattern)
+        channels = self._trace_guides(self.scene.mitsuba, *lattice.rays())
+        dr.eval(channels)
+        means = [lattice.lanes.added_up(c) / places for c in channels[:6]]
+        first = [dr.gather(mi.Float, c, lattice.lanes.first) for c in channels[6:]]
+        dr.eval(means, first)
+        return Guides(means[:3], means[3:], first[:3], first[3])
 
     def hits(self, camera: Camera, positions: FilmPositions) -> Hits:
         """First hits of the rays through the middle of each position."""
@@ -148,54 +171,29 @@ class Tracer:
         index = np.array([registry.get(int(pointer), -1) for pointer in pointers], dtype=np.int32)
         return Hits(distance.numpy(), unfolded.numpy(), index[inverse])
 
-    def _pass(self, lattice: _Lattice, seed: int, number: int, guides: bool) -> tuple[list[Any], list[Any]]:
-        """Sums over the samples, and place and gloss of the first of them: one array of N per channel."""
+    def _pass(self, lattice: _Lattice, seed: int, number: int) -> list[Any]:
+        """Sums over the samples of radiance and its squares: six arrays of N."""
         # Seeds of different frames and passes must not overlap; numpy's seed sequence mixes them.
         state = dr.opaque(mi.UInt32, int(np.random.SeedSequence([seed, number]).generate_state(1)[0]))
-        lanes, rays = lattice.lanes, lattice.rays()
-        function = self._trace_all if guides else self._trace_radiance
-        channels = function(self.scene.mitsuba, state, *rays)
+        channels = self._trace_radiance(self.scene.mitsuba, state, *lattice.rays())
         dr.eval(channels)
-        if not guides:
-            return [lanes.added_up(c) for c in channels], []
-        samples = [*channels[:3], *(dr.square(c) for c in channels[:3]), *channels[3:9]]
-        first = [dr.gather(mi.Float, c, lanes.first) for c in channels[9:]]
-        return [lanes.added_up(c) for c in samples], first
+        return [lattice.lanes.added_up(c) for c in (*channels, *(dr.square(c) for c in channels))]
 
-    def _more_guides(self, lattice: _Lattice) -> list[Any]:
-        """Sums of the guides alone."""
-        channels = self._trace_guides(self.scene.mitsuba, *lattice.rays())
-        dr.eval(channels)
-        return [lattice.lanes.added_up(c) for c in channels]
-
-    def _sample(self, scene: Any, state: Any, x: Any, y: Any, active: Any, camera: Any) -> Any:
+    def _radiance(self, scene: Any, state: Any, x: Any, y: Any, active: Any, *camera: Any) -> list[Any]:
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(state, dr.width(x))
-        ray = ray_through(camera, x, y)
-        radiance, _, _ = self._path.sample(scene, sampler, ray, active=active)
+        radiance, _, _ = self._path.sample(scene, sampler, ray_through(camera, x, y), active=active)
         # A sample that is not finite counts as black; kept, it would spoil its pixel's mean for good.
         finite = dr.all(dr.isfinite(radiance))
         radiance = dr.select(finite, radiance, 0)
         # Without this evaluation every later step traces its own paths, three to four times the work.
         sampler.schedule_state()
-        return radiance, ray
-
-    def _radiance(self, scene: Any, state: Any, x: Any, y: Any, active: Any, *camera: Any) -> list[Any]:
-        radiance, _ = self._sample(scene, state, x, y, active, camera)
         channels = [radiance.x, radiance.y, radiance.z]
         dr.eval(channels)
         return channels
 
-    def _radiance_and_guides(
-        self, scene: Any, state: Any, x: Any, y: Any, active: Any, *camera: Any
-    ) -> list[Any]:
-        radiance, ray = self._sample(scene, state, x, y, active, camera)
-        channels = [*radiance, *guides_and_place(scene, ray, active, self._clear)]
-        dr.eval(channels)
-        return channels
-
     def _guides(self, scene: Any, x: Any, y: Any, active: Any, *camera: Any) -> list[Any]:
-        channels = guides_of(scene, ray_through(camera, x, y), active, self._clear)
+        channels = guides(scene, ray_through(camera, x, y), active, self._clear)
         dr.eval(channels)
         return channels
 
