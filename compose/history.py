@@ -101,7 +101,7 @@ class History:
             index = pixels.astype(np.int64)
             more, past = self._past.at(index // camera.width, index % camera.width)
             count, light = count + more, light + past
-        light = light / np.maximum(count, 1e-6)[:, None]
+        light = light / np.maximum(count, np.float32(1e-6))[:, None]
         return replace(
             seen,
             count=count,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
 
 from compose.blend import Image
 from compose.foveation import FoveaPlan, mode_named
@@ -26,6 +27,8 @@ _ADAPTIVE_FROM = 4
 _FIRST_SHARE = 0.25
 _FEWEST_FIRST = 2
 _SECOND_STREAM = 0x5EED0000
+# Side of the window, in pixels, over which it is looked whether samples are missing.
+_WINDOW = 5
 
 
 @dataclass(frozen=True)
@@ -106,12 +109,12 @@ class Fovea:
         if under is not None and spp >= _ADAPTIVE_FROM:
             # A few everywhere, then more where they disagree with the splats.
             first = max(_FEWEST_FIRST, int(_FIRST_SHARE * spp)) * len(plan.pixels)
-            counts = allotted(worth, known.count, first, seed)
+            counts = allotted(worth, self._have(plan, known), first, seed)
             new = self._traced(camera, new, counts, seed, sequence)
             worth = self._worth(plan, merged(known, new), _checked(camera, under))
             # Another stream of random numbers than that of the first ones.
             total, seed = total - first, seed + _SECOND_STREAM
-        counts = allotted(worth, known.count + new.count, total, seed)
+        counts = allotted(worth, self._have(plan, known) + new.count, total, seed)
         new = self._traced(camera, new, counts, seed, sequence)
         if history is not None:
             history.remember(new)
@@ -142,13 +145,30 @@ class Fovea:
         spp = int(counts[0]) if (counts == counts[0]).all() else counts
         positions = pixel_positions(mi.UInt32(pixels), camera.width)
         traced = self.tracer.trace(camera, positions, spp, seed, taken, sequence.pattern)
-        light = {}
-        for name, values in (("radiance", _triple(traced.radiance)), ("squares", _triple(traced.squares))):
-            light[name] = np.zeros_like(known.radiance)
-            light[name][chosen] = values
         count = np.zeros_like(known.count)
-        count[chosen] = counts
-        return merged(known, replace(known, count=count, **light))
+        radiance, squares = np.zeros_like(known.radiance), np.zeros_like(known.squares)
+        count[chosen], radiance[chosen], squares[chosen] = (
+            counts,
+            _triple(traced.radiance),
+            _triple(traced.squares),
+        )
+        return merged(known, replace(known, count=count, radiance=radiance, squares=squares))
+
+    def _have(self, plan: FoveaPlan, known: Samples) -> NDArray[np.float32]:
+        """(D,) samples per pixel around each.
+
+        Those that were carried along fall on pixels as chance will have it. Filling every gap among them
+        would take several samples of a pixel at once, which blur where they are carried in their turn; only
+        what lacks samples as a whole is to be filled.
+        """
+        if self._history is None:
+            return known.count
+        around = Rectangle.around(plan)
+        nothing = np.zeros((*around.shape, 1), dtype=np.float32)
+        counted = around.laid(nothing, np.stack([known.count], axis=1))[..., 0]
+        inside = around.laid(nothing, np.ones((len(known.count), 1), dtype=np.float32))[..., 0]
+        mean = uniform_filter(counted, _WINDOW) / np.maximum(uniform_filter(inside, _WINDOW), 1e-3)
+        return np.where(known.count < 1, 0, np.maximum(around.taken(mean[..., None])[:, 0], 1))
 
     def _worth(self, plan: FoveaPlan, samples: Samples, under: Underlay) -> NDArray[np.float32]:
         """(D,) where the denoised samples and the splats differ."""
