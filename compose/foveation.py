@@ -7,11 +7,13 @@ section 3): the path tracer covers r < fov-a, the splats cover r > fov-b, the we
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compose.errors import UserError
+from compose.rectangle import Rectangle
 from compose.view import Gaze
 
 _MODES = ("raw", "denoised", "fused")
@@ -100,19 +102,16 @@ class FoveaPlan:
         image[self.pixels] = self.weights
         return image.reshape(self.height, self.width)
 
-    def box(self) -> tuple[slice, slice]:
-        """Rows and columns of the smallest rectangle around the disc; there must be a disc."""
-        rows, columns = self.pixels // self.width, self.pixels % self.width
-        return (
-            slice(int(rows[0]), int(rows[-1]) + 1),
-            slice(int(columns.min()), int(columns.max()) + 1),
-        )
+    @cached_property
+    def rectangle(self) -> Rectangle:
+        """The smallest around the disc; there must be a disc."""
+        return Rectangle.around(self.pixels, self.width)
 
     def foveal_tiles(self, tile: int) -> NDArray[np.bool_]:
         """(rows, columns) bool: tiles that the rectangle around the disc touches."""
         tiles = np.zeros((-(-self.height // tile), -(-self.width // tile)), dtype=bool)
         if len(self.pixels):
-            rows, columns = self.box()
+            rows, columns = self.rectangle.box
             down, across = (slice(s.start // tile, -(-s.stop // tile)) for s in (rows, columns))
             tiles[down, across] = True
         return tiles

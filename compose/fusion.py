@@ -30,6 +30,8 @@ _DARK = 0.03
 _FLOOR = 0.005
 # How much wider than a normal distribution's the interval around a few samples' bias may be.
 _TAILS = 20.0
+# Least spread of the samples anywhere, in that of the whole picture.
+_SPREAD = 0.5
 # Parents, in the order of their weights.
 PARENTS = ("traced", "denoised", "splat")
 
@@ -162,8 +164,11 @@ def _evidence(traced: Tensor, splat: Tensor) -> list[Tensor]:
     ratio = ((_luminance(traced) + 0.05) / expected - 1).clamp(-8, 8)
     moments = _halved(torch.cat([ratio, ratio**2], 1))
     small, large = _mean(moments), _enlarged(_mean(_halved(moments)), moments)
-    # Where no light has been found yet a small window shows no spread; the neighbourhood tells of it.
-    floor = _spread(large)
+    # Where no light has been found yet a small window shows no spread; the neighbourhood and the whole
+    # picture tell of it.
+    everywhere = _spread(moments) * _halved(expected)
+    everywhere = everywhere.mean((2, 3), keepdim=True) / expected.mean((2, 3), keepdim=True)
+    floor = torch.maximum(_spread(large), _SPREAD * everywhere)
     found = []
     for mean, pixels in ((small, 36), (large, 144)):
         t = mean[:, 0:1] / torch.sqrt(torch.maximum(_spread(mean), floor) / pixels + 1e-4)
@@ -226,6 +231,7 @@ def fuse(parents: Parents, fusion: Fusion | None) -> Fused:
     """
     height, width = parents.traced.shape[:2]
     usable, excluded = _usable(parents)
+    interleaved = lambda found: found[0, :, :height, :width].permute(1, 2, 0).numpy()  # noqa: E731
     with torch.inference_mode():
         # The network judges blocks of 2 x 2.
         even = [_even(as_batch(image)) for image in usable]
@@ -240,7 +246,6 @@ def fuse(parents: Parents, fusion: Fusion | None) -> Fused:
         radiance = torch.lerp(traced, radiance, share)
         weights = weights * share
         weights[:, 0:1] += 1 - share
-    interleaved = lambda found: found[0, :, :height, :width].permute(1, 2, 0).numpy()  # noqa: E731
     return Fused(interleaved(radiance), interleaved(weights), excluded)
 
 

@@ -21,12 +21,15 @@ _HALVINGS = 25
 # Difference that is there anyway.
 _FLOOR = 0.005
 _WINDOW = 5
+# Of the difference: below 1, as the worst errors are few and need not all the samples.
+_POWER = 0.8
 
 
 def disagreement(denoised: Image, splat: Image) -> NDArray[np.float32]:
-    """(H, W): root mean square over windows of 5 x 5 of what differs between two pictures, in sRGB."""
+    """(H, W) what more samples are worth: the more two pictures differ in sRGB, over windows of 5 x 5."""
     difference = ((srgb_from_radiance(denoised) - srgb_from_radiance(splat)) ** 2).mean(axis=2)
-    return np.sqrt(np.maximum(uniform_filter(difference, _WINDOW, mode="nearest"), 0)) + _FLOOR
+    mean = np.maximum(uniform_filter(difference, _WINDOW, mode="nearest"), 0)
+    return (np.sqrt(mean) + _FLOOR) ** _POWER
 
 
 def allotted(

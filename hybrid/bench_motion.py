@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from compose.blend import Image
 from compose.foveation import FoveaPlan, Foveation
 from compose.fusion import Fusion
+from compose.rectangle import Rectangle
 from compose.samples import Samples
 from compose.view import Camera, Gaze
 from hybrid.bench_fovea import means, measured, reference, unfitted_views, whole_underlay
-from hybrid.fovea import Fovea, Rectangle
+from hybrid.fovea import Fovea
 from hybrid.fusing import fusion_of
 from hybrid.periphery import Periphery, Viewing
 from hybrid.quality import psnr
@@ -78,7 +79,7 @@ def bench_motion(
     for done, view in enumerate(views):
         camera = view.resized(view.width * _SCALE, view.height * _SCALE)
         plan = _disc(camera, Gaze())
-        around = Rectangle.around(plan)
+        around = plan.rectangle
         truth = _reference(tracer, camera, around, reference_spp)
         for mode in ("raw", "denoised", "fused"):
             discs, fresh = _discs(tracer, periphery, fusion, mode, camera, plan)

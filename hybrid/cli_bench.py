@@ -316,6 +316,39 @@ def bench_motion(
     write_json(json_file, rows)
 
 
+@bench_app.command("seam")
+def bench_seam(
+    scene: SceneName,
+    frames: FramesFolder,
+    forest: ForestArgument,
+    display: DisplayName = "desktop",
+    spp: Annotated[int, typer.Option(help="Samples per pixel in the fovea.", min=1)] = 2,
+    reference_spp: ReferenceSpp = 512,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """See how well the two renderers meet in the band between fov-b and fov-a."""
+    from compose.view import display_named
+
+    shown = display_named(display)
+    select(backend)
+    from hybrid.bench_seam import bench_seam as run
+    from hybrid.fovvideovdp import INSTALL
+    from pathtrace.frames import read_frame_set
+    from splat.files import load_forest
+
+    found, loaded = load_forest(forest), loaded_scene(scene)
+    with progress_bar("bench (views)") as bar:
+        rows = run(loaded, read_frame_set(frames), found, shown, spp, reference_spp, bar)
+    print("fovea     inner against outer side   the same by sectors    JOD of the band")
+    for row in rows:
+        seen = f"{row['jod']:.2f}" if "jod" in row else "-"
+        print(f"{row['mode']:<9} {row['difference']:>+25.2%}   {row['sectors']:>19.2%}   {seen:>16}")
+    if "jod" not in rows[0]:
+        print(INSTALL)
+    write_json(json_file, rows)
+
+
 def _metrics(row: dict[str, Any]) -> str:
     flip = f"{row['flip']:.4f}" if "flip" in row else "     -"
     return f"{row['psnr']:6.2f}  {row['ssim']:.4f}  {flip}"

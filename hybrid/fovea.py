@@ -13,6 +13,7 @@ from compose.blend import Image
 from compose.foveation import FoveaPlan, mode_named
 from compose.fusion import Fusion, Parents, fuse
 from compose.history import History
+from compose.rectangle import Rectangle
 from compose.samples import Samples, merged
 from compose.sampling import allotted, disagreement
 from compose.view import Camera
@@ -111,7 +112,8 @@ class Fovea:
             first = max(_FEWEST_FIRST, int(_FIRST_SHARE * spp)) * len(plan.pixels)
             counts = allotted(worth, self._have(plan, known), first, seed)
             new = self._traced(camera, new, counts, seed, sequence)
-            worth = self._worth(plan, merged(known, new), _checked(camera, under))
+            parents = _parents(plan, merged(known, new), _checked(camera, under))
+            worth = plan.rectangle.taken(disagreement(parents.denoised, parents.splat)[..., None])[:, 0]
             # Another stream of random numbers than that of the first ones.
             total, seed = total - first, seed + _SECOND_STREAM
         counts = allotted(worth, self._have(plan, known) + new.count, total, seed)
@@ -163,19 +165,12 @@ class Fovea:
         """
         if self._history is None:
             return known.count
-        around = Rectangle.around(plan)
+        around = plan.rectangle
         nothing = np.zeros((*around.shape, 1), dtype=np.float32)
         counted = around.laid(nothing, np.stack([known.count], axis=1))[..., 0]
         inside = around.laid(nothing, np.ones((len(known.count), 1), dtype=np.float32))[..., 0]
         mean = uniform_filter(counted, _WINDOW) / np.maximum(uniform_filter(inside, _WINDOW), 1e-3)
         return np.where(known.count < 1, 0, np.maximum(around.taken(mean[..., None])[:, 0], 1))
-
-    def _worth(self, plan: FoveaPlan, samples: Samples, under: Underlay) -> NDArray[np.float32]:
-        """(D,) where the denoised samples and the splats differ."""
-        around = Rectangle.around(plan)
-        splat = around.part_of(under.radiance)
-        denoised = _Laid.of(samples, splat, around).denoised(coarse=True)
-        return around.taken(disagreement(denoised, splat)[..., None])[:, 0]
 
     def picture(
         self, camera: Camera, plan: FoveaPlan, samples: Samples, around: Image, under: Underlay | None
@@ -194,27 +189,27 @@ class Fovea:
         """
         if self.mode == "raw" or not len(plan.pixels):
             return FoveaPicture(samples.radiance, samples)
-        rectangle = Rectangle.around(plan)
+        rectangle = plan.rectangle
+        taken = rectangle.taken
         if self.mode == "denoised":
             laid = _Laid.of(samples, rectangle.part_of(around), rectangle)
-            denoised = rectangle.taken(laid.denoised(coarse=False))
+            denoised = taken(laid.denoised(coarse=False))
             return FoveaPicture(denoised, samples, denoised)
-        return self._fused(rectangle, samples, _checked(camera, under))
-
-    def _fused(self, rectangle: Rectangle, samples: Samples, under: Underlay) -> FoveaPicture:
-        splat = rectangle.part_of(under.radiance)
-        laid = _Laid.of(samples, splat, rectangle)
-        denoised = laid.denoised(coarse=True)
-        variance = rectangle.laid(np.full_like(splat, np.inf), samples.variance())
-        parents = Parents(
-            *(laid.radiance, variance, denoised, splat, laid.albedo, laid.normal, laid.count),
-            enlargement=under.enlargement,
-        )
+        parents = _parents(plan, samples, _checked(camera, under))
         fused = fuse(parents, self._fusion)
-        taken = rectangle.taken
         return FoveaPicture(
-            taken(fused.radiance), samples, taken(denoised), taken(fused.weights), fused.excluded
+            taken(fused.radiance), samples, taken(parents.denoised), taken(fused.weights), fused.excluded
         )
+
+
+def _parents(plan: FoveaPlan, samples: Samples, under: Underlay) -> Parents:
+    """All that is known of the rectangle around the disc."""
+    rectangle = plan.rectangle
+    splat = rectangle.part_of(under.radiance)
+    laid = _Laid.of(samples, splat, rectangle)
+    variance = rectangle.laid(np.full_like(splat, np.inf), samples.variance())
+    guides = laid.albedo, laid.normal, laid.count
+    return Parents(laid.radiance, variance, laid.denoised(coarse=True), splat, *guides, under.enlargement)
 
 
 def denoised_for_fusion(radiance: Image, albedo: Image, normal: Image, spp: float) -> Image:
@@ -222,44 +217,6 @@ def denoised_for_fusion(radiance: Image, albedo: Image, normal: Image, spp: floa
     if is_quick(spp):
         return denoise_coarsely(radiance, albedo, normal)
     return denoise(radiance, albedo, normal)
-
-
-@dataclass(frozen=True)
-class Rectangle:
-    """The rectangle around a disc.
-
-    Attributes:
-        box: its rows and columns.
-        shape: how many they are.
-        place: (D,) row-major index in it of each of the disc's pixels.
-    """
-
-    box: tuple[slice, slice]
-    shape: tuple[int, int]
-    place: NDArray[np.int64]
-
-    @staticmethod
-    def around(plan: FoveaPlan) -> Rectangle:
-        """That of a plan; there must be a disc."""
-        rows, columns = plan.box()
-        pixels = plan.pixels.astype(np.int64)
-        shape = rows.stop - rows.start, columns.stop - columns.start
-        place = (pixels // plan.width - rows.start) * shape[1] + pixels % plan.width - columns.start
-        return Rectangle((rows, columns), shape, place)
-
-    def part_of(self, image: Image) -> Image:
-        """(h, w, C) of an image of the frame."""
-        return np.ascontiguousarray(image[self.box])
-
-    def laid(self, ground: Image, values: NDArray[np.float32]) -> Image:
-        """(h, w, C): the disc's values (D, C) on a ground (h, w, C)."""
-        image = np.array(ground, dtype=np.float32, order="C")
-        image.reshape(-1, image.shape[2])[self.place] = values
-        return image
-
-    def taken(self, image: Image) -> NDArray[np.float32]:
-        """(D, C): the disc's values of an image (h, w, C)."""
-        return np.take(image.reshape(-1, image.shape[2]), self.place, axis=0)
 
 
 @dataclass(frozen=True)

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
+from compose.blend import Image
 from compose.errors import UserError
 from compose.fitting import ITERATIONS, LEAST_SIZE, Example, fit
 from compose.fusion import Fusion, Parents
 from hybrid.fovea import denoised_for_fusion
-from pathtrace.frames import FrameEntry, FrameSet, read_estimate, read_frame
+from pathtrace.frames import Estimate, FrameEntry, FrameSet, read_estimate, read_frame
 from splat.arrays import Arrays
 from splat.forest import Forest
 from splat.pictures import ForestRenderer
 
 _PREFIX = "fusion."
+# Examples per view whose pixels have different numbers of samples, and the size of the patches that have the
+# same one, in pixels.
+_MIXED = 2
+_PATCHES = 2.0, 12.0
 
 
 def with_fusion(
@@ -24,7 +30,7 @@ def with_fusion(
 ) -> Forest:
     """The forest, with a fusion fitted on the frame set's estimates; without any that are
     large enough, as it is."""
-    examples = list(_examples(arrays, frames, forest))
+    examples = list(_examples(arrays, frames, forest, np.random.default_rng(seed)))
     if not examples:
         return forest
     fusion = fit(examples, seed, progress)
@@ -66,7 +72,9 @@ def _usable(frames: FrameSet) -> list[FrameEntry]:
     ]
 
 
-def _examples(arrays: Arrays, frames: FrameSet, forest: Forest) -> Iterator[Example]:
+def _examples(
+    arrays: Arrays, frames: FrameSet, forest: Forest, rng: np.random.Generator
+) -> Iterator[Example]:
     """What foveas would be made of in the views that have estimates, and what they should be."""
     renderer = ForestRenderer(arrays, forest)
     for entry in _usable(frames):
@@ -74,19 +82,38 @@ def _examples(arrays: Arrays, frames: FrameSet, forest: Forest) -> Iterator[Exam
         finest = len(forest.counts)
         splat = np.array(renderer.render_layer(entry.camera, finest).image())
         enlargement = entry.camera.fy / forest.focal_of(finest)
-        for spp, file in entry.estimates.items():
-            traced = read_estimate(file)
-            denoised = denoised_for_fusion(traced.radiance, traced.albedo, traced.normal, spp)
-            yield Example(
-                Parents(
-                    traced.radiance,
-                    np.full_like(denoised, np.inf),
-                    denoised,
-                    splat,
-                    traced.albedo,
-                    traced.normal,
-                    np.full((*denoised.shape[:2], 1), spp, dtype=np.float32),
-                    enlargement,
-                ),
-                reference,
-            )
+        traced = [_Traced.of(read_estimate(file), spp) for spp, file in entry.estimates.items()]
+        if len(traced) > 1:
+            traced += [_mixed(traced, rng) for _ in range(_MIXED)]
+        for estimate in traced:
+            yield Example(estimate.parents(splat, enlargement), reference)
+
+
+@dataclass(frozen=True)
+class _Traced:
+    """An estimate (H, W, 3) with its guides, and how many samples each pixel has, (H, W, 1)."""
+
+    radiance: Image
+    albedo: Image
+    normal: Image
+    count: Image
+
+    @staticmethod
+    def of(estimate: Estimate, spp: int) -> _Traced:
+        count = np.full((*estimate.radiance.shape[:2], 1), spp, dtype=np.float32)
+        return _Traced(estimate.radiance, estimate.albedo, estimate.normal, count)
+
+    def parents(self, splat: Image, enlargement: float) -> Parents:
+        denoised = denoised_for_fusion(self.radiance, self.albedo, self.normal, float(self.count.mean()))
+        unknown = np.full_like(denoised, np.inf)
+        guides = self.albedo, self.normal, self.count
+        return Parents(self.radiance, unknown, denoised, splat, *guides, enlargement)
+
+
+def _mixed(traced: list[_Traced], rng: np.random.Generator) -> _Traced:
+    """One estimate here, another there: as where history is thin, and where samples go where they help."""
+    one, other = (traced[index] for index in rng.choice(len(traced), 2, replace=False))
+    hills = gaussian_filter(rng.normal(size=one.count.shape[:2]), rng.uniform(*_PATCHES))
+    here = (hills > np.quantile(hills, rng.uniform(0.2, 0.8)))[..., None]
+    both = (np.where(here, getattr(one, f.name), getattr(other, f.name)) for f in fields(_Traced))
+    return _Traced(*both)

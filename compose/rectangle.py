@@ -1,0 +1,49 @@
+"""The rectangle around a disc, in which its pixels are an image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """The rectangle around a disc.
+
+    Attributes:
+        box: its rows and columns.
+        shape: how many they are.
+        place: (D,) row-major index in it of each of the disc's pixels.
+    """
+
+    box: tuple[slice, slice]
+    shape: tuple[int, int]
+    place: NDArray[np.int64]
+
+    @staticmethod
+    def around(pixels: NDArray[np.uint32], width: int) -> Rectangle:
+        """That of (D,) pixels of a frame of that width, at least one, in the order of their indices."""
+        row, column = np.divmod(pixels.astype(np.int64), width)
+        rows = slice(int(row[0]), int(row[-1]) + 1)
+        columns = slice(int(column.min()), int(column.max()) + 1)
+        shape = rows.stop - rows.start, columns.stop - columns.start
+        place = (row - rows.start) * shape[1] + column - columns.start
+        return Rectangle((rows, columns), shape, place)
+
+    def part_of(self, image: Image) -> Image:
+        """(h, w, C) of an image of the frame."""
+        return np.ascontiguousarray(image[self.box])
+
+    def laid(self, ground: Image, values: NDArray[np.float32]) -> Image:
+        """(h, w, C): the disc's values (D, C) on a ground (h, w, C)."""
+        image = np.array(ground, dtype=np.float32, order="C")
+        image.reshape(-1, image.shape[2])[self.place] = values
+        return image
+
+    def taken(self, image: Image) -> NDArray[np.float32]:
+        """(D, C): the disc's values of an image (h, w, C)."""
+        return np.take(image.reshape(-1, image.shape[2]), self.place, axis=0)

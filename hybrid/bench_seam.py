@@ -1,0 +1,94 @@
+"""How well the two renderers meet: what differs between both sides of the band, and whether it is seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.blend import Image
+from compose.foveation import FoveaPlan, Foveation
+from compose.view import Display, Gaze
+from hybrid.bench_fovea import means, reference, unfitted_views
+from hybrid.fovvideovdp import jod
+from hybrid.periphery import Viewing
+from hybrid.renderer import Frame, HybridRenderer
+from pathtrace.frames import FrameSet
+from pathtrace.scene import Scene
+from splat.forest import Forest
+
+GAZES = (Gaze(0.5, 0.5), Gaze(0.35, 0.4))
+_MODES = ("raw", "denoised", "fused")
+_SCALE = 2
+# Of the band, all around: wide enough to average noise, narrow enough to show where the seam is.
+_SECTORS = 24
+
+
+def bench_seam(
+    scene: Scene,
+    frames: FrameSet,
+    forest: Forest,
+    display: Display,
+    spp: int,
+    reference_spp: int,
+    progress: Callable[[int, int], None],
+) -> list[dict[str, Any]]:
+    """One row per way to make the fovea: means over the unfitted views, at twice their resolution, and gazes.
+
+    Args:
+        scene, forest: what is rendered.
+        frames: that the forest was trained on.
+        display: what the frames are looked at on.
+        spp: samples per pixel in the disc.
+        reference_spp: samples per pixel of the references.
+        progress: called with views done and views in all.
+    """
+    found: dict[str, list[dict[str, float]]] = {mode: [] for mode in _MODES}
+    views = unfitted_views(frames)
+    renderers = {mode: HybridRenderer(scene, forest, Viewing(display), mode) for mode in _MODES}
+    for done, view in enumerate(views):
+        camera = view.resized(view.width * _SCALE, view.height * _SCALE)
+        truth, _ = reference(renderers["raw"].tracer, camera, reference_spp, 1_000_003)
+        for gaze in GAZES:
+            for mode, renderer in renderers.items():
+                frame = renderer.frame(camera, Foveation(gaze), spp, done)
+                found[mode].append(_seam(frame, truth, display, gaze))
+        progress(done + 1, len(views))
+    return [{"scene": scene.name, "mode": mode, "spp": spp, **means(rows)} for mode, rows in found.items()]
+
+
+def _seam(frame: Frame, truth: Image, display: Display, gaze: Gaze) -> dict[str, float]:
+    """Both sides of the band in linear luminance, relative to what is right; and the band's JOD.
+
+    `difference` is that of the means over the whole band, `sectors` the root mean square over its sectors.
+    """
+    plan = frame.plan
+    band = (plan.weights > 0) & (plan.weights < 1)
+    pixels = plan.pixels[band]
+    right = _luminance(truth.reshape(-1, 3)[pixels])
+    outer = _luminance(frame.periphery.reshape(-1, 3)[pixels])
+    difference = _luminance(frame.fovea.radiance[band]) - outer
+    sector = _sectors(plan, pixels)
+    present = np.unique(sector)
+    local = [difference[sector == s].mean() / max(right[sector == s].mean(), 1e-3) for s in present]
+    row = {
+        "difference": float(difference.mean() / right.mean()),
+        "sectors": float(np.sqrt(np.mean(np.square(local)))),
+    }
+    exchanged = truth.copy()
+    exchanged.reshape(-1, 3)[pixels] = frame.composite.reshape(-1, 3)[pixels]
+    seen = jod(exchanged, truth, display, gaze)
+    return row if seen is None else {**row, "jod": seen}
+
+
+def _luminance(radiance: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.asarray(radiance @ np.array([0.2126, 0.7152, 0.0722], dtype=np.float32))
+
+
+def _sectors(plan: FoveaPlan, pixels: NDArray[np.uint32]) -> NDArray[np.int64]:
+    """(B,) which part of the band all around each pixel is in."""
+    row, column = pixels // plan.width, pixels % plan.width
+    angle = np.arctan2(row + 0.5 - plan.centre[1], column + 0.5 - plan.centre[0])
+    return ((angle / (2 * np.pi) + 0.5) * _SECTORS).astype(np.int64) % _SECTORS
