@@ -28,6 +28,8 @@ _ADAPTIVE_FROM = 4
 _FIRST_SHARE = 0.25
 _FEWEST_FIRST = 2
 _SECOND_STREAM = 0x5EED0000
+# What a history makes of few samples a frame is worth better guides than those few would be.
+_PLACES_IN_MOTION = 8
 # Side of the window, in pixels, over which it is looked whether samples are missing.
 _WINDOW = 5
 
@@ -99,13 +101,10 @@ class Fovea:
         """
         if not len(plan.pixels):
             return _dark(plan.pixels)
-        history, places = self._history, guide_places(spp)
-        sequence = _Sequence(np.zeros(len(plan.pixels), dtype=np.int64), seed)
-        if history is not None:
-            sequence = _Sequence(*history.taken(camera, plan.pixels, seed))
-        nothing = self._seen(camera, plan, places, sequence)
-        known = nothing if history is None else history.recall(camera, nothing, places, seed)
-        total, new = spp * len(plan.pixels), nothing
+        sequence = self._sequence(camera, plan, seed)
+        known = self.known(camera, plan, spp, seed)
+        new = _without_light(known)
+        total = spp * len(plan.pixels)
         worth = np.ones(len(plan.pixels), dtype=np.float32)
         if under is not None and spp >= _ADAPTIVE_FROM:
             # A few everywhere, then more where they disagree with the splats.
@@ -118,9 +117,20 @@ class Fovea:
             total, seed = total - first, seed + _SECOND_STREAM
         counts = allotted(worth, self._have(plan, known) + new.count, total, seed)
         new = self._traced(camera, new, counts, seed, sequence)
-        if history is not None:
-            history.remember(new)
+        if self._history is not None:
+            self._history.remember(new)
         return merged(known, new)
+
+    def known(self, camera: Camera, plan: FoveaPlan, spp: int, seed: int) -> Samples:
+        """What is known of pixels before anything but guides is traced; arguments as of `trace`."""
+        places = guide_places(spp) if self._history is None else max(guide_places(spp), _PLACES_IN_MOTION)
+        seen = self._seen(camera, plan, places, self._sequence(camera, plan, seed))
+        return seen if self._history is None else self._history.recall(camera, seen, places, seed)
+
+    def _sequence(self, camera: Camera, plan: FoveaPlan, seed: int) -> _Sequence:
+        if self._history is None:
+            return _Sequence(np.zeros(len(plan.pixels), dtype=np.int64), seed)
+        return _Sequence(*self._history.taken(camera, plan.pixels, seed))
 
     def _seen(self, camera: Camera, plan: FoveaPlan, places: int, sequence: _Sequence) -> Samples:
         """The plan's pixels with their guides, without light."""
@@ -280,7 +290,13 @@ def _checked(camera: Camera, under: Underlay | None) -> Underlay:
     return under
 
 
+def _without_light(samples: Samples) -> Samples:
+    """The same pixels, as if no sample had been taken."""
+    dark = np.zeros_like(samples.radiance)
+    return replace(samples, count=dark[:, 0], radiance=dark, squares=dark)
+
+
 def _dark(pixels: NDArray[np.uint32]) -> Samples:
-    """No samples of those pixels."""
+    """Pixels of which nothing is known."""
     triple, gloss = np.zeros((len(pixels), 3), dtype=np.float32), np.zeros(len(pixels), dtype=np.uint8)
     return Samples(pixels, triple[:, 0], triple, triple, triple, triple, triple, gloss)
