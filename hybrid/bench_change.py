@@ -99,8 +99,7 @@ def bench_change(
             apply(scene, crop.camera)
             candidates = Candidates(arrays, scene, forest)
             truth, _ = reference(candidates.tracer, crop.camera, reference_spp, 1_000_003)
-            samples = candidates.samples(crop.camera, spp, 0)
-            for method, image in candidates.pictures(crop.camera, samples).items():
+            for method, image in candidates.pictures(crop.camera, spp, 0).items():
                 found.setdefault((change, method), []).append(measured(image, truth))
             progress(number * len(places) + place + 1, len(CHANGES) * len(places))
     return [

@@ -73,7 +73,7 @@ def whole_underlay(periphery: Periphery, camera: Camera) -> Underlay:
 
 
 class Candidates:
-    """All methods on the same samples.
+    """All methods with equally many samples.
 
     Args:
         arrays, scene, forest: what is rendered.
@@ -85,17 +85,15 @@ class Candidates:
         self._fused = Fovea(self.tracer, "fused", fusion_of(forest))
         self._statistical = Fovea(self.tracer, "fused", None)
 
-    def samples(self, camera: Camera, spp: int, seed: int) -> Samples:
-        """Of every pixel."""
-        return self._fused.trace(camera, whole_plan(camera), spp, seed)
-
-    def pictures(self, camera: Camera, samples: Samples) -> dict[str, Image]:
-        """(H, W, 3) of each method."""
+    def pictures(self, camera: Camera, spp: int, seed: int) -> dict[str, Image]:
+        """(H, W, 3) of each method: `fused` as frames have it, the others with as many samples everywhere."""
         under, plan = whole_underlay(self._periphery, camera), whole_plan(camera)
         image = lambda values: values.reshape(camera.height, camera.width, 3)  # noqa: E731
-        fovea = lambda maker: image(  # noqa: E731
-            maker.picture(camera, plan, samples, under.radiance, under).radiance
-        )
+
+        def fovea(maker: Fovea, samples: Samples) -> Image:
+            return image(maker.picture(camera, plan, samples, under.radiance, under).radiance)
+
+        samples = self._fused.trace(camera, plan, spp, seed)
         raw = image(samples.radiance)
         # The better network always: it is what fusion must beat.
         denoised = denoise(raw, image(samples.albedo), image(samples.normal))
@@ -104,8 +102,9 @@ class Candidates:
             "raw": raw,
             "denoised": denoised,
             "mean": 0.5 * (denoised + under.radiance),
-            "statistical": fovea(self._statistical),
-            "fused": fovea(self._fused),
+            "statistical": fovea(self._statistical, samples),
+            "fused, even": fovea(self._fused, samples),
+            "fused": fovea(self._fused, self._fused.trace(camera, plan, spp, seed, under)),
         }
 
 
@@ -161,8 +160,7 @@ def bench_fusion(
         limits.setdefault(crop.scale, []).append(limit)
         for spp in counts:
             for seed in range(seeds):
-                samples = candidates.samples(crop.camera, spp, seed)
-                for method, image in candidates.pictures(crop.camera, samples).items():
+                for method, image in candidates.pictures(crop.camera, spp, seed).items():
                     found.setdefault((crop.scale, spp, method), []).append(measured(image, truth))
         progress(done + 1, len(places))
     return [

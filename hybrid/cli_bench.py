@@ -228,34 +228,6 @@ def bench_fusion(
     write_json(json_file, rows)
 
 
-@bench_app.command("samples")
-def bench_samples(
-    scene: SceneName,
-    frames: FramesFolder,
-    forest: ForestArgument,
-    spp: SppList = None,
-    seeds: Seeds = 2,
-    reference_spp: ReferenceSpp = 1024,
-    backend: Backend = "auto",
-    json_file: Json = None,
-) -> None:
-    """Compare samples that go where they help with as many in every pixel."""
-    select(backend)
-    from hybrid.bench_samples import bench_samples as run
-    from hybrid.device import device_arrays
-    from pathtrace.frames import read_frame_set
-    from splat.files import load_forest
-
-    found, loaded = load_forest(forest), loaded_scene(scene)
-    counts = tuple(spp or (4, 16))
-    with progress_bar("bench (crops)") as bar:
-        rows = run(device_arrays(), loaded, read_frame_set(frames), found, counts, seeds, reference_spp, bar)
-    print("scale   spp  samples       PSNR    SSIM    FLIP")
-    for row in rows:
-        print(f"{row['scale']:>4}x {row['spp']:>5}  {row['method']:<11} {_metrics(row)}")
-    write_json(json_file, rows)
-
-
 @bench_app.command("change")
 def bench_change(
     scene: SceneName,

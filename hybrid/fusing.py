@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
+import torch
 from scipy.ndimage import gaussian_filter
 
 from compose.blend import Image
@@ -60,7 +61,8 @@ def fusion_of(forest: Forest) -> Fusion | None:
         raise UserError("the forest's fusion is damaged or of another version; train it again") from error
     if not all(bool(tensor.isfinite().all()) for tensor in state.values()):
         raise UserError("the forest's fusion holds numbers that are not finite; train it again")
-    return fusion.requires_grad_(False).eval()
+    # Two thirds of the time on a CPU.
+    return fusion.requires_grad_(False).eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
 def _usable(frames: FrameSet) -> list[FrameEntry]:
