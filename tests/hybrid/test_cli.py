@@ -19,7 +19,7 @@ from tests.conftest import real_file
 
 pytestmark = pytest.mark.usefixtures("backend")
 
-TINY_CAPTURE = ["--views", "5", "--held-out", "2", "--size", "32", "32", "--spp", "2", "--held-out-spp", "4"]
+TINY_CAPTURE = ["--views", "5", "--held-out", "3", "--size", "32", "32", "--spp", "2", "--held-out-spp", "4"]
 TINY_TRAINING = ["--iterations", "40", "--gaussians", "400", "--degree", "1", "--layers", "2"]
 
 
@@ -138,12 +138,61 @@ def test_bench_gaze_tells_how_much_a_step_changes(made, monkeypatch, tmp_path, c
     assert "--span 1.0: must be at least one --step, 2.0" in capsys.readouterr().err
 
 
+def bench_of_fovea(name: str, made, monkeypatch, out, *options: object) -> list[dict]:
+    """Rows of a bench of the fovea on the view that nothing was fitted to."""
+    common = ["cornell", made / "frames", made / "box.forest", "--reference-spp", 4, "--json", out]
+    assert run(monkeypatch, "bench", name, *common, *options) == 0
+    return json.loads(out.read_text())
+
+
+def test_bench_fusion_has_a_row_per_scale_count_and_method(made, monkeypatch, tmp_path):
+    options = ["--spp", 1, "--spp", 4, "--seeds", 1]
+    rows = bench_of_fovea("fusion", made, monkeypatch, tmp_path / "b.json", *options)
+    methods = ["splat", "raw", "denoised", "mean", "statistical", "fused, even", "fused"]
+    keys = [(row["scale"], row["spp"], row["method"]) for row in rows]
+    assert keys == [(scale, spp, method) for scale in (1, 2) for spp in (1, 4) for method in methods]
+    by_key = dict(zip(keys, rows, strict=True))
+    assert by_key[1, 1, "splat"]["psnr"] == by_key[1, 4, "splat"]["psnr"]
+    assert by_key[1, 4, "raw"]["psnr"] > by_key[1, 1, "raw"]["psnr"]
+    # Few samples go everywhere.
+    assert by_key[2, 1, "fused"]["psnr"] == by_key[2, 1, "fused, even"]["psnr"]
+    assert all(row["views"] == 1 and row["reference_psnr"] > 10 for row in rows)
+
+
+def test_bench_change_changes_what_is_traced_and_not_the_splats(made, monkeypatch, tmp_path):
+    rows = bench_of_fovea("change", made, monkeypatch, tmp_path / "b.json", "--spp", 4)
+    found = {(row["change"], row["method"]): row["psnr"] for row in rows}
+    changes = {change for change, _ in found}
+    assert changes == {"object moved", "texture swapped", "lamp dimmed"}
+    unchanged = bench_of_fovea("fusion", made, monkeypatch, tmp_path / "f.json", "--spp", 4, "--seeds", 1)
+    splat = next(row["psnr"] for row in unchanged if row["scale"] == 1 and row["method"] == "splat")
+    assert found["texture swapped", "splat"] < splat - 1
+    for change in changes:
+        assert found[change, "denoised"] > found[change, "splat"] + 5
+
+
+def test_bench_motion_compares_a_walk_with_single_frames(made, monkeypatch, tmp_path):
+    rows = bench_of_fovea("motion", made, monkeypatch, tmp_path / "b.json")
+    found = {(row["mode"], row["method"]): row["psnr"] for row in rows}
+    assert len(found) == 9
+    assert found["raw", "16 frames of 1 spp"] > found["raw", "single frame, 1 spp"] + 3
+
+
+def test_bench_seam_has_a_row_per_mode(made, monkeypatch, tmp_path, capsys):
+    display = tmp_path / "d.json"
+    display.write_text(json.dumps({"width": 64, "height": 64, "fov": 40}))
+    rows = bench_of_fovea("seam", made, monkeypatch, tmp_path / "b.json", "--display", display)
+    assert [row["mode"] for row in rows] == ["raw", "denoised", "fused"]
+    assert all(np.isfinite(row["difference"]) and row["sectors"] >= 0 for row in rows)
+    assert "inner against outer side" in capsys.readouterr().out
+
+
 def test_bench_held_out_exchanges_the_periphery_alone(made, monkeypatch, tmp_path):
     out = tmp_path / "h.json"
     common = ["bench", "held-out", made / "frames", made / "box.forest", "--json", out]
     assert run(monkeypatch, *common, "--fov-b", 20) == 0
     rows = json.loads(out.read_text())
-    assert [row["views"] for row in rows] == [2] * 4
+    assert [row["views"] for row in rows] == [3] * 4
     assert run(monkeypatch, *common, "--fov-b", 100) == 0
     whole = json.loads(out.read_text())
     for part, same in zip(rows, whole, strict=True):
