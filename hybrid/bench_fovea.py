@@ -13,8 +13,9 @@ from compose.errors import UserError
 from compose.foveation import FoveaPlan, Foveation
 from compose.samples import Samples
 from compose.view import Camera, Gaze
+from hybrid.disc import Underlay
 from hybrid.flip import flip
-from hybrid.fovea import Fovea, Underlay
+from hybrid.fovea import Fovea
 from hybrid.fusing import fusion_of
 from hybrid.periphery import Periphery, Viewing
 from hybrid.quality import quality
@@ -93,7 +94,7 @@ class Candidates:
         def fovea(maker: Fovea, samples: Samples) -> Image:
             return image(maker.picture(camera, plan, samples, under.radiance, under).radiance)
 
-        samples = self._fused.trace(camera, plan, spp, seed)
+        samples = self._fused.disc.trace(camera, plan, spp, seed)
         raw = image(samples.radiance)
         # The better network always: it is what fusion must beat.
         denoised = denoise(raw, image(samples.albedo), image(samples.normal))
@@ -104,7 +105,7 @@ class Candidates:
             "mean": 0.5 * (denoised + under.radiance),
             "statistical": fovea(self._statistical, samples),
             "fused, even": fovea(self._fused, samples),
-            "fused": fovea(self._fused, self._fused.trace(camera, plan, spp, seed, under)),
+            "fused": fovea(self._fused, self._fused.disc.trace(camera, plan, spp, seed, under)),
         }
 
 

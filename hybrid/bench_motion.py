@@ -119,12 +119,12 @@ def _discs(
     for seed, earlier in enumerate(path[:-1]):
         pixel, _ = earlier.project(watched)
         gaze = Gaze(float(pixel[0, 0]) / camera.width, float(pixel[0, 1]) / camera.height)
-        fovea.trace(earlier, _disc(earlier, gaze), 1, seed)
-    fresh = fovea.known(camera, plan, 1, FRAMES).count == 0
-    samples = fovea.trace(camera, plan, 1, FRAMES)
+        fovea.disc.trace(earlier, _disc(earlier, gaze), 1, seed)
+    fresh = fovea.disc.known(camera, plan, 1, FRAMES).count == 0
+    samples = fovea.disc.trace(camera, plan, 1, FRAMES)
     discs = {f"{FRAMES} frames of 1 spp": shown(fovea, samples)}
     for spp in (1, 8):
-        discs[f"single frame, {spp} spp"] = shown(alone, alone.trace(camera, plan, spp, FRAMES))
+        discs[f"single frame, {spp} spp"] = shown(alone, alone.disc.trace(camera, plan, spp, FRAMES))
     return discs, fresh
 
 

@@ -13,7 +13,7 @@ from compose.blend import Image
 from compose.errors import UserError
 from compose.fitting import ITERATIONS, LEAST_SIZE, Example, fit
 from compose.fusion import Fusion, Parents
-from hybrid.fovea import denoised_for_fusion
+from hybrid.disc import denoised_for_fusion
 from pathtrace.frames import Estimate, FrameEntry, FrameSet, read_estimate, read_frame
 from splat.arrays import Arrays
 from splat.forest import Forest

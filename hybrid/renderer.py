@@ -15,7 +15,8 @@ from compose.errors import UserError
 from compose.foveation import FoveaPlan, Foveation
 from compose.view import Camera
 from hybrid.device import device_arrays
-from hybrid.fovea import Fovea, FoveaPicture, Underlay, is_quick
+from hybrid.disc import Underlay, is_quick
+from hybrid.fovea import Fovea, FoveaPicture
 from hybrid.fusing import fusion_of
 from hybrid.periphery import Periphery, Viewing
 from pathtrace.denoise import denoise
@@ -105,7 +106,7 @@ class HybridRenderer:
         clock.lap("splat")
         under = self.underlay(camera, plan)
         clock.lap("under")
-        samples = self.fovea.trace(camera, plan, spp, seed, under)
+        samples = self.fovea.disc.trace(camera, plan, spp, seed, under)
         clock.lap("trace")
         fovea = self.fovea.picture(camera, plan, samples, periphery, under)
         clock.lap("fovea")
@@ -123,7 +124,7 @@ class HybridRenderer:
     def disc_alone(self, camera: Camera, plan: FoveaPlan, spp: int, seed: int) -> Image:
         """(D, 3) the disc as a frame shows it, without the splats around it."""
         under = self.underlay(camera, plan)
-        samples = self.fovea.trace(camera, plan, spp, seed, under)
+        samples = self.fovea.disc.trace(camera, plan, spp, seed, under)
         around = np.zeros((plan.height, plan.width, 3), dtype=np.float32)
         return self.fovea.picture(camera, plan, samples, around, under).radiance
 

@@ -13,7 +13,8 @@ from compose.blend import srgb_from_radiance
 from compose.errors import UserError
 from compose.foveation import Foveation
 from compose.view import Gaze
-from hybrid.fovea import Fovea, Underlay
+from hybrid.disc import Underlay
+from hybrid.fovea import Fovea
 from hybrid.fusing import fusion_of, with_fusion
 from hybrid.periphery import Viewing
 from hybrid.renderer import HybridRenderer
@@ -63,7 +64,7 @@ def test_the_variance_is_honest(scene):
     """
     camera = scene.camera.resized(32, 32)
     fovea, plan = Fovea(Tracer(scene), "raw"), Foveation(Gaze(), 100, 100).plan(32, 32)
-    runs = [fovea.trace(camera, plan, 16, seed) for seed in range(40)]
+    runs = [fovea.disc.trace(camera, plan, 16, seed) for seed in range(40)]
     estimated = np.mean([run.variance() for run in runs], axis=0)
     actual = np.var([run.radiance for run in runs], axis=0, ddof=1)
     noisy = actual > 1e-6
@@ -87,7 +88,7 @@ def test_splats_of_another_view_are_refused(scene, forest):
     renderer = renderer_of(scene, forest, "fused")
     camera = scene.camera.resized(48, 48)
     plan = FOVEATION.plan(48, 48)
-    samples = renderer.fovea.trace(camera, plan, 1, 0)
+    samples = renderer.fovea.disc.trace(camera, plan, 1, 0)
     under = renderer.underlay(camera, plan)
     around = np.zeros((48, 48, 3), dtype=np.float32)
     with pytest.raises(ValueError, match="needs the splats' picture"):
@@ -149,10 +150,10 @@ def test_samples_go_where_samples_and_splats_disagree(scene, forest):
     under = renderer.underlay(camera, plan)
     wrong = under.radiance.copy()
     wrong[:, 32:] = 1 - np.clip(wrong[:, 32:], 0, 1)
-    samples = renderer.fovea.trace(camera, plan, 8, 0, replace(under, radiance=wrong))
+    samples = renderer.fovea.disc.trace(camera, plan, 8, 0, replace(under, radiance=wrong))
     assert samples.count.sum() == 8 * 64 * 64
     count = samples.count.reshape(64, 64)
     assert count.min() >= 2
     assert count[:, 34:].mean() > 1.5 * count[:, :30].mean()
-    even = renderer.fovea.trace(camera, plan, 8, 0)
+    even = renderer.fovea.disc.trace(camera, plan, 8, 0)
     assert (even.count == 8).all()

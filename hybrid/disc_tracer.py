@@ -1,0 +1,159 @@
+"""Where the samples of a disc go, and what is remembered of earlier ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from compose.foveation import FoveaPlan
+from compose.history import History
+from compose.samples import Samples, merged
+from compose.sampling import allotted, disagreement
+from compose.view import Camera
+from hybrid.disc import Underlay, checked, parents_of
+from pathtrace.film import pixel_positions
+from pathtrace.tracer import Tracer, guide_places
+
+# From so many samples per pixel on, a part of them, traced everywhere, tells where the others are needed.
+_ADAPTIVE_FROM = 4
+_FIRST_SHARE = 0.25
+_FEWEST_FIRST = 2
+_SECOND_STREAM = 0x5EED0000
+# What a history makes of few samples a frame is worth better guides than those few would be.
+_PLACES_WITH_HISTORY = 8
+# Side of the window, in pixels, over which it is looked whether samples are missing.
+_WINDOW = 5
+
+
+class DiscTracer:
+    """Traces discs, sample by sample where they help.
+
+    Args:
+        tracer: of the scene.
+        guided: whether anything will be made of albedo and normal.
+        remembers: whether samples of earlier frames count.
+    """
+
+    def __init__(self, tracer: Tracer, guided: bool, remembers: bool):
+        self._tracer = tracer
+        self._guided = guided or remembers
+        self._history = History() if remembers else None
+
+    def trace(
+        self, camera: Camera, plan: FoveaPlan, spp: int, seed: int, under: Underlay | None = None
+    ) -> Samples:
+        """Samples of the plan's pixels, together with what is remembered of them.
+
+        Args:
+            camera: the view.
+            plan: the disc.
+            spp: samples per pixel, on the mean over the disc.
+            seed: same seed, same samples.
+            under: the splats under the disc; with them, samples go where they help. Without, and where they
+                are few, all pixels get the same number.
+        """
+        if not len(plan.pixels):
+            return _dark(plan.pixels)
+        sequence = self._sequence(camera, plan, seed)
+        known = self.known(camera, plan, spp, seed)
+        new = _without_light(known)
+        total = spp * len(plan.pixels)
+        worth = np.ones(len(plan.pixels), dtype=np.float32)
+        if under is not None and spp >= _ADAPTIVE_FROM:
+            # A few everywhere, then more where they disagree with the splats.
+            first = max(_FEWEST_FIRST, int(_FIRST_SHARE * spp)) * len(plan.pixels)
+            counts = allotted(worth, self._have(plan, known), first, seed)
+            new = self._traced(camera, new, counts, seed, sequence)
+            parents = parents_of(plan, merged(known, new), checked(camera, under))
+            worth = plan.rectangle.taken(disagreement(parents.denoised, parents.splat)[..., None])[:, 0]
+            # Another stream of random numbers than that of the first ones.
+            total, seed = total - first, seed + _SECOND_STREAM
+        counts = allotted(worth, self._have(plan, known) + new.count, total, seed)
+        new = self._traced(camera, new, counts, seed, sequence)
+        if self._history is not None:
+            self._history.remember(new)
+        return merged(known, new)
+
+    def known(self, camera: Camera, plan: FoveaPlan, spp: int, seed: int) -> Samples:
+        """What is known of pixels before anything but guides is traced; arguments as of `trace`."""
+        places = guide_places(spp) if self._history is None else max(guide_places(spp), _PLACES_WITH_HISTORY)
+        seen = self._seen(camera, plan, places, self._sequence(camera, plan, seed))
+        return seen if self._history is None else self._history.recall(camera, seen, places, seed)
+
+    def _sequence(self, camera: Camera, plan: FoveaPlan, seed: int) -> _Sequence:
+        if self._history is None:
+            return _Sequence(np.zeros(len(plan.pixels), dtype=np.int64), seed)
+        return _Sequence(*self._history.taken(camera, plan.pixels, seed))
+
+    def _seen(self, camera: Camera, plan: FoveaPlan, places: int, sequence: _Sequence) -> Samples:
+        """The plan's pixels with their guides, without light."""
+        if not self._guided:
+            return _dark(plan.pixels)
+        positions = pixel_positions(mi.UInt32(plan.pixels), camera.width)
+        seen = self._tracer.guides(camera, positions, places, sequence.pattern, sequence.taken)
+        return replace(
+            _dark(plan.pixels),
+            albedo=_triple(seen.albedo),
+            normal=_triple(seen.normal),
+            position=_triple(seen.place),
+            gloss=seen.gloss.numpy().astype(np.uint8),
+        )
+
+    def _traced(
+        self, camera: Camera, known: Samples, counts: NDArray[np.int64], seed: int, sequence: _Sequence
+    ) -> Samples:
+        """With so many more samples of each pixel, placed in them where earlier ones left gaps."""
+        chosen = np.flatnonzero(counts)
+        counts, pixels = counts[chosen], known.pixels[chosen]
+        taken = sequence.taken[chosen] + known.count[chosen].astype(np.int64)
+        spp = int(counts[0]) if (counts == counts[0]).all() else counts
+        positions = pixel_positions(mi.UInt32(pixels), camera.width)
+        traced = self._tracer.trace(camera, positions, spp, seed, taken, sequence.pattern)
+        count, radiance, squares = map(np.zeros_like, (known.count, known.radiance, known.squares))
+        count[chosen] = counts
+        radiance[chosen], squares[chosen] = _triple(traced.radiance), _triple(traced.squares)
+        return merged(known, replace(known, count=count, radiance=radiance, squares=squares))
+
+    def _have(self, plan: FoveaPlan, known: Samples) -> NDArray[np.float32]:
+        """(D,) samples per pixel around each.
+
+        Those that were carried along fall on pixels as chance will have it. Filling every gap among them
+        would take several samples of a pixel at once, which blur where they are carried in their turn; only
+        what lacks samples as a whole is to be filled.
+        """
+        if self._history is None:
+            return known.count
+        around = plan.rectangle
+        nothing = np.zeros((*around.shape, 1), dtype=np.float32)
+        counted = around.laid(nothing, np.stack([known.count], axis=1))[..., 0]
+        inside = around.laid(nothing, np.ones((len(known.count), 1), dtype=np.float32))[..., 0]
+        mean = uniform_filter(counted, _WINDOW) / np.maximum(uniform_filter(inside, _WINDOW), 1e-3)
+        return np.where(known.count < 1, 0, np.maximum(around.taken(mean[..., None])[:, 0], 1))
+
+
+@dataclass(frozen=True)
+class _Sequence:
+    """Where samples go in their pixels: (D,) how many there are already, and the seed of the pattern."""
+
+    taken: NDArray[np.int64]
+    pattern: int
+
+
+def _triple(channels: list[mi.Float]) -> NDArray[np.float32]:
+    return np.stack([channel.numpy() for channel in channels], axis=1)
+
+
+def _without_light(samples: Samples) -> Samples:
+    """The same pixels, as if no sample had been taken."""
+    dark = np.zeros_like(samples.radiance)
+    return replace(samples, count=dark[:, 0], radiance=dark, squares=dark)
+
+
+def _dark(pixels: NDArray[np.uint32]) -> Samples:
+    """Pixels of which nothing is known."""
+    triple, gloss = np.zeros((len(pixels), 3), dtype=np.float32), np.zeros(len(pixels), dtype=np.uint8)
+    return Samples(pixels, triple[:, 0], triple, triple, triple, triple, triple, gloss)
