@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.samples import DIFFUSE, Samples
+from compose.samples import DIFFUSE, SPECULAR, Samples
 from compose.view import Camera
 
 Array = NDArray[np.float32]
@@ -170,6 +170,9 @@ def _seen_from(
     distance = np.linalg.norm(old.position[kept] - camera.position, axis=1)
     same = distance >= nearest[down // 2, across // 2] * (1 - _SAME_SURFACE)
     same &= distance <= farthest[down // 2, across // 2] * (1 + _SAME_SURFACE)
+    # What mirrors or bends is thin here and there, and what is seen beside it is far behind.
+    specular = _image(new.gloss == SPECULAR, camera, new, rows, columns)[down // 2, across // 2]
+    same &= ~specular | (old.gloss[kept] == SPECULAR)
     same |= certain
     kept, across, down, distance = kept[same], across[same], down[same], distance[same]
     if not len(kept):
@@ -184,6 +187,16 @@ def _seen_from(
     light = np.hstack([old.radiance[kept], old.squares[kept]])
     count, sums = _added_up(target, weight, light, height * width)
     return _Seen(rows, columns, count.reshape(height, width), sums.reshape(height, width, 6))
+
+
+def _image(
+    values: NDArray[np.bool_], camera: Camera, samples: Samples, rows: slice, columns: slice
+) -> NDArray[np.bool_]:
+    """(h, w) of the samples' values (D,) in the rectangle."""
+    row, column = np.divmod(samples.pixels.astype(np.int64), camera.width)
+    image = np.zeros((rows.stop - rows.start, columns.stop - columns.start), dtype=bool)
+    image[row - rows.start, column - columns.start] = values
+    return image
 
 
 def _added_up(

@@ -69,7 +69,8 @@ class DiscTracer:
             counts = allotted(worth, self._have(plan, known), first, seed)
             new = self._traced(camera, new, counts, seed, sequence)
             parents = parents_of(plan, merged(known, new), checked(camera, under))
-            worth = plan.rectangle.taken(disagreement(parents.denoised, parents.splat)[..., None])[:, 0]
+            differs = disagreement(parents.denoised, parents.splat)
+            worth = plan.rectangle.taken(differs[..., None])[:, 0]
             # Another stream of random numbers than that of the first ones.
             total, seed = total - first, seed + _SECOND_STREAM
         counts = allotted(worth, self._have(plan, known) + new.count, total, seed)
