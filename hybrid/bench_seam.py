@@ -24,6 +24,8 @@ _MODES = ("raw", "denoised", "fused")
 _SCALE = 2
 # Of the band, all around: wide enough to average noise, narrow enough to show where the seam is.
 _SECTORS = 24
+# No difference is taken relative to less luminance than this.
+_DARK = 0.01
 
 
 def bench_seam(
@@ -72,9 +74,9 @@ def _seam(frame: Frame, truth: Image, display: Display, gaze: Gaze) -> dict[str,
     difference = _luminance(frame.fovea.radiance[band]) - outer
     sector = _sectors(plan, pixels)
     present = np.unique(sector)
-    local = [difference[sector == s].mean() / max(right[sector == s].mean(), 1e-3) for s in present]
+    local = [difference[sector == s].mean() / max(right[sector == s].mean(), _DARK) for s in present]
     row = {
-        "difference": float(difference.mean() / right.mean()),
+        "difference": float(difference.mean() / max(right.mean(), _DARK)),
         "sectors": float(np.sqrt(np.mean(np.square(local)))),
     }
     exchanged = truth.copy()
