@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from compose.blend import Image
+from compose.errors import UserError
 from compose.foveation import FoveaPlan, Foveation
 from compose.fusion import Fusion
 from compose.rectangle import Rectangle
@@ -21,7 +21,7 @@ from hybrid.fovea import Fovea
 from hybrid.fusing import fusion_of
 from hybrid.periphery import Periphery, Viewing
 from hybrid.quality import psnr
-from pathtrace.film import FilmPositions
+from pathtrace.film import frame_positions
 from pathtrace.frames import FrameSet
 from pathtrace.scene import Scene
 from pathtrace.tracer import Tracer
@@ -105,8 +105,7 @@ def _discs(
     tracer: Tracer, periphery: Periphery, fusion: Fusion | None, mode: str, camera: Camera, plan: FoveaPlan
 ) -> tuple[dict[str, Image], NDArray[np.bool_]]:
     """The walk's last disc by each method, and which of its pixels have no history."""
-    middle = mi.Float([camera.cx - 0.5]), mi.Float([camera.cy - 0.5])
-    distance = float(tracer.hits(camera, FilmPositions(*middle)).distance[0])
+    distance = _distance(tracer, camera)
     ray = camera.rays(np.array([[camera.cx, camera.cy]]))
     watched = camera.position + distance * ray
     fovea, alone = Fovea(tracer, mode, fusion, remembers=True), Fovea(tracer, mode, fusion)
@@ -126,6 +125,16 @@ def _discs(
     for spp in (1, 8):
         discs[f"single frame, {spp} spp"] = shown(alone, alone.disc.trace(camera, plan, spp, FRAMES))
     return discs, fresh
+
+
+def _distance(tracer: Tracer, camera: Camera) -> float:
+    """Of what lies in the middle of the view; if that is sky, the median of what is seen."""
+    found = tracer.hits(camera, frame_positions(camera)).distance
+    middle = found[camera.height // 2 * camera.width + camera.width // 2]
+    hits = found[np.isfinite(found)]
+    if not len(hits):
+        raise UserError("a view sees nothing to walk past")
+    return float(middle if np.isfinite(middle) else np.median(hits))
 
 
 def _reference(tracer: Tracer, camera: Camera, around: Rectangle, spp: int) -> Image:
