@@ -19,7 +19,7 @@ from compose.view import Camera
 Array = NDArray[np.float32]
 
 # Nothing farther away counts as another surface if its distance differs by less, relatively.
-_SAME_SURFACE = 0.02
+_SAME_SURFACE = 0.005
 # Degrees by which the direction of sight may change until what shines there is another: by gloss.
 _MOST_TURN = np.array([np.inf, 8.0, 0.2])
 # Views that a moving camera remembers, and samples per pixel of each: old errors fade.
