@@ -1,0 +1,35 @@
+"""A disc's pixels as an image and back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from compose.foveation import Foveation
+from compose.rectangle import Rectangle
+from compose.view import Gaze
+from tests import small
+
+
+@pytest.mark.parametrize("gaze", [Gaze(), Gaze(0.05, 0.9), Gaze(0.3, 0.45)])
+def test_values_go_where_their_pixels_are_and_come_back(gaze):
+    plan = Foveation(gaze, 30, 20).plan(64, 48)
+    image = small.rng().uniform(0, 1, (48, 64, 3)).astype(np.float32)
+    around = plan.rectangle
+    values = image.reshape(-1, 3)[plan.pixels]
+    part = around.part_of(image)
+    np.testing.assert_array_equal(around.taken(part), values)
+    np.testing.assert_array_equal()
+    np.testing.assert_array_equal(around.laid(part, values), part)
+    assert np.count_nonzero(around.laid(part * 0, values + 1)) == values.size
+
+
+def test_pixels_need_not_lie_side_by_side():
+    plan = Foveation(Gaze(), 30, 20).plan(64, 48)
+    some = plan.pixels[::3]
+    around = Rectangle.around(some, 64)
+    values = np.arange(len(some), dtype=np.float32)[:, None] + 1
+    laid = around.laid(np.zeros((*around.shape, 1), dtype=np.float32), values)
+    np.testing.assert_array_equal(around.taken(laid), values)
+    rows, columns = around.box
+    np.testing.assert_array_equal(laid[some // 64 - rows.start, some % 64 - columns.start, 0], values[:, 0])
