@@ -19,7 +19,6 @@ def test_values_go_where_their_pixels_are_and_come_back(gaze):
     values = image.reshape(-1, 3)[plan.pixels]
     part = around.part_of(image)
     np.testing.assert_array_equal(around.taken(part), values)
-    np.testing.assert_array_equal()
     np.testing.assert_array_equal(around.laid(part, values), part)
     assert np.count_nonzero(around.laid(part * 0, values + 1)) == values.size
 
