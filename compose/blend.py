@@ -19,11 +19,13 @@ def blend(periphery: Image, fovea: NDArray[np.float32], plan: FoveaPlan) -> Imag
         plan: which pixels those are, and their weights.
     """
     composite = np.array(periphery, dtype=np.float32, order="C")
-    flat = composite.reshape(-1, 3)
-    weight = plan.weights[:, None]
-    mixed = flat[plan.pixels] * (1 - weight) + fovea * weight
+    if not len(plan.pixels):
+        return composite
+    around, weight = plan.rectangle, plan.weights[:, None]
+    part = around.part_of(composite)
+    mixed = around.taken(part) * (1 - weight) + fovea * weight
     # Where only one picture counts it is taken as it is: 0 times a lamp's infinity is not 0.
-    flat[plan.pixels] = np.where(weight >= 1, fovea, mixed)
+    composite[around.box] = around.laid(part, np.where(weight >= 1, fovea, mixed))
     return composite
 
 
