@@ -104,8 +104,8 @@ class FoveaPlan:
 
     @cached_property
     def rectangle(self) -> Rectangle:
-        """The smallest around the disc; there must be a disc."""
-        return Rectangle.around(self.pixels, self.width)
+        """That around the disc; there must be a disc."""
+        return Rectangle.around(self.pixels, self.width, self.height)
 
     def foveal_tiles(self, tile: int) -> NDArray[np.bool_]:
         """(rows, columns) bool: tiles that the rectangle around the disc touches."""

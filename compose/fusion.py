@@ -102,9 +102,12 @@ class Fusion(torch.nn.Module):
 
     def forward(self, looks: Looks) -> Tensor:
         """(N, OUTPUTS, H, W)."""
-        hidden = torch.cat([functional.relu(self.reduce(looks.fine)), looks.coarse], 1)
+        # Convolutions are quickest with channels last, all else with channels first.
+        coarse = looks.coarse.contiguous(memory_format=torch.channels_last)
+        fine = looks.fine.contiguous(memory_format=torch.channels_last)
+        hidden = torch.cat([functional.relu(self.reduce(fine)), coarse], 1)
         hidden = functional.relu(self.relate(hidden))
-        return functional.pixel_shuffle(self.judge(hidden), 2)
+        return functional.pixel_shuffle(self.judge(hidden), 2).contiguous()
 
 
 @dataclass(frozen=True)
@@ -127,9 +130,12 @@ class Looks:
 
 
 def perceived(radiance: Tensor) -> Tensor:
-    """About what sRGB makes of radiance up to 1, and its logarithm beyond: finite slopes, no upper end."""
-    low = (radiance.clamp(0, 1) + 1e-3) ** (1 / 2.2)
-    return low + torch.log(radiance.clamp(min=1)) / 2.2
+    """About what sRGB makes of radiance up to 1, and slower growth beyond: finite slopes, no upper end.
+
+    Square roots take a tenth of the time of other powers.
+    """
+    low = torch.sqrt(radiance.clamp(0, 1) + 1e-3)
+    return low + 2 * (torch.sqrt(torch.sqrt(radiance.clamp(min=1))) - 1)
 
 
 def _mean(image: Tensor) -> Tensor:
@@ -140,7 +146,12 @@ def _mean(image: Tensor) -> Tensor:
 
 
 def _halved(image: Tensor) -> Tensor:
-    return functional.avg_pool2d(image, 2, ceil_mode=True)
+    """Means of 2 x 2 pixels, at odd ends of fewer; for even sides, pooling takes three times as long."""
+    if image.shape[-1] % 2 or image.shape[-2] % 2:
+        return functional.avg_pool2d(image, 2, ceil_mode=True)
+    return 0.25 * (
+        image[..., ::2, ::2] + image[..., 1::2, ::2] + image[..., ::2, 1::2] + image[..., 1::2, 1::2]
+    )
 
 
 def _enlarged(image: Tensor, like: Tensor) -> Tensor:

@@ -28,11 +28,14 @@ class Rectangle:
     spans: list[tuple[int, int, int]]
 
     @staticmethod
-    def around(pixels: NDArray[np.uint32], width: int) -> Rectangle:
-        """That of (D,) pixels of a frame of that width, at least one, in the order of their indices."""
+    def around(pixels: NDArray[np.uint32], width: int, height: int) -> Rectangle:
+        """That of (D,) pixels of a frame of that size, at least one, in the order of their indices.
+
+        Its sides are even where the frame allows it, since fusing looks at blocks of 2 x 2 pixels.
+        """
         row, column = np.divmod(pixels.astype(np.int64), width)
-        rows = slice(int(row[0]), int(row[-1]) + 1)
-        columns = slice(int(column.min()), int(column.max()) + 1)
+        rows = _evenly(int(row[0]), int(row[-1]) + 1, height)
+        columns = _evenly(int(column.min()), int(column.max()) + 1, width)
         shape = rows.stop - rows.start, columns.stop - columns.start
         place = (row - rows.start) * shape[1] + column - columns.start
         first = np.concatenate([[0], np.flatnonzero(np.diff(place) != 1) + 1])
@@ -59,3 +62,12 @@ class Rectangle:
         for first, start, stop in self.spans:
             values[first : first + stop - start] = flat[start:stop]
         return values
+
+
+def _evenly(start: int, stop: int, end: int) -> slice:
+    """From start to stop within 0..end, one further if that makes it even."""
+    if (stop - start) % 2 and stop < end:
+        return slice(start, stop + 1)
+    if (stop - start) % 2 and start > 0:
+        return slice(start - 1, stop)
+    return slice(start, stop)

@@ -26,9 +26,22 @@ def test_values_go_where_their_pixels_are_and_come_back(gaze):
 def test_pixels_need_not_lie_side_by_side():
     plan = Foveation(Gaze(), 30, 20).plan(64, 48)
     some = plan.pixels[::3]
-    around = Rectangle.around(some, 64)
+    around = Rectangle.around(some, 64, 48)
     values = np.arange(len(some), dtype=np.float32)[:, None] + 1
     laid = around.laid(np.zeros((*around.shape, 1), dtype=np.float32), values)
     np.testing.assert_array_equal(around.taken(laid), values)
     rows, columns = around.box
     np.testing.assert_array_equal(laid[some // 64 - rows.start, some % 64 - columns.start, 0], values[:, 0])
+
+
+@pytest.mark.parametrize("gaze", [Gaze(), Gaze(0.05, 0.9), Gaze(0.31, 0.45)])
+def test_the_sides_are_even_where_the_frame_allows_it(gaze):
+    for width, height in ((64, 48), (63, 47)):
+        plan = Foveation(gaze, 30, 20).plan(width, height)
+        for side, whole in zip(plan.rectangle.shape, (height, width), strict=True):
+            assert side % 2 == 0 or side == whole
+        mask = plan.rectangle.laid(
+            np.zeros((*plan.rectangle.shape, 1), dtype=np.float32),
+            np.ones((len(plan.pixels), 1), dtype=np.float32),
+        )
+        assert mask.sum() == len(plan.pixels)
