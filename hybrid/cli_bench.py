@@ -201,6 +201,10 @@ def bench_fusion(
     frames: FramesFolder,
     forest: ForestArgument,
     spp: SppList = None,
+    scale: Annotated[
+        list[int] | None,
+        typer.Option(help="Resolution over that of the frame set; may be given several times.", min=1, max=8),
+    ] = None,
     seeds: Seeds = 2,
     reference_spp: ReferenceSpp = 1024,
     backend: Backend = "auto",
@@ -213,11 +217,11 @@ def bench_fusion(
     from pathtrace.frames import read_frame_set
     from splat.files import load_forest
 
-    counts = tuple(spp or (1, 2, 4, 16, 64))
+    counts, scales = tuple(spp or (1, 2, 4, 16, 64)), tuple(scale or (1, 2))
     found, loaded = load_forest(forest), loaded_scene(scene)
     with progress_bar("bench (crops)") as bar:
         rows = run(
-            device_arrays(), loaded, read_frame_set(frames), found, counts, (1, 2), seeds, reference_spp, bar
+            device_arrays(), loaded, read_frame_set(frames), found, counts, scales, seeds, reference_spp, bar
         )
     print("scale   spp  method        PSNR    SSIM    FLIP   reference")
     for row in rows:
