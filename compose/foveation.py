@@ -16,7 +16,7 @@ from compose.errors import UserError
 from compose.rectangle import Rectangle
 from compose.view import Gaze
 
-_MODES = ("raw", "denoised", "fused")
+MODES = ("raw", "denoised", "fused")
 
 
 def mode_named(name: str) -> str:
@@ -25,8 +25,8 @@ def mode_named(name: str) -> str:
     Raises:
         UserError: there is no such way.
     """
-    if name not in _MODES:
-        raise UserError(f"--fovea {name}: must be {', '.join(_MODES[:-1])} or {_MODES[-1]}")
+    if name not in MODES:
+        raise UserError(f"--fovea {name}: must be {', '.join(MODES[:-1])} or {MODES[-1]}")
     return name
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.blend import Image
-from compose.foveation import FoveaPlan, Foveation
+from compose.foveation import MODES, FoveaPlan, Foveation
 from compose.view import Display, Gaze
 from hybrid.bench_fovea import means, reference, unfitted_views
 from hybrid.fovvideovdp import jod
@@ -20,7 +20,6 @@ from pathtrace.scene import Scene
 from splat.forest import Forest
 
 GAZES = (Gaze(0.5, 0.5), Gaze(0.35, 0.4))
-_MODES = ("raw", "denoised", "fused")
 _SCALE = 2
 # Of the band, all around: wide enough to average noise, narrow enough to show where the seam is.
 _SECTORS = 24
@@ -47,9 +46,9 @@ def bench_seam(
         reference_spp: samples per pixel of the references.
         progress: called with views done and views in all.
     """
-    found: dict[str, list[dict[str, float]]] = {mode: [] for mode in _MODES}
+    found: dict[str, list[dict[str, float]]] = {mode: [] for mode in MODES}
     views = unfitted_views(frames)
-    renderers = {mode: HybridRenderer(scene, forest, Viewing(display), mode) for mode in _MODES}
+    renderers = {mode: HybridRenderer(scene, forest, Viewing(display), mode) for mode in MODES}
     for done, view in enumerate(views):
         camera = view.resized(view.width * _SCALE, view.height * _SCALE)
         truth, _ = reference(renderers["raw"].tracer, camera, reference_spp, 1_000_003)

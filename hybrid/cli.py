@@ -27,9 +27,11 @@ from hybrid.options import (
     Layers,
     SceneName,
     Seed,
+    Size,
     Spp,
     loaded_scene,
     select,
+    sized,
     write_json,
 )
 from hybrid.progress import progress_bar
@@ -245,7 +247,7 @@ def render(
     fov_a: FovA = 20.0,
     fov_b: FovB = 15.0,
     spp: Spp = 4,
-    size: Annotated[tuple[int, int] | None, typer.Option(metavar="W H", help="Default: the scene's.")] = None,
+    size: Size = None,
     fovea: Annotated[
         str,
         typer.Option(
@@ -405,11 +407,7 @@ def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None) -> Came
             raise UserError(
                 f"--camera {file}: must be JSON with w, h, fl_x, fl_y, cx, cy, transform_matrix ({error!r})"
             ) from error
-    if size is None:
-        return camera
-    if min(size) <= 0:
-        raise UserError(f"--size {size[0]} {size[1]}: must be positive")
-    return camera.resized(*size)
+    return sized(camera, size)
 
 
 def _checked(kind: Any, **values: Any) -> Any:

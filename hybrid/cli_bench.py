@@ -12,12 +12,16 @@ from hybrid.options import (
     Backend,
     DisplayName,
     ForestFile,
+    FovA,
     FovB,
     Json,
     SceneName,
     Seed,
+    Size,
+    Spp,
     loaded_scene,
     select,
+    sized,
     write_json,
 )
 from hybrid.progress import progress_bar
@@ -184,6 +188,41 @@ def bench_held_out(
     if rows[0]["jod"] is None:
         print(INSTALL)
     write_json(json_file, rows)
+
+
+@bench_app.command("passes")
+def bench_passes(
+    scene: SceneName,
+    forest: ForestFile = None,
+    size: Size = None,
+    fov_a: FovA = 20.0,
+    fov_b: FovB = 15.0,
+    spp: Spp = 2,
+    repeats: Annotated[int, typer.Option(help="Measured frames per mode.", min=3)] = 15,
+    warm_up: Annotated[int, typer.Option(help="Frames before that.", min=1)] = 3,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Time each pass of a frame with a raw, a denoised and a fused fovea, interleaved."""
+    from compose.foveation import Foveation
+    from compose.view import Gaze
+
+    Foveation(Gaze(), fov_a, fov_b)
+    select(backend)
+    from hybrid.bench_passes import bench_passes as run
+    from hybrid.cache import forest_for
+    from hybrid.timing import machine
+
+    loaded = loaded_scene(scene)
+    camera, found = sized(loaded.camera, size), forest_for(loaded, forest)
+    with progress_bar("bench (rounds)") as bar:
+        rows = run(loaded, found, camera, (fov_a, fov_b), spp, repeats, warm_up, bar)
+    names = list(rows[0]["passes"])
+    print("fovea    " + "".join(f"{name:>8}" for name in names) + "   made / traced  over raw   (median ms)")
+    for row in rows:
+        times = "".join(f"{row['passes'][name]['p50']:>8.1f}" for name in names)
+        print(f"{row['mode']:<9}{times}   {row['share_of_tracing']:>13.1%} {row['over_raw']:>9.1%}")
+    write_json(json_file, [{**row, "scene": loaded.name, "machine": machine()} for row in rows])
 
 
 FramesFolder = Annotated[Path, typer.Argument(metavar="FRAMES", help="Folder of the scene's frame set.")]

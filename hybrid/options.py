@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from compose.errors import UserError
 from compose.files import write_whole
 
 if TYPE_CHECKING:
+    from compose.view import Camera
     from pathtrace.scene import Scene
 
 SceneName = Annotated[
@@ -43,6 +45,9 @@ Layers = Annotated[
 DisplayName = Annotated[
     str, typer.Option(metavar="NAME", help="desktop, hmd, or a JSON file with width, height and fov.")
 ]
+Size = Annotated[
+    tuple[int, int] | None, typer.Option("--size", metavar="W H", help="Frame size. Default: the scene's.")
+]
 Spp = Annotated[int, typer.Option("--spp", help="Samples per pixel in the disc.", min=1)]
 
 
@@ -58,6 +63,15 @@ def loaded_scene(source: str, max_depth: int | None = None) -> Scene:
     from pathtrace.scene import load_scene
 
     return load_scene(source, max_depth)
+
+
+def sized(camera: Camera, size: tuple[int, int] | None) -> Camera:
+    """The camera at the size that `--size` asks for."""
+    if size is None:
+        return camera
+    if min(size) <= 0:
+        raise UserError(f"--size {size[0]} {size[1]}: must be positive")
+    return camera.resized(*size)
 
 
 def write_json(path: Path | None, content: Any) -> None:

@@ -138,6 +138,23 @@ def test_bench_gaze_tells_how_much_a_step_changes(made, monkeypatch, tmp_path, c
     assert "--span 1.0: must be at least one --step, 2.0" in capsys.readouterr().err
 
 
+def test_bench_passes_times_each_pass_of_each_mode(made, monkeypatch, tmp_path, capsys):
+    out = tmp_path / "p.json"
+    common = ["bench", "passes", "cornell", "--forest", made / "box.forest", "--json", out]
+    assert run(monkeypatch, *common, "--size", 96, 64, "--repeats", 3, "--warm-up", 1) == 0
+    rows = {row["mode"]: row for row in json.loads(out.read_text())}
+    assert list(rows) == ["raw", "denoised", "fused"]
+    for row in rows.values():
+        assert (row["width"], row["height"], row["spp"], row["repeats"]) == (96, 64, 2, 3)
+        passes = row["passes"]
+        assert list(passes) == ["plan", "detail", "splat", "under", "trace", "fovea", "blend", "total"]
+        assert sum(passes[name]["p50"] for name in list(passes)[:-1]) < 2 * passes["total"]["p95"]
+    assert rows["fused"]["passes"]["fovea"]["p50"] > 10 * rows["raw"]["passes"]["fovea"]["p50"]
+    assert rows["fused"]["share_of_tracing"] > rows["raw"]["share_of_tracing"]
+    assert run(monkeypatch, *common, "--size", 0, 64) == 2
+    assert "--size 0 64: must be positive" in capsys.readouterr().err
+
+
 def bench_of_fovea(name: str, made, monkeypatch, out, *options: object) -> list[dict]:
     """Rows of a bench of the fovea on the view that nothing was fitted to."""
     common = ["cornell", made / "frames", made / "box.forest", "--reference-spp", 4, "--json", out]
