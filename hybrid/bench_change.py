@@ -10,7 +10,8 @@ import numpy as np
 
 from compose.errors import UserError
 from compose.view import Camera
-from hybrid.bench_fovea import Candidates, crops, means, measured, reference, unfitted_views
+from hybrid.bench_fovea import Candidates, crops, means, measured, unfitted_views
+from hybrid.reference import reference
 from pathtrace.film import frame_positions
 from pathtrace.frames import FrameSet
 from pathtrace.scene import Scene
@@ -98,7 +99,7 @@ def bench_change(
             scene = load()
             apply(scene, crop.camera)
             candidates = Candidates(arrays, scene, forest)
-            truth, _ = reference(candidates.tracer, crop.camera, reference_spp, 1_000_003)
+            truth = reference(candidates.tracer, crop.camera, reference_spp, 1_000_003).radiance
             for method, image in candidates.pictures(crop.camera, spp, 0).items():
                 found.setdefault((change, method), []).append(measured(image, truth))
             progress(number * len(places) + place + 1, len(CHANGES) * len(places))

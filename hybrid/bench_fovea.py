@@ -19,7 +19,7 @@ from hybrid.fovea import Fovea
 from hybrid.fusing import fusion_of
 from hybrid.periphery import Periphery, Viewing
 from hybrid.quality import quality
-from pathtrace.capture import render_frame
+from hybrid.reference import reference
 from pathtrace.denoise import denoise
 from pathtrace.frames import FrameSet
 from pathtrace.scene import Scene
@@ -109,14 +109,6 @@ class Candidates:
         }
 
 
-def reference(tracer: Tracer, camera: Camera, spp: int, seed: int) -> tuple[Image, float]:
-    """Converged radiance (H, W, 3), and the PSNR that the noise left in it allows, from its two halves."""
-    halves = [render_frame(tracer, camera, spp // 2, seed + half).radiance for half in range(2)]
-    mean = 0.5 * (halves[0] + halves[1])
-    # Their difference has four times the mean's squared error.
-    return mean, quality(halves[0], halves[1])["psnr"] + 10 * np.log10(4)
-
-
 def measured(image: Image, truth: Image) -> dict[str, float]:
     """All metrics that are installed."""
     found = quality(image, truth)
@@ -157,12 +149,12 @@ def bench_fusion(
     limits: dict[int, list[float]] = {}
     places = list(crops(unfitted_views(frames), scales, 0.4))
     for done, crop in enumerate(places):
-        truth, limit = reference(candidates.tracer, crop.camera, reference_spp, 1_000_003)
-        limits.setdefault(crop.scale, []).append(limit)
+        truth = reference(candidates.tracer, crop.camera, reference_spp, 1_000_003)
+        limits.setdefault(crop.scale, []).append(truth.psnr)
         for spp in counts:
             for seed in range(seeds):
                 for method, image in candidates.pictures(crop.camera, spp, seed).items():
-                    found.setdefault((crop.scale, spp, method), []).append(measured(image, truth))
+                    found.setdefault((crop.scale, spp, method), []).append(measured(image, truth.radiance))
         progress(done + 1, len(places))
     return [
         {

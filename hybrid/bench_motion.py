@@ -16,11 +16,12 @@ from compose.fusion import Fusion
 from compose.rectangle import Rectangle
 from compose.samples import Samples
 from compose.view import Camera, Gaze
-from hybrid.bench_fovea import means, measured, reference, unfitted_views, whole_underlay
+from hybrid.bench_fovea import means, measured, unfitted_views, whole_underlay
 from hybrid.fovea import Fovea
 from hybrid.fusing import fusion_of
 from hybrid.periphery import Periphery, Viewing
 from hybrid.quality import psnr
+from hybrid.reference import reference
 from pathtrace.film import frame_positions
 from pathtrace.frames import FrameSet
 from pathtrace.scene import Scene
@@ -142,7 +143,7 @@ def _reference(tracer: Tracer, camera: Camera, around: Rectangle, spp: int) -> I
     rows, columns = around.box
     height, width = around.shape
     crop = camera.cropped(columns.start, rows.start, width, height)
-    return around.taken(reference(tracer, crop, spp, 1_000_003)[0])
+    return around.taken(reference(tracer, crop, spp, 1_000_003).radiance)
 
 
 def _measured(around: Rectangle, disc: Image, truth: Image, fresh: NDArray[np.bool_]) -> dict[str, float]:

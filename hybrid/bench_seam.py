@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from compose.blend import Image
 from compose.foveation import MODES, FoveaPlan, Foveation
 from compose.view import Display, Gaze
-from hybrid.bench_fovea import means, reference, unfitted_views
+from hybrid.bench_fovea import means, unfitted_views
 from hybrid.fovvideovdp import jod
 from hybrid.periphery import Viewing
+from hybrid.reference import reference
 from hybrid.renderer import Frame, HybridRenderer
 from pathtrace.frames import FrameSet
 from pathtrace.scene import Scene
@@ -51,7 +52,7 @@ def bench_seam(
     renderers = {mode: HybridRenderer(scene, forest, Viewing(display), mode) for mode in MODES}
     for done, view in enumerate(views):
         camera = view.resized(view.width * _SCALE, view.height * _SCALE)
-        truth, _ = reference(renderers["raw"].tracer, camera, reference_spp, 1_000_003)
+        truth = reference(renderers["raw"].tracer, camera, reference_spp, 1_000_003).radiance
         for gaze in GAZES:
             for mode, renderer in renderers.items():
                 frame = renderer.frame(camera, Foveation(gaze), spp, done)

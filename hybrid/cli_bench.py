@@ -231,7 +231,7 @@ SppList = Annotated[
     list[int] | None, typer.Option(help="Samples per pixel; may be given several times.", min=1)
 ]
 Seeds = Annotated[int, typer.Option(help="Runs of each.", min=1)]
-ReferenceSpp = Annotated[int, typer.Option(help="Samples per pixel of the references.", min=2)]
+ReferenceSpp = Annotated[int, typer.Option(help="Samples per pixel of the references.", min=4)]
 
 
 @bench_app.command("fusion")
