@@ -6,6 +6,8 @@ them and says per pixel what each is worth. Three things are built around it:
 
 - The splats are sharpened first: where the traced albedo varies within the size of a splat, so must the
   radiance. How much of that variation they lack is part of what the network says.
+- Where there are many samples, they tell whether the denoised ones are nearer to the truth than what the
+  network says, which has never seen so many.
 - The result is drawn towards the traced radiance wherever the two differ by more than noise explains, in
   the spirit of the James-Stein combiner of Gu et al. 2022: with more samples its weight goes to 1.
 - What is not a number in one parent gets no weight.
@@ -32,6 +34,10 @@ _FLOOR = 0.005
 _TAILS = 20.0
 # Least spread of the samples anywhere, in that of the whole picture.
 _SPREAD = 0.5
+# From so many samples per pixel on the samples can tell whether denoising them has come nearer to the truth
+# than the network, and how strongly their noise is held against that.
+_TELLING_COUNT = 32
+_CAUTION = 24.0
 # Parents, in the order of their weights.
 PARENTS = ("traced", "denoised", "splat")
 
@@ -253,6 +259,10 @@ def fuse(parents: Parents, fusion: Fusion | None) -> Fused:
         else:
             looks = looks_of(images, count, torch.tensor([float(parents.enlargement)]))
             radiance, weights = mixture(fusion(looks), images[:3], looks.texture)
+        if float(count.mean()) >= _TELLING_COUNT:
+            share = regressed(radiance, denoised, traced, variance)
+            radiance, weights = torch.lerp(radiance, denoised, share), weights * (1 - share)
+            weights[:, 1:2] += share
         share = trust(radiance, traced, variance, count)
         radiance = torch.lerp(traced, radiance, share)
         weights = weights * share
@@ -273,6 +283,21 @@ def statistical(traced: Tensor, denoised: Tensor, splat: Tensor, variance: Tenso
     share = _enlarged(bias / (bias + explained / 36 + 1e-8), splat)
     weights = torch.cat([torch.zeros_like(share), share, 1 - share], 1)
     return torch.lerp(splat, denoised, share), weights
+
+
+def regressed(estimate: Tensor, other: Tensor, traced: Tensor, variance: Tensor) -> Tensor:
+    """(N, 1, H, W): how far on the way from an estimate to another one the traced radiance lies, 0..1.
+
+    The place is that of least squares over some 6 x 6 pixels. The variance of their mean is added to the
+    squared length of the way: where the two estimates differ by less than noise, the first one is kept.
+    """
+    known = torch.isfinite(variance).all(1, keepdim=True)
+    noise = torch.where(known, variance, 0).mean(1, keepdim=True)
+    way = other - estimate
+    along = ((traced - estimate) * way).mean(1, keepdim=True)
+    maps = _mean(_halved(torch.cat([along, (way**2).mean(1, keepdim=True), noise], 1)))
+    share = maps[:, 0:1] / (maps[:, 1:2] + _CAUTION * maps[:, 2:3] / 36 + 1e-12)
+    return torch.where(known, _enlarged(share.clamp(0, 1), traced), 0.0)
 
 
 def trust(estimate: Tensor, traced: Tensor, variance: Tensor, count: Tensor) -> Tensor:
