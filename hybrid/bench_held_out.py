@@ -12,9 +12,9 @@ from compose.blend import Image
 from compose.errors import UserError
 from compose.foveation import Foveation
 from compose.view import Camera, Display, Gaze
-from hybrid.fovvideovdp import jod
+from hybrid.metrics.fovvideovdp import jod
+from hybrid.metrics.similarity import quality
 from hybrid.periphery import Periphery, Viewing
-from hybrid.quality import quality
 from pathtrace.frames import FrameSet, read_frame
 from splat.arrays import Arrays
 from splat.forest import Forest

@@ -20,7 +20,7 @@ from hybrid.bench_fovea import means, measured, unfitted_views, whole_underlay
 from hybrid.fovea import Fovea
 from hybrid.fusing import fusion_of
 from hybrid.periphery import Periphery, Viewing
-from hybrid.quality import psnr
+from hybrid.metrics.similarity import psnr
 from hybrid.reference import reference
 from pathtrace.film import frame_positions
 from pathtrace.frames import FrameSet

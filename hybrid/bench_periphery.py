@@ -13,9 +13,9 @@ import numpy as np
 from compose.acuity import LAWS
 from compose.foveation import FoveaPlan, Foveation
 from compose.view import Camera, Display, Gaze
-from hybrid.fovvideovdp import jod
+from hybrid.metrics.fovvideovdp import jod
+from hybrid.metrics.similarity import ssim
 from hybrid.periphery import Periphery, Viewing
-from hybrid.quality import ssim
 from hybrid.timing import percentiles
 from splat.arrays import Arrays
 from splat.forest import Forest

@@ -12,7 +12,7 @@ from compose.blend import Image
 from compose.foveation import MODES, FoveaPlan, Foveation
 from compose.view import Display, Gaze
 from hybrid.bench_fovea import means, unfitted_views
-from hybrid.fovvideovdp import jod
+from hybrid.metrics.fovvideovdp import jod
 from hybrid.periphery import Viewing
 from hybrid.reference import reference
 from hybrid.renderer import Frame, HybridRenderer

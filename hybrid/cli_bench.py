@@ -77,7 +77,7 @@ def bench_periphery(
     from hybrid.bench_periphery import display_camera
     from hybrid.cache import forest_for
     from hybrid.device import device_arrays
-    from hybrid.fovvideovdp import INSTALL
+    from hybrid.metrics.fovvideovdp import INSTALL
     from hybrid.timing import machine
 
     loaded = loaded_scene(scene)
@@ -175,7 +175,7 @@ def bench_held_out(
     select(backend)
     from hybrid.bench_held_out import bench_held_out as run
     from hybrid.device import device_arrays
-    from hybrid.fovvideovdp import INSTALL
+    from hybrid.metrics.fovvideovdp import INSTALL
     from pathtrace.frames import read_frame_set
     from splat.files import load_forest
 
@@ -348,7 +348,7 @@ def bench_seam(
     shown = display_named(display)
     select(backend)
     from hybrid.bench_seam import bench_seam as run
-    from hybrid.fovvideovdp import INSTALL
+    from hybrid.metrics.fovvideovdp import INSTALL
     from pathtrace.frames import read_frame_set
     from splat.files import load_forest
 

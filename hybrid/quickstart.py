@@ -12,9 +12,10 @@ from hybrid.cache import make_quick_forest
 from hybrid.device import device_arrays
 from hybrid.images import write_bytes, write_layers, write_png
 from hybrid.layers import frame_layers
+from hybrid.metrics.registration import registration_px
+from hybrid.metrics.similarity import quality
 from hybrid.page import write_page
 from hybrid.progress import progress_bar
-from hybrid.quality import quality, registration_px
 from hybrid.renderer import HybridRenderer
 from hybrid.sweep import compare
 from hybrid.timing import machine

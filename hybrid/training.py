@@ -14,7 +14,7 @@ import numpy as np
 
 from compose.errors import UserError
 from hybrid.fusing import fusion_steps, with_fusion
-from hybrid.quality import quality
+from hybrid.metrics.similarity import quality
 from pathtrace.frames import FrameEntry, FrameSet, read_frame
 from splat.arrays import Arrays
 from splat.files import FORMAT_VERSION, load_tensors, save_forest, save_tensors

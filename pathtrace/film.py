@@ -22,14 +22,17 @@ _PLACES = 12
 
 @dataclass(frozen=True)
 class FilmPositions:
-    """Places on the film to trace, each a unit box filter in pixels.
+    """Places on the film to trace, each a box filter.
 
     Attributes:
         x, y: (N,) Dr.Jit floats, upper left corner of each box; a pixel's corner is its column and row.
+        width, height: of the boxes in pixels, one for all or (N,) Dr.Jit floats.
     """
 
     x: Any
     y: Any
+    width: Any = 1.0
+    height: Any = 1.0
 
     @property
     def count(self) -> int:
@@ -42,6 +45,11 @@ def pixel_positions(indices: Any, width: int) -> FilmPositions:
     positions = FilmPositions(mi.Float(indices - row * width), mi.Float(row))
     dr.eval(positions.x, positions.y)
     return positions
+
+
+def box_positions(left: Any, top: Any, width: Any, height: Any) -> FilmPositions:
+    """Film positions of boxes given by (N,) numpy arrays of their edges and sizes in pixels."""
+    return FilmPositions(*(mi.Float(values.astype(np.float32)) for values in (left, top, width, height)))
 
 
 def frame_positions(camera: Camera) -> FilmPositions:
@@ -132,7 +140,11 @@ class Lanes:
             mi.Float((dr.gather(mi.UInt32, digits, number) ^ flip) >> 8) * 2**-24
             for digits, flip in zip(_sobol(), flips, strict=True)
         ]
-        return corner[0] + unit[0], corner[1] + unit[1]
+        sizes = (
+            gathered(side) if dr.width(side) > 1 else side for side in (positions.width, positions.height)
+        )
+        x, y = (at + size * offset for at, size, offset in zip(corner, sizes, unit, strict=True))
+        return x, y
 
     def added_up(self, channel: Any) -> Any:
         """(N,) sums over each position's samples."""

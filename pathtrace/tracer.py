@@ -160,7 +160,9 @@ class Tracer:
 
     def hits(self, camera: Camera, positions: FilmPositions) -> Hits:
         """First hits of the rays through the middle of each position."""
-        ray = ray_through(opaque_camera(camera), positions.x + 0.5, positions.y + 0.5)
+        ray = ray_through(
+            opaque_camera(camera), positions.x + 0.5 * positions.width, positions.y + 0.5 * positions.height
+        )
         sight = look(self.scene.mitsuba, ray, mi.Bool(True))
         distance = dr.select(sight.surface.is_valid(), sight.surface.t, dr.inf)
         shapes = dr.reinterpret_array(mi.UInt32, sight.surface.shape)

@@ -293,7 +293,7 @@ def test_scenes_and_doctor_say_what_is_there(monkeypatch, capsys, tmp_path):
 def test_quickstart_writes_everything(scene, textured, monkeypatch, tmp_path):
     """The main job itself, with settings that take seconds; what cannot be measured is left out."""
     import hybrid.cache
-    import hybrid.quality
+    import hybrid.metrics.registration
     import hybrid.quickstart
     from pathtrace.capture import CaptureSettings
     from splat.train import TrainingSettings
@@ -308,7 +308,7 @@ def test_quickstart_writes_everything(scene, textured, monkeypatch, tmp_path):
     )
     monkeypatch.setattr(hybrid.quickstart, "_SIZE", 128)
     if not textured:
-        monkeypatch.setattr(hybrid.quality, "_TEXTURE", 10.0)
+        monkeypatch.setattr(hybrid.metrics.registration, "_TEXTURE", 10.0)
     monkeypatch.setattr(hybrid.quickstart, "_REFERENCE_SPP", 4)
     out = tmp_path / "out"
     assert run(monkeypatch, "quickstart", scene, "--out", out) == 0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from compose.blend import srgb_from_radiance
-from hybrid.quality import psnr
+from hybrid.metrics.similarity import psnr
 from hybrid.reference import judged, reference
 from pathtrace.scene import load_scene
 from pathtrace.tracer import Tracer

@@ -12,8 +12,9 @@ from compose.foveation import Foveation
 from compose.view import Gaze, camera_from_json, camera_to_json
 from hybrid.images import read_layers, write_layers
 from hybrid.layers import frame_layers
+from hybrid.metrics.registration import registration_px
+from hybrid.metrics.similarity import psnr, ssim
 from hybrid.periphery import Viewing
-from hybrid.quality import psnr, registration_px, ssim
 from hybrid.renderer import HybridRenderer
 from pathtrace.capture import render_frame
 from pathtrace.film import frame_positions

@@ -6,7 +6,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from pathtrace.film import FilmPositions, Lanes
+from pathtrace.film import FilmPositions, Lanes, box_positions
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")
@@ -58,3 +58,20 @@ def test_patterns_and_numbers_per_position_may_differ():
 
 def test_a_sequence_that_ends_begins_anew_elsewhere():
     assert not np.array_equal(places(4), places(4, taken=4096))
+
+
+def test_samples_fill_boxes_of_any_size():
+    left = np.arange(COUNT, dtype=np.float32) * 3
+    width = small.rng().uniform(0.25, 3, COUNT).astype(np.float32)
+    boxes = box_positions(left, np.full(COUNT, 2.0), width, np.full(COUNT, 0.5))
+    lanes = Lanes.of(COUNT, 4)
+    x, y = lanes.places(boxes, mi.UInt32(0), mi.UInt32(1))
+    index = lanes.index.numpy()[: lanes.count]
+    inside = (x.numpy()[: lanes.count] - left[index]) / width[index]
+    # Far from 0 float32 is coarser than narrow boxes' quarters are exact.
+    quarters = np.sort(np.floor(inside.reshape(COUNT, 4) * 4 + 1e-3), axis=1)
+    assert (quarters == np.arange(4)).mean() > 0.99
+    assert (inside > -1e-3).all()
+    assert (inside < 1 + 1e-3).all()
+    assert y.numpy()[: lanes.count].min() >= 2
+    assert y.numpy()[: lanes.count].max() < 2.5

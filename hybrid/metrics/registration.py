@@ -1,4 +1,4 @@
-"""How close a frame is to its reference: PSNR, SSIM, and sub-pixel registration."""
+"""Whether two pictures of one view line up."""
 
 from __future__ import annotations
 
@@ -12,39 +12,6 @@ _WINDOW = 64
 _UPSAMPLING = 50
 # A window counts as textured when its luminance varies by this much (standard deviation, sRGB).
 _TEXTURE = 0.05
-
-
-def psnr(image: Image, reference: Image) -> float:
-    """Peak signal-to-noise ratio in dB of linear (H, W, 3) radiance, sRGB clipped to 0..1."""
-    error = np.mean((srgb_from_radiance(image) - srgb_from_radiance(reference)) ** 2, dtype=np.float64)
-    return float(-10 * np.log10(max(error, 1e-12)))
-
-
-def ssim(image: Image, reference: Image) -> float:
-    """Structural similarity of linear (H, W, 3) radiance, sRGB clipped to 0..1.
-
-    Wang et al. 2004: 11 x 11 Gaussian window, sigma 1.5, K 0.01 and 0.03, population covariance, mean
-    over the valid region.
-    """
-    # Imported here: a frame rendered with a forest at hand need not wait for scikit-image.
-    from skimage.metrics import structural_similarity
-
-    _, full = structural_similarity(
-        srgb_from_radiance(image),
-        srgb_from_radiance(reference),
-        gaussian_weights=True,
-        sigma=1.5,
-        use_sample_covariance=False,
-        data_range=1.0,
-        channel_axis=2,
-        full=True,
-    )
-    return float(full[5:-5, 5:-5].mean())
-
-
-def quality(image: Image, reference: Image) -> dict[str, float]:
-    """PSNR and SSIM under the names that every report uses."""
-    return {"psnr": psnr(image, reference), "ssim": ssim(image, reference)}
 
 
 def registration_px(image: Image, reference: Image) -> float | None:

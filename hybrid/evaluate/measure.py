@@ -1,0 +1,121 @@
+"""All metrics of one picture, region by region."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.acuity import geisler_perry
+from compose.blend import Image
+from compose.errors import UserError
+from compose.view import Display, Gaze, eccentricity
+from hybrid.evaluate.regions import Region
+from hybrid.metrics.flip import flip_map, hdr_flip_map
+from hybrid.metrics.fovvideovdp import jod
+from hybrid.metrics.lpips import lpips
+from hybrid.metrics.similarity import psnr, ssim
+
+# Whether more is better.
+METRICS = {
+    "psnr": True,
+    "ssim": True,
+    "fssim": True,
+    "flip": False,
+    "hdr-flip": False,
+    "lpips": False,
+    "jod": True,
+}
+
+
+@dataclass(frozen=True)
+class Viewer:
+    """Who judges a frame: on what display, looking where."""
+
+    display: Display
+    gaze: Gaze
+
+
+def checked_pair(image: Image, reference: Image, name: str) -> None:
+    """Makes sure that two pictures can be compared.
+
+    Raises:
+        UserError: their sizes differ, or one has a pixel that is not finite.
+    """
+    if image.shape != reference.shape:
+        size, other = (f"{picture.shape[1]} x {picture.shape[0]}" for picture in (image, reference))
+        raise UserError(f"{name} is {size} pixels, its reference {other}: they cannot be compared")
+    for picture, what in ((image, name), (reference, f"the reference of {name}")):
+        bad = int(np.count_nonzero(~np.isfinite(picture).all(axis=-1)))
+        if bad:
+            raise UserError(f"{what} has {bad} pixels that are not finite: it cannot be compared")
+
+
+def measured(
+    image: Image, reference: Image, regions: dict[str, Region], viewer: Viewer, name: str = "the frame"
+) -> list[dict[str, float | str]]:
+    """Rows of region, metric and value, for all metrics that are installed.
+
+    No metric leaks over the border of a region: outside of it the picture is exchanged for the reference,
+    and of the maps of SSIM and FLIP only the region's pixels count. LPIPS and FovVideoVDP, which give one
+    number for a picture, see the foveal region as a crop, the others as the whole frame with the rest
+    exchanged, so that their numbers for small regions are small. HDR-FLIP, the slowest, looks at the whole
+    alone, and so does `fssim`, SSIM weighted by what the eye resolves at each pixel (Geisler and Perry 1998,
+    relative to the gaze).
+
+    Args:
+        image, reference: (H, W, 3) linear radiance.
+        regions: of the frame.
+        viewer: for FovVideoVDP and the weights.
+        name: of the picture, for messages.
+
+    Raises:
+        UserError: the two cannot be compared.
+    """
+    checked_pair(image, reference, name)
+    rows: list[dict[str, float | str]] = []
+    for region in regions.values():
+        alone = region.alone(image, reference)
+        found: dict[str, float | None] = {
+            "psnr": psnr(image, reference, region.mask),
+            "ssim": ssim(alone, reference, region.mask.astype(np.float32)),
+            "flip": _mean(flip_map(alone, reference), region),
+            "lpips": lpips(*_seen(alone, reference, region)),
+            "jod": _jod(alone, reference, region, viewer),
+        }
+        if region.name == "whole":
+            found["fssim"] = ssim(image, reference, acuity_weight(viewer, image.shape[:2]))
+            found["hdr-flip"] = _mean(hdr_flip_map(image, reference), region)
+        rows += [
+            {"region": region.name, "metric": metric, "value": float(found[metric])}  # type: ignore[arg-type]
+            for metric in METRICS
+            if found.get(metric) is not None
+        ]
+    return rows
+
+
+def acuity_weight(viewer: Viewer, size: tuple[int, int]) -> NDArray[np.float32]:
+    """(H, W) cut-off frequency of the eye at each pixel of a frame of that size, relative to the gaze's."""
+    angles = eccentricity(viewer.display.viewer(size[1], size[0]), viewer.gaze).astype(np.float64)
+    return (geisler_perry(angles) / geisler_perry(np.zeros(1))[0]).astype(np.float32)
+
+
+def _mean(found: NDArray[np.float32] | None, region: Region) -> float | None:
+    return None if found is None else float(found[region.mask].mean())
+
+
+def _seen(alone: Image, reference: Image, region: Region) -> tuple[Image, Image]:
+    """What of the two pictures a metric without a map is shown."""
+    box = region.box if region.name == "foveal" else np.s_[:, :]
+    return alone[box], reference[box]
+
+
+def _jod(alone: Image, reference: Image, region: Region, viewer: Viewer) -> float | None:
+    seen = _seen(alone, reference, region)
+    height, width = alone.shape[:2]
+    x, y = viewer.gaze.pixel(width, height)
+    if region.name == "foveal":
+        x, y = x - region.box[1].start, y - region.box[0].start
+    rows, columns = seen[0].shape[:2]
+    return jod(*seen, viewer.display, Gaze(x / columns, y / rows))
