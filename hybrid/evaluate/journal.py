@@ -1,0 +1,65 @@
+"""What an evaluation has measured so far, so that it goes on where it was interrupted."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from compose.errors import UserError
+from compose.files import write_whole
+
+
+class Journal:
+    """Named results in one JSON file.
+
+    Args:
+        path: the file; made when the first result comes.
+        identity: of what is evaluated, with which settings.
+
+    Raises:
+        UserError: the file is damaged, or belongs to something else.
+    """
+
+    def __init__(self, path: Path, identity: dict[str, Any]):
+        self._path = path
+        self._content: dict[str, Any] = {"identity": identity, "results": {}}
+        if not path.exists():
+            return
+        try:
+            found = json.loads(path.read_text())
+            theirs = found["identity"]
+            dict(found["results"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise UserError(f"{path}: is damaged ({error!r}); delete it to begin anew") from error
+        # Compared as JSON has them: tuples become lists.
+        ours = json.loads(json.dumps(identity))
+        if theirs != ours:
+            differs = sorted(k for k in {*theirs, *ours} if theirs.get(k) != ours.get(k))
+            raise UserError(
+                f"{path.parent}: holds an evaluation with another {', '.join(differs)}; "
+                "choose another --report folder"
+            )
+        self._content = found
+
+    def once(self, name: str, make: Callable[[], Any]) -> Any:
+        """The result of that name, made and written down if there is none yet."""
+        results = self._content["results"]
+        if name not in results:
+            results[name] = make()
+            self.write()
+        return results[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._content["results"]
+
+    def list_of(self, name: str) -> list[Any]:
+        """A list that grows; `write` keeps it."""
+        found: list[Any] = self._content["results"].setdefault(name, [])
+        return found
+
+    def write(self) -> None:
+        """Writes everything down."""
+        text = json.dumps(self._content) + "\n"
+        write_whole(self._path, lambda part: part.write_text(text))
