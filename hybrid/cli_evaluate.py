@@ -78,6 +78,8 @@ def evaluate(
     select(backend)
     from hybrid.cache import forest_for
     from hybrid.evaluate.evaluation import Evaluation
+    from hybrid.evaluate.report import write_report
+    from hybrid.evaluate.verdicts import verdicts
     from hybrid.metrics import missing
     from splat.files import load_forest
 
@@ -88,10 +90,13 @@ def evaluate(
         found = evaluation.run(lambda what, done, total: bar(int(1000 * done / total), 1000, what))
     text = json.dumps(found, indent=1) + "\n"
     write_whole(report / "evaluation.json", lambda part: part.write_text(text))
+    write_report(report, found)
     write_json(json_file, found)
     for line in missing():
         print(line)
-    print(f"{report / 'evaluation.json'}")
+    for line in verdicts(found):
+        print(line)
+    print(report / "index.html")
     _print(found)
 
 

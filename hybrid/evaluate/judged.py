@@ -7,6 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from compose.blend import Image
 from compose.view import Camera, Display
 from hybrid.evaluate.entries import Entry
@@ -14,18 +17,23 @@ from hybrid.evaluate.journal import Journal
 from hybrid.evaluate.measure import Viewer, measured
 from hybrid.evaluate.regions import regions
 from hybrid.evaluate.settings import EvaluationSettings
-from hybrid.images import write_png
+from hybrid.images import write_bytes, write_png
+from hybrid.metrics.flip import flip_map
 from hybrid.reference import Reference
 
 # The name under which the quality of a reference itself stands: one half of its samples against the other.
 HALVES = "reference, half against half"
 
 
-def picture_name(view: int, entry: Entry | None) -> str:
-    """File name of a picture; that of the reference for no entry."""
-    if entry is None:
-        return f"{view}-reference.png"
-    return f"{view}-{entry.method}-{entry.budget}.png".replace(",", "").replace(" ", "-")
+def picture_name(view: int, key: tuple[str, str] | None) -> str:
+    """File name of a picture by a method and budget; that of the reference for none."""
+    name = "reference" if key is None else "-".join(key)
+    return f"{view}-{name}.png".replace(",", "").replace(" ", "-")
+
+
+def flip_name(view: int, key: tuple[str, str]) -> str:
+    """File name of the FLIP map of a picture."""
+    return picture_name(view, key).replace(".png", "-flip.png")
 
 
 def judged(
@@ -59,7 +67,11 @@ def judged(
 
         def made(entry: Entry, view: int = view, camera: Camera = camera, truth: Reference = truth) -> Any:
             image = entry.peer.make(camera, settings.gaze, settings.seed + view).image
-            write_png(folder / picture_name(view, entry), image)
+            key = entry.method, entry.budget
+            write_png(folder / picture_name(view, key), image)
+            error = flip_map(image, truth.radiance)
+            if error is not None:
+                write_bytes(folder / flip_name(view, key), _coloured(error))
             return compared(entry.method, image, truth.radiance)
 
         write_png(folder / picture_name(view, None), truth.radiance)
@@ -71,3 +83,10 @@ def judged(
             rows += [{"view": view, "method": entry.method, "budget": entry.budget, **row} for row in found]
             progress(view * len(entries) + number + 1, len(views) * len(entries))
     return rows
+
+
+def _coloured(error: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """(H, W, 3) a map of errors in 0..1, as FLIP's authors show them."""
+    from matplotlib import colormaps
+
+    return np.asarray(colormaps["magma"](error, bytes=True)[..., :3])

@@ -1,0 +1,77 @@
+"""Plots of an evaluation, as SVG."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+from hybrid.evaluate.entries import OURS
+from hybrid.evaluate.trade import frontier, points_of
+from hybrid.evaluate.verdicts import mean_of
+
+_LABELS = {"jod": "FovVideoVDP, JOD", "flip": "FLIP", "ssim": "SSIM", "psnr": "PSNR, dB", "lpips": "LPIPS"}
+
+
+def trade_plot(found: dict[str, Any], region: str, metric: str) -> str | None:
+    """Time of a frame against its quality, all methods, with those that none other beats in both joined."""
+    points = points_of(found, region, metric)
+    if not points:
+        return None
+    figure, axes = _figure()
+    best = frontier(points, metric)
+    axes.plot([p.milliseconds for p in best], [p.value for p in best], color="#888", lw=1, zorder=1)
+    for point in points:
+        ours = point.method.startswith("hybrid")
+        axes.scatter(point.milliseconds, point.value, s=30, color="#c33" if ours else "#36c", zorder=2)
+        axes.annotate(
+            f"{point.method} ({point.budget})" if point.budget != "fixed" else point.method,
+            (point.milliseconds, point.value),
+            xytext=(4, 3),
+            textcoords="offset points",
+            fontsize=6.5,
+        )
+    axes.set_xscale("log")
+    axes.set_xlabel("median time of a frame, ms")
+    axes.set_ylabel(f"{_LABELS[metric]}, {region}")
+    return _svg(figure)
+
+
+def samples_plot(found: dict[str, Any], metric: str) -> str | None:
+    """Foveal quality over samples per pixel of the fused frame, with the splats' as a line."""
+    splats = mean_of(found, ("splats alone", "fixed"), "foveal", metric)
+    by_spp = {
+        row["spp"]: mean_of(found, (row["method"], row["budget"]), "foveal", metric)
+        for row in found["methods"]
+        if row.get("fovea") == "fused"
+    }
+    if splats is None or any(value is None for value in by_spp.values()):
+        return None
+    figure, axes = _figure()
+    counts = sorted(by_spp)
+    axes.plot(counts, [by_spp[n] for n in counts], "o-", color="#c33", label=OURS)
+    axes.axhline(splats, color="#36c", ls="--", label="splats alone")
+    axes.set_xscale("log", base=2)
+    axes.set_xticks(counts, [str(n) for n in counts])
+    axes.set_xlabel("samples per pixel in the disc")
+    axes.set_ylabel(f"{_LABELS[metric]}, foveal")
+    axes.legend(frameon=False)
+    return _svg(figure)
+
+
+def _figure() -> tuple[Any, Any]:
+    # Not pyplot: no window, no state.
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
+    axes = figure.add_subplot()
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(color="#ddd", lw=0.5)
+    axes.set_axisbelow(True)
+    return figure, axes
+
+
+def _svg(figure: Any) -> str:
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None})
+    text = buffer.getvalue()
+    return text[text.index("<svg") :]
