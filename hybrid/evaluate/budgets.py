@@ -15,7 +15,7 @@ from pathtrace.tracer import Tracer
 _FPC_F, _FPC_SIGMA = 0.1, 2.6
 # Frames timed for one look at a peer's cost, after one that is not counted; looks until the cost is met, and
 # how nearly it has to be.
-_FRAMES, _LOOKS, NEAR = 5, 6, 0.03
+_FRAMES, _LOOKS, NEAR = 5, 12, 0.03
 
 
 @dataclass(frozen=True)
@@ -75,17 +75,23 @@ def at_equal_time(
     Returns:
         The rays, None where even the family's cheapest peer takes longer.
     """
-    looked: list[Look] = []
+    known: dict[str, float] = {}
+    within: Look | None = None
+    beyond: Look | None = None
     for _ in range(_LOOKS):
         peer = family(rays)
-        looked.append(Look(rays, peer.settings, median_time(peer, camera, gaze)))
-        if abs(looked[-1].milliseconds / milliseconds - 1) < NEAR:
+        key = str(peer.settings)
+        if key not in known:
+            known[key] = median_time(peer, camera, gaze)
+        look = Look(rays, known[key])
+        if look.milliseconds <= milliseconds * (1 + NEAR):
+            within = look
+        else:
+            beyond = look
+        if within is not None and within.milliseconds >= milliseconds * (1 - NEAR):
             break
-        rays = _guess(looked, milliseconds)
-        if family(rays).settings in [look.settings for look in looked]:
-            break
-    within = [look for look in looked if look.milliseconds <= milliseconds * (1 + NEAR)]
-    return max(within, key=lambda look: look.milliseconds).rays if within else None
+        rays = _guess(within, beyond, milliseconds)
+    return None if within is None else within.rays
 
 
 @dataclass(frozen=True)
@@ -93,20 +99,20 @@ class Look:
     """What a peer with so many rays per pixel took."""
 
     rays: float
-    settings: dict[str, float | str]
     milliseconds: float
 
 
-def _guess(looked: list[Look], milliseconds: float) -> float:
-    """Rays that should meet a time: on the line through the last two looks, or through the origin."""
-    last = looked[-1]
-    slope = last.milliseconds / last.rays
-    if len(looked) > 1:
-        before = looked[-2]
-        secant = (last.milliseconds - before.milliseconds) / (last.rays - before.rays)
-        slope = secant if secant > 0.1 * slope else slope
-    guess = last.rays + (milliseconds - last.milliseconds) / slope
-    return float(np.clip(guess, last.rays / 4, last.rays * 4))
+def _guess(within: Look | None, beyond: Look | None, milliseconds: float) -> float:
+    """Rays that should meet a time, from the nearest looks on both sides of it."""
+    if within is None or beyond is None:
+        look = within or beyond
+        assert look is not None
+        # Costs grow more slowly than rays: a step further than they would have it soon has both sides.
+        share = milliseconds / look.milliseconds
+        return look.rays * float(np.clip(share**1.5, *((1.5, 8.0) if beyond is None else (0.125, 0.7))))
+    span = (milliseconds - within.milliseconds) / (beyond.milliseconds - within.milliseconds)
+    # Where samples come as whole numbers the line between two looks leads nowhere; the middle does.
+    return within.rays + (beyond.rays - within.rays) * float(np.clip(span, 0.2, 0.8))
 
 
 def median_time(peer: Peer, camera: Camera, gaze: Gaze) -> float:

@@ -1,0 +1,70 @@
+"""What the figures say in words, and which of them none other beats."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hybrid.evaluate.trade import Point, frontier, points_of
+from hybrid.evaluate.verdicts import OURS, verdicts
+
+METHODS = {
+    (OURS, "fixed"): {"rays": 0.2, "fovea": "fused", "spp": 2},
+    (f"{OURS}, 16 spp", "fixed"): {"rays": 1.6, "fovea": "fused", "spp": 16},
+    ("splats alone", "fixed"): {"rays": 0.0},
+    ("rmfr, tuned", "equal-time"): {"rays": 0.3},
+    ("full", "fixed"): {"rays": 1.0},
+}
+# Foveal JOD and FLIP, and SSIM of the whole frame in two views.
+VALUES = {
+    (OURS, "fixed"): (9.0, 0.10, (0.90, 0.80)),
+    (f"{OURS}, 16 spp", "fixed"): (9.6, 0.05, (0.95, 0.85)),
+    ("splats alone", "fixed"): (9.2, 0.11, (0.88, 0.79)),
+    ("rmfr, tuned", "equal-time"): (8.0, 0.20, (0.70, 0.81)),
+    ("full", "fixed"): (9.9, 0.01, (0.99, 0.99)),
+}
+
+
+def evaluation() -> dict[str, Any]:
+    quality = []
+    for (method, budget), (jod, flip, ssims) in VALUES.items():
+        for view in range(2):
+            key = {"view": view, "method": method, "budget": budget}
+            quality.append(
+                {**key, "region": "foveal", "metric": "jod", "value": jod + (0.1 if view else -0.1)}
+            )
+            quality.append({**key, "region": "foveal", "metric": "flip", "value": flip})
+            quality.append({**key, "region": "whole", "metric": "ssim", "value": ssims[view]})
+    methods = [{"method": m, "budget": b, **entry} for (m, b), entry in METHODS.items()]
+    times = [10.0, 40.0, 2.0, 10.0, 30.0]
+    time = [{"method": m, "budget": b, "ms": {"p50": t}} for (m, b), t in zip(METHODS, times, strict=True)]
+    return {"quality": quality, "methods": methods, "time": time}
+
+
+def test_what_is_not_ahead_comes_first_and_only_rivals_count():
+    lines = verdicts(evaluation())
+    assert (
+        lines[0] == "In the fovea, by FovVideoVDP, the hybrid frame (9) is not ahead of splats alone (9.2)."
+    )
+    assert "by FovVideoVDP, the hybrid frame (9) is ahead of rmfr, tuned (8)" in lines[1]
+    assert "by FLIP, the hybrid frame (0.1) is ahead of splats alone (0.11) and rmfr, tuned (0.2)" in lines[2]
+    assert not any("full" in line for line in lines)
+    assert "in 1 of 2 views" in lines[3]
+    assert "By FovVideoVDP the fused fovea is better than splats alone from 16 samples per pixel on." in lines
+    assert "By FLIP the fused fovea is better than splats alone from 2 samples per pixel on." in lines
+
+
+def test_what_was_not_measured_is_not_said():
+    found = evaluation()
+    found["quality"] = [row for row in found["quality"] if row["metric"] != "jod"]
+    assert not any("FovVideoVDP" in line for line in verdicts(found))
+    found["quality"] = [row for row in found["quality"] if row["method"] != "rmfr, tuned"]
+    assert not any("rmfr" in line or "RMFR" in line for line in verdicts(found))
+
+
+def test_the_frontier_has_what_nothing_else_is_faster_and_better_than():
+    points = points_of(evaluation(), "foveal", "jod")
+    assert [p.method for p in frontier(points, "jod")] == ["splats alone", "full"]
+    errors = points_of(evaluation(), "foveal", "flip")
+    assert [p.method for p in frontier(errors, "flip")] == ["splats alone", OURS, "full"]
+    tie = [Point("a", "fixed", 1.0, 5.0), Point("b", "fixed", 1.0, 6.0), Point("c", "fixed", 2.0, 6.0)]
+    assert [p.method for p in frontier(tie, "jod")] == ["b"]
