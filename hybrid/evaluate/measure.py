@@ -29,6 +29,10 @@ METRICS = {
 }
 
 
+# Pixels that FLIP's filters reach at 67 pixels per degree.
+_FLIP_REACH = 24
+
+
 @dataclass(frozen=True)
 class Viewer:
     """Who judges a frame: on what display, looking where."""
@@ -80,13 +84,14 @@ def measured(
         found: dict[str, float | None] = {
             "psnr": psnr(image, reference, region.mask),
             "ssim": ssim(alone, reference, region.mask.astype(np.float32)),
-            "flip": _mean(flip_map(alone, reference), region),
+            "flip": _flip(alone, reference, region),
             "lpips": lpips(*_seen(alone, reference, region)),
             "jod": _jod(alone, reference, region, viewer),
         }
         if region.name == "whole":
             found["fssim"] = ssim(image, reference, acuity_weight(viewer, image.shape[:2]))
-            found["hdr-flip"] = _mean(hdr_flip_map(image, reference), region)
+            high = hdr_flip_map(image, reference)
+            found["hdr-flip"] = None if high is None else float(high.mean())
         rows += [
             {"region": region.name, "metric": metric, "value": float(found[metric])}  # type: ignore[arg-type]
             for metric in METRICS
@@ -101,8 +106,11 @@ def acuity_weight(viewer: Viewer, size: tuple[int, int]) -> NDArray[np.float32]:
     return (geisler_perry(angles) / geisler_perry(np.zeros(1))[0]).astype(np.float32)
 
 
-def _mean(found: NDArray[np.float32] | None, region: Region) -> float | None:
-    return None if found is None else float(found[region.mask].mean())
+def _flip(alone: Image, reference: Image, region: Region) -> float | None:
+    """Mean over the region; nothing beyond the reach of FLIP's filters is looked at."""
+    box = tuple(slice(max(0, side.start - _FLIP_REACH), side.stop + _FLIP_REACH) for side in region.box)
+    found = flip_map(alone[box], reference[box])
+    return None if found is None else float(found[region.mask[box]].mean())
 
 
 def _seen(alone: Image, reference: Image, region: Region) -> tuple[Image, Image]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import Any
+
 import numpy as np
 
 from compose.blend import Image, srgb_from_radiance
@@ -19,13 +22,28 @@ def jod(image: Image, reference: Image, display: Display, gaze: Gaze) -> float |
         Just-objectionable differences, None where the metric is not installed.
     """
     try:
-        import pyfvvdp
+        import pyfvvdp  # noqa: F401
         import torch
     except ImportError:
         return None
     height, width = image.shape[:2]
+    score, _ = _metric(width, height, display).predict(
+        srgb_from_radiance(image),
+        srgb_from_radiance(reference),
+        dim_order="HWC",
+        fixation_point=torch.tensor(gaze.pixel(width, height)),
+    )
+    return float(score)
+
+
+@lru_cache(maxsize=8)
+def _metric(width: int, height: int, display: Display) -> Any:
+    """The metric for pictures of one size; making it takes as long as using it."""
+    import pyfvvdp
+    import torch
+
     across = float(np.degrees(2 * np.arctan(width / 2 / display.focal)))
-    metric = pyfvvdp.fvvdp(
+    return pyfvvdp.fvvdp(
         display_geometry=pyfvvdp.fvvdp_display_geometry((width, height), fov_horizontal=across),
         display_photometry=pyfvvdp.fvvdp_display_photo_eotf(
             display.luminance, contrast=_CONTRAST, EOTF="sRGB"
@@ -34,10 +52,3 @@ def jod(image: Image, reference: Image, display: Display, gaze: Gaze) -> float |
         foveated=True,
         device=torch.device("cpu"),
     )
-    score, _ = metric.predict(
-        srgb_from_radiance(image),
-        srgb_from_radiance(reference),
-        dim_order="HWC",
-        fixation_point=torch.tensor(gaze.pixel(width, height)),
-    )
-    return float(score)

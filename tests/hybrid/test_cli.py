@@ -13,40 +13,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from hybrid.cli import main
 from hybrid.images import read_layers
 from tests.conftest import real_file
+from tests.hybrid.command import TINY_CAPTURE, TINY_TRAINING, run
 
-pytestmark = pytest.mark.usefixtures("backend")
-
-TINY_CAPTURE = ["--views", "5", "--held-out", "3", "--size", "32", "32", "--spp", "2", "--held-out-spp", "4"]
-TINY_TRAINING = ["--iterations", "40", "--gaussians", "400", "--degree", "1", "--layers", "2"]
-
-
-def run(monkeypatch, *arguments: object) -> int:
-    """Runs a command in this process and returns its exit code."""
-    monkeypatch.setattr(sys, "argv", ["hybrid", *map(str, arguments)])
-    try:
-        main()
-    except SystemExit as stopped:
-        return int(stopped.code or 0)
-    return 0
-
-
-@pytest.fixture(autouse=True)
-def own_home(monkeypatch, tmp_path):
-    monkeypatch.setenv("HYBRID_HOME", str(tmp_path / "home"))
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """A frame set and a forest of the Cornell box, made by the commands."""
-    folder = tmp_path_factory.mktemp("made")
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        monkeypatch.setenv("HYBRID_HOME", str(folder / "home"))
-        assert run(monkeypatch, "capture", "cornell", folder / "frames", *TINY_CAPTURE) == 0
-        assert run(monkeypatch, "train", folder / "frames", folder / "box.forest", *TINY_TRAINING) == 0
-    return folder
+pytestmark = pytest.mark.usefixtures("backend", "own_home")
 
 
 def test_train_reports_what_it_measured(made, monkeypatch, tmp_path):

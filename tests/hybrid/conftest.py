@@ -1,0 +1,24 @@
+"""What tests of the product share."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.hybrid.command import TINY_CAPTURE, TINY_TRAINING, run
+
+
+@pytest.fixture
+def own_home(monkeypatch, tmp_path):
+    """A cache folder of the test's own."""
+    monkeypatch.setenv("HYBRID_HOME", str(tmp_path / "home"))
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory):
+    """A frame set and a forest of the Cornell box, made by the commands."""
+    folder = tmp_path_factory.mktemp("made")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setenv("HYBRID_HOME", str(folder / "home"))
+        assert run(monkeypatch, "capture", "cornell", folder / "frames", *TINY_CAPTURE) == 0
+        assert run(monkeypatch, "train", folder / "frames", folder / "box.forest", *TINY_TRAINING) == 0
+    return folder
