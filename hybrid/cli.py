@@ -17,6 +17,7 @@ from compose.acuity import DEFAULT_LAW
 from compose.errors import UserError
 from hybrid.cli_bench import bench_app
 from hybrid.cli_evaluate import evaluate
+from hybrid.cli_sweep import sweep
 from hybrid.options import (
     Backend,
     DisplayName,
@@ -51,6 +52,7 @@ app = typer.Typer(
 )
 app.add_typer(bench_app, name="bench")
 app.command()(evaluate)
+app.command()(sweep)
 
 
 @app.command()
@@ -354,45 +356,6 @@ def import_command(
     gaussians = import_ply(source)
     save_forest(forest, forest_of([static_layer(gaussians)], UNBOUND_FOCAL, source.stem, ""))
     print(f"{forest}: {len(gaussians):,} Gaussians, degree {gaussians.degree}")
-
-
-@app.command()
-def sweep(
-    scene: SceneName,
-    over: Annotated[str, typer.Option(help="What varies: resolution.")] = "resolution",
-    forest: ForestFile = None,
-    fov_a: FovA = 20.0,
-    fov_b: FovB = 15.0,
-    spp: Spp = 1,
-    repeats: Annotated[int, typer.Option(help="Measured frames per method and row.", min=3)] = 15,
-    warm_up: Annotated[int, typer.Option(help="Frames before that.", min=1)] = 2,
-    backend: Backend = "auto",
-    json_file: Json = None,
-) -> None:
-    """Time hybrid frames against full path tracing, interleaved, with a raw fovea."""
-    if over != "resolution":
-        raise UserError(f"--over {over}: must be resolution")
-    select(backend)
-    from compose.foveation import Foveation
-    from compose.view import Gaze
-    from hybrid.cache import forest_for
-    from hybrid.renderer import HybridRenderer
-    from hybrid.sweep import resolution_rows
-    from hybrid.timing import machine
-
-    Foveation(Gaze(), fov_a, fov_b)
-    loaded = loaded_scene(scene)
-    renderer = HybridRenderer(loaded, forest_for(loaded, forest))
-    with progress_bar("sweep (rounds)") as bar:
-        rows = resolution_rows(renderer, loaded.camera, fov_a, fov_b, spp, repeats, warm_up, bar)
-    print("   size       hybrid    full     disc   ratio  ceiling   (median ms)")
-    for row in rows:
-        hybrid_ms, full, disc = (row[f"{name}_ms"]["p50"] for name in ("hybrid", "path_traced", "disc"))
-        print(
-            f"{row['width']:>5}x{row['height']:<5} {hybrid_ms:>8.0f} {full:>8.0f} {disc:>8.0f} "
-            f"{row['ratio']:>7.2f} {row['ceiling']:>7.2f}"
-        )
-    write_json(json_file, [{**row, "machine": machine()} for row in rows])
 
 
 def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None) -> Camera:

@@ -17,7 +17,7 @@ from hybrid.metrics.similarity import quality
 from hybrid.page import write_page
 from hybrid.progress import progress_bar
 from hybrid.renderer import HybridRenderer
-from hybrid.sweep import compare
+from hybrid.sweeps.comparison import compare
 from hybrid.timing import machine
 from hybrid.training import held_out_quality
 from hybrid.weights_picture import weights_picture

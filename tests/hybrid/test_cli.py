@@ -230,18 +230,7 @@ def test_a_real_ply_goes_through_import(monkeypatch, tmp_path):
     assert run(monkeypatch, "export", tmp_path / "k.forest", tmp_path / "k.ply") == 0
 
 
-def test_sweep_and_bench_write_their_rows(made, monkeypatch, tmp_path):
-    import hybrid.sweep
-
-    monkeypatch.setattr(hybrid.sweep, "RESOLUTIONS", ((48, 32), (64, 32)))
-    out = tmp_path / "s.json"
-    common = ["sweep", "cornell", "--forest", made / "box.forest", "--repeats", 3, "--warm-up", 1]
-    assert run(monkeypatch, *common, "--over", "resolution", "--json", out) == 0
-    rows = json.loads(out.read_text())
-    assert [(row["width"], row["height"]) for row in rows] == [(48, 32), (64, 32)]
-    for row in rows:
-        assert row["ratio"] == pytest.approx(row["path_traced_ms"]["p50"] / row["hybrid_ms"]["p50"])
-        assert row["ceiling"] == pytest.approx(row["path_traced_ms"]["p50"] / row["disc_ms"]["p50"])
+def test_bench_raster_writes_its_row(monkeypatch, tmp_path):
     out = tmp_path / "b.json"
     size = ["--gaussians", 500, "--size", 64, 48, "--repeats", 3]
     assert run(monkeypatch, "bench", "raster", *size, "--json", out) == 0

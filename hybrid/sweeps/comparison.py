@@ -1,4 +1,4 @@
-"""Hybrid frames against full path tracing over resolutions (Foveated Path Culling, Table 4 in kind)."""
+"""One hybrid frame against the full path-traced one, and against its disc alone."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ from compose.view import Camera, Gaze
 from hybrid.renderer import HybridRenderer
 from hybrid.timing import interleaved, percentiles
 from pathtrace.film import frame_positions
-
-RESOLUTIONS = ((800, 600), (1012, 1061), (1954, 1061), (3316, 1061))
 
 
 def compare(
@@ -54,30 +52,3 @@ def compare(
         "ceiling": row["path_traced_ms"]["p50"] / row["disc_ms"]["p50"],
         "repeats": repeats,
     }
-
-
-def resolution_rows(
-    renderer: HybridRenderer,
-    camera: Camera,
-    fov_a: float,
-    fov_b: float,
-    spp: int,
-    repeats: int,
-    warm_up: int,
-    progress: Callable[[int, int], None],
-) -> list[dict[str, Any]]:
-    """One row per resolution; a wider frame sees more of the scene."""
-    rows = []
-    rounds = (repeats + warm_up) * len(RESOLUTIONS)
-    for index, (width, height) in enumerate(RESOLUTIONS):
-        before = index * (repeats + warm_up)
-        advance = lambda done, total, before=before: progress(before + done, rounds)  # noqa: E731
-        rows.append(
-            {
-                "scene": renderer.tracer.scene.name,
-                **compare(
-                    renderer, camera.resized(width, height), fov_a, fov_b, spp, repeats, warm_up, advance
-                ),
-            }
-        )
-    return rows

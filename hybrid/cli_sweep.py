@@ -1,0 +1,123 @@
+"""`hybrid sweep`: tables and figures over one quantity at a time."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from hybrid.options import (
+    Backend,
+    DisplayName,
+    ForestFile,
+    FovA,
+    FovB,
+    Json,
+    Law,
+    SceneName,
+    Spp,
+    loaded_scene,
+    select,
+    write_json,
+)
+from hybrid.progress import progress_bar
+
+_VIEWS, _VIEW_SEED = 4, 7919
+
+
+def sweep(
+    scene: SceneName,
+    over: Annotated[
+        str,
+        typer.Option(
+            help="What varies: resolution, aspect, radius, spp, view, band, layers, law or denoiser."
+        ),
+    ] = "resolution",
+    forest: ForestFile = None,
+    fovea: Annotated[str, typer.Option(help="raw, denoised or fused.")] = "raw",
+    fov_a: FovA = 20.0,
+    fov_b: FovB = 15.0,
+    spp: Spp = 1,
+    law: Law = "geisler-perry",
+    display: DisplayName = "desktop",
+    repeats: Annotated[int, typer.Option(help="Measured frames per method and row.", min=3)] = 15,
+    warm_up: Annotated[int, typer.Option(help="Frames before that.", min=1)] = 2,
+    reference_spp: Annotated[
+        int, typer.Option(help="Samples per pixel of references, where quality is measured.", min=4)
+    ] = 64,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Time hybrid frames against full path tracing, interleaved, over one quantity, beside FPC's figures."""
+    from compose.foveation import Foveation, mode_named
+    from compose.view import Gaze, display_named
+    from hybrid.periphery import Viewing
+    from hybrid.sweeps.catalogue import sweep_named
+    from hybrid.sweeps.setting import Setting
+
+    Foveation(Gaze(), fov_a, fov_b)
+    mode_named(fovea)
+    viewing = Viewing(display_named(display), law)
+    sweep_named(over, (1,))
+    select(backend)
+    from hybrid.cache import forest_for
+    from hybrid.sweeps.run import Effort, break_even, swept
+    from hybrid.timing import machine
+    from pathtrace.surface import Surfaces
+    from pathtrace.views import choose_views
+
+    loaded = loaded_scene(scene)
+    found = forest_for(loaded, forest)
+    chosen = sweep_named(over, found.counts)
+    camera = loaded.camera
+    size = camera.width, camera.height
+    views = choose_views(loaded, Surfaces(loaded), _VIEWS + 1, *size, _VIEW_SEED).spread
+    base = Setting({}, camera, fov_a, fov_b, spp, fovea, viewing)
+    effort = Effort(repeats, warm_up, reference_spp)
+    with progress_bar(f"sweep over {over}") as bar:
+        rows = swept(loaded, found, chosen.settings(base, views), chosen.judged, effort, bar)
+    crossings = break_even(rows) if over == "radius" else []
+    print(f"{loaded.name}: {chosen.title}, {fovea} fovea")
+    _print(rows)
+    for row in crossings:
+        radius = "above 90" if row["radius"] is None else f"{row['radius']:.0f}"
+        print(
+            f"{row['width']}x{row['height']}: as fast as full path tracing at a radius of {radius} % "
+            f"of the height (FPC: {row['paper']:.0f}); least ratio {row['least_ratio']:.3f}"
+        )
+    write_json(
+        json_file,
+        {
+            "scene": loaded.name,
+            "over": over,
+            "rows": rows,
+            "break_even": crossings,
+            "fovea": fovea,
+            "fov_a": fov_a,
+            "fov_b": fov_b,
+            "spp": spp,
+            "machine": machine(),
+        },
+    )
+
+
+def _print(rows: list[dict[str, Any]]) -> None:
+    """A column for each quantity that varies, times, the ratio, FPC's ratio, and quality if there is any."""
+    fixed = {"ms", "full_ms", "ratio", "passes", "repeats", "paper", "quality"}
+    varied = [name for name in rows[0] if name not in fixed]
+    metrics = list(rows[0].get("quality", {}))
+    shown = [name for name in metrics if name.split()[1] in ("ssim", "flip", "jod")]
+    print(
+        "".join(f"{name:>15}" for name in varied)
+        + f"{'hybrid ms':>11}{'full ms':>10}{'ratio':>8}{'paper':>8}"
+        + "".join(f"{name:>17}" for name in shown)
+    )
+    for row in rows:
+        cells = [f"{row[n]:.4g}" if isinstance(row[n], float) else str(row[n]) for n in varied]
+        paper = row.get("paper", {})
+        ratio = f"{paper['ratio']:.2f}" if "ratio" in paper else "-"
+        print(
+            "".join(f"{cell:>15}" for cell in cells)
+            + f"{row['ms']['p50']:>11.0f}{row['full_ms']['p50']:>10.0f}{row['ratio']:>8.2f}{ratio:>8}"
+            + "".join(f"{row['quality'][name]:>17.4g}" for name in shown)
+        )

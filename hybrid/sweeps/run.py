@@ -1,0 +1,162 @@
+"""Times, and where asked judges, every row of a sweep."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from itertools import groupby, pairwise
+from typing import Any
+
+import numpy as np
+
+from compose.foveation import Foveation
+from compose.view import Camera, Gaze
+from hybrid.evaluate.measure import Viewer, measured
+from hybrid.evaluate.peers import FullTrace, Hybrid, Peer
+from hybrid.evaluate.regions import regions
+from hybrid.reference import Reference, reference
+from hybrid.renderer import HybridRenderer
+from hybrid.sweeps import catalogue
+from hybrid.sweeps.setting import Setting
+from hybrid.timing import gaze_path, percentiles
+from pathtrace.scene import Scene
+from pathtrace.tracer import Tracer
+from splat.forest import Forest
+
+_REFERENCE_SEED = 1_000_003
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is measured.
+
+    Attributes:
+        repeats, warm_up: frames per row.
+        reference_spp: samples per pixel of references.
+    """
+
+    repeats: int
+    warm_up: int
+    reference_spp: int
+
+
+def swept(
+    scene: Scene,
+    forest: Forest,
+    settings: list[Setting],
+    judge: bool,
+    effort: Effort,
+    progress: Callable[[int, int], None],
+) -> list[dict[str, Any]]:
+    """One row per setting: what was varied, `ms` of the hybrid and of the full frame, and their ratio.
+
+    Rows of one view and size take turns with the full path-traced frame at each of their sample counts,
+    denoised where the fovea is.
+
+    Args:
+        scene, forest: what is rendered.
+        settings: the rows.
+        judge: whether to measure quality as well, with the gaze in the middle.
+        effort: how much is measured.
+        progress: called with frames done and frames in all.
+    """
+    renderers: dict[Any, HybridRenderer] = {}
+    for setting in settings:
+        key = setting.viewing, setting.fovea
+        renderers.setdefault(key, HybridRenderer(scene, forest, *key))
+    tracer = next(iter(renderers.values())).tracer
+    rows: list[dict[str, Any]] = []
+    for _, group in groupby(settings, key=lambda setting: setting.camera.key):
+        same = list(group)
+        ours = [Hybrid(renderers[s.viewing, s.fovea], s.fov_a, s.fov_b, s.spp) for s in same]
+        full = {(s.spp, s.fovea != "raw"): FullTrace(tracer, s.spp, s.fovea != "raw") for s in same}
+        done = partial(_advanced, progress, len(rows), len(same), len(settings))
+        times = _times([*ours, *full.values()], same[0].camera, effort, done)
+        of_full = dict(zip(full, times[len(ours) :], strict=True))
+        truth = _truth(tracer, same[0].camera, effort) if judge else None
+        for setting, peer, found in zip(same, ours, times, strict=False):
+            row = _row(setting, found, of_full[setting.spp, setting.fovea != "raw"], effort)
+            if truth is not None:
+                row["quality"] = _quality(setting, peer, truth)
+            rows.append(row)
+    return rows
+
+
+def break_even(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Per resolution of a sweep over the radius: where hybrid and full frame take equally long.
+
+    `radius` is None where the hybrid frame is faster at every radius that was measured.
+    """
+    found = []
+    sizes = dict.fromkeys((row["width"], row["height"]) for row in rows)
+    for size in sizes:
+        points = [(r["radius"], r["ratio"]) for r in rows if (r["width"], r["height"]) == size]
+        crossed = [
+            before + (ratio - 1) / (ratio - after_ratio) * (after - before)
+            for (before, ratio), (after, after_ratio) in pairwise(points)
+            if ratio >= 1 > after_ratio
+        ]
+        if points[0][1] < 1:
+            crossed = [points[0][0], *crossed]
+        least = min(ratio for _, ratio in points)
+        found.append(
+            {
+                "width": size[0],
+                "height": size[1],
+                "radius": crossed[0] if crossed else None,
+                "least_ratio": least,
+                "paper": catalogue.BREAK_EVEN.get(size),
+            }
+        )
+    return found
+
+
+def _advanced(
+    progress: Callable[[int, int], None], before: int, rows: int, all_rows: int, done: int, total: int
+) -> None:
+    progress(1000 * before + 1000 * rows * done // total, 1000 * all_rows)
+
+
+def _times(
+    peers: list[Peer], camera: Camera, effort: Effort, progress: Callable[[int, int], None]
+) -> list[list[dict[str, float]]]:
+    """Milliseconds per pass of each frame of each peer; all take a step along the gaze's path in turn."""
+    found: list[list[dict[str, float]]] = [[] for _ in peers]
+    path = gaze_path(effort.repeats)
+    for turn in range(-effort.warm_up, effort.repeats):
+        for peer, frames in zip(peers, found, strict=True):
+            made = peer.make(camera, path[turn % effort.repeats], turn + effort.warm_up)
+            if turn >= 0:
+                frames.append(made.milliseconds)
+        progress(turn + effort.warm_up + 1, effort.warm_up + effort.repeats)
+    return found
+
+
+def _row(
+    setting: Setting, ours: list[dict[str, float]], full: list[dict[str, float]], effort: Effort
+) -> dict[str, Any]:
+    total, of_full = ([frame["total"] for frame in frames] for frames in (ours, full))
+    row: dict[str, Any] = {
+        **setting.varied,
+        "ms": percentiles(total),
+        "full_ms": percentiles(of_full),
+        "ratio": float(np.median(of_full) / np.median(total)),
+        "passes": {n: float(np.median([f[n] for f in ours])) for n in ours[0] if n != "total"},
+        "repeats": effort.repeats,
+    }
+    return {**row, "paper": setting.paper} if setting.paper else row
+
+
+def _truth(tracer: Tracer, camera: Camera, effort: Effort) -> Reference:
+    return reference(tracer, camera, effort.reference_spp, _REFERENCE_SEED)
+
+
+def _quality(setting: Setting, peer: Hybrid, truth: Reference) -> dict[str, float]:
+    """Metrics by region and name, such as "foveal jod"."""
+    image = peer.make(setting.camera, Gaze(), 0).image
+    parts = regions(Foveation(Gaze(), setting.fov_a, setting.fov_b), truth.radiance)
+    wanted = {name: part for name, part in parts.items() if name in ("whole", "foveal", "peripheral")}
+    viewer = Viewer(setting.viewing.display, Gaze())
+    rows = measured(image, truth.radiance, wanted, viewer)
+    return {f"{row['region']} {row['metric']}": float(row["value"]) for row in rows}

@@ -1,0 +1,33 @@
+"""One row of a sweep: what is rendered, and what it is compared with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from compose.view import Camera
+from hybrid.periphery import Viewing
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A hybrid frame with all that may vary.
+
+    Attributes:
+        varied: the quantities of this sweep, by name.
+        camera: the view.
+        fov_a, fov_b: radii in percent of the height.
+        spp: samples per pixel in the disc.
+        fovea: raw, denoised or fused.
+        viewing: display, law and layers.
+        paper: FPC's own figures for this row, by name; empty where there are none.
+    """
+
+    varied: dict[str, Any]
+    camera: Camera
+    fov_a: float
+    fov_b: float
+    spp: int
+    fovea: str
+    viewing: Viewing
+    paper: dict[str, float] = field(default_factory=dict)

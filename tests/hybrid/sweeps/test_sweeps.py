@@ -1,0 +1,90 @@
+"""Sweeps: their rows, where two ways of rendering break even, and FPC's figures beside them."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from compose.errors import UserError
+from hybrid.sweeps import catalogue
+from hybrid.sweeps.catalogue import SWEEPS, sweep_named
+from hybrid.sweeps.run import break_even
+from tests.hybrid.command import run
+
+pytestmark = pytest.mark.usefixtures("backend", "own_home")
+
+
+@pytest.fixture
+def swept(made, monkeypatch, tmp_path):
+    """Runs a sweep over small frames and returns what it wrote."""
+    monkeypatch.setattr(catalogue, "BREAK_EVEN", {(48, 32): 51.0, (64, 32): 50.0})
+    monkeypatch.setattr(catalogue, "_RADII", (20, 90))
+    monkeypatch.setattr(catalogue, "_VIEW_SIZES", ((48, 32),))
+    monkeypatch.setattr(catalogue, "_BAND_OUTER", (40.0,))
+
+    def sweep(over: str, *options: object) -> dict:
+        out = tmp_path / f"{over}.json"
+        common = ["sweep", "cornell", "--forest", made / "box.forest", "--repeats", 3, "--warm-up", 1]
+        assert run(monkeypatch, *common, "--over", over, "--json", out, *options) == 0
+        return json.loads(out.read_text())
+
+    return sweep
+
+
+def check(row: dict) -> None:
+    assert row["ratio"] == pytest.approx(row["full_ms"]["p50"] / row["ms"]["p50"])
+    assert {"plan", "splat", "trace", "fovea", "blend"} <= set(row["passes"])
+    assert row["repeats"] == 3
+
+
+def test_radius_has_a_row_per_size_and_radius_and_tells_where_it_breaks_even(swept):
+    found = swept("radius")
+    keys = [(row["width"], row["height"], row["radius"]) for row in found["rows"]]
+    assert keys == [(w, 32, r) for w in (48, 64) for r in (20, 90)]
+    for row in found["rows"]:
+        check(row)
+    assert [(row["width"], row["paper"]) for row in found["break_even"]] == [(48, 51.0), (64, 50.0)]
+
+
+def test_judged_sweeps_have_quality(swept):
+    found = swept("band", "--reference-spp", 4, "--fovea", "fused")
+    assert [row["fov_b"] for row in found["rows"]] == [10, 20, 30, 40]
+    for row in found["rows"]:
+        check(row)
+        assert 0 < row["quality"]["foveal ssim"] <= 1
+        assert row["quality"]["peripheral psnr"] > 5
+
+
+def test_views_and_layers(swept):
+    assert len({row["view"] for row in swept("view")["rows"]}) == 4
+    layers = swept("layers", "--reference-spp", 4)["rows"]
+    assert [row["layers"] for row in layers] == ["1 to 1", "1 to 2", "2 to 2"]
+    assert layers[0]["gaussians"] < layers[1]["gaussians"]
+
+
+def test_papers_figures_stand_beside_ours():
+    """Foveated Path Culling, Table 4: 800x600 is 19.62 % slower, 3316x1061 is 43.31 % faster."""
+    speed_ups = [ours / full - 1 for ours, full in catalogue._TABLE_4.values()]
+    assert speed_ups == pytest.approx([-0.1962, 0.2828, 0.3771, 0.4331], abs=0.002)
+    speed_ups = [ours / full - 1 for ours, full in catalogue._TABLE_5.values()]
+    assert speed_ups == pytest.approx([-0.0185, 0.0667, 0.17, 0.2842], abs=0.002)
+
+
+def test_the_radius_at_which_two_ways_cost_the_same():
+    rows = lambda *ratios: [  # noqa: E731
+        {"width": 4, "height": 3, "radius": r, "ratio": ratio}
+        for r, ratio in zip((10, 50, 90), ratios, strict=True)
+    ]
+    assert break_even(rows(5.0, 1.5, 1.1))[0]["radius"] is None
+    assert break_even(rows(5.0, 1.5, 0.5))[0]["radius"] == pytest.approx(70)
+    assert break_even(rows(0.9, 0.8, 0.7))[0]["radius"] == 10
+    assert break_even(rows(5.0, 1.5, 0.5))[0]["least_ratio"] == 0.5
+
+
+def test_a_sweep_that_does_not_exist_is_named(monkeypatch, capsys):
+    with pytest.raises(UserError, match="--over moon: must be resolution, aspect"):
+        sweep_named("moon", (1,))
+    assert run(monkeypatch, "sweep", "cornell", "--over", "moon") == 2
+    assert "--over moon: must be" in capsys.readouterr().err
+    assert "radius" in SWEEPS
