@@ -257,6 +257,13 @@ def render(
             help="raw: what Mitsuba gives, unbiased; denoised: OIDN; fused: with the splats under the disc."
         ),
     ] = "fused",
+    target_ms: Annotated[
+        float | None,
+        typer.Option(help="Choose fovea, radii and samples: the best measured to take no longer.", min=0),
+    ] = None,
+    target_jod: Annotated[
+        float | None, typer.Option(help="The same: the fastest measured to be at least so good.", max=10)
+    ] = None,
     law: Law = DEFAULT_LAW,
     layers: Layers = None,
     display: DisplayName = "desktop",
@@ -292,9 +299,18 @@ def render(
     from hybrid.layers import frame_layers
     from hybrid.periphery import Viewing
     from hybrid.renderer import HybridRenderer
+    from hybrid.trade import chosen, remembered_trade
 
     loaded = loaded_scene(scene, max_depth)
     view = _view(loaded, camera, size)
+    if target_ms is not None or target_jod is not None:
+        choice = chosen(remembered_trade(loaded, view.width, view.height), target_ms, target_jod)
+        fovea, spp = choice.fovea, choice.spp
+        foveation = Foveation(foveation.gaze, choice.fov_a, choice.fov_b)
+        print(
+            f"--fovea {fovea} --spp {spp} --fov-a {choice.fov_a:g} --fov-b {choice.fov_b:g}: "
+            f"measured to take {choice.milliseconds:.0f} ms"
+        )
     viewing = Viewing(shown, law, layers)
     renderer = HybridRenderer(loaded, forest_for(loaded, forest), viewing, fovea)
     frame = renderer.frame(view, foveation, spp, seed)
@@ -311,8 +327,8 @@ def render(
             "width": view.width,
             "height": view.height,
             "spp": spp,
-            "fov_a": fov_a,
-            "fov_b": fov_b,
+            "fov_a": foveation.fov_a,
+            "fov_b": foveation.fov_b,
             "fovea": fovea,
             "law": law,
             "pixels_per_degree": shown.pixels_per_degree,

@@ -15,9 +15,11 @@ from hybrid.options import (
     Json,
     Law,
     SceneName,
+    Size,
     Spp,
     loaded_scene,
     select,
+    sized,
     write_json,
 )
 from hybrid.progress import progress_bar
@@ -30,11 +32,12 @@ def sweep(
     over: Annotated[
         str,
         typer.Option(
-            help="What varies: resolution, aspect, radius, spp, view, band, layers, law or denoiser."
+            help="What varies: resolution, aspect, radius, spp, view, band, layers, law, denoiser or trade."
         ),
     ] = "resolution",
     forest: ForestFile = None,
     fovea: Annotated[str, typer.Option(help="raw, denoised or fused.")] = "raw",
+    size: Size = None,
     fov_a: FovA = 20.0,
     fov_b: FovB = 15.0,
     spp: Spp = 1,
@@ -63,19 +66,22 @@ def sweep(
     from hybrid.cache import forest_for
     from hybrid.sweeps.run import Effort, break_even, swept
     from hybrid.timing import machine
+    from hybrid.trade import remember_trade
     from pathtrace.surface import Surfaces
     from pathtrace.views import choose_views
 
     loaded = loaded_scene(scene)
     found = forest_for(loaded, forest)
     chosen = sweep_named(over, found.counts)
-    camera = loaded.camera
-    size = camera.width, camera.height
-    views = choose_views(loaded, Surfaces(loaded), _VIEWS + 1, *size, _VIEW_SEED).spread
+    camera = sized(loaded.camera, size)
+    pixels = camera.width, camera.height
+    views = choose_views(loaded, Surfaces(loaded), _VIEWS + 1, *pixels, _VIEW_SEED).spread
     base = Setting({}, camera, fov_a, fov_b, spp, fovea, viewing)
     effort = Effort(repeats, warm_up, reference_spp)
     with progress_bar(f"sweep over {over}") as bar:
         rows = swept(loaded, found, chosen.settings(base, views), chosen.judged, effort, bar)
+    if over == "trade":
+        remember_trade(loaded, *pixels, rows)
     crossings = break_even(rows) if over == "radius" else []
     print(f"{loaded.name}: {chosen.title}, {fovea} fovea")
     _print(rows)

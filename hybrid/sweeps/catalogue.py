@@ -37,6 +37,7 @@ _RADII = (10, 20, 30, 40, 50, 60, 70, 80, 90)
 _FIGURE_14 = {1: (200, 100), 2: (192, 67), 4: (166, 40), 6: (151, 30)}
 _FIGURE_14_FULL = 150.0
 _VIEW_SIZES, _VIEW_RADII = ((1280, 780), (3316, 1061)), (20, 50)
+_TRADE_OUTER, _TRADE_SPP = (5.0, 10.0, 20.0, 30.0), (1, 2, 4, 8)
 _BAND_OUTER, _BAND_SHARES = (10.0, 20.0, 30.0, 40.0), (0.25, 0.5, 0.75, 1.0)
 
 
@@ -138,6 +139,23 @@ def _denoiser(base: Setting, views: list[Camera]) -> list[Setting]:
     ]
 
 
+def _trade(base: Setting, views: list[Camera]) -> list[Setting]:
+    share = base.fov_b / base.fov_a
+    return [
+        replace(
+            base,
+            varied={"fovea": fovea, "spp": spp, "fov_a": outer, "fov_b": share * outer},
+            fovea=fovea,
+            spp=spp,
+            fov_a=outer,
+            fov_b=share * outer,
+        )
+        for outer in _TRADE_OUTER
+        for spp in _TRADE_SPP
+        for fovea in ("denoised", "fused")
+    ]
+
+
 SWEEPS = {
     "resolution": Sweep(_sizes(_TABLE_4), "resolutions (FPC, Table 4)"),
     "aspect": Sweep(_sizes(_TABLE_5), "resolutions of one aspect ratio (FPC, Table 5)"),
@@ -146,6 +164,7 @@ SWEEPS = {
     "view": Sweep(_view, "views (FPC, Figures 12 and 13)"),
     "band": Sweep(_band, "fov-a and fov-b", judged=True),
     "law": Sweep(_laws, "laws of the eye", judged=True),
+    "trade": Sweep(_trade, "settings that `hybrid render --target-ms` chooses from", judged=True),
     "denoiser": Sweep(_denoiser, "how the fovea is made", judged=True),
 }
 
