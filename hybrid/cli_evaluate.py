@@ -90,7 +90,7 @@ def evaluate(
         found = evaluation.run(lambda what, done, total: bar(int(1000 * done / total), 1000, what))
     text = json.dumps(found, indent=1) + "\n"
     write_whole(report / "evaluation.json", lambda part: part.write_text(text))
-    write_report(report, found)
+    write_report(report)
     write_json(json_file, found)
     for line in missing():
         print(line)

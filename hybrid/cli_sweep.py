@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from compose.errors import UserError
 from hybrid.options import (
     Backend,
     DisplayName,
@@ -45,6 +47,10 @@ def sweep(
     display: DisplayName = "desktop",
     repeats: Annotated[int, typer.Option(help="Measured frames per method and row.", min=3)] = 15,
     warm_up: Annotated[int, typer.Option(help="Frames before that.", min=1)] = 2,
+    report: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of an evaluation: its page gets this sweep as well."),
+    ] = None,
     reference_spp: Annotated[
         int, typer.Option(help="Samples per pixel of references, where quality is measured.", min=4)
     ] = 64,
@@ -62,8 +68,11 @@ def sweep(
     mode_named(fovea)
     viewing = Viewing(display_named(display), law)
     sweep_named(over, (1,))
+    if report is not None and not (report / "evaluation.json").exists():
+        raise UserError(f"--report {report}: holds no evaluation; make one with hybrid evaluate first")
     select(backend)
     from hybrid.cache import forest_for
+    from hybrid.evaluate.report import write_report
     from hybrid.sweeps.run import Effort, break_even, swept
     from hybrid.timing import machine
     from hybrid.trade import remember_trade
@@ -91,20 +100,23 @@ def sweep(
             f"{row['width']}x{row['height']}: as fast as full path tracing at a radius of {radius} % "
             f"of the height (FPC: {row['paper']:.0f}); least ratio {row['least_ratio']:.3f}"
         )
-    write_json(
-        json_file,
-        {
-            "scene": loaded.name,
-            "over": over,
-            "rows": rows,
-            "break_even": crossings,
-            "fovea": fovea,
-            "fov_a": fov_a,
-            "fov_b": fov_b,
-            "spp": spp,
-            "machine": machine(),
-        },
-    )
+    content = {
+        "scene": loaded.name,
+        "over": over,
+        "title": chosen.title,
+        "rows": rows,
+        "break_even": crossings,
+        "fovea": fovea,
+        "fov_a": fov_a,
+        "fov_b": fov_b,
+        "spp": spp,
+        "machine": machine(),
+    }
+    write_json(json_file, content)
+    if report is not None:
+        write_json(report / f"sweep-{over}.json", content)
+        write_report(report)
+        print(report / "index.html")
 
 
 def _print(rows: list[dict[str, Any]]) -> None:

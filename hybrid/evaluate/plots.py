@@ -58,6 +58,70 @@ def samples_plot(found: dict[str, Any], metric: str) -> str | None:
     return _svg(figure)
 
 
+def sweep_plots(found: dict[str, Any]) -> list[str]:
+    """Of a sweep: the ratio to full path tracing over what varies, and quality over time if it was judged."""
+    rows = found["rows"]
+    plots = [_ratio_plot(found["over"], rows)]
+    for metric in ("whole jod", "foveal jod", "foveal flip"):
+        if all(metric in row.get("quality", {}) for row in rows):
+            plots.append(_quality_plot(rows, metric))
+    return plots
+
+
+def _varied(row: dict[str, Any]) -> dict[str, Any]:
+    """The quantities that a sweep varies: what stands before the times."""
+    names = list(row)
+    return {name: row[name] for name in names[: names.index("ms")]}
+
+
+def _ratio_plot(over: str, rows: list[dict[str, Any]]) -> str:
+    """A line for each combination of all quantities but the last; FPC's figures hollow beside ours."""
+    figure, axes = _figure()
+    lines: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        varied = list(_varied(row).items())
+        before = varied[:-1] if over not in ("resolution", "aspect") else []
+        lines.setdefault(", ".join(f"{name} {_short(value)}" for name, value in before), []).append(row)
+    for name, line in lines.items():
+        places = [_place(over, row) for row in line]
+        (drawn,) = axes.plot(places, [row["ratio"] for row in line], "o-", ms=4, label=name or "this project")
+        known = [
+            (p, r["paper"]["ratio"])
+            for p, r in zip(places, line, strict=True)
+            if "ratio" in r.get("paper", {})
+        ]
+        if known:
+            axes.plot(*zip(*known, strict=True), "o--", mfc="none", color=drawn.get_color(), label="FPC")
+    axes.axhline(1, color="#888", lw=0.8)
+    axes.set_xlabel(list(_varied(rows[0]))[-1] if over not in ("resolution", "aspect") else "frame size")
+    axes.set_ylabel("times faster than full path tracing")
+    axes.legend(frameon=False, fontsize=7)
+    return _svg(figure)
+
+
+def _quality_plot(rows: list[dict[str, Any]], metric: str) -> str:
+    figure, axes = _figure()
+    for row in rows:
+        place = row["ms"]["p50"], row["quality"][metric]
+        axes.scatter(*place, s=26, color="#c33")
+        name = ", ".join(_short(value) for value in _varied(row).values())
+        axes.annotate(name, place, xytext=(4, 3), textcoords="offset points", fontsize=6.5)
+    axes.set_xlabel("median time of a frame, ms")
+    axes.set_ylabel(f"{_LABELS[metric.split()[1]]}, {metric.split()[0]}")
+    return _svg(figure)
+
+
+def _place(over: str, row: dict[str, Any]) -> Any:
+    if over in ("resolution", "aspect"):
+        return f"{row['width']}x{row['height']}"
+    value = list(_varied(row).values())[-1]
+    return value if isinstance(value, int | float) else str(value)
+
+
+def _short(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
 def _figure() -> tuple[Any, Any]:
     # Not pyplot: no window, no state.
     from matplotlib.figure import Figure

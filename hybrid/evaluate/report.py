@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from compose.files import write_whole
 from hybrid.evaluate.entries import OURS
 from hybrid.evaluate.judged import HALVES, flip_name, picture_name
 from hybrid.evaluate.measure import METRICS
-from hybrid.evaluate.plots import samples_plot, trade_plot
+from hybrid.evaluate.plots import samples_plot, sweep_plots, trade_plot
 from hybrid.evaluate.regions import REGIONS
 from hybrid.evaluate.verdicts import FOVEAL_METRICS, Key, keys_of, mean_of, verdicts
 from hybrid.metrics import missing
@@ -25,13 +26,14 @@ _JPEG_QUALITY = 92
 _DIGITS = {"psnr": 2, "ssim": 4, "fssim": 4, "flip": 4, "hdr-flip": 4, "lpips": 4, "jod": 2}
 
 
-def write_report(folder: Path, found: dict[str, Any]) -> None:
-    """Writes index.html beside the evaluation's pictures.
+def write_report(folder: Path) -> None:
+    """Writes index.html from evaluation.json, the pictures, and the sweeps that lie beside it.
 
     Args:
         folder: of the report.
-        found: the content of evaluation.json.
     """
+    found = json.loads((folder / "evaluation.json").read_text())
+    sweeps = [json.loads(file.read_text()) for file in sorted(folder.glob("sweep-*.json"))]
     settings, machine = found["settings"], found["machine"]
     views = sorted({row["view"] for row in found["quality"]})
     keys = keys_of(found)
@@ -55,6 +57,7 @@ def write_report(folder: Path, found: dict[str, Any]) -> None:
         trade=_plots(
             [trade_plot(found, "foveal", m) for m in FOVEAL_METRICS] + [trade_plot(found, "whole", "ssim")]
         ),
+        sweeps=[_sweep(sweep) for sweep in sweeps],
         samples=_plots([samples_plot(found, metric) for metric in FOVEAL_METRICS]),
         reference_note=(
             f"Against the truth the references have {min(psnrs):.1f} to {max(psnrs):.1f} dB, "
@@ -81,6 +84,37 @@ def label(key: Key) -> str:
 
 def _plots(plots: list[str | None]) -> list[Markup]:
     return [Markup(plot) for plot in plots if plot is not None]
+
+
+def _sweep(sweep: dict[str, Any]) -> dict[str, Any]:
+    """Title, plots and table of a sweep."""
+    rows = sweep["rows"]
+    names = list(rows[0])[: list(rows[0]).index("ms")]
+    metrics = list(rows[0].get("quality", {}))
+    cells = []
+    for row in rows:
+        paper = row.get("paper", {})
+        cells.append(
+            [f"{row[name]:g}" if isinstance(row[name], float) else str(row[name]) for name in names]
+            + [f"{row['ms']['p50']:.0f}", f"{row['full_ms']['p50']:.0f}", f"{row['ratio']:.2f}"]
+            + [f"{paper['ratio']:.2f}" if "ratio" in paper else "-"]
+            + [f"{row['quality'][m]:.{_DIGITS[m.split()[1]]}f}" for m in metrics]
+        )
+    columns = [*names, "ms", "full, ms", "ratio", "FPC's ratio", *metrics]
+    said = [
+        f"{row['width']} × {row['height']}: as fast as full path tracing at a radius of "
+        + ("more than 90" if row["radius"] is None else f"{row['radius']:.0f}")
+        + f" % of the height (FPC: {row['paper']:.0f})."
+        for row in sweep["break_even"]
+    ]
+    title = f"Over {sweep['title']}, {sweep['fovea']} fovea, {sweep['rows'][0]['repeats']} frames each"
+    return {
+        "title": title,
+        "plots": _plots(list(sweep_plots(sweep))),
+        "columns": columns,
+        "rows": cells,
+        "said": said,
+    }
 
 
 def _quality_table(found: dict[str, Any], region: str, keys: list[Key]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from hybrid.evaluate import timed
 from hybrid.evaluate.entries import OURS
 from hybrid.evaluate.judged import HALVES
 from hybrid.evaluate.regions import REGIONS
+from hybrid.sweeps import catalogue
 from tests.hybrid.command import run
 
 pytestmark = pytest.mark.usefixtures("backend")
@@ -152,3 +153,18 @@ def _look(browser) -> None:
         head.click()
         values = [float(v) for v in ask(f"return [...({cells[7:]})].map(r => r.cells[2].textContent)")]
         assert values == sorted(values, reverse=order < 0)
+
+
+def test_a_sweep_goes_into_the_page(evaluated, made, monkeypatch, capsys):
+    folder, _ = evaluated
+    monkeypatch.setattr(catalogue, "_RADII", (20, 90))
+    monkeypatch.setattr(catalogue, "BREAK_EVEN", {(48, 32): 51.0})
+    common = ["sweep", "cornell", "--forest", made / "box.forest", "--repeats", 3, "--warm-up", 1]
+    assert run(monkeypatch, *common, "--over", "radius", "--report", folder / "nowhere") == 2
+    assert "holds no evaluation" in capsys.readouterr().err
+    before = (folder / "first" / "index.html").read_text()
+    assert run(monkeypatch, *common, "--over", "radius", "--report", folder / "first") == 0
+    page = (folder / "first" / "index.html").read_text()
+    assert "radius of the fovea (FPC, Figures 7 to 10)" in page
+    assert "48 × 32: as fast as full path tracing at a radius of" in page
+    assert page.count("<svg") == before.count("<svg") + 1
