@@ -20,18 +20,11 @@ def trade_plot(found: dict[str, Any], region: str, metric: str) -> str | None:
     figure, axes = _figure()
     best = frontier(points, metric)
     axes.plot([p.milliseconds for p in best], [p.value for p in best], color="#888", lw=1, zorder=1)
-    for point in points:
-        ours = point.method.startswith("hybrid")
-        axes.scatter(point.milliseconds, point.value, s=30, color="#c33" if ours else "#36c", zorder=2)
-        axes.annotate(
-            f"{point.method} ({point.budget})" if point.budget != "fixed" else point.method,
-            (point.milliseconds, point.value),
-            xytext=(4, 3),
-            textcoords="offset points",
-            fontsize=6.5,
-        )
-    axes.set_xscale("log")
-    axes.set_xlabel("median time of a frame, ms")
+    for number, point in enumerate(points, 1):
+        name = point.method if point.budget == "fixed" else f"{point.method} ({point.budget})"
+        _point(axes, number, point.milliseconds, point.value, name, point.method.startswith("hybrid"))
+    _named_beside(axes)
+    _logarithmic_time(axes)
     axes.set_ylabel(f"{_LABELS[metric]}, {region}")
     return _svg(figure)
 
@@ -101,11 +94,10 @@ def _ratio_plot(over: str, rows: list[dict[str, Any]]) -> str:
 
 def _quality_plot(rows: list[dict[str, Any]], metric: str) -> str:
     figure, axes = _figure()
-    for row in rows:
-        place = row["ms"]["p50"], row["quality"][metric]
-        axes.scatter(*place, s=26, color="#c33")
+    for number, row in enumerate(rows, 1):
         name = ", ".join(_short(value) for value in _varied(row).values())
-        axes.annotate(name, place, xytext=(4, 3), textcoords="offset points", fontsize=6.5)
+        _point(axes, number, row["ms"]["p50"], row["quality"][metric], name, ours=True)
+    _named_beside(axes)
     axes.set_xlabel("median time of a frame, ms")
     axes.set_ylabel(f"{_LABELS[metric.split()[1]]}, {metric.split()[0]}")
     return _svg(figure)
@@ -122,11 +114,31 @@ def _short(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
+def _point(axes: Any, number: int, x: float, y: float, name: str, ours: bool) -> None:
+    """A numbered point; its name stands beside the plot, where names do not cover each other."""
+    axes.scatter(x, y, s=24, color="#c33" if ours else "#36c", zorder=2, label=f"{number}  {name}")
+    axes.annotate(str(number), (x, y), xytext=(4, 3), textcoords="offset points", fontsize=7)
+
+
+def _logarithmic_time(axes: Any) -> None:
+    from matplotlib.ticker import LogLocator, NullLocator, ScalarFormatter
+
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter(ScalarFormatter())
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.set_xlabel("median time of a frame, ms")
+
+
+def _named_beside(axes: Any) -> None:
+    axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), frameon=False, fontsize=7, handletextpad=0.3)
+
+
 def _figure() -> tuple[Any, Any]:
     # Not pyplot: no window, no state.
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
+    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
     axes = figure.add_subplot()
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(color="#ddd", lw=0.5)
