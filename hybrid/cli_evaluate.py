@@ -44,10 +44,10 @@ def evaluate(
     gaze: GazeAt = (0.5, 0.5),
     fov_a: FovA = 20.0,
     fov_b: FovB = 15.0,
-    spp: Spp = 2,
+    spp: Spp = 1,
     reference_spp: Annotated[int, typer.Option(help="Samples per pixel of the references.", min=4)] = 64,
     repeats: Annotated[
-        int, typer.Option(help="Frames timed per method; 30 of those that take over a second.", min=3)
+        int, typer.Option(help="Frames timed per method; fewer of those that would take over 100 s.", min=3)
     ] = 300,
     display: DisplayName = "desktop",
     seed: Seed = 0,

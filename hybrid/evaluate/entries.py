@@ -16,7 +16,7 @@ from pathtrace.tracer import Tracer
 # The method whose rays and time the others get.
 OURS = "hybrid, fused"
 # Samples per pixel of further hybrid frames: from which on their foveas pass the splats.
-OTHER_SPP = (1, 4, 16)
+OTHER_SPP = (1, 2, 4, 16)
 
 
 @dataclass(frozen=True)
@@ -27,11 +27,13 @@ class Entry:
         method: its name.
         budget: what it was made equal in to OURS: equal-rays, equal-time, or fixed for none.
         peer: makes it.
+        briefly: whether a few frames are enough to time it.
     """
 
     method: str
     budget: str
     peer: Peer
+    briefly: bool = False
 
 
 def hybrid_entries(renderers: dict[str, HybridRenderer], settings: EvaluationSettings) -> list[Entry]:
@@ -40,7 +42,7 @@ def hybrid_entries(renderers: dict[str, HybridRenderer], settings: EvaluationSet
     entries = [Entry(f"hybrid, {mode}", "fixed", made(mode, settings.spp)) for mode in renderers]
     for spp in OTHER_SPP:
         if spp != settings.spp:
-            entries.append(Entry(f"{OURS}, {spp} spp", "fixed", made("fused", spp)))
+            entries.append(Entry(f"{OURS}, {spp} spp", "fixed", made("fused", spp), briefly=True))
     return entries
 
 
@@ -78,7 +80,8 @@ def peer_entries(
     for number, (name, family) in enumerate(known.items()):
         equal = family(rays)
         affordable = equal.rays(camera, gaze) <= rays * (1 + NEAR)
-        entries.append(Entry(name, "equal-rays" if affordable else "fixed", equal))
+        budget = "equal-rays" if affordable else "fixed"
+        entries.append(Entry(name, budget, equal, briefly=affordable))
         met = costs.once(name, lambda: at_equal_time(family, camera, gaze, milliseconds, rays))  # noqa: B023
         if met is not None and family(met).settings != equal.settings:
             entries.append(Entry(name, "equal-time", family(met)))

@@ -169,7 +169,7 @@ class _Work:
         samples = settings.width * settings.height * settings.reference_spp
         steps = {
             "references": settings.views * samples,
-            "tuning": 39,
+            "tuning": 51,
             "costs": 6,
             "quality": 17 * settings.views,
             "times": settings.repeats,

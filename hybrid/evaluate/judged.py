@@ -62,8 +62,8 @@ def judged(
     for view, (camera, truth) in enumerate(zip(views, references, strict=True)):
         parts = regions(settings.foveation, truth.radiance)
 
-        def compared(method: str, image: Image, truth: Image, parts: Any = parts) -> Any:
-            return measured(image, truth, parts, viewer, method)
+        def compared(method: str, image: Image, truth: Image, error: Any = None, parts: Any = parts) -> Any:
+            return measured(image, truth, parts, viewer, method, error)
 
         def made(entry: Entry, view: int = view, camera: Camera = camera, truth: Reference = truth) -> Any:
             image = entry.peer.make(camera, settings.gaze, settings.seed + view).image
@@ -72,7 +72,7 @@ def judged(
             error = flip_map(image, truth.radiance)
             if error is not None:
                 write_bytes(folder / flip_name(view, key), _coloured(error))
-            return compared(entry.method, image, truth.radiance)
+            return compared(entry.method, image, truth.radiance, error)
 
         write_png(folder / picture_name(view, None), truth.radiance)
         first, second = truth.halves

@@ -57,22 +57,28 @@ def checked_pair(image: Image, reference: Image, name: str) -> None:
 
 
 def measured(
-    image: Image, reference: Image, regions: dict[str, Region], viewer: Viewer, name: str = "the frame"
+    image: Image,
+    reference: Image,
+    regions: dict[str, Region],
+    viewer: Viewer,
+    name: str = "the frame",
+    whole_flip: NDArray[np.float32] | None = None,
 ) -> list[dict[str, float | str]]:
     """Rows of region, metric and value, for all metrics that are installed.
 
     No metric leaks over the border of a region: outside of it the picture is exchanged for the reference,
     and of the maps of SSIM and FLIP only the region's pixels count. LPIPS and FovVideoVDP, which give one
-    number for a picture, see the foveal region as a crop, the others as the whole frame with the rest
-    exchanged, so that their numbers for small regions are small. HDR-FLIP, the slowest, looks at the whole
-    alone, and so does `fssim`, SSIM weighted by what the eye resolves at each pixel (Geisler and Perry 1998,
-    relative to the gaze).
+    number for a picture, see the foveal region as a crop; FovVideoVDP the others as the whole frame with the
+    rest exchanged, LPIPS the whole alone. HDR-FLIP, the slowest, looks at the whole alone, and so does
+    `fssim`, SSIM weighted by what the eye resolves at each pixel (Geisler and Perry 1998, relative to the
+    gaze).
 
     Args:
         image, reference: (H, W, 3) linear radiance.
         regions: of the frame.
         viewer: for FovVideoVDP and the weights.
         name: of the picture, for messages.
+        whole_flip: (H, W) the map of FLIP, where it is known already.
 
     Raises:
         UserError: the two cannot be compared.
@@ -84,10 +90,14 @@ def measured(
         found: dict[str, float | None] = {
             "psnr": psnr(image, reference, region.mask),
             "ssim": ssim(alone, reference, region.mask.astype(np.float32)),
-            "flip": _flip(alone, reference, region),
-            "lpips": lpips(*_seen(alone, reference, region)),
             "jod": _jod(alone, reference, region, viewer),
         }
+        if region.name in ("whole", "foveal"):
+            found["lpips"] = lpips(*_seen(alone, reference, region))
+        if region.name == "whole" and whole_flip is not None:
+            found["flip"] = float(whole_flip.mean())
+        else:
+            found["flip"] = _flip(alone, reference, region)
         if region.name == "whole":
             found["fssim"] = ssim(image, reference, acuity_weight(viewer, image.shape[:2]))
             high = hdr_flip_map(image, reference)

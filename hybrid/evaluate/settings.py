@@ -34,7 +34,7 @@ class EvaluationSettings:
     gaze_y: float = 0.5
     fov_a: float = 20.0
     fov_b: float = 15.0
-    spp: int = 2
+    spp: int = 1
     reference_spp: int = 64
     repeats: int = 300
     seed: int = 0
