@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from compose.foveation import MODES, Foveation
-from compose.view import Camera
+from compose.view import Camera, Gaze
 from hybrid.renderer import HybridRenderer
-from hybrid.timing import gaze_path, percentiles
+from hybrid.timing import interleaved_passes, percentiles
 from pathtrace.scene import Scene
 from splat.forest import Forest
 
@@ -36,15 +37,14 @@ def bench_passes(
         warm_up: frames before that.
         progress: called with rounds done and rounds in all.
     """
-    renderers = {mode: HybridRenderer(scene, forest, mode=mode) for mode in MODES}
-    found: dict[str, list[dict[str, float]]] = {mode: [] for mode in MODES}
-    path = gaze_path(repeats)
-    for turn in range(-warm_up, repeats):
-        for mode, renderer in renderers.items():
-            frame = renderer.frame(camera, Foveation(path[turn % repeats], *radii), spp, turn + warm_up)
-            if turn >= 0:
-                found[mode].append(frame.milliseconds)
-        progress(turn + warm_up + 1, warm_up + repeats)
+    renderers = [HybridRenderer(scene, forest, mode=mode) for mode in MODES]
+
+    def passes(renderer: HybridRenderer, gaze: Gaze, seed: int) -> dict[str, float]:
+        return renderer.frame(camera, Foveation(gaze, *radii), spp, seed).milliseconds
+
+    methods = [partial(passes, renderer) for renderer in renderers]
+    times = interleaved_passes(methods, repeats, warm_up, progress)
+    found = dict(zip(MODES, times, strict=True))
     return [
         {
             "mode": mode,

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from compose.files import write_whole
 from hybrid.options import (
     Backend,
     DisplayName,
@@ -88,8 +86,7 @@ def evaluate(
     evaluation = Evaluation(loaded, forest_for(loaded, forest), shown, settings, report, flat)
     with progress_bar("evaluate") as bar:
         found = evaluation.run(lambda what, done, total: bar(int(1000 * done / total), 1000, what))
-    text = json.dumps(found, indent=1) + "\n"
-    write_whole(report / "evaluation.json", lambda part: part.write_text(text))
+    write_json(report / "evaluation.json", found)
     write_report(report)
     write_json(json_file, found)
     for line in missing():

@@ -75,7 +75,7 @@ def sweep(
     from hybrid.evaluate.report import write_report
     from hybrid.sweeps.run import Effort, break_even, swept
     from hybrid.timing import machine
-    from hybrid.trade import remember_trade
+    from hybrid.trade import trade_file
     from pathtrace.surface import Surfaces
     from pathtrace.views import choose_views
 
@@ -90,7 +90,7 @@ def sweep(
     with progress_bar(f"sweep over {over}") as bar:
         rows = swept(loaded, found, chosen.settings(base, views), chosen.judged, effort, bar)
     if over == "trade":
-        remember_trade(loaded, *pixels, rows)
+        write_json(trade_file(loaded, *pixels), rows)
     crossings = break_even(rows) if over == "radius" else []
     print(f"{loaded.name}: {chosen.title}, {fovea} fovea")
     _print(rows)

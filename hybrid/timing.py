@@ -6,7 +6,7 @@ import math
 import os
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from typing import Any
 
@@ -74,6 +74,24 @@ def interleaved(
                 times[name].append((time.perf_counter() - start) * 1000)
         progress(round_index + warm_up + 1, warm_up + repeats)
     return times
+
+
+def interleaved_passes(
+    methods: Sequence[Callable[[Gaze, int], dict[str, float]]],
+    repeats: int,
+    warm_up: int,
+    progress: Callable[[int, int], None],
+) -> list[list[dict[str, float]]]:
+    """Milliseconds per pass, of each frame of each method: `interleaved` for frames that time themselves."""
+    found: list[list[dict[str, float]]] = [[] for _ in methods]
+    path = gaze_path(repeats)
+    for turn in range(-warm_up, repeats):
+        for method, frames in zip(methods, found, strict=True):
+            milliseconds = method(path[turn % repeats], turn + warm_up)
+            if turn >= 0:
+                frames.append(milliseconds)
+        progress(turn + warm_up + 1, warm_up + repeats)
+    return found
 
 
 def machine() -> dict[str, Any]:

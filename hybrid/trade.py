@@ -5,10 +5,8 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from compose.errors import UserError
-from compose.files import write_whole
 from hybrid.cache import scene_folder
 from pathtrace.scene import Scene
 
@@ -37,12 +35,6 @@ class Choice:
 def trade_file(scene: Scene, width: int, height: int) -> Path:
     """Where the trade of a scene at a frame size is remembered."""
     return scene_folder(scene.name, scene.hash) / f"trade-{width}x{height}.json"
-
-
-def remember_trade(scene: Scene, width: int, height: int, rows: list[dict[str, Any]]) -> None:
-    """Keeps the rows of a sweep over the trade."""
-    text = json.dumps(rows, indent=1) + "\n"
-    write_whole(trade_file(scene, width, height), lambda part: part.write_text(text))
 
 
 def remembered_trade(scene: Scene, width: int, height: int) -> list[Choice]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from hybrid.evaluate.entries import OURS
 from hybrid.evaluate.trade import frontier, points_of
-from hybrid.evaluate.verdicts import mean_of
+from hybrid.evaluate.verdicts import fused_by_spp, mean_of
 
 _LABELS = {"jod": "FovVideoVDP, JOD", "flip": "FLIP", "ssim": "SSIM", "psnr": "PSNR, dB", "lpips": "LPIPS"}
 
@@ -32,11 +32,7 @@ def trade_plot(found: dict[str, Any], region: str, metric: str) -> str | None:
 def samples_plot(found: dict[str, Any], metric: str) -> str | None:
     """Foveal quality over samples per pixel of the fused frame, with the splats' as a line."""
     splats = mean_of(found, ("splats alone", "fixed"), "foveal", metric)
-    by_spp = {
-        row["spp"]: mean_of(found, (row["method"], row["budget"]), "foveal", metric)
-        for row in found["methods"]
-        if row.get("fovea") == "fused"
-    }
+    by_spp = fused_by_spp(found, metric)
     if splats is None or any(value is None for value in by_spp.values()):
         return None
     figure, axes = _figure()

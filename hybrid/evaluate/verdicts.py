@@ -31,6 +31,15 @@ def mean_of(found: dict[str, Any], key: Key, region: str, metric: str) -> float 
     return float(np.mean(values)) if values else None
 
 
+def fused_by_spp(found: dict[str, Any], metric: str) -> dict[int, float | None]:
+    """Foveal quality of the fused frames, by their samples per pixel."""
+    return {
+        row["spp"]: mean_of(found, (row["method"], row["budget"]), "foveal", metric)
+        for row in found["methods"]
+        if row.get("fovea") == "fused"
+    }
+
+
 def keys_of(found: dict[str, Any]) -> list[Key]:
     """Methods and budgets, in the order in which they were made."""
     return list(dict.fromkeys((row["method"], row["budget"]) for row in found["methods"]))
@@ -88,11 +97,7 @@ def _against_splats(found: dict[str, Any]) -> list[str]:
         splats = mean_of(found, ("splats alone", "fixed"), "foveal", metric)
         if splats is None:
             continue
-        by_spp = {
-            row["spp"]: mean_of(found, (row["method"], row["budget"]), "foveal", metric)
-            for row in found["methods"]
-            if row.get("fovea") == "fused"
-        }
+        by_spp = fused_by_spp(found, metric)
         passing = [
             spp
             for spp, ours in sorted(by_spp.items())

@@ -71,15 +71,17 @@ def _sizes(table: dict[tuple[int, int], tuple[float, float]]) -> Callable[..., l
     return settings
 
 
+def _of_radius(base: Setting, radius: float) -> Setting:
+    """With a fovea of that radius, in percent of the height, and a band of the same share of it."""
+    return replace(base, fov_a=float(radius), fov_b=base.fov_b / base.fov_a * radius)
+
+
 def _radius(base: Setting, views: list[Camera]) -> list[Setting]:
-    share = base.fov_b / base.fov_a
     return [
         replace(
-            base,
+            _of_radius(base, radius),
             varied={"width": width, "height": height, "radius": radius},
             camera=base.camera.resized(width, height),
-            fov_a=float(radius),
-            fov_b=share * radius,
         )
         for width, height in BREAK_EVEN
         for radius in _RADII
@@ -87,7 +89,6 @@ def _radius(base: Setting, views: list[Camera]) -> list[Setting]:
 
 
 def _spp(base: Setting, views: list[Camera]) -> list[Setting]:
-    share = base.fov_b / base.fov_a
     rows = []
     for spp, known in _FIGURE_14.items():
         for radius in (10, 20, 50, 90):
@@ -95,21 +96,17 @@ def _spp(base: Setting, views: list[Camera]) -> list[Setting]:
             # FPC compares all of them with path tracing at one sample per pixel.
             paper = {} if fps is None else {"fps": float(fps), "full_1spp_fps": _FIGURE_14_FULL}
             varied = {"spp": spp, "radius": radius}
-            wide = replace(base, fov_a=float(radius), fov_b=share * radius)
             camera = base.camera.resized(1012, 1061)
-            rows.append(replace(wide, varied=varied, camera=camera, spp=spp, paper=paper))
+            rows.append(replace(_of_radius(base, radius), varied=varied, camera=camera, spp=spp, paper=paper))
     return rows
 
 
 def _view(base: Setting, views: list[Camera]) -> list[Setting]:
-    share = base.fov_b / base.fov_a
     return [
         replace(
-            base,
+            _of_radius(base, radius),
             varied={"width": width, "height": height, "view": number, "radius": radius},
             camera=view.resized(width, height),
-            fov_a=float(radius),
-            fov_b=share * radius,
         )
         for width, height in _VIEW_SIZES
         for number, view in enumerate(views)
@@ -140,17 +137,14 @@ def _denoiser(base: Setting, views: list[Camera]) -> list[Setting]:
 
 
 def _trade(base: Setting, views: list[Camera]) -> list[Setting]:
-    share = base.fov_b / base.fov_a
     return [
         replace(
-            base,
-            varied={"fovea": fovea, "spp": spp, "fov_a": outer, "fov_b": share * outer},
+            wide,
+            varied={"fovea": fovea, "spp": spp, "fov_a": wide.fov_a, "fov_b": wide.fov_b},
             fovea=fovea,
             spp=spp,
-            fov_a=outer,
-            fov_b=share * outer,
         )
-        for outer in _TRADE_OUTER
+        for wide in (_of_radius(base, outer) for outer in _TRADE_OUTER)
         for spp in _TRADE_SPP
         for fovea in ("denoised", "fused")
     ]

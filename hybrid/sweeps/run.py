@@ -19,7 +19,7 @@ from hybrid.reference import Reference, reference
 from hybrid.renderer import HybridRenderer
 from hybrid.sweeps import catalogue
 from hybrid.sweeps.setting import Setting
-from hybrid.timing import gaze_path, percentiles
+from hybrid.timing import interleaved_passes, percentiles
 from pathtrace.scene import Scene
 from pathtrace.tracer import Tracer
 from splat.forest import Forest
@@ -72,7 +72,9 @@ def swept(
         ours = [Hybrid(renderers[s.viewing, s.fovea], s.fov_a, s.fov_b, s.spp) for s in same]
         full = {(s.spp, s.fovea != "raw"): FullTrace(tracer, s.spp, s.fovea != "raw") for s in same}
         done = partial(_advanced, progress, len(rows), len(same), len(settings))
-        times = _times([*ours, *full.values()], same[0].camera, effort, done)
+        peers: list[Peer] = [*ours, *full.values()]
+        methods = [partial(_passes, peer, same[0].camera) for peer in peers]
+        times = interleaved_passes(methods, effort.repeats, effort.warm_up, done)
         of_full = dict(zip(full, times[len(ours) :], strict=True))
         truth = _truth(tracer, same[0].camera, effort) if judge else None
         for setting, peer, found in zip(same, ours, times, strict=False):
@@ -118,19 +120,8 @@ def _advanced(
     progress(1000 * before + 1000 * rows * done // total, 1000 * all_rows)
 
 
-def _times(
-    peers: list[Peer], camera: Camera, effort: Effort, progress: Callable[[int, int], None]
-) -> list[list[dict[str, float]]]:
-    """Milliseconds per pass of each frame of each peer; all take a step along the gaze's path in turn."""
-    found: list[list[dict[str, float]]] = [[] for _ in peers]
-    path = gaze_path(effort.repeats)
-    for turn in range(-effort.warm_up, effort.repeats):
-        for peer, frames in zip(peers, found, strict=True):
-            made = peer.make(camera, path[turn % effort.repeats], turn + effort.warm_up)
-            if turn >= 0:
-                frames.append(made.milliseconds)
-        progress(turn + effort.warm_up + 1, effort.warm_up + effort.repeats)
-    return found
+def _passes(peer: Peer, camera: Camera, gaze: Gaze, seed: int) -> dict[str, float]:
+    return peer.make(camera, gaze, seed).milliseconds
 
 
 def _row(
