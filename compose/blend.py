@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.foveation import FoveaPlan
+from compose.rectangle import runs_of
 
 Image = NDArray[np.float32]
 
@@ -21,11 +22,14 @@ def blend(periphery: Image, fovea: NDArray[np.float32], plan: FoveaPlan) -> Imag
     composite = np.array(periphery, dtype=np.float32, order="C")
     if not len(plan.pixels):
         return composite
-    around, weight = plan.rectangle, plan.weights[:, None]
-    part = around.part_of(composite)
-    mixed = around.taken(part) * (1 - weight) + fovea * weight
+    flat = composite.reshape(-1, 3)
     # Where only one picture counts it is taken as it is: 0 times a lamp's infinity is not 0.
-    composite[around.box] = around.laid(part, np.where(weight >= 1, fovea, mixed))
+    band = np.flatnonzero(plan.weights < 1)
+    shared, weight = plan.pixels[band], plan.weights[band, None]
+    mixed = flat[shared] * (1 - weight) + fovea[band] * weight
+    for first, start, stop in zip(*(side.tolist() for side in runs_of(plan.pixels)), strict=True):
+        flat[start:stop] = fovea[first : first + stop - start]
+    flat[shared] = mixed
     return composite
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,20 +61,12 @@ class Foveation:
         """What this foveation means on a frame of that many pixels."""
         gaze_x, gaze_y = self.gaze.pixel(width, height)
         outer, inner = self.fov_a / 100 * height, self.fov_b / 100 * height
-        # Only the box around the disc is looked at: a frame has many times the disc's pixels.
-        columns = _span(gaze_x, outer, width)
-        rows = _span(gaze_y, outer, height)
-        x, y = np.meshgrid(columns + 0.5 - gaze_x, rows + 0.5 - gaze_y)
-        radius = np.hypot(x, y)
-        inside = radius < outer
-        pixels = (rows[:, None] * width + columns[None, :])[inside].astype(np.uint32)
-        if len(pixels) == width * height:
-            # Nothing of the periphery is left to blend with.
-            weights = np.ones(len(pixels), dtype=np.float32)
-        elif outer > inner:
-            weights = np.clip((outer - radius[inside]) / (outer - inner), 0, 1).astype(np.float32)
+        pixels, radius = _disc(gaze_x, gaze_y, outer, width, height)
+        if outer > inner and len(pixels) < width * height:
+            weights = np.clip((outer - radius) / (outer - inner), 0, 1)
         else:
-            weights = np.ones(len(pixels), dtype=np.float32)
+            # No band, or nothing of the periphery is left to blend with.
+            weights = np.ones_like(radius)
         return FoveaPlan(width, height, pixels, weights, (gaze_x, gaze_y), inner)
 
 
@@ -129,8 +122,27 @@ class FoveaPlan:
         return np.hypot(y[:, None], x[None, :]) >= self.inner
 
 
-def _span(centre: float, radius: float, size: int) -> NDArray[np.int64]:
-    """Pixels of one axis whose centres may lie within the radius."""
-    first = int(np.clip(np.floor(centre - radius), 0, size))
-    last = int(np.clip(np.ceil(centre + radius), 0, size))
-    return np.arange(first, last)
+def _disc(
+    x: float, y: float, radius: float, width: int, height: int
+) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
+    """Row-major indices (D,) of the pixels whose centres lie within a radius, and their distances (D,).
+
+    Row by row: a frame has many times the disc's pixels.
+    """
+    first, stop = _span(y, np.float64(radius), height)
+    down = np.arange(first, stop) + 0.5 - y
+    starts, stops = _span(x, np.sqrt(np.maximum(radius**2 - down**2, 0)), width)
+    counts = np.maximum(stops - starts, 0)
+    before = np.cumsum(counts) - counts
+    number = np.arange(counts.sum())
+    column = number - np.repeat(before - starts, counts)
+    pixels = (column + np.repeat(np.arange(first, stop) * width, counts)).astype(np.uint32)
+    across = (column + (0.5 - x)).astype(np.float32)
+    return pixels, np.sqrt(across**2 + np.repeat((down**2).astype(np.float32), counts))
+
+
+def _span(centre: float, half: Any, size: int) -> tuple[Any, Any]:
+    """First pixel of one axis whose centre lies within the half widths, and the one after the last."""
+    ends = np.floor(centre - half - 0.5) + 1, np.ceil(centre + half - 0.5)
+    first, stop = (np.clip(end, 0, size).astype(np.int64) for end in ends)
+    return first, stop

@@ -18,8 +18,8 @@ class Rectangle:
         box: its rows and columns.
         shape: how many they are.
         count: D, the disc's pixels.
-        spans: runs of pixels side by side, which are copied far quicker than single ones; a row of a disc is
-            one. First of each run among the D, then its first and its end among the rectangle's pixels.
+        spans: runs of pixels side by side; a row of a disc is one. First of each run among the D, then its
+            first and its end among the rectangle's pixels.
     """
 
     box: tuple[slice, slice]
@@ -33,14 +33,18 @@ class Rectangle:
 
         Its sides are even where the frame allows it, since fusing looks at blocks of 2 x 2 pixels.
         """
-        row, column = np.divmod(pixels.astype(np.int64), width)
-        rows = _evenly(int(row[0]), int(row[-1]) + 1, height)
-        columns = _evenly(int(column.min()), int(column.max()) + 1, width)
+        first, start, stop = runs_of(pixels)
+        row, column = np.divmod(start, width)
+        last_row, last_column = np.divmod(stop - 1, width)
+        rows = _evenly(int(row[0]), int(last_row[-1]) + 1, height)
+        if (last_row > row).any():
+            # A run that goes on in the next row has seen both ends of a row.
+            columns = slice(0, width)
+        else:
+            columns = _evenly(int(column.min()), int(last_column.max()) + 1, width)
         shape = rows.stop - rows.start, columns.stop - columns.start
         place = (row - rows.start) * shape[1] + column - columns.start
-        first = np.concatenate([[0], np.flatnonzero(np.diff(place) != 1) + 1])
-        length = np.diff(np.append(first, len(place)))
-        spans = zip(first.tolist(), place[first].tolist(), (place[first] + length).tolist(), strict=True)
+        spans = zip(first.tolist(), place.tolist(), (place + stop - start).tolist(), strict=True)
         return Rectangle((rows, columns), shape, len(pixels), list(spans))
 
     def part_of(self, image: Image) -> Image:
@@ -62,6 +66,20 @@ class Rectangle:
         for first, start, stop in self.spans:
             values[first : first + stop - start] = flat[start:stop]
         return values
+
+
+def runs_of(pixels: NDArray[np.uint32]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Runs of pixels side by side, which are copied far quicker than single ones.
+
+    Args:
+        pixels: (D,) indices in ascending order, at least one.
+
+    Returns:
+        (R,) each: first of a run among the D, its first pixel, and the one after its last.
+    """
+    first = np.concatenate([[0], np.flatnonzero(np.diff(pixels) != 1) + 1])
+    start = pixels[first].astype(np.int64)
+    return first, start, start + np.diff(np.append(first, len(pixels)))
 
 
 def _evenly(start: int, stop: int, end: int) -> slice:

@@ -45,6 +45,8 @@ class Samples:
 
 def merged(one: Samples, other: Samples) -> Samples:
     """Light of two sets of samples of the same pixels in one; everything else is the first's."""
+    if not one.count.any():
+        return replace(one, count=other.count, radiance=other.radiance, squares=other.squares)
     count = one.count + other.count
     share = (other.count / np.maximum(count, 1e-6))[:, None]
     mean = lambda name: getattr(one, name) * (1 - share) + getattr(other, name) * share  # noqa: E731

@@ -11,7 +11,7 @@ import numpy as np
 from compose.errors import UserError
 from compose.view import Camera
 from hybrid.bench_fovea import Candidates, crops, means, measured, unfitted_views
-from hybrid.reference import reference
+from hybrid.reference import REFERENCE_SEED, reference
 from pathtrace.film import frame_positions
 from pathtrace.frames import FrameSet
 from pathtrace.scene import Scene
@@ -99,7 +99,7 @@ def bench_change(
             scene = load()
             apply(scene, crop.camera)
             candidates = Candidates(arrays, scene, forest)
-            truth = reference(candidates.tracer, crop.camera, reference_spp, 1_000_003).radiance
+            truth = reference(candidates.tracer, crop.camera, reference_spp, REFERENCE_SEED).radiance
             for method, image in candidates.pictures(crop.camera, spp, 0).items():
                 found.setdefault((change, method), []).append(measured(image, truth))
             progress(number * len(places) + place + 1, len(CHANGES) * len(places))

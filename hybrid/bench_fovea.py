@@ -19,7 +19,7 @@ from hybrid.fusing import fusion_of
 from hybrid.metrics.flip import flip
 from hybrid.metrics.similarity import quality
 from hybrid.periphery import Periphery, Viewing
-from hybrid.reference import reference
+from hybrid.reference import REFERENCE_SEED, reference
 from pathtrace.denoise import denoise
 from pathtrace.frames import FrameSet
 from pathtrace.scene import Scene
@@ -149,8 +149,8 @@ def bench_fusion(
     limits: dict[int, list[float]] = {}
     places = list(crops(unfitted_views(frames), scales, 0.4))
     for done, crop in enumerate(places):
-        truth = reference(candidates.tracer, crop.camera, reference_spp, 1_000_003)
-        limits.setdefault(crop.scale, []).append(truth.psnr)
+        truth = reference(candidates.tracer, crop.camera, reference_spp, REFERENCE_SEED)
+        limits.setdefault(crop.scale, []).append(truth.psnr())
         for spp in counts:
             for seed in range(seeds):
                 for method, image in candidates.pictures(crop.camera, spp, seed).items():

@@ -21,7 +21,7 @@ from hybrid.fovea import Fovea
 from hybrid.fusing import fusion_of
 from hybrid.metrics.similarity import psnr
 from hybrid.periphery import Periphery, Viewing
-from hybrid.reference import reference
+from hybrid.reference import REFERENCE_SEED, reference
 from pathtrace.film import frame_positions
 from pathtrace.frames import FrameSet
 from pathtrace.scene import Scene
@@ -143,7 +143,7 @@ def _reference(tracer: Tracer, camera: Camera, around: Rectangle, spp: int) -> I
     rows, columns = around.box
     height, width = around.shape
     crop = camera.cropped(columns.start, rows.start, width, height)
-    return around.taken(reference(tracer, crop, spp, 1_000_003).radiance)
+    return around.taken(reference(tracer, crop, spp, REFERENCE_SEED).radiance)
 
 
 def _measured(around: Rectangle, disc: Image, truth: Image, fresh: NDArray[np.bool_]) -> dict[str, float]:

@@ -14,7 +14,7 @@ from compose.view import Display, Gaze
 from hybrid.bench_fovea import means, unfitted_views
 from hybrid.metrics.fovvideovdp import jod
 from hybrid.periphery import Viewing
-from hybrid.reference import reference
+from hybrid.reference import REFERENCE_SEED, reference
 from hybrid.renderer import Frame, HybridRenderer
 from pathtrace.frames import FrameSet
 from pathtrace.scene import Scene
@@ -52,7 +52,7 @@ def bench_seam(
     renderers = {mode: HybridRenderer(scene, forest, Viewing(display), mode) for mode in MODES}
     for done, view in enumerate(views):
         camera = view.resized(view.width * _SCALE, view.height * _SCALE)
-        truth = reference(renderers["raw"].tracer, camera, reference_spp, 1_000_003).radiance
+        truth = reference(renderers["raw"].tracer, camera, reference_spp, REFERENCE_SEED).radiance
         for gaze in GAZES:
             for mode, renderer in renderers.items():
                 frame = renderer.frame(camera, Foveation(gaze), spp, done)

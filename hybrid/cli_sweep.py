@@ -26,7 +26,7 @@ from hybrid.options import (
 )
 from hybrid.progress import progress_bar
 
-_VIEWS, _VIEW_SEED = 4, 7919
+_VIEWS = 4
 
 
 def sweep(
@@ -65,6 +65,8 @@ def sweep(
     from hybrid.sweeps.setting import Setting
 
     Foveation(Gaze(), fov_a, fov_b)
+    if fov_a == 0:
+        raise UserError("--fov-a 0.0: there is no fovea to time")
     mode_named(fovea)
     viewing = Viewing(display_named(display), law)
     sweep_named(over, (1,))
@@ -76,15 +78,14 @@ def sweep(
     from hybrid.sweeps.run import Effort, break_even, swept
     from hybrid.timing import machine
     from hybrid.trade import trade_file
-    from pathtrace.surface import Surfaces
-    from pathtrace.views import choose_views
+    from pathtrace.views import unseen_views
 
     loaded = loaded_scene(scene)
     found = forest_for(loaded, forest)
     chosen = sweep_named(over, found.counts)
     camera = sized(loaded.camera, size)
     pixels = camera.width, camera.height
-    views = choose_views(loaded, Surfaces(loaded), _VIEWS + 1, *pixels, _VIEW_SEED).spread
+    views = unseen_views(loaded, _VIEWS, *pixels)
     base = Setting({}, camera, fov_a, fov_b, spp, fovea, viewing)
     effort = Effort(repeats, warm_up, reference_spp)
     with progress_bar(f"sweep over {over}") as bar:

@@ -108,12 +108,12 @@ class DiscTracer:
         self, camera: Camera, known: Samples, counts: NDArray[np.int64], seed: int, sequence: _Sequence
     ) -> Samples:
         """With so many more samples of each pixel, placed in them where earlier ones left gaps."""
-        chosen = np.flatnonzero(counts)
+        chosen = np.s_[:] if counts.all() else np.flatnonzero(counts)
         counts, pixels = counts[chosen], known.pixels[chosen]
         taken = sequence.taken[chosen] + known.count[chosen].astype(np.int64)
-        spp = int(counts[0]) if (counts == counts[0]).all() else counts
         positions = pixel_positions(mi.UInt32(pixels), camera.width)
-        traced = self._tracer.trace(camera, positions, spp, seed, taken, sequence.pattern)
+        numbers = _one_for_all(counts), seed, _one_for_all(taken)
+        traced = self._tracer.trace(camera, positions, *numbers, sequence.pattern)
         count, radiance, squares = map(np.zeros_like, (known.count, known.radiance, known.squares))
         count[chosen] = counts
         radiance[chosen], squares[chosen] = _triple(traced.radiance), _triple(traced.squares)
@@ -142,6 +142,11 @@ class _Sequence:
 
     taken: NDArray[np.int64]
     pattern: int
+
+
+def _one_for_all(numbers: NDArray[np.int64]) -> int | NDArray[np.int64]:
+    """A single number where all are the same: the tracer needs no array for it."""
+    return int(numbers[0]) if (numbers == numbers[0]).all() else numbers
 
 
 def _triple(channels: list[mi.Float]) -> NDArray[np.float32]:

@@ -16,6 +16,7 @@ from hybrid.metrics.registration import registration_px
 from hybrid.metrics.similarity import quality
 from hybrid.page import write_page
 from hybrid.progress import progress_bar
+from hybrid.reference import REFERENCE_SEED
 from hybrid.renderer import HybridRenderer
 from hybrid.sweeps.comparison import compare
 from hybrid.timing import machine
@@ -55,7 +56,7 @@ def quickstart(scene: Scene, folder: Path, fov_a: float, fov_b: float, seed: int
     renderer = HybridRenderer(scene, forest, mode="fused")
     with progress_bar("reference") as bar:
         bar(0, 1)
-        reference = render_frame(renderer.tracer, camera, _REFERENCE_SPP, seed + 1_000_003).radiance
+        reference = render_frame(renderer.tracer, camera, _REFERENCE_SPP, seed + REFERENCE_SEED).radiance
         bar(1, 1)
     with progress_bar("frames (rounds)") as bar:
         times = compare(renderer, camera, fov_a, fov_b, _SPP, _REPEATS, _WARM_UP, bar)

@@ -13,6 +13,8 @@ from pathtrace.denoise import denoise
 from pathtrace.film import frame_positions
 from pathtrace.tracer import Tracer, guide_places
 
+# Far from the seeds of frames, whose noise would otherwise be that of the reference.
+REFERENCE_SEED = 1_000_003
 # Independent parts of a reference's samples.
 _PARTS = 4
 # Slopes of the tone curve are taken over this much radiance.
@@ -26,47 +28,55 @@ class Reference:
     Attributes:
         radiance: (H, W, 3) linear, mean of `halves`.
         halves: two independent estimates, denoised each for itself.
-        squared_error: mean over the frame, in sRGB; the upper end of its confidence interval.
+        errors: (H, W) unbiased estimates of its squared error in sRGB, noisy and at times negative.
     """
 
     radiance: Image
     halves: tuple[Image, Image]
-    squared_error: float
+    errors: NDArray[np.float32]
 
-    @property
-    def psnr(self) -> float:
+    def squared_error(self, where: NDArray[np.bool_] | None = None) -> float:
+        """In sRGB, mean over some pixels or all: the upper end of its confidence interval."""
+        errors = self.errors[where] if where is not None else self.errors.ravel()
+        upper = errors.mean(dtype=np.float64) + 2 * errors.std(dtype=np.float64) / np.sqrt(errors.size)
+        # The variance between the halves alone is there for certain.
+        between = srgb_from_radiance(self.halves[0]) - srgb_from_radiance(self.halves[1])
+        squares = (between if where is None else between[where]) ** 2
+        return max(float(upper), 0.25 * float(squares.mean(dtype=np.float64)))
+
+    def psnr(self, where: NDArray[np.bool_] | None = None) -> float:
         """Of the reference itself against the truth, in dB: no frame can be told to be better than that."""
-        return float(-10 * np.log10(max(self.squared_error, 1e-12)))
+        return float(-10 * np.log10(max(self.squared_error(where), 1e-12)))
 
 
-def reference(tracer: Tracer, camera: Camera, spp: int, seed: int) -> Reference:
+def reference(tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed: int) -> Reference:
     """Traces a reference.
 
     Args:
         tracer: of the scene.
         camera: the view.
-        spp: samples per pixel in all, at least 4.
+        spp: samples per pixel in all, at least 4; the same for all, or (H * W,).
         seed: same seed, same reference.
 
     Raises:
         ValueError: there are fewer samples than independent parts.
     """
-    if spp < _PARTS:
+    if np.min(spp) < _PARTS:
         raise ValueError(f"a reference needs at least {_PARTS} samples per pixel")
     positions, size = frame_positions(camera), (camera.height, camera.width)
     image = lambda channels: np.stack([c.numpy() for c in channels], axis=-1).reshape(*size, 3)  # noqa: E731
     halves, parts = [], []
     for half in range(2):
-        counts = [
-            (spp * (2 * half + part + 1)) // _PARTS - (spp * (2 * half + part)) // _PARTS for part in (0, 1)
-        ]
+        first, last = (spp * (2 * half + part) // _PARTS for part in (0, 2))
+        middle = spp * (2 * half + 1) // _PARTS
         seeds = np.random.SeedSequence([seed, half]).generate_state(2)
         raw = [
             image(tracer.trace(camera, positions, count, int(part_seed)).radiance)
-            for count, part_seed in zip(counts, seeds, strict=True)
+            for count, part_seed in zip((middle - first, last - middle), seeds, strict=True)
         ]
-        guides = tracer.guides(camera, positions, guide_places(spp), int(seeds[0]))
-        mean = np.average(raw, axis=0, weights=counts).astype(np.float32)
+        guides = tracer.guides(camera, positions, guide_places(int(np.max(spp))), int(seeds[0]))
+        share = np.broadcast_to((last - middle) / (last - first), size[0] * size[1])
+        mean = raw[0] + (raw[1] - raw[0]) * share.reshape(*size, 1).astype(np.float32)
         halves.append(denoise(mean, image(guides.albedo), image(guides.normal)))
         parts.append(raw)
     return judged(halves, parts)
@@ -86,12 +96,5 @@ def judged(halves: list[Image], parts: list[list[Image]]) -> Reference:
         for half, (one, other) in zip(halves, reversed(parts), strict=True)
     ]
     between = (halves[0] - halves[1]) ** 2 * slope**2
-    error = (0.5 * (errors[0] + errors[1]) - 0.25 * between).mean(axis=-1, dtype=np.float64)
-    # The variance between the halves alone is there for certain.
-    least = 0.25 * float(between.mean(dtype=np.float64))
-    return Reference(radiance, (halves[0], halves[1]), max(_upper(error), least))
-
-
-def _upper(error: NDArray[np.float64]) -> float:
-    """Upper end, at two standard errors, of the mean of (H, W) values that are noisy but independent."""
-    return float(error.mean() + 2 * error.std() / np.sqrt(error.size))
+    error = (0.5 * (errors[0] + errors[1]) - 0.25 * between).mean(axis=-1)
+    return Reference(radiance, (halves[0], halves[1]), error.astype(np.float32))

@@ -20,6 +20,8 @@ _NEAR_SHARE = 0.1  # share of the frame that may be nearer
 _YAW, _PITCH = 20.0, 10.0  # degrees, one side
 _PROBE = 24  # rays per side of the probing frame
 _TRIES_PER_VIEW = 200
+# No seed that anyone would train with.
+_UNSEEN_SEED = 7919
 # Views turned further than all others, in units of the largest yaw and pitch: without them the edge of
 # every other view's picture would be a place that hardly any frame shows.
 _BORDER = tuple((x, y) for x in (-1.6, 0.0, 1.6) for y in (-1.6, 0.0, 1.6) if (x, y) != (0.0, 0.0))
@@ -38,6 +40,15 @@ class ViewSet:
     spread: list[Camera]
 
 
+def unseen_views(scene: Scene, count: int, width: int, height: int) -> list[Camera]:
+    """Views around the scene's own camera to measure on: others than those that training has seen.
+
+    Args and raises as of `choose_views`.
+    """
+    neighbourhood = _Neighbourhood.of(scene, Surfaces(scene), width, height)
+    return neighbourhood.spread(count, _UNSEEN_SEED)
+
+
 def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, height: int, seed: int) -> ViewSet:
     """Views around the scene's own camera.
 
@@ -50,33 +61,64 @@ def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, heigh
     Raises:
         UserError: the scene leaves no room for that many views.
     """
-    # Takes a second to import, which a frame rendered with a forest at hand need not wait for.
-    from scipy.stats import qmc
+    neighbourhood = _Neighbourhood.of(scene, surfaces, width, height)
+    fixed = [neighbourhood.home]
+    if count > 2 * len(_BORDER):
+        fixed += neighbourhood.border()
+    return ViewSet(fixed, neighbourhood.spread(count - len(fixed), seed))
 
-    home = scene.camera.resized(width, height)
-    scale = _median_distance(home, surfaces)
-    if not np.isfinite(scale):
-        raise UserError(f"{scene.name}: the scene's own camera sees no surface")
-    border = [_moved(home, np.zeros(3), yaw, pitch) for yaw, pitch in _BORDER]
-    fixed = [home]
-    if count > 2 * len(border):
-        fixed += [view for view in border if _is_sane(view, home, scale, surfaces)]
-    spread: list[Camera] = []
-    sequence = qmc.Halton(5, seed=seed)
-    for _ in range(count * _TRIES_PER_VIEW):
-        if len(fixed) + len(spread) == count:
-            break
-        u = sequence.random(1)[0]
-        candidate = _moved(home, _in_ball(u[:3]) * _REACH * scale, *(2 * u[3:] - 1))
-        if _is_sane(candidate, home, scale, surfaces):
-            spread.append(candidate)
-    found = len(fixed) + len(spread)
-    if found < count:
-        raise UserError(
-            f"{scene.name}: only {found} of {count} views fit into the free space around the scene's "
-            "camera; ask for fewer with --views"
-        )
-    return ViewSet(fixed, spread)
+
+@dataclass(frozen=True)
+class _Neighbourhood:
+    """Where views may lie: around the scene's own camera, at the scale of what it sees."""
+
+    name: str
+    surfaces: Surfaces
+    home: Camera
+    scale: float
+
+    @staticmethod
+    def of(scene: Scene, surfaces: Surfaces, width: int, height: int) -> _Neighbourhood:
+        """Raises UserError where the scene's own camera sees nothing."""
+        home = scene.camera.resized(width, height)
+        scale = _median_distance(home, surfaces)
+        if not np.isfinite(scale):
+            raise UserError(f"{scene.name}: the scene's own camera sees no surface")
+        return _Neighbourhood(scene.name, surfaces, home, scale)
+
+    def border(self) -> list[Camera]:
+        """The scene's own camera, turned to where others would show no more."""
+        turned = [_moved(self.home, np.zeros(3), yaw, pitch) for yaw, pitch in _BORDER]
+        return [view for view in turned if self._is_sane(view)]
+
+    def spread(self, count: int, seed: int) -> list[Camera]:
+        """Views spread evenly over positions and directions; UserError where there is no room for as many."""
+        # Takes a second to import, which a frame rendered with a forest at hand need not wait for.
+        from scipy.stats import qmc
+
+        found: list[Camera] = []
+        sequence = qmc.Halton(5, seed=seed)
+        for _ in range(count * _TRIES_PER_VIEW):
+            if len(found) == count:
+                break
+            u = sequence.random(1)[0]
+            candidate = _moved(self.home, _in_ball(u[:3]) * _REACH * self.scale, *(2 * u[3:] - 1))
+            if self._is_sane(candidate):
+                found.append(candidate)
+        if len(found) < count:
+            raise UserError(
+                f"{self.name}: only {len(found)} of {count} further views fit into the free space around the "
+                "scene's camera; ask for fewer with --views"
+            )
+        return found
+
+    def _is_sane(self, candidate: Camera) -> bool:
+        if not self.surfaces.sees(self.home.position, candidate.position):
+            return False
+        if self.surfaces.clearance(candidate.position) < _CLEARANCE * self.scale:
+            return False
+        distance = _probe(candidate, self.surfaces)
+        return float(np.mean(distance < _NEAR * self.scale)) <= _NEAR_SHARE
 
 
 def _in_ball(u: Array) -> Array:
@@ -109,12 +151,3 @@ def _median_distance(camera: Camera, surfaces: Surfaces) -> float:
     distance = _probe(camera, surfaces)
     seen = distance[np.isfinite(distance)]
     return float(np.median(seen)) if len(seen) else np.inf
-
-
-def _is_sane(candidate: Camera, home: Camera, scale: float, surfaces: Surfaces) -> bool:
-    if not surfaces.sees(home.position, candidate.position):
-        return False
-    if surfaces.clearance(candidate.position) < _CLEARANCE * scale:
-        return False
-    distance = _probe(candidate, surfaces)
-    return float(np.mean(distance < _NEAR * scale)) <= _NEAR_SHARE

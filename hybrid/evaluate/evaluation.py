@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from compose.foveation import MODES
 from compose.view import Camera, Display
@@ -20,22 +21,21 @@ from hybrid.evaluate.entries import OURS, Entry, hybrid_entries, peer_entries, s
 from hybrid.evaluate.journal import Journal
 from hybrid.evaluate.judged import judged
 from hybrid.evaluate.peers import Splats
-from hybrid.evaluate.settings import EvaluationSettings
+from hybrid.evaluate.regions import regions
+from hybrid.evaluate.settings import FOVEAL_REFERENCE, EvaluationSettings
 from hybrid.evaluate.timed import timed
 from hybrid.evaluate.tuning import tuned
 from hybrid.images import read_layers, write_layers
 from hybrid.periphery import Periphery, Viewing
-from hybrid.reference import Reference, reference
+from hybrid.reference import REFERENCE_SEED, Reference, reference
 from hybrid.renderer import HybridRenderer
 from hybrid.timing import machine
 from pathtrace.scene import Scene
-from pathtrace.surface import Surfaces
-from pathtrace.views import choose_views
+from pathtrace.views import unseen_views
 from splat.forest import Forest
 
 # Views to tune peers on, beside those that are measured, and how much smaller their sides are.
 _TUNING_VIEWS, _TUNING_REDUCTION = 2, 2
-_REFERENCE_SEED, _VIEW_SEED = 1_000_003, 7919
 # About how many milliseconds each step of each kind of work takes, for the time that is left: a sample of a
 # reference, a setting that is tried, a peer whose cost is met, a picture that is judged, a round of frames.
 _COSTS = {"references": 3e-3, "tuning": 400.0, "costs": 10_000.0, "quality": 4_000.0, "times": 4_000.0}
@@ -90,6 +90,8 @@ class Evaluation:
             progress: called with what is being done, work done and work in all.
         """
         settings = self.settings
+        # Before anything else lies in the folder that would belong to nobody.
+        self.journal.write()
         views = self._views()
         measured_views = views[: settings.views]
         work = _Work(settings, progress)
@@ -102,7 +104,7 @@ class Evaluation:
             "scene": self.scene.name,
             "settings": asdict(settings),
             "display": asdict(self.display),
-            "references": [{"view": i, "psnr": found.psnr} for i, found in enumerate(references)],
+            "references": [row for numbered in enumerate(references) for row in self._errors(*numbered)],
             "methods": [
                 {
                     "method": entry.method,
@@ -120,26 +122,34 @@ class Evaluation:
     def _views(self) -> list[Camera]:
         """Views around the scene's own, which training has seen; those to tune on at the end."""
         settings = self.settings
-        count = settings.views + _TUNING_VIEWS + 1
+        count = settings.views + _TUNING_VIEWS
         size = settings.width, settings.height
-        # Another seed than that of training views.
-        return choose_views(self.scene, Surfaces(self.scene), count, *size, _VIEW_SEED).spread
+        return unseen_views(self.scene, count, *size)
 
     def _reference(self, number: int, camera: Camera, work: _Work) -> Reference:
         """A reference, from its file if there is one."""
         file = self.folder / "work" / f"reference-{number}.exr"
-
-        def make() -> float:
-            found = reference(self.tracer, camera, self.settings.reference_spp, _REFERENCE_SEED + number)
+        if not file.exists():
+            found = reference(self.tracer, camera, self._samples(), REFERENCE_SEED + number)
             first, second = found.halves
-            write_layers(file, {"": found.radiance, "first": first, "second": second})
-            return found.squared_error
-
-        error = self.journal.once(f"error of reference {number}", make)
+            layers = {"": found.radiance, "first": first, "second": second, "error": found.errors}
+            write_layers(file, layers)
         work.of("references")(number + 1, self.settings.views)
-        layers = read_layers(file)
-        image = lambda prefix: np.stack([layers[prefix + c] for c in "RGB"], axis=-1)  # noqa: E731
-        return Reference(image(""), (image("first."), image("second.")), error)
+        channels = read_layers(file)
+        image = lambda prefix: np.stack([channels[prefix + c] for c in "RGB"], axis=-1)  # noqa: E731
+        return Reference(image(""), (image("first."), image("second.")), channels["error.V"])
+
+    def _samples(self) -> NDArray[np.int64]:
+        """(H * W,) samples of each of a reference's pixels."""
+        settings = self.settings
+        samples = np.full(settings.width * settings.height, settings.reference_spp, dtype=np.int64)
+        samples[settings.foveation.plan(settings.width, settings.height).pixels] *= FOVEAL_REFERENCE
+        return samples
+
+    def _errors(self, number: int, found: Reference) -> list[dict[str, Any]]:
+        """What is left of error in a reference, in dB, by region."""
+        parts = regions(self.settings.foveation, found.radiance)
+        return [{"view": number, "region": n, "psnr": found.psnr(part.mask)} for n, part in parts.items()]
 
     def _entries(self, views: list[Camera], work: _Work) -> list[Entry]:
         settings = self.settings
@@ -154,7 +164,7 @@ class Evaluation:
         settings = self.settings
         size = settings.width // _TUNING_REDUCTION, settings.height // _TUNING_REDUCTION
         small = [camera.resized(*size) for camera in views[settings.views :]]
-        seed = _REFERENCE_SEED + settings.views
+        seed = REFERENCE_SEED + settings.views
         truths = [
             reference(self.tracer, camera, settings.reference_spp, seed + number).radiance
             for number, camera in enumerate(small)

@@ -45,19 +45,20 @@ class Journal:
 
     def once(self, name: str, make: Callable[[], Any]) -> Any:
         """The result of that name, made and written down if there is none yet."""
-        results = self._content["results"]
-        if name not in results:
-            results[name] = make()
-            self.write()
-        return results[name]
+        if name not in self:
+            self[name] = make()
+        return self[name]
 
     def __contains__(self, name: str) -> bool:
         return name in self._content["results"]
 
-    def list_of(self, name: str) -> list[Any]:
-        """A list that grows; `write` keeps it."""
-        found: list[Any] = self._content["results"].setdefault(name, [])
-        return found
+    def __getitem__(self, name: str) -> Any:
+        return self._content["results"][name]
+
+    def __setitem__(self, name: str, result: Any) -> None:
+        """Written down at once."""
+        self._content["results"][name] = result
+        self.write()
 
     def write(self) -> None:
         """Writes everything down."""

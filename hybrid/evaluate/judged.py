@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from compose.blend import Image
 from compose.view import Camera, Display
 from hybrid.evaluate.entries import Entry
 from hybrid.evaluate.journal import Journal
-from hybrid.evaluate.measure import Viewer, measured
-from hybrid.evaluate.regions import regions
+from hybrid.evaluate.judges import Picture, judged_in_parallel
+from hybrid.evaluate.measure import Viewer
+from hybrid.evaluate.regions import Region, regions
 from hybrid.evaluate.settings import EvaluationSettings
-from hybrid.images import write_bytes, write_png
-from hybrid.metrics.flip import flip_map
+from hybrid.images import write_png
 from hybrid.reference import Reference
 
 # The name under which the quality of a reference itself stands: one half of its samples against the other.
@@ -58,35 +54,52 @@ def judged(
         progress: called with pictures judged and pictures in all.
     """
     viewer = Viewer(display, settings.gaze)
-    rows: list[dict[str, Any]] = []
-    for view, (camera, truth) in enumerate(zip(views, references, strict=True)):
-        parts = regions(settings.foveation, truth.radiance)
-
-        def compared(method: str, image: Image, truth: Image, error: Any = None, parts: Any = parts) -> Any:
-            return measured(image, truth, parts, viewer, method, error)
-
-        def made(entry: Entry, view: int = view, camera: Camera = camera, truth: Reference = truth) -> Any:
-            image = entry.peer.make(camera, settings.gaze, settings.seed + view).image
-            key = entry.method, entry.budget
-            write_png(folder / picture_name(view, key), image)
-            error = flip_map(image, truth.radiance)
-            if error is not None:
-                write_bytes(folder / flip_name(view, key), _coloured(error))
-            return compared(entry.method, image, truth.radiance, error)
-
-        write_png(folder / picture_name(view, None), truth.radiance)
-        first, second = truth.halves
-        found = journal.once(f"{view}, {HALVES}", partial(compared, HALVES, first, second))
-        rows += [{"view": view, "method": HALVES, "budget": "fixed", **row} for row in found]
-        for number, entry in enumerate(entries):
-            found = journal.once(f"{view}, {entry.method}, {entry.budget}", partial(made, entry))
-            rows += [{"view": view, "method": entry.method, "budget": entry.budget, **row} for row in found]
-            progress(view * len(entries) + number + 1, len(views) * len(entries))
-    return rows
+    series = [
+        _View(number, camera, truth, regions(settings.foveation, truth.radiance), viewer, settings, folder)
+        for number, (camera, truth) in enumerate(zip(views, references, strict=True))
+    ]
+    wanted = [(view, entry) for view in series for entry in (None, *entries)]
+    missing = [(view, entry) for view, entry in wanted if view.title(entry) not in journal]
+    pictures = ((view.title(entry), view.picture(entry)) for view, entry in missing)
+    done = len(wanted) - len(missing)
+    for number, (title, rows) in enumerate(judged_in_parallel(pictures)):
+        journal[title] = rows
+        progress(done + number + 1, len(wanted))
+    return [row for view, entry in wanted for row in view.rows(entry, journal)]
 
 
-def _coloured(error: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """(H, W, 3) a map of errors in 0..1, as FLIP's authors show them."""
-    from matplotlib import colormaps
+@dataclass(frozen=True)
+class _View:
+    """One of the views that are measured. An entry of None stands for its reference."""
 
-    return np.asarray(colormaps["magma"](error, bytes=True)[..., :3])
+    number: int
+    camera: Camera
+    truth: Reference
+    parts: dict[str, Region]
+    viewer: Viewer
+    settings: EvaluationSettings
+    folder: Path
+
+    def title(self, entry: Entry | None) -> str:
+        """Under which the journal keeps what is said of a picture."""
+        return ", ".join((str(self.number), *_key(entry)))
+
+    def picture(self, entry: Entry | None) -> Picture:
+        """Made, and its file written."""
+        if entry is None:
+            write_png(self.folder / picture_name(self.number, None), self.truth.radiance)
+            return Picture(HALVES, *self.truth.halves, self.parts, self.viewer, None)
+        image = entry.peer.make(self.camera, self.settings.gaze, self.settings.seed + self.number).image
+        write_png(self.folder / picture_name(self.number, _key(entry)), image)
+        flip_file = self.folder / flip_name(self.number, _key(entry))
+        return Picture(entry.method, image, self.truth.radiance, self.parts, self.viewer, flip_file)
+
+    def rows(self, entry: Entry | None, journal: Journal) -> Iterator[dict[str, Any]]:
+        """What the journal has of a picture."""
+        method, budget = _key(entry)
+        for row in journal[self.title(entry)]:
+            yield {"view": self.number, "method": method, "budget": budget, **row}
+
+
+def _key(entry: Entry | None) -> tuple[str, str]:
+    return (HALVES, "fixed") if entry is None else (entry.method, entry.budget)

@@ -18,6 +18,7 @@ from hybrid.evaluate.judged import HALVES, flip_name, picture_name
 from hybrid.evaluate.measure import METRICS
 from hybrid.evaluate.plots import samples_plot, sweep_plots, trade_plot
 from hybrid.evaluate.regions import REGIONS
+from hybrid.evaluate.settings import FOVEAL_REFERENCE
 from hybrid.evaluate.verdicts import FOVEAL_METRICS, Key, keys_of, mean_of, verdicts
 from hybrid.metrics import missing
 
@@ -38,14 +39,15 @@ def write_report(folder: Path) -> None:
     views = sorted({row["view"] for row in found["quality"]})
     keys = keys_of(found)
     width, height = settings["width"], settings["height"]
-    psnrs = [row["psnr"] for row in found["references"]]
+    psnr = {n: [r["psnr"] for r in found["references"] if r["region"] == n] for n in ("whole", "foveal")}
     templates = Environment(loader=PackageLoader("hybrid.evaluate", "."), autoescape=True)
     text = templates.get_template("report.html").render(
         title=f"Evaluation of {found['scene']}",
         subtitle=(
             f"{width} × {height}, {settings['spp']} samples per pixel in the disc, "
             f"fov-a {settings['fov_a']:g} %, fov-b {settings['fov_b']:g} % of the height, "
-            f"{len(views)} views. References of {settings['reference_spp']} samples per pixel, denoised."
+            f"{len(views)} views. References of {settings['reference_spp']} samples per pixel, "
+            f"{FOVEAL_REFERENCE * settings['reference_spp']} in the disc, denoised."
         ),
         verdicts=verdicts(found),
         views=views,
@@ -60,7 +62,8 @@ def write_report(folder: Path) -> None:
         sweeps=[_sweep(sweep) for sweep in sweeps],
         samples=_plots([samples_plot(found, metric) for metric in FOVEAL_METRICS]),
         reference_note=(
-            f"Against the truth the references have {min(psnrs):.1f} to {max(psnrs):.1f} dB, "
+            f"Against the truth the references have {min(psnr['whole']):.1f} to {max(psnr['whole']):.1f} dB, "
+            f"{min(psnr['foveal']):.1f} to {max(psnr['foveal']):.1f} dB in the fovea, "
             "their denoiser's bias included."
         ),
         quality=[_quality_table(found, region, keys) for region in REGIONS],

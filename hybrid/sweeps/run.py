@@ -15,7 +15,7 @@ from compose.view import Camera, Gaze
 from hybrid.evaluate.measure import Viewer, measured
 from hybrid.evaluate.peers import FullTrace, Hybrid, Peer
 from hybrid.evaluate.regions import regions
-from hybrid.reference import Reference, reference
+from hybrid.reference import REFERENCE_SEED, Reference, reference
 from hybrid.renderer import HybridRenderer
 from hybrid.sweeps import catalogue
 from hybrid.sweeps.setting import Setting
@@ -23,8 +23,6 @@ from hybrid.timing import interleaved_passes, percentiles
 from pathtrace.scene import Scene
 from pathtrace.tracer import Tracer
 from splat.forest import Forest
-
-_REFERENCE_SEED = 1_000_003
 
 
 @dataclass(frozen=True)
@@ -140,7 +138,7 @@ def _row(
 
 
 def _truth(tracer: Tracer, camera: Camera, effort: Effort) -> Reference:
-    return reference(tracer, camera, effort.reference_spp, _REFERENCE_SEED)
+    return reference(tracer, camera, effort.reference_spp, REFERENCE_SEED)
 
 
 def _quality(setting: Setting, peer: Hybrid, truth: Reference) -> dict[str, float]:

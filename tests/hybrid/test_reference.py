@@ -26,8 +26,8 @@ def test_bias_and_noise_of_the_denoised_halves_both_count(bias, spread):
     found = judged(halves, parts)
     actual = np.mean((srgb_from_radiance(found.radiance) - srgb_from_radiance(truth)) ** 2)
     # Two standard errors are added, so that it may well be more but hardly ever less.
-    assert actual <= found.squared_error < 2 * actual
-    assert found.psnr == pytest.approx(-10 * np.log10(found.squared_error))
+    assert actual <= found.squared_error() < 2 * actual
+    assert found.psnr() == pytest.approx(-10 * np.log10(found.squared_error()))
 
 
 def test_a_reference_does_not_claim_more_than_it_is():
@@ -37,7 +37,7 @@ def test_a_reference_does_not_claim_more_than_it_is():
     truth = reference(tracer, camera, 1024, 1)
     few = [reference(tracer, camera, 16, seed) for seed in range(2, 6)]
     actual = np.mean([psnr(found.radiance, truth.radiance) for found in few])
-    assert np.mean([found.psnr for found in few]) < actual
+    assert np.mean([found.psnr() for found in few]) < actual
     assert np.mean([psnr(*found.halves) for found in few]) + 10 * np.log10(4) > actual
 
 
@@ -46,6 +46,17 @@ def test_more_samples_and_the_same_seed():
     tracer, camera = Tracer(scene), scene.camera
     one, again, more = (reference(tracer, camera, spp, 3) for spp in (16, 16, 256))
     np.testing.assert_array_equal(one.radiance, again.radiance)
-    assert one.psnr == again.psnr < more.psnr
+    assert one.psnr() == again.psnr() < more.psnr()
     with pytest.raises(ValueError, match="at least 4 samples"):
         reference(tracer, camera, 3, 0)
+
+
+def test_more_samples_in_some_pixels_make_those_better_and_leave_the_others():
+    scene = load_scene(small.corner())
+    tracer, camera = Tracer(scene), scene.camera.resized(64, 64)
+    dense = np.zeros((64, 64), dtype=bool)
+    dense[16:48, 16:48] = True
+    even = reference(tracer, camera, 16, 3)
+    uneven = reference(tracer, camera, np.where(dense, 256, 16).ravel(), 3)
+    assert uneven.psnr(dense) > even.psnr(dense) + 3
+    assert uneven.psnr(~dense) == pytest.approx(even.psnr(~dense), abs=2)

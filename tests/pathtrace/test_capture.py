@@ -66,7 +66,7 @@ def test_more_views_than_fit_are_refused(monkeypatch):
     """Nowhere in the room is a surface farther away than ten times what the camera sees."""
     monkeypatch.setattr("pathtrace.views._CLEARANCE", 10.0)
     scene = load_scene("room")
-    with pytest.raises(UserError, match=r"only 1 of 60 views fit into the free space"):
+    with pytest.raises(UserError, match=r"only 0 of 59 further views fit into the free space"):
         choose_views(scene, Surfaces(scene), 60, 16, 16, seed=0)
 
 
