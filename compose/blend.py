@@ -26,11 +26,16 @@ def blend(periphery: Image, fovea: NDArray[np.float32], plan: FoveaPlan) -> Imag
     # Where only one picture counts it is taken as it is: 0 times a lamp's infinity is not 0.
     band = np.flatnonzero(plan.weights < 1)
     shared, weight = plan.pixels[band], plan.weights[band, None]
-    mixed = flat[shared] * (1 - weight) + fovea[band] * weight
-    for first, start, stop in zip(*(side.tolist() for side in runs_of(plan.pixels)), strict=True):
-        flat[start:stop] = fovea[first : first + stop - start]
-    flat[shared] = mixed
+    mixed = flat.take(shared, axis=0) * (1 - weight) + fovea.take(band, axis=0) * weight
+    _lay(flat, plan.pixels, fovea)
+    _lay(flat, shared, mixed)
     return composite
+
+
+def _lay(flat: Image, pixels: NDArray[np.uint32], values: Image) -> None:
+    """Writes values (D, 3) into pixels of a frame (H * W, 3), run by run."""
+    for first, start, stop in zip(*(side.tolist() for side in runs_of(pixels)), strict=True):
+        flat[start:stop] = values[first : first + stop - start]
 
 
 def srgb_from_radiance(radiance: Image) -> Image:

@@ -72,11 +72,13 @@ def runs_of(pixels: NDArray[np.uint32]) -> tuple[NDArray[np.int64], NDArray[np.i
     """Runs of pixels side by side, which are copied far quicker than single ones.
 
     Args:
-        pixels: (D,) indices in ascending order, at least one.
+        pixels: (D,) indices in ascending order.
 
     Returns:
         (R,) each: first of a run among the D, its first pixel, and the one after its last.
     """
+    if not len(pixels):
+        return (np.zeros(0, dtype=np.int64),) * 3
     first = np.concatenate([[0], np.flatnonzero(np.diff(pixels) != 1) + 1])
     start = pixels[first].astype(np.int64)
     return first, start, start + np.diff(np.append(first, len(pixels)))

@@ -75,7 +75,8 @@ def sweep(
     select(backend)
     from hybrid.cache import forest_for
     from hybrid.evaluate.report import write_report
-    from hybrid.sweeps.run import Effort, break_even, swept
+    from hybrid.sweeps.break_even import break_even, sentence
+    from hybrid.sweeps.run import Effort, swept
     from hybrid.timing import machine
     from hybrid.trade import trade_file
     from pathtrace.views import unseen_views
@@ -96,11 +97,7 @@ def sweep(
     print(f"{loaded.name}: {chosen.title}, {fovea} fovea")
     _print(rows)
     for row in crossings:
-        radius = "above 90" if row["radius"] is None else f"{row['radius']:.0f}"
-        print(
-            f"{row['width']}x{row['height']}: as fast as full path tracing at a radius of {radius} % "
-            f"of the height (FPC: {row['paper']:.0f}); least ratio {row['least_ratio']:.3f}"
-        )
+        print(sentence(row))
     content = {
         "scene": loaded.name,
         "over": over,
@@ -122,7 +119,7 @@ def sweep(
 
 def _print(rows: list[dict[str, Any]]) -> None:
     """A column for each quantity that varies, times, the ratio, FPC's ratio, and quality if there is any."""
-    fixed = {"ms", "full_ms", "ratio", "passes", "repeats", "paper", "quality"}
+    fixed = {"ms", "full_ms", "ratio", "ratio_interval", "passes", "repeats", "paper", "quality"}
     varied = [name for name in rows[0] if name not in fixed]
     metrics = list(rows[0].get("quality", {}))
     shown = [name for name in metrics if name.split()[1] in ("ssim", "flip", "jod")]

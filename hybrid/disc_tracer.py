@@ -15,7 +15,7 @@ from compose.samples import Samples, merged
 from compose.sampling import allotted, disagreement
 from compose.view import Camera
 from hybrid.disc import Underlay, checked, parents_of
-from pathtrace.film import pixel_positions
+from pathtrace.film import interleaved, pixel_positions
 from pathtrace.tracer import Tracer, guide_places
 
 # From so many samples per pixel on, a part of them, traced everywhere, tells where the others are needed.
@@ -98,9 +98,9 @@ class DiscTracer:
         seen = self._tracer.guides(camera, positions, places, sequence.pattern, sequence.taken)
         return replace(
             _dark(plan.pixels),
-            albedo=_triple(seen.albedo),
-            normal=_triple(seen.normal),
-            position=_triple(seen.place),
+            albedo=interleaved(seen.albedo),
+            normal=interleaved(seen.normal),
+            position=interleaved(seen.place),
             gloss=seen.gloss.numpy().astype(np.uint8),
         )
 
@@ -108,15 +108,19 @@ class DiscTracer:
         self, camera: Camera, known: Samples, counts: NDArray[np.int64], seed: int, sequence: _Sequence
     ) -> Samples:
         """With so many more samples of each pixel, placed in them where earlier ones left gaps."""
-        chosen = np.s_[:] if counts.all() else np.flatnonzero(counts)
+        everywhere = bool(counts.all())
+        chosen = np.s_[:] if everywhere else np.flatnonzero(counts)
         counts, pixels = counts[chosen], known.pixels[chosen]
         taken = sequence.taken[chosen] + known.count[chosen].astype(np.int64)
         positions = pixel_positions(mi.UInt32(pixels), camera.width)
         numbers = _one_for_all(counts), seed, _one_for_all(taken)
         traced = self._tracer.trace(camera, positions, *numbers, sequence.pattern)
-        count, radiance, squares = map(np.zeros_like, (known.count, known.radiance, known.squares))
-        count[chosen] = counts
-        radiance[chosen], squares[chosen] = _triple(traced.radiance), _triple(traced.squares)
+        found = counts.astype(np.float32), interleaved(traced.radiance), interleaved(traced.squares)
+        if everywhere:
+            count, radiance, squares = found
+        else:
+            count, radiance, squares = map(np.zeros_like, (known.count, known.radiance, known.squares))
+            count[chosen], radiance[chosen], squares[chosen] = found
         return merged(known, replace(known, count=count, radiance=radiance, squares=squares))
 
     def _have(self, plan: FoveaPlan, known: Samples) -> NDArray[np.float32]:
@@ -147,10 +151,6 @@ class _Sequence:
 def _one_for_all(numbers: NDArray[np.int64]) -> int | NDArray[np.int64]:
     """A single number where all are the same: the tracer needs no array for it."""
     return int(numbers[0]) if (numbers == numbers[0]).all() else numbers
-
-
-def _triple(channels: list[mi.Float]) -> NDArray[np.float32]:
-    return np.stack([channel.numpy() for channel in channels], axis=1)
 
 
 def _without_light(samples: Samples) -> Samples:

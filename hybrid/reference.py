@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from compose.blend import Image, srgb_from_radiance
 from compose.view import Camera
 from pathtrace.denoise import denoise
-from pathtrace.film import frame_positions
+from pathtrace.film import frame_positions, interleaved
 from pathtrace.tracer import Tracer, guide_places
 
 # Far from the seeds of frames, whose noise would otherwise be that of the reference.
@@ -64,7 +64,7 @@ def reference(tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed
     if np.min(spp) < _PARTS:
         raise ValueError(f"a reference needs at least {_PARTS} samples per pixel")
     positions, size = frame_positions(camera), (camera.height, camera.width)
-    image = lambda channels: np.stack([c.numpy() for c in channels], axis=-1).reshape(*size, 3)  # noqa: E731
+    image = lambda channels: interleaved(channels).reshape(*size, 3)  # noqa: E731
     halves, parts = [], []
     for half in range(2):
         first, last = (spp * (2 * half + part) // _PARTS for part in (0, 2))

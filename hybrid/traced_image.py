@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from compose.blend import Image
 from compose.view import Camera
 from hybrid.disc import is_quick
 from hybrid.timing import Clock
 from pathtrace.denoise import denoise
-from pathtrace.film import FilmPositions
+from pathtrace.film import FilmPositions, interleaved
 from pathtrace.tracer import Tracer, guide_places
 
 
@@ -35,9 +33,7 @@ def traced_image(
         denoised: by OIDN, with albedo and normal.
         clock: gets the laps trace and denoise.
     """
-    image = lambda channels: np.stack(  # noqa: E731
-        [channel.numpy() for channel in channels], axis=1
-    ).reshape(-1, columns, 3)
+    image = lambda channels: interleaved(channels).reshape(-1, columns, 3)  # noqa: E731
     clock = clock or Clock()
     radiance = image(tracer.trace(camera, positions, spp, seed).radiance)
     clock.lap("trace")

@@ -14,7 +14,7 @@ from compose.errors import UserError
 from compose.files import write_whole
 from compose.view import Camera, camera_from_json, camera_to_json
 from pathtrace.denoise import denoise
-from pathtrace.film import frame_positions
+from pathtrace.film import frame_positions, interleaved
 from pathtrace.frames import (
     FORMAT_VERSION,
     Estimate,
@@ -124,7 +124,7 @@ def render_estimates(
     positions = frame_positions(camera)
     hits = tracer.hits(camera, positions)
     shape = (camera.height, camera.width)
-    image = lambda channels: np.stack([c.numpy() for c in channels], axis=-1).reshape(*shape, 3)  # noqa: E731
+    image = lambda channels: interleaved(channels).reshape(*shape, 3)  # noqa: E731
     parts = []
     for number, count in enumerate((*counts, spp - sum(counts))):
         part_seed = seed + number * 1_000_033

@@ -57,6 +57,12 @@ def frame_positions(camera: Camera) -> FilmPositions:
     return pixel_positions(dr.arange(mi.UInt32, camera.width * camera.height), camera.width)
 
 
+def interleaved(channels: list[Any]) -> NDArray[np.float32]:
+    """(N, 3) of three (N,) Dr.Jit floats; one kernel, which is quicker than numpy."""
+    values: NDArray[np.float32] = dr.ravel(mi.Point3f(*channels)).numpy()
+    return values.reshape(-1, 3)
+
+
 def opaque_camera(camera: Camera) -> tuple[Any, ...]:
     """Origin and the three vectors that turn film coordinates into a ray: d ~ x ax + y ay + az."""
     pose = camera.camera_to_world

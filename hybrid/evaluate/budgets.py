@@ -61,15 +61,13 @@ def families(tracer: Tracer, tuning: Tuning) -> dict[str, Family]:
     }
 
 
-def at_equal_time(
-    family: Family, camera: Camera, gaze: Gaze, milliseconds: float, rays: float
-) -> float | None:
-    """The rays per pixel at which the peer of a family comes nearest to a time without taking longer.
+def at_equal_time(family: Family, ours: Peer, camera: Camera, gaze: Gaze, rays: float) -> float | None:
+    """The rays per pixel at which the peer of a family comes nearest to our time without taking longer.
 
     Args:
         family: whose cost grows with its rays.
+        ours: what its cost is compared with.
         camera, gaze: what is rendered.
-        milliseconds: to be met.
         rays: to start from.
 
     Returns:
@@ -82,40 +80,45 @@ def at_equal_time(
         peer = family(rays)
         key = str(peer.settings)
         if key not in known:
-            known[key] = median_time(peer, camera, gaze)
+            known[key] = relative_time(peer, ours, camera, gaze)
         look = Look(rays, known[key])
-        if look.milliseconds <= milliseconds * (1 + NEAR):
+        if look.time <= 1 + NEAR:
             within = look
         else:
             beyond = look
-        if within is not None and within.milliseconds >= milliseconds * (1 - NEAR):
+        if within is not None and within.time >= 1 - NEAR:
             break
-        rays = _guess(within, beyond, milliseconds)
+        rays = _guess(within, beyond)
     return None if within is None else within.rays
 
 
 @dataclass(frozen=True)
 class Look:
-    """What a peer with so many rays per pixel took."""
+    """What a peer with so many rays per pixel took, in our time."""
 
     rays: float
-    milliseconds: float
+    time: float
 
 
-def _guess(within: Look | None, beyond: Look | None, milliseconds: float) -> float:
-    """Rays that should meet a time, from the nearest looks on both sides of it."""
+def _guess(within: Look | None, beyond: Look | None) -> float:
+    """Rays that should meet our time, from the nearest looks on both sides of it."""
     if within is None or beyond is None:
         look = within or beyond
         assert look is not None
         # Costs grow more slowly than rays: a step further than they would have it soon has both sides.
-        share = milliseconds / look.milliseconds
-        return look.rays * float(np.clip(share**1.5, *((1.5, 8.0) if beyond is None else (0.125, 0.7))))
-    span = (milliseconds - within.milliseconds) / (beyond.milliseconds - within.milliseconds)
+        steps = (1.5, 8.0) if beyond is None else (0.125, 0.7)
+        return look.rays * float(np.clip(look.time**-1.5, *steps))
+    span = (1 - within.time) / (beyond.time - within.time)
     # Where samples come as whole numbers the line between two looks leads nowhere; the middle does.
     return within.rays + (beyond.rays - within.rays) * float(np.clip(span, 0.2, 0.8))
 
 
-def median_time(peer: Peer, camera: Camera, gaze: Gaze) -> float:
-    """Milliseconds of a frame, after one that warms up."""
-    times = [peer.make(camera, gaze, seed).milliseconds["total"] for seed in range(_FRAMES + 1)]
-    return float(np.median(times[1:]))
+def relative_time(peer: Peer, ours: Peer, camera: Camera, gaze: Gaze) -> float:
+    """A peer's time in ours: medians of frames in turn, since the machine's speed drifts."""
+    times: tuple[list[float], list[float]] = ([], [])
+    for seed in range(_FRAMES + 1):
+        for way, found in zip((peer, ours), times, strict=True):
+            found.append(way.make(camera, gaze, seed).milliseconds["total"])
+    # The first ones warm up.
+    theirs, of_ours = (float(np.median(found[1:])) for found in times)
+    return theirs / of_ours

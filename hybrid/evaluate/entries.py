@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from compose.view import Camera, Gaze
-from hybrid.evaluate.budgets import NEAR, Tuning, at_equal_time, families, median_time
+from hybrid.evaluate.budgets import NEAR, Tuning, at_equal_time, families
 from hybrid.evaluate.journal import Journal
 from hybrid.evaluate.peers import Hybrid, Peer, Splats
 from hybrid.evaluate.settings import EvaluationSettings
@@ -75,14 +75,13 @@ def peer_entries(
     """
     rays = ours.peer.rays(camera, gaze)
     known = families(tracer, tuning)
-    milliseconds = costs.once(OURS, lambda: median_time(ours.peer, camera, gaze))
     entries = []
     for number, (name, family) in enumerate(known.items()):
         equal = family(rays)
         affordable = equal.rays(camera, gaze) <= rays * (1 + NEAR)
         budget = "equal-rays" if affordable else "fixed"
         entries.append(Entry(name, budget, equal, briefly=affordable))
-        met = costs.once(name, lambda: at_equal_time(family, camera, gaze, milliseconds, rays))  # noqa: B023
+        met = costs.once(name, lambda: at_equal_time(family, ours.peer, camera, gaze, rays))  # noqa: B023
         if met is not None and family(met).settings != equal.settings:
             entries.append(Entry(name, "equal-time", family(met)))
         progress(number + 1, len(known))

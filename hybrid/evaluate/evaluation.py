@@ -38,7 +38,7 @@ from splat.forest import Forest
 _TUNING_VIEWS, _TUNING_REDUCTION = 2, 2
 # About how many milliseconds each step of each kind of work takes, for the time that is left: a sample of a
 # reference, a setting that is tried, a peer whose cost is met, a picture that is judged, a round of frames.
-_COSTS = {"references": 3e-3, "tuning": 400.0, "costs": 10_000.0, "quality": 4_000.0, "times": 4_000.0}
+_COSTS = {"references": 4e-3, "tuning": 700.0, "costs": 12_000.0, "quality": 3_500.0, "times": 2_500.0}
 
 
 class Evaluation:
@@ -179,9 +179,9 @@ class _Work:
         samples = settings.width * settings.height * settings.reference_spp
         steps = {
             "references": settings.views * samples,
-            "tuning": 51,
+            "tuning": 63,
             "costs": 6,
-            "quality": 17 * settings.views,
+            "quality": 18 * settings.views,
             "times": settings.repeats,
         }
         self._weight = {name: steps[name] * _COSTS[name] for name in steps}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ from hybrid.metrics.fovvideovdp import jod
 from hybrid.metrics.lpips import lpips
 from hybrid.metrics.similarity import psnr, ssim
 
+Map = NDArray[np.float32]
 # Whether more is better.
 METRICS = {
     "psnr": True,
@@ -27,8 +29,6 @@ METRICS = {
     "lpips": False,
     "jod": True,
 }
-
-
 # Pixels that FLIP's filters reach at 67 pixels per degree.
 _FLIP_REACH = 24
 
@@ -62,16 +62,16 @@ def measured(
     regions: dict[str, Region],
     viewer: Viewer,
     name: str = "the frame",
-    whole_flip: NDArray[np.float32] | None = None,
+    whole_flip: Map | None = None,
 ) -> list[dict[str, float | str]]:
     """Rows of region, metric and value, for all metrics that are installed.
 
     No metric leaks over the border of a region: outside of it the picture is exchanged for the reference,
     and of the maps of SSIM and FLIP only the region's pixels count. LPIPS and FovVideoVDP, which give one
     number for a picture, see the foveal region as a crop; FovVideoVDP the others as the whole frame with the
-    rest exchanged, LPIPS the whole alone. HDR-FLIP, the slowest, looks at the whole alone, and so does
-    `fssim`, SSIM weighted by what the eye resolves at each pixel (Geisler and Perry 1998, relative to the
-    gaze).
+    rest exchanged, LPIPS the whole alone. HDR-FLIP, which takes longer than all others together, looks at the
+    foveal region alone; `fssim`, SSIM weighted by what the eye resolves at each pixel (Geisler and Perry
+    1998, relative to the gaze), at the whole.
 
     Args:
         image, reference: (H, W, 3) linear radiance.
@@ -97,11 +97,11 @@ def measured(
         if region.name == "whole" and whole_flip is not None:
             found["flip"] = float(whole_flip.mean())
         else:
-            found["flip"] = _flip(alone, reference, region)
+            found["flip"] = _flip(alone, reference, region, flip_map)
         if region.name == "whole":
             found["fssim"] = ssim(image, reference, acuity_weight(viewer, image.shape[:2]))
-            high = hdr_flip_map(image, reference)
-            found["hdr-flip"] = None if high is None else float(high.mean())
+        if region.name == "foveal":
+            found["hdr-flip"] = _flip(alone, reference, region, hdr_flip_map)
         rows += [
             {"region": region.name, "metric": metric, "value": float(found[metric])}  # type: ignore[arg-type]
             for metric in METRICS
@@ -116,10 +116,12 @@ def acuity_weight(viewer: Viewer, size: tuple[int, int]) -> NDArray[np.float32]:
     return (geisler_perry(angles) / geisler_perry(np.zeros(1))[0]).astype(np.float32)
 
 
-def _flip(alone: Image, reference: Image, region: Region) -> float | None:
-    """Mean over the region; nothing beyond the reach of FLIP's filters is looked at."""
+def _flip(
+    alone: Image, reference: Image, region: Region, metric: Callable[[Image, Image], Map | None]
+) -> float | None:
+    """Mean of a map over the region; nothing beyond the reach of FLIP's filters is looked at."""
     box = tuple(slice(max(0, side.start - _FLIP_REACH), side.stop + _FLIP_REACH) for side in region.box)
-    found = flip_map(alone[box], reference[box])
+    found = metric(alone[box], reference[box])
     return None if found is None else float(found[region.mask[box]].mean())
 
 

@@ -21,6 +21,7 @@ from hybrid.evaluate.regions import REGIONS
 from hybrid.evaluate.settings import FOVEAL_REFERENCE
 from hybrid.evaluate.verdicts import FOVEAL_METRICS, Key, keys_of, mean_of, verdicts
 from hybrid.metrics import missing
+from hybrid.sweeps.break_even import sentence
 
 # Pictures in the page are compressed; the PNG files beside it are not.
 _JPEG_QUALITY = 92
@@ -104,12 +105,7 @@ def _sweep(sweep: dict[str, Any]) -> dict[str, Any]:
             + [f"{row['quality'][m]:.{_DIGITS[m.split()[1]]}f}" for m in metrics]
         )
     columns = [*names, "ms", "full, ms", "ratio", "FPC's ratio", *metrics]
-    said = [
-        f"{row['width']} × {row['height']}: as fast as full path tracing at a radius of "
-        + ("more than 90" if row["radius"] is None else f"{row['radius']:.0f}")
-        + f" % of the height (FPC: {row['paper']:.0f})."
-        for row in sweep["break_even"]
-    ]
+    said = [sentence(row) for row in sweep["break_even"]]
     title = f"Over {sweep['title']}, {sweep['fovea']} fovea, {sweep['rows'][0]['repeats']} frames each"
     return {
         "title": title,

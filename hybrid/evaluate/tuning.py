@@ -14,7 +14,7 @@ from hybrid.evaluate.peers import Enlarged, Peer, Warped
 from hybrid.metrics.similarity import ssim
 from pathtrace.tracer import Tracer
 
-_F = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
+_F = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6)
 _SPP = (1, 2, 4)
 
 

@@ -68,13 +68,21 @@ def verdicts(found: dict[str, Any]) -> list[str]:
         for key in rivals_of(found):
             theirs = mean_of(found, key, "foveal", metric)
             if theirs is not None:
-                (won if is_better(metric, ours, theirs) else lost).append(f"{key[0]} ({theirs:.3g})")
+                said = f"{key[0]} ({theirs:.3g}; {_wins(found, key, metric)})"
+                (won if is_better(metric, ours, theirs) else lost).append(said)
         where = f"In the fovea, by {_NAMES[metric]}, the hybrid frame ({ours:.3g})"
         if lost:
             behind.append(f"{where} is not ahead of {_listed(lost)}.")
         if won:
             ahead.append(f"{where} is ahead of {_listed(won)}.")
     return [*behind, *ahead, *_against_rmfr(found), *_against_splats(found)]
+
+
+def _wins(found: dict[str, Any], key: Key, metric: str) -> str:
+    """In how many views our fovea is better than a peer's: a mean alone says little where few differ."""
+    pairs = zip(*(values_of(found, k, "foveal", metric) for k in ((OURS, "fixed"), key)), strict=True)
+    better = [is_better(metric, ours, theirs) for ours, theirs in pairs]
+    return f"better in {sum(better)} of {len(better)} views"
 
 
 def _against_rmfr(found: dict[str, Any]) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from itertools import groupby, pairwise
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -83,35 +83,6 @@ def swept(
     return rows
 
 
-def break_even(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Per resolution of a sweep over the radius: where hybrid and full frame take equally long.
-
-    `radius` is None where the hybrid frame is faster at every radius that was measured.
-    """
-    found = []
-    sizes = dict.fromkeys((row["width"], row["height"]) for row in rows)
-    for size in sizes:
-        points = [(r["radius"], r["ratio"]) for r in rows if (r["width"], r["height"]) == size]
-        crossed = [
-            before + (ratio - 1) / (ratio - after_ratio) * (after - before)
-            for (before, ratio), (after, after_ratio) in pairwise(points)
-            if ratio >= 1 > after_ratio
-        ]
-        if points[0][1] < 1:
-            crossed = [points[0][0], *crossed]
-        least = min(ratio for _, ratio in points)
-        found.append(
-            {
-                "width": size[0],
-                "height": size[1],
-                "radius": crossed[0] if crossed else None,
-                "least_ratio": least,
-                "paper": catalogue.BREAK_EVEN.get(size),
-            }
-        )
-    return found
-
-
 def _advanced(
     progress: Callable[[int, int], None], before: int, rows: int, all_rows: int, done: int, total: int
 ) -> None:
@@ -131,6 +102,7 @@ def _row(
         "ms": percentiles(total),
         "full_ms": percentiles(of_full),
         "ratio": float(np.median(of_full) / np.median(total)),
+        "ratio_interval": ratio_interval(of_full, total),
         "passes": {n: float(np.median([f[n] for f in ours])) for n in ours[0] if n != "total"},
         "repeats": effort.repeats,
     }

@@ -37,16 +37,20 @@ class Costly:
 @pytest.mark.parametrize("fixed", [0.0, 20.0, 90.0])
 @pytest.mark.parametrize("start", [0.02, 0.5, 8.0])
 def test_a_cost_that_can_be_met_is_met(fixed, start):
-    rays = at_equal_time(lambda r: Costly(r, fixed, 100.0), CAMERA, Gaze(), 100.0, start)
+    ours = Costly(1.0, 0.0, 100.0)
+    rays = at_equal_time(lambda r: Costly(r, fixed, 100.0), ours, CAMERA, Gaze(), start)
     assert rays is not None
     assert fixed + 100 * rays == pytest.approx(100, rel=NEAR + 0.005)
 
 
 def test_whole_samples_take_no_longer_than_is_given():
-    rays = at_equal_time(lambda r: Costly(max(1, int(r)), 10.0, 100.0), CAMERA, Gaze(), 355.0, 0.5)
+    ours = Costly(1.0, 0.0, 355.0)
+    rays = at_equal_time(lambda r: Costly(max(1, int(r)), 10.0, 100.0), ours, CAMERA, Gaze(), 0.5)
     assert rays is not None
     assert int(rays) == 3
 
 
 def test_what_always_takes_longer_has_no_equal():
-    assert at_equal_time(lambda r: Costly(max(1, int(r)), 10.0, 100.0), CAMERA, Gaze(), 50.0, 0.5) is None
+    ours = Costly(1.0, 0.0, 50.0)
+    family = lambda r: Costly(max(1, int(r)), 10.0, 100.0)  # noqa: E731
+    assert at_equal_time(family, ours, CAMERA, Gaze(), 0.5) is None

@@ -42,11 +42,13 @@ def evaluation() -> dict[str, Any]:
 
 def test_what_is_not_ahead_comes_first_and_only_rivals_count():
     lines = verdicts(evaluation())
-    assert (
-        lines[0] == "In the fovea, by FovVideoVDP, the hybrid frame (9) is not ahead of splats alone (9.2)."
+    assert lines[0] == (
+        "In the fovea, by FovVideoVDP, the hybrid frame (9) is not ahead of "
+        "splats alone (9.2; better in 0 of 2 views)."
     )
-    assert "by FovVideoVDP, the hybrid frame (9) is ahead of rmfr, tuned (8)" in lines[1]
-    assert "by FLIP, the hybrid frame (0.1) is ahead of splats alone (0.11) and rmfr, tuned (0.2)" in lines[2]
+    assert "by FovVideoVDP, the hybrid frame (9) is ahead of rmfr, tuned (8; better in 2 of 2" in lines[1]
+    assert "by FLIP, the hybrid frame (0.1) is ahead of splats alone (0.11; better in 2" in lines[2]
+    assert "and rmfr, tuned (0.2; better in 2 of 2 views)." in lines[2]
     assert not any("full" in line for line in lines)
     assert "in 1 of 2 views" in lines[3]
     assert "By FovVideoVDP the fused fovea is better than splats alone from 16 samples per pixel on." in lines

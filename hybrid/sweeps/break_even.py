@@ -1,0 +1,70 @@
+"""Up to which radius of the fovea a hybrid frame is faster than the full path-traced one."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from hybrid.sweeps import catalogue
+
+# Resamplings for an interval, and what lies outside of it on both sides together.
+_RESAMPLINGS, _OUTSIDE = 1000, 0.05
+
+
+def ratio_interval(of_full: list[float], ours: list[float]) -> tuple[float, float]:
+    """Interval that holds the ratio of the two medians with 95 % confidence (bootstrap over pairs).
+
+    Args:
+        of_full, ours: milliseconds of frames that were made in turn, in pairs.
+    """
+    pairs = np.array([of_full, ours])
+    picks = np.random.default_rng(0).integers(pairs.shape[1], size=(_RESAMPLINGS, pairs.shape[1]))
+    medians = np.median(pairs[:, picks], axis=2)
+    low, high = np.quantile(medians[0] / medians[1], (_OUTSIDE / 2, 1 - _OUTSIDE / 2))
+    return float(low), float(high)
+
+
+def break_even(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Per resolution of a sweep over the radius: where hybrid and full frame take equally long.
+
+    `radius` is where the ratio of medians falls below 1, `slower_from` where the whole of its interval does:
+    a disc that covers nearly all of the frame is nearly the full frame, and the two differ by less than can
+    be measured. Both are None where that is so at no radius that was measured.
+    """
+    found = []
+    for size in dict.fromkeys((row["width"], row["height"]) for row in rows):
+        same = [row for row in rows if (row["width"], row["height"]) == size]
+        radii = [row["radius"] for row in same]
+        found.append(
+            {
+                "width": size[0],
+                "height": size[1],
+                "radius": _crossing(radii, [row["ratio"] for row in same]),
+                "slower_from": _crossing(radii, [row["ratio_interval"][1] for row in same]),
+                "least_ratio": min(row["ratio"] for row in same),
+                "paper": catalogue.BREAK_EVEN.get(size),
+            }
+        )
+    return found
+
+
+def sentence(row: dict[str, Any]) -> str:
+    """What a row of `break_even` says."""
+    radius = "more than 90" if row["radius"] is None else f"{row['radius']:.0f}"
+    doubt = "at none" if row["slower_from"] is None else f"from {row['slower_from']:.0f} % on"
+    return (
+        f"{row['width']}x{row['height']}: as fast as full path tracing at a radius of {radius} % of the height "
+        f"(FPC: {row['paper']:.0f}), slower with 95 % confidence {doubt}; least ratio {row['least_ratio']:.3f}."
+    )
+
+
+def _crossing(radii: list[float], ratios: list[float]) -> float | None:
+    """Where ratios first fall below 1, linear between radii."""
+    if ratios[0] < 1:
+        return radii[0]
+    for (before, ratio), (after, after_ratio) in pairwise(zip(radii, ratios, strict=True)):
+        if ratio >= 1 > after_ratio:
+            return before + (ratio - 1) / (ratio - after_ratio) * (after - before)
+    return None
