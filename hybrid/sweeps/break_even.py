@@ -55,8 +55,9 @@ def sentence(row: dict[str, Any]) -> str:
     radius = "more than 90" if row["radius"] is None else f"{row['radius']:.0f}"
     doubt = "at none" if row["slower_from"] is None else f"from {row['slower_from']:.0f} % on"
     return (
-        f"{row['width']}x{row['height']}: as fast as full path tracing at a radius of {radius} % of the height "
-        f"(FPC: {row['paper']:.0f}), slower with 95 % confidence {doubt}; least ratio {row['least_ratio']:.3f}."
+        f"{row['width']}x{row['height']}: as fast as full path tracing at a radius of {radius} % of the "
+        f"height (FPC: {row['paper']:.0f}), slower with 95 % confidence {doubt}; "
+        f"least ratio {row['least_ratio']:.3f}."
     )
 
 

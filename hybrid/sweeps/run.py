@@ -17,7 +17,7 @@ from hybrid.evaluate.peers import FullTrace, Hybrid, Peer
 from hybrid.evaluate.regions import regions
 from hybrid.reference import REFERENCE_SEED, Reference, reference
 from hybrid.renderer import HybridRenderer
-from hybrid.sweeps import catalogue
+from hybrid.sweeps.break_even import ratio_interval
 from hybrid.sweeps.setting import Setting
 from hybrid.timing import interleaved_passes, percentiles
 from pathtrace.scene import Scene

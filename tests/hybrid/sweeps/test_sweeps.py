@@ -8,8 +8,8 @@ import pytest
 
 from compose.errors import UserError
 from hybrid.sweeps import catalogue
-from hybrid.sweeps.catalogue import SWEEPS, sweep_named
 from hybrid.sweeps.break_even import break_even, ratio_interval, sentence
+from hybrid.sweeps.catalogue import SWEEPS, sweep_named
 from tests import small
 from tests.hybrid.command import run
 
