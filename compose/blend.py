@@ -19,9 +19,10 @@ def blend(periphery: Image, fovea: NDArray[np.float32], plan: FoveaPlan) -> Imag
         fovea: (D, 3) linear radiance of the plan's pixels.
         plan: which pixels those are, and their weights.
     """
+    if len(plan.pixels) == plan.width * plan.height:
+        # The usual way would copy a picture that nothing is left of.
+        return np.array(fovea, dtype=np.float32).reshape(periphery.shape)
     composite = np.array(periphery, dtype=np.float32, order="C")
-    if not len(plan.pixels):
-        return composite
     flat = composite.reshape(-1, 3)
     # Where only one picture counts it is taken as it is: 0 times a lamp's infinity is not 0.
     band = np.flatnonzero(plan.weights < 1)

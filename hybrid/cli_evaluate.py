@@ -47,7 +47,7 @@ def evaluate(
         int, typer.Option(help="Samples per pixel of the references; eight times as many in the disc.", min=4)
     ] = 32,
     repeats: Annotated[
-        int, typer.Option(help="Frames timed per method; fewer of those that would take over 100 s.", min=3)
+        int, typer.Option(help="Frames timed per method; fewer of those that would take over 80 s.", min=3)
     ] = 300,
     display: DisplayName = "desktop",
     seed: Seed = 0,

@@ -58,12 +58,15 @@ class DiscTracer:
         """
         if not len(plan.pixels):
             return _dark(plan.pixels)
-        sequence = self._sequence(camera, plan, seed)
         known = self.known(camera, plan, spp, seed)
+        adaptive = under is not None and spp >= _ADAPTIVE_FROM
+        if not adaptive and self._history is None:
+            return self._evenly(camera, known, spp, seed)
+        sequence = self._sequence(camera, plan, seed)
         new = _without_light(known)
         total = spp * len(plan.pixels)
         worth = np.ones(len(plan.pixels), dtype=np.float32)
-        if under is not None and spp >= _ADAPTIVE_FROM:
+        if adaptive:
             # A few everywhere, then more where they disagree with the splats.
             first = max(_FEWEST_FIRST, int(_FIRST_SHARE * spp)) * len(plan.pixels)
             counts = allotted(worth, self._have(plan, known), first, seed)
@@ -87,7 +90,7 @@ class DiscTracer:
 
     def _sequence(self, camera: Camera, plan: FoveaPlan, seed: int) -> _Sequence:
         if self._history is None:
-            return _Sequence(np.zeros(len(plan.pixels), dtype=np.int64), seed)
+            return _Sequence(0, seed)
         return _Sequence(*self._history.taken(camera, plan.pixels, seed))
 
     def _seen(self, camera: Camera, plan: FoveaPlan, places: int, sequence: _Sequence) -> Samples:
@@ -104,23 +107,27 @@ class DiscTracer:
             gloss=seen.gloss.numpy().astype(np.uint8),
         )
 
+    def _evenly(self, camera: Camera, known: Samples, spp: int, seed: int) -> Samples:
+        """The same number of samples of each pixel, of whose light nothing is known yet."""
+        positions = pixel_positions(mi.UInt32(known.pixels), camera.width)
+        traced = self._tracer.trace(camera, positions, spp, seed)
+        count = np.full(len(known.pixels), spp, dtype=np.float32)
+        radiance, squares = interleaved(traced.radiance), interleaved(traced.squares)
+        return replace(known, count=count, radiance=radiance, squares=squares)
+
     def _traced(
         self, camera: Camera, known: Samples, counts: NDArray[np.int64], seed: int, sequence: _Sequence
     ) -> Samples:
         """With so many more samples of each pixel, placed in them where earlier ones left gaps."""
-        everywhere = bool(counts.all())
-        chosen = np.s_[:] if everywhere else np.flatnonzero(counts)
-        counts, pixels = counts[chosen], known.pixels[chosen]
-        taken = sequence.taken[chosen] + known.count[chosen].astype(np.int64)
-        positions = pixel_positions(mi.UInt32(pixels), camera.width)
+        chosen = np.flatnonzero(counts)
+        taken = (sequence.taken + known.count.astype(np.int64))[chosen]
+        counts = counts[chosen]
+        positions = pixel_positions(mi.UInt32(known.pixels[chosen]), camera.width)
         numbers = _one_for_all(counts), seed, _one_for_all(taken)
         traced = self._tracer.trace(camera, positions, *numbers, sequence.pattern)
-        found = counts.astype(np.float32), interleaved(traced.radiance), interleaved(traced.squares)
-        if everywhere:
-            count, radiance, squares = found
-        else:
-            count, radiance, squares = map(np.zeros_like, (known.count, known.radiance, known.squares))
-            count[chosen], radiance[chosen], squares[chosen] = found
+        count, radiance, squares = map(np.zeros_like, (known.count, known.radiance, known.squares))
+        count[chosen] = counts
+        radiance[chosen], squares[chosen] = interleaved(traced.radiance), interleaved(traced.squares)
         return merged(known, replace(known, count=count, radiance=radiance, squares=squares))
 
     def _have(self, plan: FoveaPlan, known: Samples) -> NDArray[np.float32]:
@@ -142,9 +149,10 @@ class DiscTracer:
 
 @dataclass(frozen=True)
 class _Sequence:
-    """Where samples go in their pixels: (D,) how many there are already, and the seed of the pattern."""
+    """Where samples go in their pixels: how many there are already, (D,) or one for all, and the seed of the
+    pattern."""
 
-    taken: NDArray[np.int64]
+    taken: int | NDArray[np.int64]
     pattern: int
 
 

@@ -50,7 +50,7 @@ def samples_plot(found: dict[str, Any], metric: str) -> str | None:
 def sweep_plots(found: dict[str, Any]) -> list[str]:
     """Of a sweep: the ratio to full path tracing over what varies, and quality over time if it was judged."""
     rows = found["rows"]
-    plots = [_ratio_plot(found["over"], rows)]
+    plots = [_ratio_plot(found["over"], rows, found["break_even"])]
     for metric in ("whole jod", "foveal jod", "foveal flip"):
         if all(metric in row.get("quality", {}) for row in rows):
             plots.append(_quality_plot(rows, metric))
@@ -63,8 +63,9 @@ def _varied(row: dict[str, Any]) -> dict[str, Any]:
     return {name: row[name] for name in names[: names.index("ms")]}
 
 
-def _ratio_plot(over: str, rows: list[dict[str, Any]]) -> str:
-    """A line for each combination of all quantities but the last; FPC's figures hollow beside ours."""
+def _ratio_plot(over: str, rows: list[dict[str, Any]], crossings: list[dict[str, Any]]) -> str:
+    """A line for each combination of all quantities but the last; FPC's figures hollow beside ours, or where
+    it broke even."""
     figure, axes = _figure()
     lines: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
@@ -81,7 +82,12 @@ def _ratio_plot(over: str, rows: list[dict[str, Any]]) -> str:
         ]
         if known:
             axes.plot(*zip(*known, strict=True), "o--", mfc="none", color=drawn.get_color(), label="FPC")
+    colours = [line.get_color() for line in axes.lines]
+    for crossing, colour in zip(crossings, colours, strict=False):
+        axes.plot(crossing["paper"], 1, "o", mfc="none", color=colour)
     axes.axhline(1, color="#888", lw=0.8)
+    axes.set_yscale("log")
+    _plain_ticks(axes.yaxis)
     axes.set_xlabel(list(_varied(rows[0]))[-1] if over not in ("resolution", "aspect") else "frame size")
     axes.set_ylabel("times faster than full path tracing")
     axes.legend(frameon=False, fontsize=7)
@@ -117,13 +123,18 @@ def _point(axes: Any, number: int, x: float, y: float, name: str, ours: bool) ->
 
 
 def _logarithmic_time(axes: Any) -> None:
+    axes.set_xscale("log")
+    _plain_ticks(axes.xaxis)
+    axes.set_xlabel("median time of a frame, ms")
+
+
+def _plain_ticks(axis: Any) -> None:
+    """Of a logarithmic axis: 1, 2, 5, 10, not powers."""
     from matplotlib.ticker import LogLocator, NullLocator, ScalarFormatter
 
-    axes.set_xscale("log")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.xaxis.set_major_formatter(ScalarFormatter())
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.set_xlabel("median time of a frame, ms")
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter(ScalarFormatter())
+    axis.set_minor_locator(NullLocator())
 
 
 def _named_beside(axes: Any) -> None:

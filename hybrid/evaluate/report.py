@@ -45,7 +45,7 @@ def write_report(folder: Path) -> None:
     text = templates.get_template("report.html").render(
         title=f"Evaluation of {found['scene']}",
         subtitle=(
-            f"{width} × {height}, {settings['spp']} samples per pixel in the disc, "
+            f"{width} × {height}, samples per pixel in the disc: {settings['spp']}, "
             f"fov-a {settings['fov_a']:g} %, fov-b {settings['fov_b']:g} % of the height, "
             f"{len(views)} views. References of {settings['reference_spp']} samples per pixel, "
             f"{FOVEAL_REFERENCE * settings['reference_spp']} in the disc, denoised."
@@ -95,16 +95,17 @@ def _sweep(sweep: dict[str, Any]) -> dict[str, Any]:
     rows = sweep["rows"]
     names = list(rows[0])[: list(rows[0]).index("ms")]
     metrics = list(rows[0].get("quality", {}))
+    known = any("ratio" in row.get("paper", {}) for row in rows)
     cells = []
     for row in rows:
         paper = row.get("paper", {})
         cells.append(
             [f"{row[name]:g}" if isinstance(row[name], float) else str(row[name]) for name in names]
             + [f"{row['ms']['p50']:.0f}", f"{row['full_ms']['p50']:.0f}", f"{row['ratio']:.2f}"]
-            + [f"{paper['ratio']:.2f}" if "ratio" in paper else "-"]
+            + ([f"{paper['ratio']:.2f}" if "ratio" in paper else "-"] if known else [])
             + [f"{row['quality'][m]:.{_DIGITS[m.split()[1]]}f}" for m in metrics]
         )
-    columns = [*names, "ms", "full, ms", "ratio", "FPC's ratio", *metrics]
+    columns = [*names, "ms", "full, ms", "ratio", *(["FPC's ratio"] if known else []), *metrics]
     said = [sentence(row) for row in sweep["break_even"]]
     title = f"Over {sweep['title']}, {sweep['fovea']} fovea, {sweep['rows'][0]['repeats']} frames each"
     return {

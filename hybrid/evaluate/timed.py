@@ -12,9 +12,9 @@ from hybrid.evaluate.entries import Entry
 from hybrid.evaluate.journal import Journal
 from hybrid.timing import gaze_path
 
-_WARM_UP = 20
+_WARM_UP = 5
 # No method is timed for longer than this, if it has so many frames at least.
-_MOST_SECONDS, _LEAST_REPEATS = 100.0, 30
+_MOST_SECONDS, _LEAST_REPEATS = 80.0, 20
 # Rounds between two entries in the journal.
 _ROUNDS = 10
 
@@ -30,8 +30,8 @@ def timed(
     Args:
         entries: to be timed.
         camera: the view.
-        repeats: frames of each; 30 of those that are timed briefly, fewer where they would take more than
-            100 seconds.
+        repeats: frames of each; 20 of those that are timed briefly, fewer where they would take more than
+            80 seconds.
         journal: keeps the times.
         progress: called with rounds done and rounds in all.
     """

@@ -68,9 +68,9 @@ def verdicts(found: dict[str, Any]) -> list[str]:
         for key in rivals_of(found):
             theirs = mean_of(found, key, "foveal", metric)
             if theirs is not None:
-                said = f"{key[0]} ({theirs:.3g}; {_wins(found, key, metric)})"
+                said = f"{key[0]} ({theirs:.4g}; {_wins(found, key, metric)})"
                 (won if is_better(metric, ours, theirs) else lost).append(said)
-        where = f"In the fovea, by {_NAMES[metric]}, the hybrid frame ({ours:.3g})"
+        where = f"In the fovea, by {_NAMES[metric]}, the hybrid frame ({ours:.4g})"
         if lost:
             behind.append(f"{where} is not ahead of {_listed(lost)}.")
         if won:
@@ -112,7 +112,9 @@ def _against_splats(found: dict[str, Any]) -> list[str]:
             if ours is not None and is_better(metric, ours, splats)
         ]
         if passing:
-            said = f"from {passing[0]} samples per pixel on"
+            said = (
+                f"from {passing[0]} samples per pixel on" if passing[0] > 1 else "even at 1 sample per pixel"
+            )
         else:
             said = f"at none of {_listed([str(spp) for spp in sorted(by_spp)])} samples per pixel"
         sentences.append(f"By {_NAMES[metric]} the fused fovea is better than splats alone {said}.")
