@@ -94,7 +94,7 @@ def sweep(
     if over == "trade":
         write_json(trade_file(loaded, *pixels), rows)
     crossings = break_even(rows) if over == "radius" else []
-    print(f"{loaded.name}: {chosen.title}, {fovea} fovea")
+    print(f"{loaded.name}: {chosen.title}" + ("" if "fovea" in rows[0] else f", {fovea} fovea"))
     _print(rows)
     for row in crossings:
         print(sentence(row))

@@ -107,7 +107,8 @@ def _sweep(sweep: dict[str, Any]) -> dict[str, Any]:
         )
     columns = [*names, "ms", "full, ms", "ratio", *(["FPC's ratio"] if known else []), *metrics]
     said = [sentence(row) for row in sweep["break_even"]]
-    title = f"Over {sweep['title']}, {sweep['fovea']} fovea, {sweep['rows'][0]['repeats']} frames each"
+    made = "" if "fovea" in names else f", {sweep['fovea']} fovea"
+    title = f"Over {sweep['title']}{made}, {rows[0]['repeats']} frames each"
     return {
         "title": title,
         "plots": _plots(list(sweep_plots(sweep))),
