@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.foveation import FoveaPlan
-from compose.rectangle import runs_of
+from compose.rectangle import lay
 
 Image = NDArray[np.float32]
 
@@ -19,7 +19,7 @@ def blend(periphery: Image, fovea: NDArray[np.float32], plan: FoveaPlan) -> Imag
         fovea: (D, 3) linear radiance of the plan's pixels.
         plan: which pixels those are, and their weights.
     """
-    if len(plan.pixels) == plan.width * plan.height:
+    if plan.covers_frame:
         # The usual way would copy a picture that nothing is left of.
         return np.array(fovea, dtype=np.float32).reshape(periphery.shape)
     composite = np.array(periphery, dtype=np.float32, order="C")
@@ -28,15 +28,9 @@ def blend(periphery: Image, fovea: NDArray[np.float32], plan: FoveaPlan) -> Imag
     band = np.flatnonzero(plan.weights < 1)
     shared, weight = plan.pixels[band], plan.weights[band, None]
     mixed = flat.take(shared, axis=0) * (1 - weight) + fovea.take(band, axis=0) * weight
-    _lay(flat, plan.pixels, fovea)
-    _lay(flat, shared, mixed)
+    lay(flat, plan.pixels, fovea)
+    lay(flat, shared, mixed)
     return composite
-
-
-def _lay(flat: Image, pixels: NDArray[np.uint32], values: Image) -> None:
-    """Writes values (D, 3) into pixels of a frame (H * W, 3), run by run."""
-    for first, start, stop in zip(*(side.tolist() for side in runs_of(pixels)), strict=True):
-        flat[start:stop] = values[first : first + stop - start]
 
 
 def srgb_from_radiance(radiance: Image) -> Image:

@@ -93,6 +93,11 @@ class FoveaPlan:
     centre: tuple[float, float]
     inner: float
 
+    @property
+    def covers_frame(self) -> bool:
+        """Whether nothing of the periphery is left."""
+        return len(self.pixels) == self.width * self.height
+
     def weight_image(self) -> NDArray[np.float32]:
         """(H, W) weight of the path-traced radiance; that of the splats is one minus it."""
         image = np.zeros(self.width * self.height, dtype=np.float32)
@@ -115,7 +120,7 @@ class FoveaPlan:
 
     def peripheral_tiles(self, tile: int) -> NDArray[np.bool_]:
         """(rows, columns) bool: tiles in which at least one pixel shows some of the splats."""
-        if len(self.pixels) == self.width * self.height:
+        if self.covers_frame:
             return np.zeros((-(-self.height // tile), -(-self.width // tile)), dtype=bool)
         # A tile is hidden when the one of its pixels furthest from the centre is.
         y, x = (

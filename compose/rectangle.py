@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +34,7 @@ class Rectangle:
 
         Its sides are even where the frame allows it, since fusing looks at blocks of 2 x 2 pixels.
         """
-        first, start, stop = runs_of(pixels)
+        first, start, stop = _runs_of(pixels)
         row, column = np.divmod(start, width)
         last_row, last_column = np.divmod(stop - 1, width)
         rows = _evenly(int(row[0]), int(last_row[-1]) + 1, height)
@@ -54,9 +55,7 @@ class Rectangle:
     def laid(self, ground: Image, values: NDArray[np.float32]) -> Image:
         """(h, w, C): the disc's values (D, C) on a ground (h, w, C)."""
         image = np.array(ground, dtype=np.float32, order="C")
-        flat = image.reshape(-1, image.shape[2])
-        for first, start, stop in self.spans:
-            flat[start:stop] = values[first : first + stop - start]
+        _lay(image.reshape(-1, image.shape[2]), self.spans, values)
         return image
 
     def taken(self, image: Image) -> NDArray[np.float32]:
@@ -68,7 +67,17 @@ class Rectangle:
         return values
 
 
-def runs_of(pixels: NDArray[np.uint32]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def lay(flat: Image, pixels: NDArray[np.uint32], values: NDArray[np.float32]) -> None:
+    """Writes values (D, C) into pixels (D,), in the order of their indices, of a flat image (N, C)."""
+    _lay(flat, zip(*(side.tolist() for side in _runs_of(pixels)), strict=True), values)
+
+
+def _lay(flat: Image, spans: Iterable[tuple[int, int, int]], values: NDArray[np.float32]) -> None:
+    for first, start, stop in spans:
+        flat[start:stop] = values[first : first + stop - start]
+
+
+def _runs_of(pixels: NDArray[np.uint32]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Runs of pixels side by side, which are copied far quicker than single ones.
 
     Args:

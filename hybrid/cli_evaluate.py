@@ -101,23 +101,19 @@ def evaluate(
 
 def _print(found: dict[str, Any]) -> None:
     """Foveal and whole quality of each method, mean over the views, beside its time."""
+    from hybrid.evaluate.judged import HALVES
+    from hybrid.evaluate.verdicts import keys_of, mean_of
+
     times = {(row["method"], row["budget"]): row["ms"]["p50"] for row in found["time"]}
-    values: dict[tuple[str, ...], list[float]] = {}
-    for row in found["quality"]:
-        key = (row["method"], row["budget"], row["region"], row["metric"])
-        values.setdefault(key, []).append(row["value"])
-    columns = [
-        (region, metric)
+    keys = [(HALVES, "fixed"), *keys_of(found)]
+    means = {
+        (region, metric): [mean_of(found, key, region, metric) for key in keys]
         for region in ("foveal", "whole")
         for metric in ("psnr", "ssim", "flip", "jod")
-        if any(key[2:] == (region, metric) for key in values)
-    ]
+    }
+    columns = {key: values for key, values in means.items() if None not in values}
     head = "".join(f"{region[:3] + ' ' + metric:>10}" for region, metric in columns)
     print(f"{'method':<34}{'budget':<12}{'ms':>6}{head}")
-    for method, budget in dict.fromkeys(key[:2] for key in values):
-        time = times.get((method, budget))
-        cells = "".join(
-            f"{sum(values[method, budget, r, m]) / len(values[method, budget, r, m]):>10.4g}"
-            for r, m in columns
-        )
-        print(f"{method:<34}{budget:<12}{'-' if time is None else round(time):>6}{cells}")
+    for number, key in enumerate(keys):
+        cells = "".join(f"{values[number]:>10.4g}" for values in columns.values())
+        print(f"{key[0]:<34}{key[1]:<12}{round(times[key]) if key in times else '-':>6}{cells}")

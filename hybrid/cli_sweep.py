@@ -119,17 +119,18 @@ def sweep(
 
 def _print(rows: list[dict[str, Any]]) -> None:
     """A column for each quantity that varies, times, the ratio, FPC's ratio, and quality if there is any."""
-    fixed = {"ms", "full_ms", "ratio", "ratio_interval", "passes", "repeats", "paper", "quality"}
-    varied = [name for name in rows[0] if name not in fixed]
+    from hybrid.sweeps.setting import varied
+
+    quantities = list(varied(rows[0]))
     metrics = list(rows[0].get("quality", {}))
     shown = [name for name in metrics if name.split()[1] in ("ssim", "flip", "jod")]
     print(
-        "".join(f"{name:>15}" for name in varied)
+        "".join(f"{name:>15}" for name in quantities)
         + f"{'hybrid ms':>11}{'full ms':>10}{'ratio':>8}{'paper':>8}"
         + "".join(f"{name:>17}" for name in shown)
     )
     for row in rows:
-        cells = [f"{row[n]:.4g}" if isinstance(row[n], float) else str(row[n]) for n in varied]
+        cells = [f"{row[n]:.4g}" if isinstance(row[n], float) else str(row[n]) for n in quantities]
         paper = row.get("paper", {})
         ratio = f"{paper['ratio']:.2f}" if "ratio" in paper else "-"
         print(

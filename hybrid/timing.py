@@ -7,6 +7,7 @@ import os
 import platform
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -35,12 +36,9 @@ class Clock:
         return {**self._laps, "total": (self._last - self._start) * 1000}
 
 
-def percentiles(milliseconds: list[float]) -> dict[str, float]:
-    """Median and 95th percentile."""
-    return {
-        "p50": float(np.percentile(milliseconds, 50)),
-        "p95": float(np.percentile(milliseconds, 95)),
-    }
+def percentiles(milliseconds: list[float], wanted: Sequence[int] = (50, 95)) -> dict[str, float]:
+    """Percentiles by their names, such as p50 for the median."""
+    return {f"p{percent}": float(np.percentile(milliseconds, percent)) for percent in wanted}
 
 
 def gaze_path(count: int) -> list[Gaze]:
@@ -63,17 +61,15 @@ def interleaved(
         warm_up: frames before that, not counted.
         progress: called with (rounds done, rounds in all).
     """
-    times: dict[str, list[float]] = {name: [] for name in methods}
-    path = gaze_path(repeats)
-    for round_index in range(-warm_up, repeats):
-        gaze = path[round_index % repeats]
-        for name, method in methods.items():
-            start = time.perf_counter()
-            method(gaze, round_index + warm_up)
-            if round_index >= 0:
-                times[name].append((time.perf_counter() - start) * 1000)
-        progress(round_index + warm_up + 1, warm_up + repeats)
-    return times
+
+    def total(method: Callable[[Gaze, int], Any], gaze: Gaze, seed: int) -> dict[str, float]:
+        start = time.perf_counter()
+        method(gaze, seed)
+        return {"total": (time.perf_counter() - start) * 1000}
+
+    timed = [partial(total, method) for method in methods.values()]
+    found = interleaved_passes(timed, repeats, warm_up, progress)
+    return {n: [frame["total"] for frame in frames] for n, frames in zip(methods, found, strict=True)}
 
 
 def interleaved_passes(

@@ -36,9 +36,9 @@ from splat.forest import Forest
 
 # Views to tune peers on, beside those that are measured, and how much smaller their sides are.
 _TUNING_VIEWS, _TUNING_REDUCTION = 2, 2
-# About how many milliseconds each step of each kind of work takes, for the time that is left: a sample of a
-# reference, a setting that is tried, a peer whose cost is met, a picture that is judged, a round of frames.
-_COSTS = {"references": 4e-3, "tuning": 700.0, "costs": 12_000.0, "quality": 3_500.0, "times": 2_500.0}
+# About how many milliseconds each kind of work takes, for the time that is left: for a sample of a reference,
+# in all, in all, for a view, for a round of frames.
+_COSTS = {"references": 4e-3, "tuning": 44e3, "costs": 72e3, "quality": 63e3, "times": 2.5e3}
 
 
 class Evaluation:
@@ -179,9 +179,9 @@ class _Work:
         samples = settings.width * settings.height * settings.reference_spp
         steps = {
             "references": settings.views * samples,
-            "tuning": 63,
-            "costs": 6,
-            "quality": 18 * settings.views,
+            "tuning": 1,
+            "costs": 1,
+            "quality": settings.views,
             "times": settings.repeats,
         }
         self._weight = {name: steps[name] * _COSTS[name] for name in steps}

@@ -16,7 +16,7 @@ from hybrid.evaluate.regions import Region
 from hybrid.metrics.flip import flip_map, hdr_flip_map
 from hybrid.metrics.fovvideovdp import jod
 from hybrid.metrics.lpips import lpips
-from hybrid.metrics.similarity import psnr, ssim
+from hybrid.metrics.similarity import psnr, ssim_map, valid_mean
 
 Map = NDArray[np.float32]
 # Whether more is better.
@@ -87,9 +87,10 @@ def measured(
     rows: list[dict[str, float | str]] = []
     for region in regions.values():
         alone = region.alone(image, reference)
+        similarity = ssim_map(alone, reference)
         found: dict[str, float | None] = {
             "psnr": psnr(image, reference, region.mask),
-            "ssim": ssim(alone, reference, region.mask.astype(np.float32)),
+            "ssim": valid_mean(similarity, region.mask.astype(np.float32)),
             "jod": _jod(alone, reference, region, viewer),
         }
         if region.name in ("whole", "foveal"):
@@ -99,7 +100,7 @@ def measured(
         else:
             found["flip"] = _flip(alone, reference, region, flip_map)
         if region.name == "whole":
-            found["fssim"] = ssim(image, reference, acuity_weight(viewer, image.shape[:2]))
+            found["fssim"] = valid_mean(similarity, acuity_weight(viewer, image.shape[:2]))
         if region.name == "foveal":
             found["hdr-flip"] = _flip(alone, reference, region, hdr_flip_map)
         rows += [

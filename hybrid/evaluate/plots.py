@@ -8,6 +8,7 @@ from typing import Any
 from hybrid.evaluate.entries import OURS
 from hybrid.evaluate.trade import frontier, points_of
 from hybrid.evaluate.verdicts import fused_by_spp, mean_of
+from hybrid.sweeps.setting import varied
 
 _LABELS = {"jod": "FovVideoVDP, JOD", "flip": "FLIP", "ssim": "SSIM", "psnr": "PSNR, dB", "lpips": "LPIPS"}
 
@@ -57,20 +58,14 @@ def sweep_plots(found: dict[str, Any]) -> list[str]:
     return plots
 
 
-def _varied(row: dict[str, Any]) -> dict[str, Any]:
-    """The quantities that a sweep varies: what stands before the times."""
-    names = list(row)
-    return {name: row[name] for name in names[: names.index("ms")]}
-
-
 def _ratio_plot(over: str, rows: list[dict[str, Any]], crossings: list[dict[str, Any]]) -> str:
     """A line for each combination of all quantities but the last; FPC's figures hollow beside ours, or where
     it broke even."""
     figure, axes = _figure()
     lines: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
-        varied = list(_varied(row).items())
-        before = varied[:-1] if over not in ("resolution", "aspect") else []
+        quantities = list(varied(row).items())
+        before = quantities[:-1] if over not in ("resolution", "aspect") else []
         lines.setdefault(", ".join(f"{name} {_short(value)}" for name, value in before), []).append(row)
     for name, line in lines.items():
         places = [_place(over, row) for row in line]
@@ -88,7 +83,7 @@ def _ratio_plot(over: str, rows: list[dict[str, Any]], crossings: list[dict[str,
     axes.axhline(1, color="#888", lw=0.8)
     axes.set_yscale("log")
     _plain_ticks(axes.yaxis)
-    axes.set_xlabel(list(_varied(rows[0]))[-1] if over not in ("resolution", "aspect") else "frame size")
+    axes.set_xlabel(list(varied(rows[0]))[-1] if over not in ("resolution", "aspect") else "frame size")
     axes.set_ylabel("times faster than full path tracing")
     axes.legend(frameon=False, fontsize=7)
     return _svg(figure)
@@ -97,7 +92,7 @@ def _ratio_plot(over: str, rows: list[dict[str, Any]], crossings: list[dict[str,
 def _quality_plot(rows: list[dict[str, Any]], metric: str) -> str:
     figure, axes = _figure()
     for number, row in enumerate(rows, 1):
-        name = ", ".join(_short(value) for value in _varied(row).values())
+        name = ", ".join(_short(value) for value in varied(row).values())
         _point(axes, number, row["ms"]["p50"], row["quality"][metric], name, ours=True)
     _named_beside(axes)
     axes.set_xlabel("median time of a frame, ms")
@@ -108,7 +103,7 @@ def _quality_plot(rows: list[dict[str, Any]], metric: str) -> str:
 def _place(over: str, row: dict[str, Any]) -> Any:
     if over in ("resolution", "aspect"):
         return f"{row['width']}x{row['height']}"
-    value = list(_varied(row).values())[-1]
+    value = list(varied(row).values())[-1]
     return value if isinstance(value, int | float) else str(value)
 
 

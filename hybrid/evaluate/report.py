@@ -22,6 +22,7 @@ from hybrid.evaluate.settings import FOVEAL_REFERENCE
 from hybrid.evaluate.verdicts import FOVEAL_METRICS, Key, keys_of, mean_of, verdicts
 from hybrid.metrics import missing
 from hybrid.sweeps.break_even import sentence
+from hybrid.sweeps.setting import varied
 
 # Pictures in the page are compressed; the PNG files beside it are not.
 _JPEG_QUALITY = 92
@@ -93,7 +94,7 @@ def _plots(plots: list[str | None]) -> list[Markup]:
 def _sweep(sweep: dict[str, Any]) -> dict[str, Any]:
     """Title, plots and table of a sweep."""
     rows = sweep["rows"]
-    names = list(rows[0])[: list(rows[0]).index("ms")]
+    names = list(varied(rows[0]))
     metrics = list(rows[0].get("quality", {}))
     known = any("ratio" in row.get("paper", {}) for row in rows)
     cells = []

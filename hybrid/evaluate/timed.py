@@ -10,7 +10,7 @@ import numpy as np
 from compose.view import Camera
 from hybrid.evaluate.entries import Entry
 from hybrid.evaluate.journal import Journal
-from hybrid.timing import gaze_path
+from hybrid.timing import gaze_path, percentiles
 
 _WARM_UP = 5
 # No method is timed for longer than this, if it has so many frames at least.
@@ -57,7 +57,7 @@ def timed(
             "budget": entry.budget,
             "width": camera.width,
             "height": camera.height,
-            "ms": {f"p{p}": float(np.percentile(passes["total"], p)) for p in (50, 95, 99)},
+            "ms": percentiles(passes["total"], (50, 95, 99)),
             "passes": {k: float(np.median(v)) for k, v in passes.items() if k != "total"},
             "repeats": len(passes["total"]),
         }

@@ -52,9 +52,13 @@ def ssim(image: Image, reference: Image, weight: NDArray[np.float32] | None = No
         image, reference: to compare.
         weight: (H, W) of each pixel, such as a region's mask or the relative acuity; 1 by default.
     """
+    return valid_mean(ssim_map(image, reference), weight)
+
+
+def valid_mean(found: NDArray[np.float32], weight: NDArray[np.float32] | None = None) -> float:
+    """Mean over the valid region of a map (H, W) of SSIM, of equal or so much weight (H, W)."""
     valid = np.s_[SSIM_MARGIN:-SSIM_MARGIN, SSIM_MARGIN:-SSIM_MARGIN]
-    found = ssim_map(image, reference)[valid]
-    return float(np.average(found, weights=None if weight is None else weight[valid]))
+    return float(np.average(found[valid], weights=None if weight is None else weight[valid]))
 
 
 def quality(image: Image, reference: Image) -> dict[str, float]:

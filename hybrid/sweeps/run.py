@@ -21,7 +21,6 @@ from hybrid.sweeps.break_even import ratio_interval
 from hybrid.sweeps.setting import Setting
 from hybrid.timing import interleaved_passes, percentiles
 from pathtrace.scene import Scene
-from pathtrace.tracer import Tracer
 from splat.forest import Forest
 
 
@@ -74,7 +73,9 @@ def swept(
         methods = [partial(_passes, peer, same[0].camera) for peer in peers]
         times = interleaved_passes(methods, effort.repeats, effort.warm_up, done)
         of_full = dict(zip(full, times[len(ours) :], strict=True))
-        truth = _truth(tracer, same[0].camera, effort) if judge else None
+        truth = None
+        if judge:
+            truth = reference(tracer, same[0].camera, effort.reference_spp, REFERENCE_SEED)
         for setting, peer, found in zip(same, ours, times, strict=False):
             row = _row(setting, found, of_full[setting.spp, setting.fovea != "raw"], effort)
             if truth is not None:
@@ -107,10 +108,6 @@ def _row(
         "repeats": effort.repeats,
     }
     return {**row, "paper": setting.paper} if setting.paper else row
-
-
-def _truth(tracer: Tracer, camera: Camera, effort: Effort) -> Reference:
-    return reference(tracer, camera, effort.reference_spp, REFERENCE_SEED)
 
 
 def _quality(setting: Setting, peer: Hybrid, truth: Reference) -> dict[str, float]:

@@ -31,3 +31,9 @@ class Setting:
     fovea: str
     viewing: Viewing
     paper: dict[str, float] = field(default_factory=dict)
+
+
+def varied(row: dict[str, Any]) -> dict[str, Any]:
+    """Of a sweep's row, the quantities that vary: what stands before the times."""
+    names = list(row)
+    return {name: row[name] for name in names[: names.index("ms")]}
