@@ -1,0 +1,1 @@
+"""The window: the mouse is the gaze, and the frame follows it."""
