@@ -27,7 +27,9 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         write(part)
         os.replace(part, path)
     except (OSError, RuntimeError) as error:
-        with contextlib.suppress(OSError):
-            part.unlink()
         reason = getattr(error, "strerror", None) or error
         raise UserError(f"{path}: cannot be written ({reason})") from error
+    finally:
+        # Also where the writing was interrupted.
+        with contextlib.suppress(OSError):
+            part.unlink()

@@ -10,7 +10,7 @@ from pathlib import Path
 import platformdirs
 
 from hybrid.device import device_arrays
-from hybrid.progress import console, progress_bar
+from hybrid.progress import Bars, console, progress_bar
 from hybrid.training import train_forest
 from pathtrace.capture import CaptureSettings, capture
 from pathtrace.scene import Scene
@@ -50,8 +50,13 @@ def newest_forest(scene: Scene) -> Path | None:
     return max(found, key=lambda path: path.stat().st_mtime) if found else None
 
 
-def forest_for(scene: Scene, given: Path | None) -> Forest:
+def forest_for(scene: Scene, given: Path | None, bars: Bars = progress_bar) -> Forest:
     """The forest that was asked for, else the newest one of the scene, else one trained now.
+
+    Args:
+        scene: what it is for.
+        given: a file that was asked for.
+        bars: show how far capture and training are.
 
     Raises:
         UserError: the given file is missing, damaged, or cannot be made.
@@ -60,12 +65,16 @@ def forest_for(scene: Scene, given: Path | None) -> Forest:
     if path is not None:
         return load_forest(path)
     console.print(f"No forest for scene {scene.name} yet: capturing and training one first.")
-    forest, _ = make_quick_forest(scene, scene_folder(scene.name, scene.hash), seed=0)
+    forest, _ = make_quick_forest(scene, scene_folder(scene.name, scene.hash), seed=0, bars=bars)
     return forest
 
 
 def make_quick_forest(
-    scene: Scene, folder: Path, seed: int, seconds: dict[str, float] | None = None
+    scene: Scene,
+    folder: Path,
+    seed: int,
+    seconds: dict[str, float] | None = None,
+    bars: Bars = progress_bar,
 ) -> tuple[Forest, Path]:
     """Captures and trains with the quick settings.
 
@@ -74,6 +83,7 @@ def make_quick_forest(
         folder: frame set and forest lie in it.
         seed: same seed, same forest on the same machine.
         seconds: receives how long "capture" and "train" took.
+        bars: show how far both are.
 
     Returns:
         The forest, and the folder of its frame set.
@@ -81,12 +91,12 @@ def make_quick_forest(
     seconds = {} if seconds is None else seconds
     frames_folder = folder / f"frames-{seed}"
     start = time.perf_counter()
-    with progress_bar("capture (samples)") as bar:
+    with bars("capture (samples)") as bar:
         frames = capture(scene, frames_folder, replace(QUICK_CAPTURE, seed=seed), bar)
     seconds["capture"] = time.perf_counter() - start
     path = folder / f"quick-{seed}.safetensors"
     settings = replace(QUICK_TRAINING, seed=seed)
-    with progress_bar("train (steps)") as bar:
+    with bars("train (steps)") as bar:
         forest, seconds["train"] = train_forest(device_arrays(), frames, path, settings, bar)
     remember_forest(forest, path.stem)
     return forest, frames_folder

@@ -6,43 +6,34 @@ at once and a missing package or LLVM is a line, not a traceback.
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from compose.acuity import DEFAULT_LAW
 from compose.errors import UserError
 from hybrid.cli_bench import bench_app
+from hybrid.cli_demo import demo
 from hybrid.cli_evaluate import evaluate
+from hybrid.cli_render import render
 from hybrid.cli_sweep import sweep
 from hybrid.options import (
     Backend,
-    DisplayName,
-    ForestFile,
     FovA,
     FovB,
-    GazeAt,
     Json,
-    Law,
-    Layers,
     SceneName,
     Seed,
-    Size,
-    Spp,
     checked,
     loaded_scene,
     select,
-    sized,
     write_json,
 )
 from hybrid.progress import progress_bar
 
 if TYPE_CHECKING:
-    from compose.view import Camera
-    from pathtrace.scene import Scene
+    pass
 
 app = typer.Typer(
     add_completion=False,
@@ -51,8 +42,10 @@ app = typer.Typer(
     help="Path-traced fovea, Gaussian-splat periphery: one scene, two renderers, one frame.",
 )
 app.add_typer(bench_app, name="bench")
+app.command()(render)
 app.command()(evaluate)
 app.command()(sweep)
+app.command()(demo)
 
 
 @app.command()
@@ -238,108 +231,6 @@ def train(
         )
 
 
-@app.command()
-def render(
-    scene: SceneName,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="A .exr or .png file.")],
-    forest: ForestFile = None,
-    camera: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="JSON with the names of transforms.json.")
-    ] = None,
-    gaze: GazeAt = (0.5, 0.5),
-    fov_a: FovA = 20.0,
-    fov_b: FovB = 15.0,
-    spp: Spp = 4,
-    size: Size = None,
-    fovea: Annotated[
-        str,
-        typer.Option(
-            help="raw: what Mitsuba gives, unbiased; denoised: OIDN; fused: with the splats under the disc."
-        ),
-    ] = "fused",
-    target_ms: Annotated[
-        float | None,
-        typer.Option(help="Choose fovea, radii and samples: the best measured to take no longer.", min=0),
-    ] = None,
-    target_jod: Annotated[
-        float | None, typer.Option(help="The same: the fastest measured to be at least so good.", max=10)
-    ] = None,
-    law: Law = DEFAULT_LAW,
-    layers: Layers = None,
-    display: DisplayName = "desktop",
-    detail: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Also a PNG that shows level, rate and eccentricity."),
-    ] = None,
-    max_depth: Annotated[int | None, typer.Option(help="Path depth; default: the scene's.", min=1)] = None,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    json_file: Json = None,
-) -> None:
-    """Render one hybrid frame: EXR with all layers in linear radiance, or PNG in sRGB."""
-    from compose.acuity import law_named
-    from compose.foveation import Foveation, mode_named
-    from compose.view import Gaze, display_named
-    from hybrid.images import check_writable, write_bytes, write_layers, write_png
-
-    if output.suffix.lower() not in (".exr", ".png"):
-        raise UserError(f"--output {output}: must end in .exr or .png")
-    if detail is not None and detail.suffix.lower() != ".png":
-        raise UserError(f"--detail {detail}: must end in .png")
-    foveation = Foveation(checked(Gaze, x=gaze[0], y=gaze[1]), fov_a, fov_b)
-    law_named(law)
-    mode_named(fovea)
-    shown = display_named(display)
-    for file in (output, detail):
-        if file is not None:
-            check_writable(file)
-    select(backend)
-    from hybrid.cache import forest_for
-    from hybrid.detail_picture import detail_picture
-    from hybrid.layers import frame_layers
-    from hybrid.periphery import Viewing
-    from hybrid.renderer import HybridRenderer
-    from hybrid.trade import chosen, remembered_trade
-
-    loaded = loaded_scene(scene, max_depth)
-    view = _view(loaded, camera, size)
-    if target_ms is not None or target_jod is not None:
-        choice = chosen(remembered_trade(loaded, view.width, view.height), target_ms, target_jod)
-        fovea, spp = choice.fovea, choice.spp
-        foveation = Foveation(foveation.gaze, choice.fov_a, choice.fov_b)
-        print(
-            f"--fovea {fovea} --spp {spp} --fov-a {choice.fov_a:g} --fov-b {choice.fov_b:g}: "
-            f"measured to take {choice.milliseconds:.0f} ms"
-        )
-    viewing = Viewing(shown, law, layers)
-    renderer = HybridRenderer(loaded, forest_for(loaded, forest), viewing, fovea)
-    frame = renderer.frame(view, foveation, spp, seed)
-    if output.suffix.lower() == ".exr":
-        write_layers(output, frame_layers(renderer, view, foveation.gaze, frame))
-    else:
-        write_png(output, frame.composite)
-    if detail is not None:
-        write_bytes(detail, detail_picture(frame.composite, frame.detail, frame.plan))
-    write_json(
-        json_file,
-        {
-            "scene": loaded.name,
-            "width": view.width,
-            "height": view.height,
-            "spp": spp,
-            "fov_a": foveation.fov_a,
-            "fov_b": foveation.fov_b,
-            "fovea": fovea,
-            "law": law,
-            "pixels_per_degree": shown.pixels_per_degree,
-            "nodes_drawn": frame.nodes_drawn,
-            "pixels_excluded": frame.fovea.excluded,
-            "milliseconds": frame.milliseconds,
-        },
-    )
-    print(f"{output}: {view.width} x {view.height}, {frame.milliseconds['total']:.0f} ms")
-
-
 @app.command("export")
 def export_command(
     forest: Annotated[Path, typer.Argument(metavar="FOREST")],
@@ -372,22 +263,6 @@ def import_command(
     gaussians = import_ply(source)
     save_forest(forest, forest_of([static_layer(gaussians)], UNBOUND_FOCAL, source.stem, ""))
     print(f"{forest}: {len(gaussians):,} Gaussians, degree {gaussians.degree}")
-
-
-def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None) -> Camera:
-    from compose.view import camera_from_json
-
-    camera = scene.camera
-    if file is not None:
-        try:
-            camera = camera_from_json(json.loads(file.read_text()))
-        except OSError as error:
-            raise UserError(f"--camera {file}: cannot be read ({error.strerror})") from error
-        except (ValueError, KeyError, TypeError) as error:
-            raise UserError(
-                f"--camera {file}: must be JSON with w, h, fl_x, fl_y, cx, cy, transform_matrix ({error!r})"
-            ) from error
-    return sized(camera, size)
 
 
 def main() -> None:

@@ -27,13 +27,18 @@ def per_pixel(detail: DetailMap, lattice: NDArray[np.float32]) -> NDArray[np.flo
 
 
 def detail_picture(frame: Image, detail: DetailMap, plan: FoveaPlan) -> NDArray[np.uint8]:
-    """(H + legend, W, 3) sRGB: the frame in grey, tinted by level, with tiles by rate and rings by angle.
+    """(H + legend, W, 3) sRGB: `levels_picture` above a strip that says what its colours and lines mean."""
+    return np.vstack([levels_picture(frame, detail, plan), _legend(detail)])
+
+
+def levels_picture(frame: Image, detail: DetailMap, plan: FoveaPlan) -> NDArray[np.uint8]:
+    """(H, W, 3) sRGB: the frame in grey, tinted by level, with tiles by rate and rings by angle.
 
     Below full rate the frame is shown in blocks as large as its samples; white rings stand at every 10
     degrees of eccentricity, black lines between rates; what is path-traced alone keeps its colours.
     """
     picture = bytes_from_radiance(frame).astype(np.float64)
-    rate = np.rint(per_pixel(detail, detail.drawn_rate)).astype(int)
+    rate = _rates(detail)
     for step in range(1, COARSEST_RATE + 1):
         picture = np.where((rate == step)[..., None], _in_blocks(picture, 1 << step), picture)
     share = ((per_pixel(detail, detail.drawn_level) - 1) / max(detail.layers - 1, 1))[..., None]
@@ -52,7 +57,12 @@ def detail_picture(frame: Image, detail: DetailMap, plan: FoveaPlan) -> NDArray[
         border[:, 1:] |= (rate[:, 1:] >= step) != (rate[:, :-1] >= step)
         border[1:] |= (rate[1:] >= step) != (rate[:-1] >= step)
         picture[border] = 0
-    return np.vstack([picture.astype(np.uint8), _legend(detail, rate)])
+    return picture.astype(np.uint8)
+
+
+def _rates(detail: DetailMap) -> NDArray[np.int64]:
+    """(H, W) the rate that has the larger share."""
+    return np.rint(per_pixel(detail, detail.drawn_rate)).astype(np.int64)
 
 
 def _in_blocks(picture: NDArray[np.float64], size: int) -> NDArray[np.float64]:
@@ -62,8 +72,7 @@ def _in_blocks(picture: NDArray[np.float64], size: int) -> NDArray[np.float64]:
     return blocks.repeat(size, axis=0).repeat(size, axis=1)[:height, :width]
 
 
-def _legend(detail: DetailMap, rate: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """A strip below the picture that says what its colours and lines mean."""
+def _legend(detail: DetailMap) -> NDArray[np.uint8]:
     size = max(12, detail.width // 80)
     strip = Pillow.new("RGB", (detail.width, 3 * size), "white")
     draw, font = ImageDraw.Draw(strip), ImageFont.load_default(size)
@@ -74,7 +83,7 @@ def _legend(detail: DetailMap, rate: NDArray[np.int64]) -> NDArray[np.uint8]:
         draw.rectangle((x, size // 2, x + size, size // 2 + size), fill=colour)
         draw.text((x + 1.3 * size, size // 2), f"layer {layer}", "black", font)
         x += int(1.3 * size + draw.textlength("layer 0  ", font))
-    present = ", ".join(f"{1 << step} x {1 << step}" for step in sorted(set(rate.ravel().tolist())))
+    present = ", ".join(f"{1 << step} x {1 << step}" for step in sorted(set(_rates(detail).ravel().tolist())))
     text = (
         f"white: every {_RING} degrees from the gaze   black: between rates (one sample per {present} pixels)"
     )

@@ -43,6 +43,11 @@ class DiscTracer:
         self._guided = guided or remembers
         self._history = History() if remembers else None
 
+    def forget(self) -> None:
+        """Nothing of earlier frames counts any more."""
+        if self._history is not None:
+            self._history = History()
+
     def trace(
         self, camera: Camera, plan: FoveaPlan, spp: int, seed: int, under: Underlay | None = None
     ) -> Samples:

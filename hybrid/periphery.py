@@ -34,6 +34,7 @@ class Viewing:
         display: the frame is shown around its centre.
         law: name of the law from eccentricity to cut-off.
         layers: coarsest and finest layer that may be drawn, (1, L); None for all.
+        rate: finest rate of the periphery, log2 of pixels per sample along each axis.
 
     Raises:
         UserError: there is no such law.
@@ -42,6 +43,7 @@ class Viewing:
     display: Display = DISPLAYS["desktop"]
     law: str = DEFAULT_LAW
     layers: tuple[int, int] | None = None
+    rate: int = 0
 
     def __post_init__(self) -> None:
         law_named(self.law)
@@ -60,13 +62,22 @@ class Periphery:
     """
 
     def __init__(self, arrays: Arrays, forest: Forest, viewing: Viewing):
-        count = len(forest.counts)
-        self._low, self._high = viewing.layers or (1, count)
-        if not 1 <= self._low <= self._high <= count:
-            raise UserError(f"--layers {self._low} {self._high}: this forest has layers 1 to {count}")
-        self.forest, self.viewing = forest, viewing
+        self.forest = forest
+        self.view_as(viewing)
         self._renderer = ForestRenderer(arrays, forest)
         self._attention: tuple[bytes, NDArray[np.float32]] | None = None
+
+    def view_as(self, viewing: Viewing) -> None:
+        """From now on for another viewer.
+
+        Raises:
+            UserError: the forest does not have those layers.
+        """
+        count = len(self.forest.counts)
+        low, high = viewing.layers or (1, count)
+        if not 1 <= low <= high <= count:
+            raise UserError(f"--layers {low} {high}: this forest has layers 1 to {count}")
+        self.viewing, self._low, self._high = viewing, low, high
 
     def detail(self, camera: Camera, gaze: Gaze, fov_b: float) -> DetailMap:
         """The detail that the viewer resolves in a frame."""
@@ -79,7 +90,10 @@ class Periphery:
             LAWS[self.viewing.law],
             fov_b,
             finest_frequency(camera, self.forest, self._high),
-            tuple(self._finest_rate(camera, n) if limited else 0 for n in range(1, self._high + 1)),
+            tuple(
+                max(self._finest_rate(camera, n) if limited else 0, self.viewing.rate)
+                for n in range(1, self._high + 1)
+            ),
             self._low,
             self.saliency(camera) if limited else None,
         )

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Protocol
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from typing import Protocol, TypeAlias
 
 from rich.console import Console
 from rich.progress import (
@@ -25,6 +25,10 @@ class Bar(Protocol):
 
     def __call__(self, done: int, total: int, step: str = "") -> None:
         """Of `total` steps so many are done; the next is one of that kind."""
+
+
+# A bar for a job of that title.
+Bars: TypeAlias = Callable[[str], AbstractContextManager[Bar]]
 
 
 @contextmanager

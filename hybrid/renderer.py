@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,7 @@ class Frame:
         detail: what the viewer resolves where.
         nodes_drawn: Gaussians in the periphery, those of several pictures counted in each.
         fovea: the disc and what it was made of.
+        under: the splats under the disc, of a fused one.
         plan: which pixels that is, and the weights of the blend.
         milliseconds: per pass (plan, detail, splat, under, trace, fovea, blend) and in all (total).
     """
@@ -42,6 +43,7 @@ class Frame:
     composite: Image
     periphery: Image
     fovea: FoveaPicture
+    under: Underlay | None
     plan: FoveaPlan
     detail: DetailMap
     nodes_drawn: int
@@ -105,13 +107,43 @@ class HybridRenderer:
         clock.lap("splat")
         under = self.underlay(camera, plan)
         clock.lap("under")
+        fovea, composite = self._seen(camera, plan, periphery, under, spp, seed, clock)
+        return Frame(composite, periphery, fovea, under, plan, detail, drawn.nodes, clock.milliseconds())
+
+    def refined(self, camera: Camera, frame: Frame, spp: int, seed: int) -> Frame:
+        """The same frame with further samples in the disc, of use where samples are remembered.
+
+        Args:
+            camera: of the frame.
+            frame: the last one of this camera.
+            spp, seed: of the samples that are added.
+        """
+        clock = Clock()
+        fovea, composite = self._seen(camera, frame.plan, frame.periphery, frame.under, spp, seed, clock)
+        return replace(frame, composite=composite, fovea=fovea, milliseconds=clock.milliseconds())
+
+    def _seen(
+        self,
+        camera: Camera,
+        plan: FoveaPlan,
+        periphery: Image,
+        under: Underlay | None,
+        spp: int,
+        seed: int,
+        clock: Clock,
+    ) -> tuple[FoveaPicture, Image]:
+        """The fovea, and the composite."""
         samples = self.fovea.disc.trace(camera, plan, spp, seed, under)
         clock.lap("trace")
         fovea = self.fovea.picture(camera, plan, samples, periphery, under)
         clock.lap("fovea")
         composite = blend(periphery, fovea.radiance, plan)
         clock.lap("blend")
-        return Frame(composite, periphery, fovea, plan, detail, drawn.nodes, clock.milliseconds())
+        return fovea, composite
+
+    def forget(self) -> None:
+        """From now on as if nothing had been seen before."""
+        self.fovea.disc.forget()
 
     def underlay(self, camera: Camera, plan: FoveaPlan) -> Underlay | None:
         """The splats under the disc, where they are fused with it."""

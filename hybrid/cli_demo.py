@@ -1,0 +1,105 @@
+"""`hybrid demo`: the window."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from compose.acuity import DEFAULT_LAW
+from compose.errors import UserError
+from hybrid.options import (
+    Backend,
+    DisplayName,
+    ForestFile,
+    FovA,
+    FovB,
+    Json,
+    Law,
+    SceneName,
+    Seed,
+    Spp,
+    write_json,
+)
+
+# Of a trace that is made up, in seconds.
+_SIMULATED = 60.0
+
+
+def demo(
+    scene: SceneName,
+    forest: ForestFile = None,
+    size: Annotated[tuple[int, int], typer.Option(metavar="W H", help="Frame size in the window.")] = (
+        640,
+        480,
+    ),
+    fov_a: FovA = 15.0,
+    fov_b: FovB = 11.25,
+    spp: Spp = 1,
+    law: Law = DEFAULT_LAW,
+    target: Annotated[
+        float | None,
+        typer.Option(
+            help="Frames per second to keep: radius, samples, layers, rate and scale follow.", min=1
+        ),
+    ] = None,
+    gaze_trace: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="CSV with seconds, x, y: the gaze goes there, not with the mouse."),
+    ] = None,
+    simulate: Annotated[bool, typer.Option("--simulate", help="A made-up viewer looks around.")] = False,
+    latency: Annotated[float, typer.Option(help="Milliseconds by which the gaze is late.", min=0)] = 0.0,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where pictures and gaze traces go.")] = Path("."),
+    bench: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="Move the mouse for so long, print figures, and close.", min=1),
+    ] = None,
+    display: DisplayName = "desktop",
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Look around in a window: the mouse is the gaze, and the path-traced disc follows it."""
+    from compose.acuity import law_named
+    from compose.foveation import Foveation
+    from compose.gaze_trace import load_gaze_trace, simulated
+    from compose.view import Gaze, display_named
+
+    if min(size) < 64:
+        raise UserError(f"--size {size[0]} {size[1]}: must be at least 64 each")
+    if gaze_trace is not None and simulate:
+        raise UserError("--gaze-trace, --simulate: the gaze can only come from one of them")
+    Foveation(Gaze(), fov_a, fov_b)
+    law_named(law)
+    shown_on = display_named(display)
+    trace = None if gaze_trace is None else load_gaze_trace(gaze_trace)
+    if simulate:
+        trace = simulated(shown_on, *size, _SIMULATED, seed)
+    from hybrid.demo.qt import require_window
+
+    require_window()
+    from PySide6.QtWidgets import QApplication
+
+    from hybrid.demo.bench import WindowBench
+    from hybrid.demo.gaze_input import GazeInput
+    from hybrid.demo.prepare import prepared
+    from hybrid.demo.settings import Settings
+    from hybrid.demo.thread import RenderThread
+    from hybrid.demo.window import Window
+
+    application = QApplication(sys.argv[:1])
+    settings = Settings(fov_a, fov_b, spp, law, target_fps=target)
+    thread = RenderThread(partial(prepared, scene, forest, shown_on, backend))
+    window = Window(scene, thread, settings, size, GazeInput(latency / 1000, trace), out, bench is not None)
+    measured = None if bench is None else WindowBench(window, bench, trace is None)
+    window.show()
+    application.exec()
+    if window.error is not None:
+        raise window.error
+    if measured is not None:
+        result = measured.result()
+        write_json(json_file, result)
+        print(result)

@@ -1,0 +1,181 @@
+"""`hybrid render`: one frame, or a film along a gaze trace."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from compose.acuity import DEFAULT_LAW
+from compose.errors import UserError
+from hybrid.options import (
+    Backend,
+    DisplayName,
+    ForestFile,
+    FovA,
+    FovB,
+    GazeAt,
+    Json,
+    Law,
+    Layers,
+    SceneName,
+    Seed,
+    Size,
+    Spp,
+    checked,
+    loaded_scene,
+    select,
+    sized,
+    write_json,
+)
+from hybrid.progress import progress_bar
+
+if TYPE_CHECKING:
+    from compose.view import Camera
+    from pathtrace.scene import Scene
+
+
+def render(
+    scene: SceneName,
+    output: Annotated[
+        Path,
+        typer.Option("-o", "--output", metavar="FILE", help="A .exr or .png file; of a gaze trace, .mp4."),
+    ],
+    forest: ForestFile = None,
+    camera: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="JSON with the names of transforms.json.")
+    ] = None,
+    gaze: GazeAt = (0.5, 0.5),
+    gaze_trace: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="CSV with seconds, x, y: a film of what a viewer saw."),
+    ] = None,
+    fps: Annotated[int, typer.Option(help="Frames per second of a film.", min=1, max=240)] = 30,
+    fov_a: FovA = 20.0,
+    fov_b: FovB = 15.0,
+    spp: Spp = 4,
+    size: Size = None,
+    fovea: Annotated[
+        str,
+        typer.Option(
+            help="raw: what Mitsuba gives, unbiased; denoised: OIDN; fused: with the splats under the disc."
+        ),
+    ] = "fused",
+    target_ms: Annotated[
+        float | None,
+        typer.Option(help="Choose fovea, radii and samples: the best measured to take no longer.", min=0),
+    ] = None,
+    target_jod: Annotated[
+        float | None, typer.Option(help="The same: the fastest measured to be at least so good.", max=10)
+    ] = None,
+    law: Law = DEFAULT_LAW,
+    layers: Layers = None,
+    display: DisplayName = "desktop",
+    detail: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Also a PNG that shows level, rate and eccentricity."),
+    ] = None,
+    max_depth: Annotated[int | None, typer.Option(help="Path depth; default: the scene's.", min=1)] = None,
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Render one hybrid frame, EXR with all layers in linear radiance or PNG in sRGB; or a film."""
+    from compose.acuity import law_named
+    from compose.foveation import Foveation, mode_named
+    from compose.gaze_trace import load_gaze_trace
+    from compose.view import Gaze, display_named
+    from hybrid.images import check_writable, write_bytes, write_layers, write_png
+
+    kinds = (".exr", ".png") if gaze_trace is None else (".mp4",)
+    if output.suffix.lower() not in kinds:
+        of_what = "" if gaze_trace is None else " of a gaze trace"
+        raise UserError(f"--output {output}{of_what}: must end in {' or '.join(kinds)}")
+    if gaze_trace is not None and detail is not None:
+        raise UserError("--detail, --gaze-trace: the picture of levels is one of a single frame")
+    trace = None if gaze_trace is None else load_gaze_trace(gaze_trace)
+    if detail is not None and detail.suffix.lower() != ".png":
+        raise UserError(f"--detail {detail}: must end in .png")
+    foveation = Foveation(checked(Gaze, x=gaze[0], y=gaze[1]), fov_a, fov_b)
+    law_named(law)
+    mode_named(fovea)
+    shown = display_named(display)
+    for file in (output, detail):
+        if file is not None:
+            check_writable(file)
+    select(backend)
+    from hybrid.cache import forest_for
+    from hybrid.detail_picture import detail_picture
+    from hybrid.layers import frame_layers
+    from hybrid.periphery import Viewing
+    from hybrid.renderer import HybridRenderer
+    from hybrid.trade import chosen, remembered_trade
+    from hybrid.video import check_film, write_film
+
+    loaded = loaded_scene(scene, max_depth)
+    view = _view(loaded, camera, size)
+    if target_ms is not None or target_jod is not None:
+        choice = chosen(remembered_trade(loaded, view.width, view.height), target_ms, target_jod)
+        fovea, spp = choice.fovea, choice.spp
+        foveation = Foveation(foveation.gaze, choice.fov_a, choice.fov_b)
+        print(
+            f"--fovea {fovea} --spp {spp} --fov-a {choice.fov_a:g} --fov-b {choice.fov_b:g}: "
+            f"measured to take {choice.milliseconds:.0f} ms"
+        )
+    viewing = Viewing(shown, law, layers)
+    made = {
+        "scene": loaded.name,
+        "width": view.width,
+        "height": view.height,
+        "spp": spp,
+        "fov_a": foveation.fov_a,
+        "fov_b": foveation.fov_b,
+        "fovea": fovea,
+        "law": law,
+        "pixels_per_degree": shown.pixels_per_degree,
+    }
+    if trace is not None:
+        check_film(view)
+    found = forest_for(loaded, forest)
+    renderer = HybridRenderer(loaded, found, viewing, fovea, remembers=trace is not None)
+    if trace is not None:
+        with progress_bar("film (frames)") as bar:
+            times = write_film(output, renderer, view, foveation, trace, fps, spp, seed, bar)
+        write_json(json_file, made | {"fps": fps, "frames": times})
+        print(f"{output}: {len(times)} frames of {view.width} x {view.height}")
+        return
+    frame = renderer.frame(view, foveation, spp, seed)
+    if output.suffix.lower() == ".exr":
+        write_layers(output, frame_layers(renderer, view, foveation.gaze, frame))
+    else:
+        write_png(output, frame.composite)
+    if detail is not None:
+        write_bytes(detail, detail_picture(frame.composite, frame.detail, frame.plan))
+    write_json(
+        json_file,
+        made
+        | {
+            "nodes_drawn": frame.nodes_drawn,
+            "pixels_excluded": frame.fovea.excluded,
+            "milliseconds": frame.milliseconds,
+        },
+    )
+    print(f"{output}: {view.width} x {view.height}, {frame.milliseconds['total']:.0f} ms")
+
+
+def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None) -> Camera:
+    from compose.view import camera_from_json
+
+    camera = scene.camera
+    if file is not None:
+        try:
+            camera = camera_from_json(json.loads(file.read_text()))
+        except OSError as error:
+            raise UserError(f"--camera {file}: cannot be read ({error.strerror})") from error
+        except (ValueError, KeyError, TypeError) as error:
+            raise UserError(
+                f"--camera {file}: must be JSON with w, h, fl_x, fl_y, cx, cy, transform_matrix ({error!r})"
+            ) from error
+    return sized(camera, size)

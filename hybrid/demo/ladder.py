@@ -1,0 +1,115 @@
+"""What frames of the window take and are worth, from coarse to fine: measured once, then remembered."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, replace
+
+import numpy as np
+from PIL import Image as Pillow
+
+from compose.blend import Image
+from compose.errors import UserError
+from compose.files import write_whole
+from compose.view import Camera, Gaze
+from hybrid.cache import scene_folder
+from hybrid.demo.controller import Rung
+from hybrid.demo.settings import Request, Shows
+from hybrid.demo.source import FrameSource, Shown
+from hybrid.metrics.fovvideovdp import jod
+from hybrid.metrics.similarity import ssim
+from hybrid.reference import REFERENCE_SEED, reference
+from hybrid.timing import gaze_path
+
+_REFERENCE_SPP = 16
+# Frames whose time is taken, and those before them.
+_TIMED, _WARM_UP = 5, 2
+_RADII = (5.0, 8.0, 11.0, 15.0, 20.0, 25.0, 30.0)
+
+
+def ladder_for(source: FrameSource, like: Request, report: Callable[[str, int, int], None]) -> list[Rung]:
+    """The settings worth choosing among, each slower and better than the one before it.
+
+    Args:
+        source: of frames.
+        like: a request with the window's size and law.
+        report: called with what is done, how many steps of it, and of how many.
+    """
+    scene, camera = source.renderer.tracer.scene, source.camera.resized(like.camera.width, like.camera.height)
+    size = f"{camera.width}x{camera.height}"
+    file = scene_folder(scene.name, scene.hash) / f"window-{size}-{like.settings.law}.json"
+    if file.is_file():
+        try:
+            return frontier([Rung(**row) for row in json.loads(file.read_text())])
+        except (OSError, ValueError, TypeError) as error:
+            raise UserError(f"{file}: is damaged ({error!r}); remove it, and it is measured again") from error
+    measured = _measured(source, replace(like, camera=camera), report)
+    text = json.dumps([asdict(rung) for rung in measured], indent=1) + "\n"
+    write_whole(file, lambda part: part.write_text(text))
+    return frontier(measured)
+
+
+def frontier(rungs: list[Rung]) -> list[Rung]:
+    """Those of which none is both quicker and better, from the quickest to the slowest."""
+    best: list[Rung] = []
+    for rung in sorted(rungs, key=lambda r: (r.milliseconds, -r.quality)):
+        if not best or (rung.quality > best[-1].quality and rung.milliseconds > best[-1].milliseconds):
+            best.append(rung)
+    return best
+
+
+def candidates(layers: int) -> list[Rung]:
+    """Settings from very coarse to very fine, for a forest of so many layers."""
+    coarse = [Rung(radius, 1, layers, 0, scale) for scale in (0.5, 0.75) for radius in (8.0, 15.0)]
+    coarse += [Rung(radius, 1, layers, 1, 1.0) for radius in (8.0, 15.0)]
+    coarse += [Rung(8.0, 1, max(layers - 1, 1), 0, 1.0)]
+    fine = [Rung(radius, 1, layers, 0, 1.0) for radius in _RADII]
+    fine += [Rung(radius, spp, layers, 0, 1.0) for spp in (2, 4) for radius in (15.0, 20.0, 30.0)]
+    return list(dict.fromkeys(coarse + fine))
+
+
+def _measured(source: FrameSource, like: Request, report: Callable[[str, int, int], None]) -> list[Rung]:
+    wanted = candidates(len(source.renderer.periphery.forest.counts))
+    what = "what frames take and are worth"
+    report(what, 0, len(wanted) + 1)
+    truth = reference(source.renderer.tracer, like.camera, _REFERENCE_SPP, REFERENCE_SEED).radiance
+    rungs = []
+    for number, rung in enumerate(wanted):
+        report(what, number + 1, len(wanted) + 1)
+        request = replace(like, settings=rung.applied(like.settings), shows=Shows.COMPOSITE)
+        rungs.append(_of(source, request, rung, truth))
+    source.forget()
+    return rungs
+
+
+def _of(source: FrameSource, request: Request, rung: Rung, truth: Image) -> Rung:
+    """The rung with its time and its quality at first sight, without any history."""
+    times = []
+    for gaze in gaze_path(_WARM_UP + _TIMED):
+        start = time.perf_counter()
+        source.show(replace(request, gaze=gaze), False)
+        times.append((time.perf_counter() - start) * 1000)
+    source.forget()
+    shown = source.show(replace(request, gaze=Gaze()), False)
+    milliseconds = float(np.median(times[_WARM_UP:]))
+    return replace(rung, milliseconds=milliseconds, quality=_quality(source, shown, request.camera, truth))
+
+
+def _quality(source: FrameSource, shown: Shown, camera: Camera, truth: Image) -> float:
+    """JOD to a viewer who looks at the middle; SSIM where that is not installed."""
+    composite = _enlarged(shown.frame.composite, camera)
+    found = jod(composite, truth, source.display, Gaze())
+    return ssim(composite, truth) if found is None else found
+
+
+def _enlarged(image: Image, camera: Camera) -> Image:
+    """(H, W, 3) at the window's resolution, as it is shown there."""
+    size = camera.width, camera.height
+    if image.shape[1::-1] == size:
+        return image
+    planes = [
+        Pillow.fromarray(plane).resize(size, Pillow.Resampling.BILINEAR) for plane in np.moveaxis(image, 2, 0)
+    ]
+    return np.stack([np.asarray(plane) for plane in planes], axis=2)

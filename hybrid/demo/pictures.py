@@ -1,0 +1,52 @@
+"""What the window can show of a frame, in sRGB."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.blend import Image, bytes_from_radiance, srgb_from_radiance
+from hybrid.demo.settings import Shows
+from hybrid.detail_picture import levels_picture
+from hybrid.renderer import Frame
+
+# A difference of so much in sRGB is shown as the strongest there is.
+_STRONGEST = 0.25
+
+
+def picture_of(shows: Shows, frame: Frame, path_traced: Image | None) -> NDArray[np.uint8]:
+    """(H, W, 3) sRGB.
+
+    Args:
+        shows: what.
+        frame: the hybrid frame.
+        path_traced: (H, W, 3) radiance of the whole frame, where that is in it.
+    """
+    if path_traced is not None:
+        if shows == Shows.DIFFERENCE:
+            return _heat(frame.composite, path_traced)
+        if shows == Shows.SPLIT:
+            return _split(frame.composite, path_traced)
+        return bytes_from_radiance(path_traced)
+    if shows == Shows.FOVEA:
+        return bytes_from_radiance(frame.of_disc(frame.fovea.radiance * frame.plan.weights[:, None]))
+    if shows == Shows.PERIPHERY:
+        return bytes_from_radiance(frame.periphery)
+    if shows == Shows.LEVELS:
+        return levels_picture(frame.composite, frame.detail, frame.plan)
+    return bytes_from_radiance(frame.composite)
+
+
+def _split(left: Image, right: Image) -> NDArray[np.uint8]:
+    """One picture on the left of a white line, the other one on its right."""
+    middle = left.shape[1] // 2
+    picture = bytes_from_radiance(np.concatenate([left[:, :middle], right[:, middle:]], axis=1))
+    picture[:, middle] = 255
+    return picture
+
+
+def _heat(image: Image, reference: Image) -> NDArray[np.uint8]:
+    """Black where they are equal, over red and yellow to white where they differ most."""
+    difference = np.abs(srgb_from_radiance(image) - srgb_from_radiance(reference)).mean(axis=2)
+    heat = 3 * np.clip(difference / _STRONGEST, 0, 1)[..., None] - np.arange(3)
+    return (np.clip(heat, 0, 1) * 255 + 0.5).astype(np.uint8)

@@ -1,0 +1,39 @@
+"""What must be there before the first frame: the scene, its forest, and kernels that are compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from compose.view import Display
+from hybrid.cache import forest_for
+from hybrid.demo.source import FrameSource
+from hybrid.options import loaded_scene, select
+from hybrid.periphery import Viewing
+from hybrid.progress import Bar
+from hybrid.renderer import HybridRenderer
+
+
+def prepared(
+    scene: str, forest: Path | None, display: Display, backend: str, report: Callable[[str, int, int], None]
+) -> FrameSource:
+    """The source of frames of a scene; a forest that is missing is trained.
+
+    Args:
+        scene, forest, backend: as the options of that name.
+        display: that the window is shown on.
+        report: called with what is done, how many steps of it, and of how many.
+
+    Raises:
+        UserError: there is no such scene or forest, or they do not belong together.
+    """
+
+    @contextmanager
+    def bars(title: str) -> Iterator[Bar]:
+        yield lambda done, total, step="": report(title, done, total)
+
+    select(backend)
+    loaded = loaded_scene(scene)
+    found = forest_for(loaded, forest, bars)
+    return FrameSource(HybridRenderer(loaded, found, Viewing(display), "fused", remembers=True))

@@ -1,0 +1,39 @@
+"""Whether a window can be opened here."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+from compose.errors import UserError
+
+_INSTALL = "the window needs Qt: pip install 'foveated-hybrid-renderer[demo]'"
+# What Qt's plugin for X11 loads, by the names of Debian's packages.
+_LIBRARIES = (
+    "libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0 libxcb-shape0 "
+    "libxcb-util1 libxkbcommon-x11-0"
+)
+
+
+def require_window() -> None:
+    """Finds out before Qt does, which would end the process.
+
+    Raises:
+        UserError: Qt is not installed, there is no display, or Qt cannot use it.
+    """
+    try:
+        import PySide6  # noqa: F401
+    except ImportError as error:
+        raise UserError(_INSTALL) from error
+    asked = os.environ.get("QT_QPA_PLATFORM", "")
+    if sys.platform == "linux" and not (
+        asked or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
+        raise UserError("there is no display; set DISPLAY, or use a virtual one: xvfb-run hybrid demo ...")
+    trial = "from PySide6.QtWidgets import QApplication; QApplication([])"
+    ended = subprocess.run([sys.executable, "-c", trial], capture_output=True, text=True, check=False)
+    if ended.returncode:
+        lines = [line.strip() for line in ended.stderr.splitlines() if line.strip()]
+        said = lines[0] if lines else f"it ended with code {ended.returncode}"
+        raise UserError(f"Qt cannot open a window here ({said}); on Debian: apt install {_LIBRARIES}")

@@ -1,0 +1,161 @@
+"""Makes what the window shows, request by request. All of it runs on one thread."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.foveation import Foveation
+from compose.view import Camera, Display
+from hybrid.demo.converging import ConvergingFrame
+from hybrid.demo.pictures import picture_of
+from hybrid.demo.settings import Request, Settings, Shows
+from hybrid.images import write_bytes, write_layers
+from hybrid.layers import frame_layers
+from hybrid.periphery import Viewing
+from hybrid.renderer import Frame, HybridRenderer
+from pathtrace.film import frame_positions
+
+# With one sample at a time, fusing would take most of the time.
+_PATIENT_SPP = 3
+# Samples per pixel of the disc after which nobody sees a difference any more.
+_ENOUGH = 4096
+# Side of the frame in which it is looked how far away things are.
+_PROBE = 24
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the window gets.
+
+    Attributes:
+        picture: (h, w, 3) sRGB.
+        request: what was asked.
+        frame: the hybrid frame that is in it.
+        paths: traced for it.
+        milliseconds: per pass.
+        reference_spp: samples per pixel of the path-traced frame, where that is in it.
+        finished: whether it will get no better.
+    """
+
+    picture: NDArray[np.uint8]
+    request: Request
+    frame: Frame
+    paths: int
+    milliseconds: dict[str, float]
+    reference_spp: int
+    finished: bool
+
+    @property
+    def spp(self) -> float:
+        """Samples per pixel of the disc, those of earlier frames included."""
+        count = self.frame.fovea.samples.count
+        return float(count.mean()) if len(count) else 0.0
+
+
+class FrameSource:
+    """Frames of one scene.
+
+    Args:
+        renderer: with a fovea that remembers.
+
+    Attributes:
+        renderer: the same.
+        display: that frames are shown on.
+    """
+
+    def __init__(self, renderer: HybridRenderer):
+        self.renderer = renderer
+        self.display = renderer.periphery.viewing.display
+        self._last: Shown | None = None
+        self._converging: ConvergingFrame | None = None
+        self._seed = 0
+
+    @property
+    def camera(self) -> Camera:
+        """The scene's own."""
+        return self.renderer.tracer.scene.camera
+
+    def distance(self) -> float:
+        """How far away things are, on the median over what the scene's own camera sees."""
+        small = self.camera.resized(_PROBE, _PROBE)
+        found = self.renderer.tracer.hits(small, frame_positions(small)).distance
+        seen = found[np.isfinite(found)]
+        return float(np.median(seen)) if len(seen) else 1.0
+
+    def show(self, request: Request, patient: bool) -> Shown:
+        """What is asked for; the same once more is a little better each time.
+
+        Args:
+            request: what.
+            patient: whether it may take longer than others, for more samples.
+        """
+        self._seed += 1
+        last = self._last if request.same_picture(self._last.request if self._last else None) else None
+        frame, paths = self._rendered(request, last.frame if last else None, patient)
+        reference = self._refined(request) if request.shows.needs_reference else None
+        milliseconds = {k: v for k, v in frame.milliseconds.items() if k != "total"}
+        self._last = Shown(
+            picture_of(request.shows, frame, reference.image() if reference else None),
+            request,
+            frame,
+            paths + (reference.last if reference else 0),
+            milliseconds,
+            reference.samples if reference else 0,
+            (paths == 0) and (reference is None or reference.complete),
+        )
+        return self._last
+
+    def forget(self) -> None:
+        """The next frame is made as if it were the first one."""
+        self._last = None
+        self.renderer.forget()
+
+    def save(self, picture: Path, layers: Path) -> None:
+        """What was shown last: the picture as PNG, the layers of its frame as EXR."""
+        if self._last is None:
+            return
+        request, frame = self._last.request, self._last.frame
+        write_bytes(picture, self._last.picture)
+        write_layers(layers, frame_layers(self.renderer, request.rendered, request.gaze, frame))
+
+    def _rendered(self, request: Request, frame: Frame | None, patient: bool) -> tuple[Frame, int]:
+        """The hybrid frame, and how many paths were traced for it now."""
+        camera, settings = request.rendered, request.settings
+        if frame is None:
+            self.renderer.periphery.view_as(_viewing(self.display, settings))
+            foveation = Foveation(request.gaze, settings.fov_a, settings.fov_b)
+            frame = self.renderer.frame(camera, foveation, settings.spp, self._seed)
+            return frame, settings.spp * len(frame.plan.pixels)
+        if _is_finished(frame) or request.shows == Shows.PATH_TRACED:
+            return frame, 0
+        spp = max(_PATIENT_SPP, settings.spp) if patient else settings.spp
+        return self.renderer.refined(camera, frame, spp, self._seed), spp * len(frame.plan.pixels)
+
+    def _refined(self, request: Request) -> ConvergingFrame:
+        """The path-traced frame of the request's view, with some more samples."""
+        camera = request.rendered
+        if self._converging is None or self._converging.camera.key != camera.key:
+            self._converging = ConvergingFrame(
+                self.renderer.tracer, camera, self.renderer.splat_frame(camera)
+            )
+        if not self._converging.complete:
+            self._converging.refine()
+        return self._converging
+
+
+def _viewing(display: Display, settings: Settings) -> Viewing:
+    """The viewer of a frame whose pixels are as much larger than the display's as it is scaled down."""
+    if settings.scale != 1:
+        size = (max(1, round(settings.scale * side)) for side in (display.width, display.height))
+        display = replace(display, **dict(zip(("width", "height"), size, strict=True)))
+    return Viewing(display, settings.law, settings.layers, settings.rate)
+
+
+def _is_finished(frame: Frame) -> bool:
+    """Whether further samples would not be seen."""
+    count = frame.fovea.samples.count
+    return not len(count) or bool(count.mean() >= _ENOUGH)

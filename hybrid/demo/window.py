@@ -1,0 +1,260 @@
+"""The window: frames, controls, keys, and the gaze that goes to the renderer."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from PySide6.QtCore import QSize, Qt, QTimer, Signal
+from PySide6.QtGui import QCloseEvent, QKeyEvent
+from PySide6.QtWidgets import QDockWidget, QMainWindow, QProgressBar
+
+from compose.view import Gaze
+from hybrid.demo.canvas import Canvas
+from hybrid.demo.gaze_input import GazeInput, GazeRecorder
+from hybrid.demo.hud import HELP, lines_of
+from hybrid.demo.meter import Meter
+from hybrid.demo.panel import Panel
+from hybrid.demo.settings import Request, Settings, Shows
+from hybrid.demo.source import Shown
+from hybrid.demo.thread import Ready, RenderThread
+from hybrid.demo.walk import Walker
+
+# Milliseconds between two looks at keys and gaze: more often than any frame comes.
+_TICK = 8
+# How far one walks in a second, in units of how far away things are, and turns, in degrees.
+_PACE, _TURN = 0.3, 60.0
+_Key = Qt.Key
+_WALK = {
+    _Key.Key_W: (0, 0, 1),
+    _Key.Key_S: (0, 0, -1),
+    _Key.Key_A: (-1, 0, 0),
+    _Key.Key_D: (1, 0, 0),
+    _Key.Key_Q: (0, 1, 0),
+    _Key.Key_E: (0, -1, 0),
+}
+_LOOK = {
+    _Key.Key_Left: (-1, 0),
+    _Key.Key_Right: (1, 0),
+    _Key.Key_Up: (0, -1),
+    _Key.Key_Down: (0, 1),
+}
+
+
+class Window(QMainWindow):
+    """Shows one scene.
+
+    Args:
+        name: of the scene, in the title and in file names.
+        thread: renders; not started yet.
+        settings: to begin with.
+        size: of the frame, in pixels.
+        gaze: where it comes from.
+        folder: where pictures and gaze traces go.
+        keeps_all: whether all frame times are kept.
+    """
+
+    # Frames will come from now on.
+    opened = Signal()
+
+    def __init__(
+        self,
+        name: str,
+        thread: RenderThread,
+        settings: Settings,
+        size: tuple[int, int],
+        gaze: GazeInput,
+        folder: Path,
+        keeps_all: bool = False,
+    ):
+        super().__init__()
+        self._name, self._thread, self._settings = name, thread, settings
+        self._gaze, self._folder = gaze, folder
+        self.meter = Meter(keeps_all)
+        self.error: Exception | None = None
+        self.panel: Panel | None = None
+        self.walker: Walker | None = None
+        self._ready: Ready | None = None
+        self._asked: Request | None = None
+        self._recorder: GazeRecorder | None = None
+        self._held: Gaze | None = None
+        self._keys: set[int] = set()
+        self._hud, self._help = True, False
+        self._last: Shown | None = None
+        self._before = time.perf_counter()
+        self.setWindowTitle(f"{name} - hybrid")
+        self.canvas = Canvas(QSize(*size))
+        self.setCentralWidget(self.canvas)
+        self._bar = QProgressBar()
+        self._bar.setFormat("loading the scene")
+        self._bar.setMaximum(0)
+        self.statusBar().addPermanentWidget(self._bar, 1)
+        self._connect()
+        self._timer = QTimer(self)
+        self._timer.timeout.connect(self.tick)
+        self._timer.start(_TICK)
+        thread.start()
+
+    def _connect(self) -> None:
+        thread, canvas = self._thread, self.canvas
+        thread.progress.connect(self._on_progress)
+        thread.ready.connect(self._on_ready)
+        thread.arrived.connect(self._on_frame)
+        thread.saved.connect(self._say)
+        thread.failed.connect(self._on_failure)
+        canvas.gazed.connect(self._on_gaze)
+        canvas.dragged.connect(self._on_drag)
+        canvas.painted.connect(self._on_painted)
+        canvas.resized.connect(self.tick)
+
+    def tick(self) -> None:
+        """Walks as far as keys are held, and asks for the frame that this and the gaze make."""
+        now = time.perf_counter()
+        seconds, self._before = now - self._before, now
+        if self.walker is None or self.panel is None or self._ready is None:
+            return
+        for key in self._keys:
+            if key in _WALK:
+                step = _PACE * self._ready.distance * seconds
+                self.walker.walk(*(step * way for way in _WALK[_Key(key)]))
+            elif key in _LOOK:
+                self.walker.look(*(_TURN * seconds * way for way in _LOOK[_Key(key)]))
+        gaze = self._held or self._gaze.at(now)
+        if self._recorder is not None:
+            self._recorder.add(now, gaze)
+        camera = self.walker.camera(self.canvas.width(), self.canvas.height())
+        request = Request(camera, gaze, self.panel.settings(), self.panel.chosen_view(), now)
+        if not request.same_picture(self._asked):
+            self._asked = request
+            if not self._gaze.is_live:
+                self.meter.event(now)
+            self._thread.requests.put(request)
+
+    def closeEvent(self, event: QCloseEvent) -> None:  # noqa: N802
+        self._timer.stop()
+        self._thread.stop()
+        event.accept()
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
+        key = _Key(event.key())
+        if key in _WALK or key in _LOOK:
+            self._keys.add(key)
+        elif not event.isAutoRepeat():
+            self._command(key)
+
+    def keyReleaseEvent(self, event: QKeyEvent) -> None:  # noqa: N802
+        if not event.isAutoRepeat():
+            self._keys.discard(_Key(event.key()))
+
+    def focusNextPrevChild(self, forward: bool) -> bool:  # noqa: N802
+        # Tab is a command here.
+        return False
+
+    def changeEvent(self, event: object) -> None:  # noqa: N802
+        # Another window gets the releases of keys that are held when it comes to the front.
+        if not self.isActiveWindow():
+            self._keys.clear()
+
+    def _command(self, key: Qt.Key) -> None:
+        number = key - _Key.Key_1
+        if 0 <= number < len(Shows) and self.panel is not None:
+            self.panel.shows.setCurrentIndex(number)
+        elif key == _Key.Key_R and self.walker is not None:
+            self.walker.reset()
+        elif key == _Key.Key_Space:
+            self._held = None if self._held else self._gaze.at(time.perf_counter())
+        elif key == _Key.Key_P and self._ready is not None:
+            picture = _unused(self._folder, self._name, ".png")
+            self._thread.save(picture, picture.with_suffix(".exr"))
+        elif key == _Key.Key_T:
+            self._record()
+        elif key == _Key.Key_G:
+            self.canvas.ring = not self.canvas.ring
+        elif key == _Key.Key_H:
+            self._hud = not self._hud
+        elif key == _Key.Key_F1:
+            self._help = not self._help
+        elif key == _Key.Key_Tab and self.panel is not None:
+            self._dock.setVisible(not self._dock.isVisible())
+        elif key == _Key.Key_F or (key == _Key.Key_Escape and self.isFullScreen()):
+            self.showNormal() if self.isFullScreen() else self.showFullScreen()
+        elif key == _Key.Key_Escape:
+            self.close()
+        self._write()
+
+    def _record(self) -> None:
+        recorder, self._recorder = self._recorder, None
+        if recorder is None:
+            self._recorder = GazeRecorder()
+            self._say("recording the gaze")
+            return
+        trace = recorder.trace()
+        if trace is not None:
+            file = _unused(self._folder, f"{self._name}-gaze", ".csv")
+            trace.save(file)
+            self._say(str(file))
+
+    def _on_progress(self, what: str, done: int, total: int) -> None:
+        self._bar.setVisible(done < total)
+        self._bar.setMaximum(total)
+        self._bar.setValue(done)
+        self._bar.setFormat(f"{what} %v / %m")
+
+    def _on_ready(self, ready: Ready) -> None:
+        self._ready = ready
+        self.walker = Walker(ready.camera)
+        self.panel = Panel(self._settings, ready.layers)
+        self.panel.changed.connect(self.tick)
+        self._dock = QDockWidget("controls")
+        self._dock.setWidget(self.panel)
+        self._dock.setFeatures(QDockWidget.DockWidgetFeature.NoDockWidgetFeatures)
+        self.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, self._dock)
+        self._bar.hide()
+        # The frame keeps the size that was asked for, beside the controls.
+        self.adjustSize()
+        self.canvas.setFocus()
+        self._say("F1: help")
+        self.opened.emit()
+        self.tick()
+
+    def _on_frame(self) -> None:
+        shown, fresh = self._thread.frames.take(0.0)
+        if fresh and shown is not None:
+            self.canvas.show_frame(shown)
+
+    def _on_painted(self, shown: Shown) -> None:
+        self.meter.shown(time.perf_counter(), shown.request.asked)
+        self._last = shown
+        self._write()
+
+    def _on_gaze(self, gaze: Gaze) -> None:
+        now = time.perf_counter()
+        if self._gaze.is_live:
+            self._gaze.move(now, gaze)
+            self.meter.event(now)
+            self.tick()
+
+    def _on_drag(self, right: float, down: float) -> None:
+        if self.walker is not None and self._ready is not None:
+            # The scene follows the hand.
+            degrees = self._ready.camera.vertical_fov
+            self.walker.look(-right * degrees, -down * degrees)
+
+    def _on_failure(self, error: Exception) -> None:
+        self.error = error
+        self.close()
+
+    def _say(self, text: str) -> None:
+        self.statusBar().showMessage(text, 5000)
+
+    def _write(self) -> None:
+        hud = lines_of(self._last, self.meter) if self._hud and self._last is not None else []
+        self.canvas.write(hud, HELP if self._help else [])
+
+
+def _unused(folder: Path, name: str, suffix: str) -> Path:
+    """A file name with a number that none has yet."""
+    number = 1
+    while (folder / f"{name}-{number:03d}{suffix}").exists():
+        number += 1
+    return folder / f"{name}-{number:03d}{suffix}"

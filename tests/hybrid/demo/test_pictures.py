@@ -1,0 +1,63 @@
+"""What the window shows of a frame."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from compose.blend import bytes_from_radiance
+from compose.foveation import Foveation
+from compose.view import Gaze
+from hybrid.demo.pictures import picture_of
+from hybrid.demo.settings import Shows
+from hybrid.renderer import Frame
+from tests import small
+
+H, W = 24, 32
+
+
+def frame() -> Frame:
+    rng = small.rng()
+    plan = Foveation(Gaze(0.5, 0.5), 40.0, 20.0).plan(W, H)
+    image = lambda *shape: rng.uniform(0, 1, shape).astype(np.float32)  # noqa: E731
+    fovea = SimpleNamespace(radiance=image(len(plan.pixels), 3))
+    return Frame(image(H, W, 3), image(H, W, 3), fovea, None, plan, None, 0, {})  # type: ignore[arg-type]
+
+
+def test_composite_and_periphery_are_shown_as_they_are():
+    made = frame()
+    assert (picture_of(Shows.COMPOSITE, made, None) == bytes_from_radiance(made.composite)).all()
+    assert (picture_of(Shows.PERIPHERY, made, None) == bytes_from_radiance(made.periphery)).all()
+
+
+def test_the_fovea_alone_fades_out_in_the_band():
+    made = frame()
+    picture = picture_of(Shows.FOVEA, made, None).reshape(-1, 3)
+    outside = np.setdiff1d(np.arange(H * W), made.plan.pixels)
+    assert not picture[outside].any()
+    full = made.plan.weights == 1
+    assert (picture[made.plan.pixels[full]] == bytes_from_radiance(made.fovea.radiance[full])).all()
+    band = (made.plan.weights > 0) & (made.plan.weights < 1)
+    assert (picture[made.plan.pixels[band]] <= bytes_from_radiance(made.fovea.radiance[band])).all()
+
+
+def test_the_split_view_has_each_picture_on_its_side():
+    made, traced = frame(), np.full((H, W, 3), 0.3, dtype=np.float32)
+    picture = picture_of(Shows.SPLIT, made, traced)
+    assert (picture[:, : W // 2] == bytes_from_radiance(made.composite)[:, : W // 2]).all()
+    assert (picture[:, W // 2] == 255).all()
+    assert (picture[:, W // 2 + 1 :] == bytes_from_radiance(traced)[:, W // 2 + 1 :]).all()
+    assert (picture_of(Shows.PATH_TRACED, made, traced) == bytes_from_radiance(traced)).all()
+
+
+def test_a_difference_is_dark_where_there_is_none_and_brighter_the_larger_it_is():
+    made = frame()
+    traced = made.composite.copy()
+    assert not picture_of(Shows.DIFFERENCE, made, traced).any()
+    made.composite[:] = 0.5
+    traced = np.repeat(np.linspace(0.5, 1, W, dtype=np.float32)[None, :, None], 3, axis=2).repeat(H, axis=0)
+    brightness = picture_of(Shows.DIFFERENCE, made, traced).astype(int).sum(axis=2)[0]
+    assert (np.diff(brightness) >= 0).all()
+    assert brightness[0] == 0
+    assert brightness[-1] > 500
