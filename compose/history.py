@@ -8,7 +8,7 @@ nothing is resampled twice, so that nothing blurs or drifts however long the wal
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,13 +74,23 @@ class History:
             return np.zeros(len(pixels), dtype=np.int64), seed
         return self._count[pixels].astype(np.int64), self._pattern
 
-    def recall(self, camera: Camera, seen: Samples, places: int, seed: int) -> Samples:
+    def unseen(self, camera: Camera, pixels: NDArray[np.uint32], places: int) -> NDArray[np.uint32]:
+        """Those of some pixels whose guides are no means over so many places yet."""
+        if self._camera is None or self._camera.key != camera.key:
+            return pixels
+        return pixels[self._places[pixels] < places]
+
+    def recall(
+        self, camera: Camera, pixels: NDArray[np.uint32], seen: Samples, places: int, seed: int
+    ) -> Samples:
         """What is remembered of pixels.
 
         Args:
             camera: the view.
-            seen: the pixels with their guides, without light.
-            places: of which the guides are means.
+            pixels: (D,) row-major indices.
+            seen: those of them that were looked at anew, with their guides, without light; all, if nothing
+                was seen from this camera before.
+            places: of which these guides are means.
             seed: of the samples that are to come.
         """
         if self._camera is None or (self._camera.width, self._camera.height) != (camera.width, camera.height):
@@ -91,10 +101,7 @@ class History:
             self._views.append((self._seen_here(), self._camera.position))
             self._past = _seen_from(self._views, camera, seen)
             self._begin(camera, seed)
-        pixels = seen.pixels
-        # Guides are traced anew in every frame: none that were carried along would be as good.
-        self._guides[pixels] += np.hstack([seen.albedo, seen.normal]) * places
-        self._places[pixels] += places
+        self._look(seen, places)
         guides = self._guides[pixels] / self._places[pixels][:, None]
         count, light = self._count[pixels], self._light[pixels]
         if self._past is not None:
@@ -102,20 +109,20 @@ class History:
             more, past = self._past.at(index // camera.width, index % camera.width)
             count, light = count + more, light + past
         light = light / np.maximum(count, np.float32(1e-6))[:, None]
-        return replace(
-            seen,
-            count=count,
-            radiance=light[:, 0:3],
-            squares=light[:, 3:6],
-            albedo=guides[:, 0:3],
-            normal=guides[:, 3:6],
-        )
+        parts = light[:, 0:3], light[:, 3:6], guides[:, 0:3], guides[:, 3:6]
+        return Samples(pixels, count, *parts, self._position[pixels], self._gloss[pixels])
+
+    def _look(self, seen: Samples, places: int) -> None:
+        """Adds guides, which are traced anew for each camera: none that were carried along are as good."""
+        pixels = seen.pixels
+        first = self._places[pixels] == 0
+        self._position[pixels[first]], self._gloss[pixels[first]] = seen.position[first], seen.gloss[first]
+        self._guides[pixels] += np.hstack([seen.albedo, seen.normal]) * places
+        self._places[pixels] += places
 
     def remember(self, new: Samples) -> None:
         """Adds samples of the view that was recalled last."""
         pixels = new.pixels
-        first = (self._count[pixels] == 0) & (new.count > 0)
-        self._position[pixels[first]], self._gloss[pixels[first]] = new.position[first], new.gloss[first]
         self._light[pixels] += np.hstack([new.radiance, new.squares]) * new.count[:, None]
         self._count[pixels] += new.count
 

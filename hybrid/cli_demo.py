@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from functools import partial
 from pathlib import Path
@@ -83,7 +84,7 @@ def demo(
     require_window()
     from PySide6.QtWidgets import QApplication
 
-    from hybrid.demo.bench import WindowBench
+    from hybrid.demo.bench import WindowBench, figures, summary
     from hybrid.demo.gaze_input import GazeInput
     from hybrid.demo.prepare import prepared
     from hybrid.demo.settings import Settings
@@ -92,14 +93,16 @@ def demo(
 
     application = QApplication(sys.argv[:1])
     settings = Settings(fov_a, fov_b, spp, law, target_fps=target)
-    thread = RenderThread(partial(prepared, scene, forest, shown_on, backend))
+    thread = RenderThread(partial(prepared, scene, forest, shown_on, backend, bench is None))
     window = Window(scene, thread, settings, size, GazeInput(latency / 1000, trace), out, bench is not None)
     measured = None if bench is None else WindowBench(window, bench, trace is None)
     window.show()
+    # Qt does not look at Ctrl-C by itself.
+    signal.signal(signal.SIGINT, lambda number, frame: window.close())
     application.exec()
     if window.error is not None:
         raise window.error
+    found = figures(window, 0.0 if measured is None else measured.start)
+    write_json(json_file, found)
     if measured is not None:
-        result = measured.result()
-        write_json(json_file, result)
-        print(result)
+        print(summary(found))

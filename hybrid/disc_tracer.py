@@ -23,8 +23,9 @@ _ADAPTIVE_FROM = 4
 _FIRST_SHARE = 0.25
 _FEWEST_FIRST = 2
 _SECOND_STREAM = 0x5EED0000
-# What a history makes of few samples a frame is worth better guides than those few would be.
-_PLACES_WITH_HISTORY = 8
+# What a history makes of few samples a frame is worth better guides than those few would be; once they are
+# means over as many places as these, further ones would not be seen.
+_PLACES_WITH_HISTORY, _ENOUGH_PLACES = 8, 16
 # Side of the window, in pixels, over which it is looked whether samples are missing.
 _WINDOW = 5
 
@@ -67,7 +68,7 @@ class DiscTracer:
         adaptive = under is not None and spp >= _ADAPTIVE_FROM
         if not adaptive and self._history is None:
             return self._evenly(camera, known, spp, seed)
-        sequence = self._sequence(camera, plan, seed)
+        sequence = self._sequence(camera, plan.pixels, seed)
         new = _without_light(known)
         total = spp * len(plan.pixels)
         worth = np.ones(len(plan.pixels), dtype=np.float32)
@@ -89,23 +90,27 @@ class DiscTracer:
 
     def known(self, camera: Camera, plan: FoveaPlan, spp: int, seed: int) -> Samples:
         """What is known of pixels before anything but guides is traced; arguments as of `trace`."""
-        places = guide_places(spp) if self._history is None else max(guide_places(spp), _PLACES_WITH_HISTORY)
-        seen = self._seen(camera, plan, places, self._sequence(camera, plan, seed))
-        return seen if self._history is None else self._history.recall(camera, seen, places, seed)
+        pixels = plan.pixels
+        if self._history is None:
+            return self._seen(camera, pixels, guide_places(spp), self._sequence(camera, pixels, seed))
+        places = max(guide_places(spp), _PLACES_WITH_HISTORY)
+        unseen = self._history.unseen(camera, pixels, _ENOUGH_PLACES)
+        seen = self._seen(camera, unseen, places, self._sequence(camera, unseen, seed))
+        return self._history.recall(camera, pixels, seen, places, seed)
 
-    def _sequence(self, camera: Camera, plan: FoveaPlan, seed: int) -> _Sequence:
+    def _sequence(self, camera: Camera, pixels: NDArray[np.uint32], seed: int) -> _Sequence:
         if self._history is None:
             return _Sequence(0, seed)
-        return _Sequence(*self._history.taken(camera, plan.pixels, seed))
+        return _Sequence(*self._history.taken(camera, pixels, seed))
 
-    def _seen(self, camera: Camera, plan: FoveaPlan, places: int, sequence: _Sequence) -> Samples:
-        """The plan's pixels with their guides, without light."""
-        if not self._guided:
-            return _dark(plan.pixels)
-        positions = pixel_positions(mi.UInt32(plan.pixels), camera.width)
+    def _seen(self, camera: Camera, pixels: NDArray[np.uint32], places: int, sequence: _Sequence) -> Samples:
+        """Pixels with their guides, without light."""
+        if not self._guided or not len(pixels):
+            return _dark(pixels)
+        positions = pixel_positions(mi.UInt32(pixels), camera.width)
         seen = self._tracer.guides(camera, positions, places, sequence.pattern, sequence.taken)
         return replace(
-            _dark(plan.pixels),
+            _dark(pixels),
             albedo=interleaved(seen.albedo),
             normal=interleaved(seen.normal),
             position=interleaved(seen.place),

@@ -66,6 +66,9 @@ class Periphery:
         self.view_as(viewing)
         self._renderer = ForestRenderer(arrays, forest)
         self._attention: tuple[bytes, NDArray[np.float32]] | None = None
+        # The last view whose disc was underlaid, and the whole of it once it was the same again.
+        self._still: bytes | None = None
+        self._whole: Image | None = None
 
     def view_as(self, viewing: Viewing) -> None:
         """From now on for another viewer.
@@ -122,8 +125,21 @@ class Periphery:
         ]
         return self._renderer.render(camera, pictures, detail.cutoff, plan.peripheral_tiles(TILE))
 
-    def under_fovea(self, camera: Camera, plan: FoveaPlan) -> JoinedFrame:
-        """The finest layer that may be drawn at full rate, over the rectangle around the disc."""
+    def under_fovea(self, camera: Camera, plan: FoveaPlan) -> Image:
+        """(H, W, 3) the finest layer that may be drawn at full rate; black far from the disc, perhaps.
+
+        While the camera stands still, the whole frame is drawn once, and kept.
+        """
+        view = camera.key + bytes([self._high])
+        if self._still != view:
+            self._still, self._whole = view, None
+            return self._rectangle(camera, plan).image()
+        if self._whole is None:
+            self._whole = self.whole(camera)
+        return self._whole
+
+    def _rectangle(self, camera: Camera, plan: FoveaPlan) -> JoinedFrame:
+        """The finest layer that may be drawn, over the rectangle around the disc."""
         wanted = plan.foveal_tiles(TILE)
         corners = (wanted.shape[0] + 1, wanted.shape[1] + 1)
         picture = Picture(self._high, 0, np.ones(corners, dtype=np.float32))

@@ -149,7 +149,7 @@ class HybridRenderer:
         """The splats under the disc, where they are fused with it."""
         if self.fovea.mode != "fused":
             return None
-        radiance = self.periphery.under_fovea(camera, plan).image()
+        radiance = self.periphery.under_fovea(camera, plan)
         return Underlay(camera, radiance, self.periphery.enlargement(camera))
 
     def disc_alone(self, camera: Camera, plan: FoveaPlan, spp: int, seed: int) -> Image:

@@ -52,26 +52,32 @@ class WindowBench(QObject):
             turn = 2 * math.pi * passed / _ROUND
             move_mouse(self._window, Gaze(0.5 + 0.3 * math.sin(turn), 0.5 + 0.3 * math.sin(2 * turn)))
 
-    def result(self) -> dict[str, Any]:
-        """Frame times, latencies and the machine; seconds count from the end of the warm-up."""
-        start = self._began + _WARM_UP
-        meter, canvas = self._window.meter, self._window.canvas
-        frames = [(at - start, seconds * 1000) for at, seconds in meter.intervals if at > start]
+    @property
+    def start(self) -> float:
+        """time.perf_counter from which on frames count."""
+        return self._began + _WARM_UP
+
+
+def figures(window: Window, start: float) -> dict[str, Any]:
+    """Frame times and latencies of a window from a time on; of each frame also when it came."""
+    frames = [(at - start, seconds * 1000) for at, seconds in window.meter.intervals if at > start]
+    late = [seconds * 1000 for at, seconds in window.meter.latencies if at > start]
+    found: dict[str, Any] = {"width": window.canvas.width(), "height": window.canvas.height()}
+    if frames:
         times = [milliseconds for _, milliseconds in frames]
-        # Events of the warm-up come first.
-        late = [1000 * seconds for seconds in meter.latencies][-round(self._seconds * 1000 / _MOVE) :]
-        if not times or not late:
-            return {"machine": machine()}
-        return {
-            "width": canvas.width(),
-            "height": canvas.height(),
-            "seconds": self._seconds,
-            "fps": 1000 / float(np.median(times)),
-            "ms": percentiles(times, (50, 95, 99)),
-            "latency_ms": percentiles(late, (50, 95)),
-            "frames": frames,
-            "machine": machine(),
-        }
+        found |= {"fps": 1000 / float(np.median(times)), "ms": percentiles(times, (50, 95, 99))}
+    if late:
+        found["latency_ms"] = percentiles(late)
+    return found | {"frames": frames, "machine": machine()}
+
+
+def summary(found: dict[str, Any]) -> str:
+    """The figures in a line."""
+    if "fps" not in found:
+        return "no frame was shown"
+    ms, late = found["ms"], found.get("latency_ms")
+    line = f"{found['fps']:.1f} FPS, frames of {ms['p50']:.0f} ms (p95 {ms['p95']:.0f}, p99 {ms['p99']:.0f})"
+    return line + (f", {late['p50']:.0f} ms from mouse to screen (p95 {late['p95']:.0f})" if late else "")
 
 
 def move_mouse(window: Window, gaze: Gaze) -> None:

@@ -35,7 +35,9 @@ def lines_of(shown: Shown, meter: Meter) -> list[str]:
         p50, p95 = np.percentile(intervals, [50, 95])
         lines.append(f"frame {p50:.0f} ms (p95 {p95:.0f}), {1000 / p50:.1f} FPS")
     if meter.latencies:
-        lines.append(f"mouse to screen {1000 * np.median(meter.latencies):.0f} ms")
+        lines.append(
+            f"mouse to screen {1000 * np.median([seconds for _, seconds in meter.latencies]):.0f} ms"
+        )
     lines.append(" ".join(f"{name} {value:.0f}" for name, value in shown.milliseconds.items()) + " ms")
     lines.append(f"{shown.paths:,} paths, {frame.nodes_drawn:,} Gaussians")
     lines.append(f"{shown.spp:.1f} samples per pixel in the disc so far")

@@ -15,14 +15,15 @@ class Meter:
         all_of_them: whether everything is kept, or only what is recent.
 
     Attributes:
-        intervals: seconds between frames, with the time at which they end.
-        latencies: seconds from each event to the first frame that knows of it, or of a newer one.
+        intervals: seconds between frames, each after the time at which it ended.
+        latencies: seconds from each event to the first frame that knows of it or of a newer one, after the
+            time of that frame.
     """
 
     def __init__(self, all_of_them: bool = False):
         most = None if all_of_them else _RECENT
         self.intervals: deque[tuple[float, float]] = deque(maxlen=most)
-        self.latencies: deque[float] = deque(maxlen=most)
+        self.latencies: deque[tuple[float, float]] = deque(maxlen=most)
         self._events: deque[float] = deque(maxlen=10 * _RECENT)
         self._last: float | None = None
 
@@ -33,7 +34,7 @@ class Meter:
     def shown(self, at: float, asked: float) -> None:
         """A frame is on the screen that knows of all events until `asked`."""
         while self._events and self._events[0] <= asked:
-            self.latencies.append(at - self._events.popleft())
+            self.latencies.append((at, at - self._events.popleft()))
         if self._last is not None:
             self.intervals.append((at, at - self._last))
         self._last = at

@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from compose.errors import UserError
 from compose.view import Display
-from hybrid.cache import forest_for
+from hybrid.cache import forest_for, newest_forest
 from hybrid.demo.source import FrameSource
 from hybrid.options import loaded_scene, select
 from hybrid.periphery import Viewing
@@ -16,13 +17,19 @@ from hybrid.renderer import HybridRenderer
 
 
 def prepared(
-    scene: str, forest: Path | None, display: Display, backend: str, report: Callable[[str, int, int], None]
+    scene: str,
+    forest: Path | None,
+    display: Display,
+    backend: str,
+    trains: bool,
+    report: Callable[[str, int, int], None],
 ) -> FrameSource:
-    """The source of frames of a scene; a forest that is missing is trained.
+    """The source of frames of a scene.
 
     Args:
         scene, forest, backend: as the options of that name.
         display: that the window is shown on.
+        trains: whether a forest that is missing is trained now.
         report: called with what is done, how many steps of it, and of how many.
 
     Raises:
@@ -35,5 +42,7 @@ def prepared(
 
     select(backend)
     loaded = loaded_scene(scene)
+    if not trains and forest is None and newest_forest(loaded) is None:
+        raise UserError(f"{scene}: there is no forest yet, and no time to train one; run hybrid demo {scene}")
     found = forest_for(loaded, forest, bars)
     return FrameSource(HybridRenderer(loaded, found, Viewing(display), "fused", remembers=True))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from PySide6.QtCore import QSize, Qt, QTimer, Signal
 from PySide6.QtGui import QCloseEvent, QKeyEvent
-from PySide6.QtWidgets import QDockWidget, QMainWindow, QProgressBar
+from PySide6.QtWidgets import QDockWidget, QMainWindow, QProgressBar, QScrollArea
 
 from compose.view import Gaze
 from hybrid.demo.canvas import Canvas
@@ -24,6 +24,8 @@ from hybrid.demo.walk import Walker
 _TICK = 8
 # How far one walks in a second, in units of how far away things are, and turns, in degrees.
 _PACE, _TURN = 0.3, 60.0
+# Width of the controls in pixels.
+_PANEL = 290
 _Key = Qt.Key
 _WALK = {
     _Key.Key_W: (0, 0, 1),
@@ -89,6 +91,8 @@ class Window(QMainWindow):
         self._bar.setFormat("loading the scene")
         self._bar.setMaximum(0)
         self.statusBar().addPermanentWidget(self._bar, 1)
+        # Hiding the bar must not change the size of the frame.
+        self.statusBar().setFixedHeight(self._bar.sizeHint().height())
         self._connect()
         self._timer = QTimer(self)
         self._timer.timeout.connect(self.tick)
@@ -206,16 +210,26 @@ class Window(QMainWindow):
         self.panel = Panel(self._settings, ready.layers)
         self.panel.changed.connect(self.tick)
         self._dock = QDockWidget("controls")
-        self._dock.setWidget(self.panel)
+        # A small frame must not grow to the height of the controls.
+        scrolled = QScrollArea()
+        scrolled.setWidget(self.panel)
+        scrolled.setWidgetResizable(True)
+        scrolled.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        scrolled.setFixedWidth(_PANEL)
+        self._dock.setWidget(scrolled)
         self._dock.setFeatures(QDockWidget.DockWidgetFeature.NoDockWidgetFeatures)
         self.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, self._dock)
         self._bar.hide()
-        # The frame keeps the size that was asked for, beside the controls.
-        self.adjustSize()
+        # After Qt has laid out the controls.
+        QTimer.singleShot(0, self._fit)
         self.canvas.setFocus()
         self._say("F1: help")
         self.opened.emit()
         self.tick()
+
+    def _fit(self) -> None:
+        """Beside the controls the frame keeps the size that was asked for."""
+        self.resize(self.size() + self.canvas.sizeHint() - self.canvas.size())
 
     def _on_frame(self) -> None:
         shown, fresh = self._thread.frames.take(0.0)

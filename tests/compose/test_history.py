@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -47,9 +47,28 @@ def added(history: History, view: Camera, new: Samples, seed: int) -> Samples:
     """All that is known of the new samples' pixels."""
     dark = np.zeros_like(new.radiance)
     seen = replace(new, count=np.zeros_like(new.count), radiance=dark, squares=dark)
-    known = history.recall(view, seen, 4, seed)
+    known = history.recall(view, new.pixels, seen, 4, seed)
     history.remember(new)
     return merged(known, new)
+
+
+def test_what_was_looked_at_often_enough_need_not_be_again():
+    history, view = History(), camera()
+    new = samples(wall(view), np.array([0.5, 0.4, 0.3]))
+    assert (history.unseen(view, new.pixels, 8) == new.pixels).all()
+    added(history, view, new, 0)
+    assert (history.unseen(view, new.pixels, 8) == new.pixels).all()
+    half = new.pixels[: SIZE * SIZE // 2]
+    part = Samples(*(getattr(new, field.name)[: len(half)] for field in fields(Samples)))
+    history.recall(view, half, part, 4, 0)
+    assert (history.unseen(view, new.pixels, 8) == new.pixels[len(half) :]).all()
+    # What is known of the others is what was seen before.
+    nothing = Samples(*(getattr(new, field.name)[:0] for field in fields(Samples)))
+    known = history.recall(view, new.pixels, nothing, 4, 0)
+    assert (known.position == new.position).all()
+    assert np.allclose(known.albedo, new.albedo)
+    assert (known.count == 1).all()
+    assert (history.unseen(camera(0.1), new.pixels, 8) == new.pixels).all()
 
 
 def test_a_still_camera_adds_up_exactly():

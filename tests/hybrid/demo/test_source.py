@@ -1,0 +1,98 @@
+"""What the window shows of a real scene, request by request."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from compose.view import DISPLAYS, Gaze
+from hybrid.demo.ladder import ladder_for
+from hybrid.demo.settings import Request, Settings, Shows
+from hybrid.demo.source import FrameSource
+from hybrid.images import read_layers
+from hybrid.options import loaded_scene
+from hybrid.periphery import Viewing
+from hybrid.renderer import HybridRenderer
+from splat.files import load_forest
+
+
+@pytest.fixture(scope="module")
+def source(backend, made) -> FrameSource:
+    forest = load_forest(made / "box.forest")
+    viewing = Viewing(DISPLAYS["desktop"])
+    return FrameSource(HybridRenderer(loaded_scene("cornell"), forest, viewing, "fused", remembers=True))
+
+
+def request(source: FrameSource, shows: Shows = Shows.COMPOSITE, **settings: object) -> Request:
+    camera = source.camera.resized(96, 64)
+    return Request(camera, Gaze(0.4, 0.5), Settings(fov_a=20.0, fov_b=15.0, **settings), shows, 0.0)  # type: ignore[arg-type]
+
+
+def test_the_same_once_more_has_more_samples_and_anything_else_has_not(source):
+    source.forget()
+    asked = request(source)
+    first, second = source.show(asked, False), source.show(asked, False)
+    assert second.spp == pytest.approx(first.spp + 1, abs=0.05)
+    patient = source.show(asked, True)
+    assert patient.spp == pytest.approx(first.spp + 4, abs=0.05)
+    assert patient.frame.periphery is first.frame.periphery
+    assert not patient.finished
+    elsewhere = source.show(replace(asked, gaze=Gaze(0.9, 0.9)), False)
+    assert elsewhere.spp < 1.5
+    assert elsewhere.paths == len(elsewhere.frame.plan.pixels)
+
+
+def test_the_disc_converges_to_the_path_traced_frame(source):
+    source.forget()
+    asked = request(source, Shows.SPLIT)
+    for _ in range(16 * 24):
+        shown = source.show(asked, True)
+    assert shown.reference_spp == 24
+    plan, reference = shown.frame.plan, source._converging.image().reshape(-1, 3)[shown.frame.plan.pixels]
+    difference = np.abs(np.clip(shown.frame.fovea.radiance, 0, 1) - np.clip(reference, 0, 1))
+    assert len(plan.pixels)
+    assert difference.mean() < 0.05
+
+
+def test_every_view_has_the_frames_size(source):
+    for shows in Shows:
+        for scale in (1.0, 0.5):
+            shown = source.show(request(source, shows, scale=scale), False)
+            assert shown.picture.shape == (64 * scale, 96 * scale, 3)
+            assert shown.picture.flags.c_contiguous
+            assert shown.picture.dtype == np.uint8
+
+
+def test_layers_law_and_rate_are_those_that_were_chosen(source):
+    fine = source.show(request(source), False).frame
+    coarse = source.show(request(source, layers=(1, 1)), False).frame
+    assert coarse.detail.drawn_level.max() == 1 < fine.detail.drawn_level.max()
+    assert source.show(request(source, rate=2), False).frame.detail.drawn_rate.min() >= 2
+    assert source.show(request(source, law="none"), False).frame.detail.cutoff.min() == pytest.approx(0.5)
+
+
+def test_a_coarser_frame_is_seen_under_the_same_angle(source):
+    whole = source.show(request(source), False).frame.detail.eccentricity
+    half = source.show(request(source, scale=0.5), False).frame.detail.eccentricity
+    assert half[0, 0] == pytest.approx(whole[0, 0], rel=0.01)
+
+
+def test_files_hold_what_is_shown(source, tmp_path):
+    shown = source.show(request(source), False)
+    source.save(tmp_path / "a.png", tmp_path / "a.exr")
+    layers = read_layers(tmp_path / "a.exr")
+    assert (layers["composite.G"] == shown.frame.composite[..., 1]).all()
+    assert (tmp_path / "a.png").is_file()
+
+
+def test_a_ladder_is_measured_once(source, own_home):
+    said = []
+    ladder = ladder_for(source, request(source), lambda *step: said.append(step))
+    assert said[-1][1] <= said[-1][2]
+    assert all(a.milliseconds < b.milliseconds for a, b in pairwise(ladder))
+    said.clear()
+    assert ladder_for(source, request(source), lambda *step: said.append(step)) == ladder
+    assert not said

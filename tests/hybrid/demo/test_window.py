@@ -1,0 +1,134 @@
+"""The real window on a virtual screen: mouse, keys, sliders, pictures, and that it ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from compose.gaze_trace import load_gaze_trace
+from tests.hybrid.command import run
+
+pytest.importorskip("PySide6.QtWidgets", reason="the window needs Qt", exc_type=ImportError)
+
+
+@pytest.fixture(scope="module")
+def screen() -> Iterator[dict[str, str]]:
+    """Environment with a virtual screen; without Xvfb, Qt draws into memory."""
+    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    if shutil.which("Xvfb") is None:
+        yield environment | {"QT_QPA_PLATFORM": "offscreen"}
+        return
+    command = ["Xvfb", "-displayfd", "1", "-screen", "0", "1280x800x24", "-nolisten", "tcp"]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    assert server.stdout is not None
+    number = server.stdout.readline().strip()
+    environment.pop("QT_QPA_PLATFORM", None)
+    yield environment | {"DISPLAY": f":{number}"}
+    server.terminate()
+    server.wait()
+
+
+def driven(scenario: str, screen: dict[str, str], made: Path, out: Path, *more: object) -> dict:
+    """What a driver saw of the window; a crash fails here."""
+    command = [sys.executable, "-m", "tests.hybrid.demo.drive", scenario, made / "box.forest", out, *more]
+    home = {"HYBRID_HOME": str(made / "home")}
+    ended = subprocess.run(
+        [str(part) for part in command], env=screen | home, capture_output=True, text=True, timeout=600
+    )
+    assert ended.returncode == 0, ended.stderr
+    return json.loads((out / "seen.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def toured(screen, made, tmp_path_factory) -> tuple[dict, Path]:
+    folder = tmp_path_factory.mktemp("tour")
+    return driven("tour", screen, made, folder), folder
+
+
+def test_the_disc_is_where_the_mouse_is(toured):
+    for place in toured[0]["discs"]:
+        assert [place["x"], place["y"]] == pytest.approx(place["mouse"], abs=2)
+        # 15 % of 240 pixels, on both sides; the outermost ring is too dark to be seen.
+        assert place["width"] == pytest.approx(72, abs=6)
+
+
+def test_sliders_and_keys_do_what_they_say(toured):
+    seen = toured[0]
+    assert seen["wider"] == pytest.approx(144, abs=10)
+    # Held where it was, though the mouse has gone on.
+    assert [seen["held"]["x"], seen["held"]["y"]] == pytest.approx([160, 120], abs=2)
+    assert seen["first"] > 10
+    assert len(set(seen["views"].values())) == len(seen["views"])
+    assert seen["views"]["FOVEA"] < 0.5 * seen["views"]["COMPOSITE"]
+    for name in ("help", "hud", "walked", "dragged"):
+        assert seen[name] > 0.5, name
+    assert np.linalg.norm(np.subtract(seen["at home"], seen["away"])) > 1e-3
+
+
+def test_without_controls_the_frame_fills_the_window(toured):
+    seen = toured[0]
+    assert seen["wide"] > 320
+    assert seen["frame"][1] == seen["wide"]
+
+
+def test_files_hold_what_was_asked_for(toured):
+    folder = toured[1]
+    assert Image.open(folder / "cornell-001.png").size == (320, 240)
+    trace = load_gaze_trace(folder / "cornell-gaze-001.csv")
+    assert [gaze.x for gaze in trace.gazes][-3:] == pytest.approx([190 / 320, 200 / 320, 210 / 320], abs=0.01)
+    assert 0.1 < trace.duration < 5
+
+
+def test_every_thread_ends_with_the_window(toured):
+    seen = toured[0]
+    assert not seen["running"]
+    assert seen["threads"] == []
+    assert seen["error"] is None
+
+
+def test_random_input_breaks_nothing(screen, made, tmp_path):
+    seen = driven("fuzz", screen, made, tmp_path, 15)
+    assert seen["error"] is None
+    assert not seen["running"]
+
+
+def test_what_is_missing_is_one_line(made, monkeypatch, capsys, tmp_path):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
+        monkeypatch.delenv(name, raising=False)
+    assert run(monkeypatch, "demo", "cornell") == 2
+    assert "no display" in capsys.readouterr().err
+    monkeypatch.setenv("QT_QPA_PLATFORM", "nothing-of-that-name")
+    assert run(monkeypatch, "demo", "cornell") == 2
+    error = capsys.readouterr().err.strip()
+    assert "Qt cannot open a window here" in error
+    assert "\n" not in error
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["no-such-scene"], "no such scene"),
+        (["cornell", "--forest", "missing.forest"], "missing.forest"),
+        (["room", "--forest", "box"], "not of room"),
+        (["cornell", "--bench", "1"], "no forest"),
+        (["cornell", "--size", "10", "10"], "--size 10 10"),
+        (["cornell", "--gaze-trace", "nowhere.csv"], "nowhere.csv"),
+    ],
+)
+def test_mistakes_are_one_line_and_exit_code_2(screen, made, tmp_path, options, said):
+    options = [str(made / "box.forest") if option == "box" else option for option in options]
+    command = [sys.executable, "-m", "hybrid.cli", "demo", *options]
+    home = {"HYBRID_HOME": str(tmp_path)}
+    ended = subprocess.run(command, env=screen | home, capture_output=True, text=True, timeout=300)
+    assert ended.returncode == 2, ended.stderr
+    assert said in ended.stderr
+    assert len(ended.stderr.strip().splitlines()) == 1
