@@ -25,6 +25,8 @@ _MOST_TURN = np.array([np.inf, 8.0, 0.2])
 # Views that a moving camera remembers, and samples per pixel of each: old errors fade.
 _VIEWS = 16
 _MOST_SAMPLES = 32.0
+# Places of a pixel over which its guides are means, at most.
+_MOST_PLACES = 64
 
 
 @dataclass(frozen=True)
@@ -75,10 +77,12 @@ class History:
         return self._count[pixels].astype(np.int64), self._pattern
 
     def unseen(self, camera: Camera, pixels: NDArray[np.uint32], places: int) -> NDArray[np.uint32]:
-        """Those of some pixels whose guides are no means over so many places yet."""
+        """Those of some pixels that want better guides: means over fewer places than these, or than there are
+        samples, up to as many as anyone sees."""
         if self._camera is None or self._camera.key != camera.key:
             return pixels
-        return pixels[self._places[pixels] < places]
+        wanted = np.clip(self._count[pixels], places, _MOST_PLACES)
+        return pixels[self._places[pixels] < wanted]
 
     def recall(
         self, camera: Camera, pixels: NDArray[np.uint32], seen: Samples, places: int, seed: int

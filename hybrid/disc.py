@@ -51,19 +51,22 @@ def checked(camera: Camera, under: Underlay | None) -> Underlay:
     return under
 
 
-def parents_of(plan: FoveaPlan, samples: Samples, under: Underlay) -> Parents:
-    """All that is known of the rectangle around the disc."""
+def parents_of(plan: FoveaPlan, samples: Samples, under: Underlay, hurried: bool = False) -> Parents:
+    """All that is known of the rectangle around the disc; denoised by the quicker way if hurried."""
     rectangle = plan.rectangle
     splat = rectangle.part_of(under.radiance)
     laid = DiscImages.of(samples, splat, rectangle)
     variance = rectangle.laid(np.full_like(splat, np.inf), samples.variance())
     guides = laid.albedo, laid.normal, laid.count
-    return Parents(laid.radiance, variance, laid.denoised(coarse=True), splat, *guides, under.enlargement)
+    denoised = laid.denoised_for_fusion(hurried)
+    return Parents(laid.radiance, variance, denoised, splat, *guides, under.enlargement)
 
 
-def denoised_for_fusion(radiance: Image, albedo: Image, normal: Image, spp: float) -> Image:
+def denoised_for_fusion(
+    radiance: Image, albedo: Image, normal: Image, spp: float, hurried: bool = False
+) -> Image:
     """(H, W, 3) denoised as one parent of several: with few samples, not worth its full price."""
-    if is_quick(spp):
+    if hurried or is_quick(spp):
         return denoise_coarsely(radiance, albedo, normal)
     return denoise(radiance, albedo, normal)
 
@@ -93,10 +96,13 @@ class DiscImages:
             laid(np.ones((*rectangle.shape, 1), dtype=np.float32), samples.count[:, None]),
         )
 
-    def denoised(self, coarse: bool) -> Image:
-        """(h, w, 3); coarse as one parent of several may be."""
-        images, spp = (self.radiance, self.albedo, self.normal), float(self.count.mean())
-        return denoised_for_fusion(*images, spp) if coarse else denoise(*images, is_quick(spp))
+    def denoised(self) -> Image:
+        """(h, w, 3)."""
+        return denoise(self.radiance, self.albedo, self.normal, is_quick(float(self.count.mean())))
+
+    def denoised_for_fusion(self, hurried: bool) -> Image:
+        """(h, w, 3) as one parent of several."""
+        return denoised_for_fusion(self.radiance, self.albedo, self.normal, float(self.count.mean()), hurried)
 
 
 def is_quick(spp: float) -> bool:

@@ -23,9 +23,8 @@ _ADAPTIVE_FROM = 4
 _FIRST_SHARE = 0.25
 _FEWEST_FIRST = 2
 _SECOND_STREAM = 0x5EED0000
-# What a history makes of few samples a frame is worth better guides than those few would be; once they are
-# means over as many places as these, further ones would not be seen.
-_PLACES_WITH_HISTORY, _ENOUGH_PLACES = 8, 16
+# What a history makes of few samples a frame is worth better guides than those few would be.
+_PLACES_WITH_HISTORY = 8
 # Side of the window, in pixels, over which it is looked whether samples are missing.
 _WINDOW = 5
 
@@ -94,7 +93,7 @@ class DiscTracer:
         if self._history is None:
             return self._seen(camera, pixels, guide_places(spp), self._sequence(camera, pixels, seed))
         places = max(guide_places(spp), _PLACES_WITH_HISTORY)
-        unseen = self._history.unseen(camera, pixels, _ENOUGH_PLACES)
+        unseen = self._history.unseen(camera, pixels, places)
         seen = self._seen(camera, unseen, places, self._sequence(camera, unseen, seed))
         return self._history.recall(camera, pixels, seen, places, seed)
 

@@ -52,7 +52,13 @@ class Fovea:
         self._fusion = fusion
 
     def picture(
-        self, camera: Camera, plan: FoveaPlan, samples: Samples, around: Image, under: Underlay | None
+        self,
+        camera: Camera,
+        plan: FoveaPlan,
+        samples: Samples,
+        around: Image | None,
+        under: Underlay | None,
+        hurried: bool = False,
     ) -> FoveaPicture:
         """The fovea that the samples give.
 
@@ -60,8 +66,10 @@ class Fovea:
             camera: the view.
             plan: the disc.
             samples: of its pixels.
-            around: (H, W, 3) radiance that stands in for the corners of the rectangle around the disc.
+            around: (H, W, 3) radiance that stands in for the corners of the rectangle around the disc; only
+                looked at if denoised.
             under: the splats under the disc, of the same view; only looked at if fused.
+            hurried: whether a fused fovea takes the quicker denoiser, however many samples there are.
 
         Raises:
             ValueError: the splats' picture is missing, or of another camera or size.
@@ -71,10 +79,11 @@ class Fovea:
         rectangle = plan.rectangle
         taken = rectangle.taken
         if self.mode == "denoised":
+            assert around is not None
             laid = DiscImages.of(samples, rectangle.part_of(around), rectangle)
-            denoised = taken(laid.denoised(coarse=False))
+            denoised = taken(laid.denoised())
             return FoveaPicture(denoised, samples, denoised)
-        parents = parents_of(plan, samples, checked(camera, under))
+        parents = parents_of(plan, samples, checked(camera, under), hurried)
         fused = fuse(parents, self._fusion)
         return FoveaPicture(
             taken(fused.radiance), samples, taken(parents.denoised), taken(fused.weights), fused.excluded

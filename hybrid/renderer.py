@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from hybrid.timing import Clock
 from hybrid.traced_image import traced_image
 from pathtrace.film import FilmPositions
 from pathtrace.scene import Scene
-from pathtrace.tracer import Tracer
+from pathtrace.tracer import RUSSIAN_ROULETTE_DEPTH, Tracer
 from splat.forest import Forest
 
 
@@ -65,6 +65,7 @@ class HybridRenderer:
         viewing: who looks, on what display.
         mode: how the fovea is made: raw, denoised or fused.
         remembers: whether the fovea keeps the samples of earlier frames.
+        roulette_depth: as of the tracer.
 
     Raises:
         UserError: the forest is one of another scene, or there is no such mode.
@@ -77,6 +78,7 @@ class HybridRenderer:
         viewing: Viewing | None = None,
         mode: str = "raw",
         remembers: bool = False,
+        roulette_depth: int = RUSSIAN_ROULETTE_DEPTH,
     ):
         # An imported forest is bound to no scene.
         if forest.scene_hash not in ("", scene.hash):
@@ -84,7 +86,7 @@ class HybridRenderer:
                 f"this forest is one of scene {forest.scene_name} "
                 f"({forest.scene_hash[:8]}), not of {scene.name} ({scene.hash[:8]}); train one for this scene"
             )
-        self.tracer = Tracer(scene)
+        self.tracer = Tracer(scene, roulette_depth=roulette_depth)
         self.periphery = Periphery(device_arrays(), forest, viewing or Viewing())
         self.fovea = Fovea(self.tracer, mode, fusion_of(forest), remembers)
 
@@ -107,49 +109,19 @@ class HybridRenderer:
         clock.lap("splat")
         under = self.underlay(camera, plan)
         clock.lap("under")
-        fovea, composite = self._seen(camera, plan, periphery, under, spp, seed, clock)
-        return Frame(composite, periphery, fovea, under, plan, detail, drawn.nodes, clock.milliseconds())
-
-    def refined(self, camera: Camera, frame: Frame, spp: int, seed: int) -> Frame:
-        """The same frame with further samples in the disc, of use where samples are remembered.
-
-        Args:
-            camera: of the frame.
-            frame: the last one of this camera.
-            spp, seed: of the samples that are added.
-        """
-        clock = Clock()
-        fovea, composite = self._seen(camera, frame.plan, frame.periphery, frame.under, spp, seed, clock)
-        return replace(frame, composite=composite, fovea=fovea, milliseconds=clock.milliseconds())
-
-    def _seen(
-        self,
-        camera: Camera,
-        plan: FoveaPlan,
-        periphery: Image,
-        under: Underlay | None,
-        spp: int,
-        seed: int,
-        clock: Clock,
-    ) -> tuple[FoveaPicture, Image]:
-        """The fovea, and the composite."""
         samples = self.fovea.disc.trace(camera, plan, spp, seed, under)
         clock.lap("trace")
         fovea = self.fovea.picture(camera, plan, samples, periphery, under)
         clock.lap("fovea")
         composite = blend(periphery, fovea.radiance, plan)
         clock.lap("blend")
-        return fovea, composite
-
-    def forget(self) -> None:
-        """From now on as if nothing had been seen before."""
-        self.fovea.disc.forget()
+        return Frame(composite, periphery, fovea, under, plan, detail, drawn.nodes, clock.milliseconds())
 
     def underlay(self, camera: Camera, plan: FoveaPlan) -> Underlay | None:
         """The splats under the disc, where they are fused with it."""
         if self.fovea.mode != "fused":
             return None
-        radiance = self.periphery.under_fovea(camera, plan)
+        radiance = self.periphery.under_fovea(camera, plan).image()
         return Underlay(camera, radiance, self.periphery.enlargement(camera))
 
     def disc_alone(self, camera: Camera, plan: FoveaPlan, spp: int, seed: int) -> Image:

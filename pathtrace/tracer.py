@@ -22,7 +22,7 @@ from pathtrace.sight import guides, has_clear_surfaces, look
 
 # Lanes traced at once: bounds the memory that many samples over a large frame would take.
 _MAX_LANES = 1 << 22
-_RUSSIAN_ROULETTE_DEPTH = 5
+RUSSIAN_ROULETTE_DEPTH = 5
 # Places of a pixel where albedo and normal are looked up. With fewer, the guides' own noise shows in what
 # they guide; each costs a twentieth of a path.
 _LEAST_PLACES, _MOST_PLACES = 4, 16
@@ -86,12 +86,16 @@ class Tracer:
     Args:
         scene: what to trace.
         max_depth: path depth; the scene's own by default.
+        roulette_depth: from which depth on paths are ended by Russian roulette: the earlier, the quicker a
+            sample, and the noisier.
     """
 
-    def __init__(self, scene: Scene, max_depth: int | None = None):
+    def __init__(
+        self, scene: Scene, max_depth: int | None = None, roulette_depth: int = RUSSIAN_ROULETTE_DEPTH
+    ):
         self.scene = scene
         depth = max_depth or scene.max_depth
-        self._path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": _RUSSIAN_ROULETTE_DEPTH})
+        self._path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": roulette_depth})
         self._clear = has_clear_surfaces(scene.mitsuba)
         # Frozen functions of this tracer: the scene is part of what was recorded.
         self._trace_radiance = dr.freeze(self._radiance)

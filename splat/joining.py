@@ -64,15 +64,18 @@ def lay_out(pictures: Sequence[Picture], wanted: Mask, tile: int) -> list[Panel]
     """
     panels, top = [], 0
     for picture in pictures:
-        share = picture.share
-        cells = np.maximum.reduce([share[:-1, :-1], share[1:, :-1], share[:-1, 1:], share[1:, 1:]]) > 0
-        cells &= wanted
+        cells = cells_of(picture.share) & wanted
         if cells.any():
             # A pixel at the border of a cell looks up samples beyond it.
             tiles = _resized(_grown(cells) if picture.rate else cells, TILE, tile << picture.rate)
             panels.append(Panel(picture, top, tiles, cells))
             top += tiles.shape[0] * tile
     return panels
+
+
+def cells_of(share: Lattice) -> Mask:
+    """(rows, columns) the cells in which a picture of that share at their corners is seen."""
+    return np.maximum.reduce([share[:-1, :-1], share[1:, :-1], share[:-1, 1:], share[1:, 1:]]) > 0
 
 
 def join(

@@ -24,7 +24,7 @@ from splat.arrays import Arrays
 from splat.binning import TILE, Panels, bin_splats
 from splat.footprints import ForestFootprints, LayerFootprints
 from splat.forest import Forest
-from splat.joining import Lattice, Panel, Picture, join, lay_out
+from splat.joining import Lattice, Panel, Picture, cells_of, join, lay_out
 from splat.project import PIXEL_FILTER, Splats, filtered
 from splat.raster import CHANNELS, padded_size, rasterize
 
@@ -83,7 +83,7 @@ class ForestRenderer:
         pictures = [p for p in pictures if bool((p.share > 0).any())]
         tile = TILE if all(p.rate == 0 for p in pictures) else _COARSE_TILE
         panels = lay_out(pictures, wanted, tile)
-        drawn = self._drawn(camera, panels, cutoff, tile)
+        drawn = self.draw_panels(camera, panels, cutoff, tile)
         if not drawn.nodes or _is_whole(panels):
             return drawn
         joined = join(self.arrays, panels, drawn.radiance, drawn.stride, camera.width, camera.height)
@@ -97,10 +97,10 @@ class ForestRenderer:
         picture = Picture(layer, rate, np.ones(corners, np.float32))
         tile = _COARSE_TILE if rate else TILE
         panels = lay_out([picture], np.ones(cells, dtype=bool), tile)
-        samples = self._drawn(camera, panels, np.full(corners, 0.5, np.float32), tile)
+        samples = self.draw_panels(camera, panels, np.full(corners, 0.5, np.float32), tile)
         return replace(samples, width=-(-camera.width >> rate), height=-(-camera.height >> rate))
 
-    def _drawn(self, camera: Camera, panels: Sequence[Panel], cutoff: Lattice, tile: int) -> JoinedFrame:
+    def draw_panels(self, camera: Camera, panels: Sequence[Panel], cutoff: Lattice, tile: int) -> JoinedFrame:
         """The image that holds all panels; the frame's own size if nothing is to be seen in any."""
         chosen = self._chosen(camera, panels, cutoff)
         if not any(dr.width(index) for index in chosen):
@@ -194,6 +194,47 @@ class ForestRenderer:
         top = panel.top // tile
         least = self._least_blur(camera, panel.picture)
         return 0.5**panel.picture.rate, least, panel.top, columns, top, top + rows, 0.0, 0.0
+
+
+class KeptPictures:
+    """Pictures of one view, each drawn over the whole frame, to be joined again and again by other shares.
+
+    Args:
+        renderer: of the forest.
+        camera: the view.
+        steps: layer and rate of each picture.
+    """
+
+    def __init__(self, renderer: ForestRenderer, camera: Camera, steps: Sequence[tuple[int, int]]):
+        cells = (-(-camera.height // TILE), -(-camera.width // TILE))
+        corners = (cells[0] + 1, cells[1] + 1)
+        whole = np.ones(corners, np.float32)
+        tile = TILE if all(rate == 0 for _, rate in steps) else _COARSE_TILE
+        pictures = [Picture(layer, rate, whole) for layer, rate in steps]
+        self._panels = lay_out(pictures, np.ones(cells, dtype=bool), tile)
+        self._arrays, self._camera = renderer.arrays, camera
+        self._drawn = renderer.draw_panels(camera, self._panels, np.full(corners, 0.5, np.float32), tile)
+
+    def joined(self, shares: Sequence[Lattice], wanted: NDArray[np.bool_]) -> JoinedFrame:
+        """The frame that they make up.
+
+        Args:
+            shares: (rows + 1, columns + 1) of each picture, at the corners of cells of TILE pixels; they sum
+                to 1 wherever something is wanted.
+            wanted: (rows, columns) bool, cells that are joined at all.
+        """
+        panels = [
+            replace(panel, picture=replace(panel.picture, share=share), cells=cells)
+            for panel, share in zip(self._panels, shares, strict=True)
+            if (cells := cells_of(share) & wanted).any()
+        ]
+        width, height = self._camera.width, self._camera.height
+        stride = -(-width // TILE) * TILE
+        if not panels or not self._drawn.nodes:
+            black = dr.zeros(self._arrays.plain.Float, stride * -(-height // TILE) * TILE * 3)
+            return JoinedFrame(black, width, height, stride, 3, self._drawn.nodes)
+        joined = join(self._arrays, panels, self._drawn.radiance, self._drawn.stride, width, height)
+        return JoinedFrame(joined, width, height, stride, 3, self._drawn.nodes)
 
 
 def finest_frequency(camera: Camera, forest: Forest, layer: int) -> float:

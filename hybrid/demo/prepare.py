@@ -10,10 +10,10 @@ from compose.errors import UserError
 from compose.view import Display
 from hybrid.cache import forest_for, newest_forest
 from hybrid.demo.source import FrameSource
+from hybrid.live import LiveRenderer
 from hybrid.options import loaded_scene, select
 from hybrid.periphery import Viewing
 from hybrid.progress import Bar
-from hybrid.renderer import HybridRenderer
 
 
 def prepared(
@@ -45,4 +45,4 @@ def prepared(
     if not trains and forest is None and newest_forest(loaded) is None:
         raise UserError(f"{scene}: there is no forest yet, and no time to train one; run hybrid demo {scene}")
     found = forest_for(loaded, forest, bars)
-    return FrameSource(HybridRenderer(loaded, found, Viewing(display), "fused", remembers=True))
+    return FrameSource(LiveRenderer(loaded, found, Viewing(display)))

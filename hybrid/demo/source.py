@@ -15,8 +15,9 @@ from hybrid.demo.pictures import picture_of
 from hybrid.demo.settings import Request, Settings, Shows
 from hybrid.images import write_bytes, write_layers
 from hybrid.layers import frame_layers
+from hybrid.live import LiveRenderer
 from hybrid.periphery import Viewing
-from hybrid.renderer import Frame, HybridRenderer
+from hybrid.renderer import Frame
 from pathtrace.film import frame_positions
 
 # With one sample at a time, fusing would take most of the time.
@@ -60,14 +61,14 @@ class FrameSource:
     """Frames of one scene.
 
     Args:
-        renderer: with a fovea that remembers.
+        renderer: of the scene.
 
     Attributes:
         renderer: the same.
         display: that frames are shown on.
     """
 
-    def __init__(self, renderer: HybridRenderer):
+    def __init__(self, renderer: LiveRenderer):
         self.renderer = renderer
         self.display = renderer.periphery.viewing.display
         self._last: Shown | None = None
@@ -133,7 +134,9 @@ class FrameSource:
         if _is_finished(frame) or request.shows == Shows.PATH_TRACED:
             return frame, 0
         spp = max(_PATIENT_SPP, settings.spp) if patient else settings.spp
-        return self.renderer.refined(camera, frame, spp, self._seed), spp * len(frame.plan.pixels)
+        return self.renderer.refined(camera, frame, spp, self._seed, not patient), spp * len(
+            frame.plan.pixels
+        )
 
     def _refined(self, request: Request) -> ConvergingFrame:
         """The path-traced frame of the request's view, with some more samples."""

@@ -69,6 +69,9 @@ def test_what_was_looked_at_often_enough_need_not_be_again():
     assert np.allclose(known.albedo, new.albedo)
     assert (known.count == 1).all()
     assert (history.unseen(camera(0.1), new.pixels, 8) == new.pixels).all()
+    # With more samples the guides must not fall behind.
+    history.remember(replace(new, count=np.full_like(new.count, 10)))
+    assert (history.unseen(view, new.pixels, 8) == new.pixels).all()
 
 
 def test_a_still_camera_adds_up_exactly():

@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from compose.blend import bytes_from_radiance
 from compose.foveation import Foveation
@@ -14,6 +15,7 @@ from hybrid.demo.settings import Shows
 from hybrid.renderer import Frame
 from tests import small
 
+pytestmark = pytest.mark.usefixtures("backend")
 H, W = 24, 32
 
 
@@ -29,6 +31,16 @@ def test_composite_and_periphery_are_shown_as_they_are():
     made = frame()
     assert (picture_of(Shows.COMPOSITE, made, None) == bytes_from_radiance(made.composite)).all()
     assert (picture_of(Shows.PERIPHERY, made, None) == bytes_from_radiance(made.periphery)).all()
+
+
+def test_whatever_radiance_there_is_becomes_a_byte():
+    made = frame()
+    made.composite[0, 0] = [np.nan, np.inf, -1]
+    made.composite[0, 1] = [0.0031308, 5e-4, 7]
+    with np.errstate(invalid="ignore"):
+        expected = bytes_from_radiance(np.nan_to_num(made.composite, nan=0, posinf=1))
+    assert np.abs(picture_of(Shows.COMPOSITE, made, None).astype(int) - expected).max() <= 1
+    assert (picture_of(Shows.COMPOSITE, made, None)[0, 0] == [0, 255, 0]).all()
 
 
 def test_the_fovea_alone_fades_out_in_the_band():

@@ -13,9 +13,9 @@ from hybrid.demo.ladder import ladder_for
 from hybrid.demo.settings import Request, Settings, Shows
 from hybrid.demo.source import FrameSource
 from hybrid.images import read_layers
+from hybrid.live import LiveRenderer
 from hybrid.options import loaded_scene
 from hybrid.periphery import Viewing
-from hybrid.renderer import HybridRenderer
 from splat.files import load_forest
 
 
@@ -23,7 +23,7 @@ from splat.files import load_forest
 def source(backend, made) -> FrameSource:
     forest = load_forest(made / "box.forest")
     viewing = Viewing(DISPLAYS["desktop"])
-    return FrameSource(HybridRenderer(loaded_scene("cornell"), forest, viewing, "fused", remembers=True))
+    return FrameSource(LiveRenderer(loaded_scene("cornell"), forest, viewing))
 
 
 def request(source: FrameSource, shows: Shows = Shows.COMPOSITE, **settings: object) -> Request:
