@@ -11,6 +11,7 @@ from compose.samples import Samples
 from compose.view import Camera
 from hybrid.disc import DiscImages, Underlay, checked, parents_of
 from hybrid.disc_tracer import DiscTracer
+from hybrid.threads import torch_alone
 from pathtrace.tracer import Tracer
 
 
@@ -84,7 +85,8 @@ class Fovea:
             denoised = taken(laid.denoised())
             return FoveaPicture(denoised, samples, denoised)
         parents = parents_of(plan, samples, checked(camera, under), hurried)
-        fused = fuse(parents, self._fusion)
+        with torch_alone():
+            fused = fuse(parents, self._fusion)
         return FoveaPicture(
             taken(fused.radiance), samples, taken(parents.denoised), taken(fused.weights), fused.excluded
         )

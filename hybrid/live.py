@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import torch
-
 from compose.blend import blend
 from compose.detail import DetailMap
 from compose.foveation import Foveation
@@ -38,8 +36,6 @@ class LiveRenderer(HybridRenderer):
     def __init__(self, scene: Scene, forest: Forest, viewing: Viewing):
         super().__init__(scene, forest, viewing, "fused", remembers=True, roulette_depth=_ROULETTE_DEPTH)
         self._before: bytes | None = None
-        # On pictures as small as discs torch's threads cost more than they bring: they keep Dr.Jit's waiting.
-        torch.set_num_threads(1)
 
     def frame(self, camera: Camera, foveation: Foveation, spp: int = 1, seed: int = 0) -> Frame:
         """One frame: as that of a `HybridRenderer`; what a camera that stands still allows is kept."""
@@ -50,7 +46,7 @@ class LiveRenderer(HybridRenderer):
         still, self._before = camera.key == self._before, camera.key
         under = self._still_underlay(camera, detail) if still else self.underlay(camera, plan)
         clock.lap("under")
-        samples = self.fovea.disc.trace(camera, plan, spp, seed, under)
+        samples = self.fovea.disc.trace(camera, plan, spp, seed, under, hurried=True)
         clock.lap("trace")
         fovea = self.fovea.picture(camera, plan, samples, None, under, hurried=True)
         clock.lap("fovea")
@@ -72,7 +68,7 @@ class LiveRenderer(HybridRenderer):
             hurried: whether time counts more than quality.
         """
         clock = Clock()
-        samples = self.fovea.disc.trace(camera, frame.plan, spp, seed, frame.under)
+        samples = self.fovea.disc.trace(camera, frame.plan, spp, seed, frame.under, hurried)
         clock.lap("trace")
         fovea = self.fovea.picture(camera, frame.plan, samples, None, frame.under, hurried)
         clock.lap("fovea")

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import mitsuba_oidn
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
-from torch.nn import functional
 
 Image = NDArray[np.float32]
 # Light is not told where albedo is below this.
@@ -47,17 +44,21 @@ def denoise_coarsely(radiance: Image, albedo: Image, normal: Image) -> Image:
 
 def _halved(image: Image) -> Image:
     """Means of 2 x 2 pixels, at odd ends of fewer."""
-    return _interleaved(functional.avg_pool2d(_planes(image), 2, ceil_mode=True))
+    height, width = image.shape[:2]
+    if height % 2 or width % 2:
+        image = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+    return np.float32(0.25) * (image[::2, ::2] + image[1::2, ::2] + image[::2, 1::2] + image[1::2, 1::2])
 
 
 def _doubled(image: Image) -> Image:
     """Twice as many rows and columns, linear in between."""
-    return _interleaved(functional.interpolate(_planes(image), scale_factor=2, mode="bilinear"))
-
-
-def _planes(image: Image) -> Tensor:
-    return torch.from_numpy(np.ascontiguousarray(image, dtype=np.float32)).permute(2, 0, 1)[None]
-
-
-def _interleaved(planes: Tensor) -> Image:
-    return np.asarray(planes[0].permute(1, 2, 0).contiguous().numpy())
+    for axis in (0, 1):
+        # Each new place lies a quarter of the way to the next one.
+        ahead, behind = (np.roll(image, shift, axis) for shift in (-1, 1))
+        last, first = (slice(None),) * axis + (slice(-1, None),), (slice(None),) * axis + (slice(0, 1),)
+        ahead[last], behind[first] = image[last], image[first]
+        near = np.float32(0.75) * image
+        pair = near + np.float32(0.25) * behind, near + np.float32(0.25) * ahead
+        shape = [side * (1 + (number == axis)) for number, side in enumerate(image.shape)]
+        image = np.stack(pair, axis=axis + 1).reshape(shape)
+    return image

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import drjit as dr
@@ -81,10 +82,11 @@ def ray_through(camera: tuple[Any, ...], x: Any, y: Any) -> Any:
     return mi.RayDifferential3f(origin, dr.normalize(dr.fma(ax, x, dr.fma(ay, y, az))))
 
 
-def _sobol() -> list[Any]:
-    """Two (2 ** _PLACES,) Dr.Jit arrays: the binary digits of Sobol's points."""
+@cache
+def _sobol() -> NDArray[np.uint32]:
+    """(2, 2 ** _PLACES) the binary digits of Sobol's points."""
     points = qmc.Sobol(2, scramble=False, bits=32).random_base2(_PLACES)
-    return [mi.UInt32((column * 2.0**32).astype(np.uint32)) for column in points.T]
+    return np.ascontiguousarray((points.T * 2.0**32).astype(np.uint32))
 
 
 @dataclass(frozen=True)
@@ -144,7 +146,7 @@ class Lanes:
         number &= (1 << _PLACES) - 1
         unit = [
             mi.Float((dr.gather(mi.UInt32, digits, number) ^ flip) >> 8) * 2**-24
-            for digits, flip in zip(_sobol(), flips, strict=True)
+            for digits, flip in zip(map(mi.UInt32, _sobol()), flips, strict=True)
         ]
         sizes = (
             gathered(side) if dr.width(side) > 1 else side for side in (positions.width, positions.height)

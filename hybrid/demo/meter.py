@@ -18,12 +18,14 @@ class Meter:
         intervals: seconds between frames, each after the time at which it ended.
         latencies: seconds from each event to the first frame that knows of it or of a newer one, after the
             time of that frame.
+        passes: milliseconds of each pass of the frames.
     """
 
     def __init__(self, all_of_them: bool = False):
         most = None if all_of_them else _RECENT
         self.intervals: deque[tuple[float, float]] = deque(maxlen=most)
         self.latencies: deque[tuple[float, float]] = deque(maxlen=most)
+        self.passes: deque[dict[str, float]] = deque(maxlen=most)
         self._events: deque[float] = deque(maxlen=10 * _RECENT)
         self._last: float | None = None
 
@@ -31,8 +33,9 @@ class Meter:
         """The gaze has moved."""
         self._events.append(at)
 
-    def shown(self, at: float, asked: float) -> None:
+    def shown(self, at: float, asked: float, passes: dict[str, float]) -> None:
         """A frame is on the screen that knows of all events until `asked`."""
+        self.passes.append(passes)
         while self._events and self._events[0] <= asked:
             self.latencies.append((at, at - self._events.popleft()))
         if self._last is not None:

@@ -18,6 +18,7 @@ from hybrid.layers import frame_layers
 from hybrid.live import LiveRenderer
 from hybrid.periphery import Viewing
 from hybrid.renderer import Frame
+from hybrid.timing import Clock
 from pathtrace.film import frame_positions
 
 # With one sample at a time, fusing would take most of the time.
@@ -37,7 +38,7 @@ class Shown:
         request: what was asked.
         frame: the hybrid frame that is in it.
         paths: traced for it.
-        milliseconds: per pass.
+        milliseconds: per pass, and in all (total).
         reference_spp: samples per pixel of the path-traced frame, where that is in it.
         finished: whether it will get no better.
     """
@@ -98,9 +99,14 @@ class FrameSource:
         last = self._last if request.same_picture(self._last.request if self._last else None) else None
         frame, paths = self._rendered(request, last.frame if last else None, patient)
         reference = self._refined(request) if request.shows.needs_reference else None
-        milliseconds = {k: v for k, v in frame.milliseconds.items() if k != "total"}
+        milliseconds = dict(frame.milliseconds)
+        clock = Clock()
+        picture = picture_of(request.shows, frame, reference.image() if reference else None)
+        clock.lap("picture")
+        milliseconds["picture"] = clock.milliseconds()["picture"]
+        milliseconds["total"] = milliseconds.pop("total") + milliseconds["picture"]
         self._last = Shown(
-            picture_of(request.shows, frame, reference.image() if reference else None),
+            picture,
             request,
             frame,
             paths + (reference.last if reference else 0),

@@ -237,7 +237,7 @@ class Window(QMainWindow):
             self.canvas.show_frame(shown)
 
     def _on_painted(self, shown: Shown) -> None:
-        self.meter.shown(time.perf_counter(), shown.request.asked)
+        self.meter.shown(time.perf_counter(), shown.request.asked, shown.milliseconds)
         self._last = shown
         self._write()
 

@@ -53,9 +53,9 @@ def test_latency_counts_to_the_first_frame_that_knows_of_an_event():
     meter = Meter()
     for at in (0.00, 0.01, 0.02):
         meter.event(at)
-    meter.shown(0.07, asked=0.01)
-    meter.shown(0.13, asked=0.02)
-    meter.shown(0.20, asked=0.02)
+    meter.shown(0.07, asked=0.01, {})
+    meter.shown(0.13, asked=0.02, {})
+    meter.shown(0.20, asked=0.02, {})
     assert [seconds for _, seconds in meter.latencies] == pytest.approx([0.07, 0.06, 0.11])
     assert [seconds for _, seconds in meter.intervals] == pytest.approx([0.06, 0.07])
 
@@ -65,6 +65,6 @@ def test_only_what_is_recent_is_kept_unless_all_is_wanted():
     for meter in meters:
         for number in range(1000):
             meter.event(number)
-            meter.shown(number + 0.5, number)
+            meter.shown(number + 0.5, number, {})
     assert [len(meter.intervals) for meter in meters] == [100, 999]
     assert [len(meter.latencies) for meter in meters] == [100, 1000]
