@@ -38,6 +38,8 @@ _SPREAD = 0.5
 # than the network, and how strongly their noise is held against that.
 _TELLING_COUNT = 32
 _CAUTION = 24.0
+# With fewer samples per pixel the better denoiser costs more than it is worth.
+QUICK_BELOW = 3.0
 # Parents, in the order of their weights.
 PARENTS = ("traced", "denoised", "splat")
 
@@ -54,6 +56,7 @@ class Parents:
         albedo, normal: (H, W, 3) of the same samples.
         count: (H, W, 1) how many samples.
         enlargement: side of the pixels that the splats were trained on, in pixels of this picture.
+        quickly_denoised: whether by the quicker denoiser, though there may be many samples.
     """
 
     traced: Image
@@ -64,9 +67,10 @@ class Parents:
     normal: Image
     count: Image
     enlargement: float
+    quickly_denoised: bool = False
 
     def __post_init__(self) -> None:
-        for field in fields(self)[:-1]:
+        for field in fields(self)[:-2]:
             shape = getattr(self, field.name).shape
             expected = (*self.traced.shape[:2], 1 if field.name == "count" else 3)
             if shape != expected:
@@ -257,7 +261,9 @@ def fuse(parents: Parents, fusion: Fusion | None) -> Fused:
         if fusion is None:
             radiance, weights = statistical(traced, denoised, splat, variance)
         else:
-            looks = looks_of(images, count, torch.tensor([float(parents.enlargement)]))
+            # The network knows the quicker denoiser from pictures with few samples.
+            known = count.clamp(max=QUICK_BELOW) if parents.quickly_denoised else count
+            looks = looks_of(images, known, torch.tensor([float(parents.enlargement)]))
             radiance, weights = mixture(fusion(looks), images[:3], looks.texture)
         if float(count.mean()) >= _TELLING_COUNT:
             share = regressed(radiance, denoised, traced, variance)

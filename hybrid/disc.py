@@ -8,14 +8,11 @@ import numpy as np
 
 from compose.blend import Image
 from compose.foveation import FoveaPlan
-from compose.fusion import Parents
+from compose.fusion import QUICK_BELOW, Parents
 from compose.rectangle import Rectangle
 from compose.samples import Samples
 from compose.view import Camera
 from pathtrace.denoise import denoise, denoise_coarsely
-
-# With fewer samples per pixel the better network costs more than it is worth.
-_FAST_BELOW = 3.0
 
 
 @dataclass(frozen=True)
@@ -59,7 +56,7 @@ def parents_of(plan: FoveaPlan, samples: Samples, under: Underlay, hurried: bool
     variance = rectangle.laid(np.full_like(splat, np.inf), samples.variance())
     guides = laid.albedo, laid.normal, laid.count
     denoised = laid.denoised_for_fusion(hurried)
-    return Parents(laid.radiance, variance, denoised, splat, *guides, under.enlargement)
+    return Parents(laid.radiance, variance, denoised, splat, *guides, under.enlargement, hurried)
 
 
 def denoised_for_fusion(
@@ -107,4 +104,4 @@ class DiscImages:
 
 def is_quick(spp: float) -> bool:
     """Whether the quicker denoiser is the better deal at so many samples per pixel."""
-    return spp < _FAST_BELOW
+    return spp < QUICK_BELOW

@@ -71,7 +71,7 @@ class DiscTracer:
         """
         if not len(plan.pixels):
             return _dark(plan.pixels)
-        known = self.known(camera, plan, spp, seed)
+        known = self.known(camera, plan, spp, seed, hurried)
         adaptive = under is not None and spp >= _ADAPTIVE_FROM and not hurried
         if not adaptive and self._history is None:
             return self._evenly(camera, known, spp, seed)
@@ -98,13 +98,15 @@ class DiscTracer:
             self._history.remember(new)
         return merged(known, new)
 
-    def known(self, camera: Camera, plan: FoveaPlan, spp: int, seed: int) -> Samples:
+    def known(self, camera: Camera, plan: FoveaPlan, spp: int, seed: int, hurried: bool = False) -> Samples:
         """What is known of pixels before anything but guides is traced; arguments as of `trace`."""
         pixels = plan.pixels
         if self._history is None:
             return self._seen(camera, pixels, guide_places(spp), self._sequence(camera, pixels, seed))
-        places = max(guide_places(spp), _PLACES_WITH_HISTORY)
-        unseen = self._history.unseen(camera, pixels, places)
+        wanted = max(guide_places(spp), _PLACES_WITH_HISTORY)
+        unseen = self._history.unseen(camera, pixels, wanted)
+        # After a saccade all pixels want guides at once; in a hurry they get half of them in the next frame.
+        places = guide_places(spp) if hurried else wanted
         seen = self._seen(camera, unseen, places, self._sequence(camera, unseen, seed))
         return self._history.recall(camera, pixels, seen, places, seed)
 

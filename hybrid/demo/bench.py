@@ -37,9 +37,11 @@ class WindowBench(QObject):
         self._began = 0.0
         self._timer = QTimer(self)
         self._timer.timeout.connect(self._step)
-        window.opened.connect(self._begin)
+        # Before the first frame a forest may be trained, or settings measured.
+        window.canvas.painted.connect(self._begin)
 
     def _begin(self) -> None:
+        self._window.canvas.painted.disconnect(self._begin)
         self._began = time.perf_counter()
         self._timer.start(_MOVE)
 

@@ -10,7 +10,7 @@ from itertools import pairwise
 from hybrid.demo.settings import Settings
 
 # Share of the target that frames are planned to take: times vary.
-_PLANNED = 0.9
+_PLANNED = 0.85
 # How quickly the controller believes that the machine has become slower, and that it is quicker again.
 _SLOWER, _QUICKER = 0.5, 0.08
 # Steps of the ladder that it climbs in a frame at most; down it goes at once.
@@ -88,6 +88,11 @@ class FrameTimeController:
             fov_a=rung.fov_a + share * max(0.0, above.fov_a - rung.fov_a),
             milliseconds=rung.milliseconds + share * (above.milliseconds - rung.milliseconds),
         )
+
+    @property
+    def expected(self) -> float:
+        """Milliseconds that the next frame should take, at most those of the target."""
+        return min(self.choice().milliseconds * self.load, self.target)
 
     def took(self, milliseconds: float) -> None:
         """Learns what the frame of the last choice took."""

@@ -33,6 +33,7 @@ class FrameLoop:
         self._changed = 0.0
         self._controller: FrameTimeController | None = None
         self._ladder_of: tuple[object, ...] = ()
+        self._handed_out = 0.0
         self.due, self.idle = 0.0, True
 
     def make(self, asked: Request) -> Shown:
@@ -47,9 +48,16 @@ class FrameLoop:
             self._changed = start
         patient = start - self._changed > _PATIENT_AFTER
         shown = self._source.show(replace(asked, settings=self._settings), patient)
-        if target is not None and self._controller is not None and not again:
-            self._controller.took((time.perf_counter() - start) * 1000)
-        self.due = start + 1 / target if target is not None and not patient else 0.0
+        end, self.due = time.perf_counter(), 0.0
+        if target is not None and self._controller is not None:
+            if not again:
+                self._controller.took((end - start) * 1000)
+            if not patient:
+                # A frame that comes early is held back: a steady rate is what was asked for.
+                time.sleep(max(0.0, self._handed_out + 1 / target - end))
+                # So late that the next frame is ready a period after this one: what it shows is newest then.
+                self.due = time.perf_counter() + (1000 / target - self._controller.expected) / 1000
+        self._handed_out = time.perf_counter()
         self.idle = shown.finished
         return shown
 

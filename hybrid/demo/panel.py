@@ -25,6 +25,9 @@ class Panel(QWidget):
     def __init__(self, settings: Settings, layers: int):
         super().__init__()
         self._form = QFormLayout(self)
+        self._chosen: Settings | None = None
+        # Before anyone else hears of a change.
+        self.changed.connect(self._forget)
         low, high = settings.layers or (1, layers)
         self.shows = self._list("view", [shows.value for shows in Shows], Shows.COMPOSITE.value)
         self.fov_a = self._slider("fov-a", 0, _MOST_RADIUS, round(settings.fov_a), " %")
@@ -57,7 +60,15 @@ class Panel(QWidget):
         self._mark_chosen(self.controlled.isChecked())
 
     def settings(self) -> Settings:
-        """What is chosen."""
+        """What is chosen; the same object as long as that is the same."""
+        if self._chosen is None:
+            self._chosen = self._read()
+        return self._chosen
+
+    def _forget(self) -> None:
+        self._chosen = None
+
+    def _read(self) -> Settings:
         return Settings(
             float(self.fov_a.value()),
             float(self.fov_b.value()),

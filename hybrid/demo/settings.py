@@ -82,6 +82,6 @@ class Request:
         """Whether another request asks for the same frame, at another time perhaps."""
         return (
             other is not None
-            and self.camera.key == other.camera.key
+            and (self.camera is other.camera or self.camera.key == other.camera.key)
             and (self.gaze, self.settings, self.shows) == (other.gaze, other.settings, other.shows)
         )

@@ -22,7 +22,7 @@ from hybrid.timing import Clock
 from pathtrace.film import frame_positions
 
 # With one sample at a time, fusing would take most of the time.
-_PATIENT_SPP = 3
+_PATIENT_SPP = 6
 # Samples per pixel of the disc after which nobody sees a difference any more.
 _ENOUGH = 4096
 # Side of the frame in which it is looked how far away things are.

@@ -27,18 +27,26 @@ class Walker:
         """Back to where the walk began."""
         self._offset: Array = np.zeros(3)
         self._yaw = self._pitch = 0.0
+        self._view: Camera | None = None
 
     def look(self, right: float, down: float) -> None:
         """Turns by so many degrees."""
+        self._view = None
         self._yaw += right
         self._pitch = float(np.clip(self._pitch + down, -_MOST_PITCH, _MOST_PITCH))
 
     def walk(self, right: float, down: float, forward: float) -> None:
         """Moves along the axes of the view by so many units of the scene."""
+        self._view = None
         self._offset = self._offset + self._rotation() @ np.array([right, down, forward])
 
     def camera(self, width: int, height: int) -> Camera:
-        """The view on a frame of that many pixels."""
+        """The view on a frame of that many pixels; the same object as long as nothing moves."""
+        if self._view is None or (self._view.width, self._view.height) != (width, height):
+            self._view = self._seen(width, height)
+        return self._view
+
+    def _seen(self, width: int, height: int) -> Camera:
         pose = np.eye(4)
         pose[:3, :3] = self._rotation()
         pose[:3, 3] = self._home.position + self._offset

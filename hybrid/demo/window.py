@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from PySide6.QtCore import QSize, Qt, QTimer, Signal
+from PySide6.QtCore import QSize, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QKeyEvent
 from PySide6.QtWidgets import QDockWidget, QMainWindow, QProgressBar, QScrollArea
 
@@ -20,8 +20,9 @@ from hybrid.demo.source import Shown
 from hybrid.demo.thread import Ready, RenderThread
 from hybrid.demo.walk import Walker
 
-# Milliseconds between two looks at keys and gaze: more often than any frame comes.
-_TICK = 8
+# Milliseconds between two looks at keys and gaze where they may have changed without an event: more often
+# than any frame comes. Otherwise seldom, as all that the window does is taken from the renderer.
+_TICK, _REST = 8, 100
 # How far one walks in a second, in units of how far away things are, and turns, in degrees.
 _PACE, _TURN = 0.3, 60.0
 # Width of the controls in pixels.
@@ -55,9 +56,6 @@ class Window(QMainWindow):
         folder: where pictures and gaze traces go.
         keeps_all: whether all frame times are kept.
     """
-
-    # Frames will come from now on.
-    opened = Signal()
 
     def __init__(
         self,
@@ -96,7 +94,7 @@ class Window(QMainWindow):
         self._connect()
         self._timer = QTimer(self)
         self._timer.timeout.connect(self.tick)
-        self._timer.start(_TICK)
+        self._timer.start(_REST)
         thread.start()
 
     def _connect(self) -> None:
@@ -115,6 +113,9 @@ class Window(QMainWindow):
         """Walks as far as keys are held, and asks for the frame that this and the gaze make."""
         now = time.perf_counter()
         seconds, self._before = now - self._before, now
+        watched = bool(self._keys) or not self._gaze.is_live or self._gaze.latency > 0
+        if self._timer.interval() != (interval := _TICK if watched else _REST):
+            self._timer.setInterval(interval)
         if self.walker is None or self.panel is None or self._ready is None:
             return
         for key in self._keys:
@@ -142,7 +143,10 @@ class Window(QMainWindow):
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
         key = _Key(event.key())
         if key in _WALK or key in _LOOK:
+            if key not in self._keys:
+                self._before = time.perf_counter()
             self._keys.add(key)
+            self.tick()
         elif not event.isAutoRepeat():
             self._command(key)
 
@@ -224,7 +228,6 @@ class Window(QMainWindow):
         QTimer.singleShot(0, self._fit)
         self.canvas.setFocus()
         self._say("F1: help")
-        self.opened.emit()
         self.tick()
 
     def _fit(self) -> None:

@@ -53,9 +53,9 @@ def test_latency_counts_to_the_first_frame_that_knows_of_an_event():
     meter = Meter()
     for at in (0.00, 0.01, 0.02):
         meter.event(at)
-    meter.shown(0.07, asked=0.01, {})
-    meter.shown(0.13, asked=0.02, {})
-    meter.shown(0.20, asked=0.02, {})
+    meter.shown(0.07, asked=0.01, passes={})
+    meter.shown(0.13, asked=0.02, passes={})
+    meter.shown(0.20, asked=0.02, passes={})
     assert [seconds for _, seconds in meter.latencies] == pytest.approx([0.07, 0.06, 0.11])
     assert [seconds for _, seconds in meter.intervals] == pytest.approx([0.06, 0.07])
 

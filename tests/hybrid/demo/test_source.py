@@ -37,7 +37,7 @@ def test_the_same_once_more_has_more_samples_and_anything_else_has_not(source):
     first, second = source.show(asked, False), source.show(asked, False)
     assert second.spp == pytest.approx(first.spp + 1, abs=0.05)
     patient = source.show(asked, True)
-    assert patient.spp == pytest.approx(first.spp + 4, abs=0.05)
+    assert patient.spp == pytest.approx(first.spp + 7, abs=0.05)
     assert patient.frame.periphery is first.frame.periphery
     assert not patient.finished
     elsewhere = source.show(replace(asked, gaze=Gaze(0.9, 0.9)), False)
