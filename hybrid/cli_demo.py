@@ -94,7 +94,7 @@ def demo(
     application = QApplication(sys.argv[:1])
     settings = Settings(fov_a, fov_b, spp, law, target_fps=target)
     thread = RenderThread(partial(prepared, scene, forest, shown_on, backend, bench is None))
-    window = Window(scene, thread, settings, size, GazeInput(latency / 1000, trace), out, bench is not None)
+    window = Window(thread, settings, size, GazeInput(latency / 1000, trace), out, bench is not None)
     measured = None if bench is None else WindowBench(window, bench, trace is None)
     window.show()
     # Qt does not look at Ctrl-C by itself.

@@ -12,6 +12,7 @@ from typing import TypeAlias
 
 from PySide6.QtCore import QThread, Signal
 
+from compose.errors import UserError
 from compose.view import Camera
 from hybrid.demo.ladder import ladder_for
 from hybrid.demo.loop import FrameLoop
@@ -31,11 +32,13 @@ class Ready:
     """What the window needs to know before it asks for frames.
 
     Attributes:
+        name: of the scene.
         camera: the scene's own.
         distance: how far away things are, in units of the scene.
         layers: of the forest.
     """
 
+    name: str
     camera: Camera
     distance: float
     layers: int
@@ -78,7 +81,8 @@ class RenderThread(QThread):
         try:
             source = self._prepare(self._report)
             layers = len(source.renderer.periphery.forest.counts)
-            self.ready.emit(Ready(source.camera, source.distance(), layers))
+            name = source.renderer.tracer.scene.name
+            self.ready.emit(Ready(name, source.camera, source.distance(), layers))
             self._serve(source, FrameLoop(source, partial(ladder_for, source, report=self._report)))
         except KeyboardInterrupt:
             pass  # the window was closed while something was prepared
@@ -98,8 +102,16 @@ class RenderThread(QThread):
             asked, fresh = self.requests.take(_LOOK if loop.idle else 0.0)
             files, wanted = self._files.take(0.0)
             if files is not None and wanted:
-                source.save(*files)
-                self.saved.emit(str(files[0]))
+                self.saved.emit(_saved(source, *files))
             if asked is not None and (fresh or not loop.idle):
                 self.frames.put(loop.make(asked))
                 self.arrived.emit()
+
+
+def _saved(source: FrameSource, picture: Path, layers: Path) -> str:
+    """Writes both files; what to tell of it."""
+    try:
+        source.save(picture, layers)
+    except UserError as error:
+        return str(error)
+    return f"{picture} and {layers.suffix}"

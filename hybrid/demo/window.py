@@ -9,6 +9,7 @@ from PySide6.QtCore import QSize, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QKeyEvent
 from PySide6.QtWidgets import QDockWidget, QMainWindow, QProgressBar, QScrollArea
 
+from compose.errors import UserError
 from compose.view import Gaze
 from hybrid.demo.canvas import Canvas
 from hybrid.demo.gaze_input import GazeInput, GazeRecorder
@@ -48,7 +49,6 @@ class Window(QMainWindow):
     """Shows one scene.
 
     Args:
-        name: of the scene, in the title and in file names.
         thread: renders; not started yet.
         settings: to begin with.
         size: of the frame, in pixels.
@@ -59,7 +59,6 @@ class Window(QMainWindow):
 
     def __init__(
         self,
-        name: str,
         thread: RenderThread,
         settings: Settings,
         size: tuple[int, int],
@@ -68,7 +67,7 @@ class Window(QMainWindow):
         keeps_all: bool = False,
     ):
         super().__init__()
-        self._name, self._thread, self._settings = name, thread, settings
+        self._thread, self._settings = thread, settings
         self._gaze, self._folder = gaze, folder
         self.meter = Meter(keeps_all)
         self.error: Exception | None = None
@@ -82,7 +81,7 @@ class Window(QMainWindow):
         self._hud, self._help = True, False
         self._last: Shown | None = None
         self._before = time.perf_counter()
-        self.setWindowTitle(f"{name} - hybrid")
+        self.setWindowTitle("hybrid")
         self.canvas = Canvas(QSize(*size))
         self.setCentralWidget(self.canvas)
         self._bar = QProgressBar()
@@ -172,10 +171,10 @@ class Window(QMainWindow):
         elif key == _Key.Key_Space:
             self._held = None if self._held else self._gaze.at(time.perf_counter())
         elif key == _Key.Key_P and self._ready is not None:
-            picture = _unused(self._folder, self._name, ".png")
+            picture = _unused(self._folder, self._ready.name, ".png")
             self._thread.save(picture, picture.with_suffix(".exr"))
-        elif key == _Key.Key_T:
-            self._record()
+        elif key == _Key.Key_T and self._ready is not None:
+            self._record(self._ready.name)
         elif key == _Key.Key_G:
             self.canvas.ring = not self.canvas.ring
         elif key == _Key.Key_H:
@@ -189,8 +188,9 @@ class Window(QMainWindow):
         elif key == _Key.Key_Escape:
             self.close()
         self._write()
+        self.tick()
 
-    def _record(self) -> None:
+    def _record(self, name: str) -> None:
         recorder, self._recorder = self._recorder, None
         if recorder is None:
             self._recorder = GazeRecorder()
@@ -198,9 +198,12 @@ class Window(QMainWindow):
             return
         trace = recorder.trace()
         if trace is not None:
-            file = _unused(self._folder, f"{self._name}-gaze", ".csv")
-            trace.save(file)
-            self._say(str(file))
+            file = _unused(self._folder, f"{name}-gaze", ".csv")
+            try:
+                trace.save(file)
+                self._say(str(file))
+            except UserError as error:
+                self._say(str(error))
 
     def _on_progress(self, what: str, done: int, total: int) -> None:
         self._bar.setVisible(done < total)
@@ -210,6 +213,7 @@ class Window(QMainWindow):
 
     def _on_ready(self, ready: Ready) -> None:
         self._ready = ready
+        self.setWindowTitle(f"{ready.name} - hybrid")
         self.walker = Walker(ready.camera)
         self.panel = Panel(self._settings, ready.layers)
         self.panel.changed.connect(self.tick)

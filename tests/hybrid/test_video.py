@@ -60,7 +60,6 @@ def test_nothing_is_left_of_a_film_that_was_interrupted(made, monkeypatch, tmp_p
 
     monkeypatch.setattr(HybridRenderer, "frame", interrupted)
     common = ["render", "cornell", "--forest", made / "box.forest", "--gaze-trace", trace]
-    with pytest.raises(KeyboardInterrupt):
-        run(monkeypatch, *common, "--size", 32, 32, "-o", tmp_path / "a.mp4")
+    assert run(monkeypatch, *common, "--size", 32, 32, "-o", tmp_path / "a.mp4") != 0
     assert not list(tmp_path.glob("*a.mp4*"))
     assert not list(tmp_path.glob(".part*"))

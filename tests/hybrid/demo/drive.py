@@ -18,11 +18,14 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QSlider
 
 from compose.view import DISPLAYS, Gaze
+from hybrid import cache
 from hybrid.demo.gaze_input import GazeInput
 from hybrid.demo.prepare import prepared
 from hybrid.demo.settings import Settings, Shows
 from hybrid.demo.thread import RenderThread
 from hybrid.demo.window import Window
+from pathtrace.capture import CaptureSettings
+from splat.train import TrainingSettings
 
 SIZE = 320, 240
 _PATIENCE = 120.0
@@ -31,7 +34,7 @@ _PATIENCE = 120.0
 def opened(forest: Path, folder: Path) -> Window:
     """A window that shows frames."""
     make = partial(prepared, "cornell", forest, DISPLAYS["desktop"], "auto", True)
-    window = Window("cornell", RenderThread(make), Settings(), SIZE, GazeInput(0.0, None), folder)
+    window = Window(RenderThread(make), Settings(), SIZE, GazeInput(0.0, None), folder)
     window.show()
     wait(lambda: window._last is not None and window._last.picture.shape[1] == SIZE[0])
     return window
@@ -74,6 +77,23 @@ def disc(window: Window) -> dict[str, float]:
 
 def key(window: Window, which: Qt.Key) -> None:
     QTest.keyClick(window.canvas, which)
+
+
+def trains(folder: Path, closes: float) -> dict[str, object]:
+    """A forest that is missing is trained, the window alive; or closed before that is done."""
+    cache.QUICK_CAPTURE = CaptureSettings(views=5, held_out=3, width=32, height=32, spp=2, held_out_spp=4)
+    cache.QUICK_TRAINING = TrainingSettings(iterations=60, gaussians=400, degree=1, layers=2)
+    make = partial(prepared, "cornell", None, DISPLAYS["desktop"], "auto", True)
+    thread, said, beats = RenderThread(make), [], [time.monotonic()]
+    thread.progress.connect(lambda what, done, total: said.append(what))
+    window = Window(thread, Settings(), SIZE, GazeInput(0.0, None), folder)
+    window.show()
+    heart = QTimer()
+    heart.timeout.connect(lambda: beats.append(time.monotonic()))
+    heart.start(10)
+    wait(lambda: window._last is not None or (closes > 0 and len(said) > 0))
+    seen: dict[str, object] = {"said": sorted(set(said)), "pause": float(np.diff(beats).max())}
+    return ended(window, seen | {"shown": window._last is not None})
 
 
 def tour(forest: Path, folder: Path) -> dict[str, object]:
@@ -215,7 +235,9 @@ def ended(window: Window, seen: dict[str, object]) -> dict[str, object]:
 
 if __name__ == "__main__":
     application = QApplication([])
-    scenario, forest_file, out = sys.argv[1:4]
+    scenario, *files = sys.argv[1:4]
     arguments = [float(value) for value in sys.argv[4:]]
-    result = {"tour": tour, "fuzz": fuzz}[scenario](Path(forest_file), Path(out), *arguments)
-    Path(out, "seen.json").write_text(json.dumps(result, default=float))
+    paths = [Path(file) for file in files]
+    scenarios = {"tour": tour, "fuzz": fuzz, "trains": lambda forest, out, closes: trains(out, closes)}
+    result = scenarios[scenario](*paths, *arguments)
+    (paths[1] / "seen.json").write_text(json.dumps(result, default=float))

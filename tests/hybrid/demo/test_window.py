@@ -23,7 +23,7 @@ pytest.importorskip("PySide6.QtWidgets", reason="the window needs Qt", exc_type=
 
 @pytest.fixture(scope="module")
 def screen() -> Iterator[dict[str, str]]:
-    """Environment with a virtual screen; where Xvfb or Qt's plugin for it is missing, Qt draws into memory."""
+    """Environment with a virtual screen; where Xvfb or Qt's plugin for it is missing, one in memory."""
     hidden = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
     environment = {name: value for name, value in os.environ.items() if name not in hidden}
     offscreen = environment | {"QT_QPA_PLATFORM": "offscreen"}
@@ -58,7 +58,7 @@ def opens_windows(environment: dict[str, str]) -> bool:
 def driven(scenario: str, screen: dict[str, str], made: Path, out: Path, *more: object) -> dict:
     """What a driver saw of the window; a crash fails here."""
     command = [sys.executable, "-m", "tests.hybrid.demo.drive", scenario, made / "box.forest", out, *more]
-    home = {"HYBRID_HOME": str(made / "home")}
+    home = {"HYBRID_HOME": str(out / "home")}
     ended = subprocess.run(
         [str(part) for part in command], env=screen | home, capture_output=True, text=True, timeout=600
     )
@@ -115,6 +115,21 @@ def test_every_thread_ends_with_the_window(toured):
 
 def test_random_input_breaks_nothing(screen, made, tmp_path):
     seen = driven("fuzz", screen, made, tmp_path, 15)
+    assert seen["error"] is None
+    assert not seen["running"]
+
+
+def test_a_missing_forest_is_trained_while_the_window_lives(screen, made, tmp_path):
+    seen = driven("trains", screen, made, tmp_path, 0)
+    assert seen["shown"]
+    assert seen["error"] is None
+    assert {"capture (samples)", "train (steps)"} <= set(seen["said"])
+    assert seen["pause"] < 2
+
+
+def test_a_window_that_is_closed_stops_the_training(screen, made, tmp_path):
+    seen = driven("trains", screen, made, tmp_path, 1)
+    assert not seen["shown"]
     assert seen["error"] is None
     assert not seen["running"]
 
