@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import drjit as dr
+
 from compose.blend import blend
 from compose.detail import DetailMap
 from compose.foveation import Foveation
@@ -36,6 +38,7 @@ class LiveRenderer(HybridRenderer):
     def __init__(self, scene: Scene, forest: Forest, viewing: Viewing):
         super().__init__(scene, forest, viewing, "fused", remembers=True, roulette_depth=_ROULETTE_DEPTH)
         self._before: bytes | None = None
+        self._size: tuple[int, int] | None = None
 
     def frame(self, camera: Camera, foveation: Foveation, spp: int = 1, seed: int = 0) -> Frame:
         """One frame: as that of a `HybridRenderer`; what a camera that stands still allows is kept."""
@@ -43,6 +46,7 @@ class LiveRenderer(HybridRenderer):
         plan = foveation.plan(camera.width, camera.height)
         detail = self.periphery.detail(camera, foveation.gaze, foveation.fov_b)
         clock.lap("plan")
+        self._tidy(camera)
         still, self._before = camera.key == self._before, camera.key
         under = self._still_underlay(camera, detail) if still else self.underlay(camera, plan)
         clock.lap("under")
@@ -75,6 +79,13 @@ class LiveRenderer(HybridRenderer):
         composite = blend(frame.periphery, fovea.radiance, frame.plan)
         clock.lap("blend")
         return replace(frame, composite=composite, fovea=fovea, milliseconds=clock.milliseconds())
+
+    def _tidy(self, camera: Camera) -> None:
+        """Gives back what frames of another size have needed, which Dr.Jit keeps for the next ones."""
+        size = camera.width, camera.height
+        if self._size not in (None, size):
+            dr.flush_malloc_cache()
+        self._size = size
 
     def _still_underlay(self, camera: Camera, detail: DetailMap) -> Underlay:
         radiance = self.periphery.whole_still(camera, detail)
