@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
@@ -9,8 +11,9 @@ from numpy.typing import NDArray
 from compose.blend import Image
 from compose.view import Camera
 from hybrid.reference import REFERENCE_SEED
-from pathtrace.film import interleaved, pixel_positions
-from pathtrace.tracer import Tracer
+from pathtrace.denoise import denoise
+from pathtrace.film import frame_positions, interleaved, pixel_positions
+from pathtrace.tracer import Tracer, guide_places
 
 # A sixteenth of the pixels at a time, spread over the frame: the window stays quick, and the picture sharpens
 # everywhere at once. In the order of a dither matrix (Bayer 1973).
@@ -30,7 +33,6 @@ class ConvergingFrame:
 
     Attributes:
         camera: the view.
-        last: paths of the last refinement.
     """
 
     def __init__(self, tracer: Tracer, camera: Camera, stand_in: Image):
@@ -39,7 +41,6 @@ class ConvergingFrame:
         self._sums = np.zeros_like(self._stand_in)
         self._counts = np.zeros(len(self._sums), dtype=np.float32)
         self._steps = 0
-        self.last = 0
 
     @property
     def samples(self) -> int:
@@ -51,26 +52,38 @@ class ConvergingFrame:
         """Whether no more samples will be taken."""
         return self.samples >= _MOST_SAMPLES
 
-    def refine(self) -> None:
-        """One more sample of some pixels."""
+    def refine(self) -> int:
+        """One more sample of some pixels; how many those are."""
         place, turn = _ORDER[self._steps % len(_ORDER)], self._steps // len(_ORDER)
         pixels = _every(self.camera, place // _SIDE, place % _SIDE)
         self._steps += 1
-        self.last = len(pixels)
-        if not self.last:
-            return
+        if not len(pixels):
+            return 0
         positions = pixel_positions(mi.UInt32(pixels), self.camera.width)
         # Other samples than those of the frame that this is compared with.
         seed = REFERENCE_SEED + self._steps
         traced = self._tracer.trace(self.camera, positions, 1, seed, turn, REFERENCE_SEED)
         self._sums[pixels] += interleaved(traced.radiance)
         self._counts[pixels] += 1
+        return len(pixels)
 
     def image(self) -> Image:
         """(H, W, 3) the mean of all samples."""
         known = self._counts[:, None]
         mean = np.where(known > 0, self._sums / np.maximum(known, 1), self._stand_in)
         return mean.reshape(self.camera.height, self.camera.width, 3)
+
+    def denoised(self) -> Image:
+        """(H, W, 3) the same, cleaned: against the noise of few samples no difference would be seen."""
+        return denoise(self.image(), *self._guides, fast=True)
+
+    @cached_property
+    def _guides(self) -> tuple[Image, Image]:
+        """Albedo and normal, (H, W, 3) each."""
+        positions = frame_positions(self.camera)
+        found = self._tracer.guides(self.camera, positions, guide_places(1), REFERENCE_SEED)
+        size = self.camera.height, self.camera.width, 3
+        return interleaved(found.albedo).reshape(size), interleaved(found.normal).reshape(size)
 
 
 def _every(camera: Camera, row: int, column: int) -> NDArray[np.uint32]:

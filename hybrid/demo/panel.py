@@ -9,7 +9,7 @@ from compose.acuity import LAWS
 from hybrid.demo.settings import Settings, Shows
 
 _MOST_RADIUS, _MOST_SPP, _LEAST_SCALE, _MOST_RATE = 75, 16, 25, 3
-_SLIDER_WIDTH = 120
+_SLIDER_WIDTH, _LETTERS = 100, 12
 
 
 class Panel(QWidget):
@@ -38,7 +38,7 @@ class Panel(QWidget):
         self.finest = self._slider("finest layer", 1, layers, high, "")
         self.rate = self._slider("coarser rate", 0, _MOST_RATE, settings.rate, "")
         self.scale = self._slider("scale", _LEAST_SCALE, 100, round(100 * settings.scale), " %")
-        self.controlled = QCheckBox("keep frames per second")
+        self.controlled = QCheckBox("keep FPS")
         self.controlled.setChecked(settings.target_fps is not None)
         self.target = QSpinBox(minimum=1, maximum=120)
         self.target.setValue(round(settings.target_fps or 15))
@@ -103,6 +103,9 @@ class Panel(QWidget):
     def _list(self, name: str, entries: list[str], chosen: str) -> QComboBox:
         box = QComboBox()
         box.addItems(entries)
+        # The longest entry must not decide how much is left for the frame.
+        box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        box.setMinimumContentsLength(_LETTERS)
         box.setCurrentText(chosen)
         box.currentTextChanged.connect(self.changed)
         self._form.addRow(name, box)

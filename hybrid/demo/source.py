@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.blend import Image
 from compose.foveation import Foveation
 from compose.view import Camera, Display
 from hybrid.demo.converging import ConvergingFrame
@@ -23,6 +24,8 @@ from pathtrace.film import frame_positions
 
 # With one sample at a time, fusing would take most of the time.
 _PATIENT_SPP = 6
+# The same for the path-traced frame, of which a step is a sixteenth.
+_PATIENT_STEPS = 8
 # Samples per pixel of the disc after which nobody sees a difference any more.
 _ENOUGH = 4096
 # Side of the frame in which it is looked how far away things are.
@@ -98,10 +101,10 @@ class FrameSource:
         self._seed += 1
         last = self._last if request.same_picture(self._last.request if self._last else None) else None
         frame, paths = self._rendered(request, last.frame if last else None, patient)
-        reference = self._refined(request) if request.shows.needs_reference else None
+        reference, more = self._refined(request, patient) if request.shows.needs_reference else (None, 0)
         milliseconds = dict(frame.milliseconds)
         clock = Clock()
-        picture = picture_of(request.shows, frame, reference.image() if reference else None)
+        picture = picture_of(request.shows, frame, _shown_of(reference, request.shows))
         clock.lap("picture")
         milliseconds["picture"] = clock.milliseconds()["picture"]
         milliseconds["total"] = milliseconds.pop("total") + milliseconds["picture"]
@@ -109,7 +112,7 @@ class FrameSource:
             picture,
             request,
             frame,
-            paths + (reference.last if reference else 0),
+            paths + more,
             milliseconds,
             reference.samples if reference else 0,
             (paths == 0) and (reference is None or reference.complete),
@@ -144,16 +147,15 @@ class FrameSource:
             frame.plan.pixels
         )
 
-    def _refined(self, request: Request) -> ConvergingFrame:
-        """The path-traced frame of the request's view, with some more samples."""
+    def _refined(self, request: Request, patient: bool) -> tuple[ConvergingFrame, int]:
+        """The path-traced frame of the request's view with more samples, and how many paths those were."""
         camera = request.rendered
         if self._converging is None or self._converging.camera.key != camera.key:
             self._converging = ConvergingFrame(
                 self.renderer.tracer, camera, self.renderer.splat_frame(camera)
             )
-        if not self._converging.complete:
-            self._converging.refine()
-        return self._converging
+        steps = 0 if self._converging.complete else _PATIENT_STEPS if patient else 1
+        return self._converging, sum(self._converging.refine() for _ in range(steps))
 
 
 def _viewing(display: Display, settings: Settings) -> Viewing:
@@ -162,6 +164,13 @@ def _viewing(display: Display, settings: Settings) -> Viewing:
         size = (max(1, round(settings.scale * side)) for side in (display.width, display.height))
         display = replace(display, **dict(zip(("width", "height"), size, strict=True)))
     return Viewing(display, settings.law, settings.layers, settings.rate)
+
+
+def _shown_of(reference: ConvergingFrame | None, shows: Shows) -> Image | None:
+    """(H, W, 3) what of the path-traced frame is looked at."""
+    if reference is None:
+        return None
+    return reference.denoised() if shows == Shows.DIFFERENCE else reference.image()
 
 
 def _is_finished(frame: Frame) -> bool:

@@ -26,8 +26,6 @@ from hybrid.demo.walk import Walker
 _TICK, _REST = 8, 100
 # How far one walks in a second, in units of how far away things are, and turns, in degrees.
 _PACE, _TURN = 0.3, 60.0
-# Width of the controls in pixels.
-_PANEL = 290
 _Key = Qt.Key
 _WALK = {
     _Key.Key_W: (0, 0, 1),
@@ -223,7 +221,8 @@ class Window(QMainWindow):
         scrolled.setWidget(self.panel)
         scrolled.setWidgetResizable(True)
         scrolled.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        scrolled.setFixedWidth(_PANEL)
+        bar = scrolled.verticalScrollBar().sizeHint().width()
+        scrolled.setFixedWidth(self.panel.sizeHint().width() + bar)
         self._dock.setWidget(scrolled)
         self._dock.setFeatures(QDockWidget.DockWidgetFeature.NoDockWidgetFeatures)
         self.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, self._dock)

@@ -48,7 +48,7 @@ def test_the_same_once_more_has_more_samples_and_anything_else_has_not(source):
 def test_the_disc_converges_to_the_path_traced_frame(source):
     source.forget()
     asked = request(source, Shows.SPLIT)
-    for _ in range(16 * 24):
+    for _ in range(2 * 24):
         shown = source.show(asked, True)
     assert shown.reference_spp == 24
     plan, reference = shown.frame.plan, source._converging.image().reshape(-1, 3)[shown.frame.plan.pixels]
