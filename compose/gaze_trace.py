@@ -48,12 +48,6 @@ class GazeTrace:
         """The newest gaze at a time; the first one before that."""
         return self.gazes[max(0, bisect_right(self.seconds, seconds) - 1)]
 
-    def late(self, latency: float) -> GazeTrace:
-        """As a tracker that takes so many seconds tells it."""
-        if latency <= 0:
-            return self
-        return GazeTrace((0.0, *(s + latency for s in self.seconds)), (self.gazes[0], *self.gazes))
-
     def save(self, path: Path) -> None:
         """Writes a CSV file with the columns seconds, x, y."""
         rows = [

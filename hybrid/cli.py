@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -31,9 +31,6 @@ from hybrid.options import (
     write_json,
 )
 from hybrid.progress import progress_bar
-
-if TYPE_CHECKING:
-    pass
 
 app = typer.Typer(
     add_completion=False,

@@ -8,9 +8,10 @@ import drjit as dr
 
 from compose.blend import blend
 from compose.detail import DetailMap
-from compose.foveation import Foveation
+from compose.foveation import FoveaPlan, Foveation
 from compose.view import Camera
 from hybrid.disc import Underlay
+from hybrid.fovea import FoveaPicture
 from hybrid.periphery import Viewing
 from hybrid.renderer import Frame, HybridRenderer
 from hybrid.timing import Clock
@@ -50,10 +51,7 @@ class LiveRenderer(HybridRenderer):
         still, self._before = camera.key == self._before, camera.key
         under = self._still_underlay(camera, detail) if still else self.underlay(camera, plan)
         clock.lap("under")
-        samples = self.fovea.disc.trace(camera, plan, spp, seed, under, hurried=True)
-        clock.lap("trace")
-        fovea = self.fovea.picture(camera, plan, samples, None, under, hurried=True)
-        clock.lap("fovea")
+        fovea = self._seen(camera, plan, under, spp, seed, True, clock)
         draw = self.periphery.draw_still if still else self.periphery.draw
         drawn = draw(camera, detail, plan)
         periphery = drawn.image()
@@ -72,10 +70,7 @@ class LiveRenderer(HybridRenderer):
             hurried: whether the fovea is made of them in the quicker way.
         """
         clock = Clock()
-        samples = self.fovea.disc.trace(camera, frame.plan, spp, seed, frame.under, hurried=True)
-        clock.lap("trace")
-        fovea = self.fovea.picture(camera, frame.plan, samples, None, frame.under, hurried)
-        clock.lap("fovea")
+        fovea = self._seen(camera, frame.plan, frame.under, spp, seed, hurried, clock)
         composite = blend(frame.periphery, fovea.radiance, frame.plan)
         clock.lap("blend")
         return replace(frame, composite=composite, fovea=fovea, milliseconds=clock.milliseconds())
@@ -90,6 +85,23 @@ class LiveRenderer(HybridRenderer):
     def _still_underlay(self, camera: Camera, detail: DetailMap) -> Underlay:
         radiance = self.periphery.whole_still(camera, detail)
         return Underlay(camera, radiance, self.periphery.enlargement(camera))
+
+    def _seen(
+        self,
+        camera: Camera,
+        plan: FoveaPlan,
+        under: Underlay | None,
+        spp: int,
+        seed: int,
+        hurried: bool,
+        clock: Clock,
+    ) -> FoveaPicture:
+        """The disc with so many more samples everywhere."""
+        samples = self.fovea.disc.trace(camera, plan, spp, seed, under, hurried=True)
+        clock.lap("trace")
+        fovea = self.fovea.picture(camera, plan, samples, None, under, hurried)
+        clock.lap("fovea")
+        return fovea
 
     def forget(self) -> None:
         """From now on as if nothing had been seen before."""

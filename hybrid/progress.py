@@ -27,6 +27,8 @@ class Bar(Protocol):
         """Of `total` steps so many are done; the next is one of that kind."""
 
 
+# Hears what is done, how many steps of it, and of how many, where no bar can be drawn.
+Report: TypeAlias = Callable[[str, int, int], None]
 # A bar for a job of that title.
 Bars: TypeAlias = Callable[[str], AbstractContextManager[Bar]]
 

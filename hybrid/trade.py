@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from compose.errors import UserError
 from hybrid.cache import scene_folder
 from pathtrace.scene import Scene
 
+T = TypeVar("T")
 # The quality that is traded against time: FovVideoVDP of the whole frame, and SSIM where it is not installed.
 _QUALITY = ("whole jod", "whole ssim")
 
@@ -30,6 +33,20 @@ class Choice:
     fov_b: float
     milliseconds: float
     quality: float
+
+
+def unbeaten(items: Iterable[T], place: Callable[[T], tuple[float, float]]) -> list[T]:
+    """Those that no other is both faster and better than, from the fastest to the best.
+
+    Args:
+        items: to choose among.
+        place: of an item, its time and its quality, of which more is better.
+    """
+    best: list[T] = []
+    for item in sorted(items, key=lambda one: (place(one)[0], -place(one)[1])):
+        if not best or place(item)[1] > place(best[-1])[1]:
+            best.append(item)
+    return best
 
 
 def trade_file(scene: Scene, width: int, height: int) -> Path:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -20,8 +19,10 @@ from hybrid.demo.settings import Request, Shows
 from hybrid.demo.source import FrameSource, Shown
 from hybrid.metrics.fovvideovdp import jod
 from hybrid.metrics.similarity import ssim
+from hybrid.progress import Report
 from hybrid.reference import REFERENCE_SEED, reference
 from hybrid.timing import gaze_path
+from hybrid.trade import unbeaten
 
 _REFERENCE_SPP = 16
 # Frames whose time is taken, and those before them.
@@ -29,7 +30,7 @@ _TIMED, _WARM_UP = 5, 2
 _RADII = (5.0, 8.0, 11.0, 15.0, 20.0, 25.0, 30.0)
 
 
-def ladder_for(source: FrameSource, like: Request, report: Callable[[str, int, int], None]) -> list[Rung]:
+def ladder_for(source: FrameSource, like: Request, report: Report) -> list[Rung]:
     """The settings worth choosing among, each slower and better than the one before it.
 
     Args:
@@ -53,11 +54,7 @@ def ladder_for(source: FrameSource, like: Request, report: Callable[[str, int, i
 
 def frontier(rungs: list[Rung]) -> list[Rung]:
     """Those of which none is both quicker and better, from the quickest to the slowest."""
-    best: list[Rung] = []
-    for rung in sorted(rungs, key=lambda r: (r.milliseconds, -r.quality)):
-        if not best or (rung.quality > best[-1].quality and rung.milliseconds > best[-1].milliseconds):
-            best.append(rung)
-    return best
+    return unbeaten(rungs, lambda rung: (rung.milliseconds, rung.quality))
 
 
 def candidates(layers: int) -> list[Rung]:
@@ -70,7 +67,7 @@ def candidates(layers: int) -> list[Rung]:
     return list(dict.fromkeys(coarse + fine))
 
 
-def _measured(source: FrameSource, like: Request, report: Callable[[str, int, int], None]) -> list[Rung]:
+def _measured(source: FrameSource, like: Request, report: Report) -> list[Rung]:
     wanted = candidates(len(source.renderer.periphery.forest.counts))
     what = "what frames take and are worth"
     report(what, 0, len(wanted) + 1)

@@ -43,9 +43,8 @@ class FrameLoop:
         if not again:
             self._asked = asked
             self._settings = asked.settings if target is None else self._controlled(asked, target)
+            self._changed = time.perf_counter()
         start = time.perf_counter()
-        if not again:
-            self._changed = start
         patient = start - self._changed > _PATIENT_AFTER
         shown = self._source.show(replace(asked, settings=self._settings), patient)
         end, self.due = time.perf_counter(), 0.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from hybrid.demo.source import FrameSource
 from hybrid.live import LiveRenderer
 from hybrid.options import loaded_scene, select
 from hybrid.periphery import Viewing
-from hybrid.progress import Bar
+from hybrid.progress import Bar, Report
 
 
 def prepared(
@@ -22,7 +22,7 @@ def prepared(
     display: Display,
     backend: str,
     trains: bool,
-    report: Callable[[str, int, int], None],
+    report: Report,
 ) -> FrameSource:
     """The source of frames of a scene.
 

@@ -31,9 +31,14 @@ def require_window() -> None:
         asked or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     ):
         raise UserError("there is no display; set DISPLAY, or use a virtual one: xvfb-run hybrid demo ...")
-    trial = "from PySide6.QtWidgets import QApplication; QApplication([])"
-    ended = subprocess.run([sys.executable, "-c", trial], capture_output=True, text=True, check=False)
+    ended = tried()
     if ended.returncode:
         lines = [line.strip() for line in ended.stderr.splitlines() if line.strip()]
         said = lines[0] if lines else f"it ended with code {ended.returncode}"
         raise UserError(f"Qt cannot open a window here ({said}); on Debian: apt install {_LIBRARIES}")
+
+
+def tried(environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    """How another process ends that opens Qt's display, in this environment or another one."""
+    trial = [sys.executable, "-c", "from PySide6.QtWidgets import QApplication; QApplication([])"]
+    return subprocess.run(trial, env=environment, capture_output=True, text=True, check=False)

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TypeAlias
 
 from PySide6.QtCore import QThread, Signal
 
@@ -19,12 +18,10 @@ from hybrid.demo.loop import FrameLoop
 from hybrid.demo.newest import Newest
 from hybrid.demo.settings import Request
 from hybrid.demo.source import FrameSource, Shown
+from hybrid.progress import Report
 
 # Seconds after which a thread that has nothing to do looks whether it is to end.
 _LOOK = 0.1
-
-# What is done, how many steps of it, and of how many.
-Report: TypeAlias = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)

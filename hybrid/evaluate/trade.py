@@ -7,6 +7,7 @@ from typing import Any
 
 from hybrid.evaluate.measure import METRICS
 from hybrid.evaluate.verdicts import keys_of, mean_of
+from hybrid.trade import unbeaten
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,4 @@ def points_of(found: dict[str, Any], region: str, metric: str) -> list[Point]:
 def frontier(points: list[Point], metric: str) -> list[Point]:
     """The points that no other is both faster and better than, from the fastest to the best."""
     sign = 1 if METRICS[metric] else -1
-    best: list[Point] = []
-    for point in sorted(points, key=lambda p: (p.milliseconds, -sign * p.value)):
-        if not best or sign * point.value > sign * best[-1].value:
-            best.append(point)
-    return best
+    return unbeaten(points, lambda point: (point.milliseconds, sign * point.value))

@@ -18,13 +18,6 @@ def test_the_newest_gaze_holds_until_the_next():
     assert TRACE.at(0.5) == TRACE.at(99) == Gaze(0.9, 0.25)
 
 
-def test_latency_delays_everything_but_the_beginning():
-    late = TRACE.late(0.2)
-    for second in (0, 0.15, 0.25, 0.5, 0.69, 0.71, 2):
-        assert late.at(second) == TRACE.at(second - 0.2)
-    assert TRACE.late(0) is TRACE
-
-
 def test_a_file_reads_back(tmp_path):
     file = tmp_path / "gaze.csv"
     TRACE.save(file)

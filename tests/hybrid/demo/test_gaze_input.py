@@ -41,6 +41,14 @@ def test_a_late_trace_begins_late():
     assert [gaze.at(s) for s in (50, 51.2, 51.4)] == [HERE, HERE, THERE]
 
 
+def test_latency_delays_everything_but_the_beginning():
+    trace = GazeTrace((0.0, 0.1, 0.5, 9.0), (HERE, THERE, BEYOND, BEYOND))
+    late, prompt = GazeInput(0.2, trace), GazeInput(0.0, trace)
+    for second in (0, 0.15, 0.25, 0.5, 0.69, 0.71, 2):
+        assert late.at(second) == trace.at(second - 0.2)
+        assert prompt.at(second) == trace.at(second)
+
+
 def test_what_is_recorded_is_replayed():
     recorder = GazeRecorder()
     assert recorder.trace() is None

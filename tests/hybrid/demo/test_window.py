@@ -16,6 +16,7 @@ import pytest
 from PIL import Image
 
 from compose.gaze_trace import load_gaze_trace
+from hybrid.demo.qt import tried
 from tests.hybrid.command import run
 
 pytest.importorskip("PySide6.QtWidgets", reason="the window needs Qt", exc_type=ImportError)
@@ -29,7 +30,7 @@ def screen() -> Iterator[dict[str, str]]:
     offscreen = environment | {"QT_QPA_PLATFORM": "offscreen"}
     with virtual_screen() as number:
         shown = None if number is None else environment | {"DISPLAY": f":{number}"}
-        usable = next((e for e in (shown, offscreen) if e is not None and opens_windows(e)), None)
+        usable = next((e for e in (shown, offscreen) if e is not None and tried(e).returncode == 0), None)
         if usable is None:
             pytest.skip("Qt can open no window here, not even in memory: its libraries are missing")
         yield usable
@@ -47,12 +48,6 @@ def virtual_screen() -> Iterator[str | None]:
     yield server.stdout.readline().strip()
     server.terminate()
     server.wait()
-
-
-def opens_windows(environment: dict[str, str]) -> bool:
-    trial = "from PySide6.QtWidgets import QApplication; QApplication([])"
-    ended = subprocess.run([sys.executable, "-c", trial], env=environment, capture_output=True, check=False)
-    return ended.returncode == 0
 
 
 def driven(scenario: str, screen: dict[str, str], made: Path, out: Path, *more: object) -> dict:
