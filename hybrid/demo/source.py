@@ -41,7 +41,7 @@ class Shown:
         request: what was asked.
         frame: the hybrid frame that is in it.
         paths: traced for it.
-        milliseconds: per pass, and in all (total).
+        milliseconds: per pass that was made for it now, and in all (total).
         reference_spp: samples per pixel of the path-traced frame, where that is in it.
         finished: whether it will get no better.
     """
@@ -101,19 +101,24 @@ class FrameSource:
         self._seed += 1
         last = self._last if request.same_picture(self._last.request if self._last else None) else None
         frame, paths = self._rendered(request, last.frame if last else None, patient)
-        reference, more = self._refined(request, patient) if request.shows.needs_reference else (None, 0)
-        milliseconds = dict(frame.milliseconds)
+        # A frame that is only shown once more has taken nothing.
+        anew = last is None or frame is not last.frame
+        passes = dict(frame.milliseconds) if anew else {}
+        before = passes.pop("total", 0.0)
         clock = Clock()
+        reference, more = self._refined(request, patient) if request.shows.needs_reference else (None, 0)
+        if reference is not None:
+            clock.lap("reference")
         picture = picture_of(request.shows, frame, _shown_of(reference, request.shows))
         clock.lap("picture")
-        milliseconds["picture"] = clock.milliseconds()["picture"]
-        milliseconds["total"] = milliseconds.pop("total") + milliseconds["picture"]
+        rest = clock.milliseconds()
+        rest["total"] += before
         self._last = Shown(
             picture,
             request,
             frame,
             paths + more,
-            milliseconds,
+            passes | rest,
             reference.samples if reference else 0,
             (paths == 0) and (reference is None or reference.complete),
         )

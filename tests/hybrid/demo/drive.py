@@ -25,6 +25,7 @@ from hybrid.demo.settings import Settings, Shows
 from hybrid.demo.thread import RenderThread
 from hybrid.demo.window import Window
 from pathtrace.capture import CaptureSettings
+from splat.files import load_forest
 from splat.train import TrainingSettings
 
 SIZE = 320, 240
@@ -32,8 +33,8 @@ _PATIENCE = 120.0
 
 
 def opened(forest: Path, folder: Path) -> Window:
-    """A window that shows frames."""
-    make = partial(prepared, "cornell", forest, DISPLAYS["desktop"], "auto", True)
+    """A window that shows frames of the forest's scene, one of the bundled ones."""
+    make = partial(prepared, load_forest(forest).scene_name, forest, DISPLAYS["desktop"], "auto", True)
     window = Window(RenderThread(make), Settings(), SIZE, GazeInput(0.0, None), folder)
     window.show()
     wait(lambda: window._last is not None and window._last.picture.shape[1] == SIZE[0])

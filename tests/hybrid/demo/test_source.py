@@ -57,6 +57,16 @@ def test_the_disc_converges_to_the_path_traced_frame(source):
     assert difference.mean() < 0.05
 
 
+def test_times_are_those_of_passes_that_were_made(source):
+    source.forget()
+    first = source.show(request(source, Shows.PATH_TRACED), False).milliseconds
+    assert {"trace", "fovea", "splat", "reference", "picture"} < first.keys()
+    again = source.show(request(source, Shows.PATH_TRACED), False).milliseconds
+    assert again.keys() == {"reference", "picture", "total"}
+    for passes in (first, again):
+        assert passes["total"] == pytest.approx(sum(passes.values()) - passes["total"], rel=0.01)
+
+
 def test_every_view_has_the_frames_size(source):
     for shows in Shows:
         for scale in (1.0, 0.5):
