@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 from bisect import bisect_right
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,6 +48,10 @@ class GazeTrace:
     def at(self, seconds: float) -> Gaze:
         """The newest gaze at a time; the first one before that."""
         return self.gazes[max(0, bisect_right(self.seconds, seconds) - 1)]
+
+    def digest(self) -> str:
+        """The same for the same gazes at the same times, and only for those."""
+        return hashlib.sha256(repr(self).encode()).hexdigest()[:16]
 
     def save(self, path: Path) -> None:
         """Writes a CSV file with the columns seconds, x, y."""

@@ -55,6 +55,10 @@ class _Seen:
         return count, sums
 
 
+# What is known of the pixels of a view.
+_OF_PIXELS = ("count", "light", "places", "guides", "position", "gloss")
+
+
 class History:
     """Samples of all pixels of a view, as far as anything has been seen of them.
 
@@ -66,6 +70,22 @@ class History:
         # Earlier views, each with the place that it was seen from; what of them is seen now.
         self._views: deque[tuple[Samples, NDArray[np.float64]]] = deque(maxlen=_VIEWS)
         self._past: _Seen | None = None
+
+    def state(self) -> dict[str, NDArray[np.generic]]:
+        """All that is known of the view that was recalled last, for `restored`; nothing of earlier views."""
+        if self._camera is None:
+            return {}
+        known = {name: getattr(self, f"_{name}") for name in _OF_PIXELS}
+        return {**known, "pattern": np.array([self._pattern])}
+
+    @staticmethod
+    def restored(camera: Camera, state: dict[str, NDArray[np.generic]]) -> History:
+        """A history that knows of that camera's view what another one's `state` was."""
+        history = History()
+        history._begin(camera, int(state["pattern"][0]))  # type: ignore[call-overload]
+        for name in _OF_PIXELS:
+            getattr(history, f"_{name}")[:] = state[name]
+        return history
 
     def taken(self, camera: Camera, pixels: NDArray[np.uint32], seed: int) -> tuple[NDArray[np.int64], int]:
         """How many samples of (D,) pixels came from this camera, and the seed of the first of them.

@@ -141,8 +141,18 @@ def render(
     found = forest_for(loaded, forest)
     renderer = HybridRenderer(loaded, found, viewing, fovea, remembers=trace is not None)
     if trace is not None:
+        identity = made | {
+            "scene": loaded.hash,
+            "forest": found.digest(),
+            "camera": view.key.hex(),
+            "max-depth": loaded.max_depth,
+            "layers": layers,
+            "gaze-trace": trace.digest(),
+            "fps": fps,
+            "seed": seed,
+        }
         with progress_bar("film (frames)") as bar:
-            times = write_film(output, renderer, view, foveation, trace, fps, spp, seed, bar)
+            times = write_film(output, renderer, view, foveation, trace, fps, spp, seed, identity, bar)
         write_json(json_file, made | {"fps": fps, "frames": times})
         print(f"{output}: {len(times)} frames of {view.width} x {view.height}")
         return

@@ -36,17 +36,20 @@ class DiscTracer:
         tracer: of the scene.
         guided: whether anything will be made of albedo and normal.
         remembers: whether samples of earlier frames count.
+
+    Attributes:
+        history: those samples; None if they do not count.
     """
 
     def __init__(self, tracer: Tracer, guided: bool, remembers: bool):
         self._tracer = tracer
         self._guided = guided or remembers
-        self._history = History() if remembers else None
+        self.history = History() if remembers else None
 
     def forget(self) -> None:
         """Nothing of earlier frames counts any more."""
-        if self._history is not None:
-            self._history = History()
+        if self.history is not None:
+            self.history = History()
 
     def trace(
         self,
@@ -73,7 +76,7 @@ class DiscTracer:
             return _dark(plan.pixels)
         known = self.known(camera, plan, spp, seed, hurried)
         adaptive = under is not None and spp >= _ADAPTIVE_FROM and not hurried
-        if not adaptive and self._history is None:
+        if not adaptive and self.history is None:
             return self._evenly(camera, known, spp, seed)
         sequence = self._sequence(camera, plan.pixels, seed)
         new = _without_light(known)
@@ -94,26 +97,26 @@ class DiscTracer:
         else:
             counts = allotted(worth, self._have(plan, known) + new.count, total, seed)
         new = self._traced(camera, new, counts, seed, sequence)
-        if self._history is not None:
-            self._history.remember(new)
+        if self.history is not None:
+            self.history.remember(new)
         return merged(known, new)
 
     def known(self, camera: Camera, plan: FoveaPlan, spp: int, seed: int, hurried: bool = False) -> Samples:
         """What is known of pixels before anything but guides is traced; arguments as of `trace`."""
         pixels = plan.pixels
-        if self._history is None:
+        if self.history is None:
             return self._seen(camera, pixels, guide_places(spp), self._sequence(camera, pixels, seed))
         wanted = max(guide_places(spp), _PLACES_WITH_HISTORY)
-        unseen = self._history.unseen(camera, pixels, wanted)
+        unseen = self.history.unseen(camera, pixels, wanted)
         # After a saccade all pixels want guides at once; in a hurry they get half of them in the next frame.
         places = guide_places(spp) if hurried else wanted
         seen = self._seen(camera, unseen, places, self._sequence(camera, unseen, seed))
-        return self._history.recall(camera, pixels, seen, places, seed)
+        return self.history.recall(camera, pixels, seen, places, seed)
 
     def _sequence(self, camera: Camera, pixels: NDArray[np.uint32], seed: int) -> _Sequence:
-        if self._history is None:
+        if self.history is None:
             return _Sequence(0, seed)
-        return _Sequence(*self._history.taken(camera, pixels, seed))
+        return _Sequence(*self.history.taken(camera, pixels, seed))
 
     def _seen(self, camera: Camera, pixels: NDArray[np.uint32], places: int, sequence: _Sequence) -> Samples:
         """Pixels with their guides, without light."""
@@ -159,7 +162,7 @@ class DiscTracer:
         would take several samples of a pixel at once, which blur where they are carried in their turn; only
         what lacks samples as a whole is to be filled.
         """
-        if self._history is None:
+        if self.history is None:
             return known.count
         around = plan.rectangle
         nothing = np.zeros((*around.shape, 1), dtype=np.float32)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +11,7 @@ import numpy as np
 
 from compose.errors import UserError
 from hybrid.fusing import fusion_steps, with_fusion
+from hybrid.interrupts import interrupts_between_steps
 from hybrid.metrics.similarity import quality
 from pathtrace.frames import FrameEntry, FrameSet, read_frame
 from splat.arrays import Arrays
@@ -85,7 +83,7 @@ def train_forest(
             saved = time.perf_counter()
         interrupted()
 
-    with _interrupts_between_steps() as interrupted:
+    with interrupts_between_steps() as interrupted:
         try:
             trainer.run(step)
         except KeyboardInterrupt:
@@ -99,34 +97,6 @@ def train_forest(
     save_forest(path, forest)
     checkpoint.unlink(missing_ok=True)
     return forest, time.perf_counter() - start
-
-
-@contextmanager
-def _interrupts_between_steps() -> Iterator[Callable[[], None]]:
-    """Ctrl-C waits for the end of a step: in the middle of one there is no state to go on from.
-
-    Yields:
-        A function that raises KeyboardInterrupt if Ctrl-C was pressed since.
-    """
-    pressed = False
-
-    def remember(number: int, frame: object) -> None:
-        nonlocal pressed
-        pressed = True
-
-    def check() -> None:
-        if pressed:
-            raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():
-        # Python delivers signals to the main thread only.
-        yield check
-        return
-    before = signal.signal(signal.SIGINT, remember)
-    try:
-        yield check
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _save(trainer: Trainer, path: Path, frames: FrameSet) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,8 @@ from compose.files import write_whole
 from compose.foveation import Foveation
 from compose.gaze_trace import GazeTrace
 from compose.view import Camera
+from hybrid.film_frames import FilmFrames
+from hybrid.interrupts import interrupts_between_steps
 from hybrid.renderer import HybridRenderer
 
 _INSTALL = "films need PyAV: pip install 'foveated-hybrid-renderer[demo]'"
@@ -44,9 +47,12 @@ def write_film(
     fps: int,
     spp: int,
     seed: int,
+    identity: dict[str, Any],
     progress: Callable[[int, int], None],
 ) -> list[dict[str, float]]:
     """Renders the frames of a trace and writes them; the file appears whole or not at all.
+
+    Until then the frames lie in a folder beside it, so that an interrupted film goes on where it stopped.
 
     Args:
         path: of an MP4 file.
@@ -57,24 +63,34 @@ def write_film(
         fps: frames per second.
         spp: samples per pixel and frame in the disc.
         seed: of the first frame.
+        identity: of everything that the frames depend on, as JSON has it.
         progress: called with frames done, and in all.
 
     Returns:
         Milliseconds per pass, of each frame.
+
+    Raises:
+        UserError: the folder is damaged, or holds another film.
     """
     count = max(1, round(trace.duration * fps))
-    milliseconds: list[dict[str, float]] = []
-
-    def pictures() -> Iterator[NDArray[np.uint8]]:
-        for number in range(count):
-            at = Foveation(trace.at(number / fps), foveation.fov_a, foveation.fov_b)
-            frame = renderer.frame(camera, at, spp, seed + number)
-            milliseconds.append(frame.milliseconds)
-            yield bytes_from_radiance(frame.composite)
-            progress(number + 1, count)
-
-    write_whole(path, lambda part: _encode(part, camera, fps, pictures()))
-    return milliseconds
+    frames = FilmFrames(path.with_name(path.name + ".frames"), identity)
+    disc = renderer.fovea.disc
+    disc.history = frames.history(camera) or disc.history
+    with interrupts_between_steps() as interrupted:
+        try:
+            for number in range(len(frames.milliseconds), count):
+                progress(number, count)
+                at = Foveation(trace.at(number / fps), foveation.fov_a, foveation.fov_b)
+                frame = renderer.frame(camera, at, spp, seed + number)
+                frames.add(bytes_from_radiance(frame.composite), frame.milliseconds, disc.history)
+                interrupted()
+        except KeyboardInterrupt:
+            frames.keep(disc.history)
+            raise
+    progress(count, count)
+    write_whole(path, lambda part: _encode(part, camera, fps, frames.pictures()))
+    frames.remove()
+    return frames.milliseconds
 
 
 def _encode(path: Path, camera: Camera, fps: int, pictures: Iterator[NDArray[np.uint8]]) -> None:

@@ -8,6 +8,7 @@ so it goes on below as a child of its own; without that, finer layers would have
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -101,6 +102,13 @@ class Forest:
     def focal_of(self, layer: int) -> float:
         """Vertical focal length in pixels of the frames that layer 1..L was trained on."""
         return self.trained_focal / 2 ** (len(self.counts) - layer)
+
+    def digest(self) -> str:
+        """The same for forests with the same Gaussians and attached tensors, and only for those."""
+        state = hashlib.sha256(repr((self.counts, self.trained_focal)).encode())
+        for tensor in [tensor for _, tensor in self.nodes.gaussians.tensors()] + list(self.attached.values()):
+            state.update(np.ascontiguousarray(tensor.detach().numpy()).tobytes())
+        return state.hexdigest()[:16]
 
 
 def forest_of(layers: list[Layer], trained_focal: float, scene_name: str, scene_hash: str) -> Forest:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -72,8 +72,8 @@ class Evaluation:
         self.splats, self.flat = splats[0], splats[1] if flat is not None else None
         identity = {
             "scene": scene.hash,
-            "forest": digest(forest),
-            "peer forest": None if flat is None else digest(flat),
+            "forest": forest.digest(),
+            "peer forest": None if flat is None else flat.digest(),
             "display": asdict(display),
             "settings": asdict(settings),
         }
@@ -196,13 +196,3 @@ class _Work:
             self._report(kind, sum(self._done.values()), sum(self._weight.values()))
 
         return progress
-
-
-def digest(forest: Forest) -> str:
-    """The same for forests with the same Gaussians and fusion, and only for those."""
-    state = hashlib.sha256(repr((forest.counts, forest.trained_focal)).encode())
-    gaussians = forest.nodes.gaussians
-    tensors = [getattr(gaussians, field.name) for field in fields(gaussians)]
-    for tensor in [*tensors, *forest.attached.values()]:
-        state.update(np.ascontiguousarray(tensor.detach().numpy()).tobytes())
-    return state.hexdigest()[:16]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -19,6 +21,12 @@ def trace(tmp_path):
     return file
 
 
+def pictures(film):
+    """(N, H, W) luma of all frames."""
+    with av.open(str(film)) as opened:
+        return np.stack([frame.to_ndarray(format="gray") for frame in opened.decode(video=0)])
+
+
 def test_a_film_follows_the_gaze(made, monkeypatch, tmp_path, trace):
     film = tmp_path / "a.mp4"
     common = ["render", "cornell", "--forest", made / "box.forest", "--gaze-trace", trace, "--fps", 8]
@@ -27,7 +35,7 @@ def test_a_film_follows_the_gaze(made, monkeypatch, tmp_path, trace):
     with av.open(str(film)) as opened:
         stream = opened.streams.video[0]
         assert (stream.width, stream.height, float(stream.average_rate)) == (96, 64, 8)
-        frames = [frame.to_ndarray(format="gray").astype(float) for frame in opened.decode(stream)]
+    frames = pictures(film).astype(float)
     assert len(frames) == 8
     # Raw samples are noisy, splats are not: the noise is where the viewer looks.
     left, right = np.s_[20:44, 14:34], np.s_[20:44, 62:82]
@@ -52,14 +60,36 @@ def test_what_makes_no_film_is_refused_by_name(made, monkeypatch, tmp_path, trac
     assert not list(tmp_path.glob("*a.mp4*"))
 
 
-def test_nothing_is_left_of_a_film_that_was_interrupted(made, monkeypatch, tmp_path, trace):
+def test_an_interrupted_film_goes_on_to_the_same_end(made, monkeypatch, tmp_path, trace, capsys):
     from hybrid.renderer import HybridRenderer
 
-    def interrupted(*arguments, **options):
-        raise KeyboardInterrupt
+    whole, parts = tmp_path / "whole.mp4", tmp_path / "parts.mp4"
+    common = ["render", "cornell", "--forest", made / "box.forest", "--gaze-trace", trace, "--fps", 8]
+    common += ["--size", 64, 48, "--spp", 1]
+    assert run(monkeypatch, *common, "-o", whole, "--json", tmp_path / "whole.json") == 0
+    render, rendered = HybridRenderer.frame, []
 
-    monkeypatch.setattr(HybridRenderer, "frame", interrupted)
-    common = ["render", "cornell", "--forest", made / "box.forest", "--gaze-trace", trace]
-    assert run(monkeypatch, *common, "--size", 32, 32, "-o", tmp_path / "a.mp4") != 0
-    assert not list(tmp_path.glob("*a.mp4*"))
-    assert not list(tmp_path.glob(".part*"))
+    def interrupted(self, *arguments):
+        if len(rendered) == 5:
+            raise KeyboardInterrupt
+        rendered.append(render(self, *arguments))
+        return rendered[-1]
+
+    with monkeypatch.context() as patched:
+        patched.setattr(HybridRenderer, "frame", interrupted)
+        assert run(monkeypatch, *common, "-o", parts) != 0
+    assert not parts.exists()
+    assert run(monkeypatch, *common, "-o", parts, "--seed", 9) == 2
+    assert "another seed" in capsys.readouterr().err
+    assert run(monkeypatch, *common, "-o", parts, "--json", tmp_path / "parts.json") == 0
+    first, second = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("whole", "parts"))
+    assert len(first["frames"]) == len(second["frames"]) == 8
+    # What the fovea remembered is part of what goes on.
+    assert (pictures(parts) == pictures(whole)).all()
+    assert sorted(file.name for file in tmp_path.iterdir()) == [
+        "gaze.csv",
+        "parts.json",
+        "parts.mp4",
+        "whole.json",
+        "whole.mp4",
+    ]
