@@ -8,6 +8,7 @@ nothing is resampled twice, so that nothing blurs or drifts however long the wal
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -27,6 +28,31 @@ _VIEWS = 16
 _MOST_SAMPLES = 32.0
 # Places of a pixel over which its guides are means, at most.
 _MOST_PLACES = 64
+
+
+@dataclass(frozen=True)
+class _View:
+    """What was traced from one camera, for N of its pixels.
+
+    Attributes:
+        count: (N,) samples.
+        light: (N, 6) means of radiance and squares.
+        position: (N, 3) of what was hit.
+        gloss: (N,) of that.
+        place: (N, 3) where it was seen from, the same for all.
+    """
+
+    count: Array
+    light: Array
+    position: Array
+    gloss: NDArray[np.uint8]
+    place: NDArray[np.float64]
+
+    @staticmethod
+    def joined(views: Iterable[_View]) -> _View:
+        """All of them in one."""
+        names = [field.name for field in fields(_View)]
+        return _View(*(np.concatenate([getattr(view, name) for view in views]) for name in names))
 
 
 @dataclass(frozen=True)
@@ -67,8 +93,8 @@ class History:
 
     def __init__(self) -> None:
         self._camera: Camera | None = None
-        # Earlier views, each with the place that it was seen from; what of them is seen now.
-        self._views: deque[tuple[Samples, NDArray[np.float64]]] = deque(maxlen=_VIEWS)
+        # Earlier views, and what of them is seen now.
+        self._views: deque[_View] = deque(maxlen=_VIEWS)
         self._past: _Seen | None = None
 
     def state(self) -> dict[str, NDArray[np.generic]]:
@@ -122,7 +148,7 @@ class History:
             self._past = None
             self._begin(camera, seed)
         elif self._camera.key != camera.key:
-            self._views.append((self._seen_here(), self._camera.position))
+            self._views.append(self._seen_from_here(self._camera))
             self._past = _seen_from(self._views, camera, seen)
             self._begin(camera, seed)
         self._look(seen, places)
@@ -161,28 +187,23 @@ class History:
         self._position = np.zeros((size, 3), dtype=np.float32)
         self._gloss = np.zeros(size, dtype=np.uint8)
 
-    def _seen_here(self) -> Samples:
+    def _seen_from_here(self, camera: Camera) -> _View:
         """All that was traced from this camera."""
         pixels = np.flatnonzero(self._count)
         count = self._count[pixels]
-        radiance, squares = np.split(self._light[pixels] / count[:, None], 2, axis=1)
-        albedo, normal = np.split(self._guides[pixels] / self._places[pixels][:, None], 2, axis=1)
-        return Samples(
-            pixels.astype(np.uint32),
+        return _View(
             np.minimum(count, _MOST_SAMPLES),
-            *(radiance, squares, albedo, normal),
+            self._light[pixels] / count[:, None],
             self._position[pixels],
             self._gloss[pixels],
+            np.broadcast_to(camera.position, (len(pixels), 3)),
         )
 
 
-def _seen_from(
-    views: deque[tuple[Samples, NDArray[np.float64]]], camera: Camera, new: Samples
-) -> _Seen | None:
+def _seen_from(views: Iterable[_View], camera: Camera, new: Samples) -> _Seen | None:
     """What earlier views tell of what a camera sees, without what no longer holds."""
-    names = [field.name for field in fields(Samples)]
-    old = Samples(*(np.concatenate([getattr(samples, name) for samples, _ in views]) for name in names))
-    before = np.concatenate([np.broadcast_to(place, (len(s.pixels), 3)) for s, place in views])
+    old = _View.joined(views)
+    before = old.place
     pixel, depth = camera.project(old.position.astype(np.float64))
     visible = (depth > 0) & (pixel >= 0).all(axis=1) & (pixel < [camera.width, camera.height]).all(axis=1)
     shiny = np.flatnonzero(visible & (old.gloss > DIFFUSE))
@@ -215,8 +236,7 @@ def _seen_from(
     seen = certain[same] | (distance <= front[quarter] * (1 + _SAME_SURFACE))
     kept, quarter, target = kept[seen], quarter[seen], (down // 2 * width + across // 2)[seen]
     weight = old.count[kept].astype(np.float64)
-    light = np.hstack([old.radiance[kept], old.squares[kept]])
-    count, sums = _added_up(target, weight, light, height * width)
+    count, sums = _added_up(target, weight, old.light[kept], height * width)
     return _Seen(rows, columns, count.reshape(height, width), sums.reshape(height, width, 6))
 
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import drjit as dr
-
 from compose.blend import blend
 from compose.detail import DetailMap
 from compose.foveation import FoveaPlan, Foveation
 from compose.view import Camera
 from hybrid.disc import Underlay
 from hybrid.fovea import FoveaPicture
+from hybrid.memory import give_back
 from hybrid.periphery import Viewing
 from hybrid.renderer import Frame, HybridRenderer
 from hybrid.timing import Clock
@@ -76,10 +75,10 @@ class LiveRenderer(HybridRenderer):
         return replace(frame, composite=composite, fovea=fovea, milliseconds=clock.milliseconds())
 
     def _tidy(self, camera: Camera) -> None:
-        """Gives back what frames of another size have needed, which Dr.Jit keeps for the next ones."""
+        """Gives back what frames of another size have needed."""
         size = camera.width, camera.height
         if self._size not in (None, size):
-            dr.flush_malloc_cache()
+            give_back()
         self._size = size
 
     def _still_underlay(self, camera: Camera, detail: DetailMap) -> Underlay:
