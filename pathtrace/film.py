@@ -42,8 +42,10 @@ class FilmPositions:
 
 def pixel_positions(indices: Any, width: int) -> FilmPositions:
     """Film positions of pixels given by their row-major index, a (N,) Dr.Jit unsigned integer array."""
-    row = indices // width
-    positions = FilmPositions(mi.Float(indices - row * width), mi.Float(row))
+    # Opaque, like all that may be another number in the next frame: a literal would be compiled in.
+    columns = dr.opaque(mi.UInt32, width)
+    row = indices // columns
+    positions = FilmPositions(mi.Float(indices - row * columns), mi.Float(row))
     dr.eval(positions.x, positions.y)
     return positions
 

@@ -222,8 +222,11 @@ class _Lattice:
         """Film coordinates, mask and camera of all lanes, as the traced functions take them."""
         lanes = self.lanes
         mixed = int(np.random.SeedSequence(self.pattern).generate_state(1)[0])
-        taken = self.taken if isinstance(self.taken, int) else self.taken.astype(np.uint32)
-        x, y = lanes.places(self.positions, mi.UInt32(taken), dr.opaque(mi.UInt32, mixed))
+        if isinstance(self.taken, int):
+            taken = dr.opaque(mi.UInt32, self.taken)
+        else:
+            taken = mi.UInt32(self.taken.astype(np.uint32))
+        x, y = lanes.places(self.positions, taken, dr.opaque(mi.UInt32, mixed))
         active = lanes.active
         dr.eval(x, y, active)
         return x, y, active, *opaque_camera(self.camera)

@@ -28,6 +28,13 @@ class Arrays:
         self.plain: ModuleType = drjit.llvm if backend == "llvm" else drjit.cuda
         self.ad: ModuleType = self.plain.ad
 
+    def number(self, value: int) -> Any:
+        """A UInt of width 1 that kernels read, rather than a literal: then they are the same whatever it is.
+
+        For all that depends on the size of a frame, the gaze or the camera.
+        """
+        return dr.opaque(self.plain.UInt, value)
+
     def from_torch(self, tensor: torch.Tensor) -> Any:
         """A differentiable flat Float of the tensor's elements; aliases a contiguous tensor's memory."""
         return self.ad.Float(tensor.detach().reshape(-1).contiguous())
@@ -65,7 +72,7 @@ class Arrays:
         for part, width in zip(parts, widths, strict=True):
             # Arithmetic with arrays of no width is refused.
             if width:
-                place = dr.arange(self.plain.UInt, width) + dr.opaque(self.plain.UInt, start)
+                place = dr.arange(self.plain.UInt, width) + self.number(start)
                 dr.scatter(result, part, place, mode=dr.ReduceMode.Permute)
             start += width
         return result

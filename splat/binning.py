@@ -95,7 +95,8 @@ def bin_splats(
         raise ValueError(f"wanted has shape {mask.shape}, expected {(rows, columns)}")
     tiles = UInt(np.flatnonzero(mask).astype(np.uint32))
 
-    x0, y0, across, down = _touched(arrays, splats, panels or Panels(columns, 0, rows), tile)
+    everywhere = Panels(arrays.number(columns), 0, arrays.number(rows))
+    x0, y0, across, down = _touched(arrays, splats, panels or everywhere, tile)
     order = dr.compress(across > 0) if in_order else by_depth(arrays, splats.depth, across > 0)
     none, empty = dr.zeros(UInt, 0), dr.zeros(UInt, columns * rows)
     nothing = Bins(width, height, tile, columns, rows, tiles, empty, empty, none, none, none, none, none, 0)
@@ -126,11 +127,11 @@ def bin_splats(
     pair_corner = dr.reinterpret_array(UInt, corner)
     tile_x = (pair_corner & 0xFFFF) + within - pair_row * pair_across
     tile_y = (pair_corner >> 16) + pair_row
-    number = tile_y * columns + tile_x
+    number = tile_y * arrays.number(columns) + tile_x
     keep = _reaches(arrays, shape, tile_x, tile_y, tile)
     if wanted is not None:
         keep &= dr.gather(arrays.plain.Bool, arrays.plain.Bool(mask.ravel()), number)
-    key = dr.select(keep, number, columns * rows)
+    key = dr.select(keep, number, arrays.number(columns * rows))
     dr.eval(key, splat)
 
     sorting = arrays.sorting(key, columns * rows + 1)

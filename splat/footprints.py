@@ -96,8 +96,7 @@ class ForestFootprints:
     def _join_tables(self) -> None:
         made = {n: layer for n, layer in self._layers.items() if layer is not None}
         starts = np.cumsum([0, *(dr.width(layer.x) for layer in made.values())])
-        opaque = lambda start: dr.opaque(self.arrays.plain.UInt, int(start))  # noqa: E731
-        self._first = {n: opaque(start) for n, start in zip(made, starts, strict=False)}
+        self._first = {n: self.arrays.number(int(start)) for n, start in zip(made, starts, strict=False)}
         self._table = [
             self.arrays.joined([layer.records[k] for layer in made.values()]) for k in (0, 1) if made
         ]
@@ -106,7 +105,7 @@ class ForestFootprints:
         places, plain = self._places[layer - 1], self.arrays.plain
         seen, x, y, spread = view_position(self.arrays, places.means, camera)
         reach = _REACH * dr.sqrt(dr.square(places.size * spread) + PIXEL_FILTER * blur**2)
-        half_width, half_height = camera.width / 2, camera.height / 2
+        half_width, half_height = (dr.opaque(plain.Float, side / 2) for side in (camera.width, camera.height))
         seen &= (dr.abs(x - half_width) < half_width + reach) & (
             dr.abs(y - half_height) < half_height + reach
         )
@@ -140,7 +139,7 @@ class _Places:
 
     def __init__(self, arrays: Arrays, gaussians: Gaussians, first: int, end: int):
         plain = lambda row: dr.detach(arrays.from_torch(row), preserve_type=False)  # noqa: E731
-        self.first = first
+        self.first = arrays.number(first)
         self.means = [plain(row) for row in gaussians.means[:, first:end]]
         self.size = plain(gaussians.log_scales[:, first:end].max(dim=0).values.exp())
 

@@ -95,12 +95,13 @@ def join(
     frame = dr.empty(arrays.plain.Float, rows * columns * TILE * TILE * 3)
     which = np.stack([panel.cells.ravel() for panel in panels])
     sources = _Sources(arrays, panels, image, image_width, width, height)
+    stride = arrays.number(columns * TILE)
     # Cells that need the same rates share their instructions, whichever panels those come from.
     for rates, cells, chosen in _by_rates(which, [panel.picture.rate for panel in panels]):
-        block = _Block(arrays, UInt(cells), columns)
+        block = _Block(arrays, UInt(cells), arrays.number(columns))
         values = sources.mixed(block, rates, [UInt(numbers) for numbers in chosen])
         for chunk in range(len(values) // 4):
-            place = (block.y + chunk // 3) * (columns * TILE) + block.x
+            place = (block.y + chunk // 3) * stride + block.x
             part = arrays.plain.ArrayXf(values[4 * chunk : 4 * chunk + 4])
             dr.scatter(frame, part, place * 3 // 4 + chunk % 3, mode=dr.ReduceMode.Permute)
     # Only now: scatters that are evaluated together become one kernel.
@@ -143,7 +144,7 @@ class _Block:
         x, y: first pixel.
     """
 
-    def __init__(self, arrays: Arrays, cells: Any, columns: int):
+    def __init__(self, arrays: Arrays, cells: Any, columns: Any):
         UInt = arrays.plain.UInt
         lane = dr.arange(UInt, dr.width(cells) * _PER_CELL)
         self.entry = lane // _PER_CELL
@@ -160,11 +161,11 @@ class _Sources:
     def __init__(
         self, arrays: Arrays, panels: Sequence[Panel], image: Any, image_width: int, width: int, height: int
     ):
-        self.arrays, self._image, self._image_width = arrays, image, image_width
-        self._size = width, height
+        self.arrays, self._image, self._image_width = arrays, image, arrays.number(image_width)
+        self._size = arrays.number(width), arrays.number(height)
         self._tops = arrays.plain.UInt(np.array([panel.top for panel in panels], dtype=np.uint32))
         self._shares = arrays.plain.Float(_cell_corners(panels))
-        self._cells = panels[0].cells.size
+        self._cells = arrays.number(panels[0].cells.size)
 
     def mixed(self, block: _Block, rates: Sequence[int], panels: Sequence[Any]) -> list[Any]:
         """Three channels of each pixel of a block.
@@ -225,8 +226,8 @@ class _Sources:
 
     def _tap(self, rate: int, top: Any, x: Any, y: Any) -> list[Any]:
         """A sample, or the nearest one in the frame."""
-        UInt = self.arrays.plain.UInt
-        last_x, last_y = (-(-size // (1 << rate)) - 1 for size in self._size)
+        Int, UInt = self.arrays.plain.Int, self.arrays.plain.UInt
+        last_x, last_y = (Int((size + ((1 << rate) - 1)) >> rate) - 1 for size in self._size)
         index = (top + UInt(dr.clip(y, 0, last_y))) * self._image_width + UInt(dr.clip(x, 0, last_x))
         return self.arrays.record(self._image, index, CHANNELS)[:3]
 

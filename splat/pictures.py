@@ -157,13 +157,14 @@ class ForestRenderer:
         rows, columns = panel.cells.shape
         first = lambda place, count: UInt(dr.clip(place * (1 / TILE), 0, count))  # noqa: E731
         end = lambda place, count: UInt(dr.ceil(dr.clip(place * (1 / TILE), 0, count)))  # noqa: E731
-        left, right = first(nodes.x - reach_x, columns), end(nodes.x + reach_x, columns)
-        top, bottom = first(nodes.y - reach_y, rows), end(nodes.y + reach_y, rows)
+        across, down = self.arrays.number(columns), self.arrays.number(rows)
+        left, right = first(nodes.x - reach_x, across), end(nodes.x + reach_x, across)
+        top, bottom = first(nodes.y - reach_y, down), end(nodes.y + reach_y, down)
         # With sums over all cells above and to the left, any box takes four look-ups.
         sums = np.zeros((rows + 1, columns + 1), dtype=np.int32)
         sums[1:, 1:] = panel.cells.cumsum(axis=0).cumsum(axis=1)
         table = Int(sums.ravel())
-        at = lambda row, column: dr.gather(Int, table, row * (columns + 1) + column, known)  # noqa: E731
+        at = lambda row, column: dr.gather(Int, table, row * (across + 1) + column, known)  # noqa: E731
         return known & (at(bottom, right) - at(top, right) - at(bottom, left) + at(top, left) > 0)
 
     def _splats(
@@ -175,13 +176,9 @@ class ForestRenderer:
         number, lane, start = UInt(0), dr.arange(UInt, dr.width(raw.x)), 0
         for part in chosen[:-1]:
             start += dr.width(part)
-            number += dr.select(lane >= dr.opaque(UInt, start), UInt(1), UInt(0))
-        per_panel = self.arrays.records(
-            [
-                Float([float(value) for value in values])
-                for values in zip(*(self._row_of(camera, panel, tile) for panel in panels), strict=True)
-            ]
-        )
+            number += dr.select(lane >= self.arrays.number(start), UInt(1), UInt(0))
+        rows = np.array([self._row_of(camera, panel, tile) for panel in panels], dtype=np.float32)
+        per_panel = Float(rows.ravel())
         scale, least, offset, columns, top, bottom, _, _ = self.arrays.record(per_panel, number, 8)
         # Fov-GS's Eq. 8, mended: variance c (ppd / 2f)^2 px^2.
         resolved = 0.5 / _interpolated(self.arrays, cutoff, raw.x, raw.y)
@@ -258,10 +255,10 @@ def _in_samples(splats: Splats, scale: Any, offset: Any) -> Splats:
 def _interpolated(arrays: Arrays, lattice: Lattice, x: Any, y: Any) -> Any:
     """A lattice with a point every TILE pixels, linear in between, at positions in pixels."""
     Float, UInt = arrays.plain.Float, arrays.plain.UInt
-    rows, columns = lattice.shape
+    rows, columns = (arrays.number(side) for side in lattice.shape)
     values = Float(lattice.ravel())
-    u = dr.clip(x * (1 / TILE), 0, columns - 1.001)
-    v = dr.clip(y * (1 / TILE), 0, rows - 1.001)
+    u = dr.clip(x * (1 / TILE), 0, Float(columns) - 1.001)
+    v = dr.clip(y * (1 / TILE), 0, Float(rows) - 1.001)
     column, row = UInt(u), UInt(v)
     fu, fv = u - Float(column), v - Float(row)
     corner = row * columns + column

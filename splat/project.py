@@ -187,16 +187,17 @@ def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any
 
     The last is an upper bound over all directions, as `project` takes them.
     """
-    number = arrays.plain.Float
-    world = [dr.opaque(number, float(v)) for v in np.ravel(camera.world_to_camera[:3])]
-    limit_x, limit_y = (float(v) for v in _TANGENT_LIMIT * _half_tangents(camera))
+    opaque = lambda values: [dr.opaque(arrays.plain.Float, float(v)) for v in np.ravel(values)]  # noqa: E731
+    world = opaque(camera.world_to_camera[:3])
+    limit_x, limit_y = opaque(_TANGENT_LIMIT * _half_tangents(camera))
+    fx, fy, cx, cy = opaque([camera.fx, camera.fy, camera.cx, camera.cy])
     vx, vy, vz = (sum((world[4 * i + j] * means[j] for j in range(3)), world[4 * i + 3]) for i in range(3))
     seen = vz > NEAR
     inverse_z = dr.rcp(dr.select(seen, vz, 1))
     tx, ty = vx * inverse_z, vy * inverse_z
     tilt = dr.square(dr.minimum(dr.abs(tx), limit_x)) + dr.square(dr.minimum(dr.abs(ty), limit_y))
-    spread = inverse_z * dr.sqrt(1 + tilt) * max(camera.fx, camera.fy)
-    return seen, dr.fma(tx, camera.fx, camera.cx), dr.fma(ty, camera.fy, camera.cy), spread
+    spread = inverse_z * dr.sqrt(1 + tilt) * dr.maximum(fx, fy)
+    return seen, dr.fma(tx, fx, cx), dr.fma(ty, fy, cy), spread
 
 
 def _half_tangents(camera: Camera) -> np.ndarray:

@@ -173,8 +173,9 @@ class _Blocks:
         lane = dr.arange(UInt, dr.width(bins.tiles) * LANES_ACROSS**2)
         tile = dr.gather(UInt, bins.tiles, lane // LANES_ACROSS**2)
         block = lane % LANES_ACROSS**2
-        row = tile // bins.columns
-        self.x = (tile - row * bins.columns) * bins.tile + block % LANES_ACROSS * self.side
+        columns = arrays.number(bins.columns)
+        row = tile // columns
+        self.x = (tile - row * columns) * bins.tile + block % LANES_ACROSS * self.side
         self.y = row * bins.tile + block // LANES_ACROSS * self.side
         self.centre_x, self.centre_y = Float(self.x) + 0.5, Float(self.y) + 0.5
         self.first = dr.gather(UInt, bins.start, tile)
@@ -194,8 +195,9 @@ class _Blocks:
 
     def chunks(self, width: int) -> list[tuple[Any, int]]:
         """Where the block's pixels lie in an image, by twos: in units of two, and the number of the first."""
+        columns = self._arrays.number(width)
         return [
-            (((self.y + pixel // self.side) * width + self.x + pixel % self.side) // 2, pixel)
+            (((self.y + pixel // self.side) * columns + self.x + pixel % self.side) // 2, pixel)
             for pixel in range(0, self.pixels, 2)
         ]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 
+import drjit as dr
 import numpy as np
 import pytest
 
@@ -74,6 +75,30 @@ def test_every_view_has_the_frames_size(source):
             assert shown.picture.shape == (64 * scale, 96 * scale, 3)
             assert shown.picture.flags.c_contiguous
             assert shown.picture.dtype == np.uint8
+
+
+def kernels(source: FrameSource, asked: list[Request], patient: bool = False) -> set[str]:
+    """Those that frames were made with."""
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.kernel_history_clear()
+        for one in asked:
+            source.show(one, patient)
+        return {entry["hash"] for entry in dr.kernel_history() if "hash" in entry}
+
+
+def test_other_sizes_places_and_samples_need_no_other_kernels(source):
+    def resized(width: int, height: int, x: float) -> Request:
+        return replace(request(source), camera=source.camera.resized(width, height), gaze=Gaze(x, 0.5))
+
+    def frames(widths: range) -> list[Request]:
+        return [resized(width, width // 2 + 11, 0.2 + 0.4 * (width % 3)) for width in widths]
+
+    assert len(kernels(source, frames(range(96, 160, 7)))) > 20
+    known = kernels(source, frames(range(96, 160, 7)))
+    assert len(kernels(source, frames(range(99, 163, 7))) - known) <= 2
+    still = [resized(96, 64, 0.4)] * 4
+    known = kernels(source, still, True)
+    assert kernels(source, still, True) <= known
 
 
 def test_layers_law_and_rate_are_those_that_were_chosen(source):
