@@ -10,7 +10,6 @@ from compose.foveation import FoveaPlan, Foveation
 from compose.view import Camera
 from hybrid.disc import Underlay
 from hybrid.fovea import FoveaPicture
-from hybrid.memory import give_back
 from hybrid.periphery import Viewing
 from hybrid.renderer import Frame, HybridRenderer
 from hybrid.timing import Clock
@@ -38,7 +37,6 @@ class LiveRenderer(HybridRenderer):
     def __init__(self, scene: Scene, forest: Forest, viewing: Viewing):
         super().__init__(scene, forest, viewing, "fused", remembers=True, roulette_depth=_ROULETTE_DEPTH)
         self._before: bytes | None = None
-        self._size: tuple[int, int] | None = None
 
     def frame(self, camera: Camera, foveation: Foveation, spp: int = 1, seed: int = 0) -> Frame:
         """One frame: as that of a `HybridRenderer`; what a camera that stands still allows is kept."""
@@ -46,7 +44,6 @@ class LiveRenderer(HybridRenderer):
         plan = foveation.plan(camera.width, camera.height)
         detail = self.periphery.detail(camera, foveation.gaze, foveation.fov_b)
         clock.lap("plan")
-        self._tidy(camera)
         still, self._before = camera.key == self._before, camera.key
         under = self._still_underlay(camera, detail) if still else self.underlay(camera, plan)
         clock.lap("under")
@@ -73,13 +70,6 @@ class LiveRenderer(HybridRenderer):
         composite = blend(frame.periphery, fovea.radiance, frame.plan)
         clock.lap("blend")
         return replace(frame, composite=composite, fovea=fovea, milliseconds=clock.milliseconds())
-
-    def _tidy(self, camera: Camera) -> None:
-        """Gives back what frames of another size have needed."""
-        size = camera.width, camera.height
-        if self._size not in (None, size):
-            give_back()
-        self._size = size
 
     def _still_underlay(self, camera: Camera, detail: DetailMap) -> Underlay:
         radiance = self.periphery.whole_still(camera, detail)

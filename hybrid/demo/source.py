@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from hybrid.demo.settings import Request, Settings, Shows
 from hybrid.images import write_bytes, write_layers
 from hybrid.layers import frame_layers
 from hybrid.live import LiveRenderer
+from hybrid.memory import give_back
 from hybrid.periphery import Viewing
 from hybrid.renderer import Frame
 from hybrid.timing import Clock
@@ -28,6 +30,8 @@ _PATIENT_SPP = 6
 _PATIENT_STEPS = 8
 # Samples per pixel of the disc after which nobody sees a difference any more.
 _ENOUGH = 4096
+# Seconds between two times that memory is given back, which takes three to six milliseconds.
+_TIDY_EVERY = 2.0
 # Side of the frame in which it is looked how far away things are.
 _PROBE = 24
 
@@ -78,6 +82,7 @@ class FrameSource:
         self._last: Shown | None = None
         self._converging: ConvergingFrame | None = None
         self._seed = 0
+        self._tidied = time.monotonic()
 
     @property
     def camera(self) -> Camera:
@@ -99,6 +104,7 @@ class FrameSource:
             patient: whether it may take longer than others, for more samples.
         """
         self._seed += 1
+        self._tidy()
         last = self._last if request.same_picture(self._last.request if self._last else None) else None
         frame, paths = self._rendered(request, last.frame if last else None, patient)
         # A frame that is only shown once more has taken nothing.
@@ -136,6 +142,12 @@ class FrameSource:
         request, frame = self._last.request, self._last.frame
         write_bytes(picture, self._last.picture)
         write_layers(layers, frame_layers(self.renderer, request.rendered, request.gaze, frame))
+
+    def _tidy(self) -> None:
+        """Now and then gives back what frames of another size or kind have needed."""
+        if time.monotonic() - self._tidied > _TIDY_EVERY:
+            give_back()
+            self._tidied = time.monotonic()
 
     def _rendered(self, request: Request, frame: Frame | None, patient: bool) -> tuple[Frame, int]:
         """The hybrid frame, and how many paths were traced for it now."""
