@@ -15,6 +15,7 @@ them and says per pixel what each is worth. Three things are built around it:
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import ClassVar
@@ -25,6 +26,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from compose.blend import Image
+
+# torch keeps what it has compiled for pictures of each size, a thousand times by default, and a disc near the
+# edge of a frame has another size at every gaze: 170 kB for each. Read at the first convolution.
+for _capacity in ("LRU_CACHE_CAPACITY", "ONEDNN_PRIMITIVE_CACHE_CAPACITY"):
+    os.environ.setdefault(_capacity, "64")
 
 # Albedo below this is not told from black: its logarithm would be noise.
 _DARK = 0.03
