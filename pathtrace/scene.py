@@ -75,7 +75,7 @@ def load_scene(source: str | Path | dict[str, Any], max_depth: int | None = None
         raise UserError(f"{source}: the scene has no camera; add a <sensor type='perspective'>")
     if not loaded.emitters():
         raise UserError(f"{source}: the scene has no light; add an <emitter>")
-    return Scene(name, digest, loaded, _camera(loaded.sensors()[0], str(source)), depth)
+    return Scene(name, digest, _in_order(loaded), _camera(loaded.sensors()[0], str(source)), depth)
 
 
 def _find(source: str) -> Path:
@@ -114,6 +114,26 @@ def _load_text(text: str, folder: Path) -> Any:
         resolver.clear()
         for entry in remaining:
             resolver.append(entry)
+
+
+def _in_order(scene: Any) -> Any:
+    """The same scene with its shapes in an order of their own.
+
+    Where Mitsuba merges meshes, it leaves them in another order each time that a scene is loaded, and with
+    them their lights: a random number would choose another one, and the same seed give other noise.
+    """
+    parts = {f"sensor_{number}": sensor for number, sensor in enumerate(scene.sensors())}
+    alone = [emitter for emitter in scene.emitters() if emitter.get_shape() is None]
+    parts |= {f"emitter_{number}": emitter for number, emitter in enumerate(alone)}
+    shapes = sorted(scene.shapes(), key=_place)
+    parts |= {f"shape_{number:06}": shape for number, shape in enumerate(shapes)}
+    return mi.load_dict({"type": "scene", **parts}, optimize=False)
+
+
+def _place(shape: Any) -> tuple[float, ...]:
+    """Numbers by which shapes can be told apart."""
+    box = shape.bbox()
+    return (*np.ravel(box.min).tolist(), *np.ravel(box.max).tolist(), float(shape.primitive_count()))
 
 
 def _prepare(path: Path) -> tuple[str, str, int]:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
+import numpy as np
 import pytest
 
 from compose.errors import UserError
@@ -84,3 +88,51 @@ def test_scenes_in_the_wild_load(name):
     scene = load_scene(real_file(f"scenes/{name}/scene.xml"))
     assert scene.name == name
     assert scene.triangles > 10_000
+
+
+# Shapes with the same material, which Mitsuba merges, and lights among them.
+_MANY = """
+<scene version="3.0.0">
+  <sensor type="perspective"><float name="fov" value="60"/>
+    <transform name="to_world"><lookat origin="0, 0, -6" target="0, 0, 0" up="0, 1, 0"/></transform></sensor>
+  {shapes}
+</scene>
+"""
+_SHAPE = """<shape type="{kind}">{light}
+  <bsdf type="diffuse"><rgb name="reflectance" value="0.5, {green}, 0.5"/></bsdf>
+  <transform name="to_world"><scale value="0.3"/><translate x="{x}" y="{y}"/></transform></shape>"""
+_LIGHT = '<emitter type="area"><rgb name="radiance" value="{power}"/></emitter>'
+_TRACES = """
+import compose, hashlib, sys
+from hybrid.options import loaded_scene, select
+select("auto")
+from pathtrace.film import frame_positions, interleaved
+from pathtrace.tracer import Tracer
+scene = loaded_scene(sys.argv[1])
+camera = scene.camera.resized(24, 16)
+radiance = interleaved(Tracer(scene).trace(camera, frame_positions(camera), 2, 3).radiance)
+print(hashlib.sha256(radiance.tobytes()).hexdigest())
+"""
+
+
+def test_the_same_seed_gives_the_same_noise_in_another_process(tmp_path):
+    rng = np.random.default_rng(1)
+    shapes = [
+        _SHAPE.format(
+            kind=("rectangle", "cube")[number % 2],
+            light=_LIGHT.format(power=f"{1 + number}, 1, 1") if number % 3 == 0 else "",
+            green=("0.2", "0.7")[number % 4 // 2],
+            x=rng.uniform(-2, 2),
+            y=rng.uniform(-2, 2),
+        )
+        for number in range(40)
+    ]
+    file = tmp_path / "many.xml"
+    file.write_text(_MANY.format(shapes="".join(shapes)))
+    found = {
+        subprocess.run(
+            [sys.executable, "-c", _TRACES, file], capture_output=True, text=True, check=True
+        ).stdout
+        for _ in range(3)
+    }
+    assert len(found) == 1
