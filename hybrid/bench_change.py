@@ -37,16 +37,15 @@ def dim_lamps(scene: Scene, camera: Camera) -> None:
 
 def swap_colours(scene: Scene, camera: Camera) -> None:
     """Red, green and blue change places in every reflectance of the shapes that the camera sees most of."""
-    parameters = mi.traverse(scene.mitsuba)
     for index in _seen(scene, camera)[:3]:
-        prefix = scene.mitsuba.shapes()[index].bsdf().id()
-        for key in _named(parameters, f"{prefix}.", "reflectance"):
+        parameters = mi.traverse(scene.mitsuba.shapes()[index].bsdf())
+        for key in _named(parameters, "reflectance"):
             value = parameters[key]
             if key.endswith(".data") and value.shape[-1] == 3:
                 parameters[key] = mi.TensorXf(np.ascontiguousarray(value.numpy()[..., [1, 2, 0]]))
             elif key.endswith(".value") and len(value) == 3:
                 parameters[key] = type(value)(value.y, value.z, value.x)
-    parameters.update()
+        parameters.update()
 
 
 def move_object(scene: Scene, camera: Camera) -> None:
