@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +22,9 @@ Array = NDArray[np.float32]
 
 # Nothing farther away counts as another surface if its distance differs by less, relatively.
 _SAME_SURFACE = 0.005
-# Degrees by which the direction of sight may change until what shines there is another: by gloss.
-_MOST_TURN = np.array([np.inf, 8.0, 0.2])
+# How far the direction of sight may turn until what shines there is another, by gloss: not at all limited,
+# 8 and 0.2 degrees.
+_LEAST_COSINE = np.cos(np.radians([180.0, 8.0, 0.2]))
 # Views that a moving camera remembers, and samples per pixel of each: old errors fade.
 _VIEWS = 16
 _MOST_SAMPLES = 32.0
@@ -39,7 +41,7 @@ class _View:
         light: (N, 6) means of radiance and squares.
         position: (N, 3) of what was hit.
         gloss: (N,) of that.
-        place: (N, 3) where it was seen from, the same for all.
+        place: (3,) where it was seen from.
     """
 
     count: Array
@@ -47,12 +49,6 @@ class _View:
     position: Array
     gloss: NDArray[np.uint8]
     place: NDArray[np.float64]
-
-    @staticmethod
-    def joined(views: Iterable[_View]) -> _View:
-        """All of them in one."""
-        names = [field.name for field in fields(_View)]
-        return _View(*(np.concatenate([getattr(view, name) for view in views]) for name in names))
 
 
 @dataclass(frozen=True)
@@ -196,58 +192,125 @@ class History:
             self._light[pixels] / count[:, None],
             self._position[pixels],
             self._gloss[pixels],
-            np.broadcast_to(camera.position, (len(pixels), 3)),
+            camera.position,
         )
 
 
 def _seen_from(views: Iterable[_View], camera: Camera, new: Samples) -> _Seen | None:
     """What earlier views tell of what a camera sees, without what no longer holds."""
-    old = _View.joined(views)
-    before = old.place
-    pixel, depth = camera.project(old.position.astype(np.float64))
-    visible = (depth > 0) & (pixel >= 0).all(axis=1) & (pixel < [camera.width, camera.height]).all(axis=1)
-    shiny = np.flatnonzero(visible & (old.gloss > DIFFUSE))
-    turn = _turn(old.position[shiny], before[shiny], camera.position)
-    visible[shiny] = turn <= _MOST_TURN[old.gloss[shiny]]
-    kept = np.flatnonzero(visible)
-    rows, columns, nearest, farthest = _distance_range(camera, new)
-    height, width = nearest.shape
-    # In quarters of pixels.
-    across, down = (np.floor(2 * pixel[kept, axis]).astype(np.int64) for axis in (0, 1))
-    across, down = across - 2 * columns.start, down - 2 * rows.start
-    inside = (down >= 0) & (down < 2 * height) & (across >= 0) & (across < 2 * width)
-    kept, across, down = kept[inside], across[inside], down[inside]
-    # Whatever was seen from this very place is seen from it still.
-    certain = (np.abs(before[kept] - camera.position) < 1e-6).all(axis=1)
-    distance = np.linalg.norm(old.position[kept] - camera.position, axis=1)
-    same = distance >= nearest[down // 2, across // 2] * (1 - _SAME_SURFACE)
-    same &= distance <= farthest[down // 2, across // 2] * (1 + _SAME_SURFACE)
-    # What mirrors or bends is thin here and there, and what is seen beside it is far behind.
-    specular = _image(new.gloss == SPECULAR, camera, new, rows, columns)[down // 2, across // 2]
-    same &= ~specular | (old.gloss[kept] == SPECULAR)
-    same |= certain
-    kept, across, down, distance = kept[same], across[same], down[same], distance[same]
-    if not len(kept):
+    surfaces = _Surfaces.of(camera, new)
+    landings = [_landing(view, camera, surfaces) for view in views]
+    quarter, distance, certain, weight, light = map(np.concatenate, zip(*landings, strict=True))
+    if not len(quarter):
         return None
-    quarter = down * 2 * width + across
+    height, width = surfaces.nearest.shape
     # What lies behind something nearer in the same quarter of a pixel is hidden by it.
     front = np.full(4 * height * width, np.inf)
     np.minimum.at(front, quarter, distance)
-    seen = certain[same] | (distance <= front[quarter] * (1 + _SAME_SURFACE))
-    kept, quarter, target = kept[seen], quarter[seen], (down // 2 * width + across // 2)[seen]
-    weight = old.count[kept].astype(np.float64)
-    count, sums = _added_up(target, weight, old.light[kept], height * width)
-    return _Seen(rows, columns, count.reshape(height, width), sums.reshape(height, width, 6))
+    seen = certain | (distance <= front[quarter] * (1 + _SAME_SURFACE))
+    down, across = np.divmod(quarter[seen], 2 * width)
+    target = down // 2 * width + across // 2
+    count, sums = _added_up(target, weight[seen], light[seen], height * width)
+    return _Seen(
+        surfaces.rows,
+        surfaces.columns,
+        count.reshape(height, width),
+        sums.reshape(height, width, 6),
+    )
 
 
-def _image(
-    values: NDArray[np.bool_], camera: Camera, samples: Samples, rows: slice, columns: slice
-) -> NDArray[np.bool_]:
-    """(h, w) of the samples' values (D,) in the rectangle."""
-    row, column = np.divmod(samples.pixels.astype(np.int64), camera.width)
-    image = np.zeros((rows.stop - rows.start, columns.stop - columns.start), dtype=bool)
-    image[row - rows.start, column - columns.start] = values
-    return image
+def _landing(view: _View, camera: Camera, surfaces: _Surfaces) -> tuple[NDArray[Any], ...]:
+    """Where samples of an earlier view are seen in the surfaces' rectangle, as far as they still hold.
+
+    Returns:
+        Of M samples: (M,) quarter of a pixel, row by row; (M,) distance; (M,) whether nothing may hide it;
+        (M,) count; (M, 6) light.
+    """
+    pixel, depth = camera.project(view.position.astype(np.float64))
+    height, width = surfaces.nearest.shape
+    # In quarters of pixels.
+    left, top = 2 * surfaces.columns.start, 2 * surfaces.rows.start
+    across, down = 2 * pixel[:, 0] - left, 2 * pixel[:, 1] - top
+    inside = (depth > 0) & (across >= 0) & (across < 2 * width) & (down >= 0) & (down < 2 * height)
+    kept = np.flatnonzero(inside)
+    across, down = across[kept].astype(np.int64), down[kept].astype(np.int64)
+    sight, gloss = view.position[kept] - camera.position, view.gloss[kept]
+    distance = _length(sight)
+    # Whatever was seen from this very place is seen from it still.
+    certain = bool((np.abs(view.place - camera.position) < 1e-6).all())
+    if not certain:
+        same = surfaces.has(down // 2, across // 2, distance, gloss)
+        shiny = np.flatnonzero(same & (gloss > DIFFUSE))
+        cosine = _cosine(view.position[kept[shiny]] - view.place, sight[shiny])
+        same[shiny] = cosine >= _LEAST_COSINE[gloss[shiny]]
+        kept, across, down, distance = kept[same], across[same], down[same], distance[same]
+    return (
+        down * 2 * width + across,
+        distance,
+        np.full(len(kept), certain),
+        view.count[kept].astype(np.float64),
+        view.light[kept],
+    )
+
+
+@dataclass(frozen=True)
+class _Surfaces:
+    """What new samples hit, around each pixel of the rectangle in which they lie.
+
+    Attributes:
+        rows, columns: the rectangle.
+        nearest, farthest: (h, w) distances of what is seen in a pixel and in those around it.
+        specular: (h, w) whether what mirrors or bends is seen there.
+    """
+
+    rows: slice
+    columns: slice
+    nearest: NDArray[np.float64]
+    farthest: NDArray[np.float64]
+    specular: NDArray[np.bool_]
+
+    @staticmethod
+    def of(camera: Camera, new: Samples) -> _Surfaces:
+        """What some samples hit."""
+        row, column = np.divmod(new.pixels.astype(np.int64), camera.width)
+        rows = slice(int(row.min()), int(row.max()) + 1)
+        columns = slice(int(column.min()), int(column.max()) + 1)
+        row, column = row - rows.start, column - columns.start
+        shape = rows.stop - rows.start, columns.stop - columns.start
+        distance = _length(new.position - camera.position)
+        specular = np.zeros(shape, dtype=bool)
+        specular[row, column] = new.gloss == SPECULAR
+        nearest = _around(shape, row, column, distance, np.inf, np.minimum)
+        farthest = _around(shape, row, column, distance, 0.0, np.maximum)
+        return _Surfaces(rows, columns, nearest, farthest, specular)
+
+    def has(
+        self,
+        row: NDArray[np.int64],
+        column: NDArray[np.int64],
+        distance: NDArray[np.float64],
+        gloss: NDArray[np.uint8],
+    ) -> NDArray[np.bool_]:
+        """(M,) whether what is at a distance in a pixel, with that gloss, is on what the new samples hit."""
+        same = distance >= self.nearest[row, column] * (1 - _SAME_SURFACE)
+        same &= distance <= self.farthest[row, column] * (1 + _SAME_SURFACE)
+        # What mirrors or bends is thin here and there, and what is seen beside it is far behind.
+        return same & (~self.specular[row, column] | (gloss == SPECULAR))
+
+
+def _around(
+    shape: tuple[int, int],
+    row: NDArray[np.int64],
+    column: NDArray[np.int64],
+    values: NDArray[np.float64],
+    unknown: float,
+    choose: np.ufunc,
+) -> NDArray[np.float64]:
+    """(h, w) of what is chosen among the values in a pixel and in the eight around it."""
+    image = np.full((shape[0] + 2, shape[1] + 2), unknown)
+    image[row + 1, column + 1] = values
+    across = choose(choose(image[:, :-2], image[:, 1:-1]), image[:, 2:])
+    return choose(choose(across[:-2], across[1:-1]), across[2:])
 
 
 def _added_up(
@@ -259,25 +322,12 @@ def _added_up(
     return count, np.stack(sums, axis=1).astype(np.float64)
 
 
-def _turn(position: Array, before: NDArray[np.float64], now: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Degrees between the directions in which places were seen and are seen."""
-    one, other = position - before, position - now
-    sine = np.linalg.norm(np.cross(one, other), axis=1)
-    return np.degrees(np.arctan2(sine, (one * other).sum(axis=1)))
+def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,) lengths of (N, 3) vectors; quicker than a norm along so short an axis."""
+    x, y, z = vectors.T
+    return np.sqrt(x * x + y * y + z * z)
 
 
-def _distance_range(
-    camera: Camera, new: Samples
-) -> tuple[slice, slice, NDArray[np.float64], NDArray[np.float64]]:
-    """The rectangle of the new samples, and the nearest and farthest of what is seen around each pixel."""
-    row, column = new.pixels.astype(np.int64) // camera.width, new.pixels.astype(np.int64) % camera.width
-    rows = slice(int(row.min()), int(row.max()) + 1)
-    columns = slice(int(column.min()), int(column.max()) + 1)
-    distance = np.linalg.norm(new.position - camera.position, axis=1)
-    extremes = []
-    for unknown, choose in ((np.inf, np.minimum), (0.0, np.maximum)):
-        image = np.full((rows.stop - rows.start + 2, columns.stop - columns.start + 2), unknown)
-        image[row - rows.start + 1, column - columns.start + 1] = distance
-        across = choose(choose(image[:, :-2], image[:, 1:-1]), image[:, 2:])
-        extremes.append(choose(choose(across[:-2], across[1:-1]), across[2:]))
-    return rows, columns, extremes[0], extremes[1]
+def _cosine(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,) of the angles between (N, 3) vectors each."""
+    return np.einsum("ni,ni->n", one, other) / (_length(one) * _length(other))

@@ -113,8 +113,8 @@ def bench_change(
     ]
 
 
-def _named(parameters: Any, *parts: str) -> list[str]:
-    return [key for key, _ in parameters if all(part in key for part in parts)]
+def _named(parameters: Any, part: str) -> list[str]:
+    return [key for key, _ in parameters if part in key]
 
 
 def _seen(scene: Scene, camera: Camera) -> list[int]:

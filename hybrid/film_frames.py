@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import time
 from collections.abc import Iterator
@@ -17,6 +16,7 @@ from PIL import Image as PillowImage
 from compose.errors import UserError
 from compose.history import History
 from compose.view import Camera
+from hybrid.identity import require_same
 from hybrid.images import write_bytes
 from splat.files import load_tensors, save_tensors
 
@@ -39,21 +39,19 @@ class FilmFrames:
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any]):
-        # Compared as JSON has it: tuples become lists.
-        self._folder, self._identity = folder, json.loads(json.dumps(identity))
+        self._folder, self._identity = folder, identity
         self._state = folder / "state.safetensors"
         self._kept = time.monotonic()
         self._memory: dict[str, torch.Tensor] = {}
         self.milliseconds: list[dict[str, float]] = []
         if self._state.is_file():
             self._memory, found = load_tensors(self._state)
-            theirs = found.get("identity", {})
-            differs = sorted(k for k in {*theirs, *self._identity} if theirs.get(k) != self._identity.get(k))
-            if differs:
-                raise UserError(
-                    f"{folder}: holds the beginning of a film with another {', '.join(differs)}; "
-                    "delete it, or choose another --output"
-                )
+            require_same(
+                found.get("identity", {}),
+                identity,
+                f"{folder}: holds the beginning of a film",
+                "delete it, or choose another --output",
+            )
             self.milliseconds = found["milliseconds"]
             if not all(self._file(number).is_file() for number in range(len(self.milliseconds))):
                 raise UserError(f"{folder}: frames are missing; delete it to begin anew")

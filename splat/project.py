@@ -141,11 +141,8 @@ def filtered(raw: Footprints, low_pass: Any) -> Splats:
 def footprints(parameters: Parameters, camera: Camera) -> Footprints:
     """Projects Gaussians onto a camera's film."""
     number = type(parameters.opacity_logits)
-    opaque = lambda values: [dr.opaque(number, float(v)) for v in np.ravel(values)]  # noqa: E731
-    world = opaque(camera.world_to_camera[:3])
-    eye = opaque(camera.position)
-    fx, fy, cx, cy = opaque([camera.fx, camera.fy, camera.cx, camera.cy])
-    limit_x, limit_y = opaque(_TANGENT_LIMIT * _half_tangents(camera))
+    world, (fx, fy, cx, cy), (limit_x, limit_y) = _opaque(number, camera)
+    eye = [dr.opaque(number, float(value)) for value in camera.position]
 
     mx, my, mz = parameters.means
     vx, vy, vz = (
@@ -187,10 +184,7 @@ def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any
 
     The last is an upper bound over all directions, as `project` takes them.
     """
-    opaque = lambda values: [dr.opaque(arrays.plain.Float, float(v)) for v in np.ravel(values)]  # noqa: E731
-    world = opaque(camera.world_to_camera[:3])
-    limit_x, limit_y = opaque(_TANGENT_LIMIT * _half_tangents(camera))
-    fx, fy, cx, cy = opaque([camera.fx, camera.fy, camera.cx, camera.cy])
+    world, (fx, fy, cx, cy), (limit_x, limit_y) = _opaque(arrays.plain.Float, camera)
     vx, vy, vz = (sum((world[4 * i + j] * means[j] for j in range(3)), world[4 * i + 3]) for i in range(3))
     seen = vz > NEAR
     inverse_z = dr.rcp(dr.select(seen, vz, 1))
@@ -200,13 +194,20 @@ def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any
     return seen, dr.fma(tx, fx, cx), dr.fma(ty, fy, cy), spread
 
 
-def _half_tangents(camera: Camera) -> np.ndarray:
-    return np.array(
+def _opaque(number: type, camera: Camera) -> tuple[list[Any], list[Any], list[Any]]:
+    """World-to-camera (12, row by row), fx, fy, cx, cy, and the limits of the tangents.
+
+    Opaque, so that a kernel reads them and serves any camera: as literals they would be compiled into it.
+    """
+    half = np.array(
         [
             max(camera.cx, camera.width - camera.cx) / camera.fx,
             max(camera.cy, camera.height - camera.cy) / camera.fy,
         ]
     )
+    intrinsics = camera.fx, camera.fy, camera.cx, camera.cy
+    opaque = lambda values: [dr.opaque(number, float(value)) for value in np.ravel(values)]  # noqa: E731
+    return opaque(camera.world_to_camera[:3]), opaque(intrinsics), opaque(_TANGENT_LIMIT * half)
 
 
 def _normalized(vector: list[Any]) -> list[Any]:

@@ -9,6 +9,7 @@ from typing import Any
 
 from compose.errors import UserError
 from compose.files import write_whole
+from hybrid.identity import require_same
 
 
 class Journal:
@@ -29,18 +30,12 @@ class Journal:
             return
         try:
             found = json.loads(path.read_text())
-            theirs = found["identity"]
+            theirs = dict(found["identity"])
             dict(found["results"])
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise UserError(f"{path}: is damaged ({error!r}); delete it to begin anew") from error
-        # Compared as JSON has them: tuples become lists.
-        ours = json.loads(json.dumps(identity))
-        if theirs != ours:
-            differs = sorted(k for k in {*theirs, *ours} if theirs.get(k) != ours.get(k))
-            raise UserError(
-                f"{path.parent}: holds an evaluation with another {', '.join(differs)}; "
-                "choose another --report folder"
-            )
+        holds, advice = f"{path.parent}: holds an evaluation", "choose another --report folder"
+        require_same(theirs, identity, holds, advice)
         self._content = found
 
     def once(self, name: str, make: Callable[[], Any]) -> Any:
