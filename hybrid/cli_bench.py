@@ -14,6 +14,7 @@ from hybrid.options import (
     ForestFile,
     FovA,
     FovB,
+    GazeAt,
     Json,
     SceneName,
     Seed,
@@ -362,6 +363,42 @@ def bench_seam(
     if "jod" not in rows[0]:
         print(INSTALL)
     write_json(json_file, rows)
+
+
+@bench_app.command("still")
+def bench_still(
+    scene: SceneName,
+    forest: ForestFile = None,
+    size: Annotated[tuple[int, int], typer.Option(metavar="W H")] = (640, 480),
+    gaze: GazeAt = (0.5, 0.5),
+    seconds: Annotated[float, typer.Option(help="For which nothing moves.", min=1)] = 20.0,
+    reference_spp: ReferenceSpp = 1024,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Keep everything still, as in the window, and see how the disc gets better from frame to frame."""
+    from compose.view import Gaze
+
+    if not all(0 <= part <= 1 for part in gaze):
+        raise UserError(f"--gaze {gaze[0]} {gaze[1]}: lies outside of the frame, 0..1 each")
+    select(backend)
+    from hybrid.bench_still import bench_still as run
+    from hybrid.cache import forest_for
+    from hybrid.live import LiveRenderer
+    from hybrid.periphery import Viewing
+    from hybrid.timing import machine
+
+    loaded = loaded_scene(scene)
+    renderer = LiveRenderer(loaded, forest_for(loaded, forest), Viewing())
+    with progress_bar("bench (seconds)") as bar:
+        found = run(renderer, sized(loaded.camera, size), Gaze(*gaze), seconds, reference_spp, bar)
+    print("seconds    samples per pixel     PSNR")
+    for until in [0, *(t for t in (1, 2, 5, 10, 20, 50, 100) if t <= seconds)]:
+        last = [row for row in found["frames"] if row["seconds"] <= until] or found["frames"][:1]
+        print(f"{last[-1]['seconds']:7.1f} {last[-1]['spp']:20.0f} {last[-1]['psnr']:8.2f} dB")
+    print(f"the reference itself: {found['reference_psnr']:.2f} dB")
+    print(f"worse than a frame before, after the first second: by {found['most_fall']:.2f} dB at most")
+    write_json(json_file, {**found, "machine": machine()})
 
 
 def _metrics(row: dict[str, Any]) -> str:

@@ -58,6 +58,14 @@ def demo(
         float | None,
         typer.Option(metavar="SECONDS", help="Move the mouse for so long, print figures, and close.", min=1),
     ] = None,
+    load: Annotated[
+        float,
+        typer.Option(
+            metavar="SECONDS",
+            help="In the middle of --bench, another process keeps one core busy for so long.",
+            min=0,
+        ),
+    ] = 0.0,
     display: DisplayName = "desktop",
     seed: Seed = 0,
     backend: Backend = "auto",
@@ -73,6 +81,8 @@ def demo(
         raise UserError(f"--size {size[0]} {size[1]}: must be at least 64 each")
     if gaze_trace is not None and simulate:
         raise UserError("--gaze-trace, --simulate: the gaze can only come from one of them")
+    if load and (bench is None or load >= bench):
+        raise UserError(f"--load {load}: must be shorter than --bench")
     Foveation(Gaze(), fov_a, fov_b)
     law_named(law)
     shown_on = display_named(display)
@@ -84,7 +94,7 @@ def demo(
     require_window()
     from PySide6.QtWidgets import QApplication
 
-    from hybrid.demo.bench import WindowBench, figures, summary
+    from hybrid.demo.bench import WindowBench, figures, steadiness, summary
     from hybrid.demo.gaze_input import GazeInput
     from hybrid.demo.prepare import prepared
     from hybrid.demo.settings import Settings
@@ -95,7 +105,7 @@ def demo(
     settings = Settings(fov_a, fov_b, spp, law, target_fps=target)
     thread = RenderThread(partial(prepared, scene, forest, shown_on, backend, bench is None))
     window = Window(thread, settings, size, GazeInput(latency / 1000, trace), out, bench is not None)
-    measured = None if bench is None else WindowBench(window, bench, trace is None)
+    measured = None if bench is None else WindowBench(window, bench, trace is None, load)
     window.show()
     # Qt does not look at Ctrl-C by itself.
     signal.signal(signal.SIGINT, lambda number, frame: window.close())
@@ -103,6 +113,8 @@ def demo(
     if window.error is not None:
         raise window.error
     found = figures(window, 0.0 if measured is None else measured.start)
+    if target is not None:
+        found["target"] = steadiness(found["frames"], target, None if measured is None else measured.loaded)
     write_json(json_file, found)
     if measured is not None:
         print(summary(found))

@@ -126,6 +126,21 @@ def test_bench_passes_times_each_pass_of_each_mode(made, monkeypatch, tmp_path, 
     assert "--size 0 64: must be positive" in capsys.readouterr().err
 
 
+def test_bench_still_gets_better_while_nothing_moves(made, monkeypatch, tmp_path, capsys):
+    out = tmp_path / "s.json"
+    common = ["bench", "still", "cornell", "--forest", made / "box.forest", "--size", 96, 64, "--json", out]
+    assert run(monkeypatch, *common, "--seconds", 3, "--reference-spp", 256) == 0
+    found = json.loads(out.read_text())
+    frames = found["frames"]
+    assert frames[-1]["seconds"] >= 3
+    assert frames[-1]["spp"] > 10 * frames[0]["spp"]
+    assert frames[-1]["psnr"] > frames[0]["psnr"] + 3
+    assert 0 <= found["most_fall"] < 3
+    assert found["reference_psnr"] > frames[0]["psnr"]
+    assert run(monkeypatch, *common, "--gaze", 1.5, 0.5) == 2
+    assert "--gaze 1.5 0.5: lies outside of the frame" in capsys.readouterr().err
+
+
 def bench_of_fovea(name: str, made, monkeypatch, out, *options: object) -> list[dict]:
     """Rows of a bench of the fovea on the view that nothing was fitted to."""
     common = ["cornell", made / "frames", made / "box.forest", "--reference-spp", 4, "--json", out]

@@ -149,6 +149,7 @@ def test_what_is_missing_is_one_line(made, monkeypatch, capsys, tmp_path):
         (["room", "--forest", "box"], "not of room"),
         (["cornell", "--bench", "1"], "no forest"),
         (["cornell", "--size", "10", "10"], "--size 10 10"),
+        (["cornell", "--load", "2"], "--load 2.0: must be shorter than --bench"),
         (["cornell", "--gaze-trace", "nowhere.csv"], "nowhere.csv"),
     ],
 )
