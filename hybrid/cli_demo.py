@@ -76,6 +76,7 @@ def demo(
     from compose.foveation import Foveation
     from compose.gaze_trace import load_gaze_trace, simulated
     from compose.view import Gaze, display_named
+    from hybrid.images import check_writable
 
     if min(size) < 64:
         raise UserError(f"--size {size[0]} {size[1]}: must be at least 64 each")
@@ -86,6 +87,7 @@ def demo(
     Foveation(Gaze(), fov_a, fov_b)
     law_named(law)
     shown_on = display_named(display)
+    check_writable(out / "picture.png")
     trace = None if gaze_trace is None else load_gaze_trace(gaze_trace)
     if simulate:
         trace = simulated(shown_on, *size, _SIMULATED, seed)

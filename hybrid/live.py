@@ -95,3 +95,4 @@ class LiveRenderer(HybridRenderer):
     def forget(self) -> None:
         """From now on as if nothing had been seen before."""
         self.fovea.disc.forget()
+        self._before = None

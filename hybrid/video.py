@@ -84,6 +84,8 @@ def write_film(
                 frame = renderer.frame(camera, at, spp, seed + number)
                 frames.add(bytes_from_radiance(frame.composite), frame.milliseconds, disc.history)
                 interrupted()
+            # Also while they are encoded there may be an end to it.
+            frames.keep(disc.history)
         except KeyboardInterrupt:
             frames.keep(disc.history)
             raise

@@ -103,7 +103,7 @@ def figures(window: Window, start: float) -> dict[str, Any]:
         found |= {"fps": 1000 / float(np.median(times)), "ms": percentiles(times, (50, 95, 99))}
     if late:
         found["latency_ms"] = percentiles(late)
-    passes = list(window.meter.passes)[-len(frames) :]
+    passes = list(window.meter.passes)[len(window.meter.passes) - len(frames) :]
     names = dict.fromkeys(name for frame in passes for name in frame)
     medians = {n: float(np.median([frame[n] for frame in passes if n in frame])) for n in names}
     return found | {"passes": medians, "frames": frames, "machine": machine()}

@@ -18,7 +18,7 @@ class Canvas(QWidget):
 
     # Where the mouse is on the frame.
     gazed = Signal(object)
-    # Pixels of the frame by which it was dragged.
+    # How far it was dragged to the right and down, in heights of this widget.
     dragged = Signal(float, float)
     # The newest frame is on the screen.
     painted = Signal(object)

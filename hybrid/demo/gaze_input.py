@@ -14,13 +14,17 @@ class GazeInput:
     Args:
         latency: seconds by which it is late.
         replayed: a trace in place of the mouse, again and again.
+
+    Attributes:
+        told: when the gaze that was told last was there, in the time that `at` is asked for: of the mouse,
+            when it moved there.
     """
 
     def __init__(self, latency: float, replayed: GazeTrace | None):
         self.latency, self._replayed = latency, replayed
         self._began: float | None = None
         self._moves: deque[tuple[float, Gaze]] = deque()
-        self._gaze = Gaze()
+        self._gaze, self.told = Gaze(), 0.0
 
     @property
     def is_live(self) -> bool:
@@ -37,11 +41,12 @@ class GazeInput:
         if self._replayed is not None:
             if self._began is None:
                 self._began = now
-            seconds = now - self._began - self.latency
+            self.told = now - self.latency
+            seconds = self.told - self._began
             # At least an instant: a trace of one gaze has no duration.
             return self._replayed.at(seconds % max(self._replayed.duration, 1e-3) if seconds > 0 else 0.0)
         while self._moves and self._moves[0][0] <= now - self.latency:
-            self._gaze = self._moves.popleft()[1]
+            self.told, self._gaze = self._moves.popleft()
         return self._gaze
 
 

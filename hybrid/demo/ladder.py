@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import time
 from dataclasses import asdict, replace
@@ -40,7 +41,9 @@ def ladder_for(source: FrameSource, like: Request, report: Report) -> list[Rung]
     """
     scene, camera = source.renderer.tracer.scene, source.camera.resized(like.camera.width, like.camera.height)
     size = f"{camera.width}x{camera.height}"
-    file = scene_folder(scene.name, scene.hash) / f"window-{size}-{like.settings.law}.json"
+    seen_by = repr((source.renderer.periphery.forest.digest(), source.display)).encode()
+    name = f"window-{size}-{like.settings.law}-{hashlib.sha256(seen_by).hexdigest()[:12]}.json"
+    file = scene_folder(scene.name, scene.hash) / name
     if file.is_file():
         try:
             return frontier([Rung(**row) for row in json.loads(file.read_text())])
@@ -77,6 +80,7 @@ def _measured(source: FrameSource, like: Request, report: Report) -> list[Rung]:
         report(what, number + 1, len(wanted) + 1)
         request = replace(like, settings=rung.applied(like.settings), shows=Shows.COMPOSITE)
         rungs.append(_of(source, request, rung, truth))
+    report(what, len(wanted) + 1, len(wanted) + 1)
     source.forget()
     return rungs
 

@@ -33,6 +33,11 @@ class Meter:
         """The gaze has moved."""
         self._events.append(at)
 
+    def pause(self) -> None:
+        """No frames are made for a while, for another reason than that they take so long."""
+        self._events.clear()
+        self._last = None
+
     def shown(self, at: float, asked: float, passes: dict[str, float]) -> None:
         """A frame is on the screen that knows of all events until `asked`."""
         self.passes.append(passes)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLabel, QSlider, QSpinBox, QWidget
 
@@ -58,6 +60,8 @@ class Panel(QWidget):
         self.controlled.toggled.connect(self.changed)
         self.target.valueChanged.connect(self.changed)
         self._mark_chosen(self.controlled.isChecked())
+        # Until something is changed by hand: sliders know whole numbers only.
+        self._chosen = replace(settings, layers=(low, high))
 
     def settings(self) -> Settings:
         """What is chosen; the same object as long as that is the same."""
@@ -69,12 +73,13 @@ class Panel(QWidget):
         self._chosen = None
 
     def _read(self) -> Settings:
+        # While one slider moves, the one that follows it is still where it was.
         return Settings(
             float(self.fov_a.value()),
-            float(self.fov_b.value()),
+            float(min(self.fov_b.value(), self.fov_a.value())),
             self.spp.value(),
             self.law.currentText(),
-            (self.coarsest.value(), self.finest.value()),
+            (min(self.coarsest.value(), self.finest.value()), self.finest.value()),
             self.rate.value(),
             self.scale.value() / 100,
             float(self.target.value()) if self.controlled.isChecked() else None,

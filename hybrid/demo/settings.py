@@ -60,7 +60,7 @@ class Request:
         gaze: in fractions of the frame.
         settings: how the frame is made.
         shows: what of it is shown.
-        asked: time.perf_counter of the newest event that is in it.
+        asked: time.perf_counter of the newest movement of the gaze that is in it.
     """
 
     camera: Camera

@@ -24,6 +24,9 @@ from hybrid.demo.walk import Walker
 # Milliseconds between two looks at keys and gaze where they may have changed without an event: more often
 # than any frame comes. Otherwise seldom, as all that the window does is taken from the renderer.
 _TICK, _REST = 8, 100
+# Milliseconds for which the window's size must stay the same until frames follow it: until then they are
+# enlarged. With a target, each new size is measured for half a minute.
+_SETTLE = 200
 # How far one walks in a second, in units of how far away things are, and turns, in degrees.
 _PACE, _TURN = 0.3, 60.0
 _Key = Qt.Key
@@ -66,7 +69,7 @@ class Window(QMainWindow):
     ):
         super().__init__()
         self._thread, self._settings = thread, settings
-        self._gaze, self._folder = gaze, folder
+        self._gaze, self._folder, self._size = gaze, folder, size
         self.meter = Meter(keeps_all)
         self.error: Exception | None = None
         self.panel: Panel | None = None
@@ -88,6 +91,7 @@ class Window(QMainWindow):
         self.statusBar().addPermanentWidget(self._bar, 1)
         # Hiding the bar must not change the size of the frame.
         self.statusBar().setFixedHeight(self._bar.sizeHint().height())
+        self._settling = QTimer(self, interval=_SETTLE, singleShot=True)
         self._connect()
         self._timer = QTimer(self)
         self._timer.timeout.connect(self.tick)
@@ -104,7 +108,8 @@ class Window(QMainWindow):
         canvas.gazed.connect(self._on_gaze)
         canvas.dragged.connect(self._on_drag)
         canvas.painted.connect(self._on_painted)
-        canvas.resized.connect(self.tick)
+        canvas.resized.connect(self._settling.start)
+        self._settling.timeout.connect(self._on_settled)
 
     def tick(self) -> None:
         """Walks as far as keys are held, and asks for the frame that this and the gaze make."""
@@ -121,15 +126,18 @@ class Window(QMainWindow):
                 self.walker.walk(*(step * way for way in _WALK[_Key(key)]))
             elif key in _LOOK:
                 self.walker.look(*(_TURN * seconds * way for way in _LOOK[_Key(key)]))
-        gaze = self._held or self._gaze.at(now)
+        before, newest = self._gaze.told, self._gaze.at(now)
+        gaze = self._held or newest
         if self._recorder is not None:
             self._recorder.add(now, gaze)
-        camera = self.walker.camera(self.canvas.width(), self.canvas.height())
-        request = Request(camera, gaze, self.panel.settings(), self.panel.chosen_view(), now)
+        camera = self.walker.camera(*self._size)
+        told = self._gaze.told
+        request = Request(camera, gaze, self.panel.settings(), self.panel.chosen_view(), told)
         if not request.same_picture(self._asked):
+            # A gaze that is held, or held no more, has not moved.
+            if self._asked is not None and gaze != self._asked.gaze and told != before:
+                self.meter.event(told)
             self._asked = request
-            if not self._gaze.is_live:
-                self.meter.event(now)
             self._thread.requests.put(request)
 
     def closeEvent(self, event: QCloseEvent) -> None:  # noqa: N802
@@ -169,12 +177,12 @@ class Window(QMainWindow):
         elif key == _Key.Key_Space:
             self._held = None if self._held else self._gaze.at(time.perf_counter())
         elif key == _Key.Key_P and self._ready is not None:
-            picture = _unused(self._folder, self._ready.name, ".png")
-            self._thread.save(picture, picture.with_suffix(".exr"))
+            self._save(self._ready.name)
         elif key == _Key.Key_T and self._ready is not None:
             self._record(self._ready.name)
         elif key == _Key.Key_G:
             self.canvas.ring = not self.canvas.ring
+            self.canvas.update()
         elif key == _Key.Key_H:
             self._hud = not self._hud
         elif key == _Key.Key_F1:
@@ -188,22 +196,36 @@ class Window(QMainWindow):
         self._write()
         self.tick()
 
+    def _save(self, name: str) -> None:
+        try:
+            picture = _unused(self._folder, name, ".png")
+        except OSError as error:
+            self._say(f"{self._folder}: cannot be read ({error.strerror})")
+        else:
+            self._thread.save(picture, picture.with_suffix(".exr"))
+
     def _record(self, name: str) -> None:
-        recorder, self._recorder = self._recorder, None
-        if recorder is None:
+        """Begins to record the gaze, or writes what was recorded; until that is possible, it goes on."""
+        if self._recorder is None:
             self._recorder = GazeRecorder()
             self._say("recording the gaze")
             return
-        trace = recorder.trace()
-        if trace is not None:
-            file = _unused(self._folder, f"{name}-gaze", ".csv")
-            try:
+        trace = self._recorder.trace()
+        try:
+            if trace is not None:
+                file = _unused(self._folder, f"{name}-gaze", ".csv")
                 trace.save(file)
                 self._say(str(file))
-            except UserError as error:
-                self._say(str(error))
+            self._recorder = None
+        except (UserError, OSError) as error:
+            self._say(str(error))
+
+    def _on_settled(self) -> None:
+        self._size = self.canvas.width(), self.canvas.height()
+        self.tick()
 
     def _on_progress(self, what: str, done: int, total: int) -> None:
+        self.meter.pause()
         self._bar.setVisible(done < total)
         self._bar.setMaximum(total)
         self._bar.setValue(done)
@@ -251,7 +273,6 @@ class Window(QMainWindow):
         now = time.perf_counter()
         if self._gaze.is_live:
             self._gaze.move(now, gaze)
-            self.meter.event(now)
             self.tick()
 
     def _on_drag(self, right: float, down: float) -> None:

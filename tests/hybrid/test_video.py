@@ -93,3 +93,24 @@ def test_an_interrupted_film_goes_on_to_the_same_end(made, monkeypatch, tmp_path
         "whole.json",
         "whole.mp4",
     ]
+
+
+def test_a_film_interrupted_while_it_is_encoded_renders_nothing_again(made, monkeypatch, tmp_path, trace):
+    from hybrid import video
+    from hybrid.renderer import HybridRenderer
+
+    film = tmp_path / "a.mp4"
+    common = ["render", "cornell", "--forest", made / "box.forest", "--gaze-trace", trace, "--fps", 8]
+    common += ["--size", 64, 48, "--spp", 1, "-o", film]
+
+    def interrupted(*arguments):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(video, "_encode", interrupted)
+        assert run(monkeypatch, *common) != 0
+    assert not film.exists()
+    with monkeypatch.context() as patched:
+        patched.setattr(HybridRenderer, "frame", interrupted)
+        assert run(monkeypatch, *common) == 0
+    assert len(pictures(film)) == 8

@@ -76,3 +76,27 @@ def test_only_what_is_recent_is_kept_unless_all_is_wanted():
             meter.shown(number + 0.5, number, {})
     assert [len(meter.intervals) for meter in meters] == [100, 999]
     assert [len(meter.latencies) for meter in meters] == [100, 1000]
+
+
+def test_what_is_told_is_dated_when_it_was_there():
+    late = GazeInput(0.5, None)
+    late.move(1.0, HERE)
+    late.move(2.0, THERE)
+    for now, told in ((1.6, 1.0), (2.4, 1.0), (2.6, 2.0), (9.0, 2.0)):
+        late.at(now)
+        assert late.told == told
+    replayed = GazeInput(0.5, GazeTrace((0.0, 1.0), (HERE, THERE)))
+    replayed.at(7.0)
+    assert replayed.told == 6.5
+
+
+def test_a_pause_counts_neither_as_a_frame_nor_as_latency():
+    meter = Meter()
+    meter.shown(1.0, 1.0, {})
+    meter.event(1.5)
+    meter.pause()
+    meter.shown(30.0, 30.0, {})
+    meter.event(30.1)
+    meter.shown(30.2, 30.1, {})
+    assert [seconds for _, seconds in meter.intervals] == pytest.approx([0.2])
+    assert [seconds for _, seconds in meter.latencies] == pytest.approx([0.1])
