@@ -7,6 +7,7 @@ import os
 import platform
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from typing import Any
@@ -14,7 +15,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from compose.view import Gaze
+from compose.view import Camera, Gaze
 
 
 class Clock:
@@ -45,6 +46,18 @@ def gaze_path(count: int) -> list[Gaze]:
     """A closed curve through the middle of the frame, on which a disc of 20 % of the height stays whole."""
     turns = (2 * math.pi * i / count for i in range(count))
     return [Gaze(0.5 + 0.15 * math.sin(t), 0.5 + 0.15 * math.sin(2 * t + 0.5)) for t in turns]
+
+
+def nudged(camera: Camera, number: int) -> Camera:
+    """The camera turned aside by less than anyone sees, by another angle for each number from 0 to 999.
+
+    What a renderer keeps of a view is of no use to it then: a frame pays for all that it needs.
+    """
+    angle = 1e-7 * (1 + number % 1000)
+    turn = np.eye(4)
+    turn[0, 0] = turn[2, 2] = math.cos(angle)
+    turn[0, 2], turn[2, 0] = math.sin(angle), -math.sin(angle)
+    return replace(camera, world_to_camera=turn @ camera.world_to_camera)
 
 
 def interleaved(

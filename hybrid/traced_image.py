@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
 from compose.blend import Image
 from compose.view import Camera
 from hybrid.disc import is_quick
@@ -16,7 +21,7 @@ def traced_image(
     camera: Camera,
     positions: FilmPositions,
     columns: int,
-    spp: int,
+    spp: float,
     seed: int,
     denoised: bool,
     clock: Clock | None = None,
@@ -28,18 +33,29 @@ def traced_image(
         camera: the view; its film coordinates are those of the positions.
         positions: of the picture's pixels.
         columns: of the picture.
-        spp: samples per position.
+        spp: samples per position, at least 1 each; where that is no whole number, the mean over all of them.
         seed: same seed, same picture.
         denoised: by OIDN, with albedo and normal.
         clock: gets the laps trace and denoise.
     """
     image = lambda channels: interleaved(channels).reshape(-1, columns, 3)  # noqa: E731
     clock = clock or Clock()
-    radiance = image(tracer.trace(camera, positions, spp, seed).radiance)
+    radiance = image(tracer.trace(camera, positions, _counts(spp, positions.count, seed), seed).radiance)
     clock.lap("trace")
     if not denoised:
         return radiance
-    guides = tracer.guides(camera, positions, guide_places(spp), seed)
+    guides = tracer.guides(camera, positions, guide_places(math.ceil(spp)), seed)
     cleaned = denoise(radiance, image(guides.albedo), image(guides.normal), is_quick(spp))
     clock.lap("denoise")
     return cleaned
+
+
+def _counts(spp: float, positions: int, seed: int) -> int | NDArray[np.int64]:
+    """Samples of each position: the whole numbers below and above, in such shares that the mean is met."""
+    whole = math.floor(spp)
+    if spp == whole:
+        return whole
+    more = round((spp - whole) * positions)
+    counts = np.full(positions, whole, dtype=np.int64)
+    counts[np.random.default_rng(seed).permutation(positions)[:more]] += 1
+    return counts

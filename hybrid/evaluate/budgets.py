@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from compose.view import Camera, Gaze
 from hybrid.evaluate.peers import Enlarged, FullTrace, Peer, Warped
+from hybrid.timing import nudged
 from pathtrace.tracer import Tracer
 
 # FPC's own setting of RMFR.
@@ -19,18 +22,31 @@ _FRAMES, _LOOKS, NEAR = 5, 12, 0.03
 
 
 @dataclass(frozen=True)
-class Tuning:
-    """What is left to choose of peers at a given number of rays; found on views that are not measured.
-
-    Attributes:
-        f, spp, denoised: of RMFR.
-        enlarged_spp: of the enlarged frame.
-    """
+class WarpTuning:
+    """What is left to choose of RMFR at a given number of rays."""
 
     f: float
     spp: int
     denoised: bool
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """What is left to choose of peers at a given number of rays; found on views that are not measured.
+
+    Attributes:
+        frame, fovea: of RMFR, as it is best for the whole frame and for the fovea.
+        enlarged_spp: of the enlarged frame.
+    """
+
+    frame: WarpTuning
+    fovea: WarpTuning
     enlarged_spp: int
+
+    @staticmethod
+    def restored(found: dict[str, Any]) -> Tuning:
+        """From what `asdict` has made of one."""
+        return Tuning(WarpTuning(**found["frame"]), WarpTuning(**found["fovea"]), found["enlarged_spp"])
 
 
 # From paths per pixel of the frame to a peer that takes about as many.
@@ -41,24 +57,42 @@ def families(tracer: Tracer, tuning: Tuning) -> dict[str, Family]:
     """All peers that trace paths, by name."""
 
     def full(denoised: bool) -> Family:
-        return lambda rays: FullTrace(tracer, max(1, int(rays)), denoised)
+        return lambda rays: FullTrace(tracer, max(1.0, rays), denoised)
 
     def enlarged(denoised: bool) -> Family:
-        spp = tuning.enlarged_spp if denoised else 1
-        return lambda rays: Enlarged(tracer, rays / spp, spp, denoised)
+        least = tuning.enlarged_spp if denoised else 1
 
-    return {
+        def of(rays: float) -> Peer:
+            spp = _whole(least, rays)
+            return Enlarged(tracer, rays / spp, spp, denoised)
+
+        return of
+
+    def warped(tuning: WarpTuning) -> Family:
+        def of(rays: float) -> Peer:
+            spp = _whole(tuning.spp, rays)
+            return Warped(tracer, tuning.f, float(np.sqrt(spp / rays)), spp, tuning.denoised)
+
+        return of
+
+    found = {
         "full": full(False),
         "full, denoised": full(True),
         "enlarged": enlarged(False),
         "enlarged, denoised": enlarged(True),
         "rmfr": lambda rays: Warped(
-            tracer, _FPC_F, _FPC_SIGMA, max(1, int(rays * _FPC_SIGMA**2)), denoised=False
+            tracer, _FPC_F, _FPC_SIGMA, max(1.0, rays * _FPC_SIGMA**2), denoised=False
         ),
-        "rmfr, tuned": lambda rays: Warped(
-            tracer, tuning.f, float(np.sqrt(tuning.spp / rays)), tuning.spp, tuning.denoised
-        ),
+        "rmfr, tuned": warped(tuning.frame),
     }
+    if tuning.fovea != tuning.frame:
+        found["rmfr, tuned for the fovea"] = warped(tuning.fovea)
+    return found
+
+
+def _whole(least: int, rays: float) -> int:
+    """Samples of each place of a picture that has fewer places than the frame, or as many at most."""
+    return max(least, math.ceil(rays))
 
 
 def at_equal_time(family: Family, ours: Peer, camera: Camera, gaze: Gaze, rays: float) -> float | None:
@@ -118,7 +152,7 @@ def relative_time(peer: Peer, ours: Peer, camera: Camera, gaze: Gaze) -> float:
     times: tuple[list[float], list[float]] = ([], [])
     for seed in range(_FRAMES + 1):
         for way, found in zip((peer, ours), times, strict=True):
-            found.append(way.make(camera, gaze, seed).milliseconds["total"])
+            found.append(way.make(nudged(camera, seed), gaze, seed).milliseconds["total"])
     # The first ones warm up.
     theirs, of_ours = (float(np.median(found[1:])) for found in times)
     return theirs / of_ours

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -35,6 +36,11 @@ class Entry:
     peer: Peer
     briefly: bool = False
 
+    @property
+    def title(self) -> str:
+        """The same for entries that make the same frames under the same name, and only for those."""
+        return ", ".join((self.method, self.budget, json.dumps(self.peer.settings, sort_keys=True)))
+
 
 def hybrid_entries(renderers: dict[str, HybridRenderer], settings: EvaluationSettings) -> list[Entry]:
     """This project's frames, by how the fovea is made, and by samples."""
@@ -64,6 +70,7 @@ def peer_entries(
     """What traces paths, at the rays and at the time of ours.
 
     A peer that takes more rays even at its cheapest is there at that, as fixed: it is given more than ours.
+    One that meets both budgets with the same settings stands in both rows.
 
     Args:
         ours: whose cost is to be met.
@@ -82,7 +89,7 @@ def peer_entries(
         budget = "equal-rays" if affordable else "fixed"
         entries.append(Entry(name, budget, equal, briefly=affordable))
         met = costs.once(name, lambda: at_equal_time(family, ours.peer, camera, gaze, rays))  # noqa: B023
-        if met is not None and family(met).settings != equal.settings:
+        if met is not None:
             entries.append(Entry(name, "equal-time", family(met)))
         progress(number + 1, len(known))
     return entries

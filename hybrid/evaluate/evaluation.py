@@ -76,12 +76,13 @@ class Evaluation:
             "peer forest": None if flat is None else flat.digest(),
             "display": asdict(display),
             "settings": asdict(settings),
+            "machine": machine(),
+            "backend": device_arrays().backend,
         }
         self.journal = Journal(folder / "work" / "journal.json", identity)
         # What is equal in time is found once on a machine: the same frames are compared ever after.
-        key = {**identity, "machine": machine()}
-        name = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:16]
-        self.costs = Journal(scene_folder(scene.name, scene.hash) / f"costs-{name}.json", key)
+        name = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
+        self.costs = Journal(scene_folder(scene.name, scene.hash) / f"costs-{name}.json", identity)
 
     def run(self, progress: Callable[[str, float, float], None]) -> dict[str, Any]:
         """Does what is not done yet, and returns the content of the JSON file.
@@ -99,7 +100,7 @@ class Evaluation:
         entries = self._entries(views, work)
         parts = self.display, settings, self.folder, self.journal
         quality = judged(entries, measured_views, references, *parts, work.of("quality"))
-        time = timed(entries, views[0], settings.repeats, self.journal, work.of("times"))
+        time = timed(entries, views[0], settings.gaze, settings.repeats, self.journal, work.of("times"))
         return {
             "scene": self.scene.name,
             "settings": asdict(settings),
@@ -116,7 +117,7 @@ class Evaluation:
             ],
             "quality": quality,
             "time": time,
-            "machine": self.journal.once("machine", machine),
+            "machine": machine(),
         }
 
     def _views(self) -> list[Camera]:
@@ -156,7 +157,7 @@ class Evaluation:
         ours = hybrid_entries(self.renderers, settings)
         best = next(entry for entry in ours if entry.method == OURS)
         rays = best.peer.rays(views[0], settings.gaze)
-        tuning = Tuning(**self.journal.once("tuning", lambda: asdict(self._tuning(views, rays, work))))
+        tuning = Tuning.restored(self.journal.once("tuning", lambda: asdict(self._tuning(views, rays, work))))
         arguments = self.tracer, tuning, views[0], settings.gaze, self.costs, work.of("costs")
         return [*ours, *splat_entries(self.splats, self.flat), *peer_entries(best, *arguments)]
 
@@ -169,7 +170,7 @@ class Evaluation:
             reference(self.tracer, camera, settings.reference_spp, seed + number).radiance
             for number, camera in enumerate(small)
         ]
-        return tuned(self.tracer, small, truths, settings.gaze, rays, work.of("tuning"))
+        return tuned(self.tracer, small, truths, settings.foveation, rays, work.of("tuning"))
 
 
 class _Work:

@@ -15,6 +15,7 @@ from hybrid.evaluate.measure import Viewer
 from hybrid.evaluate.regions import Region, regions
 from hybrid.evaluate.settings import EvaluationSettings
 from hybrid.images import write_png
+from hybrid.metrics import installed
 from hybrid.reference import Reference
 
 # The name under which the quality of a reference itself stands: one half of its samples against the other.
@@ -81,18 +82,19 @@ class _View:
     folder: Path
 
     def title(self, entry: Entry | None) -> str:
-        """Under which the journal keeps what is said of a picture."""
-        return ", ".join((str(self.number), *_key(entry)))
+        """Under which the journal keeps what is said of a picture, by the metrics that are installed."""
+        return ", ".join((str(self.number), HALVES if entry is None else entry.title, *installed()))
 
     def picture(self, entry: Entry | None) -> Picture:
         """Made, and its file written."""
         if entry is None:
             write_png(self.folder / picture_name(self.number, None), self.truth.radiance)
-            return Picture(HALVES, *self.truth.halves, self.parts, self.viewer, None)
+            return Picture(HALVES, *self.truth.halves, (), self.parts, self.viewer, None)
         image = entry.peer.make(self.camera, self.settings.gaze, self.settings.seed + self.number).image
         write_png(self.folder / picture_name(self.number, _key(entry)), image)
         flip_file = self.folder / flip_name(self.number, _key(entry))
-        return Picture(entry.method, image, self.truth.radiance, self.parts, self.viewer, flip_file)
+        truths = self.truth.radiance, self.truth.halves
+        return Picture(entry.method, image, *truths, self.parts, self.viewer, flip_file)
 
     def rows(self, entry: Entry | None, journal: Journal) -> Iterator[dict[str, Any]]:
         """What the journal has of a picture."""

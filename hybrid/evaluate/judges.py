@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from compose.blend import Image
-from hybrid.evaluate.measure import Viewer, measured
+from hybrid.evaluate.measure import Viewer, foveal, half_name, measured
 from hybrid.evaluate.regions import Region
 from hybrid.images import write_bytes
 from hybrid.metrics.flip import flip_map
@@ -30,6 +30,7 @@ class Picture:
     Attributes:
         method: that made it.
         image, truth: (H, W, 3) linear radiance, and what it should be.
+        halves: of the reference, which the fovea is compared with as well.
         regions: of the frame.
         viewer: who looks.
         flip_file: where the map of its FLIP goes, None for nowhere.
@@ -38,6 +39,7 @@ class Picture:
     method: str
     image: Image
     truth: Image
+    halves: tuple[Image, ...]
     regions: dict[str, Region]
     viewer: Viewer
     flip_file: Path | None
@@ -54,7 +56,12 @@ def judge(picture: Picture) -> list[dict[str, Any]]:
         error = flip_map(picture.image, picture.truth)
         if error is not None:
             write_bytes(picture.flip_file, _coloured(error))
-    return measured(picture.image, picture.truth, picture.regions, picture.viewer, picture.method, error)
+    parts, viewer = picture.regions, picture.viewer
+    rows = measured(picture.image, picture.truth, parts, viewer, picture.method, error)
+    for number, half in enumerate(picture.halves, 1):
+        for metric, value in foveal(picture.image, half, parts["foveal"], viewer).items():
+            rows.append({"region": "foveal", "metric": half_name(metric, number), "value": value})
+    return rows
 
 
 def judged_in_parallel(pictures: Iterator[tuple[str, Picture]]) -> Iterator[tuple[str, list[dict[str, Any]]]]:

@@ -111,6 +111,21 @@ def measured(
     return rows
 
 
+def half_name(metric: str, number: int) -> str:
+    """What a metric is called against the first or the second half of a reference's samples."""
+    return f"{metric}, half {number}"
+
+
+def foveal(image: Image, reference: Image, region: Region, viewer: Viewer) -> dict[str, float]:
+    """JOD and FLIP of the foveal region, as far as they are installed; arguments as of `measured`."""
+    alone = region.alone(image, reference)
+    found = {
+        "jod": _jod(alone, reference, region, viewer),
+        "flip": _flip(alone, reference, region, flip_map),
+    }
+    return {metric: value for metric, value in found.items() if value is not None}
+
+
 def acuity_weight(viewer: Viewer, size: tuple[int, int]) -> NDArray[np.float32]:
     """(H, W) cut-off frequency of the eye at each pixel of a frame of that size, relative to the gaze's."""
     angles = eccentricity(viewer.display.viewer(size[1], size[0]), viewer.gaze).astype(np.float64)

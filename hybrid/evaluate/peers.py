@@ -68,10 +68,10 @@ class Hybrid:
 
 @dataclass(frozen=True)
 class FullTrace:
-    """Every pixel path-traced alike."""
+    """Every pixel path-traced alike, as far as whole samples allow."""
 
     tracer: Tracer
-    spp: int
+    spp: float
     denoised: bool
 
     @property
@@ -139,7 +139,7 @@ class Warped:
     tracer: Tracer
     f: float
     sigma: float
-    spp: int
+    spp: float
     denoised: bool
 
     @property

@@ -19,13 +19,13 @@ from hybrid.evaluate.measure import METRICS
 from hybrid.evaluate.plots import samples_plot, sweep_plots, trade_plot
 from hybrid.evaluate.regions import REGIONS
 from hybrid.evaluate.settings import FOVEAL_REFERENCE
-from hybrid.evaluate.verdicts import FOVEAL_METRICS, Key, keys_of, mean_of, verdicts
+from hybrid.evaluate.verdicts import Key, foveal_metrics, keys_of, mean_of, verdicts
 from hybrid.metrics import missing
 from hybrid.sweeps.break_even import sentence
 from hybrid.sweeps.setting import varied
 
 # Pictures in the page are compressed; the PNG files beside it are not.
-_JPEG_QUALITY = 92
+_JPEG_QUALITY = 95
 _DIGITS = {"psnr": 2, "ssim": 4, "fssim": 4, "flip": 4, "hdr-flip": 4, "lpips": 4, "jod": 2}
 
 
@@ -39,7 +39,7 @@ def write_report(folder: Path) -> None:
     sweeps = [json.loads(file.read_text()) for file in sorted(folder.glob("sweep-*.json"))]
     settings, machine = found["settings"], found["machine"]
     views = sorted({row["view"] for row in found["quality"]})
-    keys = keys_of(found)
+    keys, judged_by = keys_of(found), foveal_metrics(found)
     width, height = settings["width"], settings["height"]
     psnr = {n: [r["psnr"] for r in found["references"] if r["region"] == n] for n in ("whole", "foveal")}
     templates = Environment(loader=PackageLoader("hybrid.evaluate", "."), autoescape=True)
@@ -59,10 +59,10 @@ def write_report(folder: Path) -> None:
         fov_a=settings["fov_a"],
         fov_b=settings["fov_b"],
         trade=_plots(
-            [trade_plot(found, "foveal", m) for m in FOVEAL_METRICS] + [trade_plot(found, "whole", "ssim")]
+            [trade_plot(found, "foveal", m) for m in judged_by] + [trade_plot(found, "whole", "ssim")]
         ),
         sweeps=[_sweep(sweep) for sweep in sweeps],
-        samples=_plots([samples_plot(found, metric) for metric in FOVEAL_METRICS]),
+        samples=_plots([samples_plot(found, metric) for metric in judged_by]),
         reference_note=(
             f"Against the truth the references have {min(psnr['whole']):.1f} to {max(psnr['whole']):.1f} dB, "
             f"{min(psnr['foveal']):.1f} to {max(psnr['foveal']):.1f} dB in the fovea, "
@@ -133,7 +133,7 @@ def _time_table(found: dict[str, Any]) -> dict[str, Any]:
     names = list(dict.fromkeys(name for row in found["time"] for name in row["passes"]))
     rows = []
     for row in found["time"]:
-        cells = [f"{row['ms'][p]:.0f}" for p in ("p50", "p95", "p99")]
+        cells = [f"{row['ms'][p]:.0f}" if p in row["ms"] else "-" for p in ("p50", "p95", "p99")]
         cells += [f"{1000 / row['ms']['p50']:.1f}", str(row["repeats"])]
         cells += [f"{row['passes'][name]:.0f}" if name in row["passes"] else "-" for name in names]
         rows.append({**row, "cells": cells, "ours": row["method"].startswith("hybrid")})
@@ -154,5 +154,5 @@ def _flips(folder: Path, view: int, keys: list[Key]) -> dict[str, str]:
 def _embedded(file: Path) -> str:
     """A picture as a data URL."""
     buffer = io.BytesIO()
-    PillowImage.open(file).convert("RGB").save(buffer, format="JPEG", quality=_JPEG_QUALITY)
+    PillowImage.open(file).convert("RGB").save(buffer, format="JPEG", quality=_JPEG_QUALITY, subsampling=0)
     return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from itertools import product
 
 import numpy as np
 
 from compose.blend import Image
-from compose.view import Camera, Gaze
-from hybrid.evaluate.budgets import Tuning
+from compose.foveation import Foveation
+from compose.view import Camera
+from hybrid.evaluate.budgets import Tuning, WarpTuning
 from hybrid.evaluate.peers import Enlarged, Peer, Warped
-from hybrid.metrics.similarity import ssim
+from hybrid.evaluate.regions import regions
+from hybrid.metrics.similarity import ssim_map, valid_mean
 from pathtrace.tracer import Tracer
 
 _F = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6)
@@ -22,29 +25,41 @@ def tuned(
     tracer: Tracer,
     views: list[Camera],
     references: list[Image],
-    gaze: Gaze,
+    foveation: Foveation,
     rays: float,
     progress: Callable[[int, int], None],
 ) -> Tuning:
-    """The settings with the best mean SSIM of the whole frame, at a number of rays per pixel.
+    """The settings with the best mean SSIM, of the whole frame and of the fovea, at so many rays per pixel.
 
     Args:
         tracer: of the scene.
         views, references: to tune on.
-        gaze: where the viewer looks.
+        foveation: gaze and radii.
         rays: per pixel of the frame.
         progress: called with settings tried and settings in all.
     """
     warped = {
-        key: Warped(tracer, key[0], float(np.sqrt(key[1] / rays)), key[1], key[2])
-        for key in product(_F, _SPP, (False, True))
+        WarpTuning(*key): Warped(tracer, key[0], float(np.sqrt(key[1] / rays)), key[1], key[2])
+        for key in product(_F, _at_least(rays), (False, True))
     }
-    enlarged = {spp: Enlarged(tracer, rays / spp, spp, True) for spp in _SPP}
+    enlarged = {spp: Enlarged(tracer, rays / spp, spp, True) for spp in _at_least(rays)}
     everything: Iterable[Peer] = [*warped.values(), *enlarged.values()]
-    scores = []
+    fovea = [regions(foveation, truth)["foveal"].mask.astype(np.float32) for truth in references]
+    whole, foveal = [], []
     for number, peer in enumerate(everything):
-        images = [peer.make(view, gaze, seed).image for seed, view in enumerate(views)]
-        scores.append(np.mean([ssim(image, truth) for image, truth in zip(images, references, strict=True)]))
+        images = [peer.make(view, foveation.gaze, seed).image for seed, view in enumerate(views)]
+        maps = [ssim_map(image, truth) for image, truth in zip(images, references, strict=True)]
+        whole.append(np.mean([valid_mean(found) for found in maps]))
+        foveal.append(np.mean([valid_mean(*found) for found in zip(maps, fovea, strict=True)]))
         progress(number + 1, len(warped) + len(enlarged))
-    f, spp, denoised = list(warped)[int(np.argmax(scores[: len(warped)]))]
-    return Tuning(f, spp, denoised, list(enlarged)[int(np.argmax(scores[len(warped) :]))])
+    best = lambda keys, scores: list(keys)[int(np.argmax(scores))]  # noqa: E731
+    return Tuning(
+        best(warped, whole[: len(warped)]),
+        best(warped, foveal[: len(warped)]),
+        best(enlarged, whole[len(warped) :]),
+    )
+
+
+def _at_least(rays: float) -> list[int]:
+    """Samples of each place: with fewer than the rays of a pixel, there would be more places than pixels."""
+    return [spp for spp in _SPP if spp >= rays] or [math.ceil(rays)]

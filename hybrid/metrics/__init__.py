@@ -16,10 +16,16 @@ _OPTIONAL = {
 
 def missing() -> list[str]:
     """A line for each metric that is not installed, with how to get it."""
-    lines = []
-    for package, line in _OPTIONAL.items():
-        try:
-            version(package)
-        except PackageNotFoundError:
-            lines.append(line)
-    return lines
+    return [line for package, line in _OPTIONAL.items() if _version(package) is None]
+
+
+def installed() -> list[str]:
+    """What the optional metrics need, as far as it is installed, with versions."""
+    return [f"{package} {_version(package)}" for package in _OPTIONAL if _version(package) is not None]
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None

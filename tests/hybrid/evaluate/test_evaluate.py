@@ -68,7 +68,9 @@ def test_all_rows_are_there(evaluated):
     assert {row["view"] for row in found["quality"]} == {0, 1}
     for row in found["time"]:
         assert (row["width"], row["height"], row["repeats"]) == (64, 64, 3)
-        assert 0 < row["ms"]["p50"] <= row["ms"]["p95"] <= row["ms"]["p99"]
+        # Three frames have no 95th percentile.
+        assert list(row["ms"]) == ["p50"]
+        assert row["ms"]["p50"] > 0
         assert row["passes"]
     rays = {(row["method"], row["budget"]): row["rays"] for row in found["methods"]}
     ours = rays[OURS, "fixed"]

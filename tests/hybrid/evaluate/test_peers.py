@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from compose.view import Gaze
+from hybrid.evaluate.budgets import Tuning, WarpTuning, families
 from hybrid.evaluate.peers import Enlarged, FullTrace, Warped
 from hybrid.metrics.registration import registration_px
 from hybrid.metrics.similarity import psnr
@@ -64,3 +65,51 @@ def test_the_same_seed_gives_the_same_frame(tracer):
     peer = Warped(tracer, 0.1, 2.0, 2, denoised=True)
     np.testing.assert_array_equal(peer.make(camera, GAZE, 5).image, peer.make(camera, GAZE, 5).image)
     assert np.abs(peer.make(camera, GAZE, 5).image - peer.make(camera, GAZE, 6).image).max() > 0
+
+
+def test_a_fraction_of_a_sample_goes_to_a_fraction_of_the_pixels(tracer, monkeypatch):
+    camera = tracer.scene.camera.resized(48, 32)
+    asked, trace = [], tracer.trace
+
+    def recorded(camera, positions, spp, seed):
+        asked.append(spp)
+        return trace(camera, positions, spp, seed)
+
+    monkeypatch.setattr(tracer, "trace", recorded)
+    one, same, other = (
+        FullTrace(tracer, 2.25, denoised=False).make(camera, GAZE, seed).image for seed in (3, 3, 4)
+    )
+    FullTrace(tracer, 2.0, denoised=False).make(camera, GAZE, 3)
+    assert asked[0].mean() == pytest.approx(2.25)
+    assert set(asked[0]) == {2, 3}
+    # Scattered over the frame, not one part of it.
+    assert 0.15 < (asked[0][: 24 * 32] == 3).mean() < 0.35
+    assert asked[3] == 2
+    np.testing.assert_array_equal(one, same)
+    assert (one != other).any()
+    many, more = (FullTrace(tracer, spp, denoised=False).make(camera, GAZE, 3).image for spp in (128, 128.5))
+    assert many.mean() == pytest.approx(more.mean(), rel=0.06)
+
+
+@pytest.mark.parametrize("rays", [0.2, 1.3, 2.01, 5.5])
+def test_all_families_take_the_rays_that_they_are_given(tracer, rays):
+    camera = tracer.scene.camera.resized(96, 64)
+    tuning = Tuning(WarpTuning(0.4, 2, False), WarpTuning(0.1, 1, True), 2)
+    known = families(tracer, tuning)
+    assert list(known) == [
+        "full",
+        "full, denoised",
+        "enlarged",
+        "enlarged, denoised",
+        "rmfr",
+        "rmfr, tuned",
+        "rmfr, tuned for the fovea",
+    ]
+    for name, family in known.items():
+        # The cheapest full frame has one sample of each pixel, FPC's buffer one of each of its own.
+        least = {"full": 1.0, "full, denoised": 1.0, "rmfr": 1 / 2.6**2}.get(name, 0.0)
+        peer = family(rays)
+        assert peer.rays(camera, GAZE) == pytest.approx(max(rays, least), rel=0.03), name
+        # No samples are spent on places that the frame does not have.
+        assert getattr(peer, "share", 1.0) <= 1 + 1e-9
+        assert name == "rmfr" or getattr(peer, "sigma", 1.0) >= 1 - 1e-9

@@ -70,3 +70,61 @@ def test_the_frontier_has_what_nothing_else_is_faster_and_better_than():
     assert [p.method for p in frontier(errors, "flip")] == ["splats alone", OURS, "full"]
     tie = [Point("a", "fixed", 1.0, 5.0), Point("b", "fixed", 1.0, 6.0), Point("c", "fixed", 2.0, 6.0)]
     assert [p.method for p in frontier(tie, "jod")] == ["b"]
+
+
+def with_halves(found: dict[str, Any], method: str, metric: str, *values: float) -> None:
+    for number, value in enumerate(values, 1):
+        key = {"view": 0, "method": method, "budget": "fixed", "region": "foveal"}
+        found["quality"].append({**key, "metric": f"{metric}, half {number}", "value": value})
+
+
+def test_what_the_halves_of_the_references_do_not_agree_on_is_open():
+    found = evaluation()
+    with_halves(found, OURS, "flip", 0.10, 0.12)
+    with_halves(found, "splats alone", "flip", 0.11, 0.11)
+    lines = verdicts(found)
+    said = "by FLIP, the hybrid frame (0.1) cannot be told apart from splats alone (0.11; better in 2 of 2"
+    assert any(said in line for line in lines)
+    assert not any("by FLIP" in line and "ahead of splats alone" in line for line in lines)
+    # What was not measured is not there either.
+    assert any("by FLIP, the hybrid frame (0.1) is ahead of rmfr, tuned" in line for line in lines)
+
+
+def test_more_samples_that_are_worse_again_have_not_passed():
+    found = evaluation()
+    found["methods"].append(
+        {"method": f"{OURS}, 64 spp", "budget": "fixed", "rays": 9.0, "fovea": "fused", "spp": 64}
+    )
+    key = {"view": 0, "method": f"{OURS}, 64 spp", "budget": "fixed", "region": "foveal"}
+    found["quality"].append({**key, "metric": "flip", "value": 0.12})
+    said = "By FLIP the fused fovea is better than splats alone at none of 2, 16 and 64 samples per pixel."
+    assert said in verdicts(found)
+
+
+def test_without_the_optional_metrics_others_judge_the_fovea():
+    found = evaluation()
+    found["quality"] = [
+        {**row, "metric": "ssim", "value": 1 - row["value"]} if row["metric"] == "flip" else row
+        for row in found["quality"]
+        if row["metric"] != "jod"
+    ]
+    assert any("In the fovea, by SSIM, the hybrid frame" in line for line in verdicts(found))
+
+
+def test_gaussians_that_take_longer_are_no_rivals():
+    found = evaluation()
+    for row in found["time"]:
+        if row["method"] == "splats alone":
+            row["ms"]["p50"] = 10.5
+    assert not any("ahead of splats alone" in line for line in verdicts(found))
+
+
+def test_the_whole_frame_counts_as_well():
+    found = evaluation()
+    for row in found["quality"]:
+        if (row["method"], row["region"]) == ("splats alone", "whole"):
+            row["value"] += 0.1
+    assert any(
+        "Over the whole frame, by SSIM, the hybrid frame (0.85) is not ahead of splats alone (0.935" in line
+        for line in verdicts(found)
+    )
