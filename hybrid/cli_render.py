@@ -95,6 +95,8 @@ def render(
         raise UserError(f"--output {output}{of_what}: must end in {' or '.join(kinds)}")
     if gaze_trace is not None and detail is not None:
         raise UserError("--detail, --gaze-trace: the picture of levels is one of a single frame")
+    if max_depth is not None and (target_ms is not None or target_jod is not None):
+        raise UserError("--max-depth: settings for a target are measured at the scene's own depth alone")
     trace = None if gaze_trace is None else load_gaze_trace(gaze_trace)
     if detail is not None and detail.suffix.lower() != ".png":
         raise UserError(f"--detail {detail}: must end in .png")

@@ -308,6 +308,14 @@ MISTAKES = {
         ["render", "room", "--forest", "{made}/box.forest", "-o", "{tmp}/a.png"],
         "cornell",
     ),
+    "a forest of another depth": (
+        ["render", "cornell", "--forest", "{made}/box.forest", "--max-depth", "2", "-o", "{tmp}/a.png"],
+        "not of cornell",
+    ),
+    "a target at another depth": (
+        ["render", "cornell", "--max-depth", "2", "--target-ms", "9", "-o", "{tmp}/a.png"],
+        "--max-depth",
+    ),
     "a truncated forest": (["render", "cornell", "--forest", "{tmp}/cut", "-o", "{tmp}/a.png"], "cut"),
     "a corrupt forest": (["export", "{tmp}/corrupt", "{tmp}/a.ply"], "corrupt"),
     "fov-b > fov-a": (
