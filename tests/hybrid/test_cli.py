@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 from PIL import Image
 
 from hybrid.images import read_layers
+from splat.files import load_forest, save_forest
 from tests.conftest import real_file
 from tests.hybrid.command import TINY_CAPTURE, TINY_TRAINING, run
 
@@ -190,6 +192,45 @@ def test_bench_seam_has_a_row_per_mode(made, monkeypatch, tmp_path, capsys):
     assert "inner against outer side" in capsys.readouterr().out
 
 
+@pytest.fixture
+def of_room(made, tmp_path):
+    """The forest and the frame set of the Cornell box, as if they were those of another scene."""
+    forest = load_forest(made / "box.forest")
+    save_forest(tmp_path / "room.forest", replace(forest, scene_name="room", scene_hash="cd" * 32))
+    shutil.copytree(made / "frames", tmp_path / "room-frames")
+    description = tmp_path / "room-frames" / "transforms.json"
+    document = json.loads(description.read_text())
+    document["scene"] |= {"name": "room", "hash": "cd" * 32}
+    description.write_text(json.dumps(document))
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", ["fusion", "change", "motion", "seam"])
+def test_benches_refuse_what_is_not_of_their_scene(name, made, of_room, monkeypatch, capsys):
+    for frames, forest, named in (
+        (made / "frames", of_room / "room.forest", "room.forest is one of scene room"),
+        (of_room / "room-frames", made / "box.forest", "room-frames is one of scene room"),
+    ):
+        assert run(monkeypatch, "bench", name, "cornell", frames, forest) == 2
+        message = capsys.readouterr().err
+        assert named in message
+        assert message.count("\n") == 1
+
+
+def test_benches_without_frames_refuse_a_forest_of_another_scene(made, of_room, monkeypatch, capsys):
+    room = of_room / "room.forest"
+    for arguments in (
+        ["bench", "held-out", made / "frames", room],
+        ["bench", "periphery", "cornell", "--forest", room],
+        ["bench", "gaze", "cornell", "--forest", room],
+        ["evaluate", "cornell", "--report", of_room / "r", "--peer-forest", room],
+    ):
+        assert run(monkeypatch, *arguments) == 2
+        message = capsys.readouterr().err
+        assert "room.forest is one of scene room" in message
+        assert message.count("\n") == 1
+
+
 def test_bench_held_out_exchanges_the_periphery_alone(made, monkeypatch, tmp_path):
     out = tmp_path / "h.json"
     common = ["bench", "held-out", made / "frames", made / "box.forest", "--json", out]
@@ -306,11 +347,11 @@ MISTAKES = {
     "a missing forest": (["render", "cornell", "--forest", "{tmp}/none", "-o", "{tmp}/a.png"], "none"),
     "a forest of another scene": (
         ["render", "room", "--forest", "{made}/box.forest", "-o", "{tmp}/a.png"],
-        "cornell",
+        "box.forest is one of scene cornell",
     ),
     "a forest of another depth": (
         ["render", "cornell", "--forest", "{made}/box.forest", "--max-depth", "2", "-o", "{tmp}/a.png"],
-        "not of cornell",
+        "--max-depth is another one",
     ),
     "a target at another depth": (
         ["render", "cornell", "--max-depth", "2", "--target-ms", "9", "-o", "{tmp}/a.png"],
