@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from dataclasses import replace
@@ -47,8 +48,12 @@ def remember_forest(forest: Forest, name: str) -> None:
 
 def newest_forest(scene: Scene) -> Path | None:
     """The forest made last for a scene."""
-    found = list((scene_folder(scene.name, scene.hash) / "forests").glob("*.safetensors"))
-    return max(found, key=lambda path: path.stat().st_mtime) if found else None
+    found = {}
+    # Hidden files are those whose writing is not finished; another process may rename or remove them.
+    for path in (scene_folder(scene.name, scene.hash) / "forests").glob("[!.]*.safetensors"):
+        with contextlib.suppress(FileNotFoundError):
+            found[path] = path.stat().st_mtime
+    return max(found, key=lambda path: found[path], default=None)
 
 
 def forest_for(scene: Scene, given: Path | None, bars: Bars = progress_bar) -> Forest:
