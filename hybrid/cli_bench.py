@@ -120,10 +120,10 @@ def bench_forest(
     from hybrid.timing import machine
 
     row = run(nodes, seed, device_arrays().backend)
-    write_json(json_file, {**row, "machine": machine()})
     print(f"layers of {', '.join(f'{count:,}' for count in row['layers'])} nodes")
     print(f"grown in {row['build_s']:.1f} s, loaded in {row['load_s']:.1f} s")
     print(f"peak memory of loading and rendering: {row['peak_bytes'] / 1e9:.2f} GB")
+    write_json(json_file, {**row, "machine": machine()})
 
 
 @bench_app.command("gaze")

@@ -12,10 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from PIL import Image
 
+from hybrid.cli import app
 from hybrid.images import read_layers
-from splat.files import load_forest, save_forest
+from splat.files import export_ply, load_forest, save_forest
 from tests.conftest import real_file
 from tests.hybrid.command import TINY_CAPTURE, TINY_TRAINING, run
 
@@ -380,6 +382,12 @@ MISTAKES = {
     "no frame set": (["train", "{tmp}", "{tmp}/f"], "not a frame set"),
     "no iterations": (["train", "{made}/frames", "{tmp}/f", "--iterations", "0"], "iterations"),
     "an unknown sweep": (["sweep", "cornell", "--over", "colour"], "--over colour"),
+    "JSON into what is no folder": (["scenes", "--json", "{tmp}/cut/a.json"], "--json {tmp}/cut/a.json"),
+    "JSON into a folder": (["doctor", "--json", "{tmp}"], "--json {tmp}"),
+    "JSON without a name": (["doctor", "--json", ""], "--json .: cannot be written"),
+    "JSON of a bench": (["bench", "forest", "--json", "."], "--json .: cannot be written"),
+    "a PLY without a name": (["export", "{made}/box.forest", "."], ".: names a folder"),
+    "an imported forest without a name": (["import", "{tmp}/good.ply", "."], ".: names a folder"),
     "a file that is no PLY": (["import", "{tmp}/cut", "{tmp}/f"], "cut"),
     "an unknown backend": (["doctor", "--backend", "metal"], "--backend metal"),
     "a layer that is not there": (
@@ -409,8 +417,10 @@ def test_a_mistake_is_one_line_and_exit_code_2(mistake, made, monkeypatch, tmp_p
     shutil.copy(made / "box.forest", tmp_path / "corrupt")
     with open(tmp_path / "corrupt", "r+b") as file:
         file.write(b"\xff" * 64)
+    export_ply(tmp_path / "good.ply", load_forest(made / "box.forest").finest)
     before = {p.relative_to(tmp_path) for p in tmp_path.rglob("*")}
     arguments, named = MISTAKES[mistake]
+    named = named.format(tmp=tmp_path)
     filled = [a.format(tmp=tmp_path, made=made) for a in arguments]
     assert run(monkeypatch, *filled) == 2
     message = capsys.readouterr().err
@@ -419,6 +429,19 @@ def test_a_mistake_is_one_line_and_exit_code_2(mistake, made, monkeypatch, tmp_p
     if message.startswith("hybrid:"):
         assert message.count("\n") == 1
     assert {p.relative_to(tmp_path) for p in tmp_path.rglob("*")} == before
+
+
+def test_json_is_checked_before_the_work_by_every_command_but_export_and_import():
+    commands = dict(typer.main.get_command(app).commands)
+    commands |= commands.pop("bench").commands
+    checks = {
+        name: parameter.callback
+        for name, command in commands.items()
+        for parameter in command.params
+        if "--json" in parameter.opts
+    }
+    assert {*commands} - {*checks} == {"export", "import"}
+    assert all(checks.values())
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
