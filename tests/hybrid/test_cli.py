@@ -324,7 +324,7 @@ def test_quickstart_writes_everything(scene, textured, monkeypatch, tmp_path):
     monkeypatch.setattr(
         hybrid.cache, "QUICK_TRAINING", TrainingSettings(iterations=20, gaussians=500, layers=2)
     )
-    monkeypatch.setattr(hybrid.quickstart, "_SIZE", 128)
+    monkeypatch.setattr(hybrid.quickstart, "SIZE", 128)
     if not textured:
         monkeypatch.setattr(hybrid.metrics.registration, "_TEXTURE", 10.0)
     monkeypatch.setattr(hybrid.quickstart, "_REFERENCE_SPP", 4)
@@ -364,6 +364,14 @@ MISTAKES = {
     "fov-b > fov-a": (
         ["render", "cornell", "--fov-a", "5", "--fov-b", "9", "-o", "{tmp}/a.png"],
         "--fov-b 9",
+    ),
+    "no disc to show": (
+        ["quickstart", "cornell", "--out", "{tmp}/o", "--fov-a", "0", "--fov-b", "0"],
+        "--fov-a 0.0: there is no fovea",
+    ),
+    "a disc without a pixel": (
+        ["quickstart", "cornell", "--out", "{tmp}/o", "--fov-a", "0.05", "--fov-b", "0"],
+        "--fov-a 0.05: there is no fovea",
     ),
     "a gaze that is no number": (
         ["render", "cornell", "--gaze", "nan", "0.5", "-o", "{tmp}/a.png"],
