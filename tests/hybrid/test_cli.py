@@ -415,6 +415,10 @@ MISTAKES = {
         ["render", "cornell", "--camera", "{tmp}/bad.xml", "-o", "{tmp}/a.png"],
         "--camera",
     ),
+    "a camera of half a pixel": (
+        ["render", "cornell", "--camera", "{tmp}/half.json", "-o", "{tmp}/a.png"],
+        "w is 32.5; must be a whole number of pixels",
+    ),
 }
 
 
@@ -426,6 +430,9 @@ def test_a_mistake_is_one_line_and_exit_code_2(mistake, made, monkeypatch, tmp_p
     with open(tmp_path / "corrupt", "r+b") as file:
         file.write(b"\xff" * 64)
     export_ply(tmp_path / "good.ply", load_forest(made / "box.forest").finest)
+    camera = json.loads((made / "frames" / "transforms.json").read_text())
+    pose = camera["frames"][0]["transform_matrix"]
+    (tmp_path / "half.json").write_text(json.dumps({**camera, "transform_matrix": pose, "w": 32.5}))
     before = {p.relative_to(tmp_path) for p in tmp_path.rglob("*")}
     arguments, named = MISTAKES[mistake]
     named = named.format(tmp=tmp_path)
