@@ -147,20 +147,23 @@ def bench_gaze(
         raise UserError(f"--span {span}: must be at least one --step, {step}")
     select(backend)
     from hybrid.bench_gaze import bench_gaze as run
+    from hybrid.bench_gaze import gaze_path
     from hybrid.bench_periphery import display_camera
     from hybrid.cache import forest_for
     from hybrid.device import device_arrays
     from hybrid.timing import machine
 
+    path = gaze_path(shown, fov_b, step, span)
     loaded = loaded_scene(scene)
     found = forest_for(loaded, forest)
     view = display_camera(loaded.camera, shown)
     with progress_bar("bench (frames)") as bar:
-        rows = run(device_arrays(), found, view, shown, fov_b, step, span, bar)
+        rows = run(device_arrays(), found, view, shown, fov_b, path, bar)
     print("change per step, in 1/255   99.9th percentile   largest")
     for row in rows:
         print(f"{row['law']:<27} {row['change_p99_9']:>17.2f} {row['change_max']:>9.2f}")
-    write_json(json_file, [{**row, "scene": loaded.name, "machine": machine()} for row in rows])
+    settings = {"step_degrees": step, "span_degrees": span, "scene": loaded.name, "machine": machine()}
+    write_json(json_file, [{**row, **settings} for row in rows])
 
 
 @bench_app.command("held-out")

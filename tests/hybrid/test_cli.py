@@ -373,6 +373,7 @@ MISTAKES = {
         ["quickstart", "cornell", "--out", "{tmp}/o", "--fov-a", "0.05", "--fov-b", "0"],
         "--fov-a 0.05: there is no fovea",
     ),
+    "no periphery to watch": (["bench", "gaze", "cornell", "--fov-b", "200"], "--fov-b 200.0: covers"),
     "a gaze that is no number": (
         ["render", "cornell", "--gaze", "nan", "0.5", "-o", "{tmp}/a.png"],
         "gaze",
