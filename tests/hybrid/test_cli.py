@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -397,6 +398,7 @@ MISTAKES = {
     "JSON of a bench": (["bench", "forest", "--json", "."], "--json .: cannot be written"),
     "a PLY without a name": (["export", "{made}/box.forest", "."], ".: names a folder"),
     "an imported forest without a name": (["import", "{tmp}/good.ply", "."], ".: names a folder"),
+    "a PLY of x Gaussians": (["import", "{tmp}/x.ply", "{tmp}/f"], "x.ply: element vertex x"),
     "a file that is no PLY": (["import", "{tmp}/cut", "{tmp}/f"], "cut"),
     "an unknown backend": (["doctor", "--backend", "metal"], "--backend metal"),
     "a layer that is not there": (
@@ -434,6 +436,8 @@ def test_a_mistake_is_one_line_and_exit_code_2(mistake, made, monkeypatch, tmp_p
     camera = json.loads((made / "frames" / "transforms.json").read_text())
     pose = camera["frames"][0]["transform_matrix"]
     (tmp_path / "half.json").write_text(json.dumps({**camera, "transform_matrix": pose, "w": 32.5}))
+    header = (tmp_path / "good.ply").read_bytes()
+    (tmp_path / "x.ply").write_bytes(re.sub(rb"element vertex \d+", b"element vertex x", header))
     before = {p.relative_to(tmp_path) for p in tmp_path.rglob("*")}
     arguments, named = MISTAKES[mistake]
     named = named.format(tmp=tmp_path)
