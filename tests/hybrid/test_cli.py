@@ -379,6 +379,7 @@ MISTAKES = {
         ["render", "cornell", "--gaze", "nan", "0.5", "-o", "{tmp}/a.png"],
         "gaze",
     ),
+    "the rate of a single frame": (["render", "cornell", "--fps", "30", "-o", "{tmp}/a.png"], "--fps 30"),
     "a size of zero": (
         ["render", "cornell", "--forest", "{made}/box.forest", "--size", "0", "9", "-o", "{tmp}/a.png"],
         "--size 0 9",
