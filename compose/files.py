@@ -18,8 +18,10 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         write: writes the content to the path that it is given, which has the target's extension.
 
     Raises:
-        UserError: the file cannot be written; nothing of it is left.
+        UserError: the path names no file, or it cannot be written; nothing of it is left.
     """
+    if not path.name:
+        raise UserError(f"{path}: names a folder, not a file")
     # The extension stays: libraries choose the format by it.
     part = path.with_name(f".part-{path.name}")
     try:

@@ -293,8 +293,22 @@ def camera_to_json(camera: Camera) -> dict[str, Any]:
 
 
 def camera_from_json(entry: dict[str, Any]) -> Camera:
-    """Inverse of camera_to_json."""
+    """Inverse of camera_to_json.
+
+    Raises:
+        KeyError: a name is missing.
+        TypeError, ValueError: what it holds is not of its kind; a size must be a whole number of pixels.
+    """
     pose = opencv_from_opengl(np.asarray(entry["transform_matrix"], dtype=np.float64))
-    return from_camera_to_world(
-        pose, entry["w"], entry["h"], entry["fl_x"], entry["fl_y"], entry["cx"], entry["cy"]
-    )
+    width, height = (_whole_pixels(entry, name) for name in ("w", "h"))
+    return from_camera_to_world(pose, width, height, entry["fl_x"], entry["fl_y"], entry["cx"], entry["cy"])
+
+
+def _whole_pixels(entry: dict[str, Any], name: str) -> int:
+    value = entry[name]
+    # Other programs write 640.0; true is a number only to Python.
+    if isinstance(value, float) and value.is_integer():
+        return int(value)
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise ValueError(f"{name} is {value!r}; must be a whole number of pixels")
+    return value

@@ -36,7 +36,10 @@ def dim_lamps(scene: Scene, camera: Camera) -> None:
 
 
 def swap_colours(scene: Scene, camera: Camera) -> None:
-    """Red, green and blue change places in every reflectance of the shapes that the camera sees most of."""
+    """Red, green and blue change places in every reflectance of three shapes.
+
+    They are those in sight whose shares of it are nearest to a tenth.
+    """
     for index in _seen(scene, camera)[:3]:
         parameters = mi.traverse(scene.mitsuba.shapes()[index].bsdf())
         for key in _named(parameters, "reflectance"):
@@ -49,19 +52,24 @@ def swap_colours(scene: Scene, camera: Camera) -> None:
 
 
 def move_object(scene: Scene, camera: Camera) -> None:
-    """The shape that fills about a tenth of what the camera sees goes aside by half its size."""
+    """The mesh whose share of what the camera sees is nearest to a tenth goes aside by half its size.
+
+    Raises:
+        UserError: no mesh is in sight; other shapes have no vertices to move.
+    """
+    shapes = (mi.traverse(scene.mitsuba.shapes()[index]) for index in _seen(scene, camera))
+    # Not is_mesh: Mitsuba's rectangle says that it is one, and keeps its vertices to itself.
+    mesh = next((shape for shape in shapes if "vertex_positions" in shape), None)
+    if mesh is None:
+        raise UserError(f"{scene.name}: a view sees no mesh that could be moved")
     parameters = mi.traverse(scene.mitsuba)
-    shape = scene.mitsuba.shapes()[_seen(scene, camera)[0]]
-    values = mi.traverse(shape)["vertex_positions"].numpy()
-    # Shapes may be without a name: the one with these vertices is it.
-    (key,) = (
-        key
-        for key in _named(parameters, "vertex_positions")
-        if np.array_equal(parameters[key].numpy(), values)
-    )
+    values = mesh["vertex_positions"].numpy()
     vertices = values.reshape(-1, 3)
     aside = camera.camera_to_world[:3, 0] * 0.5 * float(np.ptp(vertices, axis=0).max())
-    parameters[key] = mi.Float((vertices + aside).ravel().astype(np.float32))
+    # Shapes may be without a name: the one with these vertices is it, and a copy that lies in it goes along.
+    for key in _named(parameters, "vertex_positions"):
+        if np.array_equal(parameters[key].numpy(), values):
+            parameters[key] = mi.Float((vertices + aside).ravel().astype(np.float32))
     parameters.update()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,38 @@ from numpy.typing import NDArray
 
 from compose.acuity import LAWS
 from compose.blend import srgb_from_radiance
+from compose.errors import UserError
 from compose.foveation import Foveation
 from compose.view import Camera, Display, Gaze
 from hybrid.periphery import Periphery, Viewing
 from splat.arrays import Arrays
 from splat.forest import Forest
+
+
+def gazes_across(display: Display, fov_b: float, step: float, span: float) -> list[Gaze]:
+    """Gazes from left to right through the centre of a frame that fills the display.
+
+    Args:
+        display: that the frame is shown on.
+        fov_b: radius of the fovea in percent of the height.
+        step, span: of the gaze, in degrees.
+
+    Raises:
+        UserError: two discs in a row cover the frame, so that there is nothing to compare.
+    """
+    angles = np.arange(round(span / step) + 1) * step - span / 2
+    path = [Gaze(0.5 + float(np.tan(np.radians(a))) * display.focal / display.width, 0.5) for a in angles]
+    if any(not np.any(a & b) for a, b in pairwise(_top_row(display, gaze, fov_b) for gaze in path)):
+        raise UserError(f"--fov-b {fov_b}: covers the frame, nothing of the periphery is left to compare")
+    return path
+
+
+def _top_row(display: Display, gaze: Gaze, fov_b: float) -> NDArray[np.bool_]:
+    """(W,) which pixels of the top row lie outside of the disc; where none does, none of the frame does."""
+    plan = Foveation(gaze, fov_b, fov_b).plan(display.width, display.height)
+    outside = np.ones(display.width, dtype=bool)
+    outside[plan.pixels[plan.pixels < display.width]] = False
+    return outside
 
 
 def bench_gaze(
@@ -23,29 +51,26 @@ def bench_gaze(
     camera: Camera,
     display: Display,
     fov_b: float,
-    step: float,
-    span: float,
+    path: list[Gaze],
     progress: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
-    """One row per law: the gaze goes from left to right through the centre while the camera stands still.
+    """One row per law: the gaze goes along a path while the camera stands still.
 
     Changes are those of the largest channel in sRGB, in 1/255, outside of fov-b in both frames.
 
     Args:
         arrays, forest, camera, display: what is drawn, and for whom.
         fov_b: radius of the fovea in percent of the height.
-        step, span: of the gaze, in degrees.
+        path: of the gaze, as gazes_across gives it for these.
         progress: called with frames done and frames in all.
     """
     laws = [law for law in LAWS if law != "none"]
-    angles = np.arange(round(span / step) + 1) * step - span / 2
     rows = []
     for number, law in enumerate(laws):
         renderer = Periphery(arrays, forest, Viewing(display, law))
         before: tuple[NDArray[np.float32], NDArray[np.bool_]] | None = None
         tails, most = [], []
-        for turn, angle in enumerate(angles):
-            gaze = Gaze(0.5 + float(np.tan(np.radians(angle))) * display.focal / camera.width, 0.5)
+        for turn, gaze in enumerate(path):
             plan = Foveation(gaze, fov_b, fov_b).plan(camera.width, camera.height)
             radiance = renderer.draw(camera, renderer.detail(camera, gaze, fov_b), plan).image()
             now = srgb_from_radiance(radiance) * np.float32(255), plan.weight_image() == 0
@@ -54,14 +79,12 @@ def bench_gaze(
                 tails.append(float(np.percentile(change, 99.9)))
                 most.append(float(change.max()))
             before = now
-            progress(number * len(angles) + turn + 1, len(laws) * len(angles))
+            progress(number * len(path) + turn + 1, len(laws) * len(path))
         rows.append(
             {
                 "law": law,
                 "width": camera.width,
                 "height": camera.height,
-                "step_degrees": step,
-                "span_degrees": span,
                 "change_p99_9": max(tails),
                 "change_max": max(most),
                 "median_change_p99_9": float(np.median(tails)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from dataclasses import replace
@@ -10,6 +11,7 @@ from pathlib import Path
 import platformdirs
 
 from hybrid.device import device_arrays
+from hybrid.identity import require_scene
 from hybrid.progress import Bars, console, progress_bar
 from hybrid.training import train_forest
 from pathtrace.capture import CaptureSettings, capture
@@ -46,8 +48,12 @@ def remember_forest(forest: Forest, name: str) -> None:
 
 def newest_forest(scene: Scene) -> Path | None:
     """The forest made last for a scene."""
-    found = list((scene_folder(scene.name, scene.hash) / "forests").glob("*.safetensors"))
-    return max(found, key=lambda path: path.stat().st_mtime) if found else None
+    found = {}
+    # Hidden files are those whose writing is not finished; another process may rename or remove them.
+    for path in (scene_folder(scene.name, scene.hash) / "forests").glob("[!.]*.safetensors"):
+        with contextlib.suppress(FileNotFoundError):
+            found[path] = path.stat().st_mtime
+    return max(found, key=lambda path: found[path], default=None)
 
 
 def forest_for(scene: Scene, given: Path | None, bars: Bars = progress_bar) -> Forest:
@@ -59,11 +65,13 @@ def forest_for(scene: Scene, given: Path | None, bars: Bars = progress_bar) -> F
         bars: show how far capture and training are.
 
     Raises:
-        UserError: the given file is missing, damaged, or cannot be made.
+        UserError: the given file is missing, damaged, one of another scene, or cannot be made.
     """
     path = given or newest_forest(scene)
     if path is not None:
-        return load_forest(path)
+        forest = load_forest(path)
+        require_scene(forest, scene.name, scene.hash, path)
+        return forest
     console.print(f"No forest for scene {scene.name} yet: capturing and training one first.")
     forest, _ = make_quick_forest(scene, scene_folder(scene.name, scene.hash), seed=0, bars=bars)
     return forest

@@ -115,9 +115,12 @@ def quickstart(
     from compose.foveation import Foveation
     from compose.view import Gaze
     from hybrid.images import check_writable
+    from hybrid.quickstart import SIZE
     from hybrid.quickstart import quickstart as run
 
-    Foveation(Gaze(), fov_a, fov_b)  # refuses bad radii before the long work begins
+    # Bad radii are refused before the long work begins.
+    if not len(Foveation(Gaze(), fov_a, fov_b).plan(SIZE, SIZE).pixels):
+        raise UserError(f"--fov-a {fov_a}: there is no fovea to show, it holds no pixel of {SIZE} x {SIZE}")
     check_writable(out / "result.json")
     result = run(loaded_scene(scene), out, fov_a, fov_b, seed)
     write_json(out / "result.json", result)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -26,6 +26,11 @@ from hybrid.options import (
     write_json,
 )
 from hybrid.progress import progress_bar
+
+if TYPE_CHECKING:
+    from pathtrace.frames import FrameSet
+    from pathtrace.scene import Scene
+    from splat.forest import Forest
 
 bench_app = typer.Typer(no_args_is_help=True, help="Measure one part alone.")
 
@@ -115,10 +120,10 @@ def bench_forest(
     from hybrid.timing import machine
 
     row = run(nodes, seed, device_arrays().backend)
-    write_json(json_file, {**row, "machine": machine()})
     print(f"layers of {', '.join(f'{count:,}' for count in row['layers'])} nodes")
     print(f"grown in {row['build_s']:.1f} s, loaded in {row['load_s']:.1f} s")
     print(f"peak memory of loading and rendering: {row['peak_bytes'] / 1e9:.2f} GB")
+    write_json(json_file, {**row, "machine": machine()})
 
 
 @bench_app.command("gaze")
@@ -142,20 +147,23 @@ def bench_gaze(
         raise UserError(f"--span {span}: must be at least one --step, {step}")
     select(backend)
     from hybrid.bench_gaze import bench_gaze as run
+    from hybrid.bench_gaze import gazes_across
     from hybrid.bench_periphery import display_camera
     from hybrid.cache import forest_for
     from hybrid.device import device_arrays
     from hybrid.timing import machine
 
+    path = gazes_across(shown, fov_b, step, span)
     loaded = loaded_scene(scene)
     found = forest_for(loaded, forest)
     view = display_camera(loaded.camera, shown)
     with progress_bar("bench (frames)") as bar:
-        rows = run(device_arrays(), found, view, shown, fov_b, step, span, bar)
+        rows = run(device_arrays(), found, view, shown, fov_b, path, bar)
     print("change per step, in 1/255   99.9th percentile   largest")
     for row in rows:
         print(f"{row['law']:<27} {row['change_p99_9']:>17.2f} {row['change_max']:>9.2f}")
-    write_json(json_file, [{**row, "scene": loaded.name, "machine": machine()} for row in rows])
+    settings = {"step_degrees": step, "span_degrees": span, "scene": loaded.name, "machine": machine()}
+    write_json(json_file, [{**row, **settings} for row in rows])
 
 
 @bench_app.command("held-out")
@@ -176,12 +184,15 @@ def bench_held_out(
     select(backend)
     from hybrid.bench_held_out import bench_held_out as run
     from hybrid.device import device_arrays
+    from hybrid.identity import require_scene
     from hybrid.metrics.fovvideovdp import INSTALL
     from pathtrace.frames import read_frame_set
     from splat.files import load_forest
 
+    captured, found = read_frame_set(frames), load_forest(forest)
+    require_scene(found, captured.scene_name, captured.scene_hash, forest)
     with progress_bar("bench (frames)") as bar:
-        rows = run(device_arrays(), read_frame_set(frames), load_forest(forest), shown, fov_b, bar)
+        rows = run(device_arrays(), captured, found, shown, fov_b, bar)
     print("law               JOD  lowest    PSNR    SSIM")
     for row in rows:
         jods = "    -       -" if row["jod"] is None else f"{row['jod']:5.2f}  {row['lowest_jod']:6.2f}"
@@ -254,15 +265,11 @@ def bench_fusion(
     select(backend)
     from hybrid.bench_fovea import bench_fusion as run
     from hybrid.device import device_arrays
-    from pathtrace.frames import read_frame_set
-    from splat.files import load_forest
 
     counts, scales = tuple(spp or (1, 2, 4, 16, 64)), tuple(scale or (1, 2))
-    found, loaded = load_forest(forest), loaded_scene(scene)
+    loaded, captured, found = _belonging(scene, frames, forest)
     with progress_bar("bench (crops)") as bar:
-        rows = run(
-            device_arrays(), loaded, read_frame_set(frames), found, counts, scales, seeds, reference_spp, bar
-        )
+        rows = run(device_arrays(), loaded, captured, found, counts, scales, seeds, reference_spp, bar)
     print("scale   spp  method        PSNR    SSIM    FLIP   reference")
     for row in rows:
         print(
@@ -286,20 +293,11 @@ def bench_change(
     select(backend)
     from hybrid.bench_change import bench_change as run
     from hybrid.device import device_arrays
-    from pathtrace.frames import read_frame_set
-    from splat.files import load_forest
 
-    found = load_forest(forest)
+    _, captured, found = _belonging(scene, frames, forest)
+    load = lambda: loaded_scene(scene)  # noqa: E731
     with progress_bar("bench (pictures)") as bar:
-        rows = run(
-            device_arrays(),
-            lambda: loaded_scene(scene),
-            read_frame_set(frames),
-            found,
-            spp,
-            reference_spp,
-            bar,
-        )
+        rows = run(device_arrays(), load, captured, found, spp, reference_spp, bar)
     print("change            method        PSNR    SSIM    FLIP")
     for row in rows:
         print(f"{row['change']:<16}  {row['method']:<11} {_metrics(row)}")
@@ -319,12 +317,10 @@ def bench_motion(
     select(backend)
     from hybrid.bench_motion import bench_motion as run
     from hybrid.device import device_arrays
-    from pathtrace.frames import read_frame_set
-    from splat.files import load_forest
 
-    found, loaded = load_forest(forest), loaded_scene(scene)
+    loaded, captured, found = _belonging(scene, frames, forest)
     with progress_bar("bench (walks)") as bar:
-        rows = run(device_arrays(), loaded, read_frame_set(frames), found, reference_spp, bar)
+        rows = run(device_arrays(), loaded, captured, found, reference_spp, bar)
     print("fovea     method                  PSNR    SSIM    FLIP   where nothing was seen before")
     for row in rows:
         fresh = f"{row['fresh_psnr']:.2f} dB" if "fresh_psnr" in row else "-"
@@ -350,12 +346,10 @@ def bench_seam(
     select(backend)
     from hybrid.bench_seam import bench_seam as run
     from hybrid.metrics.fovvideovdp import INSTALL
-    from pathtrace.frames import read_frame_set
-    from splat.files import load_forest
 
-    found, loaded = load_forest(forest), loaded_scene(scene)
+    loaded, captured, found = _belonging(scene, frames, forest)
     with progress_bar("bench (views)") as bar:
-        rows = run(loaded, read_frame_set(frames), found, shown, spp, reference_spp, bar)
+        rows = run(loaded, captured, found, shown, spp, reference_spp, bar)
     print("fovea     inner against outer side   the same by sectors    JOD of the band")
     for row in rows:
         seen = f"{row['jod']:.2f}" if "jod" in row else "-"
@@ -399,6 +393,19 @@ def bench_still(
     print(f"the reference itself: {found['reference_psnr']:.2f} dB")
     print(f"worse than a frame before, after the first second: by {found['most_fall']:.2f} dB at most")
     write_json(json_file, {**found, "machine": machine()})
+
+
+def _belonging(scene: str, frames: Path, forest: Path) -> tuple[Scene, FrameSet, Forest]:
+    """A scene, its frame set and its forest; refuses those of another scene."""
+    from hybrid.identity import require_scene
+    from pathtrace.frames import read_frame_set
+    from splat.files import load_forest
+
+    captured, found = read_frame_set(frames), load_forest(forest)
+    loaded = loaded_scene(scene)
+    require_scene(captured, loaded.name, loaded.hash, frames)
+    require_scene(found, loaded.name, loaded.hash, forest)
+    return loaded, captured, found
 
 
 def _metrics(row: dict[str, Any]) -> str:

@@ -80,11 +80,15 @@ def evaluate(
     from hybrid.evaluate.evaluation import Evaluation
     from hybrid.evaluate.report import write_report
     from hybrid.evaluate.verdicts import verdicts
+    from hybrid.identity import require_scene
     from hybrid.metrics import missing
     from splat.files import load_forest
 
     loaded = loaded_scene(scene)
-    flat = None if peer_forest is None else load_forest(peer_forest)
+    flat = None
+    if peer_forest is not None:
+        flat = load_forest(peer_forest)
+        require_scene(flat, loaded.name, loaded.hash, peer_forest)
     evaluation = Evaluation(loaded, forest_for(loaded, forest), shown, settings, report, flat)
     with progress_bar("evaluate") as bar:
         found = evaluation.run(lambda what, done, total: bar(int(1000 * done / total), 1000, what))

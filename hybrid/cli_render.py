@@ -16,7 +16,6 @@ from hybrid.options import (
     ForestFile,
     FovA,
     FovB,
-    GazeAt,
     Json,
     Law,
     Layers,
@@ -36,6 +35,9 @@ if TYPE_CHECKING:
     from compose.view import Camera
     from pathtrace.scene import Scene
 
+# Frames per second of a film.
+_FPS = 30
+
 
 def render(
     scene: SceneName,
@@ -47,12 +49,17 @@ def render(
     camera: Annotated[
         Path | None, typer.Option(metavar="FILE", help="JSON with the names of transforms.json.")
     ] = None,
-    gaze: GazeAt = (0.5, 0.5),
+    gaze: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="X Y", help="Fractions of the frame. Default: its centre."),
+    ] = None,
     gaze_trace: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="CSV with seconds, x, y: a film of what a viewer saw."),
     ] = None,
-    fps: Annotated[int, typer.Option(help="Frames per second of a film.", min=1, max=240)] = 30,
+    fps: Annotated[
+        int | None, typer.Option(help=f"Frames per second of a film. Default: {_FPS}.", min=1, max=240)
+    ] = None,
     fov_a: FovA = 20.0,
     fov_b: FovB = 15.0,
     spp: Spp = 4,
@@ -95,10 +102,17 @@ def render(
         raise UserError(f"--output {output}{of_what}: must end in {' or '.join(kinds)}")
     if gaze_trace is not None and detail is not None:
         raise UserError("--detail, --gaze-trace: the picture of levels is one of a single frame")
+    if gaze_trace is not None and gaze is not None:
+        raise UserError("--gaze, --gaze-trace: the gaze can only come from one of them")
+    if gaze_trace is None and fps is not None:
+        raise UserError(f"--fps {fps}: only a film has a frame rate; it needs --gaze-trace")
+    if max_depth is not None and (target_ms is not None or target_jod is not None):
+        raise UserError("--max-depth: settings for a target are measured at the scene's own depth alone")
     trace = None if gaze_trace is None else load_gaze_trace(gaze_trace)
     if detail is not None and detail.suffix.lower() != ".png":
         raise UserError(f"--detail {detail}: must end in .png")
-    foveation = Foveation(checked(Gaze, x=gaze[0], y=gaze[1]), fov_a, fov_b)
+    at = Gaze() if gaze is None else checked(Gaze, x=gaze[0], y=gaze[1])
+    foveation = Foveation(at, fov_a, fov_b)
     law_named(law)
     mode_named(fovea)
     shown = display_named(display)
@@ -141,6 +155,7 @@ def render(
     found = forest_for(loaded, forest)
     renderer = HybridRenderer(loaded, found, viewing, fovea, remembers=trace is not None)
     if trace is not None:
+        rate = fps or _FPS
         identity = made | {
             "scene": loaded.hash,
             "forest": found.digest(),
@@ -148,12 +163,12 @@ def render(
             "max-depth": loaded.max_depth,
             "layers": layers,
             "gaze-trace": trace.digest(),
-            "fps": fps,
+            "fps": rate,
             "seed": seed,
         }
         with progress_bar("film (frames)") as bar:
-            times = write_film(output, renderer, view, foveation, trace, fps, spp, seed, identity, bar)
-        write_json(json_file, made | {"fps": fps, "frames": times})
+            times = write_film(output, renderer, view, foveation, trace, rate, spp, seed, identity, bar)
+        write_json(json_file, made | {"fps": rate, "frames": times})
         print(f"{output}: {len(times)} frames of {view.width} x {view.height}")
         return
     frame = renderer.frame(view, foveation, spp, seed)

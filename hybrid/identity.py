@@ -1,11 +1,15 @@
-"""Of what kept work is, so that long work goes on with its own and never with another's."""
+"""Of what kept work is, so that nothing is put together that does not belong together."""
 
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from compose.errors import UserError
+
+if TYPE_CHECKING:
+    from pathtrace.frames import FrameSet
+    from splat.forest import Forest
 
 
 def require_same(found: dict[str, Any], ours: dict[str, Any], holds: str, advice: str) -> None:
@@ -25,3 +29,23 @@ def require_same(found: dict[str, Any], ours: dict[str, Any], holds: str, advice
     differs = sorted(key for key in {*found, *ours} if found.get(key) != ours.get(key))
     if differs:
         raise UserError(f"{holds} with another {', '.join(differs)}; {advice}")
+
+
+def require_scene(kept: Forest | FrameSet, name: str, digest: str, holds: object) -> None:
+    """Refuses a forest or a frame set of another scene; an imported forest is bound to none.
+
+    Args:
+        kept: what is to be used.
+        name, digest: of the scene that it is to be used with.
+        holds: where it lies, for the message.
+
+    Raises:
+        UserError: it is one of another scene, or of the same at another path depth.
+    """
+    if kept.scene_hash in ("", digest):
+        return
+    changed = "; the scene has changed, or --max-depth is another one" if kept.scene_name == name else ""
+    raise UserError(
+        f"{holds} is one of scene {kept.scene_name} ({kept.scene_hash[:8]}), "
+        f"not of {name} ({digest[:8]}){changed}"
+    )

@@ -19,11 +19,27 @@ if TYPE_CHECKING:
     from compose.view import Camera
     from pathtrace.scene import Scene
 
+
+def _writable(path: Path | None) -> Path | None:
+    """The file that `--json` names, refused before the long work where it cannot be written."""
+    if path is not None:
+        from hybrid.images import check_writable
+
+        try:
+            check_writable(path)
+        except UserError as error:
+            raise UserError(f"--json {error}") from error
+    return path
+
+
 SceneName = Annotated[
     str, typer.Argument(metavar="SCENE", help="A bundled scene's name or a Mitsuba XML file.")
 ]
 Backend = Annotated[str, typer.Option(help="auto, cuda or llvm.")]
-Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write what was measured.")]
+Json = Annotated[
+    Path | None,
+    typer.Option("--json", metavar="FILE", help="Write what was measured.", callback=_writable),
+]
 Seed = Annotated[int, typer.Option(help="Same seed, same result on the same machine.", min=0)]
 ForestFile = Annotated[
     Path | None, typer.Option("--forest", metavar="FOREST", help="Default: the newest one of the scene.")

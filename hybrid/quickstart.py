@@ -27,7 +27,7 @@ from pathtrace.frames import read_frame_set
 from pathtrace.scene import Scene
 
 # What is shown: the scene's own view.
-_SIZE = 512
+SIZE = 512
 _SPP = 4
 _REFERENCE_SPP = 64
 _REPEATS, _WARM_UP = 7, 2
@@ -39,7 +39,8 @@ def quickstart(scene: Scene, folder: Path, fov_a: float, fov_b: float, seed: int
     Args:
         scene: what to render.
         folder: where to; the frame set and the forest lie in it as well.
-        fov_a, fov_b: radii in percent of the height; the gaze is in the middle.
+        fov_a, fov_b: radii in percent of the height; the gaze is in the middle. The disc must hold a pixel of
+            a frame of SIZE x SIZE.
         seed: same seed, same pictures on the same machine.
 
     Returns:
@@ -52,7 +53,7 @@ def quickstart(scene: Scene, folder: Path, fov_a: float, fov_b: float, seed: int
     held_out = held_out_quality(arrays, read_frame_set(frames_folder), forest)
 
     before = time.perf_counter()
-    camera = scene.camera.resized(_SIZE, _SIZE)
+    camera = scene.camera.resized(SIZE, SIZE)
     renderer = HybridRenderer(scene, forest, mode="fused")
     with progress_bar("reference") as bar:
         bar(0, 1)

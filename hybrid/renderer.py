@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from compose.blend import Image, blend
 from compose.detail import DetailMap
-from compose.errors import UserError
 from compose.foveation import FoveaPlan, Foveation
 from compose.view import Camera
 from hybrid.device import device_arrays
 from hybrid.disc import Underlay
 from hybrid.fovea import Fovea, FoveaPicture
 from hybrid.fusing import fusion_of
+from hybrid.identity import require_scene
 from hybrid.periphery import Periphery, Viewing
 from hybrid.timing import Clock
 from hybrid.traced_image import traced_image
@@ -80,12 +80,7 @@ class HybridRenderer:
         remembers: bool = False,
         roulette_depth: int = RUSSIAN_ROULETTE_DEPTH,
     ):
-        # An imported forest is bound to no scene.
-        if forest.scene_hash not in ("", scene.hash):
-            raise UserError(
-                f"this forest is one of scene {forest.scene_name} "
-                f"({forest.scene_hash[:8]}), not of {scene.name} ({scene.hash[:8]}); train one for this scene"
-            )
+        require_scene(forest, scene.name, scene.hash, "this forest")
         self.tracer = Tracer(scene, roulette_depth=roulette_depth)
         self.periphery = Periphery(device_arrays(), forest, viewing or Viewing())
         self.fovea = Fovea(self.tracer, mode, fusion_of(forest), remembers)

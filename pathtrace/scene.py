@@ -26,10 +26,11 @@ class Scene:
 
     Attributes:
         name: what to call it in files and reports.
-        hash: SHA-256 of the scene's description and of every file that it names.
+        hash: SHA-256 of the scene's description, of every file that it names, and of a path depth in place of
+            its own: what was made at another depth shows other light.
         mitsuba: the Mitsuba scene.
         camera: the scene's own camera at its own film size.
-        max_depth: path depth that the scene asks for (DEFAULT_MAX_DEPTH where it does not).
+        max_depth: path depth: what was asked for, else what the scene asks for, else DEFAULT_MAX_DEPTH.
     """
 
     name: str
@@ -61,20 +62,22 @@ def load_scene(source: str | Path | dict[str, Any], max_depth: int | None = None
         UserError: the scene is missing, refused by Mitsuba, or has no camera or no light.
     """
     if isinstance(source, dict):
-        name, depth = "dictionary", max_depth or DEFAULT_MAX_DEPTH
+        name, own_depth = "dictionary", DEFAULT_MAX_DEPTH
         loaded = _guarded(name, lambda: mi.load_dict(source))
         digest = hashlib.sha256(repr(source).encode()).hexdigest()
     else:
         path = _find(str(source))
         name = path.parent.name if path.stem == "scene" else path.stem
-        text, digest, depth = _prepare(path)
-        depth = max_depth or depth
+        text, digest, own_depth = _prepare(path)
         # optimize=True merges meshes: shapes cannot be told apart any more, tracing is twice as fast.
         loaded = _guarded(str(path), lambda: _load_text(text, path.parent))
     if not loaded.sensors():
         raise UserError(f"{source}: the scene has no camera; add a <sensor type='perspective'>")
     if not loaded.emitters():
         raise UserError(f"{source}: the scene has no light; add an <emitter>")
+    depth = max_depth or own_depth
+    if depth != own_depth:
+        digest = hashlib.sha256(f"{digest} at depth {depth}".encode()).hexdigest()
     return Scene(name, digest, _in_order(loaded), _camera(loaded.sensors()[0], str(source)), depth)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -146,25 +147,15 @@ def import_ply(path: Path) -> Gaussians:
     if not path.is_file():
         raise UserError(f"{path}: no such file")
     content = path.read_bytes()
-    end = content.find(b"end_header\n")
-    lines = content[: max(end, 0)].decode("ascii", "replace").split("\n")
-    if end < 0 or lines[:2] != ["ply", "format binary_little_endian 1.0"]:
-        raise UserError(f"{path}: not a binary little-endian PLY file")
-    counts = [int(line.split()[2]) for line in lines if line.startswith("element vertex ")]
-    names = [line.split()[2] for line in lines if line.startswith("property float ")]
+    count, names, body = _ply_header(path, content)
+    if len(body) < count * len(names) * 4:
+        raise UserError(f"{path}: truncated, {count} Gaussians are announced")
+    table = np.frombuffer(body, "<f4", count * len(names)).reshape(count, len(names))
     rest = sum(name.startswith("f_rest_") for name in names)
-    degree = round((rest / 3 + 1) ** 0.5) - 1
-    known = 0 <= degree <= MAX_DEGREE and set(_ply_properties(degree)) - {"nx", "ny", "nz"} <= set(names)
-    if len(counts) != 1 or not known or sum(line.startswith("property ") for line in lines) != len(names):
-        raise UserError(f"{path}: not a 3D Gaussian splatting PLY (float properties x, f_dc_0, scale_0, ...)")
-    body = content[end + len(b"end_header\n") :]
-    if len(body) < counts[0] * len(names) * 4:
-        raise UserError(f"{path}: truncated, {counts[0]} Gaussians are announced")
-    table = np.frombuffer(body, "<f4", counts[0] * len(names)).reshape(counts[0], len(names))
     column = {name: i for i, name in enumerate(names)}
     take = lambda *wanted: torch.tensor(table[:, [column[w] for w in wanted]].T.copy())  # noqa: E731
     constant = take(*(f"f_dc_{i}" for i in range(3)))[None]
-    directional = take(*(f"f_rest_{i}" for i in range(rest))).reshape(3, -1, counts[0]).permute(1, 0, 2)
+    directional = take(*(f"f_rest_{i}" for i in range(rest))).reshape(3, -1, count).permute(1, 0, 2)
     return Gaussians(
         take("x", "y", "z"),
         take("scale_0", "scale_1", "scale_2"),
@@ -172,3 +163,22 @@ def import_ply(path: Path) -> Gaussians:
         take("opacity")[0],
         torch.cat([constant, directional]).contiguous(),
     )
+
+
+def _ply_header(path: Path, content: bytes) -> tuple[int, list[str], bytes]:
+    """How many Gaussians a file announces, the names of their properties, and what follows the header."""
+    end = content.find(b"end_header\n")
+    lines = content[: max(end, 0)].decode("ascii", "replace").split("\n")
+    if end < 0 or lines[:2] != ["ply", "format binary_little_endian 1.0"]:
+        raise UserError(f"{path}: not a binary little-endian PLY file")
+    after = lambda start: [line[len(start) :].strip() for line in lines if line.startswith(start)]  # noqa: E731
+    counts, names = after("element vertex "), after("property float ")
+    rest = sum(name.startswith("f_rest_") for name in names)
+    degree = round((rest / 3 + 1) ** 0.5) - 1
+    known = 0 <= degree <= MAX_DEGREE and set(_ply_properties(degree)) - {"nx", "ny", "nz"} <= set(names)
+    known = known and rest == 3 * (sh_count(degree) - 1)
+    if len(counts) != 1 or not known or len(after("property ")) != len(names):
+        raise UserError(f"{path}: not a 3D Gaussian splatting PLY (float properties x, f_dc_0, scale_0, ...)")
+    if not re.fullmatch(r"0*[1-9][0-9]{0,17}", counts[0]):
+        raise UserError(f"{path}: element vertex {counts[0]}: must be a number of Gaussians, 1 or more")
+    return int(counts[0]), names, content[end + len(b"end_header\n") :]

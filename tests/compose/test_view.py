@@ -63,6 +63,22 @@ def test_json_holds_the_camera():
     assert (back.width, back.height, back.fx, back.cy) == (80, 60, 50, 29)
 
 
+def test_a_size_in_json_may_be_a_float_of_whole_pixels():
+    entry = camera_to_json(from_camera_to_world(pose(), 640, 480, 500, 500, 320, 240))
+    camera = camera_from_json({**entry, "w": 640.0, "h": 480.0})
+    assert (camera.width, camera.height) == (640, 480)
+    assert isinstance(camera.width, int)
+    assert isinstance(camera.height, int)
+
+
+@pytest.mark.parametrize("name", ["w", "h"])
+@pytest.mark.parametrize("size", [640.5, "640", None, True, [640], float("nan"), float("inf")])
+def test_a_size_in_json_that_is_not_whole_pixels_is_refused_by_name(name, size):
+    entry = camera_to_json(from_camera_to_world(pose(), 640, 480, 500, 500, 320, 240))
+    with pytest.raises(ValueError, match=f"^{name} is .*; must be a whole number of pixels"):
+        camera_from_json({**entry, name: size})
+
+
 def test_a_wider_frame_sees_more_and_keeps_its_height():
     camera = Camera(np.eye(4), 512, 512, 443.4, 443.4, 256, 256)
     wide = camera.resized(1024, 256)

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from PIL import Image
 
+from hybrid.cli import app
 from hybrid.images import read_layers
+from splat.files import export_ply, load_forest, save_forest
 from tests.conftest import real_file
 from tests.hybrid.command import TINY_CAPTURE, TINY_TRAINING, run
 
@@ -190,6 +195,45 @@ def test_bench_seam_has_a_row_per_mode(made, monkeypatch, tmp_path, capsys):
     assert "inner against outer side" in capsys.readouterr().out
 
 
+@pytest.fixture
+def of_room(made, tmp_path):
+    """The forest and the frame set of the Cornell box, as if they were those of another scene."""
+    forest = load_forest(made / "box.forest")
+    save_forest(tmp_path / "room.forest", replace(forest, scene_name="room", scene_hash="cd" * 32))
+    shutil.copytree(made / "frames", tmp_path / "room-frames")
+    description = tmp_path / "room-frames" / "transforms.json"
+    document = json.loads(description.read_text())
+    document["scene"] |= {"name": "room", "hash": "cd" * 32}
+    description.write_text(json.dumps(document))
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", ["fusion", "change", "motion", "seam"])
+def test_benches_refuse_what_is_not_of_their_scene(name, made, of_room, monkeypatch, capsys):
+    for frames, forest, named in (
+        (made / "frames", of_room / "room.forest", "room.forest is one of scene room"),
+        (of_room / "room-frames", made / "box.forest", "room-frames is one of scene room"),
+    ):
+        assert run(monkeypatch, "bench", name, "cornell", frames, forest) == 2
+        message = capsys.readouterr().err
+        assert named in message
+        assert message.count("\n") == 1
+
+
+def test_benches_without_frames_refuse_a_forest_of_another_scene(made, of_room, monkeypatch, capsys):
+    room = of_room / "room.forest"
+    for arguments in (
+        ["bench", "held-out", made / "frames", room],
+        ["bench", "periphery", "cornell", "--forest", room],
+        ["bench", "gaze", "cornell", "--forest", room],
+        ["evaluate", "cornell", "--report", of_room / "r", "--peer-forest", room],
+    ):
+        assert run(monkeypatch, *arguments) == 2
+        message = capsys.readouterr().err
+        assert "room.forest is one of scene room" in message
+        assert message.count("\n") == 1
+
+
 def test_bench_held_out_exchanges_the_periphery_alone(made, monkeypatch, tmp_path):
     out = tmp_path / "h.json"
     common = ["bench", "held-out", made / "frames", made / "box.forest", "--json", out]
@@ -281,7 +325,7 @@ def test_quickstart_writes_everything(scene, textured, monkeypatch, tmp_path):
     monkeypatch.setattr(
         hybrid.cache, "QUICK_TRAINING", TrainingSettings(iterations=20, gaussians=500, layers=2)
     )
-    monkeypatch.setattr(hybrid.quickstart, "_SIZE", 128)
+    monkeypatch.setattr(hybrid.quickstart, "SIZE", 128)
     if not textured:
         monkeypatch.setattr(hybrid.metrics.registration, "_TEXTURE", 10.0)
     monkeypatch.setattr(hybrid.quickstart, "_REFERENCE_SPP", 4)
@@ -306,7 +350,15 @@ MISTAKES = {
     "a missing forest": (["render", "cornell", "--forest", "{tmp}/none", "-o", "{tmp}/a.png"], "none"),
     "a forest of another scene": (
         ["render", "room", "--forest", "{made}/box.forest", "-o", "{tmp}/a.png"],
-        "cornell",
+        "box.forest is one of scene cornell",
+    ),
+    "a forest of another depth": (
+        ["render", "cornell", "--forest", "{made}/box.forest", "--max-depth", "2", "-o", "{tmp}/a.png"],
+        "--max-depth is another one",
+    ),
+    "a target at another depth": (
+        ["render", "cornell", "--max-depth", "2", "--target-ms", "9", "-o", "{tmp}/a.png"],
+        "--max-depth",
     ),
     "a truncated forest": (["render", "cornell", "--forest", "{tmp}/cut", "-o", "{tmp}/a.png"], "cut"),
     "a corrupt forest": (["export", "{tmp}/corrupt", "{tmp}/a.ply"], "corrupt"),
@@ -314,10 +366,20 @@ MISTAKES = {
         ["render", "cornell", "--fov-a", "5", "--fov-b", "9", "-o", "{tmp}/a.png"],
         "--fov-b 9",
     ),
+    "no disc to show": (
+        ["quickstart", "cornell", "--out", "{tmp}/o", "--fov-a", "0", "--fov-b", "0"],
+        "--fov-a 0.0: there is no fovea",
+    ),
+    "a disc without a pixel": (
+        ["quickstart", "cornell", "--out", "{tmp}/o", "--fov-a", "0.05", "--fov-b", "0"],
+        "--fov-a 0.05: there is no fovea",
+    ),
+    "no periphery to watch": (["bench", "gaze", "cornell", "--fov-b", "200"], "--fov-b 200.0: covers"),
     "a gaze that is no number": (
         ["render", "cornell", "--gaze", "nan", "0.5", "-o", "{tmp}/a.png"],
         "gaze",
     ),
+    "the rate of a single frame": (["render", "cornell", "--fps", "30", "-o", "{tmp}/a.png"], "--fps 30"),
     "a size of zero": (
         ["render", "cornell", "--forest", "{made}/box.forest", "--size", "0", "9", "-o", "{tmp}/a.png"],
         "--size 0 9",
@@ -331,6 +393,13 @@ MISTAKES = {
     "no frame set": (["train", "{tmp}", "{tmp}/f"], "not a frame set"),
     "no iterations": (["train", "{made}/frames", "{tmp}/f", "--iterations", "0"], "iterations"),
     "an unknown sweep": (["sweep", "cornell", "--over", "colour"], "--over colour"),
+    "JSON into what is no folder": (["scenes", "--json", "{tmp}/cut/a.json"], "--json {tmp}/cut/a.json"),
+    "JSON into a folder": (["doctor", "--json", "{tmp}"], "--json {tmp}"),
+    "JSON without a name": (["doctor", "--json", ""], "--json .: cannot be written"),
+    "JSON of a bench": (["bench", "forest", "--json", "."], "--json .: cannot be written"),
+    "a PLY without a name": (["export", "{made}/box.forest", "."], ".: names a folder"),
+    "an imported forest without a name": (["import", "{tmp}/good.ply", "."], ".: names a folder"),
+    "a PLY of x Gaussians": (["import", "{tmp}/x.ply", "{tmp}/f"], "x.ply: element vertex x"),
     "a file that is no PLY": (["import", "{tmp}/cut", "{tmp}/f"], "cut"),
     "an unknown backend": (["doctor", "--backend", "metal"], "--backend metal"),
     "a layer that is not there": (
@@ -350,6 +419,10 @@ MISTAKES = {
         ["render", "cornell", "--camera", "{tmp}/bad.xml", "-o", "{tmp}/a.png"],
         "--camera",
     ),
+    "a camera of half a pixel": (
+        ["render", "cornell", "--camera", "{tmp}/half.json", "-o", "{tmp}/a.png"],
+        "w is 32.5; must be a whole number of pixels",
+    ),
 }
 
 
@@ -360,8 +433,15 @@ def test_a_mistake_is_one_line_and_exit_code_2(mistake, made, monkeypatch, tmp_p
     shutil.copy(made / "box.forest", tmp_path / "corrupt")
     with open(tmp_path / "corrupt", "r+b") as file:
         file.write(b"\xff" * 64)
+    export_ply(tmp_path / "good.ply", load_forest(made / "box.forest").finest)
+    camera = json.loads((made / "frames" / "transforms.json").read_text())
+    pose = camera["frames"][0]["transform_matrix"]
+    (tmp_path / "half.json").write_text(json.dumps({**camera, "transform_matrix": pose, "w": 32.5}))
+    header = (tmp_path / "good.ply").read_bytes()
+    (tmp_path / "x.ply").write_bytes(re.sub(rb"element vertex \d+", b"element vertex x", header))
     before = {p.relative_to(tmp_path) for p in tmp_path.rglob("*")}
     arguments, named = MISTAKES[mistake]
+    named = named.format(tmp=tmp_path)
     filled = [a.format(tmp=tmp_path, made=made) for a in arguments]
     assert run(monkeypatch, *filled) == 2
     message = capsys.readouterr().err
@@ -370,6 +450,19 @@ def test_a_mistake_is_one_line_and_exit_code_2(mistake, made, monkeypatch, tmp_p
     if message.startswith("hybrid:"):
         assert message.count("\n") == 1
     assert {p.relative_to(tmp_path) for p in tmp_path.rglob("*")} == before
+
+
+def test_json_is_checked_before_the_work_by_every_command_but_export_and_import():
+    commands = dict(typer.main.get_command(app).commands)
+    commands |= commands.pop("bench").commands
+    checks = {
+        name: parameter.callback
+        for name, command in commands.items()
+        for parameter in command.params
+        if "--json" in parameter.opts
+    }
+    assert {*commands} - {*checks} == {"export", "import"}
+    assert all(checks.values())
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")

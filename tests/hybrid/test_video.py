@@ -44,12 +44,22 @@ def test_a_film_follows_the_gaze(made, monkeypatch, tmp_path, trace):
     assert noise[-1][1] > noise[0][1]
 
 
+def test_a_film_without_a_rate_has_30_frames_per_second(made, monkeypatch, tmp_path):
+    GazeTrace((0.0, 0.1), (Gaze(), Gaze())).save(tmp_path / "short.csv")
+    common = ["render", "cornell", "--forest", made / "box.forest", "--gaze-trace", tmp_path / "short.csv"]
+    size = ["--size", 32, 32, "--spp", 1, "--fovea", "raw"]
+    assert run(monkeypatch, *common, *size, "-o", tmp_path / "a.mp4", "--json", tmp_path / "a.json") == 0
+    row = json.loads((tmp_path / "a.json").read_text())
+    assert (row["fps"], len(row["frames"])) == (30, 3)
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
         (["-o", "a.png"], "must end in .mp4"),
         (["-o", "a.mp4", "--size", "33", "32"], "must be even"),
         (["-o", "a.mp4", "--detail", "d.png"], "--detail"),
+        (["-o", "a.mp4", "--gaze", "0.5", "0.5"], "--gaze, --gaze-trace: the gaze can only come from one"),
     ],
 )
 def test_what_makes_no_film_is_refused_by_name(made, monkeypatch, tmp_path, trace, capsys, options, said):

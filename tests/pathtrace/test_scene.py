@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from compose.errors import UserError
-from pathtrace.scene import bundled_scenes, load_scene
+from pathtrace.scene import DEFAULT_MAX_DEPTH, bundled_scenes, load_scene
 from tests import small
 from tests.conftest import real_file
 
@@ -49,6 +49,18 @@ def test_the_hash_follows_the_content(tmp_path):
     assert load_scene(file).hash == first
     file.write_text(file.read_text().replace("sphere", "cube"))
     assert load_scene(file).hash != first
+
+
+def test_the_hash_follows_a_depth_that_is_not_the_scenes_own(tmp_path):
+    file = tmp_path / "mine.xml"
+    file.write_text(MINIMAL.format(sensor=SENSOR, emitter=EMITTER))
+    own, three, four = (load_scene(file, max_depth=depth).hash for depth in (None, 3, 4))
+    assert len({own, three, four}) == 3
+    assert load_scene(file, max_depth=5).hash == own
+    assert load_scene(file, max_depth=3).hash == three
+    furnace = load_scene(small.furnace()).hash
+    assert load_scene(small.furnace(), max_depth=DEFAULT_MAX_DEPTH).hash == furnace
+    assert load_scene(small.furnace(), max_depth=40).hash != furnace
 
 
 @pytest.mark.parametrize(

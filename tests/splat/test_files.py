@@ -170,3 +170,22 @@ def test_a_truncated_ply_is_refused(tmp_path):
     (tmp_path / "g.ply").write_bytes(content[:-10])
     with pytest.raises(UserError, match="truncated"):
         import_ply(tmp_path / "g.ply")
+
+
+@pytest.mark.parametrize("count", [b"x", b"", b"0", b"-11", b"1.5", b"9" * 5000])
+def test_a_ply_whose_number_of_gaussians_is_none_is_refused_by_name(tmp_path, count):
+    export_ply(tmp_path / "g.ply", gaussians("overlap", n=11, degree=1))
+    content = (tmp_path / "g.ply").read_bytes()
+    (tmp_path / "g.ply").write_bytes(content.replace(b"element vertex 11", b"element vertex " + count))
+    with pytest.raises(UserError, match=r"g\.ply: element vertex .*: must be a number of Gaussians"):
+        import_ply(tmp_path / "g.ply")
+
+
+@pytest.mark.parametrize("name", [b"", b"f_rest_9"])
+def test_a_ply_with_a_property_that_has_no_place_is_named(tmp_path, name):
+    export_ply(tmp_path / "g.ply", gaussians("overlap", n=11, degree=1))
+    content = (tmp_path / "g.ply").read_bytes()
+    line = b"property float " + name + b"\nproperty float opacity"
+    (tmp_path / "g.ply").write_bytes(content.replace(b"property float opacity", line))
+    with pytest.raises(UserError, match=r"g\.ply"):
+        import_ply(tmp_path / "g.ply")
