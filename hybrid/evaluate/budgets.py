@@ -151,8 +151,8 @@ def relative_time(peer: Peer, ours: Peer, camera: Camera, gaze: Gaze) -> float:
     """A peer's time in ours: medians of frames in turn, since the machine's speed drifts."""
     times: tuple[list[float], list[float]] = ([], [])
     for seed in range(_FRAMES + 1):
-        for way, found in zip((peer, ours), times, strict=True):
-            found.append(way.make(nudged(camera, seed), gaze, seed).milliseconds["total"])
+        for place, (way, found) in enumerate(zip((peer, ours), times, strict=True)):
+            found.append(way.make(nudged(camera, 2 * seed + place), gaze, seed).milliseconds["total"])
     # The first ones warm up.
     theirs, of_ours = (float(np.median(found[1:])) for found in times)
     return theirs / of_ours

@@ -34,8 +34,9 @@ def timed(
     """One row per entry: p50, p95 and p99 of whole frames, and the median of each pass, in milliseconds.
 
     All entries take turns, along one path of the gaze, after frames that warm up. The camera turns a little
-    from frame to frame, so that no frame uses what another one has found out about the view. What the journal
-    holds already is not measured again. Percentiles for which there are too few frames are left out.
+    from frame to frame, so that none uses what another one, be it of another entry, has found out about the
+    view. What the journal holds already is not measured again. Percentiles for which there are too few frames
+    are left out.
 
     Args:
         entries: to be timed.
@@ -52,12 +53,14 @@ def timed(
     done = max((len(passes.get("total", [])) for passes in found), default=0)
     for turn in range(-_WARM_UP if done < repeats else 0, repeats - done):
         number = done + max(turn, 0)
-        for entry, passes in zip(entries, found, strict=True):
+        for place, (entry, passes) in enumerate(zip(entries, found, strict=True)):
             if turn >= 0 and _is_enough(entry, passes):
                 continue
             # Those that are timed briefly see the whole path as well.
             step = len(passes.get("total", [])) * repeats // _LEAST_REPEATS if entry.briefly else number
-            made = entry.peer.make(nudged(camera, done + turn), path[step % repeats], number)
+            made = entry.peer.make(
+                nudged(camera, (done + turn) * len(entries) + place), path[step % repeats], number
+            )
             if turn >= 0:
                 for name, value in made.milliseconds.items():
                     passes.setdefault(name, []).append(value)
