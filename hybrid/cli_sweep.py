@@ -118,23 +118,13 @@ def sweep(
 
 
 def _print(rows: list[dict[str, Any]]) -> None:
-    """A column for each quantity that varies, times, the ratio, FPC's ratio, and quality if there is any."""
-    from hybrid.sweeps.setting import varied
+    """The table, and quality if there is any."""
+    from hybrid.sweeps.table import table
 
-    quantities = list(varied(rows[0]))
-    metrics = list(rows[0].get("quality", {}))
-    shown = [name for name in metrics if name.split()[1] in ("ssim", "flip", "jod")]
-    print(
-        "".join(f"{name:>15}" for name in quantities)
-        + f"{'hybrid ms':>11}{'full ms':>10}{'ratio':>8}{'paper':>8}"
-        + "".join(f"{name:>17}" for name in shown)
-    )
-    for row in rows:
-        cells = [f"{row[n]:.4g}" if isinstance(row[n], float) else str(row[n]) for n in quantities]
-        paper = row.get("paper", {})
-        ratio = f"{paper['ratio']:.2f}" if "ratio" in paper else "-"
-        print(
-            "".join(f"{cell:>15}" for cell in cells)
-            + f"{row['ms']['p50']:>11.0f}{row['full_ms']['p50']:>10.0f}{row['ratio']:>8.2f}{ratio:>8}"
-            + "".join(f"{row['quality'][name]:>17.4g}" for name in shown)
-        )
+    columns = table(rows)
+    for name in rows[0].get("quality", {}):
+        if name.split()[1] in ("ssim", "flip", "jod"):
+            columns[name] = [f"{row['quality'][name]:.4g}" for row in rows]
+    widths = [max(map(len, [name, *cells])) + 2 for name, cells in columns.items()]
+    for line in [list(columns), *zip(*columns.values(), strict=True)]:
+        print("".join(f"{cell:>{width}}" for cell, width in zip(line, widths, strict=True)))

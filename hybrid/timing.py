@@ -16,6 +16,9 @@ import numpy as np
 
 from compose.view import Gaze
 
+# How far the gaze goes from the middle, in fractions of the frame's width and height.
+REACH = (0.15, 0.15)
+
 
 class Clock:
     """Laps of one frame, each ended by waiting for the device."""
@@ -41,10 +44,16 @@ def percentiles(milliseconds: list[float], wanted: Sequence[int] = (50, 95)) -> 
     return {f"p{percent}": float(np.percentile(milliseconds, percent)) for percent in wanted}
 
 
-def gaze_path(count: int) -> list[Gaze]:
-    """A closed curve through the middle of the frame, on which a disc of 20 % of the height stays whole."""
+def gaze_path(count: int, reach: tuple[float, float] = REACH) -> list[Gaze]:
+    """A closed curve around the middle of the frame.
+
+    Args:
+        count: points on it.
+        reach: how far it goes from the middle, in fractions of the frame's width and height. By default, a
+            disc with a radius of up to 35 % of the height stays whole in frames that are no narrower than high.
+    """
     turns = (2 * math.pi * i / count for i in range(count))
-    return [Gaze(0.5 + 0.15 * math.sin(t), 0.5 + 0.15 * math.sin(2 * t + 0.5)) for t in turns]
+    return [Gaze(0.5 + reach[0] * math.sin(t), 0.5 + reach[1] * math.sin(2 * t + 0.5)) for t in turns]
 
 
 def interleaved(
@@ -52,6 +61,7 @@ def interleaved(
     repeats: int,
     warm_up: int,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    reach: tuple[float, float] = REACH,
 ) -> dict[str, list[float]]:
     """Milliseconds of each method at each step of the gaze path; all methods take a step in turn.
 
@@ -60,6 +70,7 @@ def interleaved(
         repeats: measured frames per method.
         warm_up: frames before that, not counted.
         progress: called with (rounds done, rounds in all).
+        reach: of the gaze path.
     """
 
     def total(method: Callable[[Gaze, int], Any], gaze: Gaze, seed: int) -> dict[str, float]:
@@ -68,7 +79,7 @@ def interleaved(
         return {"total": (time.perf_counter() - start) * 1000}
 
     timed = [partial(total, method) for method in methods.values()]
-    found = interleaved_passes(timed, repeats, warm_up, progress)
+    found = interleaved_passes(timed, repeats, warm_up, progress, reach)
     return {n: [frame["total"] for frame in frames] for n, frames in zip(methods, found, strict=True)}
 
 
@@ -77,10 +88,11 @@ def interleaved_passes(
     repeats: int,
     warm_up: int,
     progress: Callable[[int, int], None],
+    reach: tuple[float, float] = REACH,
 ) -> list[list[dict[str, float]]]:
     """Milliseconds per pass, of each frame of each method: `interleaved` for frames that time themselves."""
     found: list[list[dict[str, float]]] = [[] for _ in methods]
-    path = gaze_path(repeats)
+    path = gaze_path(repeats, reach)
     for turn in range(-warm_up, repeats):
         for method, frames in zip(methods, found, strict=True):
             milliseconds = method(path[turn % repeats], turn + warm_up)

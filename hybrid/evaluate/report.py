@@ -22,7 +22,7 @@ from hybrid.evaluate.settings import FOVEAL_REFERENCE
 from hybrid.evaluate.verdicts import FOVEAL_METRICS, Key, keys_of, mean_of, verdicts
 from hybrid.metrics import missing
 from hybrid.sweeps.break_even import sentence
-from hybrid.sweeps.setting import varied
+from hybrid.sweeps.table import table
 
 # Pictures in the page are compressed; the PNG files beside it are not.
 _JPEG_QUALITY = 92
@@ -94,27 +94,18 @@ def _plots(plots: list[str | None]) -> list[Markup]:
 def _sweep(sweep: dict[str, Any]) -> dict[str, Any]:
     """Title, plots and table of a sweep."""
     rows = sweep["rows"]
-    names = list(varied(rows[0]))
-    metrics = list(rows[0].get("quality", {}))
-    known = any("ratio" in row.get("paper", {}) for row in rows)
-    cells = []
-    for row in rows:
-        paper = row.get("paper", {})
-        cells.append(
-            [f"{row[name]:g}" if isinstance(row[name], float) else str(row[name]) for name in names]
-            + [f"{row['ms']['p50']:.0f}", f"{row['full_ms']['p50']:.0f}", f"{row['ratio']:.2f}"]
-            + ([f"{paper['ratio']:.2f}" if "ratio" in paper else "-"] if known else [])
-            + [f"{row['quality'][m]:.{_DIGITS[m.split()[1]]}f}" for m in metrics]
-        )
-    columns = [*names, "ms", "full, ms", "ratio", *(["FPC's ratio"] if known else []), *metrics]
+    columns = table(rows)
+    for name in rows[0].get("quality", {}):
+        digits = _DIGITS[name.split()[1]]
+        columns[name] = [f"{row['quality'][name]:.{digits}f}" for row in rows]
     said = [sentence(row) for row in sweep["break_even"]]
-    made = "" if "fovea" in names else f", {sweep['fovea']} fovea"
+    made = "" if "fovea" in columns else f", {sweep['fovea']} fovea"
     title = f"Over {sweep['title']}{made}, {rows[0]['repeats']} frames each"
     return {
         "title": title,
         "plots": _plots(list(sweep_plots(sweep))),
-        "columns": columns,
-        "rows": cells,
+        "columns": list(columns),
+        "rows": list(zip(*columns.values(), strict=True)),
         "said": said,
     }
 

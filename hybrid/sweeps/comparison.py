@@ -8,6 +8,7 @@ from typing import Any
 from compose.foveation import Foveation
 from compose.view import Camera, Gaze
 from hybrid.renderer import HybridRenderer
+from hybrid.sweeps.coverage import covered, reach_for
 from hybrid.timing import interleaved, percentiles
 from pathtrace.film import frame_positions
 
@@ -25,7 +26,7 @@ def compare(
     """One row: times of the hybrid frame, of the full path-traced frame and of the disc alone.
 
     All three run with kernels compiled and recorded; the full frame is traced by the same function as
-    the disc, and denoised where the disc is.
+    the disc, and denoised where the disc is. The gaze moves only so far that the disc stays in the frame.
     """
     frame = frame_positions(camera)
 
@@ -39,8 +40,10 @@ def compare(
         plan = Foveation(gaze, fov_a, fov_b).plan(camera.width, camera.height)
         renderer.disc_alone(camera, plan, spp, seed)
 
-    times = interleaved({"hybrid": hybrid, "path_traced": full, "disc": disc}, repeats, warm_up, progress)
-    row = {f"{name}_ms": percentiles(values) for name, values in times.items()}
+    methods = {"hybrid": hybrid, "path_traced": full, "disc": disc}
+    reach = reach_for(fov_a, camera)
+    times = interleaved(methods, repeats, warm_up, progress, reach)
+    row: dict[str, Any] = {f"{name}_ms": percentiles(values) for name, values in times.items()}
     return {
         "width": camera.width,
         "height": camera.height,
@@ -50,5 +53,6 @@ def compare(
         **row,
         "ratio": row["path_traced_ms"]["p50"] / row["hybrid_ms"]["p50"],
         "ceiling": row["path_traced_ms"]["p50"] / row["disc_ms"]["p50"],
+        "covered": covered(fov_a, camera, repeats, reach),
         "repeats": repeats,
     }

@@ -18,6 +18,7 @@ from hybrid.evaluate.regions import regions
 from hybrid.reference import REFERENCE_SEED, Reference, reference
 from hybrid.renderer import HybridRenderer
 from hybrid.sweeps.break_even import ratio_interval
+from hybrid.sweeps.coverage import covered, reach_for
 from hybrid.sweeps.setting import Setting
 from hybrid.timing import interleaved_passes, percentiles
 from pathtrace.scene import Scene
@@ -49,7 +50,8 @@ def swept(
     """One row per setting: what was varied, `ms` of the hybrid and of the full frame, and their ratio.
 
     Rows of one view and size take turns with the full path-traced frame at each of their sample counts,
-    denoised where the fovea is.
+    denoised where the fovea is. The gaze of all of them takes one path, on which the largest of their discs
+    stays in the frame; `covered` is the mean share of the frame that a row's disc covers on it.
 
     Args:
         scene, forest: what is rendered.
@@ -71,13 +73,15 @@ def swept(
         done = partial(_advanced, progress, len(rows), len(same), len(settings))
         peers: list[Peer] = [*ours, *full.values()]
         methods = [partial(_passes, peer, same[0].camera) for peer in peers]
-        times = interleaved_passes(methods, effort.repeats, effort.warm_up, done)
+        reach = reach_for(max(s.fov_a for s in same), same[0].camera)
+        times = interleaved_passes(methods, effort.repeats, effort.warm_up, done, reach)
         of_full = dict(zip(full, times[len(ours) :], strict=True))
         truth = None
         if judge:
             truth = reference(tracer, same[0].camera, effort.reference_spp, REFERENCE_SEED)
         for setting, peer, found in zip(same, ours, times, strict=False):
             row = _row(setting, found, of_full[setting.spp, setting.fovea != "raw"], effort)
+            row["covered"] = covered(setting.fov_a, setting.camera, effort.repeats, reach)
             if truth is not None:
                 row["quality"] = _quality(setting, peer, truth)
             rows.append(row)

@@ -166,4 +166,5 @@ def test_a_sweep_goes_into_the_page(evaluated, made, monkeypatch, capsys):
     page = (folder / "first" / "index.html").read_text()
     assert "radius of the fovea (FPC, Figures 7 to 10)" in page
     assert "48x32: as fast as full path tracing at a radius of" in page
+    assert "<th>covered, %</th>" in page
     assert page.count("<svg") == before.count("<svg") + 1

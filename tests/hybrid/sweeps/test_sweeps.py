@@ -36,16 +36,21 @@ def swept(made, monkeypatch, tmp_path):
 def check(row: dict) -> None:
     assert row["ratio"] == pytest.approx(row["full_ms"]["p50"] / row["ms"]["p50"])
     assert {"plan", "splat", "trace", "fovea", "blend"} <= set(row["passes"])
+    assert 0 < row["covered"] <= 1
     assert row["repeats"] == 3
 
 
-def test_radius_has_a_row_per_size_and_radius_and_tells_where_it_breaks_even(swept):
+def test_radius_has_a_row_per_size_and_radius_and_tells_where_it_breaks_even(swept, capsys):
     found = swept("radius")
     keys = [(row["width"], row["height"], row["radius"]) for row in found["rows"]]
     assert keys == [(w, 32, r) for w in (48, 64) for r in (20, 90)]
     for row in found["rows"]:
         check(row)
     assert [(row["width"], row["paper"]) for row in found["break_even"]] == [(48, 51.0), (64, 50.0)]
+    assert [row["covered"] for row in found["rows"]] == pytest.approx([0.084, 0.99, 0.063, 0.93], rel=0.1)
+    shown = capsys.readouterr().out.splitlines()
+    assert "covered, %" in shown[1]
+    assert f"{100 * found['rows'][0]['covered']:.1f}" in shown[2].split()
 
 
 def test_judged_sweeps_have_quality(swept):
