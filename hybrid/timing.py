@@ -7,6 +7,7 @@ import os
 import platform
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from typing import Any
@@ -14,10 +15,13 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from compose.view import Gaze
+from compose.view import Camera, Gaze
 
 # How far the gaze goes from the middle, in fractions of the frame's width and height.
 REACH = (0.15, 0.15)
+# Degrees from one frame's camera to the next one's, and after how many they return: with 50 pixels per
+# degree, a twentieth of a pixel at most.
+_NUDGE, _NUDGES = 1e-6, 1000
 
 
 class Clock:
@@ -50,10 +54,27 @@ def gaze_path(count: int, reach: tuple[float, float] = REACH) -> list[Gaze]:
     Args:
         count: points on it.
         reach: how far it goes from the middle, in fractions of the frame's width and height. By default, a
-            disc with a radius of up to 35 % of the height stays whole in frames that are no narrower than high.
+            disc with a radius of up to 35 % of the height stays whole in frames no narrower than high.
     """
     turns = (2 * math.pi * i / count for i in range(count))
     return [Gaze(0.5 + reach[0] * math.sin(t), 0.5 + reach[1] * math.sin(2 * t + 0.5)) for t in turns]
+
+
+def nudged(camera: Camera, number: int) -> Camera:
+    """The camera, turned about its own vertical axis by so little that no picture shows it.
+
+    Frames of one camera share what depends on the camera alone. A frame that is timed with a camera of its
+    own pays for all of it, as every frame does while the viewer moves.
+
+    Args:
+        camera: the view.
+        number: of the frame. A thousand in turn have different keys, none of them the camera's own.
+    """
+    angle = math.radians(_NUDGE) * (1 + number % _NUDGES)
+    turn = np.eye(4)
+    turn[0, ::2] = math.cos(angle), math.sin(angle)
+    turn[2, ::2] = -math.sin(angle), math.cos(angle)
+    return replace(camera, world_to_camera=turn @ camera.world_to_camera)
 
 
 def interleaved(

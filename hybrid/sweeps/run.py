@@ -20,7 +20,7 @@ from hybrid.renderer import HybridRenderer
 from hybrid.sweeps.break_even import ratio_interval
 from hybrid.sweeps.coverage import covered, reach_for
 from hybrid.sweeps.setting import Setting
-from hybrid.timing import interleaved_passes, percentiles
+from hybrid.timing import interleaved_passes, nudged, percentiles
 from pathtrace.scene import Scene
 from splat.forest import Forest
 
@@ -51,7 +51,8 @@ def swept(
 
     Rows of one view and size take turns with the full path-traced frame at each of their sample counts,
     denoised where the fovea is. The gaze of all of them takes one path, on which the largest of their discs
-    stays in the frame; `covered` is the mean share of the frame that a row's disc covers on it.
+    stays in the frame; `covered` is the mean share of the frame that a row's disc covers on it. Each frame
+    has a camera of its own, far less than a pixel from the last: nothing in it was made for another.
 
     Args:
         scene, forest: what is rendered.
@@ -72,7 +73,9 @@ def swept(
         full = {(s.spp, s.fovea != "raw"): FullTrace(tracer, s.spp, s.fovea != "raw") for s in same}
         done = partial(_advanced, progress, len(rows), len(same), len(settings))
         peers: list[Peer] = [*ours, *full.values()]
-        methods = [partial(_passes, peer, same[0].camera) for peer in peers]
+        methods = [
+            partial(_passes, peer, same[0].camera, len(peers), place) for place, peer in enumerate(peers)
+        ]
         reach = reach_for(max(s.fov_a for s in same), same[0].camera)
         times = interleaved_passes(methods, effort.repeats, effort.warm_up, done, reach)
         of_full = dict(zip(full, times[len(ours) :], strict=True))
@@ -94,8 +97,9 @@ def _advanced(
     progress(1000 * before + 1000 * rows * done // total, 1000 * all_rows)
 
 
-def _passes(peer: Peer, camera: Camera, gaze: Gaze, seed: int) -> dict[str, float]:
-    return peer.make(camera, gaze, seed).milliseconds
+def _passes(peer: Peer, camera: Camera, peers: int, place: int, gaze: Gaze, seed: int) -> dict[str, float]:
+    """Of a frame whose camera no other has: rows share renderers, and these keep what a camera shows."""
+    return peer.make(nudged(camera, peers * seed + place), gaze, seed).milliseconds
 
 
 def _row(

@@ -7,6 +7,8 @@ import json
 import pytest
 
 from compose.errors import UserError
+from hybrid import periphery
+from hybrid.evaluate import peers
 from hybrid.sweeps import catalogue
 from hybrid.sweeps.break_even import break_even, ratio_interval, sentence
 from hybrid.sweeps.catalogue import SWEEPS, sweep_named
@@ -51,6 +53,26 @@ def test_radius_has_a_row_per_size_and_radius_and_tells_where_it_breaks_even(swe
     shown = capsys.readouterr().out.splitlines()
     assert "covered, %" in shown[1]
     assert f"{100 * found['rows'][0]['covered']:.1f}" in shown[2].split()
+
+
+def test_every_timed_frame_pays_for_what_its_camera_shows(swept, monkeypatch):
+    """Rows share renderers, which keep what depends on the camera alone: what draws attention, for one."""
+    looks, cameras = [], set()
+    look, trace = periphery.saliency, peers.traced_image
+
+    def counted(image):
+        looks.append(image.shape)
+        return look(image)
+
+    def traced(tracer, camera, *rest):
+        cameras.add(camera.key)
+        return trace(tracer, camera, *rest)
+
+    monkeypatch.setattr(periphery, "saliency", counted)
+    monkeypatch.setattr(peers, "traced_image", traced)
+    rows = swept("radius")["rows"]
+    assert len(looks) == len(rows) * (3 + 1)
+    assert len(cameras) == 2 * (3 + 1)
 
 
 def test_judged_sweeps_have_quality(swept):
