@@ -7,18 +7,14 @@ from typing import Annotated, Any
 
 import typer
 
+from compose.acuity import DEFAULT_LAW
 from compose.errors import UserError
 from hybrid.options import (
     Backend,
     DisplayName,
     ForestFile,
-    FovA,
-    FovB,
     Json,
-    Law,
     SceneName,
-    Size,
-    Spp,
     loaded_scene,
     select,
     sized,
@@ -27,6 +23,16 @@ from hybrid.options import (
 from hybrid.progress import progress_bar
 
 _VIEWS = 4
+# Of the options that a sweep may set itself. They stand here, so that one that was given can be told.
+_DEFAULTS: dict[str, Any] = {
+    "--fovea": "raw",
+    "--size": None,
+    "--fov-a": 20.0,
+    "--fov-b": 15.0,
+    "--spp": 1,
+    "--law": DEFAULT_LAW,
+    "--reference-spp": 64,
+}
 
 
 def sweep(
@@ -38,12 +44,40 @@ def sweep(
         ),
     ] = "resolution",
     forest: ForestFile = None,
-    fovea: Annotated[str, typer.Option(help="raw, denoised or fused.")] = "raw",
-    size: Size = None,
-    fov_a: FovA = 20.0,
-    fov_b: FovB = 15.0,
-    spp: Spp = 1,
-    law: Law = "geisler-perry",
+    fovea: Annotated[
+        str | None, typer.Option(help="raw, denoised or fused; denoiser and trade set it. Default: raw.")
+    ] = None,
+    size: Annotated[
+        tuple[int, int] | None,
+        typer.Option(
+            metavar="W H",
+            help="Frame size; resolution, aspect, radius, spp and view set it. Default: the scene's.",
+        ),
+    ] = None,
+    fov_a: Annotated[
+        float | None,
+        typer.Option(
+            help="Radius of the path-traced disc, percent of the height; band sets it, and in radius, spp, "
+            "view and trade it counts only how much larger than --fov-b it is. Default: 20."
+        ),
+    ] = None,
+    fov_b: Annotated[
+        float | None,
+        typer.Option(help="Radius inside of which no splats are drawn, percent; as --fov-a. Default: 15."),
+    ] = None,
+    spp: Annotated[
+        int | None,
+        typer.Option(
+            help="Samples per pixel in the disc; spp, denoiser and trade set it. Default: 1.", min=1
+        ),
+    ] = None,
+    law: Annotated[
+        str | None,
+        typer.Option(
+            help="What the eye resolves: geisler-perry, stelacsf, fov-gs or none; law sets it. "
+            f"Default: {DEFAULT_LAW}."
+        ),
+    ] = None,
     display: DisplayName = "desktop",
     repeats: Annotated[int, typer.Option(help="Measured frames per method and row.", min=3)] = 15,
     warm_up: Annotated[int, typer.Option(help="Frames before that.", min=1)] = 2,
@@ -52,8 +86,13 @@ def sweep(
         typer.Option(metavar="DIR", help="Folder of an evaluation: its page gets this sweep as well."),
     ] = None,
     reference_spp: Annotated[
-        int, typer.Option(help="Samples per pixel of references, where quality is measured.", min=4)
-    ] = 64,
+        int | None,
+        typer.Option(
+            help="Samples per pixel of references; band, layers, law, denoiser and trade have some. "
+            "Default: 64.",
+            min=4,
+        ),
+    ] = None,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
@@ -64,50 +103,61 @@ def sweep(
     from hybrid.sweeps.catalogue import sweep_named
     from hybrid.sweeps.setting import Setting
 
-    Foveation(Gaze(), fov_a, fov_b)
-    if fov_a == 0:
+    given: dict[str, Any] = {
+        "--fovea": fovea,
+        "--size": size,
+        "--fov-a": fov_a,
+        "--fov-b": fov_b,
+        "--spp": spp,
+        "--law": law,
+        "--reference-spp": reference_spp,
+    }
+    for option in sweep_named(over, (1,)).ignored:
+        if given[option] is not None:
+            raise UserError(f"{option}: changes nothing in a sweep --over {over}; leave it out")
+    values = {option: _DEFAULTS[option] if value is None else value for option, value in given.items()}
+    radii = values["--fov-a"], values["--fov-b"]
+    Foveation(Gaze(), *radii)
+    if radii[0] == 0:
         raise UserError("--fov-a 0.0: there is no fovea to time")
-    mode_named(fovea)
-    viewing = Viewing(display_named(display), law)
-    sweep_named(over, (1,))
+    mode_named(values["--fovea"])
+    viewing = Viewing(display_named(display), values["--law"])
     if report is not None and not (report / "evaluation.json").exists():
         raise UserError(f"--report {report}: holds no evaluation; make one with hybrid evaluate first")
     select(backend)
     from hybrid.cache import forest_for
     from hybrid.evaluate.report import write_report
     from hybrid.sweeps.break_even import break_even, sentence
+    from hybrid.sweeps.record import applied
     from hybrid.sweeps.run import Effort, swept
     from hybrid.timing import machine
     from hybrid.trade import trade_file
     from pathtrace.views import unseen_views
 
     loaded = loaded_scene(scene)
+    camera = sized(loaded.camera, size)
     found = forest_for(loaded, forest)
     chosen = sweep_named(over, found.counts)
-    camera = sized(loaded.camera, size)
-    pixels = camera.width, camera.height
-    views = unseen_views(loaded, _VIEWS, *pixels)
-    base = Setting({}, camera, fov_a, fov_b, spp, fovea, viewing)
-    effort = Effort(repeats, warm_up, reference_spp)
+    views = unseen_views(loaded, _VIEWS, camera.width, camera.height)
+    base = Setting({}, camera, *radii, values["--spp"], values["--fovea"], viewing)
+    effort = Effort(repeats, warm_up, values["--reference-spp"])
     with progress_bar(f"sweep over {over}") as bar:
         rows = swept(loaded, found, chosen.settings(base, views), chosen.judged, effort, bar)
     if over == "trade":
-        write_json(trade_file(loaded, *pixels), rows)
+        write_json(trade_file(loaded, camera.width, camera.height), rows)
     crossings = break_even(rows) if over == "radius" else []
-    print(f"{loaded.name}: {chosen.title}" + ("" if "fovea" in rows[0] else f", {fovea} fovea"))
+    print(f"{loaded.name}: {chosen.title}" + ("" if "fovea" in rows[0] else f", {base.fovea} fovea"))
     _print(rows)
     for row in crossings:
         print(sentence(row))
     content = {
         "scene": loaded.name,
+        "forest": found.digest(),
         "over": over,
         "title": chosen.title,
         "rows": rows,
         "break_even": crossings,
-        "fovea": fovea,
-        "fov_a": fov_a,
-        "fov_b": fov_b,
-        "spp": spp,
+        **applied(chosen, base, effort),
         "machine": machine(),
     }
     write_json(json_file, content)

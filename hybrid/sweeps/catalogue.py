@@ -49,11 +49,20 @@ class Sweep:
         settings: its rows, from the setting to vary and further views of the scene.
         title: what its table shows.
         judged: whether quality is measured as well as time.
+        fixes: options of `hybrid sweep` that it sets itself.
+        scales_radii: whether it sets fov-a, and of the options' radii their ratio alone counts.
     """
 
     settings: Callable[[Setting, list[Camera]], list[Setting]]
     title: str
     judged: bool = False
+    fixes: tuple[str, ...] = ()
+    scales_radii: bool = False
+
+    @property
+    def ignored(self) -> tuple[str, ...]:
+        """Options that change nothing in it."""
+        return self.fixes if self.judged else (*self.fixes, "--reference-spp")
 
 
 def _sizes(table: dict[tuple[int, int], tuple[float, float]]) -> Callable[..., list[Setting]]:
@@ -151,15 +160,23 @@ def _trade(base: Setting, views: list[Camera]) -> list[Setting]:
 
 
 SWEEPS = {
-    "resolution": Sweep(_sizes(_TABLE_4), "resolutions (FPC, Table 4)"),
-    "aspect": Sweep(_sizes(_TABLE_5), "resolutions of one aspect ratio (FPC, Table 5)"),
-    "radius": Sweep(_radius, "radius of the fovea (FPC, Figures 7 to 10)"),
-    "spp": Sweep(_spp, "samples per pixel (FPC, Figure 14)"),
-    "view": Sweep(_view, "views (FPC, Figures 12 and 13)"),
-    "band": Sweep(_band, "fov-a and fov-b", judged=True),
-    "law": Sweep(_laws, "laws of the eye", judged=True),
-    "trade": Sweep(_trade, "settings that `hybrid render --target-ms` chooses from", judged=True),
-    "denoiser": Sweep(_denoiser, "how the fovea is made", judged=True),
+    "resolution": Sweep(_sizes(_TABLE_4), "resolutions (FPC, Table 4)", fixes=("--size",)),
+    "aspect": Sweep(_sizes(_TABLE_5), "resolutions of one aspect ratio (FPC, Table 5)", fixes=("--size",)),
+    "radius": Sweep(
+        _radius, "radius of the fovea (FPC, Figures 7 to 10)", fixes=("--size",), scales_radii=True
+    ),
+    "spp": Sweep(_spp, "samples per pixel (FPC, Figure 14)", fixes=("--size", "--spp"), scales_radii=True),
+    "view": Sweep(_view, "views (FPC, Figures 12 and 13)", fixes=("--size",), scales_radii=True),
+    "band": Sweep(_band, "fov-a and fov-b", judged=True, fixes=("--fov-a", "--fov-b")),
+    "law": Sweep(_laws, "laws of the eye", judged=True, fixes=("--law",)),
+    "trade": Sweep(
+        _trade,
+        "settings that `hybrid render --target-ms` chooses from",
+        judged=True,
+        fixes=("--fovea", "--spp"),
+        scales_radii=True,
+    ),
+    "denoiser": Sweep(_denoiser, "how the fovea is made", judged=True, fixes=("--fovea", "--spp")),
 }
 
 

@@ -139,6 +139,37 @@ def test_an_interval_holds_the_ratio_and_shrinks_with_more_frames():
     assert widths[64] < widths[8] / 2
 
 
+@pytest.mark.parametrize(
+    ("over", "option"),
+    [
+        *((over, "--size 48 32") for over in ("resolution", "aspect", "radius", "spp", "view")),
+        *((over, "--spp 2") for over in ("spp", "denoiser", "trade")),
+        *((over, "--fovea raw") for over in ("denoiser", "trade")),
+        *(("band", option) for option in ("--fov-a 30", "--fov-b 10")),
+        ("law", "--law none"),
+        *((over, "--reference-spp 64") for over in ("resolution", "aspect", "radius", "spp", "view")),
+    ],
+)
+def test_an_option_that_would_change_nothing_is_refused(over, option, monkeypatch, capsys):
+    """Also where its value is the default."""
+    assert run(monkeypatch, "sweep", "cornell", "--over", over, *option.split()) == 2
+    error = capsys.readouterr().err
+    assert f"{option.split()[0]}: changes nothing in a sweep --over {over}" in error
+    assert error.count("\n") == 1
+
+
+def test_what_applied_is_written_down_and_nothing_else(swept):
+    found = swept("radius", "--spp", 2, "--law", "none", "--display", "hmd", "--fov-a", 10, "--fov-b", 5)
+    applied = found.keys() - {"scene", "over", "title", "rows", "break_even", "machine"}
+    assert applied == {"forest", "fovea", "fov_b_of_fov_a", "spp", "law", "display"}
+    assert (found["spp"], found["law"], found["fov_b_of_fov_a"]) == (2, "none", 0.5)
+    assert found["display"]["fov"] == 97.0
+    assert len(found["forest"]) >= 16
+    found = swept("law", "--size", 48, 40, "--reference-spp", 4)
+    applied = found.keys() - {"scene", "over", "title", "rows", "break_even", "machine", "forest", "display"}
+    assert applied == {"width", "height", "fovea", "fov_a", "fov_b", "spp", "reference_spp"}
+
+
 def test_a_sweep_that_does_not_exist_is_named(monkeypatch, capsys):
     with pytest.raises(UserError, match="--over moon: must be resolution, aspect"):
         sweep_named("moon", (1,))
