@@ -131,7 +131,7 @@ def sweep(
     from hybrid.sweeps.record import applied
     from hybrid.sweeps.run import Effort, swept
     from hybrid.timing import machine
-    from hybrid.trade import trade_file
+    from hybrid.trade import remember_trade, trade_identity
     from pathtrace.views import unseen_views
 
     loaded = loaded_scene(scene)
@@ -144,7 +144,9 @@ def sweep(
     with progress_bar(f"sweep over {over}") as bar:
         rows = swept(loaded, found, chosen.settings(base, views), chosen.judged, effort, bar)
     if over == "trade":
-        write_json(trade_file(loaded, camera.width, camera.height), rows)
+        size_in_pixels = camera.width, camera.height
+        of = trade_identity(loaded, found, size_in_pixels, viewing.law, viewing.display)
+        remember_trade(loaded, of, rows)
     crossings = break_even(rows) if over == "radius" else []
     print(f"{loaded.name}: {chosen.title}" + ("" if "fovea" in rows[0] else f", {base.fovea} fovea"))
     _print(rows)

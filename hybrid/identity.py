@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from typing import Any
 
 from compose.errors import UserError
+
+
+def short_hash(identity: dict[str, Any]) -> str:
+    """Twelve digits that tell identities apart in the names of files."""
+    return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:12]
 
 
 def require_same(found: dict[str, Any], ours: dict[str, Any], holds: str, advice: str) -> None:
