@@ -36,6 +36,7 @@ _RADII = (10, 20, 30, 40, 50, 60, 70, 80, 90)
 # Samples per pixel: FPC's frames per second at radii of 10 and 90 percent; path tracing has 150 (Figure 14).
 _FIGURE_14 = {1: (200, 100), 2: (192, 67), 4: (166, 40), 6: (151, 30)}
 _FIGURE_14_FULL = 150.0
+_FIGURE_14_SIZE, _FIGURE_14_RADII = (1012, 1061), (10, 20, 50, 90)
 _VIEW_SIZES, _VIEW_RADII = ((1280, 780), (3316, 1061)), (20, 50)
 _TRADE_OUTER, _TRADE_SPP = (5.0, 10.0, 20.0, 30.0), (1, 2, 4, 8)
 _BAND_OUTER, _BAND_SHARES = (10.0, 20.0, 30.0, 40.0), (0.25, 0.5, 0.75, 1.0)
@@ -72,7 +73,7 @@ def _sizes(table: dict[tuple[int, int], tuple[float, float]]) -> Callable[..., l
                 base,
                 varied={"width": width, "height": height},
                 camera=base.camera.resized(width, height),
-                paper={"ratio": ours / full, "fps": ours, "full_fps": full},
+                paper={"ratio": ours / full},
             )
             for (width, height), (ours, full) in table.items()
         ]
@@ -100,13 +101,13 @@ def _radius(base: Setting, views: list[Camera]) -> list[Setting]:
 def _spp(base: Setting, views: list[Camera]) -> list[Setting]:
     rows = []
     for spp, known in _FIGURE_14.items():
-        for radius in (10, 20, 50, 90):
+        for radius in _FIGURE_14_RADII:
             fps = dict(zip((10, 90), known, strict=True)).get(radius)
             # FPC compares all of them with path tracing at one sample per pixel.
-            paper = {} if fps is None else {"fps": float(fps), "full_1spp_fps": _FIGURE_14_FULL}
-            varied = {"spp": spp, "radius": radius}
-            camera = base.camera.resized(1012, 1061)
-            rows.append(replace(_of_radius(base, radius), varied=varied, camera=camera, spp=spp, paper=paper))
+            paper = {} if fps is None else {"ratio_1spp": fps / _FIGURE_14_FULL}
+            row = replace(_of_radius(base, radius), varied={"spp": spp, "radius": radius}, paper=paper)
+            camera = base.camera.resized(*_FIGURE_14_SIZE)
+            rows.append(replace(row, camera=camera, spp=spp, over_one_spp=True))
     return rows
 
 

@@ -47,7 +47,9 @@ def swept(
     effort: Effort,
     progress: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
-    """One row per setting: what was varied, `ms` of the hybrid and of the full frame, and their ratio.
+    """One row per setting: what was varied, `ms` of the hybrid and of the full frame, and their `ratio`.
+
+    `ratio_1spp`, where a setting asks for it, is that to the full frame at one sample per pixel.
 
     Rows of one view and size take turns with the full path-traced frame at each of their sample counts,
     denoised where the fovea is. The gaze of all of them takes one path, on which the largest of their discs
@@ -59,35 +61,46 @@ def swept(
         settings: the rows.
         judge: whether to measure quality as well, with the gaze in the middle.
         effort: how much is measured.
-        progress: called with frames done and frames in all.
+        progress: called with how much is done and how much there is, in thousandths of a row.
     """
     renderers: dict[Any, HybridRenderer] = {}
     for setting in settings:
         key = setting.viewing, setting.fovea
         renderers.setdefault(key, HybridRenderer(scene, forest, *key))
-    tracer = next(iter(renderers.values())).tracer
     rows: list[dict[str, Any]] = []
     for _, group in groupby(settings, key=lambda setting: setting.camera.key):
         same = list(group)
-        ours = [Hybrid(renderers[s.viewing, s.fovea], s.fov_a, s.fov_b, s.spp) for s in same]
-        full = {(s.spp, s.fovea != "raw"): FullTrace(tracer, s.spp, s.fovea != "raw") for s in same}
         done = partial(_advanced, progress, len(rows), len(same), len(settings))
-        peers: list[Peer] = [*ours, *full.values()]
-        methods = [
-            partial(_passes, peer, same[0].camera, len(peers), place) for place, peer in enumerate(peers)
-        ]
-        reach = reach_for(max(s.fov_a for s in same), same[0].camera)
-        times = interleaved_passes(methods, effort.repeats, effort.warm_up, done, reach)
-        of_full = dict(zip(full, times[len(ours) :], strict=True))
-        truth = None
-        if judge:
-            truth = reference(tracer, same[0].camera, effort.reference_spp, REFERENCE_SEED)
-        for setting, peer, found in zip(same, ours, times, strict=False):
-            row = _row(setting, found, of_full[setting.spp, setting.fovea != "raw"], effort)
-            row["covered"] = covered(setting.fov_a, setting.camera, effort.repeats, reach)
-            if truth is not None:
-                row["quality"] = _quality(setting, peer, truth)
-            rows.append(row)
+        rows += _group(renderers, same, judge, effort, done)
+    return rows
+
+
+def _group(
+    renderers: dict[Any, HybridRenderer],
+    same: list[Setting],
+    judge: bool,
+    effort: Effort,
+    progress: Callable[[int, int], None],
+) -> list[dict[str, Any]]:
+    """Rows of one camera, which take turns."""
+    camera, tracer = same[0].camera, next(iter(renderers.values())).tracer
+    ours = [Hybrid(renderers[s.viewing, s.fovea], s.fov_a, s.fov_b, s.spp) for s in same]
+    wanted = [(s.spp, s.fovea != "raw") for s in same]
+    wanted += [(1, s.fovea != "raw") for s in same if s.over_one_spp]
+    full = {of: FullTrace(tracer, *of) for of in wanted}
+    peers: list[Peer] = [*ours, *full.values()]
+    methods = [partial(_passes, peer, camera, len(peers), place) for place, peer in enumerate(peers)]
+    reach = reach_for(max(s.fov_a for s in same), camera)
+    times = interleaved_passes(methods, effort.repeats, effort.warm_up, progress, reach)
+    of_full = dict(zip(full, times[len(ours) :], strict=True))
+    truth = reference(tracer, camera, effort.reference_spp, REFERENCE_SEED) if judge else None
+    rows = []
+    for setting, peer, found in zip(same, ours, times, strict=False):
+        row = _row(setting, found, of_full, effort)
+        row["covered"] = covered(setting.fov_a, camera, effort.repeats, reach)
+        if truth is not None:
+            row["quality"] = _quality(setting, peer, truth)
+        rows.append(row)
     return rows
 
 
@@ -103,18 +116,27 @@ def _passes(peer: Peer, camera: Camera, peers: int, place: int, gaze: Gaze, seed
 
 
 def _row(
-    setting: Setting, ours: list[dict[str, float]], full: list[dict[str, float]], effort: Effort
+    setting: Setting,
+    ours: list[dict[str, float]],
+    full: dict[tuple[int, bool], list[dict[str, float]]],
+    effort: Effort,
 ) -> dict[str, Any]:
-    total, of_full = ([frame["total"] for frame in frames] for frames in (ours, full))
+    """Times of a setting, and of full frames by samples per pixel and whether they are denoised."""
+    total = [frame["total"] for frame in ours]
+    of_full = {of: [frame["total"] for frame in frames] for of, frames in full.items()}
+    denoised = setting.fovea != "raw"
+    same = of_full[setting.spp, denoised]
     row: dict[str, Any] = {
         **setting.varied,
         "ms": percentiles(total),
-        "full_ms": percentiles(of_full),
-        "ratio": float(np.median(of_full) / np.median(total)),
-        "ratio_interval": ratio_interval(of_full, total),
+        "full_ms": percentiles(same),
+        "ratio": float(np.median(same) / np.median(total)),
+        "ratio_interval": ratio_interval(same, total),
         "passes": {n: float(np.median([f[n] for f in ours])) for n in ours[0] if n != "total"},
         "repeats": effort.repeats,
     }
+    if setting.over_one_spp:
+        row["ratio_1spp"] = float(np.median(of_full[1, denoised]) / np.median(total))
     return {**row, "paper": setting.paper} if setting.paper else row
 
 

@@ -17,8 +17,10 @@ def table(rows: list[dict[str, Any]]) -> dict[str, list[str]]:
     columns["covered, %"] = [_number(100 * row["covered"], 1) if "covered" in row else "-" for row in rows]
     columns["ms"] = [_number(row["ms"]["p50"], 0) for row in rows]
     columns["full, ms"] = [_number(row["full_ms"]["p50"], 0) for row in rows]
-    columns["ratio"] = _ratios(rows, "ratio")
-    columns["FPC's ratio"] = _ratios([row.get("paper", {}) for row in rows], "ratio")
+    papers = [row.get("paper", {}) for row in rows]
+    for key, name in (("ratio", "ratio"), ("ratio_1spp", "ratio to 1 spp")):
+        columns[name] = _ratios(rows, key)
+        columns[f"FPC's {name}"] = _ratios(papers, key)
     return {name: cells for name, cells in columns.items() if set(cells) != {"-"}}
 
 

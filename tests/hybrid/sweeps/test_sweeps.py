@@ -25,6 +25,10 @@ def swept(made, monkeypatch, tmp_path):
     monkeypatch.setattr(catalogue, "_RADII", (20, 90))
     monkeypatch.setattr(catalogue, "_VIEW_SIZES", ((48, 32),))
     monkeypatch.setattr(catalogue, "_BAND_OUTER", (40.0,))
+    monkeypatch.setattr(catalogue, "_FIGURE_14_SIZE", (48, 32))
+    monkeypatch.setattr(catalogue, "_FIGURE_14_RADII", (10, 90))
+    for spp in (4, 6):
+        monkeypatch.delitem(catalogue._FIGURE_14, spp)
 
     def sweep(over: str, *options: object) -> dict:
         out = tmp_path / f"{over}.json"
@@ -73,6 +77,21 @@ def test_every_timed_frame_pays_for_what_its_camera_shows(swept, monkeypatch):
     rows = swept("radius")["rows"]
     assert len(looks) == len(rows) * (3 + 1)
     assert len(cameras) == 2 * (3 + 1)
+
+
+@pytest.mark.parametrize("fovea", ["raw", "denoised"])
+def test_samples_are_compared_with_one_sample_as_well(swept, capsys, fovea):
+    """As in Foveated Path Culling's Figure 14: its frame rate over that of its path tracing at 1 sample."""
+    found = swept("spp", "--fovea", fovea)["rows"]
+    assert [(row["spp"], row["radius"]) for row in found] == [(n, r) for n in (1, 2) for r in (10, 90)]
+    one = found[0]["full_ms"]["p50"]
+    for row in found:
+        check(row)
+        assert row["ratio_1spp"] == pytest.approx(one / row["ms"]["p50"])
+    assert [row["paper"] for row in found] == [{"ratio_1spp": fps / 150} for fps in (200, 100, 192, 67)]
+    shown = capsys.readouterr().out
+    assert "ratio to 1 spp  FPC's ratio to 1 spp" in shown.splitlines()[1]
+    assert [line.split()[-1] for line in shown.splitlines()[2:6]] == ["1.33", "0.67", "1.28", "0.45"]
 
 
 def test_judged_sweeps_have_quality(swept):
