@@ -122,11 +122,10 @@ def sweep(
         raise UserError("--fov-a 0.0: there is no fovea to time")
     mode_named(values["--fovea"])
     viewing = Viewing(display_named(display), values["--law"])
-    if report is not None and not (report / "evaluation.json").exists():
-        raise UserError(f"--report {report}: holds no evaluation; make one with hybrid evaluate first")
     select(backend)
     from hybrid.cache import forest_for
-    from hybrid.evaluate.report import write_report
+    from hybrid.evaluate.report import evaluated_scene, write_report
+    from hybrid.images import check_writable
     from hybrid.sweeps.break_even import break_even, sentence
     from hybrid.sweeps.record import applied
     from hybrid.sweeps.run import Effort, swept
@@ -134,7 +133,13 @@ def sweep(
     from hybrid.trade import remember_trade, trade_identity
     from pathtrace.views import unseen_views
 
+    of_report = None if report is None else evaluated_scene(report)
     loaded = loaded_scene(scene)
+    if of_report not in (None, loaded.name):
+        raise UserError(f"--report {report}: holds an evaluation of {of_report}, not of {loaded.name}")
+    for file in (json_file, None if report is None else report / "index.html"):
+        if file is not None:
+            check_writable(file)
     camera = sized(loaded.camera, size)
     found = forest_for(loaded, forest)
     chosen = sweep_named(over, found.counts)
