@@ -96,7 +96,7 @@ def sweep(
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
-    """Time hybrid frames against full path tracing, interleaved, over one quantity, beside FPC's figures."""
+    """Time hybrid frames in turns with full path tracing, over one quantity; goes on where it stopped."""
     from compose.foveation import Foveation, mode_named
     from compose.view import Gaze, display_named
     from hybrid.periphery import Viewing
@@ -123,11 +123,13 @@ def sweep(
     mode_named(values["--fovea"])
     viewing = Viewing(display_named(display), values["--law"])
     select(backend)
-    from hybrid.cache import forest_for
+    from hybrid.cache import forest_for, scene_folder
+    from hybrid.evaluate.journal import Journal
     from hybrid.evaluate.report import evaluated_scene, write_report
+    from hybrid.identity import short_hash
     from hybrid.images import check_writable
     from hybrid.sweeps.break_even import break_even, sentence
-    from hybrid.sweeps.record import applied
+    from hybrid.sweeps.record import applied, identity_of
     from hybrid.sweeps.run import Effort, swept
     from hybrid.timing import machine
     from hybrid.trade import remember_trade, trade_identity
@@ -146,8 +148,12 @@ def sweep(
     views = unseen_views(loaded, _VIEWS, camera.width, camera.height)
     base = Setting({}, camera, *radii, values["--spp"], values["--fovea"], viewing)
     effort = Effort(repeats, warm_up, values["--reference-spp"])
+    settings = chosen.settings(base, views)
+    identity = identity_of(loaded, found, chosen, settings, effort)
+    folder = scene_folder(loaded.name, loaded.hash)
+    journal = Journal(folder / f"sweep-{over}-{short_hash(identity)}.json", identity)
     with progress_bar(f"sweep over {over}") as bar:
-        rows = swept(loaded, found, chosen.settings(base, views), chosen.judged, effort, bar)
+        rows = swept(loaded, found, settings, chosen.judged, effort, journal, bar)
     if over == "trade":
         size_in_pixels = camera.width, camera.height
         of = trade_identity(loaded, found, size_in_pixels, viewing.law, viewing.display)
@@ -172,6 +178,7 @@ def sweep(
         write_json(report / f"sweep-{over}.json", content)
         write_report(report)
         print(report / "index.html")
+    journal.remove()
 
 
 def _print(rows: list[dict[str, Any]]) -> None:

@@ -12,9 +12,10 @@ import numpy as np
 
 from compose.foveation import Foveation
 from compose.view import Camera, Gaze
+from hybrid.evaluate.journal import Journal
 from hybrid.evaluate.measure import Viewer, measured
 from hybrid.evaluate.peers import FullTrace, Hybrid, Peer
-from hybrid.evaluate.regions import regions
+from hybrid.evaluate.regions import Region, plain_regions
 from hybrid.reference import REFERENCE_SEED, Reference, reference
 from hybrid.renderer import HybridRenderer
 from hybrid.sweeps.break_even import ratio_interval
@@ -23,6 +24,9 @@ from hybrid.sweeps.setting import Setting
 from hybrid.timing import interleaved_passes, nudged, percentiles
 from pathtrace.scene import Scene
 from splat.forest import Forest
+
+# What quality is told apart by.
+_JUDGED = ("whole", "foveal", "peripheral")
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,7 @@ def swept(
     settings: list[Setting],
     judge: bool,
     effort: Effort,
+    journal: Journal,
     progress: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
     """One row per setting: what was varied, `ms` of the hybrid and of the full frame, and their `ratio`.
@@ -61,17 +66,25 @@ def swept(
         settings: the rows.
         judge: whether to measure quality as well, with the gaze in the middle.
         effort: how much is measured.
+        journal: keeps the rows of each view and size; what it holds already is not measured again.
         progress: called with how much is done and how much there is, in thousandths of a row.
+
+    Raises:
+        UserError: a region of a frame that is to be judged is empty; before anything is measured.
     """
+    if judge:
+        for setting in settings:
+            _judged_regions(setting)
     renderers: dict[Any, HybridRenderer] = {}
     for setting in settings:
         key = setting.viewing, setting.fovea
         renderers.setdefault(key, HybridRenderer(scene, forest, *key))
     rows: list[dict[str, Any]] = []
-    for _, group in groupby(settings, key=lambda setting: setting.camera.key):
+    for number, (_, group) in enumerate(groupby(settings, key=lambda setting: setting.camera.key)):
         same = list(group)
         done = partial(_advanced, progress, len(rows), len(same), len(settings))
-        rows += _group(renderers, same, judge, effort, done)
+        rows += journal.once(str(number), partial(_group, renderers, same, judge, effort, done))
+        done(1, 1)
     return rows
 
 
@@ -140,11 +153,14 @@ def _row(
     return {**row, "paper": setting.paper} if setting.paper else row
 
 
+def _judged_regions(setting: Setting) -> dict[str, Region]:
+    size = setting.camera.height, setting.camera.width
+    return plain_regions(Foveation(Gaze(), setting.fov_a, setting.fov_b), size, _JUDGED)
+
+
 def _quality(setting: Setting, peer: Hybrid, truth: Reference) -> dict[str, float]:
     """Metrics by region and name, such as "foveal jod"."""
     image = peer.make(setting.camera, Gaze(), 0).image
-    parts = regions(Foveation(Gaze(), setting.fov_a, setting.fov_b), truth.radiance)
-    wanted = {name: part for name, part in parts.items() if name in ("whole", "foveal", "peripheral")}
     viewer = Viewer(setting.viewing.display, Gaze())
-    rows = measured(image, truth.radiance, wanted, viewer)
+    rows = measured(image, truth.radiance, _judged_regions(setting), viewer)
     return {f"{row['region']} {row['metric']}": float(row["value"]) for row in rows}

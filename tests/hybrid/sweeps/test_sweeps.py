@@ -10,6 +10,7 @@ from compose.errors import UserError
 from hybrid import periphery
 from hybrid.evaluate import peers
 from hybrid.sweeps import catalogue
+from hybrid.sweeps import run as run_module
 from hybrid.sweeps.break_even import break_even, ratio_interval, sentence
 from hybrid.sweeps.catalogue import SWEEPS, sweep_named
 from tests import small
@@ -156,6 +157,53 @@ def test_an_interval_holds_the_ratio_and_shrinks_with_more_frames():
     assert held[64] > 180
     assert held[8] > 170
     assert widths[64] < widths[8] / 2
+
+
+def test_a_sweep_that_is_interrupted_goes_on(swept, monkeypatch, tmp_path):
+    """Sizes that were measured are kept, others and those of other settings are measured."""
+    timed, times = run_module.interleaved_passes, []
+
+    def interrupted(*arguments):
+        if len(times) == 1:
+            raise KeyboardInterrupt
+        times.append(timed(*arguments))
+        return times[-1]
+
+    monkeypatch.setattr(run_module, "interleaved_passes", interrupted)
+    with pytest.raises(AssertionError, match="130"):
+        swept("radius")
+    (kept,) = (tmp_path / "home").glob("*/sweep-radius-*.json")
+    first = json.loads(kept.read_text())["results"]["0"]
+
+    def counted(*arguments):
+        times.append(timed(*arguments))
+        return times[-1]
+
+    monkeypatch.setattr(run_module, "interleaved_passes", counted)
+    swept("radius", "--spp", 2)
+    assert len(times) == 3
+    assert kept.exists()
+    rows = swept("radius")["rows"]
+    assert len(times) == 4
+    assert rows[:2] == first
+    assert [(row["width"], row["radius"]) for row in rows] == [(w, r) for w in (48, 64) for r in (20, 90)]
+    assert not list((tmp_path / "home").glob("*/sweep-*"))
+
+
+def test_a_seam_that_is_not_judged_may_be_empty_and_a_region_that_is_may_not(
+    swept, made, monkeypatch, capsys
+):
+    size = ["--size", 48, 40, "--reference-spp", 4]
+    rows = swept("law", *size, "--fov-a", 25, "--fov-b", 24.99)["rows"]
+    assert all("foveal ssim" in row["quality"] for row in rows)
+
+    def forbidden(*_):
+        raise AssertionError("timed")
+
+    monkeypatch.setattr(run_module, "interleaved_passes", forbidden)
+    command = ["sweep", "cornell", "--forest", made / "box.forest", "--over", "law", *size]
+    assert run(monkeypatch, *command, "--fov-a", 0.1, "--fov-b", 0.05) == 2
+    assert "the foveal region of this frame is empty" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
