@@ -100,7 +100,6 @@ def sweep(
     from compose.foveation import Foveation, mode_named
     from compose.view import Gaze, display_named
     from hybrid.periphery import Viewing
-    from hybrid.sweeps.catalogue import sweep_named
     from hybrid.sweeps.setting import Setting
 
     given: dict[str, Any] = {
@@ -112,10 +111,7 @@ def sweep(
         "--law": law,
         "--reference-spp": reference_spp,
     }
-    for option in sweep_named(over, (1,)).ignored:
-        if given[option] is not None:
-            raise UserError(f"{option}: changes nothing in a sweep --over {over}; leave it out")
-    values = {option: _DEFAULTS[option] if value is None else value for option, value in given.items()}
+    values = _completed(over, given)
     radii = values["--fov-a"], values["--fov-b"]
     Foveation(Gaze(), *radii)
     if radii[0] == 0:
@@ -125,23 +121,22 @@ def sweep(
     select(backend)
     from hybrid.cache import forest_for, scene_folder
     from hybrid.evaluate.journal import Journal
-    from hybrid.evaluate.report import evaluated_scene, write_report
+    from hybrid.evaluate.report import write_report
     from hybrid.identity import short_hash
     from hybrid.images import check_writable
     from hybrid.sweeps.break_even import break_even, sentence
+    from hybrid.sweeps.catalogue import sweep_named
     from hybrid.sweeps.record import applied, identity_of
     from hybrid.sweeps.run import Effort, swept
     from hybrid.timing import machine
     from hybrid.trade import remember_trade, trade_identity
     from pathtrace.views import unseen_views
 
-    of_report = None if report is None else evaluated_scene(report)
     loaded = loaded_scene(scene)
-    if of_report not in (None, loaded.name):
-        raise UserError(f"--report {report}: holds an evaluation of {of_report}, not of {loaded.name}")
-    for file in (json_file, None if report is None else report / "index.html"):
-        if file is not None:
-            check_writable(file)
+    if json_file is not None:
+        check_writable(json_file)
+    if report is not None:
+        _check_report(report, loaded.name)
     camera = sized(loaded.camera, size)
     found = forest_for(loaded, forest)
     chosen = sweep_named(over, found.counts)
@@ -155,9 +150,8 @@ def sweep(
     with progress_bar(f"sweep over {over}") as bar:
         rows = swept(loaded, found, settings, chosen.judged, effort, journal, bar)
     if over == "trade":
-        size_in_pixels = camera.width, camera.height
-        of = trade_identity(loaded, found, size_in_pixels, viewing.law, viewing.display)
-        remember_trade(loaded, of, rows)
+        pixels = camera.width, camera.height
+        remember_trade(loaded, trade_identity(loaded, found, pixels, viewing.law, viewing.display), rows)
     crossings = break_even(rows) if over == "radius" else []
     print(f"{loaded.name}: {chosen.title}" + ("" if "fovea" in rows[0] else f", {base.fovea} fovea"))
     _print(rows)
@@ -179,6 +173,27 @@ def sweep(
         write_report(report)
         print(report / "index.html")
     journal.remove()
+
+
+def _completed(over: str, given: dict[str, Any]) -> dict[str, Any]:
+    """The options with their defaults; one that was given and changes nothing is refused."""
+    from hybrid.sweeps.catalogue import sweep_named
+
+    for option in sweep_named(over, (1,)).ignored:
+        if given[option] is not None:
+            raise UserError(f"{option}: changes nothing in a sweep --over {over}; leave it out")
+    return {option: _DEFAULTS[option] if value is None else value for option, value in given.items()}
+
+
+def _check_report(folder: Path, scene: str) -> None:
+    """Refuses a page that this sweep does not belong on, or that cannot be written."""
+    from hybrid.evaluate.report import evaluated_scene
+    from hybrid.images import check_writable
+
+    evaluated = evaluated_scene(folder)
+    if evaluated != scene:
+        raise UserError(f"--report {folder}: holds an evaluation of {evaluated}, not of {scene}")
+    check_writable(folder / "index.html")
 
 
 def _print(rows: list[dict[str, Any]]) -> None:
