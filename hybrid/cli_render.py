@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -72,7 +73,11 @@ def render(
     ] = "fused",
     target_ms: Annotated[
         float | None,
-        typer.Option(help="Choose fovea, radii and samples: the best measured to take no longer.", min=0),
+        typer.Option(
+            help="Choose fovea, radii and samples: the best that hybrid sweep --over trade has "
+            "measured, with this forest, law, display and size, to take no longer.",
+            min=0,
+        ),
     ] = None,
     target_jod: Annotated[
         float | None, typer.Option(help="The same: the fastest measured to be at least so good.", max=10)
@@ -106,8 +111,6 @@ def render(
         raise UserError("--gaze, --gaze-trace: the gaze can only come from one of them")
     if gaze_trace is None and fps is not None:
         raise UserError(f"--fps {fps}: only a film has a frame rate; it needs --gaze-trace")
-    if max_depth is not None and (target_ms is not None or target_jod is not None):
-        raise UserError("--max-depth: settings for a target are measured at the scene's own depth alone")
     trace = None if gaze_trace is None else load_gaze_trace(gaze_trace)
     if detail is not None and detail.suffix.lower() != ".png":
         raise UserError(f"--detail {detail}: must end in .png")
@@ -116,27 +119,39 @@ def render(
     law_named(law)
     mode_named(fovea)
     shown = display_named(display)
+    has_target = target_ms is not None or target_jod is not None
+    for option, value in (("--layers", layers), ("--max-depth", max_depth)):
+        if has_target and value is not None:
+            raise UserError(f"--target-ms, --target-jod: nothing is measured with {option}; leave it out")
     for file in (output, detail):
         if file is not None:
             check_writable(file)
     select(backend)
-    from hybrid.cache import forest_for
+    from hybrid.cache import forest_for, newest_forest
     from hybrid.detail_picture import detail_picture
     from hybrid.layers import frame_layers
     from hybrid.periphery import Viewing
     from hybrid.renderer import HybridRenderer
-    from hybrid.trade import chosen, remembered_trade
+    from hybrid.trade import chosen, not_measured, remembered_trade, trade_identity
     from hybrid.video import check_film, write_film
 
     loaded = loaded_scene(scene, max_depth)
     view = _view(loaded, camera, size)
-    if target_ms is not None or target_jod is not None:
-        choice = chosen(remembered_trade(loaded, view.width, view.height), target_ms, target_jod)
+    if trace is not None:
+        check_film(view)
+    pixels = view.width, view.height
+    measure = _trade_command(scene, forest, pixels, law, display, backend)
+    if has_target and forest is None and newest_forest(loaded) is None:
+        raise not_measured(measure)
+    found = forest_for(loaded, forest)
+    if has_target:
+        of = trade_identity(loaded, found, pixels, law, shown)
+        choice = chosen(remembered_trade(loaded, of, measure), target_ms, target_jod)
         fovea, spp = choice.fovea, choice.spp
         foveation = Foveation(foveation.gaze, choice.fov_a, choice.fov_b)
         print(
             f"--fovea {fovea} --spp {spp} --fov-a {choice.fov_a:g} --fov-b {choice.fov_b:g}: "
-            f"measured to take {choice.milliseconds:.0f} ms"
+            f"measured to take {choice.milliseconds:.0f} ms in the scene's own view"
         )
     viewing = Viewing(shown, law, layers)
     made = {
@@ -150,9 +165,6 @@ def render(
         "law": law,
         "pixels_per_degree": shown.pixels_per_degree,
     }
-    if trace is not None:
-        check_film(view)
-    found = forest_for(loaded, forest)
     renderer = HybridRenderer(loaded, found, viewing, fovea, remembers=trace is not None)
     if trace is not None:
         rate = fps or _FPS
@@ -188,6 +200,17 @@ def render(
         },
     )
     print(f"{output}: {view.width} x {view.height}, {frame.milliseconds['total']:.0f} ms")
+
+
+def _trade_command(
+    scene: str, forest: Path | None, size: tuple[int, int], law: str, display: str, backend: str
+) -> str:
+    """What measures the settings that a target chooses from, with the options that it depends on."""
+    options = [("--law", law, DEFAULT_LAW), ("--display", display, "desktop"), ("--backend", backend, "auto")]
+    words = ["hybrid", "sweep", scene, "--over", "trade", "--size", str(size[0]), str(size[1])]
+    words += [] if forest is None else ["--forest", str(forest)]
+    words += [word for option, value, usual in options if value != usual for word in (option, value)]
+    return shlex.join(words)
 
 
 def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None) -> Camera:

@@ -7,18 +7,14 @@ from typing import Annotated, Any
 
 import typer
 
+from compose.acuity import DEFAULT_LAW
 from compose.errors import UserError
 from hybrid.options import (
     Backend,
     DisplayName,
     ForestFile,
-    FovA,
-    FovB,
     Json,
-    Law,
     SceneName,
-    Size,
-    Spp,
     loaded_scene,
     select,
     sized,
@@ -27,6 +23,16 @@ from hybrid.options import (
 from hybrid.progress import progress_bar
 
 _VIEWS = 4
+# Of the options that a sweep may set itself. They stand here, so that one that was given can be told.
+_DEFAULTS: dict[str, Any] = {
+    "--fovea": "raw",
+    "--size": None,
+    "--fov-a": 20.0,
+    "--fov-b": 15.0,
+    "--spp": 1,
+    "--law": DEFAULT_LAW,
+    "--reference-spp": 64,
+}
 
 
 def sweep(
@@ -38,12 +44,40 @@ def sweep(
         ),
     ] = "resolution",
     forest: ForestFile = None,
-    fovea: Annotated[str, typer.Option(help="raw, denoised or fused.")] = "raw",
-    size: Size = None,
-    fov_a: FovA = 20.0,
-    fov_b: FovB = 15.0,
-    spp: Spp = 1,
-    law: Law = "geisler-perry",
+    fovea: Annotated[
+        str | None, typer.Option(help="raw, denoised or fused; denoiser and trade set it. Default: raw.")
+    ] = None,
+    size: Annotated[
+        tuple[int, int] | None,
+        typer.Option(
+            metavar="W H",
+            help="Frame size; resolution, aspect, radius, spp and view set it. Default: the scene's.",
+        ),
+    ] = None,
+    fov_a: Annotated[
+        float | None,
+        typer.Option(
+            help="Radius of the path-traced disc, percent of the height; band sets it, and in radius, spp, "
+            "view and trade it counts only how much larger than --fov-b it is. Default: 20."
+        ),
+    ] = None,
+    fov_b: Annotated[
+        float | None,
+        typer.Option(help="Radius inside of which no splats are drawn, percent; as --fov-a. Default: 15."),
+    ] = None,
+    spp: Annotated[
+        int | None,
+        typer.Option(
+            help="Samples per pixel in the disc; spp, denoiser and trade set it. Default: 1.", min=1
+        ),
+    ] = None,
+    law: Annotated[
+        str | None,
+        typer.Option(
+            help="What the eye resolves: geisler-perry, stelacsf, fov-gs or none; law sets it. "
+            f"Default: {DEFAULT_LAW}."
+        ),
+    ] = None,
     display: DisplayName = "desktop",
     repeats: Annotated[int, typer.Option(help="Measured frames per method and row.", min=3)] = 15,
     warm_up: Annotated[int, typer.Option(help="Frames before that.", min=1)] = 2,
@@ -52,62 +86,85 @@ def sweep(
         typer.Option(metavar="DIR", help="Folder of an evaluation: its page gets this sweep as well."),
     ] = None,
     reference_spp: Annotated[
-        int, typer.Option(help="Samples per pixel of references, where quality is measured.", min=4)
-    ] = 64,
+        int | None,
+        typer.Option(
+            help="Samples per pixel of references; band, layers, law, denoiser and trade have some. "
+            "Default: 64.",
+            min=4,
+        ),
+    ] = None,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
-    """Time hybrid frames against full path tracing, interleaved, over one quantity, beside FPC's figures."""
+    """Time hybrid frames in turns with full path tracing, over one quantity; goes on where it stopped."""
     from compose.foveation import Foveation, mode_named
     from compose.view import Gaze, display_named
     from hybrid.periphery import Viewing
-    from hybrid.sweeps.catalogue import sweep_named
     from hybrid.sweeps.setting import Setting
 
-    Foveation(Gaze(), fov_a, fov_b)
-    if fov_a == 0:
+    given: dict[str, Any] = {
+        "--fovea": fovea,
+        "--size": size,
+        "--fov-a": fov_a,
+        "--fov-b": fov_b,
+        "--spp": spp,
+        "--law": law,
+        "--reference-spp": reference_spp,
+    }
+    values = _completed(over, given)
+    radii = values["--fov-a"], values["--fov-b"]
+    Foveation(Gaze(), *radii)
+    if radii[0] == 0:
         raise UserError("--fov-a 0.0: there is no fovea to time")
-    mode_named(fovea)
-    viewing = Viewing(display_named(display), law)
-    sweep_named(over, (1,))
-    if report is not None and not (report / "evaluation.json").exists():
-        raise UserError(f"--report {report}: holds no evaluation; make one with hybrid evaluate first")
+    mode_named(values["--fovea"])
+    viewing = Viewing(display_named(display), values["--law"])
     select(backend)
-    from hybrid.cache import forest_for
+    from hybrid.cache import forest_for, scene_folder
+    from hybrid.evaluate.journal import Journal
     from hybrid.evaluate.report import write_report
+    from hybrid.identity import short_hash
+    from hybrid.images import check_writable
     from hybrid.sweeps.break_even import break_even, sentence
+    from hybrid.sweeps.catalogue import sweep_named
+    from hybrid.sweeps.record import applied, identity_of
     from hybrid.sweeps.run import Effort, swept
     from hybrid.timing import machine
-    from hybrid.trade import trade_file
+    from hybrid.trade import remember_trade, trade_identity
     from pathtrace.views import unseen_views
 
     loaded = loaded_scene(scene)
+    if json_file is not None:
+        check_writable(json_file)
+    if report is not None:
+        _check_report(report, loaded.name)
+    camera = sized(loaded.camera, size)
     found = forest_for(loaded, forest)
     chosen = sweep_named(over, found.counts)
-    camera = sized(loaded.camera, size)
-    pixels = camera.width, camera.height
-    views = unseen_views(loaded, _VIEWS, *pixels)
-    base = Setting({}, camera, fov_a, fov_b, spp, fovea, viewing)
-    effort = Effort(repeats, warm_up, reference_spp)
+    views = unseen_views(loaded, _VIEWS, camera.width, camera.height)
+    base = Setting({}, camera, *radii, values["--spp"], values["--fovea"], viewing)
+    effort = Effort(repeats, warm_up, values["--reference-spp"])
+    settings = chosen.settings(base, views)
+    identity = identity_of(loaded, found, chosen, settings, effort)
+    folder = scene_folder(loaded.name, loaded.hash)
+    journal = Journal(folder / f"sweep-{over}-{short_hash(identity)}.json", identity)
     with progress_bar(f"sweep over {over}") as bar:
-        rows = swept(loaded, found, chosen.settings(base, views), chosen.judged, effort, bar)
+        rows = swept(loaded, found, settings, chosen.judged, effort, journal, bar)
     if over == "trade":
-        write_json(trade_file(loaded, *pixels), rows)
+        pixels = camera.width, camera.height
+        remember_trade(loaded, trade_identity(loaded, found, pixels, viewing.law, viewing.display), rows)
     crossings = break_even(rows) if over == "radius" else []
-    print(f"{loaded.name}: {chosen.title}" + ("" if "fovea" in rows[0] else f", {fovea} fovea"))
+    print(f"{loaded.name}: {chosen.title}" + ("" if "fovea" in rows[0] else f", {base.fovea} fovea"))
     _print(rows)
     for row in crossings:
         print(sentence(row))
     content = {
         "scene": loaded.name,
+        "forest": found.digest(),
         "over": over,
         "title": chosen.title,
         "rows": rows,
         "break_even": crossings,
-        "fovea": fovea,
-        "fov_a": fov_a,
-        "fov_b": fov_b,
-        "spp": spp,
+        **applied(chosen, base, effort),
         "machine": machine(),
     }
     write_json(json_file, content)
@@ -115,26 +172,38 @@ def sweep(
         write_json(report / f"sweep-{over}.json", content)
         write_report(report)
         print(report / "index.html")
+    journal.remove()
+
+
+def _completed(over: str, given: dict[str, Any]) -> dict[str, Any]:
+    """The options with their defaults; one that was given and changes nothing is refused."""
+    from hybrid.sweeps.catalogue import sweep_named
+
+    for option in sweep_named(over, (1,)).ignored:
+        if given[option] is not None:
+            raise UserError(f"{option}: changes nothing in a sweep --over {over}; leave it out")
+    return {option: _DEFAULTS[option] if value is None else value for option, value in given.items()}
+
+
+def _check_report(folder: Path, scene: str) -> None:
+    """Refuses a page that this sweep does not belong on, or that cannot be written."""
+    from hybrid.evaluate.report import evaluated_scene
+    from hybrid.images import check_writable
+
+    evaluated = evaluated_scene(folder)
+    if evaluated != scene:
+        raise UserError(f"--report {folder}: holds an evaluation of {evaluated}, not of {scene}")
+    check_writable(folder / "index.html")
 
 
 def _print(rows: list[dict[str, Any]]) -> None:
-    """A column for each quantity that varies, times, the ratio, FPC's ratio, and quality if there is any."""
-    from hybrid.sweeps.setting import varied
+    """The table, and quality if there is any."""
+    from hybrid.sweeps.table import table
 
-    quantities = list(varied(rows[0]))
-    metrics = list(rows[0].get("quality", {}))
-    shown = [name for name in metrics if name.split()[1] in ("ssim", "flip", "jod")]
-    print(
-        "".join(f"{name:>15}" for name in quantities)
-        + f"{'hybrid ms':>11}{'full ms':>10}{'ratio':>8}{'paper':>8}"
-        + "".join(f"{name:>17}" for name in shown)
-    )
-    for row in rows:
-        cells = [f"{row[n]:.4g}" if isinstance(row[n], float) else str(row[n]) for n in quantities]
-        paper = row.get("paper", {})
-        ratio = f"{paper['ratio']:.2f}" if "ratio" in paper else "-"
-        print(
-            "".join(f"{cell:>15}" for cell in cells)
-            + f"{row['ms']['p50']:>11.0f}{row['full_ms']['p50']:>10.0f}{row['ratio']:>8.2f}{ratio:>8}"
-            + "".join(f"{row['quality'][name]:>17.4g}" for name in shown)
-        )
+    columns = table(rows)
+    for name in rows[0].get("quality", {}):
+        if name.split()[1] in ("ssim", "flip", "jod"):
+            columns[name] = [f"{row['quality'][name]:.4g}" for row in rows]
+    widths = [max(map(len, [name, *cells])) + 2 for name, cells in columns.items()]
+    for line in [list(columns), *zip(*columns.values(), strict=True)]:
+        print("".join(f"{cell:>{width}}" for cell, width in zip(line, widths, strict=True)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,11 @@ from compose.errors import UserError
 if TYPE_CHECKING:
     from pathtrace.frames import FrameSet
     from splat.forest import Forest
+
+
+def short_hash(identity: dict[str, Any]) -> str:
+    """Twelve digits that tell identities apart in the names of files."""
+    return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:12]
 
 
 def require_same(found: dict[str, Any], ours: dict[str, Any], holds: str, advice: str) -> None:

@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
+
+import mitsuba as mi
 
 from compose.errors import UserError
+from compose.files import write_whole
+from compose.view import Display
 from hybrid.cache import scene_folder
+from hybrid.identity import require_same, short_hash
+from hybrid.metrics.fovvideovdp import INSTALL
+from hybrid.timing import machine
 from pathtrace.scene import Scene
+from splat.forest import Forest
 
 T = TypeVar("T")
-# The quality that is traded against time: FovVideoVDP of the whole frame, and SSIM where it is not installed.
-_QUALITY = ("whole jod", "whole ssim")
+# The quality of the whole frame that is traded against time, SSIM where FovVideoVDP is not installed.
+_QUALITY = ("jod", "ssim")
 
 
 @dataclass(frozen=True)
@@ -35,6 +43,14 @@ class Choice:
     quality: float
 
 
+@dataclass(frozen=True)
+class Trade:
+    """All choices that were measured, and in which metric their quality is: jod or ssim."""
+
+    metric: str
+    choices: list[Choice]
+
+
 def unbeaten(items: Iterable[T], place: Callable[[T], tuple[float, float]]) -> list[T]:
     """Those that no other is both faster and better than, from the fastest to the best.
 
@@ -49,40 +65,96 @@ def unbeaten(items: Iterable[T], place: Callable[[T], tuple[float, float]]) -> l
     return best
 
 
-def trade_file(scene: Scene, width: int, height: int) -> Path:
-    """Where the trade of a scene at a frame size is remembered."""
-    return scene_folder(scene.name, scene.hash) / f"trade-{width}x{height}.json"
+def trade_identity(
+    scene: Scene, forest: Forest, size: tuple[int, int], law: str, display: Display
+) -> dict[str, Any]:
+    """Everything that times and quality depend on, but for what is chosen and for the view.
+
+    Args:
+        scene, forest: what is rendered.
+        size: width and height of the frame.
+        law: name of the law of the eye.
+        display: that the frame is shown on.
+    """
+    return {
+        "scene": scene.hash,
+        "max_depth": scene.max_depth,
+        "forest": forest.digest(),
+        "width": size[0],
+        "height": size[1],
+        "law": law,
+        "display": asdict(display),
+        "backend": mi.variant(),
+        "machine": machine(),
+    }
 
 
-def remembered_trade(scene: Scene, width: int, height: int) -> list[Choice]:
-    """All choices that were measured.
+def remember_trade(scene: Scene, identity: dict[str, Any], rows: list[dict[str, Any]]) -> None:
+    """Keeps the rows of a sweep over the trade.
 
     Raises:
-        UserError: none was, or the file is damaged.
+        UserError: the cache folder cannot be written.
     """
-    file = trade_file(scene, width, height)
+    metric = next(name for name in _QUALITY if f"whole {name}" in rows[0]["quality"])
+    text = json.dumps({"identity": identity, "metric": metric, "rows": rows}, indent=1) + "\n"
+    write_whole(_file(scene, identity), lambda part: part.write_text(text))
+
+
+def remembered_trade(scene: Scene, identity: dict[str, Any], command: str) -> Trade:
+    """What was measured of a scene for that identity.
+
+    Args:
+        scene, identity: as they were remembered.
+        command: what measures it.
+
+    Raises:
+        UserError: nothing was, or the file is damaged.
+    """
+    file = _file(scene, identity)
     try:
-        rows = json.loads(file.read_text())
-        metric = next(name for name in _QUALITY if name in rows[0]["quality"])
-        return [
-            Choice(r["fovea"], r["spp"], r["fov_a"], r["fov_b"], r["ms"]["p50"], r["quality"][metric])
-            for r in rows
+        found = json.loads(file.read_text())
+        require_same(dict(found["identity"]), identity, f"{file}: was measured", f"run: {command}")
+        metric = str(found["metric"])
+        choices = [
+            Choice(
+                r["fovea"], r["spp"], r["fov_a"], r["fov_b"], r["ms"]["p50"], r["quality"][f"whole {metric}"]
+            )
+            for r in found["rows"]
         ]
     except FileNotFoundError:
-        raise UserError(
-            f"--target-ms, --target-jod: nothing was measured for {scene.name} at {width} x {height} yet; "
-            f"run: hybrid sweep {scene.name} --over trade --size {width} {height}"
-        ) from None
-    except (OSError, ValueError, LookupError, TypeError, StopIteration) as error:
-        raise UserError(f"{file}: is damaged ({error!r}); run hybrid sweep --over trade again") from error
+        raise not_measured(command) from None
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise UserError(f"{file}: is damaged ({error!r}); run: {command}") from error
+    return Trade(metric, choices)
 
 
-def chosen(choices: list[Choice], milliseconds: float | None, quality: float | None) -> Choice:
+def not_measured(command: str) -> UserError:
+    """Says what measures a trade."""
+    return UserError(f"--target-ms, --target-jod: these settings were not measured here yet; run: {command}")
+
+
+def _file(scene: Scene, identity: dict[str, Any]) -> Path:
+    size = f"{identity['width']}x{identity['height']}"
+    return scene_folder(scene.name, scene.hash) / f"trade-{size}-{short_hash(identity)}.json"
+
+
+def chosen(trade: Trade, milliseconds: float | None, quality: float | None) -> Choice:
     """The best within a time, or the fastest of a quality; with both, the fastest of the quality in the time.
 
+    Args:
+        trade: what there is.
+        milliseconds: that it may take.
+        quality: in JOD, that it must have.
+
     Raises:
-        UserError: there is none.
+        UserError: there is none, or its quality is not known in JOD.
     """
+    if quality is not None and trade.metric != "jod":
+        raise UserError(
+            f"--target-jod {quality:g}: what was measured has its quality in {trade.metric.upper()}; "
+            f"{INSTALL}, then run hybrid sweep --over trade again"
+        )
+    choices = trade.choices
     fitting = [c for c in choices if milliseconds is None or c.milliseconds <= milliseconds]
     if not fitting:
         least = min(choices, key=lambda c: c.milliseconds)

@@ -1,4 +1,4 @@
-"""What an evaluation has measured so far, so that it goes on where it was interrupted."""
+"""What an evaluation or a sweep has measured so far, so that it goes on where it was interrupted."""
 
 from __future__ import annotations
 
@@ -54,6 +54,10 @@ class Journal:
         """Written down at once."""
         self._content["results"][name] = result
         self.write()
+
+    def remove(self) -> None:
+        """Deletes the file: the work has ended."""
+        self._path.unlink(missing_ok=True)
 
     def write(self) -> None:
         """Writes everything down."""

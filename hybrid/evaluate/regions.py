@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,10 +63,27 @@ def regions(foveation: Foveation, reference: Image) -> dict[str, Region]:
     Raises:
         UserError: the gaze is outside of the frame, or a region is empty.
     """
+    plain = plain_regions(foveation, (reference.shape[0], reference.shape[1]))
+    return {**plain, "salient": Region.of("salient", _salient(reference))}
+
+
+def plain_regions(
+    foveation: Foveation, size: tuple[int, int], wanted: Sequence[str] = REGIONS[:-1]
+) -> dict[str, Region]:
+    """The regions that foveation alone decides on, by name.
+
+    Args:
+        foveation: gaze and radii.
+        size: height and width of the frame.
+        wanted: names, any but salient.
+
+    Raises:
+        UserError: the gaze is outside of the frame, or a region that is wanted is empty.
+    """
     gaze = foveation.gaze
     if not (0 <= gaze.x <= 1 and 0 <= gaze.y <= 1):
         raise UserError(f"--gaze {gaze.x} {gaze.y}: lies outside of the frame, 0..1 each")
-    height, width = reference.shape[:2]
+    height, width = size
     x, y = gaze.pixel(width, height)
     radius = np.hypot(np.arange(width)[None, :] + 0.5 - x, np.arange(height)[:, None] + 0.5 - y)
     outer, inner = (percent / 100 * height for percent in (foveation.fov_a, foveation.fov_b))
@@ -74,13 +92,12 @@ def regions(foveation: Foveation, reference: Image) -> dict[str, Region]:
         "foveal": radius < outer,
         "seam": (radius >= inner) & (radius < outer),
         "peripheral": radius >= outer,
-        "salient": _salient(reference),
     }
     # A seam of no width, or a disc that covers the frame, is how the frame was asked for.
     left_out = {"seam"} if outer == inner else set()
     if masks["foveal"].all():
         left_out |= {"peripheral", "seam"}
-    return {name: Region.of(name, mask) for name, mask in masks.items() if name not in left_out}
+    return {name: Region.of(name, mask) for name, mask in masks.items() if name in set(wanted) - left_out}
 
 
 def _salient(reference: Image) -> NDArray[np.bool_]:

@@ -12,6 +12,7 @@ from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 from PIL import Image as PillowImage
 
+from compose.errors import UserError
 from compose.files import write_whole
 from hybrid.evaluate.entries import OURS
 from hybrid.evaluate.judged import HALVES, flip_name, picture_name
@@ -22,8 +23,10 @@ from hybrid.evaluate.settings import FOVEAL_REFERENCE
 from hybrid.evaluate.verdicts import Key, foveal_metrics, keys_of, mean_of, verdicts
 from hybrid.metrics import missing
 from hybrid.sweeps.break_even import sentence
-from hybrid.sweeps.setting import varied
+from hybrid.sweeps.table import table
 
+# What the page shows of evaluation.json.
+_CONTENT = ("scene", "settings", "references", "methods", "quality", "time", "machine")
 # Pictures in the page are compressed; the PNG files beside it are not.
 _JPEG_QUALITY = 95
 _DIGITS = {"psnr": 2, "ssim": 4, "fssim": 4, "flip": 4, "hdr-flip": 4, "lpips": 4, "jod": 2}
@@ -82,6 +85,28 @@ def write_report(folder: Path) -> None:
     write_whole(folder / "index.html", lambda part: part.write_text(text, encoding="utf-8"))
 
 
+def evaluated_scene(folder: Path) -> str:
+    """Name of the scene that a folder's evaluation is of.
+
+    Args:
+        folder: of the report.
+
+    Raises:
+        UserError: the folder holds no evaluation, or a damaged one.
+    """
+    file = folder / "evaluation.json"
+    try:
+        found = json.loads(file.read_text())
+        lacks = [name for name in _CONTENT if name not in found]
+        if lacks:
+            raise ValueError(f"no {lacks[0]}")
+        return str(found["scene"])
+    except FileNotFoundError:
+        raise UserError(f"{folder}: holds no evaluation; make one with hybrid evaluate first") from None
+    except (OSError, ValueError, TypeError) as error:
+        raise UserError(f"{file}: is damaged ({error}); run hybrid evaluate again") from error
+
+
 def label(key: Key) -> str:
     """A method as it is named in lists."""
     return key[0] if key[1] == "fixed" else f"{key[0]} ({key[1]})"
@@ -94,27 +119,18 @@ def _plots(plots: list[str | None]) -> list[Markup]:
 def _sweep(sweep: dict[str, Any]) -> dict[str, Any]:
     """Title, plots and table of a sweep."""
     rows = sweep["rows"]
-    names = list(varied(rows[0]))
-    metrics = list(rows[0].get("quality", {}))
-    known = any("ratio" in row.get("paper", {}) for row in rows)
-    cells = []
-    for row in rows:
-        paper = row.get("paper", {})
-        cells.append(
-            [f"{row[name]:g}" if isinstance(row[name], float) else str(row[name]) for name in names]
-            + [f"{row['ms']['p50']:.0f}", f"{row['full_ms']['p50']:.0f}", f"{row['ratio']:.2f}"]
-            + ([f"{paper['ratio']:.2f}" if "ratio" in paper else "-"] if known else [])
-            + [f"{row['quality'][m]:.{_DIGITS[m.split()[1]]}f}" for m in metrics]
-        )
-    columns = [*names, "ms", "full, ms", "ratio", *(["FPC's ratio"] if known else []), *metrics]
+    columns = table(rows)
+    for name in rows[0].get("quality", {}):
+        digits = _DIGITS[name.split()[1]]
+        columns[name] = [f"{row['quality'][name]:.{digits}f}" for row in rows]
     said = [sentence(row) for row in sweep["break_even"]]
-    made = "" if "fovea" in names else f", {sweep['fovea']} fovea"
-    title = f"Over {sweep['title']}{made}, {rows[0]['repeats']} frames each"
+    made = "" if "fovea" in columns else f", {sweep['fovea']} fovea"
+    title = f"{sweep['scene']}, over {sweep['title']}{made}, {rows[0]['repeats']} frames each"
     return {
         "title": title,
         "plots": _plots(list(sweep_plots(sweep))),
-        "columns": columns,
-        "rows": cells,
+        "columns": list(columns),
+        "rows": list(zip(*columns.values(), strict=True)),
         "said": said,
     }
 

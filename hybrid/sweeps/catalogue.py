@@ -36,6 +36,7 @@ _RADII = (10, 20, 30, 40, 50, 60, 70, 80, 90)
 # Samples per pixel: FPC's frames per second at radii of 10 and 90 percent; path tracing has 150 (Figure 14).
 _FIGURE_14 = {1: (200, 100), 2: (192, 67), 4: (166, 40), 6: (151, 30)}
 _FIGURE_14_FULL = 150.0
+_FIGURE_14_SIZE, _FIGURE_14_RADII = (1012, 1061), (10, 20, 50, 90)
 _VIEW_SIZES, _VIEW_RADII = ((1280, 780), (3316, 1061)), (20, 50)
 _TRADE_OUTER, _TRADE_SPP = (5.0, 10.0, 20.0, 30.0), (1, 2, 4, 8)
 _BAND_OUTER, _BAND_SHARES = (10.0, 20.0, 30.0, 40.0), (0.25, 0.5, 0.75, 1.0)
@@ -49,11 +50,20 @@ class Sweep:
         settings: its rows, from the setting to vary and further views of the scene.
         title: what its table shows.
         judged: whether quality is measured as well as time.
+        fixes: options of `hybrid sweep` that it sets itself.
+        scales_radii: whether it sets fov-a, and of the options' radii their ratio alone counts.
     """
 
     settings: Callable[[Setting, list[Camera]], list[Setting]]
     title: str
     judged: bool = False
+    fixes: tuple[str, ...] = ()
+    scales_radii: bool = False
+
+    @property
+    def ignored(self) -> tuple[str, ...]:
+        """Options that change nothing in it."""
+        return self.fixes if self.judged else (*self.fixes, "--reference-spp")
 
 
 def _sizes(table: dict[tuple[int, int], tuple[float, float]]) -> Callable[..., list[Setting]]:
@@ -63,7 +73,7 @@ def _sizes(table: dict[tuple[int, int], tuple[float, float]]) -> Callable[..., l
                 base,
                 varied={"width": width, "height": height},
                 camera=base.camera.resized(width, height),
-                paper={"ratio": ours / full, "fps": ours, "full_fps": full},
+                paper={"ratio": ours / full},
             )
             for (width, height), (ours, full) in table.items()
         ]
@@ -91,13 +101,13 @@ def _radius(base: Setting, views: list[Camera]) -> list[Setting]:
 def _spp(base: Setting, views: list[Camera]) -> list[Setting]:
     rows = []
     for spp, known in _FIGURE_14.items():
-        for radius in (10, 20, 50, 90):
+        for radius in _FIGURE_14_RADII:
             fps = dict(zip((10, 90), known, strict=True)).get(radius)
             # FPC compares all of them with path tracing at one sample per pixel.
-            paper = {} if fps is None else {"fps": float(fps), "full_1spp_fps": _FIGURE_14_FULL}
-            varied = {"spp": spp, "radius": radius}
-            camera = base.camera.resized(1012, 1061)
-            rows.append(replace(_of_radius(base, radius), varied=varied, camera=camera, spp=spp, paper=paper))
+            paper = {} if fps is None else {"ratio_1spp": fps / _FIGURE_14_FULL}
+            row = replace(_of_radius(base, radius), varied={"spp": spp, "radius": radius}, paper=paper)
+            camera = base.camera.resized(*_FIGURE_14_SIZE)
+            rows.append(replace(row, camera=camera, spp=spp, over_one_spp=True))
     return rows
 
 
@@ -151,15 +161,23 @@ def _trade(base: Setting, views: list[Camera]) -> list[Setting]:
 
 
 SWEEPS = {
-    "resolution": Sweep(_sizes(_TABLE_4), "resolutions (FPC, Table 4)"),
-    "aspect": Sweep(_sizes(_TABLE_5), "resolutions of one aspect ratio (FPC, Table 5)"),
-    "radius": Sweep(_radius, "radius of the fovea (FPC, Figures 7 to 10)"),
-    "spp": Sweep(_spp, "samples per pixel (FPC, Figure 14)"),
-    "view": Sweep(_view, "views (FPC, Figures 12 and 13)"),
-    "band": Sweep(_band, "fov-a and fov-b", judged=True),
-    "law": Sweep(_laws, "laws of the eye", judged=True),
-    "trade": Sweep(_trade, "settings that `hybrid render --target-ms` chooses from", judged=True),
-    "denoiser": Sweep(_denoiser, "how the fovea is made", judged=True),
+    "resolution": Sweep(_sizes(_TABLE_4), "resolutions (FPC, Table 4)", fixes=("--size",)),
+    "aspect": Sweep(_sizes(_TABLE_5), "resolutions of one aspect ratio (FPC, Table 5)", fixes=("--size",)),
+    "radius": Sweep(
+        _radius, "radius of the fovea (FPC, Figures 7 to 10)", fixes=("--size",), scales_radii=True
+    ),
+    "spp": Sweep(_spp, "samples per pixel (FPC, Figure 14)", fixes=("--size", "--spp"), scales_radii=True),
+    "view": Sweep(_view, "views (FPC, Figures 12 and 13)", fixes=("--size",), scales_radii=True),
+    "band": Sweep(_band, "fov-a and fov-b", judged=True, fixes=("--fov-a", "--fov-b")),
+    "law": Sweep(_laws, "laws of the eye", judged=True, fixes=("--law",)),
+    "trade": Sweep(
+        _trade,
+        "settings that `hybrid render --target-ms` chooses from",
+        judged=True,
+        fixes=("--fovea", "--spp"),
+        scales_radii=True,
+    ),
+    "denoiser": Sweep(_denoiser, "how the fovea is made", judged=True, fixes=("--fovea", "--spp")),
 }
 
 

@@ -8,7 +8,8 @@ from typing import Any
 from compose.foveation import Foveation
 from compose.view import Camera, Gaze
 from hybrid.renderer import HybridRenderer
-from hybrid.timing import interleaved, percentiles
+from hybrid.sweeps.coverage import covered, reach_for
+from hybrid.timing import interleaved, nudged, percentiles
 from pathtrace.film import frame_positions
 
 
@@ -25,22 +26,25 @@ def compare(
     """One row: times of the hybrid frame, of the full path-traced frame and of the disc alone.
 
     All three run with kernels compiled and recorded; the full frame is traced by the same function as
-    the disc, and denoised where the disc is.
+    the disc, and denoised where the disc is. The gaze moves only so far that the disc stays in the frame.
+    Each frame has a camera of its own, so that each pays for all that it shows.
     """
     frame = frame_positions(camera)
 
     def hybrid(gaze: Gaze, seed: int) -> None:
-        renderer.frame(camera, Foveation(gaze, fov_a, fov_b), spp, seed)
+        renderer.frame(nudged(camera, 3 * seed), Foveation(gaze, fov_a, fov_b), spp, seed)
 
     def full(gaze: Gaze, seed: int) -> None:
-        renderer.path_traced(camera, frame, spp, seed)
+        renderer.path_traced(nudged(camera, 3 * seed + 1), frame, spp, seed)
 
     def disc(gaze: Gaze, seed: int) -> None:
         plan = Foveation(gaze, fov_a, fov_b).plan(camera.width, camera.height)
-        renderer.disc_alone(camera, plan, spp, seed)
+        renderer.disc_alone(nudged(camera, 3 * seed + 2), plan, spp, seed)
 
-    times = interleaved({"hybrid": hybrid, "path_traced": full, "disc": disc}, repeats, warm_up, progress)
-    row = {f"{name}_ms": percentiles(values) for name, values in times.items()}
+    methods: dict[str, Callable[[Gaze, int], Any]] = {"hybrid": hybrid, "path_traced": full, "disc": disc}
+    reach = reach_for(fov_a, camera)
+    times = interleaved(methods, repeats, warm_up, progress, reach)
+    row: dict[str, Any] = {f"{name}_ms": percentiles(values) for name, values in times.items()}
     return {
         "width": camera.width,
         "height": camera.height,
@@ -50,5 +54,6 @@ def compare(
         **row,
         "ratio": row["path_traced_ms"]["p50"] / row["hybrid_ms"]["p50"],
         "ceiling": row["path_traced_ms"]["p50"] / row["disc_ms"]["p50"],
+        "covered": covered(fov_a, camera, repeats, reach),
         "repeats": repeats,
     }

@@ -12,16 +12,21 @@ import numpy as np
 
 from compose.foveation import Foveation
 from compose.view import Camera, Gaze
+from hybrid.evaluate.journal import Journal
 from hybrid.evaluate.measure import Viewer, measured
 from hybrid.evaluate.peers import FullTrace, Hybrid, Peer
-from hybrid.evaluate.regions import regions
+from hybrid.evaluate.regions import Region, plain_regions
 from hybrid.reference import REFERENCE_SEED, Reference, reference
 from hybrid.renderer import HybridRenderer
 from hybrid.sweeps.break_even import ratio_interval
+from hybrid.sweeps.coverage import covered, reach_for
 from hybrid.sweeps.setting import Setting
-from hybrid.timing import interleaved_passes, percentiles
+from hybrid.timing import interleaved_passes, nudged, percentiles
 from pathtrace.scene import Scene
 from splat.forest import Forest
+
+# What quality is told apart by.
+_JUDGED = ("whole", "foveal", "peripheral")
 
 
 @dataclass(frozen=True)
@@ -44,43 +49,71 @@ def swept(
     settings: list[Setting],
     judge: bool,
     effort: Effort,
+    journal: Journal,
     progress: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
-    """One row per setting: what was varied, `ms` of the hybrid and of the full frame, and their ratio.
+    """One row per setting: what was varied, `ms` of the hybrid and of the full frame, and their `ratio`.
+
+    `ratio_1spp`, where a setting asks for it, is that to the full frame at one sample per pixel.
 
     Rows of one view and size take turns with the full path-traced frame at each of their sample counts,
-    denoised where the fovea is.
+    denoised where the fovea is. The gaze of all of them takes one path, on which the largest of their discs
+    stays in the frame; `covered` is the mean share of the frame that a row's disc covers on it. Each frame
+    has a camera of its own, far less than a pixel from the last: nothing in it was made for another.
 
     Args:
         scene, forest: what is rendered.
         settings: the rows.
         judge: whether to measure quality as well, with the gaze in the middle.
         effort: how much is measured.
-        progress: called with frames done and frames in all.
+        journal: keeps the rows of each view and size; what it holds already is not measured again.
+        progress: called with how much is done and how much there is, in thousandths of a row.
+
+    Raises:
+        UserError: a region of a frame that is to be judged is empty; before anything is measured.
     """
+    if judge:
+        for setting in settings:
+            _judged_regions(setting)
     renderers: dict[Any, HybridRenderer] = {}
     for setting in settings:
         key = setting.viewing, setting.fovea
         renderers.setdefault(key, HybridRenderer(scene, forest, *key))
-    tracer = next(iter(renderers.values())).tracer
     rows: list[dict[str, Any]] = []
-    for _, group in groupby(settings, key=lambda setting: setting.camera.key):
+    for number, (_, group) in enumerate(groupby(settings, key=lambda setting: setting.camera.key)):
         same = list(group)
-        ours = [Hybrid(renderers[s.viewing, s.fovea], s.fov_a, s.fov_b, s.spp) for s in same]
-        full = {(s.spp, s.fovea != "raw"): FullTrace(tracer, s.spp, s.fovea != "raw") for s in same}
         done = partial(_advanced, progress, len(rows), len(same), len(settings))
-        peers: list[Peer] = [*ours, *full.values()]
-        methods = [partial(_passes, peer, same[0].camera) for peer in peers]
-        times = interleaved_passes(methods, effort.repeats, effort.warm_up, done)
-        of_full = dict(zip(full, times[len(ours) :], strict=True))
-        truth = None
-        if judge:
-            truth = reference(tracer, same[0].camera, effort.reference_spp, REFERENCE_SEED)
-        for setting, peer, found in zip(same, ours, times, strict=False):
-            row = _row(setting, found, of_full[setting.spp, setting.fovea != "raw"], effort)
-            if truth is not None:
-                row["quality"] = _quality(setting, peer, truth)
-            rows.append(row)
+        rows += journal.once(str(number), partial(_group, renderers, same, judge, effort, done))
+        done(1, 1)
+    return rows
+
+
+def _group(
+    renderers: dict[Any, HybridRenderer],
+    same: list[Setting],
+    judge: bool,
+    effort: Effort,
+    progress: Callable[[int, int], None],
+) -> list[dict[str, Any]]:
+    """Rows of one camera, which take turns."""
+    camera, tracer = same[0].camera, next(iter(renderers.values())).tracer
+    ours = [Hybrid(renderers[s.viewing, s.fovea], s.fov_a, s.fov_b, s.spp) for s in same]
+    wanted = [(s.spp, s.fovea != "raw") for s in same]
+    wanted += [(1, s.fovea != "raw") for s in same if s.over_one_spp]
+    full = {of: FullTrace(tracer, *of) for of in wanted}
+    peers: list[Peer] = [*ours, *full.values()]
+    methods = [partial(_passes, peer, camera, len(peers), place) for place, peer in enumerate(peers)]
+    reach = reach_for(max(s.fov_a for s in same), camera)
+    times = interleaved_passes(methods, effort.repeats, effort.warm_up, progress, reach)
+    of_full = dict(zip(full, times[len(ours) :], strict=True))
+    truth = reference(tracer, camera, effort.reference_spp, REFERENCE_SEED) if judge else None
+    rows = []
+    for setting, peer, found in zip(same, ours, times, strict=False):
+        row = _row(setting, found, of_full, effort)
+        row["covered"] = covered(setting.fov_a, camera, effort.repeats, reach)
+        if truth is not None:
+            row["quality"] = _quality(setting, peer, truth)
+        rows.append(row)
     return rows
 
 
@@ -90,31 +123,44 @@ def _advanced(
     progress(1000 * before + 1000 * rows * done // total, 1000 * all_rows)
 
 
-def _passes(peer: Peer, camera: Camera, gaze: Gaze, seed: int) -> dict[str, float]:
-    return peer.make(camera, gaze, seed).milliseconds
+def _passes(peer: Peer, camera: Camera, peers: int, place: int, gaze: Gaze, seed: int) -> dict[str, float]:
+    """Of a frame whose camera no other has: rows share renderers, and these keep what a camera shows."""
+    return peer.make(nudged(camera, peers * seed + place), gaze, seed).milliseconds
 
 
 def _row(
-    setting: Setting, ours: list[dict[str, float]], full: list[dict[str, float]], effort: Effort
+    setting: Setting,
+    ours: list[dict[str, float]],
+    full: dict[tuple[int, bool], list[dict[str, float]]],
+    effort: Effort,
 ) -> dict[str, Any]:
-    total, of_full = ([frame["total"] for frame in frames] for frames in (ours, full))
+    """Times of a setting, and of full frames by samples per pixel and whether they are denoised."""
+    total = [frame["total"] for frame in ours]
+    of_full = {of: [frame["total"] for frame in frames] for of, frames in full.items()}
+    denoised = setting.fovea != "raw"
+    same = of_full[setting.spp, denoised]
     row: dict[str, Any] = {
         **setting.varied,
         "ms": percentiles(total),
-        "full_ms": percentiles(of_full),
-        "ratio": float(np.median(of_full) / np.median(total)),
-        "ratio_interval": ratio_interval(of_full, total),
+        "full_ms": percentiles(same),
+        "ratio": float(np.median(same) / np.median(total)),
+        "ratio_interval": ratio_interval(same, total),
         "passes": {n: float(np.median([f[n] for f in ours])) for n in ours[0] if n != "total"},
         "repeats": effort.repeats,
     }
+    if setting.over_one_spp:
+        row["ratio_1spp"] = float(np.median(of_full[1, denoised]) / np.median(total))
     return {**row, "paper": setting.paper} if setting.paper else row
+
+
+def _judged_regions(setting: Setting) -> dict[str, Region]:
+    size = setting.camera.height, setting.camera.width
+    return plain_regions(Foveation(Gaze(), setting.fov_a, setting.fov_b), size, _JUDGED)
 
 
 def _quality(setting: Setting, peer: Hybrid, truth: Reference) -> dict[str, float]:
     """Metrics by region and name, such as "foveal jod"."""
     image = peer.make(setting.camera, Gaze(), 0).image
-    parts = regions(Foveation(Gaze(), setting.fov_a, setting.fov_b), truth.radiance)
-    wanted = {name: part for name, part in parts.items() if name in ("whole", "foveal", "peripheral")}
     viewer = Viewer(setting.viewing.display, Gaze())
-    rows = measured(image, truth.radiance, wanted, viewer)
+    rows = measured(image, truth.radiance, _judged_regions(setting), viewer)
     return {f"{row['region']} {row['metric']}": float(row["value"]) for row in rows}

@@ -20,7 +20,8 @@ class Setting:
         spp: samples per pixel in the disc.
         fovea: raw, denoised or fused.
         viewing: display, law and layers.
-        paper: FPC's own figures for this row, by name; empty where there are none.
+        paper: FPC's own ratios for this row, by the names of ours; empty where there are none.
+        over_one_spp: whether the full frame at one sample per pixel is what to compare with as well.
     """
 
     varied: dict[str, Any]
@@ -31,6 +32,7 @@ class Setting:
     fovea: str
     viewing: Viewing
     paper: dict[str, float] = field(default_factory=dict)
+    over_one_spp: bool = False
 
 
 def varied(row: dict[str, Any]) -> dict[str, Any]:

@@ -162,10 +162,29 @@ def test_a_sweep_goes_into_the_page(evaluated, made, monkeypatch, capsys):
     monkeypatch.setattr(catalogue, "BREAK_EVEN", {(48, 32): 51.0})
     common = ["sweep", "cornell", "--forest", made / "box.forest", "--repeats", 3, "--warm-up", 1]
     assert run(monkeypatch, *common, "--over", "radius", "--report", folder / "nowhere") == 2
-    assert "holds no evaluation" in capsys.readouterr().err
+    assert "nowhere: holds no evaluation" in capsys.readouterr().err
     before = (folder / "first" / "index.html").read_text()
     assert run(monkeypatch, *common, "--over", "radius", "--report", folder / "first") == 0
     page = (folder / "first" / "index.html").read_text()
-    assert "radius of the fovea (FPC, Figures 7 to 10)" in page
+    assert "cornell, over radius of the fovea (FPC, Figures 7 to 10)" in page
     assert "48x32: as fast as full path tracing at a radius of" in page
+    assert "<th>covered, %</th>" in page
     assert page.count("<svg") == before.count("<svg") + 1
+
+
+def test_a_sweep_stays_off_the_page_of_another_scene_and_of_a_damaged_evaluation(
+    evaluated, tmp_path, monkeypatch, capsys
+):
+    """Refused before any work: there is no forest, and none is trained."""
+    text = (evaluated[0] / "first" / "evaluation.json").read_text()
+    monkeypatch.setenv("HYBRID_HOME", str(tmp_path / "home"))
+    damaged = (text[:-20], "[]", json.dumps({"scene": "cornell"}), "7")
+    for content, said in [
+        (text.replace('"scene": "cornell"', '"scene": "room"'), "an evaluation of room, not of")
+    ] + [(content, "evaluation.json: is damaged") for content in damaged]:
+        (tmp_path / "evaluation.json").write_text(content)
+        assert run(monkeypatch, "sweep", "cornell", "--over", "radius", "--report", tmp_path) == 2
+        error = capsys.readouterr().err
+        assert said in error
+        assert "training" not in error
+        assert [file.name for file in tmp_path.iterdir()] == ["evaluation.json"]
