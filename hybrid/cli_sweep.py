@@ -123,7 +123,6 @@ def sweep(
     from hybrid.evaluate.journal import Journal
     from hybrid.evaluate.report import write_report
     from hybrid.identity import short_hash
-    from hybrid.images import check_writable
     from hybrid.sweeps.break_even import break_even, sentence
     from hybrid.sweeps.catalogue import sweep_named
     from hybrid.sweeps.record import applied, identity_of
@@ -133,8 +132,6 @@ def sweep(
     from pathtrace.views import unseen_views
 
     loaded = loaded_scene(scene)
-    if json_file is not None:
-        check_writable(json_file)
     if report is not None:
         _check_report(report, loaded.name)
     camera = sized(loaded.camera, size)
