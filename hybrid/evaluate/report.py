@@ -28,7 +28,7 @@ from hybrid.sweeps.table import table
 # What the page shows of evaluation.json.
 _CONTENT = ("scene", "settings", "references", "methods", "quality", "time", "machine")
 # Pictures in the page are compressed; the PNG files beside it are not.
-_JPEG_QUALITY = 95
+_JPEG_QUALITY = 90
 _DIGITS = {"psnr": 2, "ssim": 4, "fssim": 4, "flip": 4, "hdr-flip": 4, "lpips": 4, "jod": 2}
 
 
