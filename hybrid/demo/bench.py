@@ -14,6 +14,7 @@ from PySide6.QtGui import QMouseEvent
 from PySide6.QtWidgets import QApplication
 
 from compose.view import Gaze
+from hybrid.demo.source import Shown
 from hybrid.demo.window import Window
 from hybrid.timing import machine, percentiles
 
@@ -56,7 +57,11 @@ class WindowBench(QObject):
         # Before the first frame a forest may be trained, or settings measured.
         window.canvas.painted.connect(self._begin)
 
-    def _begin(self) -> None:
+    def _begin(self, shown: Shown) -> None:
+        camera, canvas = shown.request.camera, self._window.canvas
+        if (camera.width, camera.height) != (canvas.width(), canvas.height()):
+            # The window has just been laid out: what a frame of the size that it keeps takes comes next.
+            return
         self._window.canvas.painted.disconnect(self._begin)
         self._began = time.perf_counter()
         self._timer.start(_MOVE)
