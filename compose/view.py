@@ -187,6 +187,16 @@ class Gaze:
         return self.x * width, self.y * height
 
 
+def require_within_frame(x: float, y: float) -> None:
+    """Refuses a gaze, in fractions of the frame, with which nothing could be judged.
+
+    Raises:
+        UserError: it lies outside of the frame, or is not a number.
+    """
+    if not (0 <= x <= 1 and 0 <= y <= 1):
+        raise UserError(f"--gaze {x} {y}: lies outside of the frame, 0..1 each")
+
+
 def eccentricity(camera: Camera, gaze: Gaze) -> NDArray[np.float32]:
     """(H, W) angle in degrees between each pixel's ray and the gaze's ray, along the great circle."""
     angle = eccentricity_at(camera, gaze, camera.pixel_centres())

@@ -371,10 +371,9 @@ def bench_still(
     json_file: Json = None,
 ) -> None:
     """Keep everything still, as in the window, and see how the disc gets better from frame to frame."""
-    from compose.view import Gaze
+    from compose.view import Gaze, require_within_frame
 
-    if not all(0 <= part <= 1 for part in gaze):
-        raise UserError(f"--gaze {gaze[0]} {gaze[1]}: lies outside of the frame, 0..1 each")
+    require_within_frame(*gaze)
     select(backend)
     from hybrid.bench_still import bench_still as run
     from hybrid.cache import forest_for

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import time
 from dataclasses import asdict, replace
@@ -18,6 +17,7 @@ from hybrid.cache import scene_folder
 from hybrid.demo.controller import Rung
 from hybrid.demo.settings import Request, Shows
 from hybrid.demo.source import FrameSource, Shown
+from hybrid.identity import short_hash
 from hybrid.metrics.fovvideovdp import jod
 from hybrid.metrics.similarity import ssim
 from hybrid.progress import Report
@@ -41,9 +41,9 @@ def ladder_for(source: FrameSource, like: Request, report: Report) -> list[Rung]
     """
     scene, camera = source.renderer.tracer.scene, source.camera.resized(like.camera.width, like.camera.height)
     size = f"{camera.width}x{camera.height}"
-    seen_by = repr((source.renderer.periphery.forest.digest(), source.display)).encode()
-    name = f"window-{size}-{like.settings.law}-{hashlib.sha256(seen_by).hexdigest()[:12]}.json"
-    file = scene_folder(scene.name, scene.hash) / name
+    forest = source.renderer.periphery.forest.digest()
+    seen_by = short_hash({"forest": forest, "display": asdict(source.display)})
+    file = scene_folder(scene.name, scene.hash) / f"window-{size}-{like.settings.law}-{seen_by}.json"
     if file.is_file():
         try:
             return frontier([Rung(**row) for row in json.loads(file.read_text())])

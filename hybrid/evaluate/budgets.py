@@ -55,39 +55,31 @@ Family = Callable[[float], Peer]
 
 def families(tracer: Tracer, tuning: Tuning) -> dict[str, Family]:
     """All peers that trace paths, by name."""
-
-    def full(denoised: bool) -> Family:
-        return lambda rays: FullTrace(tracer, max(1.0, rays), denoised)
-
-    def enlarged(denoised: bool) -> Family:
-        least = tuning.enlarged_spp if denoised else 1
-
-        def of(rays: float) -> Peer:
-            spp = _whole(least, rays)
-            return Enlarged(tracer, rays / spp, spp, denoised)
-
-        return of
-
-    def warped(tuning: WarpTuning) -> Family:
-        def of(rays: float) -> Peer:
-            spp = _whole(tuning.spp, rays)
-            return Warped(tracer, tuning.f, float(np.sqrt(spp / rays)), spp, tuning.denoised)
-
-        return of
-
-    found = {
-        "full": full(False),
-        "full, denoised": full(True),
-        "enlarged": enlarged(False),
-        "enlarged, denoised": enlarged(True),
+    found: dict[str, Family] = {
+        "full": lambda rays: FullTrace(tracer, max(1.0, rays), denoised=False),
+        "full, denoised": lambda rays: FullTrace(tracer, max(1.0, rays), denoised=True),
+        "enlarged": lambda rays: enlarged(tracer, 1, rays, denoised=False),
+        "enlarged, denoised": lambda rays: enlarged(tracer, tuning.enlarged_spp, rays, denoised=True),
         "rmfr": lambda rays: Warped(
             tracer, _FPC_F, _FPC_SIGMA, max(1.0, rays * _FPC_SIGMA**2), denoised=False
         ),
-        "rmfr, tuned": warped(tuning.frame),
+        "rmfr, tuned": lambda rays: warped(tracer, tuning.frame, rays),
     }
     if tuning.fovea != tuning.frame:
-        found["rmfr, tuned for the fovea"] = warped(tuning.fovea)
+        found["rmfr, tuned for the fovea"] = lambda rays: warped(tracer, tuning.fovea, rays)
     return found
+
+
+def enlarged(tracer: Tracer, least: int, rays: float, denoised: bool) -> Enlarged:
+    """An enlarged frame with so many rays per pixel, and at least so many samples of each of its places."""
+    spp = _whole(least, rays)
+    return Enlarged(tracer, rays / spp, spp, denoised)
+
+
+def warped(tracer: Tracer, tuning: WarpTuning, rays: float) -> Warped:
+    """RMFR with so many rays per pixel, and at least as many samples of each place as it is tuned to."""
+    spp = _whole(tuning.spp, rays)
+    return Warped(tracer, tuning.f, float(np.sqrt(spp / rays)), spp, tuning.denoised)
 
 
 def _whole(least: int, rays: float) -> int:

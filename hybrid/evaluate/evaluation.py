@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -25,6 +23,7 @@ from hybrid.evaluate.regions import regions
 from hybrid.evaluate.settings import FOVEAL_REFERENCE, EvaluationSettings
 from hybrid.evaluate.timed import timed
 from hybrid.evaluate.tuning import tuned
+from hybrid.identity import short_hash
 from hybrid.images import read_layers, write_layers
 from hybrid.periphery import Periphery, Viewing
 from hybrid.reference import REFERENCE_SEED, Reference, reference
@@ -81,8 +80,8 @@ class Evaluation:
         }
         self.journal = Journal(folder / "work" / "journal.json", identity)
         # What is equal in time is found once on a machine: the same frames are compared ever after.
-        name = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
-        self.costs = Journal(scene_folder(scene.name, scene.hash) / f"costs-{name}.json", identity)
+        file = scene_folder(scene.name, scene.hash) / f"costs-{short_hash(identity)}.json"
+        self.costs = Journal(file, identity)
 
     def run(self, progress: Callable[[str, float, float], None]) -> dict[str, Any]:
         """Does what is not done yet, and returns the content of the JSON file.

@@ -13,6 +13,7 @@ from compose.blend import Image
 from compose.errors import UserError
 from compose.foveation import Foveation
 from compose.saliency import saliency
+from compose.view import require_within_frame
 
 # In the order of every table.
 REGIONS = ("whole", "foveal", "seam", "peripheral", "salient")
@@ -81,8 +82,7 @@ def plain_regions(
         UserError: the gaze is outside of the frame, or a region that is wanted is empty.
     """
     gaze = foveation.gaze
-    if not (0 <= gaze.x <= 1 and 0 <= gaze.y <= 1):
-        raise UserError(f"--gaze {gaze.x} {gaze.y}: lies outside of the frame, 0..1 each")
+    require_within_frame(gaze.x, gaze.y)
     height, width = size
     x, y = gaze.pixel(width, height)
     radius = np.hypot(np.arange(width)[None, :] + 0.5 - x, np.arange(height)[:, None] + 0.5 - y)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from compose.errors import UserError
 from compose.foveation import Foveation
-from compose.view import Gaze
+from compose.view import Gaze, require_within_frame
 
 # Where differences are smallest, and the viewer sees them best, a reference has so many times the samples.
 FOVEAL_REFERENCE = 8
@@ -43,8 +43,7 @@ class EvaluationSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not (0 <= self.gaze_x <= 1 and 0 <= self.gaze_y <= 1):
-            raise UserError(f"--gaze {self.gaze_x} {self.gaze_y}: lies outside of the frame, 0..1 each")
+        require_within_frame(self.gaze_x, self.gaze_y)
         if self.foveation.fov_a == 0:
             raise UserError("--fov-a 0.0: there is no fovea to evaluate")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from itertools import product
 
 import numpy as np
@@ -11,8 +11,8 @@ import numpy as np
 from compose.blend import Image
 from compose.foveation import Foveation
 from compose.view import Camera
-from hybrid.evaluate.budgets import Tuning, WarpTuning
-from hybrid.evaluate.peers import Enlarged, Peer, Warped
+from hybrid.evaluate.budgets import Tuning, WarpTuning, enlarged, warped
+from hybrid.evaluate.peers import Peer
 from hybrid.evaluate.regions import regions
 from hybrid.metrics.similarity import ssim_map, valid_mean
 from pathtrace.tracer import Tracer
@@ -38,26 +38,20 @@ def tuned(
         rays: per pixel of the frame.
         progress: called with settings tried and settings in all.
     """
-    warped = {
-        WarpTuning(*key): Warped(tracer, key[0], float(np.sqrt(key[1] / rays)), key[1], key[2])
-        for key in product(_F, _at_least(rays), (False, True))
-    }
-    enlarged = {spp: Enlarged(tracer, rays / spp, spp, True) for spp in _at_least(rays)}
-    everything: Iterable[Peer] = [*warped.values(), *enlarged.values()]
-    fovea = [regions(foveation, truth)["foveal"].mask.astype(np.float32) for truth in references]
+    counts = _at_least(rays)
+    warps = [WarpTuning(*key) for key in product(_F, counts, (False, True))]
+    peers: list[Peer] = [warped(tracer, tuning, rays) for tuning in warps]
+    peers += [enlarged(tracer, spp, rays, denoised=True) for spp in counts]
+    masks = [regions(foveation, truth)["foveal"].mask.astype(np.float32) for truth in references]
     whole, foveal = [], []
-    for number, peer in enumerate(everything):
+    for number, peer in enumerate(peers):
         images = [peer.make(view, foveation.gaze, seed).image for seed, view in enumerate(views)]
         maps = [ssim_map(image, truth) for image, truth in zip(images, references, strict=True)]
         whole.append(np.mean([valid_mean(found) for found in maps]))
-        foveal.append(np.mean([valid_mean(*found) for found in zip(maps, fovea, strict=True)]))
-        progress(number + 1, len(warped) + len(enlarged))
-    best = lambda keys, scores: list(keys)[int(np.argmax(scores))]  # noqa: E731
-    return Tuning(
-        best(warped, whole[: len(warped)]),
-        best(warped, foveal[: len(warped)]),
-        best(enlarged, whole[len(warped) :]),
-    )
+        foveal.append(np.mean([valid_mean(*found) for found in zip(maps, masks, strict=True)]))
+        progress(number + 1, len(peers))
+    frame, fovea = (warps[int(np.argmax(scores[: len(warps)]))] for scores in (whole, foveal))
+    return Tuning(frame, fovea, counts[int(np.argmax(whole[len(warps) :]))])
 
 
 def _at_least(rays: float) -> list[int]:
