@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.float32]
+# Shorter runs of pixels are copied pixel by pixel.
+_LONG_RUN = 16
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,11 @@ class Rectangle:
 
 def lay(flat: Image, pixels: NDArray[np.uint32], values: NDArray[np.float32]) -> None:
     """Writes values (D, C) into pixels (D,), in the order of their indices, of a flat image (N, C)."""
-    _lay(flat, zip(*(side.tolist() for side in _runs_of(pixels)), strict=True), values)
+    first, start, stop = _runs_of(pixels)
+    long = stop - start >= _LONG_RUN
+    _lay(flat, zip(*(side[long].tolist() for side in (first, start, stop)), strict=True), values)
+    single = np.flatnonzero(np.repeat(~long, stop - start))
+    flat[pixels[single]] = values.take(single, axis=0)
 
 
 def _lay(flat: Image, spans: Iterable[tuple[int, int, int]], values: NDArray[np.float32]) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from compose.blend import Image
 from compose.foveation import MODES, FoveaPlan, Foveation
-from compose.view import Display, Gaze
+from compose.view import Camera, Display, Gaze
 from hybrid.bench_fovea import means, unfitted_views
 from hybrid.metrics.fovvideovdp import jod
 from hybrid.periphery import Viewing
@@ -56,18 +56,27 @@ def bench_seam(
         for gaze in GAZES:
             for mode, renderer in renderers.items():
                 frame = renderer.frame(camera, Foveation(gaze), spp, done)
-                found[mode].append(_seam(frame, truth, display, gaze))
+                found[mode].append(_seam(frame, _band(camera, gaze), truth, display, gaze))
         progress(done + 1, len(views))
     return [{"scene": scene.name, "mode": mode, "spp": spp, **means(rows)} for mode, rows in found.items()]
 
 
-def _seam(frame: Frame, truth: Image, display: Display, gaze: Gaze) -> dict[str, float]:
+def _band(camera: Camera, gaze: Gaze) -> NDArray[np.bool_]:
+    """(H * W,) where both pictures are seen."""
+    weights = Foveation(gaze).plan(camera.width, camera.height).weight_image().ravel()
+    return (weights > 0) & (weights < 1)
+
+
+def _seam(
+    frame: Frame, in_band: NDArray[np.bool_], truth: Image, display: Display, gaze: Gaze
+) -> dict[str, float]:
     """Both sides of the band in linear luminance, relative to what is right; and the band's JOD.
 
-    `difference` is that of the means over the whole band, `sectors` the root mean square over its sectors.
+    `difference` is that of the means over all of the band that is traced, `sectors` the root mean square over
+    its sectors.
     """
     plan = frame.plan
-    band = (plan.weights > 0) & (plan.weights < 1)
+    band = in_band[plan.pixels]
     pixels = plan.pixels[band]
     right = _luminance(truth.reshape(-1, 3)[pixels])
     outer = _luminance(frame.periphery.reshape(-1, 3)[pixels])
@@ -80,7 +89,7 @@ def _seam(frame: Frame, truth: Image, display: Display, gaze: Gaze) -> dict[str,
         "sectors": float(np.sqrt(np.mean(np.square(local)))),
     }
     exchanged = truth.copy()
-    exchanged.reshape(-1, 3)[pixels] = frame.composite.reshape(-1, 3)[pixels]
+    exchanged.reshape(-1, 3)[in_band] = frame.composite.reshape(-1, 3)[in_band]
     seen = jod(exchanged, truth, display, gaze)
     return row if seen is None else {**row, "jod": seen}
 

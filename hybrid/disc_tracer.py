@@ -77,7 +77,7 @@ class DiscTracer:
         known = self.known(camera, plan, spp, seed, hurried)
         adaptive = under is not None and spp >= _ADAPTIVE_FROM and not hurried
         if not adaptive and self.history is None:
-            return self._evenly(camera, known, spp, seed)
+            return self._afresh(camera, known, spp, seed)
         sequence = self._sequence(camera, plan.pixels, seed)
         new = _without_light(known)
         total = spp * len(plan.pixels)
@@ -100,6 +100,14 @@ class DiscTracer:
         if self.history is not None:
             self.history.remember(new)
         return merged(known, new)
+
+    def trace_each(
+        self, camera: Camera, pixels: NDArray[np.uint32], counts: NDArray[np.int64], seed: int
+    ) -> Samples:
+        """So many samples, (D,) at least 1, of each of (D,) pixels; nothing that is known helps them."""
+        if not len(pixels):
+            return _dark(pixels)
+        return self._afresh(camera, _dark(pixels), _one_for_all(counts), seed)
 
     def known(self, camera: Camera, plan: FoveaPlan, spp: int, seed: int, hurried: bool = False) -> Samples:
         """What is known of pixels before anything but guides is traced; arguments as of `trace`."""
@@ -132,8 +140,8 @@ class DiscTracer:
             gloss=seen.gloss.numpy().astype(np.uint8),
         )
 
-    def _evenly(self, camera: Camera, known: Samples, spp: int, seed: int) -> Samples:
-        """The same number of samples of each pixel, of whose light nothing is known yet."""
+    def _afresh(self, camera: Camera, known: Samples, spp: int | NDArray[np.int64], seed: int) -> Samples:
+        """So many samples of each pixel, of whose light nothing is known yet."""
         positions = pixel_positions(mi.UInt32(known.pixels), camera.width)
         traced = self._tracer.trace(camera, positions, spp, seed)
         count = np.full(len(known.pixels), spp, dtype=np.float32)

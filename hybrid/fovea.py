@@ -52,6 +52,11 @@ class Fovea:
         self.disc = DiscTracer(tracer, mode != "raw", remembers)
         self._fusion = fusion
 
+    @property
+    def is_independent(self) -> bool:
+        """Whether a pixel shows its own samples of this frame and nothing else."""
+        return self.mode == "raw" and self.disc.history is None
+
     def picture(
         self,
         camera: Camera,

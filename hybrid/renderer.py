@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from compose.blend import Image, blend
 from compose.detail import DetailMap
 from compose.foveation import FoveaPlan, Foveation
+from compose.samples import Samples
+from compose.thinning import thinned
 from compose.view import Camera
 from hybrid.device import device_arrays
 from hybrid.disc import Underlay
@@ -36,7 +38,7 @@ class Frame:
         nodes_drawn: Gaussians in the periphery, those of several pictures counted in each.
         fovea: the disc and what it was made of.
         under: the splats under the disc, of a fused one.
-        plan: which pixels that is, and the weights of the blend.
+        plan: which pixels that is, and the weights of the blend; of a raw fovea, those that have samples.
         milliseconds: per pass (plan, detail, splat, under, trace, fovea, blend) and in all (total).
     """
 
@@ -104,7 +106,7 @@ class HybridRenderer:
         clock.lap("splat")
         under = self.underlay(camera, plan)
         clock.lap("under")
-        samples = self.fovea.disc.trace(camera, plan, spp, seed, under)
+        plan, samples = self._traced(camera, plan, spp, seed, under)
         clock.lap("trace")
         fovea = self.fovea.picture(camera, plan, samples, periphery, under)
         clock.lap("fovea")
@@ -119,10 +121,19 @@ class HybridRenderer:
         radiance = self.periphery.under_fovea(camera, plan).image()
         return Underlay(camera, radiance, self.periphery.enlargement(camera))
 
+    def _traced(
+        self, camera: Camera, plan: FoveaPlan, spp: int, seed: int, under: Underlay | None
+    ) -> tuple[FoveaPlan, Samples]:
+        """The disc's samples, and the plan of the pixels that have any."""
+        if not self.fovea.is_independent:
+            return plan, self.fovea.disc.trace(camera, plan, spp, seed, under)
+        plan, counts = thinned(plan, spp, seed)
+        return plan, self.fovea.disc.trace_each(camera, plan.pixels, counts, seed)
+
     def disc_alone(self, camera: Camera, plan: FoveaPlan, spp: int, seed: int) -> Image:
-        """(D, 3) the disc as a frame shows it, without the splats around it."""
+        """(D, 3) the disc as a frame shows it, without the splats around it; D as in that frame's plan."""
         under = self.underlay(camera, plan)
-        samples = self.fovea.disc.trace(camera, plan, spp, seed, under)
+        plan, samples = self._traced(camera, plan, spp, seed, under)
         around = np.zeros((plan.height, plan.width, 3), dtype=np.float32)
         return self.fovea.picture(camera, plan, samples, around, under).radiance
 

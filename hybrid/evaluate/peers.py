@@ -59,7 +59,8 @@ class Hybrid:
 
     def rays(self, camera: Camera, gaze: Gaze) -> float:
         plan = Foveation(gaze, self.fov_a, self.fov_b).plan(camera.width, camera.height)
-        return self.spp * len(plan.pixels) / (camera.width * camera.height)
+        paths = plan.weights.sum() if self.renderer.fovea.is_independent else len(plan.pixels)
+        return float(self.spp * paths / (camera.width * camera.height))
 
     def make(self, camera: Camera, gaze: Gaze, seed: int) -> Made:
         frame = self.renderer.frame(camera, Foveation(gaze, self.fov_a, self.fov_b), self.spp, seed)

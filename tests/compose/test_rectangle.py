@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from compose.foveation import Foveation
-from compose.rectangle import Rectangle
+from compose.rectangle import Rectangle, lay
 from compose.view import Gaze
 from tests import small
 
@@ -32,6 +32,17 @@ def test_pixels_need_not_lie_side_by_side():
     np.testing.assert_array_equal(around.taken(laid), values)
     rows, columns = around.box
     np.testing.assert_array_equal(laid[some // 64 - rows.start, some % 64 - columns.start, 0], values[:, 0])
+
+
+def test_runs_of_any_length_are_laid_where_their_pixels_are():
+    rng = small.rng()
+    # Many single pixels first, then long runs.
+    pixels = np.flatnonzero(rng.uniform(size=4000) < np.linspace(0.2, 1.1, 4000)).astype(np.uint32)
+    values = rng.uniform(size=(len(pixels), 3)).astype(np.float32)
+    laid, expected = np.zeros((2, 4000, 3), dtype=np.float32)
+    lay(laid, pixels, values)
+    expected[pixels] = values
+    np.testing.assert_array_equal(laid, expected)
 
 
 @pytest.mark.parametrize("gaze", [Gaze(), Gaze(0.05, 0.9), Gaze(0.31, 0.45)])

@@ -10,6 +10,7 @@ from compose.blend import srgb_from_radiance
 from compose.errors import UserError
 from compose.foveation import Foveation
 from compose.view import Gaze, camera_from_json, camera_to_json
+from hybrid.evaluate.peers import Hybrid
 from hybrid.images import read_layers, write_layers
 from hybrid.layers import frame_layers
 from hybrid.metrics.registration import registration_px
@@ -76,6 +77,30 @@ def test_only_the_disc_is_traced_and_hidden_tiles_are_not_rasterized(renderer):
     assert len(frame.fovea.radiance) == frame.plan.weight_image().astype(bool).sum()
     assert (frame.periphery[72:88, 72:88] == 0).all()
     assert (renderer.splat_frame(camera)[72:88, 72:88] > 0).any()
+
+
+def test_in_the_band_a_raw_disc_has_as_many_samples_as_it_shows(renderer):
+    camera, foveation = renderer.tracer.scene.camera.resized(160, 160), Foveation(Gaze(), 45, 20)
+    whole = foveation.plan(160, 160)
+    frame = renderer.frame(camera, foveation, spp=3)
+    count = frame.of_disc(frame.fovea.samples.count[:, None])[..., 0]
+    assert (count[whole.weight_image() == 1] == 3).all()
+    assert np.abs(count - 3 * whole.weight_image()).max() < 1
+    paths = Hybrid(renderer, 45, 20, 3).rays(camera, Gaze()) * 160 * 160
+    assert count.sum() == pytest.approx(paths, rel=0.01)
+    assert paths == pytest.approx(3 * whole.weights.sum())
+
+
+def test_samples_that_are_remembered_or_denoised_are_taken_everywhere(renderer):
+    scene, foveation = renderer.tracer.scene, Foveation(Gaze(), 45, 20)
+    camera = scene.camera.resized(48, 48)
+    whole = foveation.plan(48, 48)
+    for mode, remembers in (("raw", True), ("denoised", False)):
+        other = HybridRenderer(scene, forest_of(scene), mode=mode, remembers=remembers)
+        frame = other.frame(camera, foveation, spp=1)
+        np.testing.assert_array_equal(frame.plan.weight_image(), whole.weight_image())
+        assert (frame.fovea.samples.count == 1).all()
+        assert Hybrid(other, 45, 20, 1).rays(camera, Gaze()) == len(whole.pixels) / 48**2
 
 
 def test_a_denoised_disc_is_closer_to_the_truth(renderer):
