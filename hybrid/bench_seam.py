@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from compose.blend import Image
 from compose.foveation import MODES, FoveaPlan, Foveation
-from compose.view import Camera, Display, Gaze
+from compose.view import Display, Gaze
 from hybrid.bench_fovea import means, unfitted_views
+from hybrid.evaluate.regions import Region, plain_regions
 from hybrid.metrics.fovvideovdp import jod
 from hybrid.periphery import Viewing
 from hybrid.reference import REFERENCE_SEED, reference
@@ -53,34 +54,27 @@ def bench_seam(
     for done, view in enumerate(views):
         camera = view.resized(view.width * _SCALE, view.height * _SCALE)
         truth = reference(renderers["raw"].tracer, camera, reference_spp, REFERENCE_SEED).radiance
-        for gaze in GAZES:
+        for foveation in map(Foveation, GAZES):
+            band = plain_regions(foveation, (camera.height, camera.width), ("seam",))["seam"]
             for mode, renderer in renderers.items():
-                frame = renderer.frame(camera, Foveation(gaze), spp, done)
-                found[mode].append(_seam(frame, _band(camera, gaze), truth, display, gaze))
+                frame = renderer.frame(camera, foveation, spp, done)
+                found[mode].append(_seam(frame, band, truth, display, foveation.gaze))
         progress(done + 1, len(views))
     return [{"scene": scene.name, "mode": mode, "spp": spp, **means(rows)} for mode, rows in found.items()]
 
 
-def _band(camera: Camera, gaze: Gaze) -> NDArray[np.bool_]:
-    """(H * W,) where both pictures are seen."""
-    weights = Foveation(gaze).plan(camera.width, camera.height).weight_image().ravel()
-    return (weights > 0) & (weights < 1)
-
-
-def _seam(
-    frame: Frame, in_band: NDArray[np.bool_], truth: Image, display: Display, gaze: Gaze
-) -> dict[str, float]:
+def _seam(frame: Frame, band: Region, truth: Image, display: Display, gaze: Gaze) -> dict[str, float]:
     """Both sides of the band in linear luminance, relative to what is right; and the band's JOD.
 
     `difference` is that of the means over all of the band that is traced, `sectors` the root mean square over
     its sectors.
     """
     plan = frame.plan
-    band = in_band[plan.pixels]
-    pixels = plan.pixels[band]
+    traced = band.mask.ravel()[plan.pixels]
+    pixels = plan.pixels[traced]
     right = _luminance(truth.reshape(-1, 3)[pixels])
     outer = _luminance(frame.periphery.reshape(-1, 3)[pixels])
-    difference = _luminance(frame.fovea.radiance[band]) - outer
+    difference = _luminance(frame.fovea.radiance[traced]) - outer
     sector = _sectors(plan, pixels)
     present = np.unique(sector)
     local = [difference[sector == s].mean() / max(right[sector == s].mean(), _DARK) for s in present]
@@ -88,9 +82,7 @@ def _seam(
         "difference": float(difference.mean() / max(right.mean(), _DARK)),
         "sectors": float(np.sqrt(np.mean(np.square(local)))),
     }
-    exchanged = truth.copy()
-    exchanged.reshape(-1, 3)[in_band] = frame.composite.reshape(-1, 3)[in_band]
-    seen = jod(exchanged, truth, display, gaze)
+    seen = jod(band.alone(frame.composite, truth), truth, display, gaze)
     return row if seen is None else {**row, "jod": seen}
 
 
