@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pathtrace.backend import Backend, select_backend
+from pathtrace.base.backend import Backend, select_backend
 
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared"
 
@@ -18,7 +18,7 @@ def backend() -> Backend:
 
 @pytest.fixture(scope="session")
 def arrays(backend):
-    from hybrid.device import device_arrays
+    from hybrid.runtime.device import device_arrays
 
     return device_arrays()
 

@@ -13,10 +13,11 @@ from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer
 from PySide6.QtGui import QMouseEvent
 from PySide6.QtWidgets import QApplication
 
-from compose.view import Gaze
-from hybrid.demo.source import Shown
+from compose.eye.gaze import Gaze
 from hybrid.demo.window import Window
-from hybrid.timing import machine, percentiles
+from hybrid.interactive.source import Shown
+from hybrid.measure.timing import percentiles
+from hybrid.runtime.machine import machine
 
 # Seconds before anything counts: kernels are compiled in them.
 _WARM_UP = 4.0
@@ -134,10 +135,12 @@ def steadiness(
     kept = lambda frames: float(np.mean([abs(ms * fps / 1000 - 1) <= _TOLERANCE for ms in frames]))  # noqa: E731
     outside = [ms for at, ms in frames if not begin <= at <= end + _RECOVERY]
     after = [ms for at, ms in frames if end < at <= end + _RECOVERY]
-    under = [ms for at, ms in frames if begin <= at <= end]
+    underlay = [ms for at, ms in frames if begin <= at <= end]
     found |= {"kept": kept(outside)} if outside else {}
     found |= {"kept_after_load": kept(after)} if after else {}
-    return found | ({"loaded_s": [begin, end], "ms_under_load": float(np.median(under))} if under else {})
+    return found | (
+        {"loaded_s": [begin, end], "ms_under_load": float(np.median(underlay))} if underlay else {}
+    )
 
 
 def summary(found: dict[str, Any]) -> str:

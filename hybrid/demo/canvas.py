@@ -6,8 +6,8 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QColor, QFont, QImage, QMouseEvent, QPainter, QPaintEvent, QPen, QResizeEvent
 from PySide6.QtWidgets import QWidget
 
-from compose.view import Gaze
-from hybrid.demo.source import Shown
+from compose.eye.gaze import Gaze
+from hybrid.interactive.source import Shown
 
 _SHADE = QColor(0, 0, 0, 150)
 _MARGIN = 8

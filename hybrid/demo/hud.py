@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hybrid.demo.meter import Meter
-from hybrid.demo.settings import Shows
-from hybrid.demo.source import Shown
+from hybrid.interactive.meter import Meter
+from hybrid.interactive.request import Shows
+from hybrid.interactive.source import Shown
 
 HELP = [
     "mouse             the gaze follows it",
@@ -45,7 +45,7 @@ def lines_of(shown: Shown, meter: Meter) -> list[str]:
         lines.append(f"{shown.reference_spp} in the path-traced frame")
     camera = shown.request.rendered
     chosen = f"fov-a {settings.fov_a:.1f} %, fov-b {settings.fov_b:.1f} %, {settings.spp} spp, "
-    lines.append(chosen + f"{camera.width} x {camera.height}, {settings.law}")
+    lines.append(chosen + f"{camera.width} x {camera.height}, {settings.acuity_model}")
     if settings.target_fps is not None:
         finest = settings.layers[1] if settings.layers else len(frame.detail.steps)
         lines.append(f"chosen for {settings.target_fps:g} FPS: layers to {finest}, rate {1 << settings.rate}")

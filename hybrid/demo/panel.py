@@ -7,8 +7,8 @@ from dataclasses import replace
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLabel, QSlider, QSpinBox, QWidget
 
-from compose.acuity import LAWS
-from hybrid.demo.settings import Settings, Shows
+from compose.eye.acuity import ACUITY_MODELS
+from hybrid.interactive.request import Settings, Shows
 
 _MOST_RADIUS, _MOST_SPP, _LEAST_SCALE, _MOST_RATE = 75, 16, 25, 3
 _SLIDER_WIDTH, _LETTERS = 100, 12
@@ -35,7 +35,7 @@ class Panel(QWidget):
         self.fov_a = self._slider("fov-a", 0, _MOST_RADIUS, round(settings.fov_a), " %")
         self.fov_b = self._slider("fov-b", 0, _MOST_RADIUS, round(settings.fov_b), " %")
         self.spp = self._slider("samples", 1, _MOST_SPP, settings.spp, "")
-        self.law = self._list("law", list(LAWS), settings.law)
+        self.acuity_model = self._list("acuity_model", list(ACUITY_MODELS), settings.acuity_model)
         self.coarsest = self._slider("coarsest layer", 1, layers, low, "")
         self.finest = self._slider("finest layer", 1, layers, high, "")
         self.rate = self._slider("coarser rate", 0, _MOST_RATE, settings.rate, "")
@@ -78,7 +78,7 @@ class Panel(QWidget):
             float(self.fov_a.value()),
             float(min(self.fov_b.value(), self.fov_a.value())),
             self.spp.value(),
-            self.law.currentText(),
+            self.acuity_model.currentText(),
             (min(self.coarsest.value(), self.finest.value()), self.finest.value()),
             self.rate.value(),
             self.scale.value() / 100,

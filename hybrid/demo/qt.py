@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 
-from compose.errors import UserError
+from compose.base.errors import UserError
 
 _INSTALL = "the window needs Qt: pip install 'foveated-hybrid-renderer[demo]'"
 # What Qt's plugin for X11 loads, by the names of Debian's packages.

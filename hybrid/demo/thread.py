@@ -11,14 +11,14 @@ from pathlib import Path
 
 from PySide6.QtCore import QThread, Signal
 
-from compose.errors import UserError
-from compose.view import Camera
-from hybrid.demo.ladder import ladder_for
-from hybrid.demo.loop import FrameLoop
-from hybrid.demo.newest import Newest
-from hybrid.demo.settings import Request
-from hybrid.demo.source import FrameSource, Shown
-from hybrid.progress import Report
+from compose.base.errors import UserError
+from compose.camera.camera import Camera
+from hybrid.interactive.ladder import ladder_for
+from hybrid.interactive.loop import FrameLoop
+from hybrid.interactive.newest import Newest
+from hybrid.interactive.request import Request
+from hybrid.interactive.source import FrameSource, Shown
+from hybrid.runtime.progress import Report
 
 # Seconds after which a thread that has nothing to do looks whether it is to end.
 _LOOK = 0.1

@@ -9,17 +9,17 @@ from PySide6.QtCore import QSize, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QKeyEvent
 from PySide6.QtWidgets import QDockWidget, QMainWindow, QProgressBar, QScrollArea
 
-from compose.errors import UserError
-from compose.view import Gaze
+from compose.base.errors import UserError
+from compose.eye.gaze import Gaze
 from hybrid.demo.canvas import Canvas
-from hybrid.demo.gaze_input import GazeInput, GazeRecorder
 from hybrid.demo.hud import HELP, lines_of
-from hybrid.demo.meter import Meter
 from hybrid.demo.panel import Panel
-from hybrid.demo.settings import Request, Settings, Shows
-from hybrid.demo.source import Shown
 from hybrid.demo.thread import Ready, RenderThread
-from hybrid.demo.walk import Walker
+from hybrid.interactive.gaze_input import GazeInput, GazeRecorder
+from hybrid.interactive.meter import Meter
+from hybrid.interactive.request import Request, Settings, Shows
+from hybrid.interactive.source import Shown
+from hybrid.interactive.walk import Walker
 
 # Milliseconds between two looks at keys and gaze where they may have changed without an event: more often
 # than any frame comes. Otherwise seldom, as all that the window does is taken from the renderer.

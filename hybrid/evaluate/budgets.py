@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from compose.view import Camera, Gaze
-from hybrid.evaluate.peers import Enlarged, FullTrace, Peer, Warped
-from hybrid.timing import nudged
-from pathtrace.tracer import Tracer
+from compose.camera.camera import Camera
+from compose.eye.gaze import Gaze
+from hybrid.baselines.methods import Enlarged, FullTrace, Peer, Warped
+from hybrid.measure.timing import jittered
+from pathtrace.trace.tracer import Tracer
 
 # FPC's own setting of RMFR.
 _FPC_F, _FPC_SIGMA = 0.1, 2.6
@@ -144,7 +145,7 @@ def relative_time(peer: Peer, ours: Peer, camera: Camera, gaze: Gaze) -> float:
     times: tuple[list[float], list[float]] = ([], [])
     for seed in range(_FRAMES + 1):
         for place, (way, found) in enumerate(zip((peer, ours), times, strict=True)):
-            found.append(way.make(nudged(camera, 2 * seed + place), gaze, seed).milliseconds["total"])
+            found.append(way.make(jittered(camera, 2 * seed + place), gaze, seed).milliseconds["total"])
     # The first ones warm up.
     theirs, of_ours = (float(np.median(found[1:])) for found in times)
     return theirs / of_ours

@@ -6,13 +6,14 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from compose.view import Camera, Gaze
+from compose.camera.camera import Camera
+from compose.eye.gaze import Gaze
+from hybrid.baselines.methods import Hybrid, Peer, Splats
 from hybrid.evaluate.budgets import NEAR, Tuning, at_equal_time, families
-from hybrid.evaluate.journal import Journal
-from hybrid.evaluate.peers import Hybrid, Peer, Splats
 from hybrid.evaluate.settings import EvaluationSettings
-from hybrid.renderer import HybridRenderer
-from pathtrace.tracer import Tracer
+from hybrid.frame.renderer import HybridRenderer
+from hybrid.store.journal import Journal
+from pathtrace.trace.tracer import Tracer
 
 # The method whose rays and time the others get.
 OURS = "hybrid, fused"

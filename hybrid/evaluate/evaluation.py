@@ -10,28 +10,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.foveation import MODES
-from compose.view import Camera, Display
-from hybrid.cache import scene_folder
-from hybrid.device import device_arrays
+from compose.camera.camera import Camera
+from compose.eye.display import Display
+from compose.fovea.mode import MODES
+from hybrid.baselines.methods import Splats
 from hybrid.evaluate.budgets import Tuning
 from hybrid.evaluate.entries import OURS, Entry, hybrid_entries, peer_entries, splat_entries
-from hybrid.evaluate.journal import Journal
 from hybrid.evaluate.judged import judged
-from hybrid.evaluate.peers import Splats
-from hybrid.evaluate.regions import regions
 from hybrid.evaluate.settings import FOVEAL_REFERENCE, EvaluationSettings
 from hybrid.evaluate.timed import timed
 from hybrid.evaluate.tuning import tuned
-from hybrid.identity import short_hash
-from hybrid.images import read_layers, write_layers
-from hybrid.periphery import Periphery, Viewing
-from hybrid.reference import REFERENCE_SEED, Reference, reference
-from hybrid.renderer import HybridRenderer
-from hybrid.timing import machine
-from pathtrace.scene import Scene
-from pathtrace.views import unseen_views
-from splat.forest import Forest
+from hybrid.frame.periphery import Periphery, Viewing
+from hybrid.frame.renderer import HybridRenderer
+from hybrid.measure.reference import REFERENCE_SEED, Reference, reference
+from hybrid.measure.regions import regions
+from hybrid.output.images import read_layers, write_layers
+from hybrid.runtime.device import device_arrays
+from hybrid.runtime.machine import machine
+from hybrid.store.cache import scene_folder
+from hybrid.store.identity import short_hash
+from hybrid.store.journal import Journal
+from pathtrace.dataset.views import unseen_views
+from pathtrace.scene.scene import Scene
+from splat.model.forest import Forest
 
 # Views to tune peers on, beside those that are measured, and how much smaller their sides are.
 _TUNING_VIEWS, _TUNING_REDUCTION = 2, 2
@@ -143,7 +144,7 @@ class Evaluation:
         """(H * W,) samples of each of a reference's pixels."""
         settings = self.settings
         samples = np.full(settings.width * settings.height, settings.reference_spp, dtype=np.int64)
-        samples[settings.foveation.plan(settings.width, settings.height).pixels] *= FOVEAL_REFERENCE
+        samples[settings.foveation.region(settings.width, settings.height).pixels] *= FOVEAL_REFERENCE
         return samples
 
     def _errors(self, number: int, found: Reference) -> list[dict[str, Any]]:

@@ -7,16 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from compose.view import Camera, Display
+from compose.camera.camera import Camera
+from compose.eye.display import Display
 from hybrid.evaluate.entries import Entry
-from hybrid.evaluate.journal import Journal
 from hybrid.evaluate.judges import Picture, judged_in_parallel
-from hybrid.evaluate.measure import Viewer
-from hybrid.evaluate.regions import Region, regions
 from hybrid.evaluate.settings import EvaluationSettings
-from hybrid.images import write_png
-from hybrid.metrics import installed
-from hybrid.reference import Reference
+from hybrid.measure.metrics.installed import installed
+from hybrid.measure.quality import Viewer
+from hybrid.measure.reference import Reference
+from hybrid.measure.regions import Region, regions
+from hybrid.output.images import write_png
+from hybrid.store.journal import Journal
 
 # The name under which the quality of a reference itself stands: one half of its samples against the other.
 HALVES = "reference, half against half"

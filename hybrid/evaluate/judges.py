@@ -16,11 +16,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from compose.blend import Image
-from hybrid.evaluate.measure import Viewer, foveal, half_name, measured
-from hybrid.evaluate.regions import Region
-from hybrid.images import write_bytes
-from hybrid.metrics.flip import flip_map
+from compose.image.colour import Image
+from hybrid.measure.metrics.flip import flip_map
+from hybrid.measure.quality import Viewer, foveal, half_name, measured
+from hybrid.measure.regions import Region
+from hybrid.output.images import write_bytes
 
 
 @dataclass(frozen=True)

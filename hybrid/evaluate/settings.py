@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from compose.errors import UserError
-from compose.foveation import Foveation
-from compose.view import Gaze, require_within_frame
+from compose.base.errors import UserError
+from compose.eye.gaze import Gaze, require_within_frame
+from compose.fovea.region import Foveation
 
 # Where differences are smallest, and the viewer sees them best, a reference has so many times the samples.
 FOVEAL_REFERENCE = 8

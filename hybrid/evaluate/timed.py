@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from compose.view import Camera, Gaze
+from compose.camera.camera import Camera
+from compose.eye.gaze import Gaze
 from hybrid.evaluate.entries import Entry
-from hybrid.evaluate.journal import Journal
-from hybrid.timing import gaze_path, nudged, percentiles
+from hybrid.measure.timing import gaze_path, jittered, percentiles
+from hybrid.store.journal import Journal
 
 _WARM_UP = 5
 # No method is timed for longer than this, if it has so many frames at least.
@@ -59,7 +60,7 @@ def timed(
             # Those that are timed briefly see the whole path as well.
             step = len(passes.get("total", [])) * repeats // _LEAST_REPEATS if entry.briefly else number
             made = entry.peer.make(
-                nudged(camera, (done + turn) * len(entries) + place), path[step % repeats], number
+                jittered(camera, (done + turn) * len(entries) + place), path[step % repeats], number
             )
             if turn >= 0:
                 for name, value in made.milliseconds.items():

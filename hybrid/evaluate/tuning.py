@@ -8,14 +8,14 @@ from itertools import product
 
 import numpy as np
 
-from compose.blend import Image
-from compose.foveation import Foveation
-from compose.view import Camera
+from compose.camera.camera import Camera
+from compose.fovea.region import Foveation
+from compose.image.colour import Image
+from hybrid.baselines.methods import Peer
 from hybrid.evaluate.budgets import Tuning, WarpTuning, enlarged, warped
-from hybrid.evaluate.peers import Peer
-from hybrid.evaluate.regions import regions
-from hybrid.metrics.similarity import ssim_map, valid_mean
-from pathtrace.tracer import Tracer
+from hybrid.measure.metrics.ssim import ssim_map, valid_mean
+from hybrid.measure.regions import regions
+from pathtrace.trace.tracer import Tracer
 
 _F = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6)
 _SPP = (1, 2, 4)

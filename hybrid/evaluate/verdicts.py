@@ -8,7 +8,7 @@ import numpy as np
 
 from hybrid.evaluate.budgets import NEAR
 from hybrid.evaluate.entries import OURS
-from hybrid.evaluate.measure import METRICS, half_name
+from hybrid.measure.quality import METRICS, half_name
 
 Key = tuple[str, str]
 # What the fovea is judged by, and what the whole frame is.

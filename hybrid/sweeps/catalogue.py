@@ -10,11 +10,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from compose.acuity import LAWS
-from compose.errors import UserError
-from compose.foveation import MODES
-from compose.view import Camera
-from hybrid.periphery import Viewing
+from compose.base.errors import UserError
+from compose.camera.camera import Camera
+from compose.eye.acuity import ACUITY_MODELS
+from compose.fovea.mode import MODES
+from hybrid.frame.periphery import Viewing
 from hybrid.sweeps.setting import Setting
 
 # Width and height: (FPC's frames per second, those of its path tracing). Table 4, Table 5.
@@ -134,8 +134,15 @@ def _band(base: Setting, views: list[Camera]) -> list[Setting]:
     ]
 
 
-def _laws(base: Setting, views: list[Camera]) -> list[Setting]:
-    return [replace(base, varied={"law": law}, viewing=replace(base.viewing, law=law)) for law in LAWS]
+def _acuity_models(base: Setting, views: list[Camera]) -> list[Setting]:
+    return [
+        replace(
+            base,
+            varied={"acuity_model": acuity_model},
+            viewing=replace(base.viewing, acuity_model=acuity_model),
+        )
+        for acuity_model in ACUITY_MODELS
+    ]
 
 
 def _denoiser(base: Setting, views: list[Camera]) -> list[Setting]:
@@ -169,7 +176,7 @@ SWEEPS = {
     "spp": Sweep(_spp, "samples per pixel (FPC, Figure 14)", fixes=("--size", "--spp"), scales_radii=True),
     "view": Sweep(_view, "views (FPC, Figures 12 and 13)", fixes=("--size",), scales_radii=True),
     "band": Sweep(_band, "fov-a and fov-b", judged=True, fixes=("--fov-a", "--fov-b")),
-    "law": Sweep(_laws, "laws of the eye", judged=True, fixes=("--law",)),
+    "acuity_model": Sweep(_acuity_models, "acuity models", judged=True, fixes=("--acuity-model",)),
     "trade": Sweep(
         _trade,
         "settings that `hybrid render --target-ms` chooses from",
@@ -190,7 +197,7 @@ def layer_sweep(layers: int, nodes: tuple[int, ...]) -> Sweep:
             replace(
                 base,
                 varied={"layers": f"{low} to {high}", "gaussians": nodes[high - 1]},
-                viewing=Viewing(base.viewing.display, base.viewing.law, (low, high)),
+                viewing=Viewing(base.viewing.display, base.viewing.acuity_model, (low, high)),
             )
             for low, high in spans
         ]

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from compose.foveation import Foveation
-from compose.view import Camera, Gaze
-from hybrid.renderer import HybridRenderer
+from compose.camera.camera import Camera
+from compose.eye.gaze import Gaze
+from compose.fovea.region import Foveation
+from hybrid.frame.renderer import HybridRenderer
+from hybrid.measure.timing import interleaved, jittered, percentiles
 from hybrid.sweeps.coverage import covered, reach_for
-from hybrid.timing import interleaved, nudged, percentiles
-from pathtrace.film import frame_positions
+from pathtrace.trace.film import frame_positions
 
 
 def compare(
@@ -32,14 +33,14 @@ def compare(
     frame = frame_positions(camera)
 
     def hybrid(gaze: Gaze, seed: int) -> None:
-        renderer.frame(nudged(camera, 3 * seed), Foveation(gaze, fov_a, fov_b), spp, seed)
+        renderer.frame(jittered(camera, 3 * seed), Foveation(gaze, fov_a, fov_b), spp, seed)
 
     def full(gaze: Gaze, seed: int) -> None:
-        renderer.path_traced(nudged(camera, 3 * seed + 1), frame, spp, seed)
+        renderer.path_traced(jittered(camera, 3 * seed + 1), frame, spp, seed)
 
     def disc(gaze: Gaze, seed: int) -> None:
-        plan = Foveation(gaze, fov_a, fov_b).plan(camera.width, camera.height)
-        renderer.disc_alone(nudged(camera, 3 * seed + 2), plan, spp, seed)
+        region = Foveation(gaze, fov_a, fov_b).region(camera.width, camera.height)
+        renderer.disc_alone(jittered(camera, 3 * seed + 2), region, spp, seed)
 
     methods: dict[str, Callable[[Gaze, int], Any]] = {"hybrid": hybrid, "path_traced": full, "disc": disc}
     reach = reach_for(fov_a, camera)

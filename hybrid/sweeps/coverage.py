@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from compose.foveation import Foveation
-from compose.view import Camera
-from hybrid.timing import REACH, gaze_path
+from compose.camera.camera import Camera
+from compose.fovea.region import Foveation
+from hybrid.measure.timing import REACH, gaze_path
 
 # So far the gaze goes at least: it must move.
 _LEAST_REACH = 0.02
@@ -43,5 +43,7 @@ def covered(radius: float, camera: Camera, count: int, reach: tuple[float, float
         count, reach: of the path.
     """
     width, height = camera.width, camera.height
-    plans = (Foveation(gaze, radius, radius).plan(width, height) for gaze in gaze_path(count, reach))
-    return float(np.mean([len(plan.pixels) for plan in plans]) / (width * height))
+    regions_along = (
+        Foveation(gaze, radius, radius).region(width, height) for gaze in gaze_path(count, reach)
+    )
+    return float(np.mean([len(region.pixels) for region in regions_along]) / (width * height))

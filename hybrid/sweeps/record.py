@@ -7,13 +7,13 @@ from typing import Any
 
 import mitsuba as mi
 
-from hybrid.metrics import missing
+from hybrid.measure.metrics.installed import missing
+from hybrid.runtime.machine import machine
 from hybrid.sweeps.catalogue import Sweep
 from hybrid.sweeps.run import Effort
 from hybrid.sweeps.setting import Setting
-from hybrid.timing import machine
-from pathtrace.scene import Scene
-from splat.forest import Forest
+from pathtrace.scene.scene import Scene
+from splat.model.forest import Forest
 
 
 def identity_of(
@@ -58,7 +58,7 @@ def applied(sweep: Sweep, base: Setting, effort: Effort) -> dict[str, Any]:
         "--fov-a": {"fov_a": base.fov_a},
         "--fov-b": {"fov_b": base.fov_b},
         "--spp": {"spp": base.spp},
-        "--law": {"law": base.viewing.law},
+        "--acuity-model": {"acuity_model": base.viewing.acuity_model},
         "--reference-spp": {"reference_spp": effort.reference_spp},
     }
     if sweep.scales_radii:

@@ -10,20 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from compose.foveation import Foveation
-from compose.view import Camera, Gaze
-from hybrid.evaluate.journal import Journal
-from hybrid.evaluate.measure import Viewer, measured
-from hybrid.evaluate.peers import FullTrace, Hybrid, Peer
-from hybrid.evaluate.regions import Region, plain_regions
-from hybrid.reference import REFERENCE_SEED, Reference, reference
-from hybrid.renderer import HybridRenderer
+from compose.camera.camera import Camera
+from compose.eye.gaze import Gaze
+from compose.fovea.region import Foveation
+from hybrid.baselines.methods import FullTrace, Hybrid, Peer
+from hybrid.frame.renderer import HybridRenderer
+from hybrid.measure.quality import Viewer, measured
+from hybrid.measure.reference import REFERENCE_SEED, Reference, reference
+from hybrid.measure.regions import Region, plain_regions
+from hybrid.measure.timing import interleaved_passes, jittered, percentiles
+from hybrid.store.journal import Journal
 from hybrid.sweeps.break_even import ratio_interval
 from hybrid.sweeps.coverage import covered, reach_for
 from hybrid.sweeps.setting import Setting
-from hybrid.timing import interleaved_passes, nudged, percentiles
-from pathtrace.scene import Scene
-from splat.forest import Forest
+from pathtrace.scene.scene import Scene
+from splat.model.forest import Forest
 
 # What quality is told apart by.
 _JUDGED = ("whole", "foveal", "peripheral")
@@ -125,7 +126,7 @@ def _advanced(
 
 def _passes(peer: Peer, camera: Camera, peers: int, place: int, gaze: Gaze, seed: int) -> dict[str, float]:
     """Of a frame whose camera no other has: rows share renderers, and these keep what a camera shows."""
-    return peer.make(nudged(camera, peers * seed + place), gaze, seed).milliseconds
+    return peer.make(jittered(camera, peers * seed + place), gaze, seed).milliseconds
 
 
 def _row(

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from compose.view import Camera
-from hybrid.periphery import Viewing
+from compose.camera.camera import Camera
+from hybrid.frame.periphery import Viewing
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Setting:
         fov_a, fov_b: radii in percent of the height.
         spp: samples per pixel in the disc.
         fovea: raw, denoised or fused.
-        viewing: display, law and layers.
+        viewing: display, acuity model and layers.
         paper: FPC's own ratios for this row, by the names of ours; empty where there are none.
         over_one_spp: whether the full frame at one sample per pixel is what to compare with as well.
     """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from hybrid.cli import main
+from hybrid.cli.main import main
 
 TINY_CAPTURE = ["--views", "5", "--held-out", "3", "--size", "32", "32", "--spp", "2", "--held-out-spp", "4"]
 TINY_TRAINING = ["--iterations", "40", "--gaussians", "400", "--degree", "1", "--layers", "2"]

@@ -17,16 +17,17 @@ from PySide6.QtGui import QImage
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QSlider
 
-from compose.view import DISPLAYS, Gaze
-from hybrid import cache
-from hybrid.demo.gaze_input import GazeInput
-from hybrid.demo.prepare import prepared
-from hybrid.demo.settings import Settings, Shows
+from compose.eye.display import DISPLAYS
+from compose.eye.gaze import Gaze
 from hybrid.demo.thread import RenderThread
 from hybrid.demo.window import Window
-from pathtrace.capture import CaptureSettings
-from splat.files import load_forest
-from splat.train import TrainingSettings
+from hybrid.interactive.gaze_input import GazeInput
+from hybrid.interactive.prepare import prepared
+from hybrid.interactive.request import Settings, Shows
+from hybrid.store import cache
+from pathtrace.dataset.capture import CaptureSettings
+from splat.io.forest_file import load_forest
+from splat.training.trainer import TrainingSettings
 
 SIZE = 320, 240
 _PATIENCE = 120.0
@@ -210,7 +211,7 @@ def random_step(window: Window, chance: random.Random) -> None:
         most = min(slider.maximum(), 40 if slider in (panel.fov_a, panel.fov_b) else 100)
         slider.setValue(chance.randint(slider.minimum(), min(most, 4) if slider is panel.spp else most))
     elif kind < 0.93:
-        panel.law.setCurrentIndex(chance.randrange(panel.law.count()))
+        panel.acuity_model.setCurrentIndex(chance.randrange(panel.acuity_model.count()))
     elif kind < 0.96:
         QTest.keyClick(canvas, chance.choice((Qt.Key.Key_Tab, Qt.Key.Key_F1, Qt.Key.Key_Space)))
     elif kind < 0.98:

@@ -28,7 +28,7 @@ def test_frames_within_a_fifth_of_the_target_keep_it():
 
 def test_a_load_in_the_middle_is_measured(made, offscreen, tmp_path):
     out = tmp_path / "bench.json"
-    command = [sys.executable, "-m", "hybrid.cli", "demo", "cornell", "--forest", made / "box.forest"]
+    command = [sys.executable, "-m", "hybrid.cli.main", "demo", "cornell", "--forest", made / "box.forest"]
     command += ["--size", 96, 64, "--target", 10, "--bench", 5, "--load", 1, "--json", out]
     ended = subprocess.run(
         [str(part) for part in command],

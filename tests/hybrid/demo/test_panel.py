@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hybrid.demo.settings import Settings
+from hybrid.interactive.request import Settings
 
 
 @pytest.fixture(scope="module")
@@ -24,8 +24,8 @@ def test_what_was_asked_for_is_kept_until_something_is_changed(application):
     chosen = panel.settings()
     assert (chosen.fov_a, chosen.fov_b, chosen.spp, chosen.target_fps) == (12.4, 11.25, 32, 24.5)
     assert chosen.layers == (1, 4)
-    panel.law.setCurrentText("none")
-    assert panel.settings().law == "none"
+    panel.acuity_model.setCurrentText("none")
+    assert panel.settings().acuity_model == "none"
 
 
 def test_no_one_hears_of_a_setting_that_is_not_valid(application):

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from compose.gaze_trace import load_gaze_trace
+from compose.eye.gaze_trace import load_gaze_trace
 from hybrid.demo.qt import tried
 from tests.hybrid.command import run
 
@@ -155,7 +155,7 @@ def test_what_is_missing_is_one_line(made, monkeypatch, capsys, tmp_path):
 )
 def test_mistakes_are_one_line_and_exit_code_2(screen, made, tmp_path, options, said):
     options = [str(made / "box.forest") if option == "box" else option for option in options]
-    command = [sys.executable, "-m", "hybrid.cli", "demo", *options]
+    command = [sys.executable, "-m", "hybrid.cli.main", "demo", *options]
     home = {"HYBRID_HOME": str(tmp_path)}
     ended = subprocess.run(command, env=screen | home, capture_output=True, text=True, timeout=300)
     assert ended.returncode == 2, ended.stderr

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from compose.view import Camera, Gaze
+from compose.camera.camera import Camera
+from compose.eye.gaze import Gaze
+from hybrid.baselines.methods import Made
 from hybrid.evaluate.budgets import NEAR, at_equal_time
-from hybrid.evaluate.peers import Made
 
 CAMERA = Camera(np.eye(4), 8, 8, 8.0, 8.0, 4.0, 4.0)
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import hybrid.evaluate.entries as entries_module
-from compose.view import Gaze
+from compose.eye.gaze import Gaze
 from hybrid.evaluate.entries import OURS, Entry, peer_entries
-from hybrid.evaluate.journal import Journal
+from hybrid.store.journal import Journal
 from tests.hybrid.evaluate.test_budgets import CAMERA, Costly
 
 

@@ -14,8 +14,8 @@ import hybrid.evaluate.tuning
 from hybrid.evaluate import timed
 from hybrid.evaluate.entries import OURS
 from hybrid.evaluate.judged import HALVES
-from hybrid.evaluate.regions import REGIONS
-from hybrid.images import write_png
+from hybrid.measure.regions import REGIONS
+from hybrid.output.images import write_png
 from hybrid.sweeps import catalogue
 from tests.hybrid.command import run
 

@@ -7,11 +7,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from compose.view import Camera, Gaze
+from compose.camera.camera import Camera
+from compose.eye.gaze import Gaze
+from hybrid.baselines.methods import Made
 from hybrid.evaluate.entries import Entry
-from hybrid.evaluate.journal import Journal
-from hybrid.evaluate.peers import Made
 from hybrid.evaluate.timed import timed
+from hybrid.store.journal import Journal
 from tests.hybrid.evaluate.test_budgets import CAMERA
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from hybrid.evaluate.trade import Point, frontier, points_of
 from hybrid.evaluate.verdicts import OURS, verdicts
+from hybrid.report.trade_points import Point, frontier, points_of
 
 METHODS = {
     (OURS, "fixed"): {"rays": 0.2, "fovea": "fused", "spp": 2},

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from compose.view import Camera
+from compose.camera.camera import Camera
+from hybrid.measure.timing import REACH
 from hybrid.sweeps.coverage import covered, reach_for
-from hybrid.timing import REACH
 
 
 def camera(width: int, height: int) -> Camera:

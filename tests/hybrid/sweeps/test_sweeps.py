@@ -6,9 +6,9 @@ import json
 
 import pytest
 
-from compose.errors import UserError
-from hybrid import periphery
-from hybrid.evaluate import peers
+from compose.base.errors import UserError
+from hybrid.baselines import methods as peers
+from hybrid.frame import periphery
 from hybrid.sweeps import catalogue
 from hybrid.sweeps import run as run_module
 from hybrid.sweeps.break_even import break_even, ratio_interval, sentence
@@ -62,11 +62,11 @@ def test_radius_has_a_row_per_size_and_radius_and_tells_where_it_breaks_even(swe
 
 def test_every_timed_frame_pays_for_what_its_camera_shows(swept, monkeypatch):
     """Rows share renderers, which keep what depends on the camera alone: what draws attention, for one."""
-    looks, cameras = [], set()
+    features, cameras = [], set()
     look, trace = periphery.saliency, peers.traced_image
 
     def counted(image):
-        looks.append(image.shape)
+        features.append(image.shape)
         return look(image)
 
     def traced(tracer, camera, *rest):
@@ -76,7 +76,7 @@ def test_every_timed_frame_pays_for_what_its_camera_shows(swept, monkeypatch):
     monkeypatch.setattr(periphery, "saliency", counted)
     monkeypatch.setattr(peers, "traced_image", traced)
     rows = swept("radius")["rows"]
-    assert len(looks) == len(rows) * (3 + 1)
+    assert len(features) == len(rows) * (3 + 1)
     assert len(cameras) == 2 * (3 + 1)
 
 
@@ -194,14 +194,14 @@ def test_a_seam_that_is_not_judged_may_be_empty_and_a_region_that_is_may_not(
     swept, made, monkeypatch, capsys
 ):
     size = ["--size", 48, 40, "--reference-spp", 4]
-    rows = swept("law", *size, "--fov-a", 25, "--fov-b", 24.99)["rows"]
+    rows = swept("acuity_model", *size, "--fov-a", 25, "--fov-b", 24.99)["rows"]
     assert all("foveal ssim" in row["quality"] for row in rows)
 
     def forbidden(*_):
         raise AssertionError("timed")
 
     monkeypatch.setattr(run_module, "interleaved_passes", forbidden)
-    command = ["sweep", "cornell", "--forest", made / "box.forest", "--over", "law", *size]
+    command = ["sweep", "cornell", "--forest", made / "box.forest", "--over", "acuity_model", *size]
     assert run(monkeypatch, *command, "--fov-a", 0.1, "--fov-b", 0.05) == 2
     assert "the foveal region of this frame is empty" in capsys.readouterr().err
 
@@ -213,7 +213,7 @@ def test_a_seam_that_is_not_judged_may_be_empty_and_a_region_that_is_may_not(
         *((over, "--spp 2") for over in ("spp", "denoiser", "trade")),
         *((over, "--fovea raw") for over in ("denoiser", "trade")),
         *(("band", option) for option in ("--fov-a 30", "--fov-b 10")),
-        ("law", "--law none"),
+        ("acuity_model", "--acuity-model none"),
         *((over, "--reference-spp 64") for over in ("resolution", "aspect", "radius", "spp", "view")),
     ],
 )
@@ -226,13 +226,15 @@ def test_an_option_that_would_change_nothing_is_refused(over, option, monkeypatc
 
 
 def test_what_applied_is_written_down_and_nothing_else(swept):
-    found = swept("radius", "--spp", 2, "--law", "none", "--display", "hmd", "--fov-a", 10, "--fov-b", 5)
+    found = swept(
+        "radius", "--spp", 2, "--acuity-model", "none", "--display", "hmd", "--fov-a", 10, "--fov-b", 5
+    )
     applied = found.keys() - {"scene", "over", "title", "rows", "break_even", "machine"}
-    assert applied == {"forest", "fovea", "fov_b_of_fov_a", "spp", "law", "display"}
-    assert (found["spp"], found["law"], found["fov_b_of_fov_a"]) == (2, "none", 0.5)
+    assert applied == {"forest", "fovea", "fov_b_of_fov_a", "spp", "acuity_model", "display"}
+    assert (found["spp"], found["acuity_model"], found["fov_b_of_fov_a"]) == (2, "none", 0.5)
     assert found["display"]["fov"] == 97.0
     assert len(found["forest"]) >= 16
-    found = swept("law", "--size", 48, 40, "--reference-spp", 4)
+    found = swept("acuity_model", "--size", 48, 40, "--reference-spp", 4)
     applied = found.keys() - {"scene", "over", "title", "rows", "break_even", "machine", "forest", "display"}
     assert applied == {"width", "height", "fovea", "fov_a", "fov_b", "spp", "reference_spp"}
 

@@ -1,0 +1,135 @@
+"""Cameras and the angles a viewer sees them under.
+
+Right-handed world. A camera is a 4x4 world-to-camera matrix in OpenCV axes (x right, y down,
+z forward) with pinhole intrinsics in pixels. Pixel centres lie at +0.5, rows count from the top.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera.
+
+    Attributes:
+        world_to_camera: (4, 4) rigid transform, OpenCV axes.
+        width, height: frame size in pixels.
+        fx, fy: focal lengths in pixels.
+        cx, cy: principal point in pixels, (width / 2, height / 2) for a centred camera.
+
+    Raises:
+        ValueError: a size or a focal length is not positive, or a number is not finite.
+    """
+
+    world_to_camera: Array
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        if self.width <= 0 or self.height <= 0:
+            raise ValueError(f"frame size {self.width} x {self.height} must be positive")
+        numbers = [self.fx, self.fy, self.cx, self.cy, *np.ravel(self.world_to_camera)]
+        if not np.all(np.isfinite(numbers)) or min(self.fx, self.fy) <= 0:
+            raise ValueError("camera has a number that is not finite, or no focal length")
+
+    @property
+    def camera_to_world(self) -> Array:
+        """(4, 4) inverse of world_to_camera."""
+        rotation, translation = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
+        inverse = np.eye(4)
+        inverse[:3, :3] = rotation.T
+        inverse[:3, 3] = -rotation.T @ translation
+        return inverse
+
+    @property
+    def position(self) -> Array:
+        """(3,) centre of projection in world space."""
+        return self.camera_to_world[:3, 3]
+
+    @property
+    def vertical_fov(self) -> float:
+        """Vertical field of view in degrees."""
+        return float(np.degrees(np.arctan(self.cy / self.fy) + np.arctan((self.height - self.cy) / self.fy)))
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same view on another frame: the vertical field of view is kept, a wider frame sees more."""
+        scale = height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * scale,
+            fy=self.fy * scale,
+            cx=width / 2 + (self.cx - self.width / 2) * scale,
+            cy=self.cy * scale,
+        )
+
+    def cropped(self, left: float, top: float, width: int, height: int) -> Camera:
+        """The camera that sees a rectangle of this frame alone, `left` and `top` in pixels."""
+        return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
+
+    def project(self, points: Array) -> tuple[Array, Array]:
+        """Pixel positions (N, 2) and depths along the view axis (N,) of world points (N, 3)."""
+        local = points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
+        depth = local[:, 2]
+        x = self.fx * local[:, 0] / depth + self.cx
+        y = self.fy * local[:, 1] / depth + self.cy
+        return np.stack([x, y], axis=1), depth
+
+    @property
+    def key(self) -> bytes:
+        """The same for cameras that see the same, and only for those."""
+        numbers = (self.width, self.height, self.fx, self.fy, self.cx, self.cy)
+        return np.array(numbers, dtype=np.float64).tobytes() + self.world_to_camera.tobytes()
+
+    def rays(self, pixels: Array) -> Array:
+        """Unit directions (N, 3) in world space through pixel positions (N, 2)."""
+        local = np.stack(
+            [
+                (pixels[:, 0] - self.cx) / self.fx,
+                (pixels[:, 1] - self.cy) / self.fy,
+                np.ones(len(pixels)),
+            ],
+            axis=1,
+        )
+        world = local @ self.world_to_camera[:3, :3]
+        return world / np.linalg.norm(world, axis=1, keepdims=True)
+
+    def pixel_centres(self) -> Array:
+        """(height * width, 2) positions of all pixel centres, row by row from the top."""
+        x, y = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
+        return np.stack([x.ravel(), y.ravel()], axis=1)
+
+
+def camera_from_pose(
+    camera_to_world: Array, width: int, height: int, fx: float, fy: float, cx: float, cy: float
+) -> Camera:
+    """A camera from its pose: (4, 4) camera-to-world, OpenCV axes."""
+    rotation, translation = camera_to_world[:3, :3], camera_to_world[:3, 3]
+    inverse = np.eye(4)
+    inverse[:3, :3] = rotation.T
+    inverse[:3, 3] = -rotation.T @ translation
+    return Camera(inverse, width, height, float(fx), float(fy), float(cx), float(cy))
+
+
+def look_at(position: Array, target: Array, up: Array) -> Array:
+    """Camera-to-world in OpenCV axes that looks from position to target, (3,) each."""
+    forward = target - position
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, up)
+    right = right / np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+    pose[:3, 3] = position
+    return pose

@@ -1,0 +1,56 @@
+"""Where the viewer looks, and the eccentricity of everything else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.errors import UserError
+from compose.camera.camera import Array, Camera
+
+
+@dataclass(frozen=True)
+class Gaze:
+    """Where the viewer looks, in fractions of the frame's width and height; may lie outside of it.
+
+    Raises:
+        ValueError: a coordinate is not a finite number.
+    """
+
+    x: float = 0.5
+    y: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not np.all(np.isfinite([self.x, self.y])):
+            raise ValueError(f"gaze ({self.x}, {self.y}) is not a pair of finite numbers")
+
+    def pixel(self, width: int, height: int) -> tuple[float, float]:
+        """Position in pixels."""
+        return self.x * width, self.y * height
+
+
+def require_within_frame(x: float, y: float) -> None:
+    """Refuses a gaze, in fractions of the frame, with which nothing could be judged.
+
+    Raises:
+        UserError: it lies outside of the frame, or is not a number.
+    """
+    if not (0 <= x <= 1 and 0 <= y <= 1):
+        raise UserError(f"--gaze {x} {y}: lies outside of the frame, 0..1 each")
+
+
+def eccentricity(camera: Camera, gaze: Gaze) -> NDArray[np.float32]:
+    """(H, W) angle in degrees between each pixel's ray and the gaze's ray, along the great circle."""
+    angle = eccentricity_at(camera, gaze, camera.pixel_centres())
+    return angle.reshape(camera.height, camera.width).astype(np.float32)
+
+
+def eccentricity_at(camera: Camera, gaze: Gaze, pixels: Array) -> Array:
+    """(N,) angle in degrees between the rays through pixel positions (N, 2) and the gaze's ray."""
+    gaze_ray = camera.rays(np.array([gaze.pixel(camera.width, camera.height)]))[0]
+    rays = camera.rays(pixels)
+    # atan2 keeps its precision near zero, where arccos of a dot product loses half its digits.
+    sine = np.linalg.norm(np.cross(rays, gaze_ray), axis=1)
+    return np.degrees(np.arctan2(sine, rays @ gaze_ray))

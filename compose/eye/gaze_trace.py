@@ -1,0 +1,81 @@
+"""Where a viewer looked, over time: recorded, replayed, late, or made up with saccades."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from bisect import bisect_right
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from compose.base.errors import UserError
+from compose.base.files import write_whole
+from compose.eye.gaze import Gaze
+
+_COLUMNS = ["seconds", "x", "y"]
+
+
+@dataclass(frozen=True)
+class GazeTrace:
+    """A viewer's gaze at some times.
+
+    Attributes:
+        seconds: ascending, from 0 on.
+        gazes: one for each, in fractions of the frame.
+    """
+
+    seconds: tuple[float, ...]
+    gazes: tuple[Gaze, ...]
+
+    @property
+    def duration(self) -> float:
+        """Seconds until the last of them."""
+        return self.seconds[-1]
+
+    def at(self, seconds: float) -> Gaze:
+        """The newest gaze at a time; the first one before that."""
+        return self.gazes[max(0, bisect_right(self.seconds, seconds) - 1)]
+
+    def digest(self) -> str:
+        """The same for the same gazes at the same times, and only for those."""
+        return hashlib.sha256(repr(self).encode()).hexdigest()[:16]
+
+    def save(self, path: Path) -> None:
+        """Writes a CSV file with the columns seconds, x, y."""
+        rows = [
+            f"{s:.4f},{gaze.x:.6f},{gaze.y:.6f}" for s, gaze in zip(self.seconds, self.gazes, strict=True)
+        ]
+        text = "\n".join([",".join(_COLUMNS), *rows]) + "\n"
+        write_whole(path, lambda part: part.write_text(text))
+
+
+def load_gaze_trace(path: Path) -> GazeTrace:
+    """A trace from a CSV file with the columns seconds, x, y; its times are counted from the first one on.
+
+    Raises:
+        UserError: the file cannot be read, has other columns or no rows, a row is no gaze, or time goes back.
+    """
+    try:
+        with path.open(newline="") as file:
+            rows = list(csv.reader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise UserError(f"{path}: cannot be read ({error})") from error
+    if not rows or [name.strip() for name in rows[0]] != _COLUMNS:
+        raise UserError(f"{path}: is no gaze trace; its first line must be {','.join(_COLUMNS)}")
+    seconds: list[float] = []
+    gazes: list[Gaze] = []
+    for number, row in enumerate(rows[1:], 2):
+        try:
+            second, x, y = (float(value) for value in row)
+            gaze = Gaze(x, y)
+        except ValueError as error:
+            raise UserError(f"{path}: line {number} is no gaze ({','.join(row)})") from error
+        if not np.isfinite(second) or (seconds and second < seconds[-1]):
+            raise UserError(f"{path}: line {number}: time {row[0]} does not come after the line before it")
+        seconds.append(second)
+        gazes.append(gaze)
+    if not seconds:
+        raise UserError(f"{path}: holds no gaze")
+    return GazeTrace(tuple(second - seconds[0] for second in seconds), tuple(gazes))

@@ -1,0 +1,145 @@
+"""The disc that is path-traced, the part that is not rasterized, and the band between them.
+
+Radii are in percent of the frame's height, measured in pixels on the screen (Foveated Path Culling,
+section 3): the path tracer covers r < fov-a, the splats cover r > fov-b, the weight is linear between.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.errors import UserError
+from compose.eye.gaze import Gaze
+from compose.fovea.rectangle import Rectangle
+
+
+@dataclass(frozen=True)
+class Foveation:
+    """Where the viewer looks and how large the fovea is.
+
+    Attributes:
+        gaze: in fractions of the frame.
+        fov_a: outer radius in percent of the height; 0 traces nothing.
+        fov_b: inner radius in percent of the height; inside of it nothing is rasterized.
+
+    Raises:
+        UserError: a radius is negative or not finite, or fov-b is larger than fov-a.
+    """
+
+    gaze: Gaze
+    fov_a: float = 20.0
+    fov_b: float = 15.0
+
+    def __post_init__(self) -> None:
+        for option, value in (("--fov-a", self.fov_a), ("--fov-b", self.fov_b)):
+            if not np.isfinite(value) or value < 0:
+                raise UserError(f"{option} {value}: must be a percentage of the height, 0 or more")
+        if self.fov_b > self.fov_a:
+            raise UserError(
+                f"--fov-b {self.fov_b} is larger than --fov-a {self.fov_a}: it is the inner radius"
+            )
+
+    def region(self, width: int, height: int) -> FoveaRegion:
+        """What this foveation means on a frame of that many pixels."""
+        gaze_x, gaze_y = self.gaze.pixel(width, height)
+        outer, inner = self.fov_a / 100 * height, self.fov_b / 100 * height
+        furthest = [max(at, side - at) - 0.5 for at, side in ((gaze_x, width), (gaze_y, height))]
+        if np.hypot(furthest[0], furthest[1]) < outer:
+            # Nothing of the periphery is left to blend with.
+            pixels = np.arange(width * height, dtype=np.uint32)
+            weights = np.ones(len(pixels), dtype=np.float32)
+        else:
+            pixels, radius = _disc(gaze_x, gaze_y, outer, width, height)
+            weights = (
+                np.clip((outer - radius) / (outer - inner), 0, 1) if outer > inner else np.ones_like(radius)
+            )
+        return FoveaRegion(width, height, pixels, weights, (gaze_x, gaze_y), inner)
+
+
+@dataclass(frozen=True)
+class FoveaRegion:
+    """A foveation on a frame.
+
+    Attributes:
+        width, height: frame in pixels.
+        pixels: (D,) row-major indices of the pixels to path-trace.
+        weights: (D,) share of the path-traced radiance in each of them, 0..1; 0 in all other pixels.
+        centre: of the disc, in pixels.
+        inner: radius in pixels inside of which nothing of the splats shows.
+    """
+
+    width: int
+    height: int
+    pixels: NDArray[np.uint32]
+    weights: NDArray[np.float32]
+    centre: tuple[float, float]
+    inner: float
+
+    @property
+    def covers_frame(self) -> bool:
+        """Whether nothing of the periphery is left."""
+        return len(self.pixels) == self.width * self.height
+
+    def weight_image(self) -> NDArray[np.float32]:
+        """(H, W) weight of the path-traced radiance; that of the splats is one minus it."""
+        image = np.zeros(self.width * self.height, dtype=np.float32)
+        image[self.pixels] = self.weights
+        return image.reshape(self.height, self.width)
+
+    @cached_property
+    def rectangle(self) -> Rectangle:
+        """That around the disc; there must be a disc."""
+        return Rectangle.around(self.pixels, self.width, self.height)
+
+    def foveal_tiles(self, tile: int) -> NDArray[np.bool_]:
+        """(rows, columns) bool: tiles that the rectangle around the disc touches."""
+        tiles = np.zeros((-(-self.height // tile), -(-self.width // tile)), dtype=bool)
+        if len(self.pixels):
+            rows, columns = self.rectangle.box
+            down, across = (slice(s.start // tile, -(-s.stop // tile)) for s in (rows, columns))
+            tiles[down, across] = True
+        return tiles
+
+    def peripheral_tiles(self, tile: int) -> NDArray[np.bool_]:
+        """(rows, columns) bool: tiles in which at least one pixel shows some of the splats."""
+        if self.covers_frame:
+            return np.zeros((-(-self.height // tile), -(-self.width // tile)), dtype=bool)
+        # A tile is hidden when the one of its pixels furthest from the centre is.
+        y, x = (
+            np.maximum(np.abs(first + 0.5 - middle), np.abs(np.minimum(first + tile, size) - 0.5 - middle))
+            for size, middle in ((self.height, self.centre[1]), (self.width, self.centre[0]))
+            for first in (np.arange(0, size, tile),)
+        )
+        return np.hypot(y[:, None], x[None, :]) >= self.inner
+
+
+def _disc(
+    x: float, y: float, radius: float, width: int, height: int
+) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
+    """Row-major indices (D,) of the pixels whose centres lie within a radius, and their distances (D,).
+
+    Row by row: a frame has many times the disc's pixels.
+    """
+    first, stop = _span(y, np.float64(radius), height)
+    down = np.arange(first, stop) + 0.5 - y
+    starts, stops = _span(x, np.sqrt(np.maximum(radius**2 - down**2, 0)), width)
+    counts = np.maximum(stops - starts, 0)
+    # Half as many bytes as numpy would take by itself: this is about memory.
+    before = (np.cumsum(counts) - counts).astype(np.int32)
+    column = np.arange(counts.sum(), dtype=np.int32) - np.repeat(before - starts.astype(np.int32), counts)
+    pixels = column + np.repeat(np.arange(first, stop, dtype=np.int32) * width, counts)
+    across = column.astype(np.float32) + np.float32(0.5 - x)
+    radius_squared = across**2 + np.repeat((down**2).astype(np.float32), counts)
+    return pixels.view(np.uint32), np.sqrt(radius_squared)
+
+
+def _span(centre: float, half: Any, size: int) -> tuple[Any, Any]:
+    """First pixel of one axis whose centre lies within the half widths, and the one after the last."""
+    ends = np.floor(centre - half - 0.5) + 1, np.ceil(centre + half - 0.5)
+    first, stop = (np.clip(end, 0, size).astype(np.int64) for end in ends)
+    return first, stop

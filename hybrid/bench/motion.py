@@ -1,0 +1,165 @@
+"""What the fovea's history is worth while the viewer walks and turns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.errors import UserError
+from compose.camera.camera import Camera
+from compose.eye.gaze import Gaze
+from compose.fovea.rectangle import Rectangle
+from compose.fovea.region import FoveaRegion, Foveation
+from compose.fovea.samples import Samples
+from compose.fusion.network import Fusion
+from compose.image.colour import Image
+from hybrid.bench.fusion import means, measured, unfitted_views, whole_underlay
+from hybrid.frame.fovea import Fovea
+from hybrid.frame.fusion import fusion_of
+from hybrid.frame.periphery import Periphery, Viewing
+from hybrid.measure.metrics.psnr import psnr
+from hybrid.measure.reference import REFERENCE_SEED, reference
+from pathtrace.dataset.frames import FrameSet
+from pathtrace.scene.scene import Scene
+from pathtrace.trace.film import frame_positions
+from pathtrace.trace.tracer import Tracer
+from splat.base.arrays import Arrays
+from splat.model.forest import Forest
+
+FRAMES = 16
+_SCALE = 2
+_FRAMES_PER_SECOND = 30.0
+_TURN = 10.0  # degrees per second
+_STRIDE = 0.3  # of the distance to what the viewer looks at, per second
+_RADIUS = 20.0  # of the disc, in percent of the height
+
+
+def walk(camera: Camera, distance: float) -> list[Camera]:
+    """The last FRAMES frames of a walk that ends at the camera: sideways, turning towards the way it goes."""
+    path = []
+    for step in range(FRAMES - 1, -1, -1):
+        seconds = step / _FRAMES_PER_SECOND
+        angle = np.radians(_TURN * seconds)
+        turn = np.eye(4)
+        turn[0, 0] = turn[2, 2] = np.cos(angle)
+        turn[0, 2], turn[2, 0] = np.sin(angle), -np.sin(angle)
+        aside = np.eye(4)
+        aside[0, 3] = -_STRIDE * distance * seconds
+        pose = camera.camera_to_world @ aside @ turn
+        path.append(replace(camera, world_to_camera=np.asarray(np.linalg.inv(pose), dtype=np.float64)))
+    return path
+
+
+def bench_motion(
+    arrays: Arrays,
+    scene: Scene,
+    frames: FrameSet,
+    forest: Forest,
+    reference_spp: int,
+    progress: Callable[[int, int], None],
+) -> list[dict[str, Any]]:
+    """One row per mode and method: the last disc of a walk at one sample a frame, and discs of single frames.
+
+    The viewer keeps looking at the same thing while walking past it. `fresh` is the PSNR over the pixels
+    that have no history.
+
+    Args:
+        arrays, scene, forest: what is rendered.
+        frames: that the forest was trained on; its unfitted views, at twice their resolution, are where the
+            walks end.
+        reference_spp: samples per pixel of the references.
+        progress: called with walks done and walks in all.
+    """
+    tracer, fusion = Tracer(scene), fusion_of(forest)
+    periphery = Periphery(arrays, forest, Viewing(acuity_model="none"))
+    found: dict[tuple[str, str], list[dict[str, float]]] = {}
+    views = unfitted_views(frames)
+    for done, view in enumerate(views):
+        camera = view.resized(view.width * _SCALE, view.height * _SCALE)
+        region = _disc(camera, Gaze())
+        around = region.rectangle
+        truth = _reference(tracer, camera, around, reference_spp)
+        for mode in ("raw", "denoised", "fused"):
+            discs, fresh = _discs(tracer, periphery, fusion, mode, camera, region)
+            for method, disc in discs.items():
+                found.setdefault((mode, method), []).append(_measured(around, disc, truth, fresh))
+        progress(done + 1, len(views))
+    return [
+        {
+            "scene": scene.name,
+            "mode": mode,
+            "method": method,
+            **means(rows),
+        }
+        for (mode, method), rows in found.items()
+    ]
+
+
+def _disc(camera: Camera, gaze: Gaze) -> FoveaRegion:
+    return Foveation(gaze, _RADIUS, _RADIUS).region(camera.width, camera.height)
+
+
+def _discs(
+    tracer: Tracer,
+    periphery: Periphery,
+    fusion: Fusion | None,
+    mode: str,
+    camera: Camera,
+    region: FoveaRegion,
+) -> tuple[dict[str, Image], NDArray[np.bool_]]:
+    """The walk's last disc by each method, and which of its pixels have no history."""
+    distance = _distance(tracer, camera)
+    ray = camera.rays(np.array([[camera.cx, camera.cy]]))
+    watched = camera.position + distance * ray
+    fovea, alone = Fovea(tracer, mode, fusion, remembers=True), Fovea(tracer, mode, fusion)
+    underlay = whole_underlay(periphery, camera)
+
+    def shown(maker: Fovea, samples: Samples) -> Image:
+        return maker.picture(camera, region, samples, underlay.radiance, underlay).radiance
+
+    path = walk(camera, distance)
+    for seed, earlier in enumerate(path[:-1]):
+        pixel, _ = earlier.project(watched)
+        gaze = Gaze(float(pixel[0, 0]) / camera.width, float(pixel[0, 1]) / camera.height)
+        fovea.disc.trace(earlier, _disc(earlier, gaze), 1, seed)
+    fresh = fovea.disc.known(camera, region, 1, FRAMES).count == 0
+    samples = fovea.disc.trace(camera, region, 1, FRAMES)
+    discs = {f"{FRAMES} frames of 1 spp": shown(fovea, samples)}
+    for spp in (1, 8):
+        discs[f"single frame, {spp} spp"] = shown(alone, alone.disc.trace(camera, region, spp, FRAMES))
+    return discs, fresh
+
+
+def _distance(tracer: Tracer, camera: Camera) -> float:
+    """Of what lies in the middle of the view; if that is sky, the median of what is seen."""
+    found = tracer.hits(camera, frame_positions(camera)).distance
+    middle = found[camera.height // 2 * camera.width + camera.width // 2]
+    hits = found[np.isfinite(found)]
+    if not len(hits):
+        raise UserError("a view sees nothing to walk past")
+    return float(middle if np.isfinite(middle) else np.median(hits))
+
+
+def _reference(tracer: Tracer, camera: Camera, around: Rectangle, spp: int) -> Image:
+    """(D, 3) of the disc, from a crop around it."""
+    rows, columns = around.box
+    height, width = around.shape
+    crop = camera.cropped(columns.start, rows.start, width, height)
+    return around.taken(reference(tracer, crop, spp, REFERENCE_SEED).radiance)
+
+
+def _measured(around: Rectangle, disc: Image, truth: Image, fresh: NDArray[np.bool_]) -> dict[str, float]:
+    """Metrics over the rectangle around the disc, equal in its corners; PSNR over the disc alone."""
+    black = np.zeros((*around.shape, 3), dtype=np.float32)
+    right = around.scattered(black, truth)
+    found = measured(around.scattered(black, disc), right)
+    found["psnr"] += 10 * float(np.log10(len(disc) / black[..., 0].size))
+    if fresh.any():
+        elsewhere_right = around.scattered(black, np.where(fresh[:, None], disc, truth))
+        share = np.count_nonzero(fresh) / black[..., 0].size
+        found["fresh_psnr"] = psnr(elsewhere_right, right) + 10 * float(np.log10(share))
+    return found

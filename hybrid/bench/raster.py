@@ -1,0 +1,77 @@
+"""The rasterizer alone, on Gaussians drawn at random in the frame."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from hybrid.measure.timing import percentiles
+from splat.base.arrays import Arrays
+from splat.raster.binning import bin_splats
+from splat.raster.blending import padded_size, rasterize
+from splat.raster.blocks import CHANNELS
+from splat.raster.gradient import rasterize_backward
+from splat.raster.projection import Splats
+
+
+def random_splats(arrays: Arrays, count: int, width: int, height: int, rng: np.random.Generator) -> Splats:
+    """Means uniform over the frame, sd 0.5 px + lognormal(0.7, 0.6), opacity uniform in 0.05..0.99."""
+    x, y = rng.uniform(0, width, count), rng.uniform(0, height, count)
+    sd = 0.5 + rng.lognormal(0.7, 0.6, (2, count))
+    turn = rng.uniform(0, np.pi, count)
+    opacity, colour = rng.uniform(0.05, 0.99, count), rng.uniform(0, 1, (3, count))
+    depth = rng.uniform(1, 10, count)
+    cosine, sine, (a, b) = np.cos(turn), np.sin(turn), 1 / sd**2
+    xx, yy = cosine**2 * a + sine**2 * b, sine**2 * a + cosine**2 * b
+    values = (x, y, xx, cosine * sine * (a - b), yy, opacity, *colour, depth)
+    splats = Splats(*(arrays.plain.Float(v.astype(np.float32)) for v in values))
+    dr.eval(splats.__dict__)
+    return splats
+
+
+def bench_raster(
+    arrays: Arrays,
+    gaussians: int,
+    width: int,
+    height: int,
+    seed: int,
+    repeats: int,
+    warm_up: int,
+    progress: Callable[[int, int], None],
+) -> dict[str, Any]:
+    """Times of binning and blending (forward) and of the gradient (backward), all data on the device."""
+    rng = np.random.default_rng(seed)
+    splats = random_splats(arrays, gaussians, width, height, rng)
+    forward, backward = [], []
+    for step in range(-warm_up, repeats):
+        start = time.perf_counter()
+        bins = bin_splats(arrays, splats, width, height)
+        image = rasterize(arrays, splats, bins)
+        dr.sync_thread()
+        middle = time.perf_counter()
+        if step == -warm_up:
+            padded = padded_size(bins)
+            gradient = arrays.plain.Float(
+                rng.normal(size=padded[0] * padded[1] * CHANNELS).astype(np.float32)
+            )
+            dr.eval(gradient)
+            middle = time.perf_counter()
+        rasterize_backward(arrays, splats, bins, image, gradient)
+        dr.sync_thread()
+        if step >= 0:
+            forward.append((middle - start) * 1000)
+            backward.append((time.perf_counter() - middle) * 1000)
+        progress(step + warm_up + 1, warm_up + repeats)
+    return {
+        "gaussians": gaussians,
+        "width": width,
+        "height": height,
+        "pairs": bins.pairs,
+        "forward_ms": percentiles(forward),
+        "backward_ms": percentiles(backward),
+        "repeats": repeats,
+    }

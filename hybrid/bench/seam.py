@@ -1,0 +1,100 @@
+"""How well the two renderers meet: what differs between both sides of the band, and whether it is seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.eye.display import Display
+from compose.eye.gaze import Gaze
+from compose.fovea.mode import MODES
+from compose.fovea.region import FoveaRegion, Foveation
+from compose.image.colour import Image
+from hybrid.bench.fusion import means, unfitted_views
+from hybrid.frame.frame import Frame
+from hybrid.frame.periphery import Viewing
+from hybrid.frame.renderer import HybridRenderer
+from hybrid.measure.metrics.fovvideovdp import jod
+from hybrid.measure.reference import REFERENCE_SEED, reference
+from hybrid.measure.regions import Region, plain_regions
+from pathtrace.dataset.frames import FrameSet
+from pathtrace.scene.scene import Scene
+from splat.model.forest import Forest
+
+GAZES = (Gaze(0.5, 0.5), Gaze(0.35, 0.4))
+_SCALE = 2
+# Of the band, all around: wide enough to average noise, narrow enough to show where the seam is.
+_SECTORS = 24
+# No difference is taken relative to less luminance than this.
+_DARK = 0.01
+
+
+def bench_seam(
+    scene: Scene,
+    frames: FrameSet,
+    forest: Forest,
+    display: Display,
+    spp: int,
+    reference_spp: int,
+    progress: Callable[[int, int], None],
+) -> list[dict[str, Any]]:
+    """One row per way to make the fovea: means over the unfitted views, at twice their resolution, and gazes.
+
+    Args:
+        scene, forest: what is rendered.
+        frames: that the forest was trained on.
+        display: what the frames are looked at on.
+        spp: samples per pixel in the disc.
+        reference_spp: samples per pixel of the references.
+        progress: called with views done and views in all.
+    """
+    found: dict[str, list[dict[str, float]]] = {mode: [] for mode in MODES}
+    views = unfitted_views(frames)
+    renderers = {mode: HybridRenderer(scene, forest, Viewing(display), mode) for mode in MODES}
+    for done, view in enumerate(views):
+        camera = view.resized(view.width * _SCALE, view.height * _SCALE)
+        truth = reference(renderers["raw"].tracer, camera, reference_spp, REFERENCE_SEED).radiance
+        for foveation in map(Foveation, GAZES):
+            band = plain_regions(foveation, (camera.height, camera.width), ("seam",))["seam"]
+            for mode, renderer in renderers.items():
+                frame = renderer.frame(camera, foveation, spp, done)
+                found[mode].append(_seam(frame, band, truth, display, foveation.gaze))
+        progress(done + 1, len(views))
+    return [{"scene": scene.name, "mode": mode, "spp": spp, **means(rows)} for mode, rows in found.items()]
+
+
+def _seam(frame: Frame, band: Region, truth: Image, display: Display, gaze: Gaze) -> dict[str, float]:
+    """Both sides of the band in linear luminance, relative to what is right; and the band's JOD.
+
+    `difference` is that of the means over all of the band that is traced, `sectors` the root mean square over
+    its sectors.
+    """
+    region = frame.region
+    traced = band.mask.ravel()[region.pixels]
+    pixels = region.pixels[traced]
+    right = _luminance(truth.reshape(-1, 3)[pixels])
+    outer = _luminance(frame.periphery.reshape(-1, 3)[pixels])
+    difference = _luminance(frame.fovea.radiance[traced]) - outer
+    sector = _sectors(region, pixels)
+    present = np.unique(sector)
+    local = [difference[sector == s].mean() / max(right[sector == s].mean(), _DARK) for s in present]
+    row = {
+        "difference": float(difference.mean() / max(right.mean(), _DARK)),
+        "sectors": float(np.sqrt(np.mean(np.square(local)))),
+    }
+    seen = jod(band.alone(frame.composite, truth), truth, display, gaze)
+    return row if seen is None else {**row, "jod": seen}
+
+
+def _luminance(radiance: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.asarray(radiance @ np.array([0.2126, 0.7152, 0.0722], dtype=np.float32))
+
+
+def _sectors(region: FoveaRegion, pixels: NDArray[np.uint32]) -> NDArray[np.int64]:
+    """(B,) which part of the band all around each pixel is in."""
+    row, column = pixels // region.width, pixels % region.width
+    angle = np.arctan2(row + 0.5 - region.centre[1], column + 0.5 - region.centre[0])
+    return ((angle / (2 * np.pi) + 0.5) * _SECTORS).astype(np.int64) % _SECTORS

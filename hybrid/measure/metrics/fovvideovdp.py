@@ -1,0 +1,55 @@
+"""FovVideoVDP (Mantiuk et al. 2021), where it is installed: its licence keeps it out of the requirements."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from compose.eye.display import Display
+from compose.eye.gaze import Gaze
+from compose.image.colour import Image, srgb_from_radiance
+
+# What a good monitor reaches in a lit room.
+_CONTRAST = 1000
+INSTALL = "JOD needs FovVideoVDP (CC BY-NC 4.0): pip install 'foveated-hybrid-renderer[metrics]'"
+
+
+def jod(image: Image, reference: Image, display: Display, gaze: Gaze) -> float | None:
+    """Quality of a frame (H, W, 3) in linear radiance to a viewer with that gaze, 10 for no difference.
+
+    Returns:
+        Just-objectionable differences, None where the metric is not installed.
+    """
+    try:
+        import pyfvvdp  # noqa: F401
+        import torch
+    except ImportError:
+        return None
+    height, width = image.shape[:2]
+    score, _ = _metric(width, height, display).predict(
+        srgb_from_radiance(image),
+        srgb_from_radiance(reference),
+        dim_order="HWC",
+        fixation_point=torch.tensor(gaze.pixel(width, height)),
+    )
+    return float(score)
+
+
+@lru_cache(maxsize=8)
+def _metric(width: int, height: int, display: Display) -> Any:
+    """The metric for pictures of one size; making it takes as long as using it."""
+    import pyfvvdp
+    import torch
+
+    across = float(np.degrees(2 * np.arctan(width / 2 / display.focal)))
+    return pyfvvdp.fvvdp(
+        display_geometry=pyfvvdp.fvvdp_display_geometry((width, height), fov_horizontal=across),
+        display_photometry=pyfvvdp.fvvdp_display_photo_eotf(
+            display.luminance, contrast=_CONTRAST, EOTF="sRGB"
+        ),
+        # Without it the fixation is ignored.
+        foveated=True,
+        device=torch.device("cpu"),
+    )

@@ -1,0 +1,110 @@
+"""The parts of a frame over which quality is told apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import zoom
+
+from compose.base.errors import UserError
+from compose.eye.gaze import require_within_frame
+from compose.eye.saliency import saliency
+from compose.fovea.region import Foveation
+from compose.image.colour import Image
+
+# In the order of every table.
+REGIONS = ("whole", "foveal", "seam", "peripheral", "salient")
+# What draws attention more than so much of the frame does is salient.
+_SALIENT_ABOVE = 0.8
+# Side, in pixels, of the picture in which attention is looked for.
+_COARSE = 64
+
+
+@dataclass(frozen=True)
+class Region:
+    """Some pixels of a frame.
+
+    Attributes:
+        name: one of REGIONS.
+        mask: (H, W).
+        box: rows and columns around them.
+    """
+
+    name: str
+    mask: NDArray[np.bool_]
+    box: tuple[slice, slice]
+
+    @staticmethod
+    def of(name: str, mask: NDArray[np.bool_]) -> Region:
+        """Raises UserError where there are no such pixels."""
+        rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+        if not len(rows):
+            raise UserError(f"the {name} region of this frame is empty: nothing can be measured there")
+        box = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+        return Region(name, mask, box)
+
+    def alone(self, image: Image, reference: Image) -> Image:
+        """(H, W, 3) the reference with these pixels of the image: no error from elsewhere leaks in."""
+        return np.where(self.mask[..., None], image, reference)
+
+
+def regions(foveation: Foveation, reference: Image) -> dict[str, Region]:
+    """All regions of a frame, by name.
+
+    The whole; the foveal disc inside fov-a, its band included; the seam, which is that band from fov-b to
+    fov-a; the periphery outside fov-a; and what of the reference draws attention.
+
+    Args:
+        foveation: gaze and radii.
+        reference: (H, W, 3) converged radiance.
+
+    Raises:
+        UserError: the gaze is outside of the frame, or a region is empty.
+    """
+    plain = plain_regions(foveation, (reference.shape[0], reference.shape[1]))
+    return {**plain, "salient": Region.of("salient", _salient(reference))}
+
+
+def plain_regions(
+    foveation: Foveation, size: tuple[int, int], wanted: Sequence[str] = REGIONS[:-1]
+) -> dict[str, Region]:
+    """The regions that foveation alone decides on, by name.
+
+    Args:
+        foveation: gaze and radii.
+        size: height and width of the frame.
+        wanted: names, any but salient.
+
+    Raises:
+        UserError: the gaze is outside of the frame, or a region that is wanted is empty.
+    """
+    gaze = foveation.gaze
+    require_within_frame(gaze.x, gaze.y)
+    height, width = size
+    x, y = gaze.pixel(width, height)
+    radius = np.hypot(np.arange(width)[None, :] + 0.5 - x, np.arange(height)[:, None] + 0.5 - y)
+    outer, inner = (percent / 100 * height for percent in (foveation.fov_a, foveation.fov_b))
+    masks = {
+        "whole": np.ones((height, width), dtype=bool),
+        "foveal": radius < outer,
+        "seam": (radius >= inner) & (radius < outer),
+        "peripheral": radius >= outer,
+    }
+    # A seam of no width, or a disc that covers the frame, is how the frame was asked for.
+    left_out = {"seam"} if outer == inner else set()
+    if masks["foveal"].all():
+        left_out |= {"peripheral", "seam"}
+    return {name: Region.of(name, mask) for name, mask in masks.items() if name in set(wanted) - left_out}
+
+
+def _salient(reference: Image) -> NDArray[np.bool_]:
+    """(H, W) the fifth of a frame that draws most attention."""
+    height, width = reference.shape[:2]
+    step = max(1, max(height, width) // _COARSE)
+    rows, columns = height // step, width // step
+    coarse = reference[: rows * step, : columns * step].reshape(rows, step, columns, step, 3).mean((1, 3))
+    found = zoom(saliency(coarse.astype(np.float32)), (height / rows, width / columns), order=1)
+    return np.asarray(found > np.quantile(found, _SALIENT_ABOVE))

@@ -1,0 +1,101 @@
+"""Times of frames: warm-up, methods interleaved along a fixed gaze path, medians."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from compose.camera.camera import Camera
+from compose.eye.gaze import Gaze
+
+# How far the gaze goes from the middle, in fractions of the frame's width and height.
+REACH = (0.15, 0.15)
+# Degrees from one frame's camera to the next one's, and after how many they return: with 50 pixels per
+# degree, a twentieth of a pixel at most.
+_NUDGE, _NUDGES = 1e-6, 1000
+
+
+def percentiles(milliseconds: list[float], wanted: Sequence[int] = (50, 95)) -> dict[str, float]:
+    """Percentiles by their names, such as p50 for the median."""
+    return {f"p{percent}": float(np.percentile(milliseconds, percent)) for percent in wanted}
+
+
+def gaze_path(count: int, reach: tuple[float, float] = REACH) -> list[Gaze]:
+    """A closed curve around the middle of the frame.
+
+    Args:
+        count: points on it.
+        reach: how far it goes from the middle, in fractions of the frame's width and height. By default, a
+            disc with a radius of up to 35 % of the height stays whole in frames no narrower than high.
+    """
+    turns = (2 * math.pi * i / count for i in range(count))
+    return [Gaze(0.5 + reach[0] * math.sin(t), 0.5 + reach[1] * math.sin(2 * t + 0.5)) for t in turns]
+
+
+def jittered(camera: Camera, number: int) -> Camera:
+    """The camera, turned about its own vertical axis by so little that no picture shows it.
+
+    Frames of one camera share what depends on the camera alone. A frame that is timed with a camera of its
+    own pays for all of it, as every frame does while the viewer moves.
+
+    Args:
+        camera: the view.
+        number: of the frame. A thousand in turn have different keys, none of them the camera's own.
+    """
+    angle = math.radians(_NUDGE) * (1 + number % _NUDGES)
+    turn = np.eye(4)
+    turn[0, ::2] = math.cos(angle), math.sin(angle)
+    turn[2, ::2] = -math.sin(angle), math.cos(angle)
+    return replace(camera, world_to_camera=turn @ camera.world_to_camera)
+
+
+def interleaved(
+    methods: dict[str, Callable[[Gaze, int], Any]],
+    repeats: int,
+    warm_up: int,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    reach: tuple[float, float] = REACH,
+) -> dict[str, list[float]]:
+    """Milliseconds of each method at each step of the gaze path; all methods take a step in turn.
+
+    Args:
+        methods: functions of gaze and seed that return when their frame is complete.
+        repeats: measured frames per method.
+        warm_up: frames before that, not counted.
+        progress: called with (rounds done, rounds in all).
+        reach: of the gaze path.
+    """
+
+    def total(method: Callable[[Gaze, int], Any], gaze: Gaze, seed: int) -> dict[str, float]:
+        start = time.perf_counter()
+        method(gaze, seed)
+        return {"total": (time.perf_counter() - start) * 1000}
+
+    timed = [partial(total, method) for method in methods.values()]
+    found = interleaved_passes(timed, repeats, warm_up, progress, reach)
+    return {n: [frame["total"] for frame in frames] for n, frames in zip(methods, found, strict=True)}
+
+
+def interleaved_passes(
+    methods: Sequence[Callable[[Gaze, int], dict[str, float]]],
+    repeats: int,
+    warm_up: int,
+    progress: Callable[[int, int], None],
+    reach: tuple[float, float] = REACH,
+) -> list[list[dict[str, float]]]:
+    """Milliseconds per pass, of each frame of each method: `interleaved` for frames that time themselves."""
+    found: list[list[dict[str, float]]] = [[] for _ in methods]
+    path = gaze_path(repeats, reach)
+    for turn in range(-warm_up, repeats):
+        for method, frames in zip(methods, found, strict=True):
+            milliseconds = method(path[turn % repeats], turn + warm_up)
+            if turn >= 0:
+                frames.append(milliseconds)
+        progress(turn + warm_up + 1, warm_up + repeats)
+    return found

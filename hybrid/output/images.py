@@ -1,0 +1,60 @@
+"""Pictures in files: EXR with named layers in linear radiance, PNG in sRGB."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+from PIL import Image as PillowImage
+
+from compose.base.errors import UserError
+from compose.base.files import write_whole
+from compose.image.colour import Image, bytes_from_radiance
+
+
+def check_writable(path: Path) -> None:
+    """Before long work begins: whether its result can be written.
+
+    Raises:
+        UserError: the folder cannot be made or written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{path}: its folder cannot be made ({error.strerror})") from error
+    if not os.access(path.parent, os.W_OK | os.X_OK) or path.is_dir():
+        raise UserError(f"{path}: cannot be written there")
+
+
+def write_png(path: Path, radiance: Image) -> None:
+    """Writes linear (H, W, 3) radiance as sRGB."""
+    write_bytes(path, bytes_from_radiance(radiance))
+
+
+def write_bytes(path: Path, picture: NDArray[np.uint8]) -> None:
+    """Writes an (H, W, 3) picture that is sRGB already."""
+    write_whole(path, lambda part: PillowImage.fromarray(picture).save(part, format="PNG"))
+
+
+def write_layers(path: Path, layers: dict[str, NDArray[np.float32]]) -> None:
+    """Writes one EXR file; an (H, W, 3) layer gets channels name.R .G .B, an (H, W) one name.V.
+
+    The layer named "" is what a viewer shows that knows of no layers.
+    """
+    channels = {}
+    for name, image in layers.items():
+        prefix = f"{name}." if name else ""
+        planes = {"V": image} if image.ndim == 2 else {c: image[..., i] for i, c in enumerate("RGB")}
+        for channel, plane in planes.items():
+            channels[prefix + channel] = np.ascontiguousarray(plane, dtype=np.float32)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    write_whole(path, lambda part: OpenEXR.File(header, channels).write(str(part)))
+
+
+def read_layers(path: Path) -> dict[str, NDArray[np.float32]]:
+    """All channels of an EXR file by their full name."""
+    file = OpenEXR.File(str(path), separate_channels=True)
+    return {name: channel.pixels for name, channel in file.channels().items()}

@@ -1,0 +1,20 @@
+"""A picture of what each parent of a fused fovea is worth, pixel by pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.image.colour import bytes_from_radiance
+from hybrid.frame.frame import Frame
+
+
+def weights_picture(frame: Frame) -> NDArray[np.uint8]:
+    """(H, W, 3) sRGB bytes: the shares of traced, denoised and splats as red, green and blue.
+
+    Outside the disc lies the frame itself, grey and dark. The fovea must be fused.
+    """
+    assert frame.fovea.weights is not None
+    shown = bytes_from_radiance(frame.composite).mean(axis=2, keepdims=True).repeat(3, axis=2) * 0.4
+    shown.reshape(-1, 3)[frame.region.pixels] = frame.fovea.weights * 255
+    return (np.clip(shown, 0, 255) + 0.5).astype(np.uint8)

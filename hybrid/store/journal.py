@@ -1,0 +1,65 @@
+"""What an evaluation or a sweep has measured so far, so that it goes on where it was interrupted."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from compose.base.errors import UserError
+from compose.base.files import write_whole
+from hybrid.store.identity import require_same
+
+
+class Journal:
+    """Named results in one JSON file.
+
+    Args:
+        path: the file; made when the first result comes.
+        identity: of what is evaluated, with which settings.
+
+    Raises:
+        UserError: the file is damaged, or belongs to something else.
+    """
+
+    def __init__(self, path: Path, identity: dict[str, Any]):
+        self._path = path
+        self._content: dict[str, Any] = {"identity": identity, "results": {}}
+        if not path.exists():
+            return
+        try:
+            found = json.loads(path.read_text())
+            theirs = dict(found["identity"])
+            dict(found["results"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise UserError(f"{path}: is damaged ({error!r}); delete it to begin anew") from error
+        holds, advice = f"{path.parent}: holds an evaluation", "choose another --report folder"
+        require_same(theirs, identity, holds, advice)
+        self._content = found
+
+    def once(self, name: str, make: Callable[[], Any]) -> Any:
+        """The result of that name, made and written down if there is none yet."""
+        if name not in self:
+            self[name] = make()
+        return self[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._content["results"]
+
+    def __getitem__(self, name: str) -> Any:
+        return self._content["results"][name]
+
+    def __setitem__(self, name: str, result: Any) -> None:
+        """Written down at once."""
+        self._content["results"][name] = result
+        self.write()
+
+    def remove(self) -> None:
+        """Deletes the file: the work has ended."""
+        self._path.unlink(missing_ok=True)
+
+    def write(self) -> None:
+        """Writes everything down."""
+        text = json.dumps(self._content) + "\n"
+        write_whole(self._path, lambda part: part.write_text(text))

@@ -1,0 +1,60 @@
+"""Forest files (safetensors with metadata) and the INRIA 3DGS PLY layout. Nothing is ever unpickled."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from compose.base.errors import UserError
+from splat.io.tensors import FORMAT_VERSION, load_tensors, save_tensors
+from splat.model.check import check_forest
+from splat.model.forest import Forest, Layer
+from splat.model.gaussians import Gaussians
+
+_LABELS = ("parent", "semantic", "dynamic")
+_ATTACHED = "attached."
+
+
+def save_forest(path: Path, forest: Forest) -> None:
+    """Writes a forest file; it appears whole or not at all."""
+    nodes = forest.nodes
+    metadata = {
+        "format_version": FORMAT_VERSION,
+        "kind": "forest",
+        "layers": list(forest.counts),
+        "degree": nodes.gaussians.degree,
+        "trained_focal": forest.trained_focal,
+        "scene_name": forest.scene_name,
+        "scene_hash": forest.scene_hash,
+    }
+    tensors = {name: tensor.detach().cpu() for name, tensor in nodes.gaussians.tensors()}
+    tensors |= {name: getattr(nodes, name) for name in _LABELS}
+    tensors |= {_ATTACHED + name: tensor for name, tensor in forest.attached.items()}
+    save_tensors(path, tensors, metadata)
+
+
+def load_forest(path: Path) -> Forest:
+    """Inverse of save_forest.
+
+    Raises:
+        UserError: the file is missing, truncated, corrupt, of another version, holds no finite numbers, or
+            its trees are broken.
+    """
+    tensors, metadata = load_tensors(path)
+    if metadata.get("kind") != "forest":
+        raise UserError(f"{path}: not a forest file; make one with: hybrid train FRAMES FOREST")
+    try:
+        gaussians = Gaussians(**{name: tensors[name] for name in Gaussians.__dataclass_fields__})
+        forest = Forest(
+            Layer(gaussians, *(tensors[name] for name in _LABELS)),
+            tuple(int(count) for count in metadata["layers"]),
+            float(metadata["trained_focal"]),
+            str(metadata["scene_name"]),
+            str(metadata["scene_hash"]),
+            {n.removeprefix(_ATTACHED): t for n, t in tensors.items() if n.startswith(_ATTACHED)},
+        )
+        check_forest(forest.layers)
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(f"{path}: damaged forest file ({error}); train it again") from error
+    if not gaussians.is_finite() or not forest.trained_focal > 0:
+        raise UserError(f"{path}: the forest holds numbers that are not finite; train it again")
+    return forest

@@ -1,0 +1,100 @@
+"""The INRIA 3DGS PLY layout."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from compose.base.errors import UserError
+from compose.base.files import write_whole
+from splat.model.gaussians import MAX_DEGREE, Gaussians, sh_count
+
+# Gaussians that come from elsewhere were trained on films that nobody knows: no further filter for them.
+UNBOUND_FOCAL = 1e9
+
+
+def _ply_properties(degree: int) -> list[str]:
+    rest = 3 * (sh_count(degree) - 1)
+    return [
+        *("x", "y", "z", "nx", "ny", "nz"),
+        *(f"f_dc_{i}" for i in range(3)),
+        *(f"f_rest_{i}" for i in range(rest)),
+        "opacity",
+        *(f"scale_{i}" for i in range(3)),
+        *(f"rot_{i}" for i in range(4)),
+    ]
+
+
+def export_ply(path: Path, gaussians: Gaussians) -> None:
+    """Writes the layout of the INRIA implementation (Kerbl et al. 2023), binary little-endian.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    n = len(gaussians)
+    names = _ply_properties(gaussians.degree)
+    sh = gaussians.sh.detach().cpu()
+    columns = [
+        gaussians.means,
+        torch.zeros(3, n),
+        sh[0],
+        # All coefficients of red, then those of green, then those of blue.
+        sh[1:].permute(1, 0, 2).reshape(-1, n),
+        gaussians.opacity_logits[None],
+        gaussians.log_scales,
+        torch.nn.functional.normalize(gaussians.rotations, dim=0),
+    ]
+    table = torch.cat([c.detach().cpu() for c in columns]).T.contiguous().numpy().astype("<f4")
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
+    header += [f"property float {name}" for name in names] + ["end_header", ""]
+    content = "\n".join(header).encode() + table.tobytes()
+    write_whole(path, lambda part: part.write_bytes(content))
+
+
+def import_ply(path: Path) -> Gaussians:
+    """Reads the layout of the INRIA implementation.
+
+    Raises:
+        UserError: the file is missing, truncated, or not of that layout.
+    """
+    if not path.is_file():
+        raise UserError(f"{path}: no such file")
+    content = path.read_bytes()
+    count, names, body = _ply_header(path, content)
+    if len(body) < count * len(names) * 4:
+        raise UserError(f"{path}: truncated, {count} Gaussians are announced")
+    table = np.frombuffer(body, "<f4", count * len(names)).reshape(count, len(names))
+    rest = sum(name.startswith("f_rest_") for name in names)
+    column = {name: i for i, name in enumerate(names)}
+    take = lambda *wanted: torch.tensor(table[:, [column[w] for w in wanted]].T.copy())  # noqa: E731
+    constant = take(*(f"f_dc_{i}" for i in range(3)))[None]
+    directional = take(*(f"f_rest_{i}" for i in range(rest))).reshape(3, -1, count).permute(1, 0, 2)
+    return Gaussians(
+        take("x", "y", "z"),
+        take("scale_0", "scale_1", "scale_2"),
+        take("rot_0", "rot_1", "rot_2", "rot_3"),
+        take("opacity")[0],
+        torch.cat([constant, directional]).contiguous(),
+    )
+
+
+def _ply_header(path: Path, content: bytes) -> tuple[int, list[str], bytes]:
+    """How many Gaussians a file announces, the names of their properties, and what follows the header."""
+    end = content.find(b"end_header\n")
+    lines = content[: max(end, 0)].decode("ascii", "replace").split("\n")
+    if end < 0 or lines[:2] != ["ply", "format binary_little_endian 1.0"]:
+        raise UserError(f"{path}: not a binary little-endian PLY file")
+    after = lambda start: [line[len(start) :].strip() for line in lines if line.startswith(start)]  # noqa: E731
+    counts, names = after("element vertex "), after("property float ")
+    rest = sum(name.startswith("f_rest_") for name in names)
+    degree = round((rest / 3 + 1) ** 0.5) - 1
+    known = 0 <= degree <= MAX_DEGREE and set(_ply_properties(degree)) - {"nx", "ny", "nz"} <= set(names)
+    known = known and rest == 3 * (sh_count(degree) - 1)
+    if len(counts) != 1 or not known or len(after("property ")) != len(names):
+        raise UserError(f"{path}: not a 3D Gaussian splatting PLY (float properties x, f_dc_0, scale_0, ...)")
+    if not re.fullmatch(r"0*[1-9][0-9]{0,17}", counts[0]):
+        raise UserError(f"{path}: element vertex {counts[0]}: must be a number of Gaussians, 1 or more")
+    return int(counts[0]), names, content[end + len(b"end_header\n") :]

@@ -1,0 +1,46 @@
+"""Tensors with metadata in safetensors files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from compose.base.errors import UserError
+from compose.base.files import write_whole
+
+FORMAT_VERSION = 2
+
+
+def save_tensors(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[str, Any]) -> None:
+    """Writes tensors and JSON-like metadata beside the target, then renames.
+
+    Raises:
+        UserError: the folder cannot be written.
+    """
+    contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
+    write_whole(path, lambda part: save_file(contiguous, part, {"hybrid": json.dumps(metadata)}))
+
+
+def load_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    """Inverse of save_tensors.
+
+    Raises:
+        UserError: the file is missing, truncated, corrupt or of another version.
+    """
+    if not path.is_file():
+        raise UserError(f"{path}: no such file")
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = json.loads((file.metadata() or {}).get("hybrid", "{}"))
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError, ValueError) as error:
+        raise UserError(f"{path}: truncated or corrupt ({error})") from error
+    version = metadata.get("format_version")
+    if version is not None and version != FORMAT_VERSION:
+        raise UserError(f"{path}: format version {version}, this program reads {FORMAT_VERSION}")
+    return tensors, metadata

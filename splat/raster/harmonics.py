@@ -1,0 +1,47 @@
+"""Spherical harmonics to radiance, in kernels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from splat.model.gaussians import SH_CUBIC, SH_DC, SH_LINEAR, SH_QUADRATIC
+
+
+def perceptual_radiance(sh: list[list[Any]], direction: list[Any]) -> list[Any]:
+    """Perceptual radiance of the three channels towards a unit direction (N,) x 3."""
+    basis = _sh_basis(len(sh), direction)
+    return [
+        0.5 + sum(coefficient[c] * value for coefficient, value in zip(sh, basis, strict=True))
+        for c in range(3)
+    ]
+
+
+def _sh_basis(count: int, direction: list[Any]) -> list[Any]:
+    x, y, z = direction
+    basis: list[Any] = [SH_DC]
+    if count > 1:
+        basis += [-SH_LINEAR * y, SH_LINEAR * z, -SH_LINEAR * x]
+    if count > 4:
+        a, b, c = SH_QUADRATIC
+        basis += [a * x * y, -a * y * z, b * (3 * z * z - 1), -a * x * z, c * (x * x - y * y)]
+    if count > 9:
+        a, b, c, d, e = SH_CUBIC
+        basis += [
+            -a * y * (3 * x * x - y * y),
+            b * x * y * z,
+            -c * y * (5 * z * z - 1),
+            d * z * (5 * z * z - 3),
+            -c * x * (5 * z * z - 1),
+            e * z * (x * x - y * y),
+            -a * x * (x * x - 3 * y * y),
+        ]
+    return basis
+
+
+def radiance_from_perceptual(perceptual: Any) -> Any:
+    """Inverse of the sRGB curve, continued above 1; nothing is darker than black."""
+    value = dr.maximum(perceptual, 0)
+    bright = dr.exp2(2.4 * dr.log2((dr.maximum(value, 0.04045) + 0.055) * (1 / 1.055)))
+    return dr.select(value <= 0.04045, value * (1 / 12.92), bright)

@@ -1,0 +1,74 @@
+"""What training minimizes, and the structural similarity inside of it."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import torch
+
+from splat.model.gaussians import logarithmic_from_radiance
+
+_WINDOW = 11
+_SIGMA = 1.5
+# Below this the similarity's window has no place in the image.
+SMALLEST_SIDE = _WINDOW
+_C1, _C2 = 0.01**2, 0.03**2
+SSIM_WEIGHT = 0.2
+
+
+@lru_cache(maxsize=8)
+def _blur_matrix(size: int) -> torch.Tensor:
+    """(size - 10, size) band matrix: Gaussian window of 11 taps over the valid region."""
+    offset = torch.arange(_WINDOW, dtype=torch.float32) - _WINDOW // 2
+    weights = torch.exp(-(offset**2) / (2 * _SIGMA**2))
+    matrix = torch.zeros(size - _WINDOW + 1, size)
+    for tap, weight in enumerate(weights / weights.sum()):
+        matrix.diagonal(tap).fill_(weight)
+    return matrix
+
+
+def _blur(maps: torch.Tensor) -> torch.Tensor:
+    """(C, H, W) to (C, H - 10, W - 10).
+
+    A separable window as two matrix products: on two cores torch's convolution of the same window takes
+    70 ms forward and 165 ms backward for 256 x 256 pixels, the products a tenth of that.
+    """
+    rows, columns = _blur_matrix(maps.shape[1]).to(maps), _blur_matrix(maps.shape[2]).to(maps)
+    return rows @ (maps @ columns.T)
+
+
+class Target:
+    """A frame to be matched, with what of the similarity depends on it alone.
+
+    Args:
+        radiance: (H, W, 3) linear, both sides at least 11 pixels.
+    """
+
+    def __init__(self, radiance: torch.Tensor):
+        self.seen = logarithmic_from_radiance(radiance)
+        planes = self.seen.permute(2, 0, 1)
+        self.mean, square = _blur(torch.cat([planes, planes * planes])).split(3)
+        self.variance = square - self.mean**2
+
+    def loss(self, rendered: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """(1 - w) L1 + w (1 - SSIM), on a scale that bears a lamp beside a shadow (Fov-GS Eq. 4).
+
+        Args:
+            rendered: (H, W, 3) linear radiance.
+
+        Returns:
+            The loss, and the error per pixel (H, W) without a gradient.
+        """
+        seen = logarithmic_from_radiance(rendered)
+        difference = (seen - self.seen).abs()
+        loss = (1 - SSIM_WEIGHT) * difference.mean() + SSIM_WEIGHT * (1 - self.ssim(seen))
+        return loss, difference.detach().mean(dim=-1)
+
+    def ssim(self, seen: torch.Tensor) -> torch.Tensor:
+        """Mean structural similarity with an image (H, W, 3) on the same scale (Wang et al. 2004)."""
+        a, b = seen.permute(2, 0, 1), self.seen.permute(2, 0, 1)
+        mean, square, product = _blur(torch.cat([a, a * a, a * b])).split(3)
+        mean_product = mean * self.mean
+        numerator = (2 * mean_product + _C1) * (2 * (product - mean_product) + _C2)
+        variance = square - mean**2
+        return (numerator / ((mean**2 + self.mean**2 + _C1) * (variance + self.variance + _C2))).mean()
