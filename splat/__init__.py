@@ -1,3 +1,60 @@
-"""Gaussians to image, on CPU and CUDA from one kernel source in Dr.Jit, and how Gaussians are trained."""
+"""3D Gaussians to images, on CPU and CUDA from one kernel source in Dr.Jit, and their training.
 
-import compose  # noqa: F401  (first: it points Dr.Jit to a good LLVM)
+    import splat
+
+    gaussians = splat.load_ply("scene.ply")
+    image = splat.render(gaussians, camera)  # (H, W, 3) linear radiance; torch differentiates it
+
+Names are imported when they are first used, so that `import splat` loads neither torch nor Dr.Jit.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import compose  # noqa: F401  (first: it points Dr.Jit to a usable LLVM)
+
+if TYPE_CHECKING:
+    from compose.camera.camera import Camera, look_at
+    from splat.io.forest_file import load_forest, save_forest
+    from splat.io.ply import load_ply, save_ply
+    from splat.model.forest import Forest
+    from splat.model.gaussians import Gaussians
+    from splat.raster.differentiable import render
+
+__all__ = [
+    "Camera",
+    "Forest",
+    "Gaussians",
+    "load_forest",
+    "load_ply",
+    "look_at",
+    "render",
+    "save_forest",
+    "save_ply",
+]
+
+_MODULES = {
+    "Camera": "compose.camera.camera",
+    "Forest": "splat.model.forest",
+    "Gaussians": "splat.model.gaussians",
+    "load_forest": "splat.io.forest_file",
+    "load_ply": "splat.io.ply",
+    "look_at": "compose.camera.camera",
+    "render": "splat.raster.differentiable",
+    "save_forest": "splat.io.forest_file",
+    "save_ply": "splat.io.ply",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(_MODULES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

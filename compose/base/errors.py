@@ -1,5 +1,5 @@
-"""The one exception that a user can cause."""
+"""The exception for errors that a user can cause."""
 
 
 class UserError(Exception):
-    """Bad input: one line that names the file or option, what is wrong and what would be right."""
+    """Bad input: one line that names the file or value, what is wrong with it and what would be right."""

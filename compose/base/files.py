@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Writes files atomically."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from compose.base.errors import UserError
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Writes beside the target, then renames.
+    """Writes a file beside its target, then renames it, so that the target appears complete or not at all.
 
     Args:
-        path: the target; its folder is made.
-        write: writes the content to the path that it is given, which has the target's extension.
+        path: the target; its folder is created.
+        write: writes the content to the path it is given, which has the target's extension.
 
     Raises:
-        UserError: the path names no file, or it cannot be written; nothing of it is left.
+        UserError: the path names no file, or it cannot be written; no partial file is left.
     """
     if not path.name:
         raise UserError(f"{path}: names a folder, not a file")
-    # The extension stays: libraries choose the format by it.
+    # The extension is kept: libraries choose the format by it.
     part = path.with_name(f".part-{path.name}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -32,6 +32,6 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         reason = getattr(error, "strerror", None) or error
         raise UserError(f"{path}: cannot be written ({reason})") from error
     finally:
-        # Also where the writing was interrupted.
+        # Also after an interruption.
         with contextlib.suppress(OSError):
             part.unlink()

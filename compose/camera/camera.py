@@ -1,7 +1,7 @@
-"""Cameras and the angles a viewer sees them under.
+"""Pinhole cameras.
 
-Right-handed world. A camera is a 4x4 world-to-camera matrix in OpenCV axes (x right, y down,
-z forward) with pinhole intrinsics in pixels. Pixel centres lie at +0.5, rows count from the top.
+The world is right-handed. A camera is a 4x4 world-to-camera matrix in OpenCV axes (x right, y down,
+z forward) with intrinsics in pixels. Pixel centres lie at +0.5, rows count from the top.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole camera.
+    """A pinhole camera; equal to another one if every number is the same.
 
     Attributes:
         world_to_camera: (4, 4) rigid transform, OpenCV axes.
@@ -41,16 +41,18 @@ class Camera:
             raise ValueError(f"frame size {self.width} x {self.height} must be positive")
         numbers = [self.fx, self.fy, self.cx, self.cy, *np.ravel(self.world_to_camera)]
         if not np.all(np.isfinite(numbers)) or min(self.fx, self.fy) <= 0:
-            raise ValueError("camera has a number that is not finite, or no focal length")
+            raise ValueError("camera has a number that is not finite, or a focal length that is not positive")
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Camera) and self.key == other.key)
+
+    def __hash__(self) -> int:
+        return hash(self.key)
 
     @property
     def camera_to_world(self) -> Array:
         """(4, 4) inverse of world_to_camera."""
-        rotation, translation = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
-        inverse = np.eye(4)
-        inverse[:3, :3] = rotation.T
-        inverse[:3, 3] = -rotation.T @ translation
-        return inverse
+        return _rigid_inverse(self.world_to_camera)
 
     @property
     def position(self) -> Array:
@@ -63,7 +65,7 @@ class Camera:
         return float(np.degrees(np.arctan(self.cy / self.fy) + np.arctan((self.height - self.cy) / self.fy)))
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same view on another frame: the vertical field of view is kept, a wider frame sees more."""
+        """The same view at another frame size: the vertical field of view stays, a wider frame sees more."""
         scale = height / self.height
         return replace(
             self,
@@ -76,7 +78,7 @@ class Camera:
         )
 
     def cropped(self, left: float, top: float, width: int, height: int) -> Camera:
-        """The camera that sees a rectangle of this frame alone, `left` and `top` in pixels."""
+        """The camera whose frame is a rectangle of this one, `left` and `top` in pixels."""
         return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
 
     def project(self, points: Array) -> tuple[Array, Array]:
@@ -89,7 +91,7 @@ class Camera:
 
     @property
     def key(self) -> bytes:
-        """The same for cameras that see the same, and only for those."""
+        """Bytes of all its numbers: equal for equal cameras only."""
         numbers = (self.width, self.height, self.fx, self.fy, self.cx, self.cy)
         return np.array(numbers, dtype=np.float64).tobytes() + self.world_to_camera.tobytes()
 
@@ -107,7 +109,7 @@ class Camera:
         return world / np.linalg.norm(world, axis=1, keepdims=True)
 
     def pixel_centres(self) -> Array:
-        """(height * width, 2) positions of all pixel centres, row by row from the top."""
+        """(H * W, 2) positions of all pixel centres, row by row from the top."""
         x, y = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         return np.stack([x.ravel(), y.ravel()], axis=1)
 
@@ -116,15 +118,11 @@ def camera_from_pose(
     camera_to_world: Array, width: int, height: int, fx: float, fy: float, cx: float, cy: float
 ) -> Camera:
     """A camera from its pose: (4, 4) camera-to-world, OpenCV axes."""
-    rotation, translation = camera_to_world[:3, :3], camera_to_world[:3, 3]
-    inverse = np.eye(4)
-    inverse[:3, :3] = rotation.T
-    inverse[:3, 3] = -rotation.T @ translation
-    return Camera(inverse, width, height, float(fx), float(fy), float(cx), float(cy))
+    return Camera(_rigid_inverse(camera_to_world), width, height, float(fx), float(fy), float(cx), float(cy))
 
 
 def look_at(position: Array, target: Array, up: Array) -> Array:
-    """Camera-to-world in OpenCV axes that looks from position to target, (3,) each."""
+    """(4, 4) camera-to-world in OpenCV axes that looks from position to target with up upwards, (3,) each."""
     forward = target - position
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, up)
@@ -133,3 +131,12 @@ def look_at(position: Array, target: Array, up: Array) -> Array:
     pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
     pose[:3, 3] = position
     return pose
+
+
+def _rigid_inverse(transform: Array) -> Array:
+    """(4, 4) inverse of a rotation and a translation, of which the last row is not read."""
+    rotation, translation = transform[:3, :3], transform[:3, 3]
+    inverse = np.eye(4)
+    inverse[:3, :3] = rotation.T
+    inverse[:3, 3] = -rotation.T @ translation
+    return inverse

@@ -1,4 +1,4 @@
-"""Cameras as JSON, with the field names of transforms.json."""
+"""Cameras as JSON with the field names of transforms.json."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from compose.camera.axes import opencv_from_opengl, opengl_from_opencv
-from compose.camera.camera import Camera, camera_from_pose
+from compose.camera.camera import Array, Camera, camera_from_pose
 
 
 def camera_to_json(camera: Camera) -> dict[str, Any]:
-    """Intrinsics and pose with the names of transforms.json."""
+    """A camera's intrinsics and pose under the names of transforms.json."""
     return {
         "w": camera.width,
         "h": camera.height,
@@ -24,20 +24,33 @@ def camera_to_json(camera: Camera) -> dict[str, Any]:
 
 
 def camera_from_json(entry: dict[str, Any]) -> Camera:
-    """Inverse of camera_to_json.
+    """The camera that an entry of transforms.json describes; the inverse of `camera_to_json`.
 
     Raises:
         KeyError: a name is missing.
-        TypeError, ValueError: what it holds is not of its kind; a size must be a whole number of pixels.
+        TypeError, ValueError: a value is of the wrong type or shape; a size must be a whole number of pixels,
+            the matrix 4 x 4 (its last row may be missing).
     """
-    pose = opencv_from_opengl(np.asarray(entry["transform_matrix"], dtype=np.float64))
+    pose = opencv_from_opengl(_matrix(entry["transform_matrix"]))
     width, height = (_whole_pixels(entry, name) for name in ("w", "h"))
     return camera_from_pose(pose, width, height, entry["fl_x"], entry["fl_y"], entry["cx"], entry["cy"])
 
 
+def _matrix(rows: Any) -> Array:
+    """(4, 4) or (3, 4) from nested lists."""
+    try:
+        matrix = np.asarray(rows, dtype=np.float64)
+    except ValueError as error:
+        raise ValueError(f"transform_matrix is not a matrix of numbers ({error})") from error
+    if matrix.shape not in ((4, 4), (3, 4)):
+        shape = " x ".join(map(str, matrix.shape)) or "a single number"
+        raise ValueError(f"transform_matrix is {shape}; must be 4 x 4, one list per row")
+    return matrix
+
+
 def _whole_pixels(entry: dict[str, Any], name: str) -> int:
     value = entry[name]
-    # Other programs write 640.0; true is a number only to Python.
+    # Other programs write 640.0; only to Python is true a number.
     if isinstance(value, float) and value.is_integer():
         return int(value)
     if isinstance(value, bool) or not isinstance(value, int):

@@ -1,7 +1,7 @@
-"""acuity models: from eccentricity to the highest spatial frequency it resolves, and to a level of detail.
+"""Acuity models: what the eye resolves at each eccentricity.
 
-A acuity model is a function from eccentricity in degrees to cut-off frequency in cycles per degree. Everything else
-follows from the cut-off in the same way for all of them: the level, the low-pass, the sampling rate.
+An acuity model is a function from eccentricity in degrees to cut-off frequency in cycles per degree. Level of
+detail, low-pass and sampling rate follow from the cut-off in the same way for all models.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AcuityModel:
-    """A acuity model.
+    """An acuity model and how levels of detail follow from it.
 
     Attributes:
         cutoff: highest spatial frequency that is resolved, in cycles per degree, from eccentricities in
             degrees.
-        relative: whether levels are as Fov-GS has them (Eq. 7): by eccentricity alone, counted from the
-            edge of the full-quality region, whatever the finest layer can show there, and each layer taken
-            for what its pixels can hold at most. Otherwise a layer is only left where the eye cannot tell
-            the next one from it, what draws attention included, and is sampled twice as finely as it was
+        relative: whether levels follow Fov-GS (Eq. 7): they depend on eccentricity alone, count from the edge
+            of the full-quality region regardless of what the finest layer can show there, and each layer
+            counts for the most that its pixels can hold. Otherwise a layer is replaced by the next one only
+            where the eye cannot tell them apart, saliency included, and is sampled twice as finely as it was
             trained.
     """
 
@@ -39,9 +39,9 @@ class AcuityModel:
 # Minimum angle of resolution a(e) = w0 + m e, in degrees (Fov-GS, section 4.1, after Guenter et al. 2012).
 ACUITY_LIMIT = 1 / 48
 ACUITY_SLOPE = 0.022  # 1.32 arcmin per degree
-# How much more is resolved where the picture draws attention (Fov-GS, Eq. 9).
+# How much more is resolved where the image draws attention (Fov-GS, Eq. 9).
 SALIENCY_GAIN = 0.4
-# The acuity model that a viewer is given who asks for none; docs/measured.md has the comparison.
+# The default model; docs/measured.md has the comparison.
 DEFAULT_ACUITY_MODEL = "geisler-perry"
 
 
@@ -56,7 +56,7 @@ def fov_gs(eccentricity: Array) -> Array:
 
 
 def geisler_perry(eccentricity: Array) -> Array:
-    """Cut-off in cycles per degree: where contrast 1 is seen just so (Geisler and Perry 1998, Eq. 1).
+    """Cut-off in cycles per degree at which full contrast is just visible (Geisler and Perry 1998, Eq. 1).
 
     The contrast threshold is CT0 exp(alpha f (e + e2) / e2) with CT0 = 1/64, alpha = 0.106, e2 = 2.3 degrees.
     """
@@ -64,7 +64,7 @@ def geisler_perry(eccentricity: Array) -> Array:
 
 
 def unlimited(eccentricity: Array) -> Array:
-    """No cut-off: everything is drawn as finely as it can be."""
+    """Infinity: no cut-off, everything is drawn in full detail."""
     return np.full(np.shape(eccentricity), np.inf)
 
 
@@ -83,25 +83,10 @@ def acuity_model_named(name: str) -> AcuityModel:
         UserError: there is none.
     """
     if name not in ACUITY_MODELS:
-        raise UserError(f"--acuity-model {name}: must be {', '.join(ACUITY_MODELS)}")
+        raise UserError(f"acuity model {name}: must be {', '.join(ACUITY_MODELS)}")
     return ACUITY_MODELS[name]
 
 
 def with_saliency(cutoff: Array, saliency: Array) -> Array:
-    """Cut-off where the picture draws attention, saliency in 0..1 (Fov-GS, Eq. 9)."""
+    """Cut-off raised where the image draws attention, saliency in 0..1 (Fov-GS, Eq. 9)."""
     return cutoff * (1 + SALIENCY_GAIN * saliency)
-
-
-def continuous_level(cutoff: Array, finest: float, layers: int) -> Array:
-    """Level, not rounded and not limited to 1..L: lambda = L - log2(finest / f).
-
-    Fov-GS's Eq. 7 without its steps, as f = 1 / a, when the finest frequency is the cut-off f(e0) at the
-    edge of the full-quality region: with L = 4 and e0 = 10 degrees its acuity model then gives whole levels at 10,
-    20.95, 42.84 and 86.6 degrees.
-
-    Args:
-        cutoff: f, inf where nothing is cut off; there the level is inf.
-        finest: the frequency up to which layer L is needed, in the same unit.
-        layers: L.
-    """
-    return layers + np.log2(np.asarray(cutoff, dtype=np.float64) / finest)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,10 +15,9 @@ from compose.camera.camera import Camera
 
 @dataclass(frozen=True)
 class Display:
-    """The flat display that the viewer looks at, straight in front of its centre.
+    """A flat display, its centre straight in front of the viewer.
 
-    A frame is shown pixel by pixel around the display's centre; one larger than the display would go on
-    beyond its edges.
+    A frame is shown pixel by pixel around the display's centre; one that is larger extends beyond the edges.
 
     Attributes:
         width, height: pixels.
@@ -37,22 +37,22 @@ class Display:
         for name in ("width", "height", "fov", "luminance"):
             value = getattr(self, name)
             if not isinstance(value, int | float) or not np.isfinite(value) or value <= 0:
-                raise UserError(f"display: {name} is {value}; must be a positive number")
+                raise UserError(f"display {name} {value}: must be a positive number")
         if self.fov >= 180:
-            raise UserError(f"display: fov is {self.fov}; a flat display spans less than 180 degrees")
+            raise UserError(f"display fov {self.fov}: a flat display spans less than 180 degrees")
 
     @property
     def focal(self) -> float:
-        """Distance of the eye in pixels."""
+        """Distance from the eye to the display, in pixels."""
         return float(self.width / 2 / np.tan(np.radians(self.fov) / 2))
 
     @property
     def pixels_per_degree(self) -> float:
-        """At the centre, where there are fewest."""
+        """Pixels per degree at the centre, where they are fewest."""
         return float(np.radians(1) * self.focal)
 
     def viewer(self, width: int, height: int) -> Camera:
-        """The eye as a camera: what angles the pixels of a frame of this size are seen under."""
+        """The eye as a camera: its rays through a frame of that size are the viewer's lines of sight."""
         return Camera(np.eye(4), width, height, self.focal, self.focal, width / 2, height / 2)
 
 
@@ -61,29 +61,33 @@ DISPLAYS = {"desktop": Display(1920, 1080, 55.0), "hmd": Display(1440, 1700, 97.
 
 
 def display_named(source: str) -> Display:
-    """A display by name, or from a JSON file with width, height, fov and, if it is known, luminance.
+    """A display by name, or from a JSON file with width, height, fov and, optionally, luminance.
 
     Raises:
-        UserError: the file is missing, or no such display.
+        UserError: no display has that name, or the file is missing or invalid.
     """
     if source in DISPLAYS:
         return DISPLAYS[source]
-    names = ", ".join(DISPLAYS)
     try:
-        entry = json.loads(Path(source).read_text())
-        if not isinstance(entry, dict):
-            raise TypeError("not an object")
-        known = {field.name for field in fields(Display)}
-        unknown = sorted(set(entry) - known)
-        if unknown:
-            raise UserError(f"--display {source}: does not know {unknown[0]}")
-        return Display(**entry)
+        return _display_from_json(json.loads(Path(source).read_text()))
     except OSError as error:
-        raise UserError(f"--display {source}: must be {names} or a JSON file ({error.strerror})") from error
-    except (ValueError, TypeError) as error:
         raise UserError(
-            f"--display {source}: must be JSON with width, height and fov (degrees across), from which the "
-            f"pixels per degree follow ({error})"
+            f"display {source}: must be {', '.join(DISPLAYS)} or a JSON file ({error.strerror})"
         ) from error
     except UserError as error:
-        raise UserError(f"--display {source}: {str(error).removeprefix(f'--display {source}: ')}") from error
+        raise UserError(f"display {source}: {error}") from error
+    except (ValueError, TypeError) as error:
+        raise UserError(
+            f"display {source}: must be JSON with width and height in pixels and fov in degrees ({error})"
+        ) from error
+
+
+def _display_from_json(entry: Any) -> Display:
+    if not isinstance(entry, dict):
+        raise TypeError("not an object")
+    unknown = sorted(set(entry) - {field.name for field in fields(Display)})
+    if unknown:
+        raise UserError(
+            f"{unknown[0]} is unknown; must have {', '.join(f.name for f in fields(Display))} only"
+        )
+    return Display(**entry)

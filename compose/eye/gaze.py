@@ -1,4 +1,4 @@
-"""Where the viewer looks, and the eccentricity of everything else."""
+"""Where the viewer looks, and the eccentricity of everything in view."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from compose.camera.camera import Array, Camera
 
 @dataclass(frozen=True)
 class Gaze:
-    """Where the viewer looks, in fractions of the frame's width and height; may lie outside of it.
+    """Where the viewer looks, in fractions of the frame's width and height; may lie outside it.
 
     Raises:
         ValueError: a coordinate is not a finite number.
@@ -27,22 +27,22 @@ class Gaze:
             raise ValueError(f"gaze ({self.x}, {self.y}) is not a pair of finite numbers")
 
     def pixel(self, width: int, height: int) -> tuple[float, float]:
-        """Position in pixels."""
+        """Position (x, y) in pixels of a frame of that size."""
         return self.x * width, self.y * height
 
 
 def require_within_frame(x: float, y: float) -> None:
-    """Refuses a gaze, in fractions of the frame, with which nothing could be judged.
+    """Checks a gaze, in fractions of the frame, around which quality is to be measured.
 
     Raises:
-        UserError: it lies outside of the frame, or is not a number.
+        UserError: it lies outside the frame, or is NaN.
     """
     if not (0 <= x <= 1 and 0 <= y <= 1):
-        raise UserError(f"--gaze {x} {y}: lies outside of the frame, 0..1 each")
+        raise UserError(f"gaze {x} {y}: lies outside the frame; must be 0..1 each")
 
 
 def eccentricity(camera: Camera, gaze: Gaze) -> NDArray[np.float32]:
-    """(H, W) angle in degrees between each pixel's ray and the gaze's ray, along the great circle."""
+    """(H, W) angle in degrees between each pixel's ray and the gaze's ray."""
     angle = eccentricity_at(camera, gaze, camera.pixel_centres())
     return angle.reshape(camera.height, camera.width).astype(np.float32)
 
@@ -51,6 +51,6 @@ def eccentricity_at(camera: Camera, gaze: Gaze, pixels: Array) -> Array:
     """(N,) angle in degrees between the rays through pixel positions (N, 2) and the gaze's ray."""
     gaze_ray = camera.rays(np.array([gaze.pixel(camera.width, camera.height)]))[0]
     rays = camera.rays(pixels)
-    # atan2 keeps its precision near zero, where arccos of a dot product loses half its digits.
+    # arctan2 keeps its precision near zero, where arccos of a dot product loses half its digits.
     sine = np.linalg.norm(np.cross(rays, gaze_ray), axis=1)
     return np.degrees(np.arctan2(sine, rays @ gaze_ray))

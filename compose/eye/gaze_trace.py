@@ -1,4 +1,4 @@
-"""Where a viewer looked, over time: recorded, replayed, late, or made up with saccades."""
+"""Where a viewer looked over time, from a file or to a file."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _COLUMNS = ["seconds", "x", "y"]
 
 @dataclass(frozen=True)
 class GazeTrace:
-    """A viewer's gaze at some times.
+    """A viewer's gaze at ascending times.
 
     Attributes:
-        seconds: ascending, from 0 on.
-        gazes: one for each, in fractions of the frame.
+        seconds: times, ascending from 0.
+        gazes: gaze at each of these times, in fractions of the frame.
     """
 
     seconds: tuple[float, ...]
@@ -31,15 +31,15 @@ class GazeTrace:
 
     @property
     def duration(self) -> float:
-        """Seconds until the last of them."""
+        """Time of the last gaze in seconds."""
         return self.seconds[-1]
 
     def at(self, seconds: float) -> Gaze:
-        """The newest gaze at a time; the first one before that."""
+        """The latest gaze up to a time; before the first one, the first."""
         return self.gazes[max(0, bisect_right(self.seconds, seconds) - 1)]
 
     def digest(self) -> str:
-        """The same for the same gazes at the same times, and only for those."""
+        """16 hexadecimal digits, the same for equal traces only."""
         return hashlib.sha256(repr(self).encode()).hexdigest()[:16]
 
     def save(self, path: Path) -> None:
@@ -52,10 +52,11 @@ class GazeTrace:
 
 
 def load_gaze_trace(path: Path) -> GazeTrace:
-    """A trace from a CSV file with the columns seconds, x, y; its times are counted from the first one on.
+    """A trace from a CSV file with the columns seconds, x, y; time 0 is that of the first row.
 
     Raises:
-        UserError: the file cannot be read, has other columns or no rows, a row is no gaze, or time goes back.
+        UserError: the file cannot be read, has other columns or no rows, a row is not a gaze, or time runs
+            backwards.
     """
     try:
         with path.open(newline="") as file:
@@ -63,7 +64,7 @@ def load_gaze_trace(path: Path) -> GazeTrace:
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise UserError(f"{path}: cannot be read ({error})") from error
     if not rows or [name.strip() for name in rows[0]] != _COLUMNS:
-        raise UserError(f"{path}: is no gaze trace; its first line must be {','.join(_COLUMNS)}")
+        raise UserError(f"{path}: is not a gaze trace; its first line must be {','.join(_COLUMNS)}")
     seconds: list[float] = []
     gazes: list[Gaze] = []
     for number, row in enumerate(rows[1:], 2):
@@ -71,11 +72,13 @@ def load_gaze_trace(path: Path) -> GazeTrace:
             second, x, y = (float(value) for value in row)
             gaze = Gaze(x, y)
         except ValueError as error:
-            raise UserError(f"{path}: line {number} is no gaze ({','.join(row)})") from error
+            raise UserError(f"{path}: line {number} is not a gaze ({','.join(row)})") from error
         if not np.isfinite(second) or (seconds and second < seconds[-1]):
-            raise UserError(f"{path}: line {number}: time {row[0]} does not come after the line before it")
+            raise UserError(
+                f"{path}: line {number}: time {row[0]} must be a number, not before the line above"
+            )
         seconds.append(second)
         gazes.append(gaze)
     if not seconds:
-        raise UserError(f"{path}: holds no gaze")
+        raise UserError(f"{path}: contains no gaze")
     return GazeTrace(tuple(second - seconds[0] for second in seconds), tuple(gazes))

@@ -1,21 +1,23 @@
-"""Cut-off frequency from stelaCSF (Mantiuk et al. 2022)."""
+"""Cut-off frequency of the contrast sensitivity function stelaCSF (Mantiuk et al. 2022)."""
 
 from __future__ import annotations
 
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
-from compose.eye.acuity import Array
+Array = NDArray[np.float64]
 
-# Beyond some 45 degrees stelaCSF finds nothing visible at all; no cut-off is taken below this.
+# Cycles per degree. Beyond some 45 degrees stelaCSF finds nothing visible at all; the cut-off stays at this.
 _LOWEST_CUTOFF = 0.5
 
 
 def stelacsf(eccentricity: Array) -> Array:
-    """Cut-off in cycles per degree, where stelaCSF sees full contrast just so (Mantiuk et al. 2022).
+    """Cut-off in cycles per degree at which full contrast is just visible, 0.5 to 64.
 
-    For a still patch of one square degree at 100 cd/m2, in the temporal visual field; at most 64.
+    For a static patch of one square degree at 100 cd/m2, in the temporal visual field, at eccentricities in
+    degrees.
     """
     eccentricities, cutoffs = _stelacsf_table()
     return np.exp(np.interp(eccentricity, eccentricities, np.log(cutoffs)))
@@ -23,10 +25,10 @@ def stelacsf(eccentricity: Array) -> Array:
 
 @cache
 def _stelacsf_table() -> tuple[Array, Array]:
-    """Eccentricities in degrees, and the frequency at which the sensitivity falls to 1."""
+    """Eccentricities (481,) in degrees, and the frequencies (481,) at which the sensitivity falls to 1."""
     eccentricities = np.linspace(0, 120, 481)
     frequencies = np.exp2(np.linspace(-4, 6, 2001))
-    # In all of them the sensitivity has its peak first and falls from there on.
+    # At every eccentricity the sensitivity falls with frequency beyond its peak.
     visible = _stelacsf_sensitivity(frequencies[None, :], eccentricities[:, None]) >= 1
     last = visible.shape[1] - 1 - np.argmax(visible[:, ::-1], axis=1)
     cutoff = np.where(visible.any(axis=1), frequencies[last], _LOWEST_CUTOFF)
@@ -36,8 +38,8 @@ def _stelacsf_table() -> tuple[Array, Array]:
 def _stelacsf_sensitivity(frequency: Array, eccentricity: Array) -> Array:
     """Contrast sensitivity of the sustained channel at 0 Hz, 100 cd/m2, 1 square degree.
 
-    The form is that of the paper (section 4), the constants those its authors fitted on 2022-01-26. The
-    transient channel has no share in a still picture.
+    The formula is that of the paper (section 4), the constants are those its authors fitted on 2022-01-26.
+    The transient channel does not respond to a static image.
     """
     luminance, area = 100.0, 1.0
     peak = 65.4012 * (1 + 29.8305 / luminance) ** -0.20376

@@ -1,7 +1,7 @@
-"""Samples where they help: how many more each pixel gets, from those it has and what they have shown.
+"""Adaptive sampling: how many more samples each pixel gets, from how many it has and what they have shown.
 
-Where the denoised samples and the splats agree, more samples change little; where they differ, one of them is
-wrong, and only samples can tell which.
+Where the denoised samples and the splats agree, more samples change little; where they differ, one of the two
+is wrong, and only samples can tell which.
 """
 
 from __future__ import annotations
@@ -12,21 +12,21 @@ from scipy.ndimage import uniform_filter
 
 from compose.image.colour import Image, srgb_from_radiance
 
-# Least and most that a pixel should have, in means.
+# Least and greatest worth of a pixel, relative to the mean.
 _LEAST, _MOST = 0.15, 5.0
-# Most that it gets at once, in means.
+# Most samples that a pixel gets in one pass, relative to the mean of that pass.
 _MOST_AT_ONCE = 8.0
-# Of the interval that holds the level up to which samples are filled.
+# Bisections in the search for the level up to which samples are filled.
 _HALVINGS = 25
-# Difference that is there anyway.
+# Difference in sRGB that is there even between correct images.
 _FLOOR = 0.005
-_WINDOW = 5
-# Of the difference: below 1, as the worst errors are few and need not all the samples.
+_WINDOW = 5  # pixels
+# Exponent of the difference: below 1, since the worst errors are few and must not get all the samples.
 _POWER = 0.8
 
 
 def disagreement(denoised: Image, splat: Image) -> NDArray[np.float32]:
-    """(H, W) what more samples are worth: the more two pictures differ in sRGB, over windows of 5 x 5."""
+    """(H, W) worth of further samples: how much two images (H, W, 3) differ in sRGB, over 5 x 5 pixels."""
     difference = ((srgb_from_radiance(denoised) - srgb_from_radiance(splat)) ** 2).mean(axis=2)
     mean = np.maximum(uniform_filter(difference, _WINDOW, mode="nearest"), 0)
     return (np.sqrt(mean) + _FLOOR) ** _POWER
@@ -35,15 +35,15 @@ def disagreement(denoised: Image, splat: Image) -> NDArray[np.float32]:
 def allotted(
     worth: NDArray[np.float32], have: NDArray[np.float32], total: int, seed: int
 ) -> NDArray[np.int64]:
-    """(D,) further samples per pixel, `total` in all, so that all pixels have what they are worth.
+    """(D,) further samples per pixel, `total` in all, that bring all pixels to what they are worth.
 
-    None where there are more already, at least one where there are none at all.
+    Pixels that already have more get none; pixels that have none get at least one.
 
     Args:
         worth: (D,) samples that pixels should have, relative to each other.
         have: (D,) samples that they have.
         total: at least D.
-        seed: of the rounding: each gets the whole number below or above its due, by systematic sampling.
+        seed: of the rounding to the whole number below or above a pixel's due, by systematic sampling.
     """
     if (have == have[0]).all() and (worth == worth[0]).all() and total % len(have) == 0:
         return np.full(len(have), total // len(have), dtype=np.int64)

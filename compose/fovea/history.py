@@ -1,144 +1,205 @@
-"""What the fovea has already seen: samples of earlier frames, carried along with the surfaces they hit.
+"""What the fovea has already seen: samples of earlier frames, which stay with the surfaces they hit.
 
 While the camera stands still, samples add up pixel by pixel, wherever the gaze goes. When it moves, the
-samples of the last frames go to where their places in the world are seen now, each from where it was traced:
-nothing is resampled twice, so that nothing blurs or drifts however long the walk.
+samples of the last frames move to where their hit points are visible now, each directly from the view that
+traced it: nothing is resampled twice, so that nothing blurs or drifts however long the walk.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
 from compose.fovea.reprojection import EarlierView, Reprojected, reproject
-from compose.fovea.samples import Samples
-
-Array = NDArray[np.float32]
+from compose.fovea.samples import Floats, Samples
 
 # Views that a moving camera remembers, and samples per pixel of each: old errors fade.
 _VIEWS = 16
 _MOST_SAMPLES = 32.0
-# Places of a pixel over which its auxiliary features are means, at most.
-_MOST_PLACES = 64
-
-
-# What is known of the pixels of a view.
-_OF_PIXELS = ("count", "light", "places", "auxiliary features", "position", "gloss")
+# Most sample positions in a pixel over which its auxiliary features are averaged.
+_MOST_POSITIONS = 64
+# Attributes of a view by their keys in saved states; files of interrupted videos contain these keys.
+_SAVED = {
+    "count": "count",
+    "light": "light",
+    "places": "positions",
+    "guides": "auxiliary",
+    "position": "hit",
+    "gloss": "gloss",
+}
 
 
 class History:
-    """Samples of all pixels of a view, as far as anything has been seen of them.
+    """Samples of all pixels of a view, as far as any have been traced.
 
-    The world must not change: make another history then.
+    It is valid for one world: make another history when the scene changes.
     """
 
     def __init__(self) -> None:
-        self._camera: Camera | None = None
-        # Earlier views, and what of them is seen now.
-        self._views: deque[EarlierView] = deque(maxlen=_VIEWS)
+        self._view: _View | None = None
+        self._earlier: deque[EarlierView] = deque(maxlen=_VIEWS)
+        # What the earlier views contribute to the current one.
         self._past: Reprojected | None = None
 
     def state(self) -> dict[str, NDArray[np.generic]]:
-        """All that is known of the view that was recalled last, for `restored`; nothing of earlier views."""
-        if self._camera is None:
+        """Arrays from which `restored` continues: those of the current view, without earlier views."""
+        if self._view is None:
             return {}
-        known = {name: getattr(self, f"_{name}") for name in _OF_PIXELS}
-        return {**known, "pattern": np.array([self._pattern])}
+        known = {key: getattr(self._view, name) for key, name in _SAVED.items()}
+        return {**known, "pattern": np.array([self._view.pattern])}
 
     @staticmethod
     def restored(camera: Camera, state: dict[str, NDArray[np.generic]]) -> History:
-        """A history that knows of that camera's view what another one's `state` was."""
+        """A history of a camera's view from the `state` of another one."""
         history = History()
-        history._begin(camera, int(state["pattern"][0]))  # type: ignore[call-overload]
-        for name in _OF_PIXELS:
-            getattr(history, f"_{name}")[:] = state[name]
+        history._view = _View.of(camera, int(state["pattern"][0]))  # type: ignore[call-overload]
+        for key, name in _SAVED.items():
+            getattr(history._view, name)[:] = state[key]
         return history
 
-    def taken(self, camera: Camera, pixels: NDArray[np.uint32], seed: int) -> tuple[NDArray[np.int64], int]:
-        """How many samples of (D,) pixels came from this camera, and the seed of the first of them.
+    def sampled(self, camera: Camera, pixels: NDArray[np.uint32], seed: int) -> tuple[NDArray[np.int64], int]:
+        """(D,) number of samples that pixels (D,) have from this very camera, and the seed of their pattern.
 
-        With the tracer's help, further samples go where those left gaps.
+        With these the tracer places further samples where earlier ones left gaps. A camera without samples
+        has the seed that is passed in.
         """
-        if self._camera is None or self._camera.key != camera.key:
+        view = self._view_of(camera)
+        if view is None:
             return np.zeros(len(pixels), dtype=np.int64), seed
-        return self._count[pixels].astype(np.int64), self._pattern
+        return view.count[pixels].astype(np.int64), view.pattern
 
-    def unseen(self, camera: Camera, pixels: NDArray[np.uint32], places: int) -> NDArray[np.uint32]:
-        """Those of some pixels that want better auxiliary features: means over fewer places than these, or than there are
-        samples, up to as many as anyone sees."""
-        if self._camera is None or self._camera.key != camera.key:
+    def unseen(self, camera: Camera, pixels: NDArray[np.uint32], positions: int) -> NDArray[np.uint32]:
+        """Those of some pixels whose auxiliary features should be traced (again).
+
+        They are means over fewer sample positions than `positions`, or than the pixel has samples, up to 64.
+        """
+        view = self._view_of(camera)
+        if view is None:
             return pixels
-        wanted = np.clip(self._count[pixels], places, _MOST_PLACES)
-        return pixels[self._places[pixels] < wanted]
+        wanted = np.clip(view.count[pixels], positions, _MOST_POSITIONS)
+        return pixels[view.positions[pixels] < wanted]
 
     def recall(
-        self, camera: Camera, pixels: NDArray[np.uint32], seen: Samples, places: int, seed: int
+        self, camera: Camera, pixels: NDArray[np.uint32], seen: Samples, positions: int, seed: int
     ) -> Samples:
-        """What is remembered of pixels.
+        """What is known of pixels, and makes the camera's view the current one.
 
         Args:
             camera: the view.
             pixels: (D,) row-major indices.
-            seen: those of them that were looked at anew, with their auxiliary features, without light; all, if nothing
-                was seen from this camera before.
-            places: of which these auxiliary features are means.
-            seed: of the samples that are to come.
+            seen: newly traced auxiliary features, without light, of those pixels that are `unseen`.
+            positions: number of sample positions of which these features are means.
+            seed: of the samples to come.
         """
-        if self._camera is None or (self._camera.width, self._camera.height) != (camera.width, camera.height):
-            self._views.clear()
-            self._past = None
-            self._begin(camera, seed)
-        elif self._camera.key != camera.key:
-            self._views.append(self._seen_from_here(self._camera))
-            self._past = reproject(self._views, camera, seen)
-            self._begin(camera, seed)
-        self._look(seen, places)
-        auxiliary = self._auxiliary[pixels] / self._places[pixels][:, None]
-        count, light = self._count[pixels], self._light[pixels]
+        view = self._entered(camera, seen, seed)
+        view.add_auxiliary(seen, positions)
+        auxiliary = view.auxiliary[pixels] / view.positions[pixels][:, None]  # (D, 6)
+        count, light = view.count[pixels], view.light[pixels]  # (D,), (D, 6)
         if self._past is not None:
             index = pixels.astype(np.int64)
             more, past = self._past.at(index // camera.width, index % camera.width)
             count, light = count + more, light + past
         light = light / np.maximum(count, np.float32(1e-6))[:, None]
-        parts = light[:, 0:3], light[:, 3:6], auxiliary[:, 0:3], auxiliary[:, 3:6]
-        return Samples(pixels, count, *parts, self._position[pixels], self._gloss[pixels])
-
-    def _look(self, seen: Samples, places: int) -> None:
-        """Adds auxiliary features, which are traced anew for each camera: none that were carried along are as good."""
-        pixels = seen.pixels
-        first = self._places[pixels] == 0
-        self._position[pixels[first]], self._gloss[pixels[first]] = seen.position[first], seen.gloss[first]
-        self._auxiliary[pixels] += np.hstack([seen.albedo, seen.normal]) * places
-        self._places[pixels] += places
+        return Samples(
+            pixels=pixels,
+            count=count,
+            radiance=light[:, 0:3],
+            squares=light[:, 3:6],
+            albedo=auxiliary[:, 0:3],
+            normal=auxiliary[:, 3:6],
+            position=view.hit[pixels],
+            gloss=view.gloss[pixels],
+        )
 
     def remember(self, new: Samples) -> None:
         """Adds samples of the view that was recalled last."""
-        pixels = new.pixels
-        self._light[pixels] += np.hstack([new.radiance, new.squares]) * new.count[:, None]
-        self._count[pixels] += new.count
+        assert self._view is not None, "nothing was recalled"
+        self._view.add_light(new)
 
-    def _begin(self, camera: Camera, seed: int) -> None:
-        """Nothing has been traced from this camera yet."""
+    def _view_of(self, camera: Camera) -> _View | None:
+        """The current view if it is this camera's."""
+        return self._view if self._view is not None and self._view.camera == camera else None
+
+    def _entered(self, camera: Camera, seen: Samples, seed: int) -> _View:
+        """The camera's view; the view before it, if of the same size, becomes an earlier one."""
+        view = self._view
+        if view is None or (view.camera.width, view.camera.height) != (camera.width, camera.height):
+            self._earlier.clear()
+            self._past = None
+            view = _View.of(camera, seed)
+        elif view.camera != camera:
+            self._earlier.append(view.as_earlier())
+            self._past = reproject(self._earlier, camera, seen)
+            view = _View.of(camera, seed)
+        self._view = view
+        return view
+
+
+@dataclass
+class _View:
+    """What has been traced from one camera, for all N = H * W pixels.
+
+    Attributes:
+        camera: the view.
+        pattern: seed of the pattern of its samples.
+        count: (N,) samples.
+        light: (N, 6) sums of their radiance and of its squares.
+        positions: (N,) sample positions whose auxiliary features are known.
+        auxiliary: (N, 6) sums of their albedo and normal.
+        hit: (N, 3) in the world, where one of them appears to hit something.
+        gloss: (N,) of what it hits.
+    """
+
+    camera: Camera
+    pattern: int
+    count: Floats
+    light: Floats
+    positions: Floats
+    auxiliary: Floats
+    hit: Floats
+    gloss: NDArray[np.uint8]
+
+    @staticmethod
+    def of(camera: Camera, pattern: int) -> _View:
+        """A view from which nothing has been traced yet."""
         size = camera.width * camera.height
-        self._camera, self._pattern = camera, seed
-        self._count = np.zeros(size, dtype=np.float32)
-        self._light = np.zeros((size, 6), dtype=np.float32)
-        self._places = np.zeros(size, dtype=np.float32)
-        self._auxiliary = np.zeros((size, 6), dtype=np.float32)
-        self._position = np.zeros((size, 3), dtype=np.float32)
-        self._gloss = np.zeros(size, dtype=np.uint8)
+        return _View(
+            camera,
+            pattern,
+            count=np.zeros(size, dtype=np.float32),
+            light=np.zeros((size, 6), dtype=np.float32),
+            positions=np.zeros(size, dtype=np.float32),
+            auxiliary=np.zeros((size, 6), dtype=np.float32),
+            hit=np.zeros((size, 3), dtype=np.float32),
+            gloss=np.zeros(size, dtype=np.uint8),
+        )
 
-    def _seen_from_here(self, camera: Camera) -> EarlierView:
-        """All that was traced from this camera."""
-        pixels = np.flatnonzero(self._count)
-        count = self._count[pixels]
+    def add_auxiliary(self, seen: Samples, positions: int) -> None:
+        """Adds auxiliary features, which are traced anew for each camera: reprojected ones are less exact."""
+        pixels = seen.pixels
+        first = self.positions[pixels] == 0
+        self.hit[pixels[first]], self.gloss[pixels[first]] = seen.position[first], seen.gloss[first]
+        self.auxiliary[pixels] += np.hstack([seen.albedo, seen.normal]) * positions
+        self.positions[pixels] += positions
+
+    def add_light(self, new: Samples) -> None:
+        """Adds samples of radiance."""
+        pixels = new.pixels
+        self.light[pixels] += np.hstack([new.radiance, new.squares]) * new.count[:, None]
+        self.count[pixels] += new.count
+
+    def as_earlier(self) -> EarlierView:
+        """The pixels that have samples."""
+        pixels = np.flatnonzero(self.count)
+        count = self.count[pixels]
         return EarlierView(
             np.minimum(count, _MOST_SAMPLES),
-            self._light[pixels] / count[:, None],
-            self._position[pixels],
-            self._gloss[pixels],
-            camera.position,
+            self.light[pixels] / count[:, None],
+            self.hit[pixels],
+            self.gloss[pixels],
+            self.camera.position,
         )

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from compose.base.errors import UserError
-
-MODES = ("raw", "denoised", "fused")
+from enum import Enum
 
 
-def mode_named(name: str) -> str:
-    """The name of a way to make the fovea, checked.
+class FoveaMode(Enum):
+    """How a fovea is made from path-traced samples.
 
-    Raises:
-        UserError: there is no such way.
+    Attributes:
+        RAW: their mean, unbiased.
+        DENOISED: their mean, denoised.
+        FUSED: one estimate from samples, denoised samples and the splats under the disc.
     """
-    if name not in MODES:
-        raise UserError(f"--fovea {name}: must be {', '.join(MODES[:-1])} or {MODES[-1]}")
-    return name
+
+    RAW = "raw"
+    DENOISED = "denoised"
+    FUSED = "fused"

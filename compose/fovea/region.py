@@ -1,4 +1,4 @@
-"""The disc that is path-traced, the part that is not rasterized, and the band between them.
+"""The disc that is path-traced, the part of it that is not rasterized, and the band between their edges.
 
 Radii are in percent of the frame's height, measured in pixels on the screen (Foveated Path Culling,
 section 3): the path tracer covers r < fov-a, the splats cover r > fov-b, the weight is linear between.
@@ -25,7 +25,7 @@ class Foveation:
     Attributes:
         gaze: in fractions of the frame.
         fov_a: outer radius in percent of the height; 0 traces nothing.
-        fov_b: inner radius in percent of the height; inside of it nothing is rasterized.
+        fov_b: inner radius in percent of the height; no splats are visible inside it.
 
     Raises:
         UserError: a radius is negative or not finite, or fov-b is larger than fov-a.
@@ -36,21 +36,21 @@ class Foveation:
     fov_b: float = 15.0
 
     def __post_init__(self) -> None:
-        for option, value in (("--fov-a", self.fov_a), ("--fov-b", self.fov_b)):
+        for name, value in (("fov-a", self.fov_a), ("fov-b", self.fov_b)):
             if not np.isfinite(value) or value < 0:
-                raise UserError(f"{option} {value}: must be a percentage of the height, 0 or more")
+                raise UserError(f"{name} {value}: must be a percentage of the height, 0 or more")
         if self.fov_b > self.fov_a:
             raise UserError(
-                f"--fov-b {self.fov_b} is larger than --fov-a {self.fov_a}: it is the inner radius"
+                f"fov-b {self.fov_b}: must be at most fov-a {self.fov_a}, because it is the inner radius"
             )
 
     def region(self, width: int, height: int) -> FoveaRegion:
-        """What this foveation means on a frame of that many pixels."""
+        """The pixels and weights of this foveation on a frame of that size in pixels."""
         gaze_x, gaze_y = self.gaze.pixel(width, height)
         outer, inner = self.fov_a / 100 * height, self.fov_b / 100 * height
         furthest = [max(at, side - at) - 0.5 for at, side in ((gaze_x, width), (gaze_y, height))]
         if np.hypot(furthest[0], furthest[1]) < outer:
-            # Nothing of the periphery is left to blend with.
+            # Even the furthest pixel lies in the disc: no periphery is left to blend with.
             pixels = np.arange(width * height, dtype=np.uint32)
             weights = np.ones(len(pixels), dtype=np.float32)
         else:
@@ -63,14 +63,14 @@ class Foveation:
 
 @dataclass(frozen=True)
 class FoveaRegion:
-    """A foveation on a frame.
+    """The pixels of a frame that the fovea covers.
 
     Attributes:
         width, height: frame in pixels.
         pixels: (D,) row-major indices of the pixels to path-trace.
-        weights: (D,) share of the path-traced radiance in each of them, 0..1; 0 in all other pixels.
-        centre: of the disc, in pixels.
-        inner: radius in pixels inside of which nothing of the splats shows.
+        weights: (D,) weight of the path-traced radiance in each of them, 0..1; it is 0 in all other pixels.
+        centre: (x, y) of the disc in pixels.
+        inner: radius in pixels inside which no splats are visible.
     """
 
     width: int
@@ -82,22 +82,28 @@ class FoveaRegion:
 
     @property
     def covers_frame(self) -> bool:
-        """Whether nothing of the periphery is left."""
+        """Whether no periphery is left."""
         return len(self.pixels) == self.width * self.height
 
     def weight_image(self) -> NDArray[np.float32]:
-        """(H, W) weight of the path-traced radiance; that of the splats is one minus it."""
+        """(H, W) weight of the path-traced radiance; the weight of the splats is one minus it."""
         image = np.zeros(self.width * self.height, dtype=np.float32)
         image[self.pixels] = self.weights
         return image.reshape(self.height, self.width)
 
+    def image_of(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(H, W, C) image of the region's values (D, C), 0 elsewhere."""
+        image = np.zeros((self.height * self.width, values.shape[1]), dtype=np.float32)
+        image[self.pixels] = values
+        return image.reshape(self.height, self.width, -1)
+
     @cached_property
     def rectangle(self) -> Rectangle:
-        """That around the disc; there must be a disc."""
+        """The rectangle around the disc, which must have a pixel."""
         return Rectangle.around(self.pixels, self.width, self.height)
 
     def foveal_tiles(self, tile: int) -> NDArray[np.bool_]:
-        """(rows, columns) bool: tiles that the rectangle around the disc touches."""
+        """(rows, columns) bool: tiles that overlap the rectangle around the disc, `tile` pixels per side."""
         tiles = np.zeros((-(-self.height // tile), -(-self.width // tile)), dtype=bool)
         if len(self.pixels):
             rows, columns = self.rectangle.box
@@ -106,10 +112,10 @@ class FoveaRegion:
         return tiles
 
     def peripheral_tiles(self, tile: int) -> NDArray[np.bool_]:
-        """(rows, columns) bool: tiles in which at least one pixel shows some of the splats."""
+        """(rows, columns) bool: tiles with a pixel in which splats are visible, `tile` pixels per side."""
         if self.covers_frame:
             return np.zeros((-(-self.height // tile), -(-self.width // tile)), dtype=bool)
-        # A tile is hidden when the one of its pixels furthest from the centre is.
+        # A tile is hidden if its pixel furthest from the centre is.
         y, x = (
             np.maximum(np.abs(first + 0.5 - middle), np.abs(np.minimum(first + tile, size) - 0.5 - middle))
             for size, middle in ((self.height, self.centre[1]), (self.width, self.centre[0]))
@@ -123,13 +129,13 @@ def _disc(
 ) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
     """Row-major indices (D,) of the pixels whose centres lie within a radius, and their distances (D,).
 
-    Row by row: a frame has many times the disc's pixels.
+    It works row by row, because a frame has many times the disc's pixels.
     """
     first, stop = _span(y, np.float64(radius), height)
     down = np.arange(first, stop) + 0.5 - y
     starts, stops = _span(x, np.sqrt(np.maximum(radius**2 - down**2, 0)), width)
     counts = np.maximum(stops - starts, 0)
-    # Half as many bytes as numpy would take by itself: this is about memory.
+    # int32 instead of numpy's int64: memory bandwidth limits this.
     before = (np.cumsum(counts) - counts).astype(np.int32)
     column = np.arange(counts.sum(), dtype=np.int32) - np.repeat(before - starts.astype(np.int32), counts)
     pixels = column + np.repeat(np.arange(first, stop, dtype=np.int32) * width, counts)
@@ -139,7 +145,7 @@ def _disc(
 
 
 def _span(centre: float, half: Any, size: int) -> tuple[Any, Any]:
-    """First pixel of one axis whose centre lies within the half widths, and the one after the last."""
+    """First pixel of an axis whose centre lies within `half` of a position, and the one after the last."""
     ends = np.floor(centre - half - 0.5) + 1, np.ceil(centre + half - 0.5)
     first, stop = (np.clip(end, 0, size).astype(np.int64) for end in ends)
     return first, stop

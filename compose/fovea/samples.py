@@ -1,4 +1,4 @@
-"""Samples of some pixels of a view, and how to put those of two passes together."""
+"""Samples of some pixels of a view, and how those of two passes are merged."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float32]
-
-DIFFUSE, GLOSSY, SPECULAR = 0, 1, 2
+Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -21,22 +19,22 @@ class Samples:
         count: (D,) samples in each; 0 where only the auxiliary features are known.
         radiance: (D, 3) their mean, linear.
         squares: (D, 3) mean of their squares.
-        albedo, normal: (D, 3) means over places in the pixel.
-        position: (D, 3) in the world, where what is seen in one of them seems to be; far away if the sky.
-        gloss: (D,) DIFFUSE, GLOSSY or SPECULAR, of that.
+        albedo, normal: (D, 3) means over sample positions in the pixel.
+        position: (D, 3) in the world, where one of the samples appears to hit something; far away for sky.
+        gloss: (D,) DIFFUSE, GLOSSY or SPECULAR (compose.image.gloss), of what it hits.
     """
 
     pixels: NDArray[np.uint32]
-    count: Array
-    radiance: Array
-    squares: Array
-    albedo: Array
-    normal: Array
-    position: Array
+    count: Floats
+    radiance: Floats
+    squares: Floats
+    albedo: Floats
+    normal: Floats
+    position: Floats
     gloss: NDArray[np.uint8]
 
-    def variance(self) -> Array:
-        """(D, 3) of the mean radiance; inf where one sample does not tell."""
+    def variance(self) -> Floats:
+        """(D, 3) variance of the mean radiance; inf where one sample alone cannot tell."""
         count = self.count[:, None]
         spread = np.maximum(self.squares - self.radiance**2, 0)
         with np.errstate(divide="ignore"):
@@ -44,7 +42,7 @@ class Samples:
 
 
 def merged(one: Samples, other: Samples) -> Samples:
-    """Light of two sets of samples of the same pixels in one; everything else is the first's."""
+    """The light of two sets of samples of the same pixels together; everything else is the first one's."""
     if not one.count.any():
         return replace(one, count=other.count, radiance=other.radiance, squares=other.squares)
     count = one.count + other.count

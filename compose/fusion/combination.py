@@ -1,87 +1,99 @@
-"""One estimate of foveal radiance from noisy traced pixels, their denoised picture, and biased splats.
+"""One estimate of foveal radiance from noisy samples, denoised samples, and biased splats.
 
 The parents err in different places: the traced radiance is noisy, denoising blurs and invents, splats lack
-detail and cannot follow what changed. A small convolutional network, fitted to a scene, looks at all of
-them and says per pixel what each is worth. Three things are built around it:
+detail and cannot follow changes. A small convolutional network, fitted to a scene, sees all of them and says
+per pixel what each is worth. Four things are built around it:
 
 - The splats are sharpened first: where the traced albedo varies within the size of a splat, so must the
   radiance. How much of that variation they lack is part of what the network says.
-- Where there are many samples, they tell whether the denoised ones are nearer to the truth than what the
-  network says, which has never seen so many.
+- Where there are many samples, they tell whether the denoised ones are nearer to the truth than the estimate
+  of the network, which has never seen so many.
 - The result is drawn towards the traced radiance wherever the two differ by more than noise explains, in
-  the spirit of the James-Stein combiner of Gu et al. 2022: with more samples its weight goes to 1.
-- What is not a number in one parent gets no weight.
+  the spirit of the James-Stein combiner of Gu et al. 2022: with more samples the weight of these goes to 1.
+- A parent that is negative or not finite in a pixel gets no weight there.
 """
 
 from __future__ import annotations
 
-import os
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from compose.fusion.features import features_of, variance_of
-from compose.fusion.maps import as_batch, box_mean, enlarged, halved, luminance, padded_to_even
+from compose.fusion.features import features_of
+from compose.fusion.maps import as_batch, box_mean, enlarged, halved, luminance, padded_to_even, variance_of
 from compose.fusion.network import Fusion, mixture
-from compose.fusion.parents import Fused, Parents
+from compose.fusion.parents import PARENTS, Fused, Parents
 from compose.image.colour import Image
 
-# torch keeps what it has compiled for pictures of each size, a thousand times by default, and a disc near the
-# edge of a frame has another size at every gaze: 170 kB for each. Read at the first convolution.
-for _capacity in ("LRU_CACHE_CAPACITY", "ONEDNN_PRIMITIVE_CACHE_CAPACITY"):
-    os.environ.setdefault(_capacity, "64")
-
-# Relative bias that no parent but the traced one is trusted to stay below.
+# Relative bias that no estimate but the traced radiance is trusted to stay below.
 _FLOOR = 0.005
-# How much wider than a normal distribution's the interval around a few samples' bias may be.
+# How much wider than a normal distribution's the confidence interval around a few samples' bias may be.
 _TAILS = 20.0
-# From so many samples per pixel on the samples can tell whether denoising them has come nearer to the truth
-# than the network, and how strongly their noise is held against that.
+# From this number of samples per pixel on they can tell whether the denoised ones are nearer to the truth
+# than the network's estimate; and how strongly their noise speaks against that.
 _TELLING_COUNT = 32
 _CAUTION = 24.0
-# With fewer samples per pixel the better denoiser costs more than it is worth.
+# At fewer samples per pixel the better denoiser costs more than it is worth.
 QUICK_BELOW = 3.0
+_IMAGES = ("traced", "denoised", "splat", "albedo", "normal", "variance", "count")
 
 
 def fuse(parents: Parents, fusion: Fusion | None) -> Fused:
     """One estimate from all parents.
 
     Args:
-        parents: pictures of one view.
-        fusion: fitted to the scene; None decides by `statistical` instead.
+        parents: images of one view.
+        fusion: fitted to the scene; without it `statistical` decides.
     """
     height, width = parents.traced.shape[:2]
     usable, excluded = _usable(parents)
-    interleaved = lambda found: found[0, :, :height, :width].permute(1, 2, 0).numpy()  # noqa: E731
     with torch.inference_mode():
-        # The network judges blocks of 2 x 2.
-        even = [padded_to_even(as_batch(image)) for image in usable]
-        *images, variance, count = even
-        traced, denoised, splat = images[:3]
-        if fusion is None:
-            radiance, weights = statistical(traced, denoised, splat, variance)
-        else:
-            # The network knows the quicker denoiser from pictures with few samples.
-            known = count.clamp(max=QUICK_BELOW) if parents.quick else count
-            features = features_of(images, known, torch.tensor([float(parents.enlargement)]))
-            radiance, weights = mixture(fusion(features), images[:3], features.texture)
+        # (1, C, H, W) each; the network sees blocks of 2 x 2.
+        images = {name: padded_to_even(as_batch(getattr(usable, name))) for name in _IMAGES}
+        traced, denoised, variance, count = (images[n] for n in ("traced", "denoised", "variance", "count"))
+        radiance, weights = _first_estimate(images, usable, fusion)
         if float(count.mean()) >= _TELLING_COUNT:
             share = regressed(radiance, denoised, traced, variance)
             radiance, weights = torch.lerp(radiance, denoised, share), weights * (1 - share)
-            weights[:, 1:2] += share
+            weights[:, 1:2] += share  # denoised
         share = trust(radiance, traced, variance, count)
         radiance = torch.lerp(traced, radiance, share)
         weights = weights * share
-        weights[:, 0:1] += 1 - share
-    return Fused(interleaved(radiance), interleaved(weights), excluded)
+        weights[:, 0:1] += 1 - share  # traced
+    return Fused(_as_image(radiance, height, width), _as_image(weights, height, width), excluded)
+
+
+def _first_estimate(
+    images: Mapping[str, Tensor], parents: Parents, fusion: Fusion | None
+) -> tuple[Tensor, Tensor]:
+    """Radiance and weights (1, 3, H, W) by the network, or without one by statistics."""
+    traced, denoised, splat = three = [images[name] for name in PARENTS]
+    if fusion is None:
+        return statistical(traced, denoised, splat, images["variance"])
+    # The network knows the quicker denoiser from images with few samples.
+    count = images["count"].clamp(max=QUICK_BELOW) if parents.quick else images["count"]
+    enlargement = torch.tensor([float(parents.enlargement)])
+    features = features_of([*three, images["albedo"], images["normal"]], count, enlargement)
+    return mixture(fusion(features), three, features.texture)
+
+
+def _as_image(batch: Tensor, height: int, width: int) -> Image:
+    """(H, W, 3) from (1, 3, H or more, W or more)."""
+    return batch[0, :, :height, :width].permute(1, 2, 0).numpy()
 
 
 def statistical(traced: Tensor, denoised: Tensor, splat: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
-    """The splats' bias against the variance of the denoised samples, without anything fitted.
+    """Radiance and weights (N, 3, H, W) of splats and denoised samples, without anything fitted.
 
-    The squared bias is what of the squared difference between samples and splats, averaged over some 6 x 6
-    pixels, variance does not explain; denoising is taken to average over as many pixels.
+    The bias of the splats is held against the variance of the denoised samples. The squared bias is the part
+    of the squared difference between samples and splats, averaged over about 6 x 6 pixels, that variance does
+    not explain; denoising is assumed to average over as many pixels.
+
+    Args:
+        traced, denoised, splat, variance: (N, 3, H, W) as of Parents.
     """
     known = torch.where(torch.isfinite(variance), variance, (traced - denoised) ** 2)
     explained = box_mean(halved(known.mean(1, keepdim=True)))
@@ -93,14 +105,17 @@ def statistical(traced: Tensor, denoised: Tensor, splat: Tensor, variance: Tenso
 
 
 def regressed(estimate: Tensor, other: Tensor, traced: Tensor, variance: Tensor) -> Tensor:
-    """(N, 1, H, W): how far on the way from an estimate to another one the traced radiance lies, 0..1.
+    """(N, 1, H, W) how far the traced radiance lies along the way from an estimate to another one, 0..1.
 
-    The place is that of least squares over some 6 x 6 pixels. The variance of their mean is added to the
-    squared length of the way: where the two estimates differ by less than noise, the first one is kept.
+    It is found by least squares over about 6 x 6 pixels. A multiple of the variance of their mean is added to
+    the squared length of the way: where the two estimates differ by less than noise, the first one is kept.
+
+    Args:
+        estimate, other, traced, variance: (N, 3, H, W).
     """
     known = torch.isfinite(variance).all(1, keepdim=True)
     noise = torch.where(known, variance, 0).mean(1, keepdim=True)
-    way = other - estimate
+    way = other - estimate  # (N, 3, H, W)
     along = ((traced - estimate) * way).mean(1, keepdim=True)
     maps = box_mean(halved(torch.cat([along, (way**2).mean(1, keepdim=True), noise], 1)))
     share = maps[:, 0:1] / (maps[:, 1:2] + _CAUTION * maps[:, 2:3] / 36 + 1e-12)
@@ -108,13 +123,17 @@ def regressed(estimate: Tensor, other: Tensor, traced: Tensor, variance: Tensor)
 
 
 def trust(estimate: Tensor, traced: Tensor, variance: Tensor, count: Tensor) -> Tensor:
-    """(N, 1, H, W): share that an estimate of unknown bias keeps beside the unbiased one, 0..1.
+    """(N, 1, H, W) share that an estimate of unknown bias keeps beside the unbiased one, 0..1.
 
     v / (v + b^2) is the best share for independent errors of variance v and bias b. The squared bias is
-    estimated over some 6 x 6 pixels, and taken at the lower end of its confidence interval (two standard
-    errors): noise must not count as bias. Where few samples have found any light yet, both they and their
-    variance are too small together, so that the neighbourhood's relative variance counts where it is larger;
-    and the fewer the samples, the wider the interval may be.
+    estimated over about 6 x 6 pixels and taken at the lower end of its confidence interval (two standard
+    errors): noise must not count as bias. Where few samples have found light yet, both their mean and their
+    variance are too small, so the relative variance of the neighbourhood counts where it is larger; and the
+    fewer the samples, the wider the interval may be.
+
+    Args:
+        estimate, traced, variance: (N, 3, H, W).
+        count: (N, 1, H, W) samples.
     """
     known = torch.isfinite(variance).all(1, keepdim=True)
     explained = torch.where(known, variance, 0).mean(1, keepdim=True)
@@ -131,20 +150,29 @@ def trust(estimate: Tensor, traced: Tensor, variance: Tensor, count: Tensor) -> 
     return torch.where(known, enlarged(share, traced), 1.0)
 
 
-def _usable(parents: Parents) -> tuple[list[Image], int]:
-    """Traced, denoised, splat, albedo, normal, variance, count; and how many pixels were replaced."""
-    images = [parents.traced, parents.denoised, parents.splat]
-    others = [parents.albedo, parents.normal, parents.variance, parents.count]
-    # Minimum and sum tell at once that nothing is wrong, as is nearly always so.
-    if all(np.isfinite(image.sum()) and image.min() >= 0 for image in images) and all(
-        np.isfinite(guide.sum()) for guide in others[:2]
+def _usable(parents: Parents) -> tuple[Parents, int]:
+    """The parents with whatever is negative or not finite replaced, and the number of pixels concerned."""
+    radiance = [getattr(parents, name) for name in PARENTS]
+    auxiliary = parents.albedo, parents.normal
+    # Minimum and sum quickly show that all values are fine, as they nearly always are.
+    if all(np.isfinite(image.sum()) and image.min() >= 0 for image in radiance) and all(
+        np.isfinite(image.sum()) for image in auxiliary
     ):
-        return images + others, 0
-    bad = [(~np.isfinite(image) | (image < 0)).any(axis=-1, keepdims=True) for image in images]
-    traced, denoised, splat = images
-    # The denoised picture has seen its neighbours: it is the first to stand in for another.
-    denoised = np.where(bad[1], np.where(bad[2], 0, splat), denoised)
-    images = [np.where(bad[0], denoised, traced), denoised, np.where(bad[2], denoised, splat)]
-    others[:2] = (np.nan_to_num(guide, posinf=0, neginf=0) for guide in others[:2])
-    others[2] = np.where(bad[0], np.inf, others[2])
-    return images + others, int(np.count_nonzero(bad[0] | bad[1] | bad[2]))
+        return parents, 0
+    no_traced, no_denoised, no_splat = (
+        (~np.isfinite(image) | (image < 0)).any(axis=-1, keepdims=True) for image in radiance
+    )  # (H, W, 1) each
+    traced, denoised, splat = radiance
+    # Denoising has used the neighbouring pixels, so its result is the first substitute for the others.
+    denoised = np.where(no_denoised, np.where(no_splat, 0, splat), denoised)
+    albedo, normal = (np.nan_to_num(image, posinf=0, neginf=0) for image in auxiliary)
+    replaced = replace(
+        parents,
+        traced=np.where(no_traced, denoised, traced),
+        denoised=denoised,
+        splat=np.where(no_splat, denoised, splat),
+        albedo=albedo,
+        normal=normal,
+        variance=np.where(no_traced, np.inf, parents.variance),
+    )
+    return replaced, int(np.count_nonzero(no_traced | no_denoised | no_splat))

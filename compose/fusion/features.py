@@ -1,4 +1,4 @@
-"""The features from which the network judges its parents."""
+"""The features from which the network judges the parents."""
 
 from __future__ import annotations
 
@@ -9,35 +9,92 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from compose.fusion.maps import box_mean, enlarged, halved, luminance
+from compose.fusion.channels import Channels
+from compose.fusion.maps import box_mean, enlarged, halved, luminance, variance_of
 
-# Albedo below this is not told from black: its logarithm would be noise.
+# Albedo below this counts as black: its logarithm would be noise.
 _DARK = 0.03
-# Least spread of the samples anywhere, in that of the whole picture.
+# Least variance of the samples anywhere, relative to that of the whole image.
 _SPREAD = 0.5
 
 
 @dataclass(frozen=True)
 class Features:
-    """What the network looks at, and the texture that it may give the splats.
+    """What the network sees, and the texture that it may add to the splats.
 
     Attributes:
-        fine: (N, FINE, H, W).
-        coarse: (N, COARSE, H / 2, W / 2).
+        fine: (N, FINE.total, H, W).
+        coarse: (N, COARSE.total, H / 2, W / 2).
         texture: three of (N, 3, H, W): logarithm of the albedo over its mean in windows of 3, 6 and 12
-            pixels, which is what a blur of that size takes from a picture.
+            pixels, which is what a blur of that size removes from an image.
     """
 
-    FINE: ClassVar[int] = 10
-    COARSE: ClassVar[int] = 21
+    # The order is that of the network's weights in files.
+    FINE: ClassVar[Channels] = Channels(
+        {
+            "splat": 3,  # perceived radiance
+            "difference": 3,  # of denoised samples and splats, perceived
+            "texture": 3,  # in windows of 3 pixels
+            "residual": 1,  # luminance that denoising removed, perceived
+        }
+    )
+    COARSE: ClassVar[Channels] = Channels(
+        {
+            "albedo": 3,
+            "normal": 3,
+            "texture_6": 3,  # in windows of 6 pixels
+            "texture_12": 3,  # in windows of 12 pixels
+            "ratio_6": 1,  # relative difference of samples and splats, mean over 6 pixels
+            "evidence_6": 1,  # its t-value, -1..1
+            "ratio_12": 1,  # the same over 12 pixels
+            "evidence_12": 1,
+            "residual": 1,  # mean over 6 pixels
+            "residual_power": 1,  # logarithm of its mean square
+            "difference": 1,  # absolute, mean over colours
+            "count": 1,  # logarithm of the number of samples
+            "enlargement": 1,  # logarithm, the same everywhere
+        }
+    )
 
     fine: Tensor
     coarse: Tensor
     texture: list[Tensor]
 
 
+def features_of(images: Sequence[Tensor], count: Tensor, enlargement: Tensor) -> Features:
+    """What the network sees of the parents.
+
+    Args:
+        images: traced, denoised, splat, albedo, normal, each (N, 3, H, W), both sides even.
+        count: (N, 1, H, W) samples.
+        enlargement: (N,) as of Parents.
+    """
+    traced, denoised, splat, albedo, normal = images
+    seen_denoised, seen_splat = perceived(denoised), perceived(splat)
+    residual = luminance(perceived(traced) - seen_denoised)  # (N, 1, H, W)
+    difference = seen_denoised - seen_splat  # (N, 3, H, W)
+    texture, coarse_texture = _texture(albedo)
+    residual_moments = box_mean(halved(torch.cat([residual, residual**2], 1)))  # (N, 2, H / 2, W / 2)
+    constant = torch.log2(enlargement).clamp(-2, 4).view(-1, 1, 1, 1)
+    coarse_albedo = halved(albedo)
+    fine = {"splat": seen_splat, "difference": difference, "texture": texture[0], "residual": residual}
+    coarse = {
+        "albedo": coarse_albedo,
+        "normal": halved(normal),
+        "texture_6": coarse_texture[0],
+        "texture_12": coarse_texture[1],
+        **_evidence(traced, splat),
+        "residual": residual_moments[:, 0:1],
+        "residual_power": torch.log(residual_moments[:, 1:2] + 1e-5) / 4,
+        "difference": halved(difference.abs().mean(1, keepdim=True)),
+        "count": torch.log2(halved(count).clamp(1, 64)) / 3 - 1,
+        "enlargement": constant.expand(-1, 1, *coarse_albedo.shape[-2:]),
+    }
+    return Features(Features.FINE.stacked(fine), Features.COARSE.stacked(coarse), texture)
+
+
 def perceived(radiance: Tensor) -> Tensor:
-    """About what sRGB makes of radiance up to 1, and slower growth beyond: finite slopes, no upper end.
+    """Roughly sRGB for radiance up to 1, and slower growth beyond: its slope is finite, its range unbounded.
 
     Square roots take a tenth of the time of other powers.
     """
@@ -45,62 +102,40 @@ def perceived(radiance: Tensor) -> Tensor:
     return low + 2 * (torch.sqrt(torch.sqrt(radiance.clamp(min=1))) - 1)
 
 
-def variance_of(moments: Tensor) -> Tensor:
-    return (moments[:, 1:2] - moments[:, 0:1] ** 2).clamp(min=0)
+def _texture(albedo: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+    """Logarithm of the albedo (N, 3, H, W) over its means in windows.
+
+    Returns:
+        Three of (N, 3, H, W), for windows of 3, 6 and 12 pixels; two of (N, 3, H / 2, W / 2), for windows of
+        6 and 12 pixels.
+    """
+    coarse_albedo = halved(albedo)
+    means = box_mean(albedo), box_mean(coarse_albedo), box_mean(halved(coarse_albedo))
+    blurred = [torch.log(mean + _DARK) for mean in means]  # at full, half and a quarter of the resolution
+    fine, coarse = torch.log(albedo + _DARK), torch.log(coarse_albedo + _DARK)
+    return (
+        [fine - blurred[0], *(fine - enlarged(mean, fine) for mean in blurred[1:])],
+        [coarse - blurred[1], coarse - enlarged(blurred[2], coarse)],
+    )
 
 
-def _evidence(traced: Tensor, splat: Tensor) -> list[Tensor]:
-    """Whether samples and splats differ by more than noise, at half the resolution.
+def _evidence(traced: Tensor, splat: Tensor) -> dict[str, Tensor]:
+    """Whether samples and splats (N, 3, H, W) differ by more than noise, each (N, 1, H / 2, W / 2).
 
-    Mean of their relative difference, and its t-value, over windows of 6 and of 12 pixels.
+    The mean of their relative difference and its t-value, over windows of 6 and of 12 pixels.
     """
     expected = luminance(splat) + 0.05
     ratio = ((luminance(traced) + 0.05) / expected - 1).clamp(-8, 8)
-    moments = halved(torch.cat([ratio, ratio**2], 1))
+    moments = halved(torch.cat([ratio, ratio**2], 1))  # (N, 2, H / 2, W / 2)
     small, large = box_mean(moments), enlarged(box_mean(halved(moments)), moments)
-    # Where no light has been found yet a small window shows no spread; the neighbourhood and the whole
-    # picture tell of it.
+    # Where no light has been found yet, a small window shows no variance; the neighbourhood and the whole
+    # image do.
     everywhere = variance_of(moments) * halved(expected)
     everywhere = everywhere.mean((2, 3), keepdim=True) / expected.mean((2, 3), keepdim=True)
     floor = torch.maximum(variance_of(large), _SPREAD * everywhere)
-    found = []
-    for mean, pixels in ((small, 36), (large, 144)):
-        t = mean[:, 0:1] / torch.sqrt(torch.maximum(variance_of(mean), floor) / pixels + 1e-4)
-        found += [mean[:, 0:1].clamp(-1, 1), t / (3 + t.abs())]
+    found = {}
+    for mean, side in ((small, 6), (large, 12)):
+        t = mean[:, 0:1] / torch.sqrt(torch.maximum(variance_of(mean), floor) / side**2 + 1e-4)
+        found[f"ratio_{side}"] = mean[:, 0:1].clamp(-1, 1)
+        found[f"evidence_{side}"] = t / (3 + t.abs())
     return found
-
-
-def features_of(images: Sequence[Tensor], count: Tensor, enlargement: Tensor) -> Features:
-    """What the network looks at.
-
-    Args:
-        images: traced, denoised, splat, albedo, normal, each (N, 3, H, W), both sides even.
-        count: (N, 1, H, W) samples.
-        enlargement: (N,).
-    """
-    traced, denoised, splat, albedo, normal = images
-    seen_denoised, seen_splat = perceived(denoised), perceived(splat)
-    residual = luminance(perceived(traced) - seen_denoised)
-    difference = seen_denoised - seen_splat
-    logarithm, coarse_albedo = torch.log(albedo + _DARK), halved(albedo)
-    means = [box_mean(coarse_albedo), box_mean(halved(coarse_albedo))]
-    blurred = [torch.log(mean + _DARK) for mean in (box_mean(albedo), *means)]
-    texture = [logarithm - blurred[0], *(logarithm - enlarged(mean, logarithm) for mean in blurred[1:])]
-    coarse_logarithm = torch.log(coarse_albedo + _DARK)
-    constant = torch.log2(enlargement).clamp(-2, 4).view(-1, 1, 1, 1)
-    moments = box_mean(halved(torch.cat([residual, residual**2], 1)))
-    coarse = [
-        coarse_albedo,
-        halved(normal),
-        coarse_logarithm - blurred[1],
-        coarse_logarithm - enlarged(blurred[2], coarse_logarithm),
-        *_evidence(traced, splat),
-        moments[:, 0:1],
-        torch.log(moments[:, 1:2] + 1e-5) / 4,
-        halved(difference.abs().mean(1, keepdim=True)),
-        torch.log2(halved(count).clamp(1, 64)) / 3 - 1,
-        constant.expand(-1, 1, *coarse_albedo.shape[-2:]),
-    ]
-    return Features(
-        torch.cat([seen_splat, difference, texture[0], residual], 1), torch.cat(coarse, 1), texture
-    )

@@ -9,28 +9,32 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from compose.fusion.channels import Channels
 from compose.fusion.features import features_of, perceived
 from compose.fusion.maps import as_batch
 from compose.fusion.network import Fusion, mixture
-from compose.fusion.parents import Parents
+from compose.fusion.parents import PARENTS, Parents
 
-# Side of what is looked at at once, and least side of an example, in pixels.
+# Side of a training patch, and least side of an example, in pixels.
 LEAST_SIZE = _PATCH = 64
 ITERATIONS = 1200
 _BATCH = 6
 _RATE = 4e-3
-# Share of patches whose splats are made wrong: a world that has changed must be noticed. Fewer samples than
-# these cannot tell a change from noise, and learning to see changes in them would see some everywhere.
+# Share of patches whose splats are made wrong, so that the network learns to notice a world that has changed.
+# Fewer samples than _TELLING cannot tell a change from noise; learning to see changes in them would make it
+# see some everywhere.
 _CHANGED = 0.25
 _CHANGED_IN_NOISE = 0.05
 _TELLING = 4
-# What a stack holds, in channels.
-_CHANNELS = [3, 3, 3, 3, 3, 3, 1]
+# What the network trains on, stacked in one tensor so that patches are cut from all of it at once.
+_STACK = Channels(
+    {"traced": 3, "denoised": 3, "splat": 3, "albedo": 3, "normal": 3, "reference": 3, "count": 1}
+)
 
 
 @dataclass(frozen=True)
 class Example:
-    """A view of which the truth is known.
+    """A view whose radiance is known.
 
     Attributes:
         parents: as a fovea would have them.
@@ -42,7 +46,7 @@ class Example:
 
 
 def fit(examples: Sequence[Example], seed: int, progress: Callable[[int, int], None]) -> Fusion:
-    """A fusion with the least mean logarithm of squared errors, in perceived radiance, over patches.
+    """A fusion fitted to examples: it minimizes the mean logarithm of squared errors in perceived radiance.
 
     Args:
         examples: of several views, sample counts and enlargements.
@@ -50,12 +54,12 @@ def fit(examples: Sequence[Example], seed: int, progress: Callable[[int, int], N
         progress: called with steps done and steps in all.
 
     Raises:
-        ValueError: there is nothing to fit to, or pictures are smaller than a patch.
+        ValueError: there are no examples, or they are smaller than a patch.
     """
     if not examples:
         raise ValueError("there are no examples to fit the fusion to")
     if min(*examples[0].reference.shape[:2]) < _PATCH:
-        raise ValueError(f"pictures of at least {_PATCH} x {_PATCH} pixels are needed to fit the fusion")
+        raise ValueError(f"fitting the fusion requires examples of at least {_PATCH} x {_PATCH} pixels")
     rng = np.random.default_rng(seed)
     with torch.random.fork_rng():
         torch.manual_seed(seed)
@@ -67,11 +71,7 @@ def fit(examples: Sequence[Example], seed: int, progress: Callable[[int, int], N
         picks = [int(rng.integers(len(examples))) for _ in range(_BATCH)]
         patches = torch.stack([_patch(stacks[pick], rng) for pick in picks])
         enlargement = torch.tensor([float(examples[pick].parents.enlargement) for pick in picks])
-        *images, reference, count = patches.split(_CHANNELS, dim=1)
-        features = features_of(images, count, enlargement)
-        radiance, _ = mixture(fusion(features), images[:3], features.texture)
-        error = ((perceived(radiance) - perceived(reference)) ** 2).mean((1, 2, 3))
-        loss = torch.log(error + 1e-6).mean()
+        loss = _loss(fusion, patches, enlargement)
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(fusion.parameters(), 1.0)
@@ -81,31 +81,39 @@ def fit(examples: Sequence[Example], seed: int, progress: Callable[[int, int], N
     return fusion.requires_grad_(False).eval()
 
 
+def _loss(fusion: Fusion, patches: Tensor, enlargement: Tensor) -> Tensor:
+    """Mean logarithm of the squared error of patches (N, _STACK.total, H, W)."""
+    images = _STACK.parts(patches)
+    parents = [images[name] for name in PARENTS]
+    features = features_of([*parents, images["albedo"], images["normal"]], images["count"], enlargement)
+    radiance, _ = mixture(fusion(features), parents, features.texture)
+    error = ((perceived(radiance) - perceived(images["reference"])) ** 2).mean((1, 2, 3))  # (N,)
+    return torch.log(error + 1e-6).mean()
+
+
 def _stack(example: Example) -> Tensor:
-    """(19, H, W): the parents' images, the reference and the count of samples."""
-    parents = example.parents
-    images = (
-        *(parents.traced, parents.denoised, parents.splat, parents.albedo, parents.normal),
-        *(example.reference, parents.count),
-    )
-    return torch.cat([as_batch(image)[0] for image in images])
+    """(_STACK.total, H, W) of an example."""
+    names = (*PARENTS, "albedo", "normal", "count")
+    images = {**{name: getattr(example.parents, name) for name in names}, "reference": example.reference}
+    return _STACK.stacked({name: as_batch(image)[0] for name, image in images.items()})
 
 
 def _patch(stack: Tensor, rng: np.random.Generator) -> Tensor:
-    """A part of an example, mirrored and turned at random, now and then with splats that are wrong."""
+    """A random part of an example, mirrored and transposed at random, sometimes with wrong splats."""
     height, width = stack.shape[-2:]
     top, left = rng.integers(height - _PATCH + 1), rng.integers(width - _PATCH + 1)
     patch = stack[:, top : top + _PATCH, left : left + _PATCH].clone()
-    telling = float(patch[-1, 0, 0]) >= _TELLING
+    images = _STACK.parts(patch)
+    telling = float(images["count"][0, 0, 0]) >= _TELLING
     if rng.random() < (_CHANGED if telling else _CHANGED_IN_NOISE):
-        patch[6:9] = _changed(patch[6:9], rng)
+        images["splat"][:] = _changed(images["splat"], rng)
     if rng.random() < 0.5:
         patch = patch.flip(2)
     return patch.transpose(1, 2) if rng.random() < 0.5 else patch
 
 
 def _changed(splat: Tensor, rng: np.random.Generator) -> Tensor:
-    """A picture of another world: other light, another colour, something moved, turned or in the way."""
+    """Splats (3, H, W) of another world: other light or colour, something moved, turned or in the way."""
     top, left, height, width = 0, 0, _PATCH, _PATCH
     if rng.random() < 0.5:
         height, width = (int(n) for n in rng.integers(8, _PATCH, 2))

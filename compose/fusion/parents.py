@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 from compose.image.colour import Image
 
@@ -12,17 +12,20 @@ PARENTS = ("traced", "denoised", "splat")
 
 @dataclass(frozen=True)
 class Parents:
-    """What is known of one picture.
+    """Images of one view from which its radiance is estimated.
 
     Attributes:
         traced: (H, W, 3) mean of the path-traced samples, linear radiance.
-        variance: (H, W, 3) of that mean; inf where it is not known.
+        variance: (H, W, 3) of that mean; inf where it is unknown.
         denoised: (H, W, 3) the same samples, denoised.
-        splat: (H, W, 3) the splats' picture of the same view.
-        albedo, normal: (H, W, 3) of the same samples.
-        count: (H, W, 1) how many samples.
-        enlargement: side of the pixels that the splats were trained on, in pixels of this picture.
-        quickly_denoised: whether by the quicker denoiser, though there may be many samples.
+        splat: (H, W, 3) the splats, rendered for the same view.
+        albedo, normal: (H, W, 3) auxiliary features of the same samples.
+        count: (H, W, 1) number of samples.
+        enlargement: side of the pixels that the splats were trained on, in pixels of these images.
+        quick: whether the quicker denoiser was used, however many samples there are.
+
+    Raises:
+        ValueError: the shapes do not match.
     """
 
     traced: Image
@@ -36,11 +39,12 @@ class Parents:
     quick: bool = False
 
     def __post_init__(self) -> None:
-        for field in fields(self)[:-2]:
-            shape = getattr(self, field.name).shape
-            expected = (*self.traced.shape[:2], 1 if field.name == "count" else 3)
+        size = self.traced.shape[:2]
+        for name in ("traced", "variance", "denoised", "splat", "albedo", "normal", "count"):
+            shape = getattr(self, name).shape
+            expected = (*size, 1 if name == "count" else 3)
             if shape != expected:
-                raise ValueError(f"{field.name} is {shape}, must be {expected} as traced is")
+                raise ValueError(f"{name} is {shape}, must be {expected} to match traced")
 
 
 @dataclass(frozen=True)
@@ -49,8 +53,8 @@ class Fused:
 
     Attributes:
         radiance: (H, W, 3) linear.
-        weights: (H, W, 3) share of each parent, in the order of PARENTS.
-        excluded: pixels in which a parent was not finite or negative, and left out.
+        weights: (H, W, 3) of the parents, in the order of PARENTS.
+        excluded: number of pixels in which a parent was left out because it was negative or not finite.
     """
 
     radiance: Image

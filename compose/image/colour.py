@@ -1,11 +1,20 @@
-"""Images in linear radiance, and their conversion to sRGB."""
+"""Images in linear radiance: their luminance, and their conversion to sRGB."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+# (H, W, 3) linear radiance, rows from the top.
 Image = NDArray[np.float32]
+
+# Luminance of linear red, green and blue (Rec. 709).
+LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)
+
+
+def luminance(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(...,) weighted sum of the colours of an image (..., 3), by the weights of Rec. 709."""
+    return image @ np.array(LUMINANCE_WEIGHTS, dtype=np.float32)
 
 
 def srgb_from_radiance(radiance: Image) -> Image:
@@ -17,5 +26,5 @@ def srgb_from_radiance(radiance: Image) -> Image:
 
 
 def bytes_from_radiance(radiance: Image) -> NDArray[np.uint8]:
-    """Eight bits per channel, sRGB, as a PNG holds them."""
+    """Radiance as sRGB with eight bits per channel, as in a PNG file."""
     return (srgb_from_radiance(radiance) * 255 + 0.5).astype(np.uint8)

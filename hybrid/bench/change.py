@@ -12,11 +12,11 @@ from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from hybrid.bench.fusion import Candidates, crops, means, measured, unfitted_views
 from hybrid.measure.reference import REFERENCE_SEED, reference
+from hybrid.runtime.device import device_arrays
 from pathtrace.dataset.frames import FrameSet
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer
-from splat.base.arrays import Arrays
 from splat.model.forest import Forest
 
 # What a shape should take of a crop to be worth moving or painting.
@@ -81,7 +81,6 @@ CHANGES: dict[str, Callable[[Scene, Camera], None]] = {
 
 
 def bench_change(
-    arrays: Arrays,
     load: Callable[[], Scene],
     frames: FrameSet,
     forest: Forest,
@@ -92,7 +91,6 @@ def bench_change(
     """One row per change and method: means over the unfitted views' crops, the forest as it was.
 
     Args:
-        arrays: the rasterizer's.
         load: gives the scene anew, to be changed.
         frames, forest: of the scene as it was.
         spp: samples per pixel in the fovea.
@@ -105,9 +103,9 @@ def bench_change(
         for place, crop in enumerate(places):
             scene = load()
             apply(scene, crop.camera)
-            candidates = Candidates(arrays, scene, forest)
+            candidates = Candidates(device_arrays(), scene, forest)
             truth = reference(candidates.tracer, crop.camera, reference_spp, REFERENCE_SEED).radiance
-            for method, image in candidates.pictures(crop.camera, spp, 0).items():
+            for method, image in candidates.images(crop.camera, spp, 0).items():
                 found.setdefault((change, method), []).append(measured(image, truth))
             progress(number * len(places) + place + 1, len(CHANGES) * len(places))
     return [

@@ -70,20 +70,20 @@ def _on_walls(count: int, rng: np.random.Generator) -> Gaussians:
 
 
 def _loaded_and_rendered(path: Path, backend: BackendName) -> dict[str, Any]:
-    from compose.eye.gaze import Gaze
-    from compose.fovea.region import Foveation
-    from hybrid.frame.periphery import Periphery, Viewing
+    from hybrid.frame.periphery import Periphery
+    from hybrid.frame.settings import FrameSettings
     from hybrid.runtime.device import device_arrays
     from pathtrace.base.backend import select_backend
 
     select_backend(backend)
     arrays = device_arrays()
     start = time.perf_counter()
-    periphery = Periphery(arrays, load_forest(path), Viewing())
+    periphery = Periphery(arrays, load_forest(path))
     loaded = time.perf_counter() - start
     camera = _inside()
-    region = Foveation(Gaze(), 20, 20).region(camera.width, camera.height)
-    drawn = periphery.draw(camera, periphery.detail(camera, Gaze(), 20), region)
+    settings = FrameSettings(fov_a=20, fov_b=20)
+    region = settings.foveation.region(camera.width, camera.height)
+    drawn = periphery.draw(camera, periphery.detail(camera, settings), region)
     drawn.image()
     return {"load_s": loaded, "peak_bytes": _peak_bytes(), "nodes_drawn": drawn.nodes}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -11,16 +12,19 @@ import numpy as np
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
-from compose.fovea.region import FoveaRegion, Foveation
+from compose.fovea.mode import FoveaMode
+from compose.fovea.region import Foveation
 from compose.fovea.samples import Samples
 from compose.image.colour import Image
-from hybrid.frame.disc import Underlay
 from hybrid.frame.fovea import Fovea
 from hybrid.frame.fusion import fusion_of
-from hybrid.frame.periphery import Periphery, Viewing
+from hybrid.frame.periphery import Periphery
+from hybrid.frame.settings import DEFAULTS
+from hybrid.frame.underlay import Underlay
 from hybrid.measure.metrics.flip import flip
 from hybrid.measure.metrics.similarity import quality
 from hybrid.measure.reference import REFERENCE_SEED, reference
+from hybrid.runtime.device import device_arrays
 from pathtrace.base.denoise import denoise
 from pathtrace.dataset.frames import FrameSet
 from pathtrace.scene.scene import Scene
@@ -64,18 +68,13 @@ def crops(cameras: list[Camera], scales: tuple[int, ...], share: float) -> Itera
             yield Crop(scale, large.cropped(left, top, width, height))
 
 
-def whole_region(camera: Camera) -> FoveaRegion:
-    """A disc that covers the frame."""
-    return Foveation(Gaze(), 1000.0, 1000.0).region(camera.width, camera.height)
-
-
 def whole_underlay(periphery: Periphery, camera: Camera) -> Underlay:
-    """The splats' picture of the whole frame."""
-    return Underlay(camera, periphery.whole(camera), periphery.enlargement(camera))
+    """The splats over the whole frame."""
+    return Underlay(camera, periphery.whole(camera, DEFAULTS), periphery.enlargement(camera, DEFAULTS))
 
 
 class Candidates:
-    """All methods with equally many samples.
+    """All ways to make a fovea, with the same number of samples.
 
     Args:
         arrays, scene, forest: what is rendered.
@@ -83,30 +82,35 @@ class Candidates:
 
     def __init__(self, arrays: Arrays, scene: Scene, forest: Forest):
         self.tracer = Tracer(scene)
-        self._periphery = Periphery(arrays, forest, Viewing(acuity_model="none"))
-        self._fused = Fovea(self.tracer, "fused", fusion_of(forest))
-        self._statistical = Fovea(self.tracer, "fused", None)
+        self._periphery = Periphery(arrays, forest)
+        self._fused = Fovea(self.tracer, fusion_of(forest))
+        self._statistical = Fovea(self.tracer, None)
 
-    def pictures(self, camera: Camera, spp: int, seed: int) -> dict[str, Image]:
-        """(H, W, 3) of each method: `fused` as frames have it, the others with as many samples everywhere."""
-        underlay, region = whole_underlay(self._periphery, camera), whole_region(camera)
-        image = lambda values: values.reshape(camera.height, camera.width, 3)  # noqa: E731
+    def images(self, camera: Camera, spp: int, seed: int) -> dict[str, Image]:
+        """(H, W, 3) by method: `fused` as in frames, the others with the same sample count everywhere."""
+        underlay = whole_underlay(self._periphery, camera)
+        # A disc that covers the frame.
+        region = Foveation(Gaze(), 1000.0, 1000.0).region(camera.width, camera.height)
 
-        def fovea(maker: Fovea, samples: Samples) -> Image:
-            return image(maker.picture(camera, region, samples, underlay.radiance, underlay).radiance)
+        def traced(under: Underlay | None) -> Samples:
+            return self._fused.trace(FoveaMode.FUSED, camera, region, spp, seed, under)[1]
 
-        samples = self._fused.disc.trace(camera, region, spp, seed)
-        raw = image(samples.radiance)
-        # The better network always: it is what fusion must beat.
-        denoised = denoise(raw, image(samples.albedo), image(samples.normal))
+        def fused(fovea: Fovea, samples: Samples) -> Image:
+            made = fovea.image(FoveaMode.FUSED, region, samples, underlay.radiance, underlay)
+            return region.image_of(made.radiance)
+
+        samples = traced(None)
+        raw = region.image_of(samples.radiance)
+        # Always the better denoiser: it is what fusion must beat.
+        denoised = denoise(raw, region.image_of(samples.albedo), region.image_of(samples.normal))
         return {
             "splat": underlay.radiance,
             "raw": raw,
             "denoised": denoised,
             "mean": 0.5 * (denoised + underlay.radiance),
-            "statistical": fovea(self._statistical, samples),
-            "fused, even": fovea(self._fused, samples),
-            "fused": fovea(self._fused, self._fused.disc.trace(camera, region, spp, seed, underlay)),
+            "statistical": fused(self._statistical, samples),
+            "fused, even": fused(self._fused, samples),
+            "fused": fused(self._fused, traced(underlay)),
         }
 
 
@@ -123,39 +127,48 @@ def means(rows: list[dict[str, float]]) -> dict[str, float]:
     return {name: float(np.mean([row[name] for row in rows if name in row])) for name in names}
 
 
+@dataclass(frozen=True)
+class FusionEffort:
+    """How much is measured.
+
+    Attributes:
+        counts: samples per pixel.
+        scales: resolutions of the crops over that of the frame set.
+        seeds: runs of each.
+        reference_spp: samples per pixel of the references.
+    """
+
+    counts: tuple[int, ...] = (1, 2, 4, 16, 64)
+    scales: tuple[int, ...] = (1, 2)
+    seeds: int = 2
+    reference_spp: int = 1024
+
+
 def bench_fusion(
-    arrays: Arrays,
     scene: Scene,
     frames: FrameSet,
     forest: Forest,
-    counts: tuple[int, ...],
-    scales: tuple[int, ...],
-    seeds: int,
-    reference_spp: int,
+    effort: FusionEffort,
     progress: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
     """One row per resolution, sample count and method: means over views and seeds.
 
     Args:
-        arrays, scene, forest: what is rendered.
+        scene, forest: what is rendered.
         frames: that the forest was trained on; its unfitted views are measured.
-        counts: samples per pixel.
-        scales: resolutions of the crops over that of the frames.
-        seeds: runs of each.
-        reference_spp: samples per pixel of the references.
-        progress: called with crops done and crops in all.
+        effort: how much is measured.
+        progress: called with crops done and crops in total.
     """
-    candidates = Candidates(arrays, scene, forest)
+    candidates = Candidates(device_arrays(), scene, forest)
     found: dict[tuple[int, int, str], list[dict[str, float]]] = {}
     limits: dict[int, list[float]] = {}
-    places = list(crops(unfitted_views(frames), scales, 0.4))
+    places = list(crops(unfitted_views(frames), effort.scales, 0.4))
     for done, crop in enumerate(places):
-        truth = reference(candidates.tracer, crop.camera, reference_spp, REFERENCE_SEED)
+        truth = reference(candidates.tracer, crop.camera, effort.reference_spp, REFERENCE_SEED)
         limits.setdefault(crop.scale, []).append(truth.psnr())
-        for spp in counts:
-            for seed in range(seeds):
-                for method, image in candidates.pictures(crop.camera, spp, seed).items():
-                    found.setdefault((crop.scale, spp, method), []).append(measured(image, truth.radiance))
+        for spp, seed in product(effort.counts, range(effort.seeds)):
+            for method, image in candidates.images(crop.camera, spp, seed).items():
+                found.setdefault((crop.scale, spp, method), []).append(measured(image, truth.radiance))
         progress(done + 1, len(places))
     return [
         {
@@ -163,8 +176,8 @@ def bench_fusion(
             "scale": scale,
             "spp": spp,
             "method": method,
-            "views": len(places) // len(scales),
-            "seeds": seeds,
+            "views": len(places) // len(effort.scales),
+            "seeds": effort.seeds,
             "reference_psnr": float(np.mean(limits[scale])),
             **means(rows),
         }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -16,8 +17,9 @@ from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from compose.fovea.region import Foveation
 from compose.image.colour import srgb_from_radiance
-from hybrid.frame.periphery import Periphery, Viewing
-from splat.base.arrays import Arrays
+from hybrid.frame.periphery import Periphery
+from hybrid.frame.settings import FrameSettings
+from hybrid.runtime.device import device_arrays
 from splat.model.forest import Forest
 
 
@@ -48,11 +50,9 @@ def _top_row(display: Display, gaze: Gaze, fov_b: float) -> NDArray[np.bool_]:
 
 
 def bench_gaze(
-    arrays: Arrays,
     forest: Forest,
     camera: Camera,
-    display: Display,
-    fov_b: float,
+    settings: FrameSettings,
     path: list[Gaze],
     progress: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
@@ -61,20 +61,21 @@ def bench_gaze(
     Changes are those of the largest channel in sRGB, in 1/255, outside of fov-b in both frames.
 
     Args:
-        arrays, forest, camera, display: what is drawn, and for whom.
-        fov_b: radius of the fovea in percent of the height.
-        path: of the gaze, as gazes_across gives it for these.
-        progress: called with frames done and frames in all.
+        forest, camera: what is drawn.
+        settings: radii and display.
+        path: of the gaze, from gazes_across with the same radius and display.
+        progress: called with frames done and frames in total.
     """
     acuity_models = [acuity_model for acuity_model in ACUITY_MODELS if acuity_model != "none"]
     rows = []
     for number, acuity_model in enumerate(acuity_models):
-        renderer = Periphery(arrays, forest, Viewing(display, acuity_model))
+        renderer = Periphery(device_arrays(), forest)
         before: tuple[NDArray[np.float32], NDArray[np.bool_]] | None = None
         tails, most = [], []
         for turn, gaze in enumerate(path):
-            region = Foveation(gaze, fov_b, fov_b).region(camera.width, camera.height)
-            radiance = renderer.draw(camera, renderer.detail(camera, gaze, fov_b), region).image()
+            at_gaze = replace(settings, gaze=gaze, acuity_model=acuity_model)
+            region = at_gaze.foveation.region(camera.width, camera.height)
+            radiance = renderer.draw(camera, renderer.detail(camera, at_gaze), region).image()
             now = srgb_from_radiance(radiance) * np.float32(255), region.weight_image() == 0
             if before is not None:
                 change = np.abs(now[0] - before[0]).max(axis=2)[now[1] & before[1]]

@@ -12,22 +12,24 @@ from numpy.typing import NDArray
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
+from compose.fovea.mode import FoveaMode
 from compose.fovea.rectangle import Rectangle
 from compose.fovea.region import FoveaRegion, Foveation
-from compose.fovea.samples import Samples
 from compose.fusion.network import Fusion
 from compose.image.colour import Image
 from hybrid.bench.fusion import means, measured, unfitted_views, whole_underlay
+from hybrid.frame.disc_tracer import DiscRequest
 from hybrid.frame.fovea import Fovea
 from hybrid.frame.fusion import fusion_of
-from hybrid.frame.periphery import Periphery, Viewing
+from hybrid.frame.periphery import Periphery
 from hybrid.measure.metrics.psnr import psnr
 from hybrid.measure.reference import REFERENCE_SEED, reference
+from hybrid.runtime.device import device_arrays
 from pathtrace.dataset.frames import FrameSet
 from pathtrace.scene.scene import Scene
+from pathtrace.scene.surfaces import Surfaces
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer
-from splat.base.arrays import Arrays
 from splat.model.forest import Forest
 
 FRAMES = 16
@@ -55,7 +57,6 @@ def walk(camera: Camera, distance: float) -> list[Camera]:
 
 
 def bench_motion(
-    arrays: Arrays,
     scene: Scene,
     frames: FrameSet,
     forest: Forest,
@@ -68,14 +69,14 @@ def bench_motion(
     that have no history.
 
     Args:
-        arrays, scene, forest: what is rendered.
+        scene, forest: what is rendered.
         frames: that the forest was trained on; its unfitted views, at twice their resolution, are where the
             walks end.
         reference_spp: samples per pixel of the references.
         progress: called with walks done and walks in all.
     """
     tracer, fusion = Tracer(scene), fusion_of(forest)
-    periphery = Periphery(arrays, forest, Viewing(acuity_model="none"))
+    periphery = Periphery(device_arrays(), forest)
     found: dict[tuple[str, str], list[dict[str, float]]] = {}
     views = unfitted_views(frames)
     for done, view in enumerate(views):
@@ -83,10 +84,10 @@ def bench_motion(
         region = _disc(camera, Gaze())
         around = region.rectangle
         truth = _reference(tracer, camera, around, reference_spp)
-        for mode in ("raw", "denoised", "fused"):
+        for mode in FoveaMode:
             discs, fresh = _discs(tracer, periphery, fusion, mode, camera, region)
             for method, disc in discs.items():
-                found.setdefault((mode, method), []).append(_measured(around, disc, truth, fresh))
+                found.setdefault((mode.value, method), []).append(_measured(around, disc, truth, fresh))
         progress(done + 1, len(views))
     return [
         {
@@ -107,7 +108,7 @@ def _discs(
     tracer: Tracer,
     periphery: Periphery,
     fusion: Fusion | None,
-    mode: str,
+    mode: FoveaMode,
     camera: Camera,
     region: FoveaRegion,
 ) -> tuple[dict[str, Image], NDArray[np.bool_]]:
@@ -115,22 +116,22 @@ def _discs(
     distance = _distance(tracer, camera)
     ray = camera.rays(np.array([[camera.cx, camera.cy]]))
     watched = camera.position + distance * ray
-    fovea, alone = Fovea(tracer, mode, fusion, remembers=True), Fovea(tracer, mode, fusion)
+    fovea, alone = Fovea(tracer, fusion, history=True), Fovea(tracer, fusion)
     underlay = whole_underlay(periphery, camera)
 
-    def shown(maker: Fovea, samples: Samples) -> Image:
-        return maker.picture(camera, region, samples, underlay.radiance, underlay).radiance
+    def shown(made_by: Fovea, spp: int) -> Image:
+        _, samples = made_by.trace(mode, camera, region, spp, FRAMES)
+        return made_by.image(mode, region, samples, underlay.radiance, underlay).radiance
 
     path = walk(camera, distance)
     for seed, earlier in enumerate(path[:-1]):
         pixel, _ = earlier.project(watched)
         gaze = Gaze(float(pixel[0, 0]) / camera.width, float(pixel[0, 1]) / camera.height)
-        fovea.disc.trace(earlier, _disc(earlier, gaze), 1, seed)
-    fresh = fovea.disc.known(camera, region, 1, FRAMES).count == 0
-    samples = fovea.disc.trace(camera, region, 1, FRAMES)
-    discs = {f"{FRAMES} frames of 1 spp": shown(fovea, samples)}
+        fovea.trace(mode, earlier, _disc(earlier, gaze), 1, seed)
+    fresh = fovea.disc.known(DiscRequest(camera, region, 1, FRAMES)).count == 0
+    discs = {f"{FRAMES} frames of 1 spp": shown(fovea, 1)}
     for spp in (1, 8):
-        discs[f"single frame, {spp} spp"] = shown(alone, alone.disc.trace(camera, region, spp, FRAMES))
+        discs[f"single frame, {spp} spp"] = shown(alone, spp)
     return discs, fresh
 
 
@@ -138,10 +139,10 @@ def _distance(tracer: Tracer, camera: Camera) -> float:
     """Of what lies in the middle of the view; if that is sky, the median of what is seen."""
     found = tracer.hits(camera, frame_positions(camera)).distance
     middle = found[camera.height // 2 * camera.width + camera.width // 2]
-    hits = found[np.isfinite(found)]
-    if not len(hits):
+    distance = float(middle) if np.isfinite(middle) else Surfaces(tracer.scene).median_distance(camera)
+    if not np.isfinite(distance):
         raise UserError("a view sees nothing to walk past")
-    return float(middle if np.isfinite(middle) else np.median(hits))
+    return distance
 
 
 def _reference(tracer: Tracer, camera: Camera, around: Rectangle, spp: int) -> Image:
@@ -149,7 +150,7 @@ def _reference(tracer: Tracer, camera: Camera, around: Rectangle, spp: int) -> I
     rows, columns = around.box
     height, width = around.shape
     crop = camera.cropped(columns.start, rows.start, width, height)
-    return around.taken(reference(tracer, crop, spp, REFERENCE_SEED).radiance)
+    return around.gathered(reference(tracer, crop, spp, REFERENCE_SEED).radiance)
 
 
 def _measured(around: Rectangle, disc: Image, truth: Image, fresh: NDArray[np.bool_]) -> dict[str, float]:

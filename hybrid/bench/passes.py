@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
-from compose.fovea.mode import MODES
-from compose.fovea.region import Foveation
-from hybrid.frame.renderer import HybridRenderer
+from compose.fovea.mode import FoveaMode
+from hybrid.frame.renderer import Renderer
+from hybrid.frame.settings import FrameSettings
 from hybrid.measure.timing import interleaved_passes, percentiles
 from pathtrace.scene.scene import Scene
 from splat.model.forest import Forest
@@ -21,9 +21,7 @@ from splat.model.forest import Forest
 def bench_passes(
     scene: Scene,
     forest: Forest,
-    camera: Camera,
-    radii: tuple[float, float],
-    spp: int,
+    settings: FrameSettings,
     repeats: int,
     warm_up: int,
     progress: Callable[[int, int], None],
@@ -32,31 +30,29 @@ def bench_passes(
 
     Args:
         scene, forest: what is rendered.
-        camera: the view.
-        radii: fov-a and fov-b.
-        spp: samples per pixel in the disc.
+        settings: of the frames, apart from gaze and mode.
         repeats: measured frames per mode.
         warm_up: frames before that.
         progress: called with rounds done and rounds in all.
     """
-    renderers = [HybridRenderer(scene, forest, mode=mode) for mode in MODES]
+    renderer = Renderer(scene, forest)
+    camera = settings.camera or scene.camera
 
-    def passes(renderer: HybridRenderer, gaze: Gaze, seed: int) -> dict[str, float]:
-        return renderer.frame(camera, Foveation(gaze, *radii), spp, seed).milliseconds
+    def passes(mode: FoveaMode, gaze: Gaze, seed: int) -> dict[str, float]:
+        return renderer.frame(replace(settings, gaze=gaze, fovea=mode), seed).milliseconds
 
-    methods = [partial(passes, renderer) for renderer in renderers]
-    times = interleaved_passes(methods, repeats, warm_up, progress)
-    found = dict(zip(MODES, times, strict=True))
+    times = interleaved_passes([partial(passes, mode) for mode in FoveaMode], repeats, warm_up, progress)
+    found = dict(zip(FoveaMode, times, strict=True))
     return [
         {
-            "mode": mode,
+            "mode": mode.value,
             "width": camera.width,
             "height": camera.height,
-            "spp": spp,
-            "fov_a": radii[0],
-            "fov_b": radii[1],
+            "spp": settings.spp,
+            "fov_a": settings.fov_a,
+            "fov_b": settings.fov_b,
             "passes": {name: percentiles([frame[name] for frame in frames]) for name in frames[0]},
-            **_shares(found["raw"], frames),
+            **_shares(found[FoveaMode.RAW], frames),
             "repeats": repeats,
         }
         for mode, frames in found.items()
@@ -68,6 +64,6 @@ def _shares(raw: list[dict[str, float]], frames: list[dict[str, float]]) -> dict
 
     Tracing finds albedo and normal as well where they are used; raw frames need neither.
     """
-    made = np.median([frame["fovea"] + frame["under"] for frame in frames])
+    made = np.median([frame["fovea"] + frame["underlay"] for frame in frames])
     tracing, bare = (np.median([frame["trace"] for frame in some]) for some in (frames, raw))
     return {"share_of_tracing": float(made / tracing), "over_raw": float((made + tracing) / bare - 1)}

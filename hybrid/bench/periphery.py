@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import drjit as dr
 import numpy as np
+from splat.lod.pictures import JoinedFrame
 
 from compose.camera.camera import Camera
 from compose.eye.acuity import ACUITY_MODELS
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
-from compose.fovea.region import FoveaRegion, Foveation
-from hybrid.frame.periphery import Periphery, Viewing
+from hybrid.frame.periphery import Periphery
+from hybrid.frame.settings import FrameSettings
 from hybrid.measure.metrics.fovvideovdp import jod
 from hybrid.measure.metrics.ssim import ssim
 from hybrid.measure.timing import percentiles
-from splat.base.arrays import Arrays
-from splat.lod.pictures import JoinedFrame
+from hybrid.runtime.device import device_arrays
 from splat.model.forest import Forest
 
 GAZES = (Gaze(0.5, 0.5), Gaze(0.2, 0.2))
@@ -39,60 +39,95 @@ _INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
 
 
 def bench_periphery(
-    arrays: Arrays,
     forest: Forest,
     camera: Camera,
-    display: Display,
-    fov_b: float,
+    settings: FrameSettings,
     repeats: int,
     warm_up: int,
     progress: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
-    """One row per gaze and acuity model; the acuity models' passes are interleaved with those of full level and full rate.
+    """One row per gaze and acuity model, whose passes are interleaved with those at full level and rate.
 
-    A pass is everything from the gaze to the joined picture of what lies outside fov-b. What depends on the
-    camera alone, the nodes' footprints and the map of attention, is kept while the camera stands still, as it
-    does in `periphery_ms` and `full_ms`; in `moving_ms` and `moving_full_ms` every pass has another camera.
-    Quality is that of the frame with only the periphery exchanged.
+    A pass is everything from the gaze to the joined image of what lies outside fov-b. Footprints and saliency
+    depend on the camera alone and are kept while it stands still, as in `periphery_ms` and `full_ms`; in
+    `moving_ms` and `moving_full_ms` every pass has another camera. Quality is that of the frame with only the
+    periphery exchanged.
+
+    Args:
+        forest, camera: what is drawn.
+        settings: fov_b and display.
+        repeats: measured passes per acuity model and gaze.
+        warm_up: passes before that.
+        progress: called with rounds done and rounds in total.
     """
-    passes = _Passes(arrays, forest, display, fov_b)
-    rows = []
+    models = [replace(settings, acuity_model=name) for name in ACUITY_MODELS]
+    # One each, so that none uses what another has just kept.
+    peripheries = [Periphery(device_arrays(), forest) for _ in models]
     turns = range(-warm_up, repeats)
+    rows: list[dict[str, Any]] = []
     for number, gaze in enumerate(GAZES):
-        region = Foveation(gaze, fov_b, fov_b).region(camera.width, camera.height)
+        at_gaze = [replace(model, gaze=gaze) for model in models]
         kinds: list[dict[str, list[float]]] = []
         for moving in (True, False):
-            times: dict[str, list[float]] = {acuity_model: [] for acuity_model in ACUITY_MODELS}
+            times: dict[str, list[float]] = {name: [] for name in ACUITY_MODELS}
             for turn in turns:
                 view = _moved(camera, turn * _STEP) if moving else camera
-                frames = passes.run(view, gaze, region, times if turn >= 0 else None)
+                drawn = _passes(peripheries, at_gaze, view, times if turn >= 0 else None)
                 done = (2 * number + len(kinds)) * len(turns) + turn + warm_up + 1
                 progress(done, 2 * len(GAZES) * len(turns))
             kinds.append(times)
-        full = frames[FULL].image().copy()
-        fovea = region.weight_image()[..., None]
-        for acuity_model in ACUITY_MODELS:
-            image = frames[acuity_model].image() * (1 - fovea) + full * fovea
-            row = {
-                "acuity_model": acuity_model,
-                "gaze": [gaze.x, gaze.y],
-                "width": camera.width,
-                "height": camera.height,
-                "fov_b": fov_b,
-                **_times(acuity_model, *kinds),
-                "nodes_drawn": frames[acuity_model].nodes,
-                "jod": jod(image, full, display, gaze),
-                "ssim": ssim(image, full),
-                "repeats": repeats,
-                "layers": list(forest.counts),
-            }
-            rows.append(row)
+        common = {"fov_b": settings.fov_b, "repeats": repeats, "layers": list(forest.counts)}
+        quality = _quality(at_gaze, camera, drawn)
+        rows += [{**row, **_times(row["acuity_model"], *kinds), **common} for row in quality]
+    return rows
+
+
+def _passes(
+    peripheries: Sequence[Periphery],
+    models: Sequence[FrameSettings],
+    camera: Camera,
+    times: dict[str, list[float]] | None,
+) -> dict[str, JoinedFrame]:
+    """The periphery once with each acuity model."""
+    drawn = {}
+    for periphery, settings in zip(peripheries, models, strict=True):
+        region = settings.foveation.region(camera.width, camera.height)
+        start = time.perf_counter()
+        name = settings.acuity_model
+        drawn[name] = periphery.draw(camera, periphery.detail(camera, settings), region)
+        dr.sync_thread()
+        if times is not None:
+            times[name].append((time.perf_counter() - start) * 1000)
+    return drawn
+
+
+def _quality(
+    models: Sequence[FrameSettings], camera: Camera, drawn: dict[str, JoinedFrame]
+) -> list[dict[str, Any]]:
+    """Rows of how close each periphery is to that at full level and rate."""
+    full = drawn[FULL].image().copy()
+    rows = []
+    for settings in models:
+        frame, gaze = drawn[settings.acuity_model], settings.gaze
+        fovea = settings.foveation.region(camera.width, camera.height).weight_image()[..., None]
+        image = frame.image() * (1 - fovea) + full * fovea
+        row = {
+            "acuity_model": settings.acuity_model,
+            "gaze": [gaze.x, gaze.y],
+            "width": camera.width,
+            "height": camera.height,
+            "nodes_drawn": frame.nodes,
+            "jod": jod(image, full, settings.display, gaze),
+            "ssim": ssim(image, full),
+        }
+        rows.append(row)
     return rows
 
 
 def _times(
     acuity_model: str, moving: dict[str, list[float]], still: dict[str, list[float]]
 ) -> dict[str, Any]:
+    """Percentiles of passes with a moving and with a still camera, and their ratios to full detail."""
     ratio = lambda times: float(np.median(times[FULL]) / np.median(times[acuity_model]))  # noqa: E731
     return {
         "periphery_ms": percentiles(still[acuity_model]),
@@ -102,30 +137,6 @@ def _times(
         "moving_full_ms": percentiles(moving[FULL]),
         "moving_ratio": ratio(moving),
     }
-
-
-class _Passes:
-    """The periphery once under each acuity model, one after the other."""
-
-    def __init__(self, arrays: Arrays, forest: Forest, display: Display, fov_b: float):
-        # One renderer each: none may live on what another one has just kept.
-        self._renderers = {
-            acuity_model: Periphery(arrays, forest, Viewing(display, acuity_model))
-            for acuity_model in ACUITY_MODELS
-        }
-        self._fov_b = fov_b
-
-    def run(
-        self, camera: Camera, gaze: Gaze, region: FoveaRegion, times: dict[str, list[float]] | None
-    ) -> dict[str, JoinedFrame]:
-        frames = {}
-        for acuity_model, renderer in self._renderers.items():
-            start = time.perf_counter()
-            frames[acuity_model] = renderer.draw(camera, renderer.detail(camera, gaze, self._fov_b), region)
-            dr.sync_thread()
-            if times is not None:
-                times[acuity_model].append((time.perf_counter() - start) * 1000)
-        return frames
 
 
 def _moved(camera: Camera, distance: float) -> Camera:

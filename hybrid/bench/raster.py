@@ -10,6 +10,7 @@ import drjit as dr
 import numpy as np
 
 from hybrid.measure.timing import percentiles
+from hybrid.runtime.device import device_arrays
 from splat.base.arrays import Arrays
 from splat.raster.binning import bin_splats
 from splat.raster.blending import padded_size, rasterize
@@ -34,17 +35,15 @@ def random_splats(arrays: Arrays, count: int, width: int, height: int, rng: np.r
 
 
 def bench_raster(
-    arrays: Arrays,
     gaussians: int,
-    width: int,
-    height: int,
+    size: tuple[int, int],
     seed: int,
     repeats: int,
     warm_up: int,
     progress: Callable[[int, int], None],
 ) -> dict[str, Any]:
     """Times of binning and blending (forward) and of the gradient (backward), all data on the device."""
-    rng = np.random.default_rng(seed)
+    arrays, (width, height), rng = device_arrays(), size, np.random.default_rng(seed)
     splats = random_splats(arrays, gaussians, width, height, rng)
     forward, backward = [], []
     for step in range(-warm_up, repeats):

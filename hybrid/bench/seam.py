@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.eye.display import Display
 from compose.eye.gaze import Gaze
-from compose.fovea.mode import MODES
-from compose.fovea.region import FoveaRegion, Foveation
+from compose.fovea.mode import FoveaMode
+from compose.fovea.region import FoveaRegion
 from compose.image.colour import Image
 from hybrid.bench.fusion import means, unfitted_views
 from hybrid.frame.frame import Frame
-from hybrid.frame.periphery import Viewing
-from hybrid.frame.renderer import HybridRenderer
+from hybrid.frame.renderer import Renderer
+from hybrid.frame.settings import FrameSettings
 from hybrid.measure.metrics.fovvideovdp import jod
 from hybrid.measure.reference import REFERENCE_SEED, reference
 from hybrid.measure.regions import Region, plain_regions
@@ -36,8 +37,7 @@ def bench_seam(
     scene: Scene,
     frames: FrameSet,
     forest: Forest,
-    display: Display,
-    spp: int,
+    settings: FrameSettings,
     reference_spp: int,
     progress: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
@@ -46,27 +46,28 @@ def bench_seam(
     Args:
         scene, forest: what is rendered.
         frames: that the forest was trained on.
-        display: what the frames are looked at on.
-        spp: samples per pixel in the disc.
+        settings: of the frames, apart from camera, gaze and mode.
         reference_spp: samples per pixel of the references.
         progress: called with views done and views in all.
     """
-    found: dict[str, list[dict[str, float]]] = {mode: [] for mode in MODES}
+    found: dict[FoveaMode, list[dict[str, float]]] = {mode: [] for mode in FoveaMode}
     views = unfitted_views(frames)
-    renderers = {mode: HybridRenderer(scene, forest, Viewing(display), mode) for mode in MODES}
+    renderer = Renderer(scene, forest)
     for done, view in enumerate(views):
         camera = view.resized(view.width * _SCALE, view.height * _SCALE)
-        truth = reference(renderers["raw"].tracer, camera, reference_spp, REFERENCE_SEED).radiance
-        for foveation in map(Foveation, GAZES):
-            band = plain_regions(foveation, (camera.height, camera.width), ("seam",))["seam"]
-            for mode, renderer in renderers.items():
-                frame = renderer.frame(camera, foveation, spp, done)
-                found[mode].append(_seam(frame, band, truth, display, foveation.gaze))
+        truth = reference(renderer.tracer, camera, reference_spp, REFERENCE_SEED).radiance
+        for gaze, mode in product(GAZES, FoveaMode):
+            at_gaze = replace(settings, camera=camera, gaze=gaze, fovea=mode)
+            band = plain_regions(at_gaze.foveation, (camera.height, camera.width), ("seam",))["seam"]
+            found[mode].append(_seam(renderer.frame(at_gaze, done), band, truth))
         progress(done + 1, len(views))
-    return [{"scene": scene.name, "mode": mode, "spp": spp, **means(rows)} for mode, rows in found.items()]
+    return [
+        {"scene": scene.name, "mode": mode.value, "spp": settings.spp, **means(rows)}
+        for mode, rows in found.items()
+    ]
 
 
-def _seam(frame: Frame, band: Region, truth: Image, display: Display, gaze: Gaze) -> dict[str, float]:
+def _seam(frame: Frame, band: Region, truth: Image) -> dict[str, float]:
     """Both sides of the band in linear luminance, relative to what is right; and the band's JOD.
 
     `difference` is that of the means over all of the band that is traced, `sectors` the root mean square over
@@ -85,7 +86,7 @@ def _seam(frame: Frame, band: Region, truth: Image, display: Display, gaze: Gaze
         "difference": float(difference.mean() / max(right.mean(), _DARK)),
         "sectors": float(np.sqrt(np.mean(np.square(local)))),
     }
-    seen = jod(band.alone(frame.composite, truth), truth, display, gaze)
+    seen = jod(band.alone(frame.composite, truth), truth, frame.settings.display, frame.settings.gaze)
     return row if seen is None else {**row, "jod": seen}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,9 @@ from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image, srgb_from_radiance
 from hybrid.frame.live import LiveRenderer
+from hybrid.frame.settings import FrameSettings
 from hybrid.interactive.loop import FrameLoop
-from hybrid.interactive.request import Request, Settings, Shows
+from hybrid.interactive.request import Request
 from hybrid.interactive.source import FrameSource
 from hybrid.measure.reference import REFERENCE_SEED, reference
 from pathtrace.trace.tracer import Tracer
@@ -32,8 +34,7 @@ _HURRIED = 1.0
 
 def bench_still(
     renderer: LiveRenderer,
-    camera: Camera,
-    gaze: Gaze,
+    settings: FrameSettings,
     seconds: float,
     reference_spp: int,
     progress: Callable[[int, int], None],
@@ -42,8 +43,7 @@ def bench_still(
 
     Args:
         renderer: of the scene.
-        camera: the view.
-        gaze: what is looked at all the time.
+        settings: of the frames, with camera and gaze.
         seconds: for which nothing moves.
         reference_spp: samples per pixel of the reference, where the disc is.
         progress: called with seconds done and seconds in all.
@@ -54,7 +54,9 @@ def bench_still(
         frames hurry no more.
     """
     loop = FrameLoop(FrameSource(renderer), lambda request: [])
-    request = lambda at: Request(camera, at, Settings(), Shows.COMPOSITE, 0.0)  # noqa: E731
+    gaze = settings.gaze
+    camera, _ = settings.resolved(renderer.scene.camera)
+    request = lambda at: Request(replace(settings, gaze=at))  # noqa: E731
     for number in range(_WARM_UP):
         loop.make(request(Gaze(1 - gaze.x, 0.01 * number)))
     renderer.forget()
@@ -73,7 +75,7 @@ def bench_still(
     frames = [{"seconds": at, "spp": spp, "psnr": p} for (at, spp, _), p in zip(seen, psnr, strict=True)]
     progress(int(seconds) + 1, int(seconds) + 1)
     return {
-        "scene": renderer.tracer.scene.name,
+        "scene": renderer.scene.name,
         "gaze": [gaze.x, gaze.y],
         "reference_spp": reference_spp,
         "reference_psnr": certainty,

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import signal
-import sys
-from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from compose.base.errors import UserError
-from compose.eye.acuity import DEFAULT_ACUITY_MODEL
 from hybrid.cli.options import (
-    AcuityModel,
+    MEASUREMENT,
+    VIEWER,
+    AcuityModelName,
     Backend,
     DisplayName,
+    FixedSize,
     ForestFile,
     FovA,
     FovB,
@@ -23,47 +22,65 @@ from hybrid.cli.options import (
     SceneName,
     Seed,
     Spp,
+    require_size,
     write_json,
 )
+from hybrid.frame.settings import INTERACTIVE, FrameSettings
 
-# Of a trace that is made up, in seconds.
+if TYPE_CHECKING:
+    from compose.eye.gaze_trace import GazeTrace
+
+# Duration of a simulated gaze trace in seconds.
 _SIMULATED = 60.0
 
 
 def demo(
     scene: SceneName,
     forest: ForestFile = None,
-    size: Annotated[tuple[int, int], typer.Option(metavar="W H", help="Frame size in the window.")] = (
-        640,
-        480,
-    ),
-    fov_a: FovA = 15.0,
-    fov_b: FovB = 11.25,
-    spp: Spp = 1,
-    acuity_model: AcuityModel = DEFAULT_ACUITY_MODEL,
+    size: FixedSize = (640, 480),
+    fov_a: FovA = INTERACTIVE.fov_a,
+    fov_b: FovB = INTERACTIVE.fov_b,
+    spp: Spp = INTERACTIVE.spp,
+    acuity_model: AcuityModelName = INTERACTIVE.acuity_model,
     target: Annotated[
         float | None,
         typer.Option(
-            help="Frames per second to keep: radius, samples, layers, rate and scale follow.", min=1
+            help="Frames per second to keep; chooses radius, samples, layers, rate and scale.", min=1
         ),
     ] = None,
     gaze_trace: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="CSV with seconds, x, y: the gaze goes there, not with the mouse."),
+        typer.Option(
+            metavar="FILE",
+            help="CSV with seconds, x, y to replay instead of the mouse.",
+            rich_help_panel=VIEWER,
+        ),
     ] = None,
-    simulate: Annotated[bool, typer.Option("--simulate", help="A made-up viewer looks around.")] = False,
-    latency: Annotated[float, typer.Option(help="Milliseconds by which the gaze is late.", min=0)] = 0.0,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where pictures and gaze traces go.")] = Path("."),
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="A simulated viewer looks around.", rich_help_panel=VIEWER)
+    ] = False,
+    latency: Annotated[
+        float, typer.Option(help="Delay of the gaze in milliseconds.", min=0, rich_help_panel=VIEWER)
+    ] = 0.0,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for pictures and gaze traces.")] = Path(
+        "."
+    ),
     bench: Annotated[
         float | None,
-        typer.Option(metavar="SECONDS", help="Move the mouse for so long, print figures, and close.", min=1),
+        typer.Option(
+            metavar="SECONDS",
+            help="Move the mouse for that long, print figures, and close.",
+            min=1,
+            rich_help_panel=MEASUREMENT,
+        ),
     ] = None,
     load: Annotated[
         float,
         typer.Option(
             metavar="SECONDS",
-            help="In the middle of --bench, another process keeps one core busy for so long.",
+            help="In the middle of --bench, another process keeps one core busy for that long.",
             min=0,
+            rich_help_panel=MEASUREMENT,
         ),
     ] = 0.0,
     display: DisplayName = "desktop",
@@ -72,53 +89,35 @@ def demo(
     json_file: Json = None,
 ) -> None:
     """Look around in a window: the mouse is the gaze, and the path-traced disc follows it."""
-    from compose.eye.acuity import acuity_model_named
-    from compose.eye.display import display_named
-    from compose.eye.gaze import Gaze
-    from compose.eye.gaze_trace import load_gaze_trace
-    from compose.eye.saccades import simulated
-    from compose.fovea.region import Foveation
     from hybrid.output.images import check_writable
 
-    if min(size) < 64:
-        raise UserError(f"--size {size[0]} {size[1]}: must be at least 64 each")
-    if gaze_trace is not None and simulate:
-        raise UserError("--gaze-trace, --simulate: the gaze can only come from one of them")
+    require_size(size, least=64)
     if load and (bench is None or load >= bench):
         raise UserError(f"--load {load}: must be shorter than --bench")
-    Foveation(Gaze(), fov_a, fov_b)
-    acuity_model_named(acuity_model)
-    shown_on = display_named(display)
+    settings = FrameSettings(INTERACTIVE.gaze, fov_a, fov_b, spp, acuity_model=acuity_model, display=display)
     check_writable(out / "picture.png")
-    trace = None if gaze_trace is None else load_gaze_trace(gaze_trace)
-    if simulate:
-        trace = simulated(shown_on, *size, _SIMULATED, seed)
+    trace = _trace(gaze_trace, simulate, settings, size, seed)
     from hybrid.demo.qt import require_window
 
     require_window()
-    from PySide6.QtWidgets import QApplication
+    from hybrid.demo.run import WindowOptions, run_window
 
-    from hybrid.demo.bench import WindowBench, figures, steadiness, summary
-    from hybrid.demo.thread import RenderThread
-    from hybrid.demo.window import Window
-    from hybrid.interactive.gaze_input import GazeInput
-    from hybrid.interactive.prepare import prepared
-    from hybrid.interactive.request import Settings
-
-    application = QApplication(sys.argv[:1])
-    settings = Settings(fov_a, fov_b, spp, acuity_model, target_fps=target)
-    thread = RenderThread(partial(prepared, scene, forest, shown_on, backend, bench is None))
-    window = Window(thread, settings, size, GazeInput(latency / 1000, trace), out, bench is not None)
-    measured = None if bench is None else WindowBench(window, bench, trace is None, load)
-    window.show()
-    # Qt does not look at Ctrl-C by itself.
-    signal.signal(signal.SIGINT, lambda number, frame: window.close())
-    application.exec()
-    if window.error is not None:
-        raise window.error
-    found = figures(window, 0.0 if measured is None else measured.start)
-    if target is not None:
-        found["target"] = steadiness(found["frames"], target, None if measured is None else measured.loaded)
+    options = WindowOptions(size, latency / 1000, out, target, bench, load)
+    found, summary = run_window(scene, forest, backend, settings, trace, options)
     write_json(json_file, found)
-    if measured is not None:
-        print(summary(found))
+    if bench is not None:
+        print(summary)
+
+
+def _trace(
+    file: Path | None, simulate: bool, settings: FrameSettings, size: tuple[int, int], seed: int
+) -> GazeTrace | None:
+    """The gaze trace to replay; None for the mouse."""
+    from compose.eye.gaze_trace import load_gaze_trace
+    from compose.eye.saccades import simulated
+
+    if file is not None and simulate:
+        raise UserError("--gaze-trace, --simulate: the gaze can only come from one of them")
+    if simulate:
+        return simulated(settings.display, *size, _SIMULATED, seed)
+    return None if file is None else load_gaze_trace(file)

@@ -1,4 +1,4 @@
-"""`hybrid evaluate`: how good, how fast, and what else could be had for that."""
+"""`hybrid evaluate`: quality and speed of hybrid frames against baselines."""
 
 from __future__ import annotations
 
@@ -8,105 +8,105 @@ from typing import Annotated, Any
 import typer
 
 from hybrid.cli.options import (
+    INPUT,
+    MEASUREMENT,
     Backend,
     DisplayName,
+    FixedSize,
     ForestFile,
     FovA,
     FovB,
-    GazeAt,
+    Gaze,
     Json,
     SceneName,
     Seed,
     Spp,
-    checked,
     loaded_scene,
     select,
     write_json,
 )
+from hybrid.evaluation.settings import EvaluationSettings
+from hybrid.frame.settings import EVALUATION, FrameSettings
 from hybrid.runtime.progress import progress_bar
+
+_DEFAULTS = EvaluationSettings()
 
 
 def evaluate(
     scene: SceneName,
     report: Annotated[
-        Path,
-        typer.Option(metavar="DIR", help="Folder for the page, its pictures and what is needed to go on."),
+        Path, typer.Option(metavar="DIR", help="Folder for the page, its images, and what it resumes from.")
     ],
     forest: ForestFile = None,
-    peer_forest: Annotated[
+    baseline_forest: Annotated[
         Path | None,
-        typer.Option(metavar="FOREST", help="Gaussians without trees to compare with: train --layers 1."),
+        typer.Option(
+            metavar="FOREST",
+            help="Gaussians without trees to compare with (train --layers 1).",
+            rich_help_panel=INPUT,
+        ),
     ] = None,
-    size: Annotated[tuple[int, int], typer.Option(metavar="W H", help="Frame size.")] = (512, 512),
-    views: Annotated[int, typer.Option(help="Views to measure.", min=1)] = 5,
-    gaze: GazeAt = (0.5, 0.5),
-    fov_a: FovA = 20.0,
-    fov_b: FovB = 15.0,
-    spp: Spp = 1,
+    size: FixedSize = (_DEFAULTS.width, _DEFAULTS.height),
+    views: Annotated[int, typer.Option(help="Views to measure.", min=1, rich_help_panel=MEASUREMENT)] = (
+        _DEFAULTS.views
+    ),
+    gaze: Gaze = None,
+    fov_a: FovA = EVALUATION.fov_a,
+    fov_b: FovB = EVALUATION.fov_b,
+    spp: Spp = EVALUATION.spp,
     reference_spp: Annotated[
-        int, typer.Option(help="Samples per pixel of the references; eight times as many in the disc.", min=4)
-    ] = 32,
+        int,
+        typer.Option(
+            help="Samples per pixel of the references; eight times as many in the disc.",
+            min=4,
+            rich_help_panel=MEASUREMENT,
+        ),
+    ] = _DEFAULTS.reference_spp,
     repeats: Annotated[
-        int, typer.Option(help="Frames timed per method; fewer of those that would take over 80 s.", min=3)
-    ] = 300,
+        int,
+        typer.Option(
+            help="Timed frames per method; fewer of those that would take over 80 s.",
+            min=3,
+            rich_help_panel=MEASUREMENT,
+        ),
+    ] = _DEFAULTS.repeats,
     display: DisplayName = "desktop",
     seed: Seed = 0,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
-    """Compare hybrid frames with what else could be had at equal rays and time; goes on if interrupted."""
-    from compose.eye.display import display_named
-    from hybrid.evaluate.settings import EvaluationSettings
+    """Compare hybrid frames with baselines at equal rays and at equal time; resumes if interrupted."""
     from hybrid.output.images import check_writable
 
-    settings = checked(
-        EvaluationSettings,
-        width=size[0],
-        height=size[1],
-        views=views,
-        gaze_x=gaze[0],
-        gaze_y=gaze[1],
-        fov_a=fov_a,
-        fov_b=fov_b,
-        spp=spp,
-        reference_spp=reference_spp,
-        repeats=repeats,
-        seed=seed,
-    )
-    shown = display_named(display)
+    frame = FrameSettings(gaze or EVALUATION.gaze, fov_a, fov_b, spp, display=display)
+    settings = EvaluationSettings(frame, *size, views, reference_spp, repeats, seed)
     check_writable(report / "index.html")
     select(backend)
-    from hybrid.evaluate.evaluation import Evaluation
-    from hybrid.evaluate.verdicts import verdicts
+    from hybrid.api.evaluation import evaluate as run
+    from hybrid.evaluation.verdicts import verdicts
     from hybrid.measure.metrics.installed import missing
-    from hybrid.report.evaluation_page import write_report
-    from hybrid.store.identity import require_scene
     from hybrid.training.quick import forest_for
-    from splat.io.forest_file import load_forest
 
     loaded = loaded_scene(scene)
-    flat = None
-    if peer_forest is not None:
-        flat = load_forest(peer_forest)
-        require_scene(flat, loaded.name, loaded.hash, peer_forest)
-    evaluation = Evaluation(loaded, forest_for(loaded, forest), shown, settings, report, flat)
     with progress_bar("evaluate") as bar:
-        found = evaluation.run(lambda what, done, total: bar(int(1000 * done / total), 1000, what))
-    write_json(report / "evaluation.json", found)
-    write_report(report)
+        found = run(
+            loaded,
+            forest_for(loaded, forest),
+            report,
+            settings,
+            baseline_forest=baseline_forest,
+            progress=lambda what, done, total: bar(int(1000 * done / total), 1000, what),
+        )
     write_json(json_file, found)
-    for line in missing():
+    for line in (*missing(), *verdicts(found), report / "index.html"):
         print(line)
-    for line in verdicts(found):
-        print(line)
-    print(report / "index.html")
     _print(found)
 
 
 def _print(found: dict[str, Any]) -> None:
     """Foveal and whole quality of each method, mean over the views, beside its time."""
-    from hybrid.evaluate.judged import HALVES
-    from hybrid.evaluate.verdicts import keys_of, mean_of
+    from hybrid.evaluation.judged import HALVES
+    from hybrid.evaluation.verdicts import keys_of, mean_of
 
     times = {(row["method"], row["budget"]): row["ms"]["p50"] for row in found["time"]}
     keys = [(HALVES, "fixed"), *keys_of(found)]

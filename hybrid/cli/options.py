@@ -1,12 +1,14 @@
-"""Options that several commands share, and what all of them do first and last.
+"""Options that commands share, in groups, and what all commands do first and last.
 
-Mitsuba, torch and everything that needs them are imported inside the functions, so that `--help` answers
-at once and a missing package or LLVM is a line, not a traceback.
+Mitsuba, torch and everything that requires them are imported inside functions, so that `--help` answers at
+once, and a missing package or LLVM is one line instead of a traceback.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,11 +19,16 @@ from compose.base.files import write_whole
 
 if TYPE_CHECKING:
     from compose.camera.camera import Camera
+    from pathtrace.dataset.frames import FrameSet
     from pathtrace.scene.scene import Scene
+    from splat.model.forest import Forest
+
+# Groups of options in the help.
+FRAME, VIEWER, INPUT, MEASUREMENT, RUN = "Frame", "Viewer", "Input", "Measurement", "Run"
 
 
 def _writable(path: Path | None) -> Path | None:
-    """The file that `--json` names, refused before the long work where it cannot be written."""
+    """The file of `--json`; refused before long work if it cannot be written."""
     if path is not None:
         from hybrid.output.images import check_writable
 
@@ -33,51 +40,111 @@ def _writable(path: Path | None) -> Path | None:
 
 
 SceneName = Annotated[
-    str, typer.Argument(metavar="SCENE", help="A bundled scene's name or a Mitsuba XML file.")
+    str, typer.Argument(metavar="SCENE", help="Name of a bundled scene, or a Mitsuba XML file.")
 ]
-Backend = Annotated[str, typer.Option(help="auto, cuda or llvm.")]
-Json = Annotated[
-    Path | None,
-    typer.Option("--json", metavar="FILE", help="Write what was measured.", callback=_writable),
-]
-Seed = Annotated[int, typer.Option(help="Same seed, same result on the same machine.", min=0)]
-ForestFile = Annotated[
-    Path | None, typer.Option("--forest", metavar="FOREST", help="Default: the newest one of the scene.")
+FramesFolder = Annotated[Path, typer.Argument(metavar="FRAMES", help="Folder of a frame set.")]
+ForestArgument = Annotated[Path, typer.Argument(metavar="FOREST", help="Forest file.")]
+
+Gaze = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        "--gaze", metavar="X Y", help="Fractions of the frame; its centre if left out.", rich_help_panel=FRAME
+    ),
 ]
 FovA = Annotated[
-    float, typer.Option("--fov-a", help="Radius of the path-traced disc, percent of the height.")
+    float,
+    typer.Option(
+        "--fov-a", help="Radius of the path-traced disc, percent of the height.", rich_help_panel=FRAME
+    ),
 ]
-FovB = Annotated[float, typer.Option("--fov-b", help="Radius inside of which no splats are drawn, percent.")]
-GazeAt = Annotated[tuple[float, float], typer.Option("--gaze", metavar="X Y", help="Fractions of the frame.")]
-AcuityModel = Annotated[
+FovB = Annotated[
+    float,
+    typer.Option(
+        "--fov-b",
+        help="Radius inside of which no splats are visible, percent of the height.",
+        rich_help_panel=FRAME,
+    ),
+]
+Spp = Annotated[
+    int, typer.Option("--spp", help="Samples per pixel in the disc.", min=1, rich_help_panel=FRAME)
+]
+Fovea = Annotated[
     str,
     typer.Option(
-        help="What the eye resolves: geisler-perry, stelacsf, fov-gs, or none for full detail everywhere."
+        help="raw: unbiased samples; denoised: by OIDN; fused: with the splats under the disc.",
+        rich_help_panel=FRAME,
     ),
+]
+Size = Annotated[
+    tuple[int, int] | None,
+    typer.Option("--size", metavar="W H", help="Frame size; the scene's if left out.", rich_help_panel=FRAME),
+]
+FixedSize = Annotated[
+    tuple[int, int], typer.Option("--size", metavar="W H", help="Frame size.", rich_help_panel=FRAME)
 ]
 Layers = Annotated[
     tuple[int, int] | None,
-    typer.Option(metavar="LOW HIGH", help="Coarsest and finest layer that may be drawn; 1 is the coarsest."),
+    typer.Option(
+        metavar="LOW HIGH",
+        help="Coarsest and finest layer to draw; 1 is the coarsest.",
+        rich_help_panel=FRAME,
+    ),
+]
+AcuityModelName = Annotated[
+    str,
+    typer.Option(
+        "--acuity-model",
+        help="What the eye resolves: geisler-perry, stelacsf, fov-gs, or none for full detail everywhere.",
+        rich_help_panel=VIEWER,
+    ),
 ]
 DisplayName = Annotated[
-    str, typer.Option(metavar="NAME", help="desktop, hmd, or a JSON file with width, height and fov.")
+    str,
+    typer.Option(
+        "--display",
+        metavar="NAME",
+        help="desktop, hmd, or a JSON file with width, height and fov.",
+        rich_help_panel=VIEWER,
+    ),
 ]
-Size = Annotated[
-    tuple[int, int] | None, typer.Option("--size", metavar="W H", help="Frame size. Default: the scene's.")
+ForestFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--forest", metavar="FOREST", help="The newest one of the scene if left out.", rich_help_panel=INPUT
+    ),
 ]
-Spp = Annotated[int, typer.Option("--spp", help="Samples per pixel in the disc.", min=1)]
+MaxDepth = Annotated[
+    int | None,
+    typer.Option("--max-depth", help="Path depth; the scene's if left out.", min=1, rich_help_panel=INPUT),
+]
+Repeats = Annotated[int, typer.Option(help="Measured frames per row.", min=3, rich_help_panel=MEASUREMENT)]
+WarmUp = Annotated[int, typer.Option(help="Frames before them.", min=1, rich_help_panel=MEASUREMENT)]
+ReferenceSpp = Annotated[
+    int, typer.Option(help="Samples per pixel of the references.", min=4, rich_help_panel=MEASUREMENT)
+]
+Backend = Annotated[str, typer.Option(help="auto, cuda or llvm.", rich_help_panel=RUN)]
+Seed = Annotated[
+    int, typer.Option(help="Same seed, same result on the same machine.", min=0, rich_help_panel=RUN)
+]
+Json = Annotated[
+    Path | None,
+    typer.Option(
+        "--json", metavar="FILE", help="Write what was measured.", callback=_writable, rich_help_panel=RUN
+    ),
+]
 
 
-def checked(kind: Any, **values: Any) -> Any:
-    """Settings from options; what they refuse is the user's mistake."""
+@contextmanager
+def user_errors() -> Iterator[None]:
+    """Turns a ValueError of settings into a mistake of the user's."""
     try:
-        return kind(**values)
+        yield
     except ValueError as error:
         raise UserError(str(error)) from error
 
 
 def select(backend: str) -> None:
-    """Chooses what everything runs on; before the first import of what needs it."""
+    """Selects what everything runs on, before the first import that depends on it."""
     from pathtrace.base.backend import select_backend
 
     select_backend(backend)
@@ -90,18 +157,36 @@ def loaded_scene(source: str, max_depth: int | None = None) -> Scene:
     return load_scene(source, max_depth)
 
 
+def matching(scene: str, frames: Path, forest: Path) -> tuple[Scene, FrameSet, Forest]:
+    """A scene, its frame set and its forest; refuses those of another scene."""
+    from hybrid.store.identity import require_scene
+    from pathtrace.dataset.frames import read_frame_set
+    from splat.io.forest_file import load_forest
+
+    captured, found = read_frame_set(frames), load_forest(forest)
+    loaded = loaded_scene(scene)
+    require_scene(captured, loaded.name, loaded.hash, frames)
+    require_scene(found, loaded.name, loaded.hash, forest)
+    return loaded, captured, found
+
+
 def sized(camera: Camera, size: tuple[int, int] | None) -> Camera:
     """The camera at the size that `--size` asks for."""
     if size is None:
         return camera
-    if min(size) <= 0:
-        raise UserError(f"--size {size[0]} {size[1]}: must be positive")
+    require_size(size)
     return camera.resized(*size)
 
 
+def require_size(size: tuple[int, int], least: int = 1) -> None:
+    """Refuses frame sizes below a minimum."""
+    if min(size) < least:
+        wanted = "positive" if least == 1 else f"at least {least} each"
+        raise UserError(f"--size {size[0]} {size[1]}: must be {wanted}")
+
+
 def write_json(path: Path | None, content: Any) -> None:
-    """Writes what was measured where `--json` asks for it; the file appears whole or not at all."""
-    if path is None:
-        return
-    text = json.dumps(content, indent=1) + "\n"
-    write_whole(path, lambda part: part.write_text(text))
+    """Writes what was measured, if `--json` asks for it; the file appears whole or not at all."""
+    if path is not None:
+        text = json.dumps(content, indent=1) + "\n"
+        write_whole(path, lambda part: part.write_text(text))

@@ -1,227 +1,167 @@
-"""`hybrid render`: one frame, or a film along a gaze trace."""
+"""`hybrid render`: one frame, or a video along a gaze trace."""
 
 from __future__ import annotations
 
 import json
-import shlex
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from compose.base.errors import UserError
-from compose.eye.acuity import DEFAULT_ACUITY_MODEL
 from hybrid.cli.options import (
-    AcuityModel,
+    FRAME,
+    VIEWER,
+    AcuityModelName,
     Backend,
     DisplayName,
     ForestFile,
     FovA,
     FovB,
+    Fovea,
+    Gaze,
     Json,
     Layers,
+    MaxDepth,
     SceneName,
     Seed,
     Size,
     Spp,
-    checked,
     loaded_scene,
     select,
     sized,
     write_json,
 )
+from hybrid.cli.target import Target, measuring_command
+from hybrid.frame.settings import DEFAULTS, FrameSettings
 from hybrid.runtime.progress import progress_bar
 
 if TYPE_CHECKING:
     from compose.camera.camera import Camera
+    from compose.eye.gaze_trace import GazeTrace
     from pathtrace.scene.scene import Scene
+    from splat.model.forest import Forest
 
-# Frames per second of a film.
 _FPS = 30
 
 
 def render(
     scene: SceneName,
     output: Annotated[
-        Path,
-        typer.Option("-o", "--output", metavar="FILE", help="A .exr or .png file; of a gaze trace, .mp4."),
+        Path, typer.Option("-o", "--output", metavar="FILE", help=".exr or .png; .mp4 with a gaze trace.")
     ],
     forest: ForestFile = None,
     camera: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="JSON with the names of transforms.json.")
+        Path | None,
+        typer.Option(metavar="FILE", help="JSON with the names of transforms.json.", rich_help_panel=FRAME),
     ] = None,
-    gaze: Annotated[
-        tuple[float, float] | None,
-        typer.Option(metavar="X Y", help="Fractions of the frame. Default: its centre."),
-    ] = None,
+    gaze: Gaze = None,
     gaze_trace: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="CSV with seconds, x, y: a film of what a viewer saw."),
+        typer.Option(metavar="FILE", help="CSV with seconds, x, y: renders a video.", rich_help_panel=VIEWER),
     ] = None,
     fps: Annotated[
-        int | None, typer.Option(help=f"Frames per second of a film. Default: {_FPS}.", min=1, max=240)
+        int | None,
+        typer.Option(help=f"Frames per second of a video; {_FPS} if left out.", min=1, max=240),
     ] = None,
-    fov_a: FovA = 20.0,
-    fov_b: FovB = 15.0,
-    spp: Spp = 4,
+    fov_a: FovA = DEFAULTS.fov_a,
+    fov_b: FovB = DEFAULTS.fov_b,
+    spp: Spp = DEFAULTS.spp,
     size: Size = None,
-    fovea: Annotated[
-        str,
-        typer.Option(
-            help="raw: what Mitsuba gives, unbiased; denoised: OIDN; fused: with the splats under the disc."
-        ),
-    ] = "fused",
+    fovea: Fovea = DEFAULTS.fovea.value,
     target_ms: Annotated[
         float | None,
         typer.Option(
-            help="Choose fovea, radii and samples: the best that hybrid sweep --over trade has "
-            "measured, with this forest, acuity model, display and size, to take no longer.",
+            help="Choose fovea, radii and samples: the best settings measured to take no longer, with this "
+            "forest, acuity model, display and size (hybrid sweep --over trade).",
             min=0,
+            rich_help_panel=FRAME,
         ),
     ] = None,
     target_jod: Annotated[
-        float | None, typer.Option(help="The same: the fastest measured to be at least so good.", max=10)
+        float | None,
+        typer.Option(help="Likewise the fastest measured to be that good.", max=10, rich_help_panel=FRAME),
     ] = None,
-    acuity_model: AcuityModel = DEFAULT_ACUITY_MODEL,
+    acuity_model: AcuityModelName = DEFAULTS.acuity_model,
     layers: Layers = None,
     display: DisplayName = "desktop",
     detail: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Also a PNG that shows level, rate and eccentricity."),
     ] = None,
-    max_depth: Annotated[int | None, typer.Option(help="Path depth; default: the scene's.", min=1)] = None,
+    max_depth: MaxDepth = None,
     seed: Seed = 0,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
-    """Render one hybrid frame, EXR with all layers in linear radiance or PNG in sRGB; or a film."""
-    from compose.eye.acuity import acuity_model_named
-    from compose.eye.display import display_named
-    from compose.eye.gaze import Gaze
-    from compose.eye.gaze_trace import load_gaze_trace
-    from compose.fovea.mode import mode_named
-    from compose.fovea.region import Foveation
-    from hybrid.output.images import check_writable, write_bytes, write_layers, write_png
+    """Render one hybrid frame, as EXR with all AOVs or as PNG; or a video along a gaze trace."""
+    settings = FrameSettings(
+        gaze or DEFAULTS.gaze, fov_a, fov_b, spp, fovea, acuity_model, layers, display=display
+    )
+    _check_outputs(output, detail, gaze_trace is not None)
+    trace = _loaded_trace(gaze_trace, gaze, fps)
+    if target_ms is not None or target_jod is not None:
+        _check_target({"--layers": layers, "--max-depth": max_depth})
+    select(backend)
+    from hybrid.training.quick import forest_for
 
-    kinds = (".exr", ".png") if gaze_trace is None else (".mp4",)
+    loaded = loaded_scene(scene, max_depth)
+    view = _view(loaded, camera, size, is_video=trace is not None)
+    pixels = view.width, view.height
+    command = measuring_command(scene, forest, pixels, settings, display, backend)
+    target = Target(target_ms, target_jod, command)
+    target.require_forest(loaded, forest)
+    found = forest_for(loaded, forest)
+    settings = target.applied(loaded, found, replace(settings, camera=view))
+    if trace is None:
+        facts = _render_frame(output, detail, loaded, found, settings, seed)
+    else:
+        facts = _render_video(output, loaded, found, settings, trace, fps or _FPS, seed)
+    write_json(json_file, facts)
+
+
+def _check_outputs(output: Path, detail: Path | None, is_video: bool) -> None:
+    """Refuses files that cannot be written, before the work begins."""
+    from hybrid.output.images import check_writable
+
+    kinds = (".mp4",) if is_video else (".exr", ".png")
     if output.suffix.lower() not in kinds:
-        of_what = "" if gaze_trace is None else " of a gaze trace"
+        of_what = " of a gaze trace" if is_video else ""
         raise UserError(f"--output {output}{of_what}: must end in {' or '.join(kinds)}")
-    if gaze_trace is not None and detail is not None:
-        raise UserError("--detail, --gaze-trace: the picture of levels is one of a single frame")
-    if gaze_trace is not None and gaze is not None:
-        raise UserError("--gaze, --gaze-trace: the gaze can only come from one of them")
-    if gaze_trace is None and fps is not None:
-        raise UserError(f"--fps {fps}: only a film has a frame rate; it needs --gaze-trace")
-    trace = None if gaze_trace is None else load_gaze_trace(gaze_trace)
+    if is_video and detail is not None:
+        raise UserError("--detail, --gaze-trace: only a single frame has a picture of its levels")
     if detail is not None and detail.suffix.lower() != ".png":
         raise UserError(f"--detail {detail}: must end in .png")
-    at = Gaze() if gaze is None else checked(Gaze, x=gaze[0], y=gaze[1])
-    foveation = Foveation(at, fov_a, fov_b)
-    acuity_model_named(acuity_model)
-    mode_named(fovea)
-    shown = display_named(display)
-    has_target = target_ms is not None or target_jod is not None
-    for option, value in (("--layers", layers), ("--max-depth", max_depth)):
-        if has_target and value is not None:
-            raise UserError(f"--target-ms, --target-jod: nothing is measured with {option}; leave it out")
     for file in (output, detail):
         if file is not None:
             check_writable(file)
-    select(backend)
-    from hybrid.frame.aovs import frame_layers
-    from hybrid.frame.periphery import Viewing
-    from hybrid.frame.renderer import HybridRenderer
-    from hybrid.pictures.levels import detail_picture
-    from hybrid.plan.trade import chosen, not_measured, remembered_trade, trade_identity
-    from hybrid.store.cache import newest_forest
-    from hybrid.training.quick import forest_for
-    from hybrid.video.video import check_film, write_film
-
-    loaded = loaded_scene(scene, max_depth)
-    view = _view(loaded, camera, size)
-    if trace is not None:
-        check_film(view)
-    pixels = view.width, view.height
-    measure = _trade_command(scene, forest, pixels, acuity_model, display, backend)
-    if has_target and forest is None and newest_forest(loaded) is None:
-        raise not_measured(measure)
-    found = forest_for(loaded, forest)
-    if has_target:
-        of = trade_identity(loaded, found, pixels, acuity_model, shown)
-        choice = chosen(remembered_trade(loaded, of, measure), target_ms, target_jod)
-        fovea, spp = choice.fovea, choice.spp
-        foveation = Foveation(foveation.gaze, choice.fov_a, choice.fov_b)
-        print(
-            f"--fovea {fovea} --spp {spp} --fov-a {choice.fov_a:g} --fov-b {choice.fov_b:g}: "
-            f"measured to take {choice.milliseconds:.0f} ms in the scene's own view"
-        )
-    viewing = Viewing(shown, acuity_model, layers)
-    made = {
-        "scene": loaded.name,
-        "width": view.width,
-        "height": view.height,
-        "spp": spp,
-        "fov_a": foveation.fov_a,
-        "fov_b": foveation.fov_b,
-        "fovea": fovea,
-        "acuity_model": acuity_model,
-        "pixels_per_degree": shown.pixels_per_degree,
-    }
-    renderer = HybridRenderer(loaded, found, viewing, fovea, remembers=trace is not None)
-    if trace is not None:
-        rate = fps or _FPS
-        identity = made | {
-            "scene": loaded.hash,
-            "forest": found.digest(),
-            "camera": view.key.hex(),
-            "max-depth": loaded.max_depth,
-            "layers": layers,
-            "gaze-trace": trace.digest(),
-            "fps": rate,
-            "seed": seed,
-        }
-        with progress_bar("film (frames)") as bar:
-            times = write_film(output, renderer, view, foveation, trace, rate, spp, seed, identity, bar)
-        write_json(json_file, made | {"fps": rate, "frames": times})
-        print(f"{output}: {len(times)} frames of {view.width} x {view.height}")
-        return
-    frame = renderer.frame(view, foveation, spp, seed)
-    if output.suffix.lower() == ".exr":
-        write_layers(output, frame_layers(renderer, view, foveation.gaze, frame))
-    else:
-        write_png(output, frame.composite)
-    if detail is not None:
-        write_bytes(detail, detail_picture(frame.composite, frame.detail, frame.region))
-    write_json(
-        json_file,
-        made
-        | {
-            "nodes_drawn": frame.nodes_drawn,
-            "pixels_excluded": frame.fovea.excluded,
-            "milliseconds": frame.milliseconds,
-        },
-    )
-    print(f"{output}: {view.width} x {view.height}, {frame.milliseconds['total']:.0f} ms")
 
 
-def _trade_command(
-    scene: str, forest: Path | None, size: tuple[int, int], acuity_model: str, display: str, backend: str
-) -> str:
-    """What measures the settings that a target chooses from, with the options that it depends on."""
-    options = [
-        ("--acuity-model", acuity_model, DEFAULT_ACUITY_MODEL),
-        ("--display", display, "desktop"),
-        ("--backend", backend, "auto"),
-    ]
-    words = ["hybrid", "sweep", scene, "--over", "trade", "--size", str(size[0]), str(size[1])]
-    words += [] if forest is None else ["--forest", str(forest)]
-    words += [word for option, value, usual in options if value != usual for word in (option, value)]
-    return shlex.join(words)
+def _loaded_trace(file: Path | None, gaze: tuple[float, float] | None, fps: int | None) -> GazeTrace | None:
+    """The gaze trace, if a video was asked for."""
+    from compose.eye.gaze_trace import load_gaze_trace
+
+    if file is None:
+        if fps is not None:
+            raise UserError(f"--fps {fps}: only a video has a frame rate; requires --gaze-trace")
+        return None
+    if gaze is not None:
+        raise UserError("--gaze, --gaze-trace: the gaze can only come from one of them")
+    return load_gaze_trace(file)
 
 
-def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None) -> Camera:
+def _check_target(excluded: dict[str, Any]) -> None:
+    """Refuses options with which nothing is measured."""
+    for option, value in excluded.items():
+        if value is not None:
+            raise UserError(f"--target-ms, --target-jod: nothing is measured with {option}; leave it out")
+
+
+def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None, is_video: bool) -> Camera:
+    """The camera: from a file, else the scene's own, at the size that was asked for."""
     from compose.camera.serialization import camera_from_json
+    from hybrid.output.video import check_video
 
     camera = scene.camera
     if file is not None:
@@ -233,4 +173,69 @@ def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None) -> Came
             raise UserError(
                 f"--camera {file}: must be JSON with w, h, fl_x, fl_y, cx, cy, transform_matrix ({error!r})"
             ) from error
-    return sized(camera, size)
+    camera = sized(camera, size)
+    if is_video:
+        check_video(camera.width, camera.height)
+    return camera
+
+
+def _render_frame(
+    output: Path, detail: Path | None, scene: Scene, forest: Forest, settings: FrameSettings, seed: int
+) -> dict[str, Any]:
+    """Renders and writes one frame; returns what was measured."""
+    from hybrid.frame.renderer import Renderer
+    from hybrid.output.images import write_srgb
+    from hybrid.pictures.levels import detail_picture
+
+    frame = Renderer(scene, forest).frame(settings, seed)
+    frame.save(output)
+    if detail is not None:
+        write_srgb(detail, detail_picture(frame.composite, frame.detail, frame.region))
+    camera, milliseconds = frame.camera, frame.milliseconds
+    print(f"{output}: {camera.width} x {camera.height}, {milliseconds['total']:.0f} ms")
+    return _facts(scene, settings) | {
+        "nodes_drawn": frame.nodes_drawn,
+        "pixels_excluded": frame.fovea.excluded,
+        "milliseconds": milliseconds,
+    }
+
+
+def _render_video(
+    output: Path,
+    scene: Scene,
+    forest: Forest,
+    settings: FrameSettings,
+    trace: GazeTrace,
+    fps: int,
+    seed: int,
+) -> dict[str, Any]:
+    """Renders and writes a video; returns what was measured."""
+    from hybrid.frame.renderer import Renderer
+    from hybrid.store.identity import measured_identity
+    from hybrid.video.render import render_video
+
+    identity = measured_identity(
+        scene, forest, settings=settings.as_json(), gaze_trace=trace.digest(), fps=fps, seed=seed
+    )
+    renderer = Renderer(scene, forest, history=True)
+    with progress_bar("video (frames)") as bar:
+        times = render_video(output, renderer, settings, trace, fps, seed, identity, bar)
+    facts = _facts(scene, settings)
+    print(f"{output}: {len(times)} frames of {facts['width']} x {facts['height']}")
+    return facts | {"fps": fps, "frames": times}
+
+
+def _facts(scene: Scene, settings: FrameSettings) -> dict[str, Any]:
+    """What is rendered, and how."""
+    camera, settings = settings.resolved(scene.camera)
+    return {
+        "scene": scene.name,
+        "width": camera.width,
+        "height": camera.height,
+        "spp": settings.spp,
+        "fov_a": settings.fov_a,
+        "fov_b": settings.fov_b,
+        "fovea": settings.fovea.value,
+        "acuity_model": settings.acuity_model,
+        "pixels_per_degree": settings.display.pixels_per_degree,
+    }

@@ -59,8 +59,8 @@ class WindowBench(QObject):
         window.canvas.painted.connect(self._begin)
 
     def _begin(self, shown: Shown) -> None:
-        camera, canvas = shown.request.camera, self._window.canvas
-        if (camera.width, camera.height) != (canvas.width(), canvas.height()):
+        camera, canvas = shown.request.settings.camera, self._window.canvas
+        if camera is None or (camera.width, camera.height) != (canvas.width(), canvas.height()):
             # The window has just been laid out: what a frame of the size that it keeps takes comes next.
             return
         self._window.canvas.painted.disconnect(self._begin)

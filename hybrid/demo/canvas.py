@@ -43,10 +43,10 @@ class Canvas(QWidget):
 
     def show_frame(self, shown: Shown) -> None:
         """Shows it at the next chance."""
-        height, width = shown.picture.shape[:2]
+        height, width = shown.image.shape[:2]
         # The image only points at the picture, which must live as long.
         self._shown = shown
-        self._image = QImage(shown.picture.data, width, height, 3 * width, QImage.Format.Format_RGB888)
+        self._image = QImage(shown.image.data, width, height, 3 * width, QImage.Format.Format_RGB888)
         self._fresh = True
         self.update()
 
@@ -114,7 +114,7 @@ class Canvas(QWidget):
         radius = shown.request.settings.fov_a / 100 * frame.height()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setPen(QPen(QColor(255, 255, 255, 110), 1))
-        painter.drawEllipse(self.point_of(shown.request.gaze), radius, radius)
+        painter.drawEllipse(self.point_of(shown.request.settings.gaze), radius, radius)
 
     def _draw_lines(self, painter: QPainter, lines: list[str], middle: bool) -> None:
         if not lines:

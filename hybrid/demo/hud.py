@@ -1,11 +1,11 @@
-"""What the window says over the frame."""
+"""The text that the window shows over the frame."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from hybrid.interactive.meter import Meter
-from hybrid.interactive.request import Shows
+from hybrid.interactive.request import View
 from hybrid.interactive.source import Shown
 
 HELP = [
@@ -14,7 +14,7 @@ HELP = [
     "W A S D Q E       walk; Q down, E up",
     "space             hold the gaze where it is",
     "R                 back to the scene's own camera",
-    *(f"{number}                 {shows.value}" for number, shows in enumerate(Shows, 1)),
+    *(f"{number}                 {view.value}" for number, view in enumerate(View, 1)),
     "P                 picture of the frame, as PNG and EXR",
     "T                 record the gaze; again: save it as CSV",
     "G                 ring around the disc",
@@ -27,7 +27,7 @@ HELP = [
 
 
 def lines_of(shown: Shown, meter: Meter) -> list[str]:
-    """Frame times, what was drawn, and how."""
+    """Lines with frame times, and with what was drawn and how."""
     settings, frame = shown.request.settings, shown.frame
     intervals = np.array([seconds for _, seconds in meter.intervals]) * 1000
     lines = []
@@ -41,12 +41,12 @@ def lines_of(shown: Shown, meter: Meter) -> list[str]:
     lines.append(" ".join(f"{name} {value:.0f}" for name, value in shown.milliseconds.items()) + " ms")
     lines.append(f"{shown.paths:,} paths, {frame.nodes_drawn:,} Gaussians")
     lines.append(f"{shown.spp:.1f} samples per pixel in the disc so far")
-    if shown.request.shows.needs_reference:
+    if shown.request.view.needs_path_traced:
         lines.append(f"{shown.reference_spp} in the path-traced frame")
-    camera = shown.request.rendered
+    camera, target_fps = frame.camera, shown.request.target_fps
     chosen = f"fov-a {settings.fov_a:.1f} %, fov-b {settings.fov_b:.1f} %, {settings.spp} spp, "
     lines.append(chosen + f"{camera.width} x {camera.height}, {settings.acuity_model}")
-    if settings.target_fps is not None:
+    if target_fps is not None:
         finest = settings.layers[1] if settings.layers else len(frame.detail.steps)
-        lines.append(f"chosen for {settings.target_fps:g} FPS: layers to {finest}, rate {1 << settings.rate}")
+        lines.append(f"chosen for {target_fps:g} FPS: layers to {finest}, rate {1 << settings.rate}")
     return lines

@@ -8,7 +8,8 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLabel, QSlider, QSpinBox, QWidget
 
 from compose.eye.acuity import ACUITY_MODELS
-from hybrid.interactive.request import Settings, Shows
+from hybrid.frame.settings import FrameSettings
+from hybrid.interactive.request import View
 
 _MOST_RADIUS, _MOST_SPP, _LEAST_SCALE, _MOST_RATE = 75, 16, 25, 3
 _SLIDER_WIDTH, _LETTERS = 100, 12
@@ -18,20 +19,22 @@ class Panel(QWidget):
     """Sliders and lists; what is chosen with them is always a valid setting.
 
     Args:
-        settings: to begin with.
+        settings: initial settings; what no control changes stays as it is.
+        target_fps: initial target, None for none.
         layers: of the forest.
     """
 
     changed = Signal()
 
-    def __init__(self, settings: Settings, layers: int):
+    def __init__(self, settings: FrameSettings, target_fps: float | None, layers: int):
         super().__init__()
         self._form = QFormLayout(self)
-        self._chosen: Settings | None = None
+        self._initial = settings
+        self._chosen: FrameSettings | None = None
         # Before anyone else hears of a change.
         self.changed.connect(self._forget)
         low, high = settings.layers or (1, layers)
-        self.shows = self._list("view", [shows.value for shows in Shows], Shows.COMPOSITE.value)
+        self.views = self._list("view", [view.value for view in View], View.COMPOSITE.value)
         self.fov_a = self._slider("fov-a", 0, _MOST_RADIUS, round(settings.fov_a), " %")
         self.fov_b = self._slider("fov-b", 0, _MOST_RADIUS, round(settings.fov_b), " %")
         self.spp = self._slider("samples", 1, _MOST_SPP, settings.spp, "")
@@ -41,9 +44,9 @@ class Panel(QWidget):
         self.rate = self._slider("coarser rate", 0, _MOST_RATE, settings.rate, "")
         self.scale = self._slider("scale", _LEAST_SCALE, 100, round(100 * settings.scale), " %")
         self.controlled = QCheckBox("keep FPS")
-        self.controlled.setChecked(settings.target_fps is not None)
+        self.controlled.setChecked(target_fps is not None)
         self.target = QSpinBox(minimum=1, maximum=120)
-        self.target.setValue(round(settings.target_fps or 15))
+        self.target.setValue(round(target_fps or 15))
         self._form.addRow(self.controlled, self.target)
         # Keys belong to the frame: with the focus here, arrows and letters would change what is chosen.
         for control in self.findChildren(QWidget):
@@ -63,8 +66,8 @@ class Panel(QWidget):
         # Until something is changed by hand: sliders know whole numbers only.
         self._chosen = replace(settings, layers=(low, high))
 
-    def settings(self) -> Settings:
-        """What is chosen; the same object as long as that is the same."""
+    def settings(self) -> FrameSettings:
+        """The chosen settings; the same object until one of them changes."""
         if self._chosen is None:
             self._chosen = self._read()
         return self._chosen
@@ -72,22 +75,28 @@ class Panel(QWidget):
     def _forget(self) -> None:
         self._chosen = None
 
-    def _read(self) -> Settings:
-        # While one slider moves, the one that follows it is still where it was.
-        return Settings(
-            float(self.fov_a.value()),
-            float(min(self.fov_b.value(), self.fov_a.value())),
-            self.spp.value(),
-            self.acuity_model.currentText(),
-            (min(self.coarsest.value(), self.finest.value()), self.finest.value()),
-            self.rate.value(),
-            self.scale.value() / 100,
-            float(self.target.value()) if self.controlled.isChecked() else None,
-        )
+    @property
+    def target_fps(self) -> float | None:
+        """Frames per second to keep; None for no target."""
+        return float(self.target.value()) if self.controlled.isChecked() else None
 
-    def chosen_view(self) -> Shows:
-        """What is to be shown."""
-        return Shows(self.shows.currentText())
+    @property
+    def view(self) -> View:
+        """The chosen view."""
+        return View(self.views.currentText())
+
+    def _read(self) -> FrameSettings:
+        return replace(
+            self._initial,
+            fov_a=float(self.fov_a.value()),
+            # While one slider moves, the one that follows it has not moved yet.
+            fov_b=float(min(self.fov_b.value(), self.fov_a.value())),
+            spp=self.spp.value(),
+            acuity_model=self.acuity_model.currentText(),
+            layers=(min(self.coarsest.value(), self.finest.value()), self.finest.value()),
+            rate=self.rate.value(),
+            scale=self.scale.value() / 100,
+        )
 
     def _mark_chosen(self, controlled: bool) -> None:
         """What the controller chooses cannot be chosen by hand at the same time."""

@@ -78,7 +78,7 @@ class RenderThread(QThread):
         try:
             source = self._prepare(self._report)
             layers = len(source.renderer.periphery.forest.counts)
-            name = source.renderer.tracer.scene.name
+            name = source.renderer.scene.name
             self.ready.emit(Ready(name, source.camera, source.distance(), layers))
             self._serve(source, FrameLoop(source, partial(ladder_for, source, report=self._report)))
         except KeyboardInterrupt:

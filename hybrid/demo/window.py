@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from PySide6.QtCore import QSize, Qt, QTimer
@@ -15,9 +16,10 @@ from hybrid.demo.canvas import Canvas
 from hybrid.demo.hud import HELP, lines_of
 from hybrid.demo.panel import Panel
 from hybrid.demo.thread import Ready, RenderThread
+from hybrid.frame.settings import FrameSettings
 from hybrid.interactive.gaze_input import GazeInput, GazeRecorder
 from hybrid.interactive.meter import Meter
-from hybrid.interactive.request import Request, Settings, Shows
+from hybrid.interactive.request import Request, View
 from hybrid.interactive.source import Shown
 from hybrid.interactive.walk import Walker
 
@@ -51,7 +53,8 @@ class Window(QMainWindow):
 
     Args:
         thread: renders; not started yet.
-        settings: to begin with.
+        settings: initial settings; gaze and camera are the window's.
+        target_fps: initial target, None for none.
         size: of the frame, in pixels.
         gaze: where it comes from.
         folder: where pictures and gaze traces go.
@@ -61,14 +64,15 @@ class Window(QMainWindow):
     def __init__(
         self,
         thread: RenderThread,
-        settings: Settings,
+        settings: FrameSettings,
+        target_fps: float | None,
         size: tuple[int, int],
         gaze: GazeInput,
         folder: Path,
         keeps_all: bool = False,
     ):
         super().__init__()
-        self._thread, self._settings = thread, settings
+        self._thread, self._settings, self._target_fps = thread, settings, target_fps
         self._gaze, self._folder, self._size = gaze, folder, size
         self.meter = Meter(keeps_all)
         self.error: Exception | None = None
@@ -132,10 +136,11 @@ class Window(QMainWindow):
             self._recorder.add(now, gaze)
         camera = self.walker.camera(*self._size)
         told = self._gaze.told
-        request = Request(camera, gaze, self.panel.settings(), self.panel.chosen_view(), told)
-        if not request.same_picture(self._asked):
+        settings = replace(self.panel.settings(), camera=camera, gaze=gaze)
+        request = Request(settings, self.panel.view, told, self.panel.target_fps)
+        if not request.same_frame(self._asked):
             # A gaze that is held, or held no more, has not moved.
-            if self._asked is not None and gaze != self._asked.gaze and told != before:
+            if self._asked is not None and gaze != self._asked.settings.gaze and told != before:
                 self.meter.event(told)
             self._asked = request
             self._thread.requests.put(request)
@@ -170,8 +175,8 @@ class Window(QMainWindow):
 
     def _command(self, key: Qt.Key) -> None:
         number = key - _Key.Key_1
-        if 0 <= number < len(Shows) and self.panel is not None:
-            self.panel.shows.setCurrentIndex(number)
+        if 0 <= number < len(View) and self.panel is not None:
+            self.panel.views.setCurrentIndex(number)
         elif key == _Key.Key_R and self.walker is not None:
             self.walker.reset()
         elif key == _Key.Key_Space:
@@ -235,7 +240,7 @@ class Window(QMainWindow):
         self._ready = ready
         self.setWindowTitle(f"{ready.name} - hybrid")
         self.walker = Walker(ready.camera)
-        self.panel = Panel(self._settings, ready.layers)
+        self.panel = Panel(self._settings, self._target_fps, ready.layers)
         self.panel.changed.connect(self.tick)
         self._dock = QDockWidget("controls")
         # A small frame must not grow to the height of the controls.

@@ -1,56 +1,51 @@
-"""The layers of an EXR file of a hybrid frame."""
+"""The AOVs of a frame: the named images of its EXR file."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.camera.camera import Camera
-from compose.eye.gaze import Gaze, eccentricity
+from compose.eye.detail import DetailMap
+from compose.eye.gaze import eccentricity
+from compose.fovea.region import FoveaRegion
 from compose.fusion.parents import PARENTS
-from hybrid.frame.frame import Frame
-from hybrid.frame.renderer import HybridRenderer
-from hybrid.pictures.levels import per_pixel
-from pathtrace.trace.film import frame_positions
+from compose.image.colour import Image
+from hybrid.frame.fovea import FoveaImage
+from hybrid.frame.settings import FrameSettings
 
 
-def frame_layers(
-    renderer: HybridRenderer, camera: Camera, gaze: Gaze, frame: Frame
+def aovs_of(
+    composite: Image, settings: FrameSettings, detail: DetailMap, region: FoveaRegion, fovea: FoveaImage
 ) -> dict[str, NDArray[np.float32]]:
-    """Everything that a frame consists of.
+    """The AOVs that follow from a frame's parts, (H, W, 3) or (H, W) each.
 
-    Layers: the composite (unnamed, and once more under its name), fovea as it was blended, path-traced as it
-    came from Mitsuba and variance of that, denoised, splat (H, W, 3); weight of the fovea, eccentricity in
-    degrees on the viewer's display, level (1 to L), rate (log2 of pixels per sample along each axis), depth
-    along the view axis (H, W), and, of a fused fovea, the share of each parent (fusion.traced, ...).
-    Variance is infinite where a single sample does not tell.
+    Returns:
+        composite (also unnamed); fovea as it was blended; path-traced, the mean of the samples, and its
+        variance (inf where a single sample does not tell); denoised, unless raw; if fused, the share of each
+        parent (fusion.traced, fusion.denoised, fusion.splat); weight of the fovea; eccentricity in degrees on
+        the display; level (1 to L); rate (log2 of pixels per sample along each axis).
     """
-    hits = renderer.tracer.hits(camera, frame_positions(camera))
-    cosine = camera.rays(camera.pixel_centres()) @ camera.camera_to_world[:3, 2]
-    viewer = renderer.periphery.viewing.display.viewer(camera.width, camera.height)
-    depth = (hits.distance * cosine).astype(np.float32).reshape(camera.height, camera.width)
+    viewer = settings.display.viewer(region.width, region.height)
     return {
-        "": frame.composite,
-        "composite": frame.composite,
-        "fovea": frame.of_disc(frame.fovea.radiance),
-        "path-traced": frame.of_disc(frame.fovea.samples.radiance),
-        "variance": frame.of_disc(frame.fovea.samples.variance()),
-        **_of_parents(frame),
-        "splat": renderer.splat_frame(camera),
-        "weight": frame.region.weight_image(),
-        "eccentricity": eccentricity(viewer, gaze),
-        "level": per_pixel(frame.detail, frame.detail.drawn_level),
-        "rate": per_pixel(frame.detail, frame.detail.drawn_rate),
-        "depth": depth,
+        "": composite,
+        "composite": composite,
+        "fovea": region.image_of(fovea.radiance),
+        "path-traced": region.image_of(fovea.samples.radiance),
+        "variance": region.image_of(fovea.samples.variance()),
+        **_of_parents(region, fovea),
+        "weight": region.weight_image(),
+        "eccentricity": eccentricity(viewer, settings.gaze),
+        "level": detail.per_pixel(detail.drawn_level),
+        "rate": detail.per_pixel(detail.drawn_rate),
     }
 
 
-def _of_parents(frame: Frame) -> dict[str, NDArray[np.float32]]:
-    """What only a denoised or a fused fovea has."""
-    fovea, layers = frame.fovea, {}
+def _of_parents(region: FoveaRegion, fovea: FoveaImage) -> dict[str, NDArray[np.float32]]:
+    """AOVs that only a denoised or a fused fovea has."""
+    found = {}
     if fovea.denoised is not None:
-        layers["denoised"] = frame.of_disc(fovea.denoised)
+        found["denoised"] = region.image_of(fovea.denoised)
     if fovea.weights is not None:
-        shares = frame.of_disc(fovea.weights)
-        layers |= {f"fusion.{name}": shares[..., i] for i, name in enumerate(PARENTS)}
-    return layers
+        shares = region.image_of(fovea.weights)
+        found |= {f"fusion.{name}": shares[..., i] for i, name in enumerate(PARENTS)}
+    return found

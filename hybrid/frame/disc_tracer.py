@@ -1,4 +1,4 @@
-"""Where the samples of a disc go, and what is remembered of earlier ones."""
+"""Traces the disc: where its samples go, and what is known of them from earlier frames."""
 
 from __future__ import annotations
 
@@ -14,134 +14,174 @@ from compose.fovea.adaptive import allotted, disagreement
 from compose.fovea.history import History
 from compose.fovea.region import FoveaRegion
 from compose.fovea.samples import Samples, merged
-from hybrid.frame.disc import Underlay, checked, parents_of
+from hybrid.frame.disc import parents_of
+from hybrid.frame.underlay import Underlay, underlay_of
 from pathtrace.trace.film import interleaved, pixel_positions
 from pathtrace.trace.tracer import Tracer, auxiliary_spp
 
-# From so many samples per pixel on, a part of them, traced everywhere, tells where the others are needed.
+# From this sample count on, a part of the samples, traced everywhere, tells where the others are needed.
 _ADAPTIVE_FROM = 4
 _FIRST_SHARE = 0.25
 _FEWEST_FIRST = 2
 _SECOND_STREAM = 0x5EED0000
-# What a history makes of few samples a frame is worth better auxiliary features than those few would be.
-_PLACES_WITH_HISTORY = 8
-# Side of the window, in pixels, over which it is looked whether samples are missing.
+# With a history, a few samples per frame add up; the auxiliary features must be good enough for the sum.
+_AUXILIARY_SPP_WITH_HISTORY = 8
+# Side in pixels of the window in which missing samples are looked for.
 _WINDOW = 5
 
 
+@dataclass(frozen=True)
+class DiscRequest:
+    """The samples that a frame asks for.
+
+    Attributes:
+        camera: the view.
+        region: the disc.
+        spp: samples per pixel, on average over the disc.
+        seed: same seed, same samples.
+        auxiliary: whether albedo and normal are required.
+    """
+
+    camera: Camera
+    region: FoveaRegion
+    spp: int
+    seed: int
+    auxiliary: bool = True
+
+
 class DiscTracer:
-    """Traces discs, sample by sample where they help.
+    """Traces discs.
 
     Args:
         tracer: of the scene.
-        guided: whether anything will be made of albedo and normal.
-        remembers: whether samples of earlier frames count.
-
-    Attributes:
-        history: those samples; None if they do not count.
+        history: whether samples of earlier frames are reused.
     """
 
-    def __init__(self, tracer: Tracer, with_auxiliary: bool, remembers: bool):
+    def __init__(self, tracer: Tracer, history: bool):
         self._tracer = tracer
-        self._with_auxiliary = with_auxiliary or remembers
-        self.history = History() if remembers else None
+        self._history = History() if history else None
+
+    @property
+    def has_history(self) -> bool:
+        """Whether samples of earlier frames are reused."""
+        return self._history is not None
 
     def forget(self) -> None:
-        """Nothing of earlier frames counts any more."""
-        if self.history is not None:
-            self.history = History()
+        """Drops all samples of earlier frames."""
+        if self._history is not None:
+            self._history = History()
 
-    def trace(
-        self,
-        camera: Camera,
-        region: FoveaRegion,
-        spp: int,
-        seed: int,
-        underlay: Underlay | None = None,
-        quick: bool = False,
-    ) -> Samples:
-        """Samples of the plan's pixels, together with what is remembered of them.
+    def history_state(self) -> dict[str, NDArray[np.generic]]:
+        """Arrays to save for `restore_history`; empty without a history."""
+        return {} if self._history is None else self._history.state()
+
+    def restore_history(self, camera: Camera, state: dict[str, NDArray[np.generic]]) -> None:
+        """Continues from saved samples of a camera's view."""
+        if state:
+            self._history = History.restored(camera, state)
+
+    def trace(self, request: DiscRequest, underlay: Underlay | None = None, quick: bool = False) -> Samples:
+        """Samples of the disc's pixels, merged with what is known of them.
 
         Args:
-            camera: the view.
-            plan: the disc.
-            spp: samples per pixel, on the mean over the disc.
-            seed: same seed, same samples.
-            under: the splats under the disc; with them, samples go where they help. Without, and where they
-                are few, all pixels get the same number.
-            hurried: whether all pixels get the same number whatever is known of them: to think about it takes
-                an eighth of the time of tracing a disc with one sample per pixel.
+            request: which samples.
+            underlay: the splats under the disc, with which samples go where they help; without, and at low
+                sample counts, all pixels get the same number.
+            quick: whether all pixels get the same number in any case: deciding takes an eighth of the time
+                of tracing a disc at one sample per pixel.
         """
-        if not len(region.pixels):
-            return _dark(region.pixels)
-        known = self.known(camera, region, spp, seed, quick)
-        adaptive = underlay is not None and spp >= _ADAPTIVE_FROM and not quick
-        if not adaptive and self.history is None:
-            return self._afresh(camera, known, spp, seed)
-        sequence = self._sequence(camera, region.pixels, seed)
-        new = _without_light(known)
-        total = spp * len(region.pixels)
-        worth = np.ones(len(region.pixels), dtype=np.float32)
+        if not len(request.region.pixels):
+            return _dark(request.region.pixels)
+        known = self.known(request, quick)
+        adaptive = underlay is not None and request.spp >= _ADAPTIVE_FROM and not quick
+        if not adaptive and self._history is None:
+            return self._without_history(request.camera, known, request.spp, request.seed)
+        sequence = self._sequence(request.camera, request.region.pixels, request.seed)
         if adaptive:
-            # A few everywhere, then more where they disagree with the splats.
-            first = max(_FEWEST_FIRST, int(_FIRST_SHARE * spp)) * len(region.pixels)
-            counts = allotted(worth, self._have(region, known), first, seed)
-            new = self._traced(camera, new, counts, seed, sequence)
-            parents = parents_of(region, merged(known, new), checked(camera, underlay))
-            differs = disagreement(parents.denoised, parents.splat)
-            worth = region.rectangle.taken(differs[..., None])[:, 0]
-            # Another stream of random numbers than that of the first ones.
-            total, seed = total - first, seed + _SECOND_STREAM
-        if quick:
-            counts = np.full(len(region.pixels), spp, dtype=np.int64)
+            new = self._adaptive(request, known, sequence, underlay_of(request.camera, underlay))
+        elif quick:
+            counts = np.full(len(known.pixels), request.spp, dtype=np.int64)
+            new = self._traced(request.camera, _without_light(known), counts, request.seed, sequence)
         else:
-            counts = allotted(worth, self._have(region, known) + new.count, total, seed)
-        new = self._traced(camera, new, counts, seed, sequence)
-        if self.history is not None:
-            self.history.remember(new)
+            new = self._filled(request, known, sequence)
+        if self._history is not None:
+            self._history.remember(new)
         return merged(known, new)
 
     def trace_each(
         self, camera: Camera, pixels: NDArray[np.uint32], counts: NDArray[np.int64], seed: int
     ) -> Samples:
-        """So many samples, (D,) at least 1, of each of (D,) pixels; nothing that is known helps them."""
+        """Samples of (D,) pixels, (D,) counts of them, at least 1 each, independent of anything known."""
         if not len(pixels):
             return _dark(pixels)
-        return self._afresh(camera, _dark(pixels), _one_for_all(counts), seed)
+        return self._without_history(camera, _dark(pixels), _one_for_all(counts), seed)
 
-    def known(self, camera: Camera, region: FoveaRegion, spp: int, seed: int, quick: bool = False) -> Samples:
-        """What is known of pixels before anything but auxiliary features is traced; arguments as of `trace`."""
-        pixels = region.pixels
-        if self.history is None:
-            return self._seen(camera, pixels, auxiliary_spp(spp), self._sequence(camera, pixels, seed))
-        wanted = max(auxiliary_spp(spp), _PLACES_WITH_HISTORY)
-        unseen = self.history.unseen(camera, pixels, wanted)
-        # After a saccade all pixels want auxiliary features at once; in a hurry they get half of them in the next frame.
-        places = auxiliary_spp(spp) if quick else wanted
-        seen = self._seen(camera, unseen, places, self._sequence(camera, unseen, seed))
-        return self.history.recall(camera, pixels, seen, places, seed)
+    def known(self, request: DiscRequest, quick: bool = False) -> Samples:
+        """What is known of the disc before anything but auxiliary features is traced."""
+        camera, pixels = request.camera, request.region.pixels
+        if self._history is None:
+            if not request.auxiliary:
+                return _dark(pixels)
+            sequence = self._sequence(camera, pixels, request.seed)
+            return self._seen(camera, pixels, auxiliary_spp(request.spp), sequence)
+        wanted = max(auxiliary_spp(request.spp), _AUXILIARY_SPP_WITH_HISTORY)
+        unseen = self._history.unseen(camera, pixels, wanted)
+        # After a saccade all pixels need auxiliary features at once; a quick frame leaves half of them to the
+        # next one.
+        spp = auxiliary_spp(request.spp) if quick else wanted
+        seen = self._seen(camera, unseen, spp, self._sequence(camera, unseen, request.seed))
+        return self._history.recall(camera, pixels, seen, spp, request.seed)
+
+    def _adaptive(
+        self, request: DiscRequest, known: Samples, sequence: _Sequence, underlay: Underlay
+    ) -> Samples:
+        """A few samples everywhere, the others where those disagree with the splats."""
+        camera, region, seed = request.camera, request.region, request.seed
+        even = np.ones(len(region.pixels), dtype=np.float32)
+        total = request.spp * len(region.pixels)
+        first = max(_FEWEST_FIRST, int(_FIRST_SHARE * request.spp)) * len(region.pixels)
+        counts = allotted(even, self._have(region, known), first, seed)
+        new = self._traced(camera, _without_light(known), counts, seed, sequence)
+        parents = parents_of(region, merged(known, new), underlay)
+        differs = disagreement(parents.denoised, parents.splat)
+        worth = region.rectangle.gathered(differs[..., None])[:, 0]
+        # Another random stream than that of the first samples.
+        seed += _SECOND_STREAM
+        counts = allotted(worth, self._have(region, known) + new.count, total - first, seed)
+        return self._traced(camera, new, counts, seed, sequence)
+
+    def _filled(self, request: DiscRequest, known: Samples, sequence: _Sequence) -> Samples:
+        """As many samples, where fewest are known."""
+        region = request.region
+        even = np.ones(len(region.pixels), dtype=np.float32)
+        new = _without_light(known)
+        have = self._have(region, known) + new.count
+        counts = allotted(even, have, request.spp * len(region.pixels), request.seed)
+        return self._traced(request.camera, new, counts, request.seed, sequence)
 
     def _sequence(self, camera: Camera, pixels: NDArray[np.uint32], seed: int) -> _Sequence:
-        if self.history is None:
+        if self._history is None:
             return _Sequence(0, seed)
-        return _Sequence(*self.history.taken(camera, pixels, seed))
+        return _Sequence(*self._history.sampled(camera, pixels, seed))
 
-    def _seen(self, camera: Camera, pixels: NDArray[np.uint32], places: int, sequence: _Sequence) -> Samples:
-        """Pixels with their auxiliary features, without light."""
-        if not self._with_auxiliary or not len(pixels):
+    def _seen(self, camera: Camera, pixels: NDArray[np.uint32], spp: int, sequence: _Sequence) -> Samples:
+        """Pixels with auxiliary features, without light."""
+        if not len(pixels):
             return _dark(pixels)
         positions = pixel_positions(mi.UInt32(pixels), camera.width)
-        seen = self._tracer.auxiliary(camera, positions, places, sequence.pattern, sequence.taken)
+        seen = self._tracer.auxiliary(camera, positions, spp, sequence.pattern, sequence.taken)
         return replace(
             _dark(pixels),
             albedo=interleaved(seen.albedo),
             normal=interleaved(seen.normal),
-            position=interleaved(seen.place),
+            position=interleaved(seen.position),
             gloss=seen.gloss.numpy().astype(np.uint8),
         )
 
-    def _afresh(self, camera: Camera, known: Samples, spp: int | NDArray[np.int64], seed: int) -> Samples:
-        """So many samples of each pixel, of whose light nothing is known yet."""
+    def _without_history(
+        self, camera: Camera, known: Samples, spp: int | NDArray[np.int64], seed: int
+    ) -> Samples:
+        """Pixels of whose light nothing is known, with that many samples each."""
         positions = pixel_positions(mi.UInt32(known.pixels), camera.width)
         traced = self._tracer.trace(camera, positions, spp, seed)
         count = np.full(len(known.pixels), spp, dtype=np.float32)
@@ -151,7 +191,7 @@ class DiscTracer:
     def _traced(
         self, camera: Camera, known: Samples, counts: NDArray[np.int64], seed: int, sequence: _Sequence
     ) -> Samples:
-        """With so many more samples of each pixel, placed in them where earlier ones left gaps."""
+        """With that many further samples in each pixel, placed where earlier ones left gaps."""
         chosen = np.flatnonzero(counts)
         taken = (sequence.taken + known.count.astype(np.int64))[chosen]
         counts = counts[chosen]
@@ -164,38 +204,42 @@ class DiscTracer:
         return merged(known, replace(known, count=count, radiance=radiance, squares=squares))
 
     def _have(self, region: FoveaRegion, known: Samples) -> NDArray[np.float32]:
-        """(D,) samples per pixel around each.
+        """(D,) samples per pixel in the neighbourhood of each.
 
-        Those that were carried along fall on pixels as chance will have it. Filling every gap among them
-        would take several samples of a pixel at once, which blur where they are carried in their turn; only
-        what lacks samples as a whole is to be filled.
+        Reprojected samples fall on pixels at random. Filling every gap among them would take several samples
+        of a pixel at once, which blur when they are reprojected in their turn; only where samples are missing
+        over a whole neighbourhood are they to be filled in.
         """
-        if self.history is None:
+        if self._history is None:
             return known.count
-        around = region.rectangle
-        nothing = np.zeros((*around.shape, 1), dtype=np.float32)
-        counted = around.scattered(nothing, np.stack([known.count], axis=1))[..., 0]
-        inside = around.scattered(nothing, np.ones((len(known.count), 1), dtype=np.float32))[..., 0]
+        rectangle = region.rectangle
+        nothing = np.zeros((*rectangle.shape, 1), dtype=np.float32)
+        counted = rectangle.scattered(nothing, np.stack([known.count], axis=1))[..., 0]
+        inside = rectangle.scattered(nothing, np.ones((len(known.count), 1), dtype=np.float32))[..., 0]
         mean = uniform_filter(counted, _WINDOW) / np.maximum(uniform_filter(inside, _WINDOW), 1e-3)
-        return np.where(known.count < 1, 0, np.maximum(around.taken(mean[..., None])[:, 0], 1))
+        return np.where(known.count < 1, 0, np.maximum(rectangle.gathered(mean[..., None])[:, 0], 1))
 
 
 @dataclass(frozen=True)
 class _Sequence:
-    """Where samples go in their pixels: how many there are already, (D,) or one for all, and the seed of the
-    pattern."""
+    """Positions of samples in their pixels.
+
+    Attributes:
+        taken: samples drawn before, (D,) or one number for all pixels.
+        pattern: seed of the pattern.
+    """
 
     taken: int | NDArray[np.int64]
     pattern: int
 
 
 def _one_for_all(numbers: NDArray[np.int64]) -> int | NDArray[np.int64]:
-    """A single number where all are the same: the tracer needs no array for it."""
+    """A single number where all are equal, which saves the tracer an array."""
     return int(numbers[0]) if (numbers == numbers[0]).all() else numbers
 
 
 def _without_light(samples: Samples) -> Samples:
-    """The same pixels, as if no sample had been taken."""
+    """The same pixels without any samples of radiance."""
     dark = np.zeros_like(samples.radiance)
     return replace(samples, count=dark[:, 0], radiance=dark, squares=dark)
 

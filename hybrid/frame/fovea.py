@@ -1,31 +1,33 @@
-"""The fovea of a frame: samples of the disc, denoised, fused with the splats under it, with their history."""
+"""The fovea of a frame: its samples, and the image made of them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from compose.camera.camera import Camera
-from compose.fovea.mode import mode_named
+from compose.fovea.band import thinned
+from compose.fovea.mode import FoveaMode
 from compose.fovea.region import FoveaRegion
 from compose.fovea.samples import Samples
 from compose.fusion.combination import fuse
 from compose.fusion.network import Fusion
 from compose.image.colour import Image
-from hybrid.frame.disc import DiscImages, Underlay, checked, parents_of
-from hybrid.frame.disc_tracer import DiscTracer
+from hybrid.frame.disc import DiscImages, parents_of
+from hybrid.frame.disc_tracer import DiscRequest, DiscTracer
+from hybrid.frame.underlay import Underlay
 from hybrid.runtime.threads import torch_alone
 from pathtrace.trace.tracer import Tracer
 
 
 @dataclass(frozen=True)
-class FoveaPicture:
-    """The fovea and what it was made of, for the D pixels of a plan.
+class FoveaImage:
+    """The fovea and what it was made of, for the D pixels of a region.
 
     Attributes:
         radiance: (D, 3) linear.
         samples: per pixel, with those of earlier frames.
         denoised: (D, 3), unless raw.
-        weights: (D, 3) share of each parent (compose.fusion.PARENTS), only if fused.
+        weights: (D, 3) share of each parent (compose.fusion.parents.PARENTS), only if fused.
         excluded: pixels in which a parent was left out because it was not finite or negative.
     """
 
@@ -37,63 +39,93 @@ class FoveaPicture:
 
 
 class Fovea:
-    """Makes the foveas of one scene.
+    """Traces and reconstructs the foveas of one scene.
 
     Args:
         tracer: of the scene.
-        mode: raw, what Mitsuba gives, unbiased; denoised, by OIDN; fused, with the splats as well.
         fusion: fitted to the scene and its splats; None fuses by statistics alone.
-        remembers: whether samples of earlier frames count.
-
-    Raises:
-        UserError: there is no such mode.
+        history: whether samples of earlier frames are reused.
     """
 
-    def __init__(self, tracer: Tracer, mode: str, fusion: Fusion | None = None, remembers: bool = False):
-        self.mode = mode_named(mode)
-        self.disc = DiscTracer(tracer, mode != "raw", remembers)
+    def __init__(self, tracer: Tracer, fusion: Fusion | None = None, history: bool = False):
+        self.disc = DiscTracer(tracer, history)
         self._fusion = fusion
 
-    @property
-    def is_independent(self) -> bool:
-        """Whether a pixel shows its own samples of this frame and nothing else."""
-        return self.mode == "raw" and self.disc.history is None
+    def thins_band(self, mode: FoveaMode) -> bool:
+        """Whether fewer samples are traced in the band: only where no other pixel depends on them."""
+        return mode is FoveaMode.RAW and not self.disc.has_history
 
-    def picture(
+    def paths(self, mode: FoveaMode, region: FoveaRegion, spp: int) -> float:
+        """Expected number of paths that `trace` takes for a region."""
+        return float(spp * (region.weights.sum() if self.thins_band(mode) else len(region.pixels)))
+
+    def trace(
         self,
+        mode: FoveaMode,
         camera: Camera,
         region: FoveaRegion,
-        samples: Samples,
-        around: Image | None,
-        underlay: Underlay | None,
+        spp: int,
+        seed: int,
+        underlay: Underlay | None = None,
         quick: bool = False,
-    ) -> FoveaPicture:
-        """The fovea that the samples give.
+    ) -> tuple[FoveaRegion, Samples]:
+        """Samples of the disc.
 
         Args:
-            camera: the view.
-            plan: the disc.
+            mode: how the fovea will be made.
+            camera, region: the view and the disc.
+            spp: samples per pixel.
+            seed: same seed, same samples.
+            underlay: the splats under the disc, for a fused fovea.
+            quick: whether the frame must not take longer for better samples.
+
+        Returns:
+            The region that has samples, with the weights of the blend, and its samples.
+        """
+        if self.thins_band(mode):
+            thin, counts = thinned(region, spp, seed)
+            return thin, self.disc.trace_each(camera, thin.pixels, counts, seed)
+        auxiliary = mode is not FoveaMode.RAW
+        return region, self.disc.trace(DiscRequest(camera, region, spp, seed, auxiliary), underlay, quick)
+
+    def image(
+        self,
+        mode: FoveaMode,
+        region: FoveaRegion,
+        samples: Samples,
+        surroundings: Image | None = None,
+        underlay: Underlay | None = None,
+        quick: bool = False,
+    ) -> FoveaImage:
+        """The fovea that samples give.
+
+        Args:
+            mode: how to make it.
+            region: the disc.
             samples: of its pixels.
-            around: (H, W, 3) radiance that stands in for the corners of the rectangle around the disc; only
-                looked at if denoised.
-            under: the splats under the disc, of the same view; only looked at if fused.
-            hurried: whether a fused fovea takes the quicker denoiser, however many samples there are.
+            surroundings: (H, W, 3) radiance that fills the corners of the rectangle around the disc; used
+                for a denoised fovea only.
+            underlay: the splats under the disc; used for a fused fovea only.
+            quick: whether a fused fovea uses the quicker denoiser whatever the sample count.
 
         Raises:
-            ValueError: the splats' picture is missing, or of another camera or size.
+            ValueError: what the mode requires is missing.
         """
-        if self.mode == "raw" or not len(region.pixels):
-            return FoveaPicture(samples.radiance, samples)
+        if mode is FoveaMode.RAW or not len(region.pixels):
+            return FoveaImage(samples.radiance, samples)
         rectangle = region.rectangle
-        taken = rectangle.taken
-        if self.mode == "denoised":
-            assert around is not None
-            scattered = DiscImages.of(samples, rectangle.crop(around), rectangle)
-            denoised = taken(scattered.denoised())
-            return FoveaPicture(denoised, samples, denoised)
-        parents = parents_of(region, samples, checked(camera, underlay), quick)
+        if mode is FoveaMode.DENOISED:
+            if surroundings is None:
+                raise ValueError("a denoised fovea requires the radiance around the disc")
+            images = DiscImages.of(samples, rectangle.crop(surroundings), rectangle)
+            denoised = rectangle.gathered(images.denoised())
+            return FoveaImage(denoised, samples, denoised)
+        if underlay is None:
+            raise ValueError("a fused fovea requires the splats under the disc")
+        parents = parents_of(region, samples, underlay, quick)
         with torch_alone():
             fused = fuse(parents, self._fusion)
-        return FoveaPicture(
-            taken(fused.radiance), samples, taken(parents.denoised), taken(fused.weights), fused.excluded
+        radiance, denoised, weights = (
+            rectangle.gathered(image) for image in (fused.radiance, parents.denoised, fused.weights)
         )
+        return FoveaImage(radiance, samples, denoised, weights, fused.excluded)

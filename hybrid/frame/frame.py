@@ -2,16 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.errors import UserError
+from compose.camera.camera import Camera
 from compose.eye.detail import DetailMap
 from compose.fovea.region import FoveaRegion
 from compose.image.colour import Image
-from hybrid.frame.disc import Underlay
-from hybrid.frame.fovea import FoveaPicture
+from hybrid.frame.aovs import aovs_of
+from hybrid.frame.fovea import FoveaImage
+from hybrid.frame.settings import FrameSettings
+from hybrid.frame.underlay import Underlay
+from hybrid.output.images import write_exr, write_png
+
+
+class AovSource(Protocol):
+    """Renders what a frame does not need, but its file has."""
+
+    def splats(self, settings: FrameSettings) -> Image:
+        """(H, W, 3) the finest layer over the whole frame."""
+
+    def depth(self, camera: Camera) -> NDArray[np.float32]:
+        """(H, W) depth of the first hit along the view axis, inf where nothing is hit."""
 
 
 @dataclass(frozen=True)
@@ -19,27 +36,53 @@ class Frame:
     """One frame and its parts.
 
     Attributes:
-        composite: (H, W, 3) linear radiance, what the viewer sees.
+        composite: (H, W, 3) linear radiance, the frame itself.
+        settings: how it was made, with its camera.
+        camera: the view.
         periphery: (H, W, 3) the splats; black in tiles that the fovea hides.
         detail: what the viewer resolves where.
-        nodes_drawn: Gaussians in the periphery, those of several pictures counted in each.
+        nodes_drawn: Gaussians drawn in the periphery, counted once per layer image.
         fovea: the disc and what it was made of.
-        under: the splats under the disc, of a fused one.
-        plan: which pixels that is, and the weights of the blend; of a raw fovea, those that have samples.
-        milliseconds: per pass (plan, detail, splat, under, trace, fovea, blend) and in all (total).
+        underlay: the splats under the disc, if fused.
+        region: the disc's pixels, and the weights of the blend; for a raw fovea those that have samples.
+        milliseconds: per pass (region, detail, splat, underlay, trace, fovea, blend), and in total.
+        source: renders further AOVs when the frame is saved.
     """
 
     composite: Image
+    settings: FrameSettings
+    camera: Camera
     periphery: Image
-    fovea: FoveaPicture
-    underlay: Underlay | None
-    region: FoveaRegion
     detail: DetailMap
     nodes_drawn: int
+    fovea: FoveaImage
+    underlay: Underlay | None
+    region: FoveaRegion
     milliseconds: dict[str, float]
+    source: AovSource = field(repr=False, compare=False)
 
     def of_disc(self, values: NDArray[np.float32]) -> Image:
-        """(H, W, C) an image of the plan's pixels' values (D, C), black elsewhere."""
-        image = np.zeros((self.region.height * self.region.width, values.shape[1]), dtype=np.float32)
-        image[self.region.pixels] = values
-        return image.reshape(self.region.height, self.region.width, -1)
+        """(H, W, C) image of values (D, C) in the disc's pixels, black elsewhere."""
+        return self.region.image_of(values)
+
+    def aovs(self) -> dict[str, NDArray[np.float32]]:
+        """Everything the frame consists of, as named images: the layers of its EXR file."""
+        splats, depth = self.source.splats(self.settings), self.source.depth(self.camera)
+        return aovs_of(self.composite, self.settings, self.detail, self.region, self.fovea) | {
+            "splat": splats,
+            "depth": depth,
+        }
+
+    def save(self, path: Path | str) -> None:
+        """Writes the frame: .exr with all AOVs in linear radiance, or .png with the composite in sRGB.
+
+        Raises:
+            UserError: the file has another extension, or cannot be written.
+        """
+        path = Path(path)
+        if path.suffix.lower() == ".exr":
+            write_exr(path, self.aovs())
+        elif path.suffix.lower() == ".png":
+            write_png(path, self.composite)
+        else:
+            raise UserError(f"{path}: must end in .exr or .png")

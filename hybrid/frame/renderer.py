@@ -3,112 +3,120 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from compose.blend.blend import blend
 from compose.camera.camera import Camera
-from compose.fovea.band import thinned
-from compose.fovea.region import FoveaRegion, Foveation
-from compose.fovea.samples import Samples
+from compose.fovea.mode import FoveaMode
+from compose.fovea.region import FoveaRegion
 from compose.image.colour import Image
-from hybrid.frame.disc import Underlay
 from hybrid.frame.fovea import Fovea
 from hybrid.frame.frame import Frame
 from hybrid.frame.fusion import fusion_of
-from hybrid.frame.periphery import Periphery, Viewing
-from hybrid.frame.traced_image import traced_image
+from hybrid.frame.periphery import Periphery
+from hybrid.frame.settings import DEFAULTS, FrameSettings
+from hybrid.frame.underlay import Underlay
 from hybrid.runtime.clock import Clock
 from hybrid.runtime.device import device_arrays
 from hybrid.store.identity import require_scene
 from pathtrace.scene.scene import Scene
-from pathtrace.trace.film import FilmPositions
+from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import RUSSIAN_ROULETTE_DEPTH, Tracer
 from splat.model.forest import Forest
 
 
-class HybridRenderer:
+class Renderer:
     """Renders hybrid frames of one scene with one forest.
 
     Args:
         scene: what is path-traced.
         forest: its Gaussians.
-        viewing: who looks, on what display.
-        mode: how the fovea is made: raw, denoised or fused.
-        remembers: whether the fovea keeps the samples of earlier frames.
-        roulette_depth: as of the tracer.
+        history: whether the fovea reuses the samples of earlier frames.
+        roulette_depth: path depth from which on Russian roulette ends paths.
 
     Raises:
-        UserError: the forest is one of another scene, or there is no such mode.
+        UserError: the forest belongs to another scene.
+
+    Example:
+        >>> scene = hybrid.load_scene("room")
+        >>> renderer = hybrid.Renderer(scene, hybrid.load_forest("room.forest"))
+        >>> frame = renderer.frame(hybrid.FrameSettings(gaze=(0.4, 0.6), spp=4))
+        >>> frame.save("frame.exr")
     """
 
     def __init__(
         self,
         scene: Scene,
         forest: Forest,
-        viewing: Viewing | None = None,
-        mode: str = "raw",
-        remembers: bool = False,
+        *,
+        history: bool = False,
         roulette_depth: int = RUSSIAN_ROULETTE_DEPTH,
     ):
         require_scene(forest, scene.name, scene.hash, "this forest")
+        self.scene = scene
         self.tracer = Tracer(scene, roulette_depth=roulette_depth)
-        self.periphery = Periphery(device_arrays(), forest, viewing or Viewing())
-        self.fovea = Fovea(self.tracer, mode, fusion_of(forest), remembers)
+        self.periphery = Periphery(device_arrays(), forest)
+        self.fovea = Fovea(self.tracer, fusion_of(forest), history)
 
-    def frame(self, camera: Camera, foveation: Foveation, spp: int = 1, seed: int = 0) -> Frame:
+    def frame(self, settings: FrameSettings = DEFAULTS, seed: int = 0) -> Frame:
         """One frame.
 
         Args:
-            camera: the view.
-            foveation: gaze and radii.
-            spp: samples per pixel in the disc.
-            seed: same seed, same frame.
+            settings: how to make it.
+            seed: same seed, same frame on the same machine.
+
+        Raises:
+            UserError: the forest does not have the layers that the settings ask for.
         """
         clock = Clock()
-        region = foveation.region(camera.width, camera.height)
-        clock.lap("plan")
-        detail = self.periphery.detail(camera, foveation.gaze, foveation.fov_b)
+        camera, settings = settings.resolved(self.scene.camera)
+        disc = settings.foveation.region(camera.width, camera.height)
+        clock.lap("region")
+        detail = self.periphery.detail(camera, settings)
         clock.lap("detail")
-        drawn = self.periphery.draw(camera, detail, region)
+        drawn = self.periphery.draw(camera, detail, disc)
         periphery = drawn.image()
         clock.lap("splat")
-        underlay = self.underlay(camera, region)
-        clock.lap("under")
-        region, samples = self._traced(camera, region, spp, seed, underlay)
+        underlay = self.underlay(camera, settings, disc)
+        clock.lap("underlay")
+        region, samples = self.fovea.trace(settings.fovea, camera, disc, settings.spp, seed, underlay)
         clock.lap("trace")
-        fovea = self.fovea.picture(camera, region, samples, periphery, underlay)
+        fovea = self.fovea.image(settings.fovea, region, samples, periphery, underlay)
         clock.lap("fovea")
         composite = blend(periphery, fovea.radiance, region)
         clock.lap("blend")
-        return Frame(composite, periphery, fovea, underlay, region, detail, drawn.nodes, clock.milliseconds())
+        parts = periphery, detail, drawn.nodes, fovea, underlay, region, clock.milliseconds()
+        return Frame(composite, settings, camera, *parts, self)
 
-    def underlay(self, camera: Camera, region: FoveaRegion) -> Underlay | None:
-        """The splats under the disc, where they are fused with it."""
-        if self.fovea.mode != "fused":
+    def underlay(self, camera: Camera, settings: FrameSettings, disc: FoveaRegion) -> Underlay | None:
+        """The splats under the disc, if they are fused with it."""
+        if settings.fovea is not FoveaMode.FUSED:
             return None
-        radiance = self.periphery.under_fovea(camera, region).image()
-        return Underlay(camera, radiance, self.periphery.enlargement(camera))
+        radiance = self.periphery.under_disc(camera, settings, disc).image()
+        return Underlay(camera, radiance, self.periphery.enlargement(camera, settings))
 
-    def _traced(
-        self, camera: Camera, region: FoveaRegion, spp: int, seed: int, underlay: Underlay | None
-    ) -> tuple[FoveaRegion, Samples]:
-        """The disc's samples, and the plan of the pixels that have any."""
-        if not self.fovea.is_independent:
-            return region, self.fovea.disc.trace(camera, region, spp, seed, underlay)
-        region, counts = thinned(region, spp, seed)
-        return region, self.fovea.disc.trace_each(camera, region.pixels, counts, seed)
+    def disc_alone(self, settings: FrameSettings, seed: int) -> Image:
+        """(D, 3) the disc of a frame, without the splats around it; D as in that frame's region."""
+        camera, settings = settings.resolved(self.scene.camera)
+        disc = settings.foveation.region(camera.width, camera.height)
+        underlay = self.underlay(camera, settings, disc)
+        region, samples = self.fovea.trace(settings.fovea, camera, disc, settings.spp, seed, underlay)
+        surroundings = np.zeros((region.height, region.width, 3), dtype=np.float32)
+        return self.fovea.image(settings.fovea, region, samples, surroundings, underlay).radiance
 
-    def disc_alone(self, camera: Camera, region: FoveaRegion, spp: int, seed: int) -> Image:
-        """(D, 3) the disc as a frame shows it, without the splats around it; D as in that frame's plan."""
-        underlay = self.underlay(camera, region)
-        region, samples = self._traced(camera, region, spp, seed, underlay)
-        around = np.zeros((region.height, region.width, 3), dtype=np.float32)
-        return self.fovea.picture(camera, region, samples, around, underlay).radiance
+    def paths(self, settings: FrameSettings) -> float:
+        """Expected number of paths that a frame takes."""
+        camera, settings = settings.resolved(self.scene.camera)
+        disc = settings.foveation.region(camera.width, camera.height)
+        return self.fovea.paths(settings.fovea, disc, settings.spp)
 
-    def splat_frame(self, camera: Camera) -> Image:
-        """(H, W, 3) the finest layer over the whole frame, also where a fovea would hide it."""
-        return self.periphery.whole(camera)
+    def splats(self, settings: FrameSettings = DEFAULTS) -> Image:
+        """(H, W, 3) the finest allowed layer over the whole frame, also where a fovea would hide it."""
+        camera, settings = settings.resolved(self.scene.camera)
+        return self.periphery.whole(camera, settings)
 
-    def path_traced(self, camera: Camera, positions: FilmPositions, spp: int, seed: int) -> Image:
-        """(H, W, 3) the whole frame without splats, denoised unless the fovea is raw."""
-        denoised = self.fovea.mode != "raw"
-        return traced_image(self.tracer, camera, positions, camera.width, spp, seed, denoised)
+    def depth(self, camera: Camera) -> NDArray[np.float32]:
+        """(H, W) depth of the first hit along the view axis, inf where nothing is hit."""
+        hits = self.tracer.hits(camera, frame_positions(camera))
+        cosine = camera.rays(camera.pixel_centres()) @ camera.camera_to_world[:3, 2]
+        return (hits.distance * cosine).astype(np.float32).reshape(camera.height, camera.width)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from compose.camera.camera import Camera
 from compose.image.colour import Image
 from hybrid.measure.reference import REFERENCE_SEED
-from pathtrace.base.denoise import denoise
 from pathtrace.trace.film import frame_positions, interleaved, pixel_positions
+from pathtrace.trace.image import TracedImage, auxiliary_images
 from pathtrace.trace.tracer import Tracer, auxiliary_spp
 
 # A sixteenth of the pixels at a time, spread over the frame: the window stays quick, and the picture sharpens
@@ -75,15 +75,15 @@ class ConvergingFrame:
 
     def denoised(self) -> Image:
         """(H, W, 3) the same, cleaned: against the noise of few samples no difference would be seen."""
-        return denoise(self.image(), *self._auxiliary, fast=True)
+        return TracedImage(self.image(), *self._auxiliary).denoised(quick=True)
 
     @cached_property
     def _auxiliary(self) -> tuple[Image, Image]:
         """Albedo and normal, (H, W, 3) each."""
         positions = frame_positions(self.camera)
-        found = self._tracer.auxiliary(self.camera, positions, auxiliary_spp(1), REFERENCE_SEED)
-        size = self.camera.height, self.camera.width, 3
-        return interleaved(found.albedo).reshape(size), interleaved(found.normal).reshape(size)
+        return auxiliary_images(
+            self._tracer, self.camera, positions, self.camera.width, auxiliary_spp(1), REFERENCE_SEED
+        )
 
 
 def _every(camera: Camera, row: int, column: int) -> NDArray[np.uint32]:

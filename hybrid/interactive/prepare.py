@@ -1,4 +1,4 @@
-"""What must be there before the first frame: the scene, its forest, and kernels that are compiled."""
+"""Prepares what must be there before the first frame: scene, forest and renderer."""
 
 from __future__ import annotations
 
@@ -7,43 +7,37 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from compose.base.errors import UserError
-from compose.eye.display import Display
-from hybrid.cli.options import loaded_scene, select
 from hybrid.frame.live import LiveRenderer
-from hybrid.frame.periphery import Viewing
 from hybrid.interactive.source import FrameSource
 from hybrid.runtime.progress import Bar, Report
 from hybrid.store.cache import newest_forest
 from hybrid.training.quick import forest_for
+from pathtrace.base.backend import select_backend
 
 
-def prepared(
-    scene: str,
-    forest: Path | None,
-    display: Display,
-    backend: str,
-    trains: bool,
-    report: Report,
-) -> FrameSource:
-    """The source of frames of a scene.
+def prepared(scene: str, forest: Path | None, backend: str, trains: bool, report: Report) -> FrameSource:
+    """The source of a scene's frames.
 
     Args:
-        scene, forest, backend: as the options of that name.
-        display: that the window is shown on.
-        trains: whether a forest that is missing is trained now.
-        report: called with what is done, how many steps of it, and of how many.
+        scene: name of a bundled scene, or a Mitsuba XML file.
+        forest: forest file; None for the newest one of the scene.
+        backend: auto, cuda or llvm.
+        trains: whether to train a forest if there is none.
+        report: called with the activity, steps done and steps in total.
 
     Raises:
-        UserError: there is no such scene or forest, or they do not belong together.
+        UserError: the scene or the forest is missing, or they do not belong together.
     """
 
     @contextmanager
     def bars(title: str) -> Iterator[Bar]:
         yield lambda done, total, step="": report(title, done, total)
 
-    select(backend)
-    loaded = loaded_scene(scene)
+    select_backend(backend)
+    # After the backend, which decides on the kind of scene that is loaded.
+    from pathtrace.scene.scene import load_scene
+
+    loaded = load_scene(scene)
     if not trains and forest is None and newest_forest(loaded) is None:
         raise UserError(f"{scene}: there is no forest yet, and no time to train one; run hybrid demo {scene}")
-    found = forest_for(loaded, forest, bars)
-    return FrameSource(LiveRenderer(loaded, found, Viewing(display)))
+    return FrameSource(LiveRenderer(loaded, forest_for(loaded, forest, bars)))

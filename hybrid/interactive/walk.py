@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from compose.camera.camera import Array, Camera, camera_from_pose
+from compose.camera.turning import turned
 
 # Degrees that one looks up and down at most.
 _MOST_PITCH = 85.0
@@ -57,8 +58,4 @@ class Walker:
         return replace(home, world_to_camera=moved.world_to_camera)
 
     def _rotation(self) -> Array:
-        yaw, pitch = np.radians([self._yaw, self._pitch])
-        turned = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
-        tilted = np.array([[1, 0, 0], [0, np.cos(pitch), np.sin(pitch)], [0, -np.sin(pitch), np.cos(pitch)]])
-        rotation: Array = self._home.camera_to_world[:3, :3] @ turned @ tilted
-        return rotation
+        return turned(self._home.camera_to_world[:3, :3], self._yaw, -self._pitch)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
 from compose.image.colour import Image, srgb_from_radiance
-from pathtrace.base.denoise import denoise
-from pathtrace.trace.film import frame_positions, interleaved
+from pathtrace.trace.film import frame_positions
+from pathtrace.trace.image import TracedImage, auxiliary_images, radiance_image
 from pathtrace.trace.tracer import Tracer, auxiliary_spp
 
 # Far from the seeds of frames, whose noise would otherwise be that of the reference.
@@ -64,20 +64,21 @@ def reference(tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed
     if np.min(spp) < _PARTS:
         raise ValueError(f"a reference needs at least {_PARTS} samples per pixel")
     positions, size = frame_positions(camera), (camera.height, camera.width)
-    image = lambda channels: interleaved(channels).reshape(*size, 3)  # noqa: E731
     halves, parts = [], []
     for half in range(2):
         first, last = (spp * (2 * half + part) // _PARTS for part in (0, 2))
         middle = spp * (2 * half + 1) // _PARTS
         seeds = np.random.SeedSequence([seed, half]).generate_state(2)
         raw = [
-            image(tracer.trace(camera, positions, count, int(part_seed)).radiance)
+            radiance_image(tracer, camera, positions, camera.width, count, int(part_seed))
             for count, part_seed in zip((middle - first, last - middle), seeds, strict=True)
         ]
-        auxiliary = tracer.auxiliary(camera, positions, auxiliary_spp(int(np.max(spp))), int(seeds[0]))
+        auxiliary = auxiliary_images(
+            tracer, camera, positions, camera.width, auxiliary_spp(int(np.max(spp))), int(seeds[0])
+        )
         share = np.broadcast_to((last - middle) / (last - first), size[0] * size[1])
         mean = raw[0] + (raw[1] - raw[0]) * share.reshape(*size, 1).astype(np.float32)
-        halves.append(denoise(mean, image(auxiliary.albedo), image(auxiliary.normal)))
+        halves.append(TracedImage(mean, *auxiliary).denoised())
         parts.append(raw)
     return judged(halves, parts)
 

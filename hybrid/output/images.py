@@ -1,4 +1,4 @@
-"""Pictures in files: EXR with named layers in linear radiance, PNG in sRGB."""
+"""Image files: EXR with named AOVs in linear radiance, PNG in sRGB."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from compose.image.colour import Image, bytes_from_radiance
 
 
 def check_writable(path: Path) -> None:
-    """Before long work begins: whether its result can be written.
+    """Checks, before long work begins, that its result can be written.
 
     Raises:
         UserError: the folder cannot be made or written.
@@ -30,22 +30,22 @@ def check_writable(path: Path) -> None:
 
 
 def write_png(path: Path, radiance: Image) -> None:
-    """Writes linear (H, W, 3) radiance as sRGB."""
-    write_bytes(path, bytes_from_radiance(radiance))
+    """Writes (H, W, 3) linear radiance as sRGB."""
+    write_srgb(path, bytes_from_radiance(radiance))
 
 
-def write_bytes(path: Path, picture: NDArray[np.uint8]) -> None:
-    """Writes an (H, W, 3) picture that is sRGB already."""
-    write_whole(path, lambda part: PillowImage.fromarray(picture).save(part, format="PNG"))
+def write_srgb(path: Path, image: NDArray[np.uint8]) -> None:
+    """Writes an (H, W, 3) image that is in sRGB already."""
+    write_whole(path, lambda part: PillowImage.fromarray(image).save(part, format="PNG"))
 
 
-def write_layers(path: Path, layers: dict[str, NDArray[np.float32]]) -> None:
-    """Writes one EXR file; an (H, W, 3) layer gets channels name.R .G .B, an (H, W) one name.V.
+def write_exr(path: Path, aovs: dict[str, NDArray[np.float32]]) -> None:
+    """Writes AOVs to one EXR file: channels name.R, .G and .B for (H, W, 3), name.V for (H, W).
 
-    The layer named "" is what a viewer shows that knows of no layers.
+    The AOV without a name is what viewers show that ignore names.
     """
     channels = {}
-    for name, image in layers.items():
+    for name, image in aovs.items():
         prefix = f"{name}." if name else ""
         planes = {"V": image} if image.ndim == 2 else {c: image[..., i] for i, c in enumerate("RGB")}
         for channel, plane in planes.items():
@@ -54,7 +54,7 @@ def write_layers(path: Path, layers: dict[str, NDArray[np.float32]]) -> None:
     write_whole(path, lambda part: OpenEXR.File(header, channels).write(str(part)))
 
 
-def read_layers(path: Path) -> dict[str, NDArray[np.float32]]:
-    """All channels of an EXR file by their full name."""
+def read_exr(path: Path) -> dict[str, NDArray[np.float32]]:
+    """All channels of an EXR file by their full names, (H, W) each."""
     file = OpenEXR.File(str(path), separate_channels=True)
     return {name: channel.pixels for name, channel in file.channels().items()}

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 from PIL import Image as Pillow
 from PIL import ImageDraw, ImageFont
 
-from compose.eye.detail import CELL, COARSEST_RATE, DetailMap
+from compose.eye.detail import DetailMap
+from compose.eye.steps import COARSEST_RATE
 from compose.fovea.region import FoveaRegion
 from compose.image.colour import Image, bytes_from_radiance
 
@@ -15,15 +16,6 @@ from compose.image.colour import Image, bytes_from_radiance
 _COARSE, _FINE = np.array([230.0, 70.0, 40.0]), np.array([40.0, 110.0, 240.0])
 _TINT = 0.5
 _RING = 10  # degrees between two rings
-
-
-def per_pixel(detail: DetailMap, lattice: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(H, W) values of one of the map's lattices, linear between its points."""
-    y, x = (np.arange(size) + 0.5 for size in (detail.height, detail.width))
-    row, column = (y // CELL).astype(int), (x // CELL).astype(int)
-    fy, fx = (y / CELL - row)[:, None], (x / CELL - column)[None, :]
-    rows = lattice[row] * (1 - fy) + lattice[row + 1] * fy
-    return (rows[:, column] * (1 - fx) + rows[:, column + 1] * fx).astype(np.float32)
 
 
 def detail_picture(frame: Image, detail: DetailMap, region: FoveaRegion) -> NDArray[np.uint8]:
@@ -41,12 +33,12 @@ def levels_picture(frame: Image, detail: DetailMap, region: FoveaRegion) -> NDAr
     rate = _rates(detail)
     for step in range(1, COARSEST_RATE + 1):
         picture = np.where((rate == step)[..., None], _in_blocks(picture, 1 << step), picture)
-    share = ((per_pixel(detail, detail.drawn_level) - 1) / max(detail.layers - 1, 1))[..., None]
+    share = ((detail.per_pixel(detail.drawn_level) - 1) / max(detail.layers - 1, 1))[..., None]
     tint = _COARSE * (1 - share) + _FINE * share
     grey = picture.mean(axis=2, keepdims=True)
     tinted = (1 - _TINT) * grey + _TINT * tint * (0.4 + 0.6 * grey / 255)
     picture = np.where((region.weight_image() >= 1)[..., None], picture, tinted)
-    angle = per_pixel(detail, detail.eccentricity)
+    angle = detail.per_pixel(detail.eccentricity)
     ring = np.floor(angle / _RING)
     edge = np.zeros(ring.shape, dtype=bool)
     edge[:, 1:] |= ring[:, 1:] != ring[:, :-1]
@@ -62,7 +54,7 @@ def levels_picture(frame: Image, detail: DetailMap, region: FoveaRegion) -> NDAr
 
 def _rates(detail: DetailMap) -> NDArray[np.int64]:
     """(H, W) the rate that has the larger share."""
-    return np.rint(per_pixel(detail, detail.drawn_rate)).astype(np.int64)
+    return np.rint(detail.per_pixel(detail.drawn_rate)).astype(np.int64)
 
 
 def _in_blocks(picture: NDArray[np.float64], size: int) -> NDArray[np.float64]:

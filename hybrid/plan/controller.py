@@ -1,108 +1,73 @@
-"""Keeps frames at a wanted rate: chooses among measured settings, and follows the machine."""
+"""Keeps frames at a target rate: chooses among measured settings and follows the machine's load."""
 
 from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
-from hybrid.interactive.request import Settings
+from hybrid.frame.settings import FrameSettings
+from hybrid.plan.measured import MeasuredSettings
 
-# Share of the target that frames are planned to take: times vary.
+# Share of the target time that frames are planned to take, since times vary.
 _PLANNED = 0.85
-# How quickly the controller believes that the machine has become slower, and that it is quicker again.
-_SLOWER, _QUICKER = 0.5, 0.08
-# Steps of the ladder that it climbs in a frame at most; down it goes at once.
+# How quickly the controller accepts that the machine has become slower, and that it is faster again.
+_SLOWER, _FASTER = 0.5, 0.08
+# Steps of the ladder that it climbs per frame at most; it descends at once.
 _CLIMB = 0.12
-# A single frame counts as no more than this many times what was expected: a hiccup is no load.
+# A single frame counts as at most this many times the expected time: an outlier is not a load.
 _MOST = 3.0
 
 
-@dataclass(frozen=True)
-class Rung:
-    """Settings of a frame and what they take.
-
-    Attributes:
-        fov_a: radius in percent of the height; the band keeps its share of it.
-        spp: samples per pixel in the disc.
-        finest: finest layer that is drawn.
-        rate: of the periphery, log2 of pixels per sample along each axis, at least.
-        scale: of the rendered frame's sides to the window's.
-        milliseconds: of a frame.
-        quality: of it; more is better.
-    """
-
-    fov_a: float
-    spp: int
-    finest: int
-    rate: int
-    scale: float
-    milliseconds: float = 0.0
-    quality: float = 0.0
-
-    def applied(self, settings: Settings) -> Settings:
-        """The settings of a person, with these in place of theirs; the band keeps its share of the radius."""
-        share = settings.fov_b / settings.fov_a if settings.fov_a > 0 else 0.0
-        return replace(
-            settings,
-            fov_a=self.fov_a,
-            fov_b=share * self.fov_a,
-            spp=self.spp,
-            layers=(1, self.finest),
-            rate=self.rate,
-            scale=self.scale,
-        )
-
-
 class FrameTimeController:
-    """Chooses rungs of a ladder so that frames take the time that they may.
+    """Chooses settings from a ladder so that frames take the target time.
 
     Args:
-        ladder: better and slower from rung to rung.
+        ladder: Pareto-optimal settings, each slower and better than the one before it.
         target: milliseconds per frame.
 
     Raises:
         ValueError: the ladder is empty or does not rise.
     """
 
-    def __init__(self, ladder: Sequence[Rung], target: float):
-        times = [rung.milliseconds for rung in ladder]
+    def __init__(self, ladder: Sequence[MeasuredSettings], target: float):
+        times = [one.milliseconds for one in ladder]
         if not ladder or any(after <= before for before, after in pairwise(times)):
-            raise ValueError("a ladder needs rungs, each slower than the one before it")
+            raise ValueError("a ladder needs settings, each slower than the one before it")
         self._ladder, self._times = list(ladder), times
         self.target = target
-        # What frames take, in what was measured; where on the ladder frames are made.
+        # Time of frames over that measured; position on the ladder, with fractions between two settings.
         self.load = 1.0
-        self._place = self._affordable()
+        self._position = self._affordable()
 
-    def choice(self) -> Rung:
-        """The settings of the next frame: between two rungs the radius grows, all else is the lower one's."""
-        below = int(self._place)
-        rung = self._ladder[below]
+    def choice(self) -> MeasuredSettings:
+        """The settings of the next frame; between two on the ladder, only the radius is interpolated."""
+        below = int(self._position)
+        lower = self._ladder[below]
         if below + 1 == len(self._ladder):
-            return rung
-        above, share = self._ladder[below + 1], self._place - below
+            return lower
+        upper, share = self._ladder[below + 1], self._position - below
+        growth = max(0.0, upper.settings.fov_a - lower.settings.fov_a)
         return replace(
-            rung,
-            fov_a=rung.fov_a + share * max(0.0, above.fov_a - rung.fov_a),
-            milliseconds=rung.milliseconds + share * (above.milliseconds - rung.milliseconds),
+            lower,
+            settings=lower.settings.with_radius(lower.settings.fov_a + share * growth),
+            milliseconds=lower.milliseconds + share * (upper.milliseconds - lower.milliseconds),
         )
 
     @property
     def expected(self) -> float:
-        """Milliseconds that the next frame should take, at most those of the target."""
+        """Milliseconds that the next frame should take, at most the target."""
         return min(self.choice().milliseconds * self.load, self.target)
 
     def took(self, milliseconds: float) -> None:
-        """Learns what the frame of the last choice took."""
+        """Learns how long the frame of the last choice took."""
         relative = min(milliseconds / self.choice().milliseconds, _MOST * self.load)
-        self.load += (_SLOWER if relative > self.load else _QUICKER) * (relative - self.load)
-        goal = self._affordable()
-        self._place = min(goal, self._place + _CLIMB)
+        self.load += (_SLOWER if relative > self.load else _FASTER) * (relative - self.load)
+        self._position = min(self._affordable(), self._position + _CLIMB)
 
     def _affordable(self) -> float:
-        """The highest place whose frames should take the target's time."""
+        """The highest position whose frames should take the target time."""
         budget = _PLANNED * self.target / self.load
         above = bisect_right(self._times, budget)
         if above == 0:
@@ -111,3 +76,15 @@ class FrameTimeController:
             return float(above - 1)
         before, after = self._times[above - 1], self._times[above]
         return above - 1 + (budget - before) / (after - before)
+
+
+def applied(choice: MeasuredSettings, requested: FrameSettings) -> FrameSettings:
+    """Requested settings with the chosen ones in their place; the band keeps its share of the radius."""
+    settings = choice.settings
+    return replace(
+        requested.with_radius(settings.fov_a),
+        spp=settings.spp,
+        layers=settings.layers,
+        rate=settings.rate,
+        scale=settings.scale,
+    )

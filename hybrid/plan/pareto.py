@@ -8,15 +8,15 @@ from typing import TypeVar
 T = TypeVar("T")
 
 
-def pareto_front(items: Iterable[T], place: Callable[[T], tuple[float, float]]) -> list[T]:
-    """Those that no other is both faster and better than, from the fastest to the best.
+def pareto_front(items: Iterable[T], cost_and_quality: Callable[[T], tuple[float, float]]) -> list[T]:
+    """The Pareto-optimal items: no other is both faster and better. From the fastest to the best.
 
     Args:
-        items: to choose among.
-        place: of an item, its time and its quality, of which more is better.
+        items: to choose from.
+        cost_and_quality: of an item, its time (less is better) and its quality (more is better).
     """
-    best: list[T] = []
-    for item in sorted(items, key=lambda one: (place(one)[0], -place(one)[1])):
-        if not best or place(item)[1] > place(best[-1])[1]:
-            best.append(item)
-    return best
+    front: list[T] = []
+    for item in sorted(items, key=lambda one: (cost_and_quality(one)[0], -cost_and_quality(one)[1])):
+        if not front or cost_and_quality(item)[1] > cost_and_quality(front[-1])[1]:
+            front.append(item)
+    return front

@@ -14,10 +14,10 @@ from PIL import Image as PillowImage
 
 from compose.base.errors import UserError
 from compose.base.files import write_whole
-from hybrid.evaluate.entries import OURS
-from hybrid.evaluate.judged import HALVES, flip_name, picture_name
-from hybrid.evaluate.settings import FOVEAL_REFERENCE
-from hybrid.evaluate.verdicts import Key, foveal_metrics, keys_of, mean_of, verdicts
+from hybrid.evaluation.entries import OURS
+from hybrid.evaluation.judged import HALVES, flip_name, picture_name
+from hybrid.evaluation.settings import FOVEAL_REFERENCE
+from hybrid.evaluation.verdicts import Key, foveal_metrics, keys_of, mean_of, verdicts
 from hybrid.measure.metrics.installed import missing
 from hybrid.measure.quality import METRICS
 from hybrid.measure.regions import REGIONS

@@ -5,8 +5,8 @@ from __future__ import annotations
 import io
 from typing import Any
 
-from hybrid.evaluate.entries import OURS
-from hybrid.evaluate.verdicts import fused_by_spp, mean_of
+from hybrid.evaluation.entries import OURS
+from hybrid.evaluation.verdicts import fused_by_spp, mean_of
 from hybrid.report.trade_points import frontier, points_of
 from hybrid.sweeps.setting import varied
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from hybrid.evaluate.verdicts import keys_of, mean_of
+from hybrid.evaluation.verdicts import keys_of, mean_of
 from hybrid.measure.quality import METRICS
 from hybrid.plan.pareto import pareto_front
 

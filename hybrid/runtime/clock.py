@@ -8,7 +8,7 @@ import drjit as dr
 
 
 class Clock:
-    """Laps of one frame, each ended by waiting for the device."""
+    """Measures consecutive passes; each ends when the device has finished its work."""
 
     def __init__(self) -> None:
         self._start = self._last = time.perf_counter()
@@ -22,5 +22,5 @@ class Clock:
         self._last = now
 
     def milliseconds(self) -> dict[str, float]:
-        """Of each pass, and in all (total)."""
+        """Milliseconds of each pass, and of all together (total)."""
         return {**self._laps, "total": (self._last - self._start) * 1000}

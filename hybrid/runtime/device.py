@@ -1,4 +1,4 @@
-"""Where the splats' arrays live: on the device that Mitsuba was selected for."""
+"""The device on which the splats' arrays live: the one that Mitsuba uses."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ from splat.base.arrays import Arrays
 
 
 def device_arrays() -> Arrays:
-    """Array types of the backend in use; `select_backend` must have been called."""
+    """Array types of the selected backend; requires that `select_backend` has been called."""
     return Arrays("cuda" if str(mi.variant()).startswith("cuda") else "llvm")

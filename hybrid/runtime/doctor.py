@@ -1,4 +1,4 @@
-"""What runs here, and what to install where something is missing."""
+"""Checks the installation and says what to install if something is missing."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ _PACKAGES = ("mitsuba", "drjit", "mitsuba-oidn", "embreex", "torch", "numpy", "O
 
 @dataclass
 class Report:
-    """What was found; `problem` is the line that says what mends it, None where all is well."""
+    """Facts about the installation, and what to do if something is wrong (`problem`, else None)."""
 
     facts: dict[str, Any] = field(default_factory=dict)
     problem: str | None = None
 
     def lines(self) -> list[str]:
-        """For people."""
+        """The facts, one per line."""
         return [f"{name}: {value}" for name, value in self.facts.items() if value is not None]
 
 
 def examine(choice: str) -> Report:
-    """Selects the backend, runs a kernel on it, and lists versions.
+    """Selects the backend, runs a kernel on it, and lists the versions of its packages.
 
     Args:
         choice: "auto", "cuda" or "llvm".

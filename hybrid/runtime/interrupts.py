@@ -10,10 +10,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def interrupts_between_steps() -> Iterator[Callable[[], None]]:
-    """Ctrl-C waits for the end of a step: in the middle of one there is no state to go on from.
+    """Delays Ctrl-C to the end of a step: in the middle of one, there is no state to resume from.
 
     Yields:
-        A function that raises KeyboardInterrupt if Ctrl-C was pressed since.
+        A function to call between steps; it raises KeyboardInterrupt if Ctrl-C was pressed.
     """
     pressed = False
 

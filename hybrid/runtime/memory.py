@@ -1,4 +1,4 @@
-"""Memory that nothing needs any more."""
+"""Returns unused memory to the operating system."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import ctypes
 import drjit as dr
 
 
-def give_back() -> None:
-    """Dr.Jit and the C library keep memory that was freed for the next time; now others may have it.
+def release_memory() -> None:
+    """Releases memory that Dr.Jit and the C library keep for reuse.
 
-    Some milliseconds, and as many more until what is needed again has been had.
+    Takes some milliseconds, and as many again when the memory is next needed.
     """
     dr.flush_malloc_cache()
-    # Only glibc has it; others give back by themselves.
+    # Specific to glibc; other C libraries release memory by themselves.
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(0)

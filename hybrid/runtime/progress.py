@@ -16,20 +16,24 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-# Bars go to the standard error stream: standard output holds results only.
+# Bars go to standard error; standard output holds results only.
 console = Console(stderr=True)
 
 
 class Bar(Protocol):
-    """Shows how far a job is."""
+    """Shows the progress of a job."""
 
     def __call__(self, done: int, total: int, step: str = "") -> None:
-        """Of `total` steps so many are done; the next is one of that kind."""
+        """Shows that `done` of `total` steps are complete, and what kind of step comes next."""
 
 
-# Hears what is done, how many steps of it, and of how many, where no bar can be drawn.
+def no_progress(done: int, total: int) -> None:
+    """Ignores progress."""
+
+
+# Called with the current activity, steps done and steps in total, where no bar can be drawn.
 Report: TypeAlias = Callable[[str, int, int], None]
-# A bar for a job of that title.
+# Makes a bar for a job of that title.
 Bars: TypeAlias = Callable[[str], AbstractContextManager[Bar]]
 
 

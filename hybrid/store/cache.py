@@ -1,4 +1,4 @@
-"""Where forests and frame sets lie when no path is given: HYBRID_HOME, else the platform's cache folder."""
+"""The cache folder for forests, frame sets and measurements: HYBRID_HOME, else the platform's."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def home() -> Path:
 
 
 def scene_folder(name: str, digest: str) -> Path:
-    """Where everything made for one scene lies; another version of the scene has another one."""
+    """Folder of everything made for one version of a scene."""
     return home() / f"{name}-{digest[:12]}"
 
 
-def remember_forest(forest: Forest, name: str) -> None:
-    """Keeps a copy of a forest that was just trained, so that it is the newest one of its scene.
+def store_forest(forest: Forest, name: str) -> None:
+    """Stores a copy of a forest as the newest one of its scene.
 
     Raises:
         UserError: the cache folder cannot be written.
@@ -35,9 +35,9 @@ def remember_forest(forest: Forest, name: str) -> None:
 
 
 def newest_forest(scene: Scene) -> Path | None:
-    """The forest made last for a scene."""
+    """File of the forest that was stored last for a scene; None if there is none."""
     found = {}
-    # Hidden files are those whose writing is not finished; another process may rename or remove them.
+    # Hidden files are still being written; another process may rename or remove them meanwhile.
     for path in (scene_folder(scene.name, scene.hash) / "forests").glob("[!.]*.safetensors"):
         with contextlib.suppress(FileNotFoundError):
             found[path] = path.stat().st_mtime

@@ -1,4 +1,4 @@
-"""Of what kept work is, so that nothing is put together that does not belong together."""
+"""Identities of cached results, so that results of different settings are never mixed."""
 
 from __future__ import annotations
 
@@ -7,51 +7,64 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from compose.base.errors import UserError
+from hybrid.runtime.machine import machine
 
 if TYPE_CHECKING:
     from pathtrace.dataset.frames import FrameSet
+    from pathtrace.scene.scene import Scene
     from splat.model.forest import Forest
 
 
+def measured_identity(scene: Scene, forest: Forest, **settings: Any) -> dict[str, Any]:
+    """Everything that measured times and quality depend on.
+
+    Args:
+        scene, forest: what is rendered.
+        settings: whatever else the results depend on, as JSON has it.
+    """
+    rendered = {"scene": scene.hash, "max_depth": scene.max_depth, "forest": forest.digest()}
+    return {**rendered, **settings, "machine": machine()}
+
+
 def short_hash(identity: dict[str, Any]) -> str:
-    """Twelve digits that tell identities apart in the names of files."""
+    """Twelve hexadecimal digits that distinguish identities in file names."""
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:12]
 
 
-def require_same(found: dict[str, Any], ours: dict[str, Any], holds: str, advice: str) -> None:
-    """Refuses work that was kept of something else.
+def require_same(found: dict[str, Any], expected: dict[str, Any], what: str, advice: str) -> None:
+    """Checks that cached results belong to the work that would use them.
 
     Args:
-        found: the identity that was kept, as JSON gives it back.
-        ours: of the work that is to go on.
-        holds: what is kept, and where, for the message.
-        advice: what may be done about it.
+        found: identity of the cached results, as read from JSON.
+        expected: identity of the work.
+        what: the cached results and where they are, for the message.
+        advice: what the user can do, for the message.
 
     Raises:
-        UserError: the two differ; it names in what.
+        UserError: the identities differ; the message names the differing entries.
     """
-    # Compared as JSON has it: tuples become lists.
-    ours = json.loads(json.dumps(ours))
-    differs = sorted(key for key in {*found, *ours} if found.get(key) != ours.get(key))
-    if differs:
-        raise UserError(f"{holds} with another {', '.join(differs)}; {advice}")
+    # JSON turns tuples into lists.
+    expected = json.loads(json.dumps(expected))
+    differing = sorted(key for key in {*found, *expected} if found.get(key) != expected.get(key))
+    if differing:
+        raise UserError(f"{what} with another {', '.join(differing)}; {advice}")
 
 
-def require_scene(kept: Forest | FrameSet, name: str, digest: str, holds: object) -> None:
-    """Refuses a forest or a frame set of another scene; an imported forest is bound to none.
+def require_scene(item: Forest | FrameSet, scene_name: str, scene_hash: str, source: object) -> None:
+    """Checks that a forest or frame set belongs to a scene; an imported forest fits any scene.
 
     Args:
-        kept: what is to be used.
-        name, digest: of the scene that it is to be used with.
-        holds: where it lies, for the message.
+        item: the forest or frame set.
+        scene_name, scene_hash: of the scene.
+        source: where the item comes from, for the message.
 
     Raises:
-        UserError: it is one of another scene, or of the same at another path depth.
+        UserError: the item belongs to another scene, or to the same scene at another path depth.
     """
-    if kept.scene_hash in ("", digest):
+    if item.scene_hash in ("", scene_hash):
         return
-    changed = "; the scene has changed, or --max-depth is another one" if kept.scene_name == name else ""
+    changed = "; the scene or its path depth has changed" if item.scene_name == scene_name else ""
     raise UserError(
-        f"{holds} is one of scene {kept.scene_name} ({kept.scene_hash[:8]}), "
-        f"not of {name} ({digest[:8]}){changed}"
+        f"{source} belongs to scene {item.scene_name} ({item.scene_hash[:8]}), "
+        f"not to {scene_name} ({scene_hash[:8]}){changed}"
     )

@@ -1,4 +1,4 @@
-"""What an evaluation or a sweep has measured so far, so that it goes on where it was interrupted."""
+"""Results of an evaluation or a sweep so far, which let it resume if interrupted."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ class Journal:
     """Named results in one JSON file.
 
     Args:
-        path: the file; made when the first result comes.
-        identity: of what is evaluated, with which settings.
+        path: the file; created with the first result.
+        identity: of the work, as JSON has it.
 
     Raises:
-        UserError: the file is damaged, or belongs to something else.
+        UserError: the file is damaged, or belongs to other work.
     """
 
     def __init__(self, path: Path, identity: dict[str, Any]):
@@ -33,13 +33,13 @@ class Journal:
             theirs = dict(found["identity"])
             dict(found["results"])
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise UserError(f"{path}: is damaged ({error!r}); delete it to begin anew") from error
-        holds, advice = f"{path.parent}: holds an evaluation", "choose another --report folder"
-        require_same(theirs, identity, holds, advice)
+            raise UserError(f"{path}: is damaged ({error!r}); delete it to start anew") from error
+        what, advice = f"{path.parent}: holds an evaluation", "choose another folder"
+        require_same(theirs, identity, what, advice)
         self._content = found
 
     def once(self, name: str, make: Callable[[], Any]) -> Any:
-        """The result of that name, made and written down if there is none yet."""
+        """The result of that name; computed and saved if there is none yet."""
         if name not in self:
             self[name] = make()
         return self[name]
@@ -51,15 +51,15 @@ class Journal:
         return self._content["results"][name]
 
     def __setitem__(self, name: str, result: Any) -> None:
-        """Written down at once."""
+        """Saves the result at once."""
         self._content["results"][name] = result
         self.write()
 
     def remove(self) -> None:
-        """Deletes the file: the work has ended."""
+        """Deletes the file when the work is complete."""
         self._path.unlink(missing_ok=True)
 
     def write(self) -> None:
-        """Writes everything down."""
+        """Saves all results."""
         text = json.dumps(self._content) + "\n"
         write_whole(self._path, lambda part: part.write_text(text))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.sweeps import catalogue
+from hybrid.sweeps import fpc
 
 # Resamplings for an interval, and what lies outside of it on both sides together.
 _RESAMPLINGS, _OUTSIDE = 1000, 0.05
@@ -44,7 +44,7 @@ def break_even(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 "radius": _crossing(radii, [row["ratio"] for row in same]),
                 "slower_from": _crossing(radii, [row["ratio_interval"][1] for row in same]),
                 "least_ratio": min(row["ratio"] for row in same),
-                "paper": catalogue.BREAK_EVEN.get(size),
+                "paper": fpc.BREAK_EVEN.get(size),
             }
         )
     return found

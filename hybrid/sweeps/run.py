@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
 from typing import Any
@@ -12,13 +12,15 @@ import numpy as np
 
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
-from compose.fovea.region import Foveation
-from hybrid.baselines.methods import FullTrace, Hybrid, Peer
-from hybrid.frame.renderer import HybridRenderer
+from compose.fovea.mode import FoveaMode
+from hybrid.frame.renderer import Renderer
 from hybrid.measure.quality import Viewer, measured
 from hybrid.measure.reference import REFERENCE_SEED, Reference, reference
 from hybrid.measure.regions import Region, plain_regions
 from hybrid.measure.timing import interleaved_passes, jittered, percentiles
+from hybrid.methods.hybrid import HybridMethod
+from hybrid.methods.method import Method
+from hybrid.methods.path_traced import FullTrace
 from hybrid.store.journal import Journal
 from hybrid.sweeps.break_even import ratio_interval
 from hybrid.sweeps.coverage import covered, reach_for
@@ -76,44 +78,41 @@ def swept(
     if judge:
         for setting in settings:
             _judged_regions(setting)
-    renderers: dict[Any, HybridRenderer] = {}
-    for setting in settings:
-        key = setting.viewing, setting.fovea
-        renderers.setdefault(key, HybridRenderer(scene, forest, *key))
+    renderer = Renderer(scene, forest)
     rows: list[dict[str, Any]] = []
     for number, (_, group) in enumerate(groupby(settings, key=lambda setting: setting.camera.key)):
         same = list(group)
         done = partial(_advanced, progress, len(rows), len(same), len(settings))
-        rows += journal.once(str(number), partial(_group, renderers, same, judge, effort, done))
+        rows += journal.once(str(number), partial(_group, renderer, same, judge, effort, done))
         done(1, 1)
     return rows
 
 
 def _group(
-    renderers: dict[Any, HybridRenderer],
+    renderer: Renderer,
     same: list[Setting],
     judge: bool,
     effort: Effort,
     progress: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
     """Rows of one camera, which take turns."""
-    camera, tracer = same[0].camera, next(iter(renderers.values())).tracer
-    ours = [Hybrid(renderers[s.viewing, s.fovea], s.fov_a, s.fov_b, s.spp) for s in same]
-    wanted = [(s.spp, s.fovea != "raw") for s in same]
-    wanted += [(1, s.fovea != "raw") for s in same if s.over_one_spp]
+    camera, tracer = same[0].camera, renderer.tracer
+    ours = [HybridMethod(renderer, s.frame) for s in same]
+    wanted = [(s.frame.spp, _is_denoised(s)) for s in same]
+    wanted += [(1, _is_denoised(s)) for s in same if s.over_one_spp]
     full = {of: FullTrace(tracer, *of) for of in wanted}
-    peers: list[Peer] = [*ours, *full.values()]
-    methods = [partial(_passes, peer, camera, len(peers), place) for place, peer in enumerate(peers)]
-    reach = reach_for(max(s.fov_a for s in same), camera)
-    times = interleaved_passes(methods, effort.repeats, effort.warm_up, progress, reach)
+    methods: list[Method] = [*ours, *full.values()]
+    timed = [partial(_passes, method, camera, len(methods), place) for place, method in enumerate(methods)]
+    reach = reach_for(max(s.frame.fov_a for s in same), camera)
+    times = interleaved_passes(timed, effort.repeats, effort.warm_up, progress, reach)
     of_full = dict(zip(full, times[len(ours) :], strict=True))
     truth = reference(tracer, camera, effort.reference_spp, REFERENCE_SEED) if judge else None
     rows = []
-    for setting, peer, found in zip(same, ours, times, strict=False):
+    for setting, method, found in zip(same, ours, times, strict=False):
         row = _row(setting, found, of_full, effort)
-        row["covered"] = covered(setting.fov_a, camera, effort.repeats, reach)
+        row["covered"] = covered(setting.frame.fov_a, camera, effort.repeats, reach)
         if truth is not None:
-            row["quality"] = _quality(setting, peer, truth)
+            row["quality"] = _quality(setting, method, truth)
         rows.append(row)
     return rows
 
@@ -124,9 +123,15 @@ def _advanced(
     progress(1000 * before + 1000 * rows * done // total, 1000 * all_rows)
 
 
-def _passes(peer: Peer, camera: Camera, peers: int, place: int, gaze: Gaze, seed: int) -> dict[str, float]:
-    """Of a frame whose camera no other has: rows share renderers, and these keep what a camera shows."""
-    return peer.make(jittered(camera, peers * seed + place), gaze, seed).milliseconds
+def _is_denoised(setting: Setting) -> bool:
+    return setting.frame.fovea is not FoveaMode.RAW
+
+
+def _passes(
+    method: Method, camera: Camera, methods: int, place: int, gaze: Gaze, seed: int
+) -> dict[str, float]:
+    """Times of a frame whose camera no other frame has: the shared renderer keeps what a camera shows."""
+    return method.render(jittered(camera, methods * seed + place), gaze, seed).milliseconds
 
 
 def _row(
@@ -138,8 +143,8 @@ def _row(
     """Times of a setting, and of full frames by samples per pixel and whether they are denoised."""
     total = [frame["total"] for frame in ours]
     of_full = {of: [frame["total"] for frame in frames] for of, frames in full.items()}
-    denoised = setting.fovea != "raw"
-    same = of_full[setting.spp, denoised]
+    denoised = _is_denoised(setting)
+    same = of_full[setting.frame.spp, denoised]
     row: dict[str, Any] = {
         **setting.varied,
         "ms": percentiles(total),
@@ -156,12 +161,12 @@ def _row(
 
 def _judged_regions(setting: Setting) -> dict[str, Region]:
     size = setting.camera.height, setting.camera.width
-    return plain_regions(Foveation(Gaze(), setting.fov_a, setting.fov_b), size, _JUDGED)
+    return plain_regions(replace(setting.frame, gaze=Gaze()).foveation, size, _JUDGED)
 
 
-def _quality(setting: Setting, peer: Hybrid, truth: Reference) -> dict[str, float]:
+def _quality(setting: Setting, method: HybridMethod, truth: Reference) -> dict[str, float]:
     """Metrics by region and name, such as "foveal jod"."""
-    image = peer.make(setting.camera, Gaze(), 0).image
-    viewer = Viewer(setting.viewing.display, Gaze())
+    image = method.render(setting.camera, Gaze(), 0).image
+    viewer = Viewer(setting.frame.display, Gaze())
     rows = measured(image, truth.radiance, _judged_regions(setting), viewer)
     return {f"{row['region']} {row['metric']}": float(row["value"]) for row in rows}

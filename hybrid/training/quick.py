@@ -3,35 +3,51 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hybrid.runtime.device import device_arrays
 from hybrid.runtime.progress import Bars, console, progress_bar
-from hybrid.store.cache import newest_forest, remember_forest, scene_folder
+from hybrid.store.cache import newest_forest, scene_folder, store_forest
 from hybrid.store.identity import require_scene
-from hybrid.training.forest import train_forest
-from pathtrace.dataset.capture import CaptureSettings, capture
+from hybrid.training.forest import train
+from pathtrace.dataset.capture import capture
+from pathtrace.dataset.frames import FrameSet
+from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.scene.scene import Scene
 from splat.io.forest_file import load_forest
 from splat.model.forest import Forest
 from splat.training.trainer import TrainingSettings
 
-# What a scene gets that is rendered before it was captured: good enough to look at, in minutes.
+# Good enough to look at, in minutes.
 QUICK_CAPTURE = CaptureSettings(views=40, held_out=4, spp=16, held_out_spp=64)
 QUICK_TRAINING = TrainingSettings(iterations=900, gaussians=30_000)
 
 
+@dataclass(frozen=True)
+class QuickForest:
+    """A forest made with the quick settings.
+
+    Attributes:
+        forest: the forest.
+        frames: what it was trained on.
+        seconds: that "capture" and "train" took.
+    """
+
+    forest: Forest
+    frames: FrameSet
+    seconds: dict[str, float]
+
+
 def forest_for(scene: Scene, given: Path | None, bars: Bars = progress_bar) -> Forest:
-    """The forest that was asked for, else the newest one of the scene, else one trained now.
+    """The given forest, else the newest one of the scene, else one trained now.
 
     Args:
-        scene: what it is for.
-        given: a file that was asked for.
-        bars: show how far capture and training are.
+        scene: what the forest is for.
+        given: forest file that the user asked for.
+        bars: show the progress of capture and training.
 
     Raises:
-        UserError: the given file is missing, damaged, one of another scene, or cannot be made.
+        UserError: the file is missing, damaged or belongs to another scene, or no forest can be trained.
     """
     path = given or newest_forest(scene)
     if path is not None:
@@ -39,38 +55,27 @@ def forest_for(scene: Scene, given: Path | None, bars: Bars = progress_bar) -> F
         require_scene(forest, scene.name, scene.hash, path)
         return forest
     console.print(f"No forest for scene {scene.name} yet: capturing and training one first.")
-    forest, _ = make_quick_forest(scene, scene_folder(scene.name, scene.hash), seed=0, bars=bars)
-    return forest
+    return make_quick_forest(scene, scene_folder(scene.name, scene.hash), seed=0, bars=bars).forest
 
 
-def make_quick_forest(
-    scene: Scene,
-    folder: Path,
-    seed: int,
-    seconds: dict[str, float] | None = None,
-    bars: Bars = progress_bar,
-) -> tuple[Forest, Path]:
-    """Captures and trains with the quick settings.
+def make_quick_forest(scene: Scene, folder: Path, seed: int, bars: Bars = progress_bar) -> QuickForest:
+    """Captures and trains with the quick settings; resumes if interrupted.
 
     Args:
         scene: what to capture.
-        folder: frame set and forest lie in it.
+        folder: for the frame set and the forest.
         seed: same seed, same forest on the same machine.
-        seconds: receives how long "capture" and "train" took.
-        bars: show how far both are.
-
-    Returns:
-        The forest, and the folder of its frame set.
+        bars: show the progress of both.
     """
-    seconds = {} if seconds is None else seconds
-    frames_folder = folder / f"frames-{seed}"
+    seconds = {}
     start = time.perf_counter()
     with bars("capture (samples)") as bar:
-        frames = capture(scene, frames_folder, replace(QUICK_CAPTURE, seed=seed), bar)
+        frames = capture(scene, folder / f"frames-{seed}", replace(QUICK_CAPTURE, seed=seed), bar)
     seconds["capture"] = time.perf_counter() - start
+    start = time.perf_counter()
     path = folder / f"quick-{seed}.safetensors"
-    settings = replace(QUICK_TRAINING, seed=seed)
     with bars("train (steps)") as bar:
-        forest, seconds["train"] = train_forest(device_arrays(), frames, path, settings, bar)
-    remember_forest(forest, path.stem)
-    return forest, frames_folder
+        forest = train(frames, path, replace(QUICK_TRAINING, seed=seed), bar)
+    seconds["train"] = time.perf_counter() - start
+    store_forest(forest, path.stem)
+    return QuickForest(forest, frames, seconds)

@@ -1,10 +1,10 @@
-"""Frames of a film that is not finished, so that it goes on where it was interrupted."""
+"""Frames of an unfinished video, from which it resumes."""
 
 from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,78 +14,74 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from compose.base.errors import UserError
-from compose.camera.camera import Camera
-from compose.fovea.history import History
-from hybrid.output.images import write_bytes
+from hybrid.output.images import write_srgb
 from hybrid.store.identity import require_same
 from splat.io.tensors import load_tensors, save_tensors
 
-# Seconds after which what the fovea remembers is written down once more.
+# Seconds between two saves of the fovea's history.
 _EVERY = 30.0
+State = dict[str, NDArray[np.generic]]
 
 
-class FilmFrames:
-    """The frames of a film that are rendered already, in a folder, with what the fovea remembers after them.
+class VideoFrames:
+    """The frames of a video that are rendered already, in a folder, with the fovea's history after them.
 
     Args:
-        folder: where; made when there is something to keep.
-        identity: of the film, as JSON has it.
+        folder: where; created with the first frame.
+        identity: of the video, as JSON has it.
 
     Attributes:
-        milliseconds: per pass, of each frame that need not be rendered again.
+        milliseconds: per pass, of each frame that is rendered already.
 
     Raises:
-        UserError: the folder is damaged, or holds another film.
+        UserError: the folder is damaged, or holds another video.
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any]):
         self._folder, self._identity = folder, identity
         self._state = folder / "state.safetensors"
-        self._kept = time.monotonic()
-        self._memory: dict[str, torch.Tensor] = {}
+        self._saved = time.monotonic()
+        self._history: dict[str, torch.Tensor] = {}
         self.milliseconds: list[dict[str, float]] = []
         if self._state.is_file():
-            self._memory, found = load_tensors(self._state)
+            self._history, found = load_tensors(self._state)
             require_same(
                 found.get("identity", {}),
                 identity,
-                f"{folder}: holds the beginning of a film",
-                "delete it, or choose another --output",
+                f"{folder}: holds the beginning of a video",
+                "delete it, or choose another output file",
             )
             self.milliseconds = found["milliseconds"]
             if not all(self._file(number).is_file() for number in range(len(self.milliseconds))):
-                raise UserError(f"{folder}: frames are missing; delete it to begin anew")
+                raise UserError(f"{folder}: frames are missing; delete it to start anew")
 
-    def history(self, camera: Camera) -> History | None:
-        """What the fovea remembered after the last frame; None if there was nothing."""
-        if not self._memory:
-            return None
-        return History.restored(camera, {name: t.numpy() for name, t in self._memory.items()})
+    def history(self) -> State:
+        """The fovea's history after the last frame; empty if there was none."""
+        return {name: tensor.numpy() for name, tensor in self._history.items()}
 
     def add(
-        self, picture: NDArray[np.uint8], milliseconds: dict[str, float], history: History | None
+        self, image: NDArray[np.uint8], milliseconds: dict[str, float], history: Callable[[], State]
     ) -> None:
-        """Keeps the next frame, (H, W, 3), and now and then what is remembered."""
-        write_bytes(self._file(len(self.milliseconds)), picture)
+        """Stores the next frame (H, W, 3), and now and then the history."""
+        write_srgb(self._file(len(self.milliseconds)), image)
         self.milliseconds.append(milliseconds)
-        if time.monotonic() - self._kept > _EVERY:
-            self.keep(history)
+        if time.monotonic() - self._saved > _EVERY:
+            self.keep(history())
 
-    def keep(self, history: History | None) -> None:
-        """Writes down what is remembered after the last frame: a film goes on from there."""
-        state = history.state() if history is not None else {}
-        tensors = {name: torch.from_numpy(values) for name, values in state.items()}
+    def keep(self, history: State) -> None:
+        """Stores the history after the last frame, from where the video resumes."""
+        tensors = {name: torch.from_numpy(values) for name, values in history.items()}
         save_tensors(self._state, tensors, {"identity": self._identity, "milliseconds": self.milliseconds})
-        self._kept = time.monotonic()
+        self._saved = time.monotonic()
 
-    def pictures(self) -> Iterator[NDArray[np.uint8]]:
+    def images(self) -> Iterator[NDArray[np.uint8]]:
         """All of them, (H, W, 3) each."""
         for number in range(len(self.milliseconds)):
-            with PillowImage.open(self._file(number)) as picture:
-                yield np.asarray(picture)
+            with PillowImage.open(self._file(number)) as image:
+                yield np.asarray(image)
 
     def remove(self) -> None:
-        """The film is finished."""
+        """Deletes the folder when the video is complete."""
         shutil.rmtree(self._folder)
 
     def _file(self, number: int) -> Path:

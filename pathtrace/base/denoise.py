@@ -1,29 +1,29 @@
-"""Intel Open Image Denoise on a rectangle of radiance with its auxiliary features."""
+"""Intel Open Image Denoise for path-traced images and their auxiliary features."""
 
 from __future__ import annotations
 
 import mitsuba_oidn
 import numpy as np
-from numpy.typing import NDArray
 
-Image = NDArray[np.float32]
-# Light is not told where albedo is below this.
-_DARK = 0.1
+from compose.image.colour import Image
+
+# Added to the albedo before radiance is divided by it, so that dark surfaces do not amplify noise.
+_ALBEDO_OFFSET = 0.1
 
 
-def denoise(radiance: Image, albedo: Image, normal: Image, fast: bool = False) -> Image:
+def denoise(radiance: Image, albedo: Image, normal: Image, quick: bool = False) -> Image:
     """Removes Monte Carlo noise.
 
     Args:
-        radiance: (H, W, 3) linear, unbounded; its pixels must be box-filtered and uncorrelated.
-        albedo: (H, W, 3) in 0..1.
+        radiance: (H, W, 3) linear, unbounded; pixels must be box-filtered and uncorrelated.
+        albedo: (H, W, 3), clipped to 0..1.
         normal: (H, W, 3), components in -1..1.
-        fast: the quicker network, for frames shown in real time.
+        quick: uses the quicker network, for frames shown in real time.
 
     Returns:
         (H, W, 3) denoised radiance.
     """
-    quality = mitsuba_oidn.Quality.Fast if fast else mitsuba_oidn.Quality.High
+    quality = mitsuba_oidn.Quality.Fast if quick else mitsuba_oidn.Quality.High
     return np.asarray(
         mitsuba_oidn.denoise(
             np.ascontiguousarray(radiance, dtype=np.float32),
@@ -36,14 +36,20 @@ def denoise(radiance: Image, albedo: Image, normal: Image, fast: bool = False) -
 
 
 def denoise_coarsely(radiance: Image, albedo: Image, normal: Image) -> Image:
-    """As `denoise`, at half the resolution, with the albedo's detail put back: less than half the time."""
+    """Denoises at half the resolution and restores the albedo's detail, in less than half the time.
+
+    Args and result as of `denoise`.
+    """
     coarse_radiance, coarse_albedo, coarse_normal = map(_halved, (radiance, albedo, normal))
-    light = denoise(coarse_radiance, coarse_albedo, coarse_normal, fast=True) / (coarse_albedo + _DARK)
-    return _doubled(light)[: radiance.shape[0], : radiance.shape[1]] * (albedo + _DARK)
+    # Radiance over albedo varies slowly: it loses little at half the resolution.
+    light = denoise(coarse_radiance, coarse_albedo, coarse_normal, quick=True) / (
+        coarse_albedo + _ALBEDO_OFFSET
+    )
+    return _doubled(light)[: radiance.shape[0], : radiance.shape[1]] * (albedo + _ALBEDO_OFFSET)
 
 
 def _halved(image: Image) -> Image:
-    """Means of 2 x 2 pixels, at odd ends of fewer."""
+    """(ceil(H / 2), ceil(W / 2), 3) means of 2 x 2 pixels; an odd last row or column is repeated."""
     height, width = image.shape[:2]
     if height % 2 or width % 2:
         image = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
@@ -51,9 +57,9 @@ def _halved(image: Image) -> Image:
 
 
 def _doubled(image: Image) -> Image:
-    """Twice as many rows and columns, linear in between."""
+    """(2 H, 2 W, 3) by linear interpolation; the border is repeated."""
     for axis in (0, 1):
-        # Each new place lies a quarter of the way to the next one.
+        # Each new pixel centre lies a quarter of the way from an old one to the next.
         ahead, behind = (np.roll(image, shift, axis) for shift in (-1, 1))
         last, first = (slice(None),) * axis + (slice(-1, None),), (slice(None),) * axis + (slice(0, 1),)
         ahead[last], behind[first] = image[last], image[first]

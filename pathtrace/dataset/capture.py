@@ -1,226 +1,78 @@
-"""Renders a frame set: views chosen in free space, traced, denoised, written one by one."""
+"""Captures a frame set: views chosen in free space, traced, denoised, written one by one."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from compose.base.errors import UserError
-from compose.base.files import write_whole
-from compose.camera.camera import Camera
-from compose.camera.serialization import camera_from_json, camera_to_json
-from pathtrace.base.denoise import denoise
-from pathtrace.dataset.exr import Estimate, Frame, write_estimate, write_frame
-from pathtrace.dataset.frames import FORMAT_VERSION, FrameSet, read_frame_set
-from pathtrace.dataset.views import ViewSet, choose_views
+from compose.camera.serialization import camera_from_json
+from pathtrace.dataset.exr import write_estimate, write_frame
+from pathtrace.dataset.frames import FrameSet, read_frame_set
+from pathtrace.dataset.rendering import render_with_estimates
+from pathtrace.dataset.settings import CaptureSettings
+from pathtrace.dataset.transforms import describe_capture, write_description
+from pathtrace.dataset.views import choose_views
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.surfaces import Surfaces
-from pathtrace.trace.film import frame_positions, interleaved
-from pathtrace.trace.tracer import Tracer, auxiliary_spp
+from pathtrace.trace.tracer import Tracer
 
-# Samples per pixel of the estimates that are kept of some held-out views: what a fovea may be traced with.
-_ESTIMATES = (1, 2, 4, 16, 64)
-# Of those views, parts are rendered at so many times the resolution, half as wide and high as the view.
-_CLOSER = (2, 4)
-
-
-@dataclass(frozen=True)
-class CaptureSettings:
-    """What is captured.
-
-    Attributes:
-        views: training views.
-        held_out: further views that training never sees.
-        width, height: frame size in pixels.
-        spp: samples per pixel of a training view; denoised afterwards.
-        held_out_spp: samples per pixel of a held-out view; denoised as well.
-        seed: same seed, same frames.
-
-    Raises:
-        ValueError: a count or a size is not positive.
-    """
-
-    views: int = 64
-    held_out: int = 8
-    width: int = 256
-    height: int = 256
-    spp: int = 32
-    held_out_spp: int = 256
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name in ("views", "width", "height", "spp", "held_out_spp"):
-            if getattr(self, name) <= 0:
-                raise ValueError(f"{name.replace('_', '-')} is {getattr(self, name)}; must be positive")
-        if self.held_out < 0:
-            raise ValueError(f"held-out is {self.held_out}; must not be negative")
+# Seeds of different captures keep apart by more than the frames of one.
+_CAPTURE_SEED_STEP = 100_003
 
 
 def capture(
     scene: Scene, folder: Path, settings: CaptureSettings, progress: Callable[[int, int], None]
 ) -> FrameSet:
-    """Renders what is missing of a frame set; an interrupted capture goes on where it stopped.
+    """Captures a frame set of a scene to train on; resumes if it was interrupted.
+
+    Views lie in free space around the scene's own camera, which is the first of them. The held-out ones are
+    spaced evenly over the others. Two of three held-out views also have estimates, traced with fewer samples,
+    and close-ups at two and four times the resolution, to which the fusion is fitted.
+
+    The folder gets a `transforms.json` in the Nerfstudio / instant-ngp convention and one multi-channel
+    OpenEXR file per frame, estimate and close-up. Files are written atomically, and frames that exist are not
+    rendered again; a resumed capture ends with exactly the same files as one that was not interrupted.
 
     Args:
-        scene: what to render.
-        folder: where to; made if it does not exist.
-        settings: which frames.
-        progress: called with samples done and samples in all.
+        scene: the scene, loaded for the selected Mitsuba variant.
+        folder: the folder of the frame set; created if it does not exist.
+        settings: number, size and sample counts of the frames, and the seed.
+        progress: called after each frame with the number of samples done and their total.
+
+    Returns:
+        The complete frame set.
 
     Raises:
-        UserError: the folder holds another capture or cannot be written.
+        UserError: the folder holds another capture or cannot be written; the scene's own camera sees no
+            surface; there is no free space for that many views; or more views are held out than may be.
+
+    Example:
+        >>> settings = CaptureSettings(views=40, held_out=4, spp=16, held_out_spp=64)
+        >>> frames = capture(load_scene("room"), Path("frames"), settings, lambda done, total: None)
+        >>> len(frames.training), len(frames.held_out)
+        (40, 4)
     """
-    chosen = choose_views(
-        scene,
-        Surfaces(scene),
-        settings.views + settings.held_out,
-        settings.width,
-        settings.height,
-        settings.seed,
-    )
-    cameras = chosen.fixed + chosen.spread
-    document = _describe(scene, cameras, chosen, settings)
-    _write_description(folder, document)
+    count = settings.views + settings.held_out
+    views = choose_views(scene, Surfaces(scene), count, settings.width, settings.height, settings.seed)
+    document = describe_capture(scene, views, settings)
+    write_description(folder, document)
     tracer = Tracer(scene)
     entries = document["frames"] + document["close_ups"]
-    views = [camera_from_json({**document, **entry}) for entry in entries]
+    cameras = [camera_from_json({**document, **entry}) for entry in entries]
     samples = [
-        entry["samples"] * view.width * view.height for entry, view in zip(entries, views, strict=True)
+        entry["samples"] * camera.width * camera.height
+        for entry, camera in zip(entries, cameras, strict=True)
     ]
-    for index, (entry, camera) in enumerate(zip(entries, views, strict=True)):
+    for index, (entry, camera) in enumerate(zip(entries, cameras, strict=True)):
         path = folder / entry["file_path"]
         if not path.is_file():
-            # The frame's own seed: a capture that was interrupted ends with the very same frames.
-            counts = {e["samples"]: folder / e["file_path"] for e in entry["estimates"]}
-            seed = settings.seed * 100_003 + index
-            frame, estimates = render_estimates(tracer, camera, entry["samples"], seed, tuple(counts))
-            for file, estimate in zip(counts.values(), estimates, strict=True):
+            # Each frame has a seed of its own, so that a resumed capture ends with the same frames.
+            seed = settings.seed * _CAPTURE_SEED_STEP + index
+            files = {e["samples"]: folder / e["file_path"] for e in entry["estimates"]}
+            frame, estimates = render_with_estimates(tracer, camera, entry["samples"], seed, tuple(files))
+            for file, estimate in zip(files.values(), estimates, strict=True):
                 write_estimate(file, estimate)
+            # Last: a frame that exists has all its estimates.
             write_frame(path, frame)
         progress(sum(samples[: index + 1]), sum(samples))
     return read_frame_set(folder)
-
-
-def render_frame(tracer: Tracer, camera: Camera, spp: int, seed: int) -> Frame:
-    """One denoised frame with everything that training wants to know of it."""
-    return render_estimates(tracer, camera, spp, seed, ())[0]
-
-
-def render_estimates(
-    tracer: Tracer, camera: Camera, spp: int, seed: int, counts: tuple[int, ...]
-) -> tuple[Frame, list[Estimate]]:
-    """One denoised frame, and estimates from disjoint parts of its samples, each of so many per pixel."""
-    positions = frame_positions(camera)
-    hits = tracer.hits(camera, positions)
-    shape = (camera.height, camera.width)
-    image = lambda channels: interleaved(channels).reshape(*shape, 3)  # noqa: E731
-    parts = []
-    for number, count in enumerate((*counts, spp - sum(counts))):
-        part_seed = seed + number * 1_000_033
-        traced = tracer.trace(camera, positions, count, part_seed)
-        auxiliary = tracer.auxiliary(camera, positions, auxiliary_spp(count), part_seed)
-        parts.append(Estimate(image(traced.radiance), image(auxiliary.albedo), image(auxiliary.normal)))
-    weights = np.array((*counts, spp - sum(counts)), dtype=np.float32) / spp
-    mean = lambda name: sum(  # noqa: E731
-        weight * getattr(part, name) for weight, part in zip(weights, parts, strict=True)
-    )
-    radiance, albedo, normal = mean("radiance"), mean("albedo"), mean("normal")
-    cosine = (camera.rays(camera.pixel_centres()) @ camera.camera_to_world[:3, 2]).astype(np.float32)
-    frame = Frame(
-        denoise(radiance, albedo, normal),
-        albedo,
-        normal,
-        (hits.distance * cosine).reshape(shape),
-        hits.unfolded.reshape(shape),
-        hits.shape.reshape(shape),
-    )
-    return frame, parts[:-1]
-
-
-def _held_out(views: ViewSet, count: int) -> set[int]:
-    """Indices of the views that training must not see, evenly over those that are spread."""
-    if count > len(views.spread):
-        raise UserError(f"--held-out {count}: more than the {len(views.spread)} views that may be held out")
-    step = len(views.spread) / max(1, count)
-    return {len(views.fixed) + round((i + 1) * step) - 1 for i in range(count)}
-
-
-def _describe(
-    scene: Scene, cameras: list[Camera], chosen: ViewSet, settings: CaptureSettings
-) -> dict[str, Any]:
-    """The content of transforms.json."""
-    held_out = _held_out(chosen, settings.held_out)
-    # Every third held-out view is kept from fitting the fusion as well.
-    fitted = {index for number, index in enumerate(sorted(held_out)) if number % 3 != 2}
-    frames = [
-        _entry(
-            camera,
-            f"frames/{index:04d}",
-            settings.held_out_spp if index in held_out else settings.spp,
-            _counts(settings.held_out_spp) if index in fitted else [],
-            index in held_out,
-        )
-        for index, camera in enumerate(cameras)
-    ]
-    rng = np.random.default_rng(settings.seed)
-    close_ups = []
-    for index in sorted(fitted):
-        for factor in _CLOSER:
-            camera = _part_of(cameras[index], factor, rng)
-            path = f"frames/{index:04d}-closer{factor}"
-            entry = _entry(camera, path, settings.held_out_spp, _counts(settings.held_out_spp), True)
-            close_ups.append({**entry, **_intrinsics(camera)})
-    return {
-        "camera_model": "OPENCV",
-        **_intrinsics(cameras[0]),
-        "format_version": FORMAT_VERSION,
-        "scene": {"name": scene.name, "hash": scene.hash, "max_depth": scene.max_depth},
-        "settings": asdict(settings),
-        "frames": frames,
-        # Apart from the frames, which other programs take for training.
-        "close_ups": close_ups,
-    }
-
-
-def _entry(camera: Camera, path: str, spp: int, counts: list[int], held_out: bool) -> dict[str, Any]:
-    return {
-        "file_path": f"{path}.exr",
-        "transform_matrix": camera_to_json(camera)["transform_matrix"],
-        "time": 0.0,
-        "samples": spp,
-        "held_out": held_out,
-        "estimates": [{"samples": count, "file_path": f"{path}-{count}spp.exr"} for count in counts],
-    }
-
-
-def _counts(spp: int) -> list[int]:
-    """Samples per pixel of the estimates: all together half of the reference's at most."""
-    return [count for i, count in enumerate(_ESTIMATES) if 2 * sum(_ESTIMATES[: i + 1]) <= spp]
-
-
-def _part_of(camera: Camera, factor: int, rng: np.random.Generator) -> Camera:
-    """Half the view's width and height in pixels, of the view at a multiple of its resolution."""
-    large = camera.resized(camera.width * factor, camera.height * factor)
-    width, height = max(1, camera.width // 2), max(1, camera.height // 2)
-    left, top = int(rng.integers(large.width - width + 1)), int(rng.integers(large.height - height + 1))
-    return large.cropped(left, top, width, height)
-
-
-def _intrinsics(camera: Camera) -> dict[str, Any]:
-    return {name: value for name, value in camera_to_json(camera).items() if name != "transform_matrix"}
-
-
-def _write_description(folder: Path, document: dict[str, Any]) -> None:
-    path = folder / "transforms.json"
-    text = json.dumps(document, indent=1)
-    if path.is_file():
-        if path.read_text() != text:
-            raise UserError(f"{folder}: holds another capture; choose another folder or the same options")
-        return
-    write_whole(path, lambda part: part.write_text(text))
-    (folder / "frames").mkdir(exist_ok=True)

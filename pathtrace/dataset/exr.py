@@ -1,4 +1,4 @@
-"""Captured frames as multi-channel OpenEXR files."""
+"""Captured frames and estimates as multi-channel OpenEXR files."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from numpy.typing import NDArray
 
 from compose.base.errors import UserError
 from compose.base.files import write_whole
-
-Image = NDArray[np.float32]
+from compose.image.colour import Image
+from pathtrace.trace.image import TracedImage
 
 
 @dataclass(frozen=True)
-class Frame:
-    """One captured view.
+class CapturedFrame:
+    """A captured view.
 
     Attributes:
         radiance: (H, W, 3) linear, denoised.
         albedo: (H, W, 3).
         normal: (H, W, 3) shading normal in world space.
-        depth: (H, W) along the view axis to the first surface, inf where nothing is hit.
-        unfolded: (H, W) distance along the ray, continued through mirrors, inf where nothing is hit.
-        shape: (H, W) int32 shape index, -1 where nothing is hit.
+        depth: (H, W) along the view axis to the first surface; inf where nothing is hit.
+        unfolded: (H, W) distance along the ray, continued through mirrors; inf where nothing is hit.
+        shape: (H, W) int32 shape index; -1 where nothing is hit.
     """
 
     radiance: Image
@@ -37,66 +37,62 @@ class Frame:
     shape: NDArray[np.int32]
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """A view traced with few samples, as it comes from the tracer.
+def write_frame(path: Path, frame: CapturedFrame) -> None:
+    """Writes a frame atomically.
 
-    Attributes:
-        radiance: (H, W, 3) linear, not denoised.
-        albedo: (H, W, 3), of the same samples.
-        normal: (H, W, 3), of the same samples.
+    Channels: R, G, B, Z, unfolded.V (32-bit floats), albedo.{R,G,B}, normal.{X,Y,Z} (16-bit floats) and
+    shape.V (unsigned integers, shape index + 1).
+
+    Raises:
+        UserError: the file cannot be written.
     """
-
-    radiance: Image
-    albedo: Image
-    normal: Image
-
-
-def write_frame(path: Path, frame: Frame) -> None:
-    """Writes one frame; the file appears whole or not at all."""
     single = np.float32
     channels: dict[str, Any] = {
-        **_shaded(frame),
+        **_shading_channels(frame),
         "Z": np.ascontiguousarray(frame.depth, dtype=single),
         "unfolded.V": np.ascontiguousarray(frame.unfolded, dtype=single),
-        # OpenEXR knows no signed integers: 0 is "nothing hit".
+        # OpenEXR has no signed integers: 0 is "nothing hit".
         "shape.V": (frame.shape + 1).astype(np.uint32),
     }
     _write(path, channels)
 
 
-def write_estimate(path: Path, estimate: Estimate) -> None:
-    """Writes one estimate; the file appears whole or not at all."""
-    _write(path, _shaded(estimate))
+def write_estimate(path: Path, estimate: TracedImage) -> None:
+    """Writes an image as traced, not denoised, atomically; channels as of `write_frame`, without geometry.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    _write(path, _shading_channels(estimate))
 
 
-def read_frame(path: Path) -> Frame:
-    """Inverse of write_frame.
+def read_frame(path: Path) -> CapturedFrame:
+    """Reads what `write_frame` wrote.
 
     Raises:
         UserError: the file is missing, damaged, or not a frame of a frame set.
     """
-    planes = _read(path)
+    channels = _read(path)
     try:
-        return Frame(
-            *_shading(planes),
-            planes["Z"],
-            planes["unfolded.V"],
-            planes["shape.V"].astype(np.int32) - 1,
+        return CapturedFrame(
+            *_shading(channels),
+            channels["Z"],
+            channels["unfolded.V"],
+            channels["shape.V"].astype(np.int32) - 1,
         )
     except KeyError as error:
         raise _unreadable(path, error) from error
 
 
-def read_estimate(path: Path) -> Estimate:
-    """Inverse of write_estimate.
+def read_estimate(path: Path) -> TracedImage:
+    """Reads what `write_estimate` wrote.
 
     Raises:
         UserError: the file is missing, damaged, or not an estimate of a frame set.
     """
-    planes = _read(path)
+    channels = _read(path)
     try:
-        return Estimate(*_shading(planes))
+        return TracedImage(*_shading(channels))
     except KeyError as error:
         raise _unreadable(path, error) from error
 
@@ -107,6 +103,7 @@ def _write(path: Path, channels: dict[str, Any]) -> None:
 
 
 def _read(path: Path) -> dict[str, Any]:
+    """Channels (H, W) by name."""
     try:
         channels = OpenEXR.File(str(path), separate_channels=True).channels()
         return {name: channel.pixels for name, channel in channels.items()}
@@ -118,20 +115,23 @@ def _unreadable(path: Path, error: Exception) -> UserError:
     return UserError(f"{path}: not a readable frame ({error}); capture it again")
 
 
-def _shaded(image: Frame | Estimate) -> dict[str, Any]:
+def _shading_channels(image: CapturedFrame | TracedImage) -> dict[str, Any]:
+    """Channels (H, W) of radiance, albedo and normal."""
     return {
-        **_planes("", "RGB", image.radiance, np.float32),
-        **_planes("albedo.", "RGB", image.albedo, np.float16),
-        **_planes("normal.", "XYZ", image.normal, np.float16),
+        **_split("", "RGB", image.radiance, np.float32),
+        **_split("albedo.", "RGB", image.albedo, np.float16),
+        **_split("normal.", "XYZ", image.normal, np.float16),
     }
 
 
-def _shading(planes: dict[str, Any]) -> tuple[Image, Image, Image]:
+def _shading(channels: dict[str, Any]) -> tuple[Image, Image, Image]:
+    """Radiance, albedo and normal, (H, W, 3) each."""
     stack = lambda prefix, names: np.stack(  # noqa: E731
-        [planes[prefix + n] for n in names], axis=-1
+        [channels[prefix + n] for n in names], axis=-1
     ).astype(np.float32)
     return stack("", "RGB"), stack("albedo.", "RGB"), stack("normal.", "XYZ")
 
 
-def _planes(prefix: str, names: str, image: Image, dtype: Any) -> dict[str, Any]:
+def _split(prefix: str, names: str, image: Image, dtype: Any) -> dict[str, Any]:
+    """An image (H, W, 3) as channels (H, W)."""
     return {prefix + n: np.ascontiguousarray(image[..., i], dtype=dtype) for i, n in enumerate(names)}

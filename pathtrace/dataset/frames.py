@@ -1,6 +1,6 @@
 """The frame set: a folder with transforms.json and one multi-channel OpenEXR file per frame.
 
-The layout follows the Nerfstudio / instant-ngp convention, so that other people's tools open it.
+The layout follows the Nerfstudio / instant-ngp convention, so that other programs can read it.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ FORMAT_VERSION = 2
 
 @dataclass(frozen=True)
 class FrameEntry:
-    """What a frame set says of a frame.
+    """A frame of a frame set.
 
     Attributes:
         camera: the view.
-        file: its Frame.
-        samples: per pixel.
-        held_out: training must not see it.
-        estimates: samples per pixel and file of estimates of the same view, where there are any.
+        file: its EXR file, a captured frame.
+        samples: samples per pixel.
+        held_out: whether training must not see it.
+        estimates: files of noisy estimates of the same view by their samples per pixel; may be empty.
     """
 
     camera: Camera
@@ -39,14 +39,14 @@ class FrameEntry:
 
 @dataclass(frozen=True)
 class FrameSet:
-    """A captured folder.
+    """A complete frame set.
 
     Attributes:
-        folder: where it lies.
-        digest: hash of its description.
-        scene_name, scene_hash: what the frames show.
-        entries: the frames.
-        close_ups: parts of held-out frames at a multiple of their resolution.
+        folder: its folder.
+        digest: SHA-256 of its transforms.json.
+        scene_name, scene_hash: the scene that the frames show.
+        entries: the frames, training and held-out ones.
+        close_ups: parts of held-out views at a multiple of their resolution.
     """
 
     folder: Path
@@ -58,18 +58,20 @@ class FrameSet:
 
     @property
     def training(self) -> list[FrameEntry]:
+        """Frames to train on."""
         return [entry for entry in self.entries if not entry.held_out]
 
     @property
     def held_out(self) -> list[FrameEntry]:
+        """Frames that training must not see."""
         return [entry for entry in self.entries if entry.held_out]
 
 
 def read_frame_set(folder: Path) -> FrameSet:
-    """Reads transforms.json and checks that every frame it names is there.
+    """Reads a frame set's transforms.json and checks that every file it names exists.
 
     Raises:
-        UserError: the folder is not a frame set, or its capture was not finished.
+        UserError: the folder is not a frame set, has another format version, or its capture is not complete.
     """
     path = folder / "transforms.json"
     if not path.is_file():
@@ -88,18 +90,24 @@ def read_frame_set(folder: Path) -> FrameSet:
         )
         scene = document["scene"]["name"], document["scene"]["hash"]
     except (ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{path}: not a frame set's description ({error!r})") from error
-    files = [file for entry in entries + close_ups for file in (entry.file, *entry.estimates.values())]
+        raise UserError(f"{path}: not the description of a frame set ({error!r})") from error
+    _check_files(folder, entries + close_ups)
+    return FrameSet(folder, hashlib.sha256(text.encode()).hexdigest(), *scene, entries, close_ups)
+
+
+def _check_files(folder: Path, entries: list[FrameEntry]) -> None:
+    """Raises UserError if a file of the entries is missing."""
+    files = [file for entry in entries for file in (entry.file, *entry.estimates.values())]
     missing = [file.name for file in files if not file.is_file()]
     if missing:
         raise UserError(
             f"{folder}: {len(missing)} of {len(files)} files are missing ({missing[0]} first); "
-            "run hybrid capture again with the same options, it goes on where it stopped"
+            "run hybrid capture again with the same settings to resume it"
         )
-    return FrameSet(folder, hashlib.sha256(text.encode()).hexdigest(), *scene, entries, close_ups)
 
 
 def _entry(folder: Path, frame: dict[str, Any]) -> FrameEntry:
+    """An entry from its JSON, with the document's intrinsics where it has none of its own."""
     return FrameEntry(
         camera_from_json(frame),
         folder / frame["file_path"],

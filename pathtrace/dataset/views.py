@@ -1,4 +1,4 @@
-"""Chooses training views: in free space, joined to the scene's own camera, at a sane distance."""
+"""Chooses training views: in free space around the scene's own camera, not too near to surfaces."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ import numpy as np
 
 from compose.base.errors import UserError
 from compose.camera.camera import Array, Camera, camera_from_pose
+from compose.camera.turning import turned
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.surfaces import Surfaces
 
-# All lengths are in units of the median distance that the scene's own camera sees, so that a scene
-# in millimetres and one in metres get the same views.
-_REACH = 0.12  # how far views lie from the scene's own camera
-_CLEARANCE = 0.02  # no surface nearer to the camera than this
-_NEAR = 0.15  # what counts as too near to look at
-_NEAR_SHARE = 0.1  # share of the frame that may be nearer
-_YAW, _PITCH = 20.0, 10.0  # degrees, one side
-_PROBE = 24  # rays per side of the probing frame
+# All lengths are in units of the median distance to what the scene's own camera sees, so that scenes in
+# millimetres and in metres get the same views.
+_REACH = 0.12  # largest distance of a view from the scene's own camera
+_CLEARANCE = 0.02  # smallest distance of a view from any surface
+_NEAR = 0.15  # surfaces nearer than this are too near to look at
+_NEAR_SHARE = 0.1  # largest share of the frame that may show such surfaces
+_YAW, _PITCH = 20.0, 10.0  # largest turns, degrees to either side
 _TRIES_PER_VIEW = 200
-# No seed that anyone would train with.
+# Unlikely to be the seed of a training.
 _UNSEEN_SEED = 7919
-# Views turned further than all others, in units of the largest yaw and pitch: without them the edge of
-# every other view's picture would be a place that hardly any frame shows.
+# Views turned further than all others, in units of the largest yaw and pitch: without them, hardly any frame
+# would show what lies at the edge of every other view.
 _BORDER = tuple((x, y) for x in (-1.6, 0.0, 1.6) for y in (-1.6, 0.0, 1.6) if (x, y) != (0.0, 0.0))
 
 
@@ -32,8 +32,8 @@ class ViewSet:
     """Chosen cameras.
 
     Attributes:
-        fixed: the scene's own camera, and those turned to the border of what the others see.
-        spread: evenly spread over positions and directions; any of them may be held out of training.
+        fixed: the scene's own camera, then the same turned to the border of what the others see.
+        spread: spread evenly over positions and directions; any of them may be held out of training.
     """
 
     fixed: list[Camera]
@@ -41,7 +41,7 @@ class ViewSet:
 
 
 def unseen_views(scene: Scene, count: int, width: int, height: int) -> list[Camera]:
-    """Views around the scene's own camera to measure on: others than those that training has seen.
+    """Views around the scene's own camera to measure on, which differ from those of any training.
 
     Args and raises as of `choose_views`.
     """
@@ -53,13 +53,14 @@ def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, heigh
     """Views around the scene's own camera.
 
     Args:
-        scene, surfaces: the scene and its Embree tree.
-        count: how many in all; few views are all spread, but for the scene's own.
+        scene: the scene.
+        surfaces: its surfaces.
+        count: number of views in all; with 16 or fewer, only the scene's own camera is fixed.
         width, height: frame size in pixels.
         seed: same seed, same views.
 
     Raises:
-        UserError: the scene leaves no room for that many views.
+        UserError: the scene's own camera sees no surface, or there is no free space for that many views.
     """
     neighbourhood = _Neighbourhood.of(scene, surfaces, width, height)
     fixed = [neighbourhood.home]
@@ -70,7 +71,14 @@ def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, heigh
 
 @dataclass(frozen=True)
 class _Neighbourhood:
-    """Where views may lie: around the scene's own camera, at the scale of what it sees."""
+    """The space around the scene's own camera, at the scale of what it sees.
+
+    Attributes:
+        name: the scene's, for error messages.
+        surfaces: the scene's surfaces.
+        home: the scene's own camera at the size of the frames.
+        scale: median distance to what it sees.
+    """
 
     name: str
     surfaces: Surfaces
@@ -79,21 +87,21 @@ class _Neighbourhood:
 
     @staticmethod
     def of(scene: Scene, surfaces: Surfaces, width: int, height: int) -> _Neighbourhood:
-        """Raises UserError where the scene's own camera sees nothing."""
+        """The neighbourhood of a scene's own camera; UserError if that sees nothing."""
         home = scene.camera.resized(width, height)
-        scale = _median_distance(home, surfaces)
+        scale = surfaces.median_distance(home)
         if not np.isfinite(scale):
             raise UserError(f"{scene.name}: the scene's own camera sees no surface")
         return _Neighbourhood(scene.name, surfaces, home, scale)
 
     def border(self) -> list[Camera]:
-        """The scene's own camera, turned to where others would show no more."""
+        """The scene's own camera, turned to the border of what other views see."""
         turned = [_moved(self.home, np.zeros(3), yaw, pitch) for yaw, pitch in _BORDER]
-        return [view for view in turned if self._is_sane(view)]
+        return [view for view in turned if self._is_usable(view)]
 
     def spread(self, count: int, seed: int) -> list[Camera]:
-        """Views spread evenly over positions and directions; UserError where there is no room for as many."""
-        # Takes a second to import, which a frame rendered with a forest at hand need not wait for.
+        """Views spread evenly over positions and directions; UserError if there is no space for them."""
+        # Takes a second to import, which frames that need no views should not wait for.
         from scipy.stats import qmc
 
         found: list[Camera] = []
@@ -103,51 +111,36 @@ class _Neighbourhood:
                 break
             u = sequence.random(1)[0]
             candidate = _moved(self.home, _in_ball(u[:3]) * _REACH * self.scale, *(2 * u[3:] - 1))
-            if self._is_sane(candidate):
+            if self._is_usable(candidate):
                 found.append(candidate)
         if len(found) < count:
             raise UserError(
                 f"{self.name}: only {len(found)} of {count} further views fit into the free space around the "
-                "scene's camera; ask for fewer with --views"
+                "scene's camera; ask for fewer views"
             )
         return found
 
-    def _is_sane(self, candidate: Camera) -> bool:
+    def _is_usable(self, candidate: Camera) -> bool:
+        """Whether a view is reachable from the scene's own camera and not too near to surfaces."""
         if not self.surfaces.sees(self.home.position, candidate.position):
             return False
         if self.surfaces.clearance(candidate.position) < _CLEARANCE * self.scale:
             return False
-        distance = _probe(candidate, self.surfaces)
+        distance = self.surfaces.probe(candidate)
         return float(np.mean(distance < _NEAR * self.scale)) <= _NEAR_SHARE
 
 
 def _in_ball(u: Array) -> Array:
-    """A point of the unit ball from three numbers in 0..1, uniform in volume."""
+    """A point (3,) of the unit ball from three numbers in 0..1, uniform in volume."""
     z, turn = 2 * u[0] - 1, 2 * np.pi * u[1]
     radius = np.sqrt(1 - z * z)
     return np.array([radius * np.cos(turn), radius * np.sin(turn), z]) * u[2] ** (1 / 3)
 
 
 def _moved(home: Camera, offset: Array, yaw_share: float, pitch_share: float) -> Camera:
-    """The camera at another place, turned by shares of the largest yaw and pitch."""
+    """The camera moved by an offset (3,) and turned by shares of the largest yaw and pitch."""
     pose = home.camera_to_world
-    yaw, pitch = np.radians([yaw_share * _YAW, pitch_share * _PITCH])
-    # Yaw about the camera's own upward axis keeps the horizon; pitch about its x axis follows.
-    turn_yaw = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
-    turn_pitch = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
     moved = np.eye(4)
-    moved[:3, :3] = pose[:3, :3] @ turn_yaw @ turn_pitch
+    moved[:3, :3] = turned(pose[:3, :3], yaw_share * _YAW, pitch_share * _PITCH)
     moved[:3, 3] = pose[:3, 3] + offset
     return camera_from_pose(moved, home.width, home.height, home.fx, home.fy, home.cx, home.cy)
-
-
-def _probe(camera: Camera, surfaces: Surfaces) -> Array:
-    small = camera.resized(_PROBE, _PROBE)
-    directions = small.rays(small.pixel_centres())
-    return surfaces.distance(np.repeat(camera.position[None], len(directions), axis=0), directions)
-
-
-def _median_distance(camera: Camera, surfaces: Surfaces) -> float:
-    distance = _probe(camera, surfaces)
-    seen = distance[np.isfinite(distance)]
-    return float(np.median(seen)) if len(seen) else np.inf

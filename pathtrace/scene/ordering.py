@@ -8,21 +8,23 @@ import mitsuba as mi
 import numpy as np
 
 
-def in_order(scene: Any) -> Any:
-    """The same scene with its shapes in an order of their own.
+def with_ordered_shapes(scene: Any) -> Any:
+    """The same Mitsuba scene with its shapes sorted by bounding box and number of primitives.
 
-    Where Mitsuba merges meshes, it leaves them in another order each time that a scene is loaded, and with
-    them their lights: a random number would choose another one, and the same seed give other noise.
+    Where Mitsuba merges meshes, the order of the merged meshes, and of the lights among them, differs each
+    time a scene is loaded: the same random number would choose another light, and the same seed give other
+    noise.
     """
     parts = {f"sensor_{number}": sensor for number, sensor in enumerate(scene.sensors())}
-    alone = [emitter for emitter in scene.emitters() if emitter.get_shape() is None]
-    parts |= {f"emitter_{number}": emitter for number, emitter in enumerate(alone)}
+    # Area lights belong to their shapes.
+    emitters = [emitter for emitter in scene.emitters() if emitter.get_shape() is None]
+    parts |= {f"emitter_{number}": emitter for number, emitter in enumerate(emitters)}
     shapes = sorted(scene.shapes(), key=_sort_key)
     parts |= {f"shape_{number:06}": shape for number, shape in enumerate(shapes)}
     return mi.load_dict({"type": "scene", **parts}, optimize=False)
 
 
 def _sort_key(shape: Any) -> tuple[float, ...]:
-    """Numbers by which shapes can be told apart."""
+    """Bounding box (minimum, maximum) and number of primitives of a shape."""
     box = shape.bbox()
     return (*np.ravel(box.min).tolist(), *np.ravel(box.max).tolist(), float(shape.primitive_count()))

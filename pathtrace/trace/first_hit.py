@@ -1,4 +1,4 @@
-"""What a ray sees: the first surface, or what mirrors and clear glass show."""
+"""What rays hit first, continued through mirrors and clear glass, and the auxiliary features of it."""
 
 from __future__ import annotations
 
@@ -8,86 +8,115 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-# Where nothing is hit, the sky is this far away.
-FAR = 1e5
-MATT, GLOSSY, SPECULAR = 0, 1, 2
-_MOST_BOUNCES = 8
-# Of a frame's rays: the picture hardly depends on what is left after so many.
-_BOUNCES = 4
+from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
+
+# Distance of the sky.
+SKY_DISTANCE = 1e5
+# Random number that selects a BSDF's lobe: next to 1, a dielectric's transmission; a mirror has only one.
+_LOBE_SAMPLE = 0.999
+# Specular bounces that `first_hits` follows by default ...
+_MAX_BOUNCES = 8
+# ... and those of auxiliary features: an image hardly depends on what is left after more.
+_AUXILIARY_BOUNCES = 4
 
 
 @dataclass(frozen=True)
-class Sight:
-    """What rays see; Dr.Jit arrays, one entry per ray.
+class FirstHits:
+    """First hits of rays; Dr.Jit arrays, one entry per ray.
 
     Attributes:
-        surface: the first interaction; invalid where nothing is hit.
-        last: where mirrors and glass have led to.
-        unfolded: length of the way there; that of the first hit where it leads out of the scene.
-        tint: what mirrors and glass on the way leave of the light.
-        plain: whether only flat mirrors were on the way: what they show seems to stand still behind them.
+        surface: interaction with the first surface; invalid where nothing is hit.
+        last: interaction at the end of the path through mirrors and clear glass; invalid if that leaves the
+            scene.
+        unfolded: length of this path; that of its part within the scene if it leaves the scene.
+        throughput: share of light that mirrors and glass on the path pass on, per colour channel.
+        flat: whether all of them are flat mirrors: what those show appears to stand still behind them.
     """
 
     surface: Any
     last: Any
     unfolded: Any
-    tint: Any
-    plain: Any
+    throughput: Any
+    flat: Any
+
+
+@dataclass(frozen=True)
+class AuxiliaryFeatures:
+    """Features that denoising and fusion use, of N film positions or rays; linear Dr.Jit floats.
+
+    Attributes:
+        albedo: three (N,) arrays; 0 for the sky.
+        normal: three (N,) arrays, shading normal in world space; 0 for the sky.
+        position: three (N,) arrays, apparent position in the world of what is seen: on the surface that is
+            hit, or behind a flat mirror.
+        gloss: (N,) class of gloss of what is seen: DIFFUSE, GLOSSY or SPECULAR of `compose.image.gloss`.
+    """
+
+    albedo: list[Any]
+    normal: list[Any]
+    position: list[Any]
+    gloss: Any
 
 
 def has_clear_surfaces(scene: Any) -> bool:
-    """Whether a scene has mirrors or clear glass."""
+    """Whether a Mitsuba scene has mirrors or clear glass."""
     return any(not mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth) for shape in scene.shapes())
 
 
-def look(scene: Any, ray: Any, active: Any, bounces: int = _MOST_BOUNCES) -> Sight:
-    """Follows rays to the first surface that is not clear, through at most so many that are."""
+def first_hits(scene: Any, ray: Any, active: Any, bounces: int = _MAX_BOUNCES) -> FirstHits:
+    """Follows rays through mirrors and clear glass to the first other surface.
+
+    Args:
+        scene: a Mitsuba scene.
+        ray: N Mitsuba rays.
+        active: (N,) mask of the rays to follow.
+        bounces: mirrors and glass surfaces to follow at most.
+    """
     flags = mi.RayFlags.All | mi.RayFlags.dNSdUV if bounces else mi.RayFlags.All
-    # Rays of neighbouring pixels side by side: Embree follows them together, four times as fast.
+    # Coherent rays: Embree follows those of neighbouring pixels together, four times as fast.
     surface = scene.ray_intersect(ray, flags, True, active)
     valid = surface.is_valid()
     last, alive = surface, active & valid
-    unfolded, tint, plain = mi.Float(surface.t), mi.Color3f(1), mi.Bool(True)
+    unfolded, throughput, flat = mi.Float(surface.t), mi.Color3f(1), mi.Bool(True)
     for _ in range(bounces):
         bsdf = last.bsdf()
         kinds = bsdf.flags()
         clear = alive & ~mi.has_flag(kinds, mi.BSDFFlags.Smooth)
-        # A first sample next to 1 takes a dielectric's transmission, a mirror has one lobe only.
-        sample, weight = bsdf.sample(mi.BSDFContext(), last, 0.999, mi.Point2f(0.5), clear)
+        sample, weight = bsdf.sample(mi.BSDFContext(), last, _LOBE_SAMPLE, mi.Point2f(0.5), clear)
         clear &= dr.max(weight) > 0
         onward = scene.ray_intersect(last.spawn_ray(last.to_world(sample.wo)), flags, False, clear)
-        flat = dr.squared_norm(last.dn_du) + dr.squared_norm(last.dn_dv) == 0
-        mirror = flat & ~mi.has_flag(kinds, mi.BSDFFlags.Transmission)
-        plain &= dr.select(clear, mirror, True)
-        tint = dr.select(clear, tint * weight, tint)
+        is_plane = dr.squared_norm(last.dn_du) + dr.squared_norm(last.dn_dv) == 0
+        flat_mirror = is_plane & ~mi.has_flag(kinds, mi.BSDFFlags.Transmission)
+        flat &= dr.select(clear, flat_mirror, True)
+        throughput = dr.select(clear, throughput * weight, throughput)
         alive = clear & onward.is_valid()
         unfolded = dr.select(alive, unfolded + onward.t, unfolded)
         last = dr.select(clear, onward, last)
-    return Sight(surface, last, unfolded, tint, plain)
+    return FirstHits(surface, last, unfolded, throughput, flat)
 
 
-def auxiliary(scene: Any, ray: Any, active: Any, clear: bool) -> list[Any]:
-    """Albedo, normal, the place in the world where what rays see seems to be, and its gloss.
+def auxiliary_features(scene: Any, ray: Any, active: Any, clear: bool) -> AuxiliaryFeatures:
+    """Auxiliary features of what rays see, without antialiasing.
 
     Behind mirrors and clear glass, albedo and normal are those of what they show: denoising needs them there.
 
     Args:
         scene: a Mitsuba scene.
-        ray, active: what looks.
-        clear: whether the scene has mirrors or clear glass at all.
-
-    Returns:
-        Ten channels: three each, 0 where that is the sky, and MATT, GLOSSY or SPECULAR.
+        ray: N Mitsuba rays.
+        active: (N,) mask of the rays to follow.
+        clear: whether the scene has mirrors or clear glass.
     """
-    sight = look(scene, ray, active, _BOUNCES if clear else 0)
-    hit, last = active & sight.surface.is_valid(), sight.last
+    hits = first_hits(scene, ray, active, _AUXILIARY_BOUNCES if clear else 0)
+    hit, last = active & hits.surface.is_valid(), hits.last
     shown = active & last.is_valid()
-    albedo = sight.tint * last.bsdf(ray).eval_diffuse_reflectance(last, shown)
-    # What is bent, or mirrored by something round, does not stand still: there, the glass is the place.
-    place = ray(dr.select(sight.plain, sight.unfolded, sight.surface.t))
-    place = dr.select(hit & (shown | ~sight.plain), place, ray(FAR))
+    albedo = hits.throughput * last.bsdf(ray).eval_diffuse_reflectance(last, shown)
+    # What is refracted, or seen in a curved mirror, moves with the viewer: its position is that of the glass.
+    position = ray(dr.select(hits.flat, hits.unfolded, hits.surface.t))
+    position = dr.select(hit & (shown | ~hits.flat), position, ray(SKY_DISTANCE))
     kinds = last.bsdf(ray).flags()
     delta, glossy = (mi.has_flag(kinds, kind) for kind in (mi.BSDFFlags.Delta, mi.BSDFFlags.Glossy))
-    gloss = dr.select(delta, SPECULAR, dr.select(glossy, GLOSSY, mi.Float(MATT)))
-    gloss = dr.select(hit & ~sight.plain, SPECULAR, dr.select(shown, gloss, MATT))
-    return [*dr.select(shown, albedo, 0), *dr.select(shown, last.sh_frame.n, 0), *place, gloss]
+    gloss = dr.select(delta, SPECULAR, dr.select(glossy, GLOSSY, mi.Float(DIFFUSE)))
+    gloss = dr.select(hit & ~hits.flat, SPECULAR, dr.select(shown, gloss, DIFFUSE))
+    return AuxiliaryFeatures(
+        list(dr.select(shown, albedo, 0)), list(dr.select(shown, last.sh_frame.n, 0)), list(position), gloss
+    )

@@ -1,4 +1,4 @@
-"""Rays of a camera whose numbers are opaque to the kernels."""
+"""Rays of a camera whose parameters are opaque to the kernels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ from compose.camera.camera import Camera
 
 
 def opaque_camera(camera: Camera) -> tuple[Any, ...]:
-    """Origin and the three vectors that turn film coordinates into a ray: d ~ x ax + y ay + az."""
+    """A camera as evaluated Dr.Jit vectors: origin, ax, ay and az.
+
+    The ray through film coordinates (x, y) has the direction x ax + y ay + az. A new camera changes the
+    vectors' values only, so that frozen functions are not recorded again.
+    """
     pose = camera.camera_to_world
     ax = pose[:3, 0] / camera.fx
     ay = pose[:3, 1] / camera.fy
@@ -23,6 +27,6 @@ def opaque_camera(camera: Camera) -> tuple[Any, ...]:
 
 
 def ray_through(camera: tuple[Any, ...], x: Any, y: Any) -> Any:
-    """Ray of an `opaque_camera` through film coordinates."""
+    """Rays of an `opaque_camera` through film coordinates x and y, (N,) Dr.Jit floats."""
     origin, ax, ay, az = camera
     return mi.RayDifferential3f(origin, dr.normalize(dr.fma(ax, x, dr.fma(ay, y, az))))

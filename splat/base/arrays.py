@@ -1,4 +1,4 @@
-"""The Dr.Jit array types of one backend, and the way between them and torch."""
+"""The Dr.Jit array types of one backend, and conversion between them and torch."""
 
 from __future__ import annotations
 
@@ -15,9 +15,13 @@ BackendName = Literal["llvm", "cuda"]
 class Arrays:
     """Array types of the LLVM or the CUDA backend.
 
+    Args:
+        backend: which of the two.
+
     Attributes:
-        plain: the module of arrays without derivatives, in which kernels are written by hand.
-        ad: the module of arrays that Dr.Jit differentiates.
+        backend: which of the two.
+        plain: the module of array types without derivatives, for hand-written kernels.
+        ad: the module of array types that Dr.Jit differentiates.
     """
 
     def __init__(self, backend: BackendName):
@@ -29,72 +33,58 @@ class Arrays:
         self.ad: ModuleType = self.plain.ad
 
     def number(self, value: int) -> Any:
-        """A UInt of width 1 that kernels read, rather than a literal: then they are the same whatever it is.
+        """UInt of width 1 that kernels read from memory: the same kernel serves every value.
 
-        For all that depends on the size of a frame, the gaze or the camera.
+        A literal would be compiled into the kernel. Use this for everything that depends on the size of a
+        frame, the gaze or the camera.
         """
         return dr.opaque(self.plain.UInt, value)
 
     def from_torch(self, tensor: torch.Tensor) -> Any:
-        """A differentiable flat Float of the tensor's elements; aliases a contiguous tensor's memory."""
+        """Differentiable flat Float of a tensor's elements; shares the memory of a contiguous tensor."""
         return self.ad.Float(tensor.detach().reshape(-1).contiguous())
 
     def to_torch(self, array: Any, device: torch.device) -> torch.Tensor:
-        """A flat tensor of an array's elements; on the CPU it shares the memory."""
+        """Flat tensor of an array's elements; shares the memory on the CPU."""
         return dr.detach(array, preserve_type=False).torch().to(device)
 
-    def records(self, rows: list[Any]) -> Any:
-        """Flat Float in which the rows' elements lie side by side, index by index.
+    def concatenated(self, parts: Sequence[Any]) -> Any:
+        """Concatenates arrays of one type.
 
-        Records are read several times faster than rows wherever the index jumps.
-
-        Args:
-            rows: Floats of one width, a power of two of them; integers come as their bits.
-        """
-        count = max(dr.width(row) for row in rows)
-        table = dr.empty(self.plain.Float, len(rows) * count)
-        index = dr.arange(self.plain.UInt, count)
-        dr.scatter(table, self.plain.ArrayXf(rows), index, mode=dr.ReduceMode.Permute)
-        return table
-
-    def record(self, table: Any, index: Any, size: int) -> list[Any]:
-        """The `size` rows of a table of records, at an index."""
-        record = dr.gather(self.plain.ArrayXf, table, index, shape=(size, dr.width(index)))
-        return [record[k] for k in range(size)]
-
-    def joined(self, parts: Sequence[Any]) -> Any:
-        """Arrays of one type, one behind the other.
-
-        `dr.concat` compiles another kernel for every combination of widths.
+        Unlike `dr.concat`, which compiles a kernel for every combination of widths.
         """
         kind, widths = type(parts[0]), [dr.width(part) for part in parts]
         result, start = dr.empty(kind, sum(widths)), 0
         for part, width in zip(parts, widths, strict=True):
-            # Arithmetic with arrays of no width is refused.
+            # Dr.Jit refuses arithmetic with arrays of width 0.
             if width:
-                place = dr.arange(self.plain.UInt, width) + self.number(start)
-                dr.scatter(result, part, place, mode=dr.ReduceMode.Permute)
+                index = dr.arange(self.plain.UInt, width) + self.number(start)
+                dr.scatter(result, part, index, mode=dr.ReduceMode.Permute)
             start += width
         return result
 
-    def sorting(self, key: Any, below: int) -> Any:
-        """Indices that sort an array of UInt, all less than `below`; equal ones keep their order.
+    def argsort(self, key: Any, bound: int) -> Any:
+        """Indices that sort a UInt array stably: equal keys keep their order.
 
-        On the CPU one pass of a radix sort does for small keys, and two for larger ones, where `dr.argsort`
-        makes three.
+        On the CPU this is a radix sort of one pass for bounds up to 2^14 and of several for larger ones, where
+        `dr.argsort` always takes three.
+
+        Args:
+            key: (N,) UInt, every element less than `bound`.
+            bound: exclusive upper bound of the keys.
         """
         count = dr.width(key)
         if self.backend != "llvm" or not count:
             return dr.argsort(key)
         order, shift = None, 0
-        while shift == 0 or below > 1 << shift:
-            # Passes of up to 2^14 buckets stay in the cache.
-            bits = 14 if below <= 1 << 14 else 11
+        while shift == 0 or bound > 1 << shift:
+            # The counters of 2^14 buckets fit the cache.
+            bits = 14 if bound <= 1 << 14 else 11
             digit = (key if order is None else dr.gather(self.plain.UInt, key, order)) >> shift & (
                 1 << bits
             ) - 1
             dr.eval(digit)
-            step = dr.detail.block_mkperm(digit, count, min(1 << bits, -(-below // (1 << shift))))
+            step = dr.detail.block_mkperm(digit, count, min(1 << bits, -(-bound // (1 << shift))))
             order = step if order is None else dr.gather(self.plain.UInt, order, step)
             shift += bits
         return order

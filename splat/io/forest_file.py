@@ -1,4 +1,4 @@
-"""Forest files (safetensors with metadata) and the INRIA 3DGS PLY layout. Nothing is ever unpickled."""
+"""Forest files: safetensors with metadata. Nothing is ever unpickled."""
 
 from __future__ import annotations
 
@@ -7,15 +7,19 @@ from pathlib import Path
 from compose.base.errors import UserError
 from splat.io.tensors import FORMAT_VERSION, load_tensors, save_tensors
 from splat.model.check import check_forest
-from splat.model.forest import Forest, Layer
+from splat.model.forest import Forest
 from splat.model.gaussians import Gaussians
+from splat.model.layer import LABELS, Layer
 
-_LABELS = ("parent", "semantic", "dynamic")
 _ATTACHED = "attached."
 
 
 def save_forest(path: Path, forest: Forest) -> None:
-    """Writes a forest file; it appears whole or not at all."""
+    """Writes a forest file atomically.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
     nodes = forest.nodes
     metadata = {
         "format_version": FORMAT_VERSION,
@@ -27,17 +31,17 @@ def save_forest(path: Path, forest: Forest) -> None:
         "scene_hash": forest.scene_hash,
     }
     tensors = {name: tensor.detach().cpu() for name, tensor in nodes.gaussians.tensors()}
-    tensors |= {name: getattr(nodes, name) for name in _LABELS}
+    tensors |= dict(nodes.labels())
     tensors |= {_ATTACHED + name: tensor for name, tensor in forest.attached.items()}
     save_tensors(path, tensors, metadata)
 
 
 def load_forest(path: Path) -> Forest:
-    """Inverse of save_forest.
+    """Reads a forest file.
 
     Raises:
-        UserError: the file is missing, truncated, corrupt, of another version, holds no finite numbers, or
-            its trees are broken.
+        UserError: the file is missing, truncated, corrupt or of another version, it holds numbers that are
+            not finite, or its trees are broken.
     """
     tensors, metadata = load_tensors(path)
     if metadata.get("kind") != "forest":
@@ -45,7 +49,7 @@ def load_forest(path: Path) -> Forest:
     try:
         gaussians = Gaussians(**{name: tensors[name] for name in Gaussians.__dataclass_fields__})
         forest = Forest(
-            Layer(gaussians, *(tensors[name] for name in _LABELS)),
+            Layer(gaussians, *(tensors[name] for name in LABELS)),
             tuple(int(count) for count in metadata["layers"]),
             float(metadata["trained_focal"]),
             str(metadata["scene_name"]),

@@ -1,4 +1,4 @@
-"""The INRIA 3DGS PLY layout."""
+"""PLY files in the layout of 3D Gaussian splatting (Kerbl et al. 2023)."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from compose.base.errors import UserError
 from compose.base.files import write_whole
 from splat.model.gaussians import MAX_DEGREE, Gaussians, sh_count
 
-# Gaussians that come from elsewhere were trained on films that nobody knows: no further filter for them.
+# The training frames of imported Gaussians are unknown: this focal length gives them no filter but the pixel's.
 UNBOUND_FOCAL = 1e9
 
 
 def _ply_properties(degree: int) -> list[str]:
+    """Names of a Gaussian's properties, in the order of the file."""
     rest = 3 * (sh_count(degree) - 1)
     return [
         *("x", "y", "z", "nx", "ny", "nz"),
@@ -28,8 +29,8 @@ def _ply_properties(degree: int) -> list[str]:
     ]
 
 
-def export_ply(path: Path, gaussians: Gaussians) -> None:
-    """Writes the layout of the INRIA implementation (Kerbl et al. 2023), binary little-endian.
+def save_ply(path: Path, gaussians: Gaussians) -> None:
+    """Writes Gaussians in the layout of the INRIA implementation, binary little-endian.
 
     Raises:
         UserError: the file cannot be written.
@@ -54,8 +55,8 @@ def export_ply(path: Path, gaussians: Gaussians) -> None:
     write_whole(path, lambda part: part.write_bytes(content))
 
 
-def import_ply(path: Path) -> Gaussians:
-    """Reads the layout of the INRIA implementation.
+def load_ply(path: Path) -> Gaussians:
+    """Reads Gaussians in the layout of the INRIA implementation.
 
     Raises:
         UserError: the file is missing, truncated, or not of that layout.
@@ -82,7 +83,7 @@ def import_ply(path: Path) -> Gaussians:
 
 
 def _ply_header(path: Path, content: bytes) -> tuple[int, list[str], bytes]:
-    """How many Gaussians a file announces, the names of their properties, and what follows the header."""
+    """Number of Gaussians in a file, the names of their properties, and the bytes after the header."""
     end = content.find(b"end_header\n")
     lines = content[: max(end, 0)].decode("ascii", "replace").split("\n")
     if end < 0 or lines[:2] != ["ply", "format binary_little_endian 1.0"]:

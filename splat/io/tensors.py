@@ -17,17 +17,22 @@ FORMAT_VERSION = 2
 
 
 def save_tensors(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[str, Any]) -> None:
-    """Writes tensors and JSON-like metadata beside the target, then renames.
+    """Writes tensors and metadata to a safetensors file, atomically.
+
+    Args:
+        path: the file.
+        tensors: by name.
+        metadata: anything that JSON can hold.
 
     Raises:
-        UserError: the folder cannot be written.
+        UserError: the file cannot be written.
     """
     contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
     write_whole(path, lambda part: save_file(contiguous, part, {"hybrid": json.dumps(metadata)}))
 
 
 def load_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-    """Inverse of save_tensors.
+    """Reads the tensors and the metadata of a file written by `save_tensors`.
 
     Raises:
         UserError: the file is missing, truncated, corrupt or of another version.

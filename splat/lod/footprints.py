@@ -1,4 +1,4 @@
-"""What of a forest shows in the frame of one camera: kept, and used again while only the gaze moves."""
+"""The part of a forest that a camera sees: projected once, and used again while only the gaze moves."""
 
 from __future__ import annotations
 
@@ -13,24 +13,29 @@ from compose.camera.camera import Camera
 from splat.base.arrays import Arrays
 from splat.model.forest import Forest
 from splat.model.gaussians import Gaussians
-from splat.raster.binning import by_depth
+from splat.raster.binning import depth_order
 from splat.raster.projection import PIXEL_FILTER, Footprints, Parameters, footprints, view_position
+from splat.raster.records import RecordLayout, Records, concatenated_records
 
 # Standard deviations at which the most opaque Gaussian falls to 1/255.
 _REACH = 3.33
-# Floats that one load brings.
-_LOAD = 8
+# The fields of `Footprints`. One float is spare.
+_FOOTPRINT = RecordLayout(
+    (8, 4), x=1, y=1, xx=1, xy=1, yy=1, determinant=1, opacity=1, red=1, green=1, blue=1, depth=1
+)
+# Floats per load of a node's parameters.
+_NODE_LOAD = 8
 
 
 @dataclass
 class LayerFootprints:
-    """The nodes of one layer that may show in a frame, from near to far, as Dr.Jit floats.
+    """The N nodes of one layer that may show in a frame, from near to far, as Dr.Jit floats.
 
     Attributes:
-        x, y: centre in pixels.
-        xx, yy: variances in px^2, not filtered.
-        extent: variances beyond which they fall below 1/255.
-        records: footprints, side by side: eight numbers and four.
+        x, y: (N,) centre in pixels.
+        xx, yy: (N,) variances in px^2, not filtered.
+        extent: (N,) square of the distance, in standard deviations, beyond which alpha is below 1/255.
+        records: their footprints.
     """
 
     x: Any
@@ -38,73 +43,73 @@ class LayerFootprints:
     xx: Any
     yy: Any
     extent: Any
-    records: tuple[Any, Any]
+    records: Records
 
 
 class ForestFootprints:
-    """The footprints of a forest's layers for the camera that was asked for last.
+    """Footprints of a forest's layers, cached for the latest camera.
 
     Args:
         arrays: the backend's array types.
-        forest: its nodes stay on the device.
+        forest: its nodes are copied to the device.
     """
 
     def __init__(self, arrays: Arrays, forest: Forest):
         self.arrays = arrays
         self._nodes = _NodeTable(arrays, forest.nodes.gaussians)
         first = np.cumsum([0, *forest.counts])
-        self._places = [
-            _Places(arrays, forest.nodes.gaussians, int(first[n]), int(first[n + 1]))
+        self._bounds = [
+            _LayerBounds(arrays, forest.nodes.gaussians, int(first[n]), int(first[n + 1]))
             for n in range(len(forest.counts))
         ]
         self._key: tuple[bytes, float] | None = None
         self._layers: dict[int, LayerFootprints | None] = {}
+        # The records of all cached layers, and where each layer begins among them.
+        self._records: Records | None = None
         self._first: dict[int, Any] = {}
-        self._table: list[Any] = []
 
     def layers(self, camera: Camera, blur: float, layers: Sequence[int]) -> list[LayerFootprints | None]:
-        """What of some layers may show in a camera's frame, None where nothing does.
+        """The nodes of some layers that may show in a camera's frame; None for a layer without any.
 
         Args:
             camera: the view.
-            blur: the widest filter that will be asked for, in units of that at the pixel grid.
-            layers: 1 to L.
+            blur: widest filter that will be used, as a multiple of the filter at the pixel grid.
+            layers: numbers from 1 to L.
         """
         if self._key is None or self._key[0] != camera.key or self._key[1] < blur:
             self._layers.clear()
-            # With some room to spare: the filter's width changes with the gaze.
+            # Rounded up, since the filter's width changes with the gaze.
             self._key = camera.key, 2.0 ** np.ceil(np.log2(blur))
         new = [n for n in layers if n not in self._layers]
         for n in new:
-            self._layers[n] = self._seen(camera, n, self._key[1])
+            self._layers[n] = self._visible(camera, n, self._key[1])
         if new:
-            self._join_tables()
+            self._concatenate()
         return [self._layers[n] for n in layers]
 
     def footprints(self, layers: Sequence[int], chosen: Sequence[Any]) -> Footprints:
-        """Those of some of the nodes of layers that were asked for, one layer after the other.
+        """Footprints of some nodes, one layer after the other.
 
         Args:
-            layers: 1 to L.
-            chosen: indices of the nodes in each of them; in one of them at least there are some.
+            layers: numbers from 1 to L, each passed to `layers` before.
+            chosen: for each of them UInt indices into its `LayerFootprints`; at least one is not empty.
         """
         some = [i + self._first[n] for n, i in zip(layers, chosen, strict=True) if dr.width(i)]
-        index = self.arrays.joined(some)
-        values = self.arrays.record(self._table[0], index, _LOAD)
-        return Footprints(*values, *self.arrays.record(self._table[1], index, _LOAD // 2)[:3])
+        assert self._records is not None
+        return Footprints(**vars(self._records.at(self.arrays.concatenated(some))))
 
-    def _join_tables(self) -> None:
-        made = {n: layer for n, layer in self._layers.items() if layer is not None}
-        starts = np.cumsum([0, *(dr.width(layer.x) for layer in made.values())])
-        self._first = {n: self.arrays.number(int(start)) for n, start in zip(made, starts, strict=False)}
-        self._table = [
-            self.arrays.joined([layer.records[k] for layer in made.values()]) for k in (0, 1) if made
-        ]
+    def _concatenate(self) -> None:
+        visible = {n: layer for n, layer in self._layers.items() if layer is not None}
+        starts = np.cumsum([0, *(dr.width(layer.x) for layer in visible.values())])
+        self._first = {n: self.arrays.number(int(start)) for n, start in zip(visible, starts, strict=False)}
+        records = [layer.records for layer in visible.values()]
+        self._records = concatenated_records(records) if records else None
 
-    def _seen(self, camera: Camera, layer: int, blur: float) -> LayerFootprints | None:
-        places, plain = self._places[layer - 1], self.arrays.plain
-        seen, x, y, spread = view_position(self.arrays, places.means, camera)
-        reach = _REACH * dr.sqrt(dr.square(places.size * spread) + PIXEL_FILTER * blur**2)
+    def _visible(self, camera: Camera, layer: int, blur: float) -> LayerFootprints | None:
+        """The nodes of a layer that reach into the frame under the widest filter."""
+        bounds, plain = self._bounds[layer - 1], self.arrays.plain
+        seen, x, y, spread = view_position(self.arrays, bounds.means, camera)
+        reach = _REACH * dr.sqrt(dr.square(bounds.size * spread) + PIXEL_FILTER * blur**2)
         half_width, half_height = (dr.opaque(plain.Float, side / 2) for side in (camera.width, camera.height))
         seen &= (dr.abs(x - half_width) < half_width + reach) & (
             dr.abs(y - half_height) < half_height + reach
@@ -112,29 +117,23 @@ class ForestFootprints:
         index = dr.compress(seen)
         if not dr.width(index):
             return None
-        raw = footprints(self._nodes.parameters(index + places.first), camera)
-        rows = list(raw.__dict__.values())
-        records = [self.arrays.records(rows[:_LOAD]), self.arrays.records([*rows[_LOAD:], plain.Float(0)])]
-        dr.eval(records, raw.depth)
-        order = by_depth(self.arrays, raw.depth, plain.Bool(True))
-        near_to_far = [
-            self.arrays.record(table, order, size)
-            for table, size in zip(records, (_LOAD, _LOAD // 2), strict=True)
-        ]
-        x, y, xx, _, yy, _, opacity, _ = near_to_far[0]
-        extent = 2 * dr.log(dr.maximum(opacity * 255, 1))
-        ordered = self.arrays.records(near_to_far[0]), self.arrays.records(near_to_far[1])
-        dr.eval(x, y, xx, yy, extent, ordered)
-        return LayerFootprints(x, y, xx, yy, extent, ordered)
+        raw = footprints(self._nodes.parameters(index + bounds.first), camera)
+        records = _FOOTPRINT.pack(self.arrays, **vars(raw))
+        dr.eval(records.tables, raw.depth)
+        near = records.at(depth_order(self.arrays, raw.depth, plain.Bool(True)))
+        extent = 2 * dr.log(dr.maximum(near.opacity * 255, 1))
+        ordered = _FOOTPRINT.pack(self.arrays, **vars(near))
+        dr.eval(near.x, near.y, near.xx, near.yy, extent, ordered.tables)
+        return LayerFootprints(near.x, near.y, near.xx, near.yy, extent, ordered)
 
 
-class _Places:
-    """Where the nodes of one layer are, and how large: enough to see whether they may show.
+class _LayerBounds:
+    """Where the N nodes of one layer are and how large: enough to tell which ones may show.
 
     Attributes:
-        first: index of the first in the forest.
-        means: three rows.
-        size: longest axis, as a standard deviation.
+        first: index of the first one in the forest.
+        means: three rows (N,), world space.
+        size: (N,) longest axis, as a standard deviation.
     """
 
     def __init__(self, arrays: Arrays, gaussians: Gaussians, first: int, end: int):
@@ -145,24 +144,20 @@ class _Places:
 
 
 class _NodeTable:
-    """All parameters of a node side by side, as nodes are picked from all over the forest."""
+    """All parameters of a node side by side, since nodes are gathered from all over the forest."""
 
     def __init__(self, arrays: Arrays, gaussians: Gaussians):
-        self.arrays = arrays
-        self._coefficients = gaussians.sh.shape[0]
-        rows = [*gaussians.means, *gaussians.log_scales, *gaussians.rotations, gaussians.opacity_logits]
-        rows += list(gaussians.sh.reshape(-1, len(gaussians)))
-        self._loads = -(-len(rows) // _LOAD)
-        table = np.zeros((len(gaussians), self._loads * _LOAD), dtype=np.float32)
-        for column, row in enumerate(rows):
-            table[:, column] = row.numpy()
-        self._table = arrays.plain.Float(table.ravel())
+        coefficients = gaussians.sh.shape[0]
+        widths = {"means": 3, "log_scales": 3, "rotations": 4, "opacity_logits": 1, "sh": 3 * coefficients}
+        # 2, 1, 2, 5 floats are spare for spherical harmonics of degree 0, 1, 2, 3.
+        loads = -(-sum(widths.values()) // _NODE_LOAD)
+        layout = RecordLayout([_NODE_LOAD] * loads, **widths)
+        tensors = {name: t.reshape(-1, len(gaussians)).numpy() for name, t in gaussians.tensors()}
+        self._coefficients = coefficients
+        self._records = layout.upload(arrays, **tensors)
 
     def parameters(self, index: Any) -> Parameters:
-        """Of the nodes at these indices."""
-        values: list[Any] = []
-        for load in range(self._loads):
-            values += self.arrays.record(self._table, index * self._loads + load, _LOAD)
-        colours = values[11 : 11 + 3 * self._coefficients]
-        sh = [colours[3 * k : 3 * k + 3] for k in range(self._coefficients)]
-        return Parameters(values[:3], values[3:6], values[6:10], values[10], sh)
+        """Parameters of the nodes at an index (M,)."""
+        node = self._records.at(index)
+        sh = [node.sh[3 * k : 3 * k + 3] for k in range(self._coefficients)]
+        return Parameters(node.means, node.log_scales, node.rotations, node.opacity_logits, sh)

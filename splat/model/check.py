@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import torch
 
-from splat.model.forest import MAX_CHILDREN, NO_PARENT, Layer
+from splat.model.layer import MAX_CHILDREN, NO_PARENT, Layer
 
 
 def check_forest(layers: list[Layer]) -> None:
-    """Whether all trees are complete: L layers, one or two children everywhere, labels all the same.
+    """Checks that each node has a parent and one or two children, all with the same labels.
+
+    Args:
+        layers: coarsest first.
 
     Raises:
-        ValueError: says which tree is broken, and how. Layers are counted from 1, the coarsest.
+        ValueError: says which node is wrong, and how. Layers are counted from 1, the coarsest.
     """
     if not layers:
         raise ValueError("the forest has zero layers")
@@ -22,18 +25,22 @@ def check_forest(layers: list[Layer]) -> None:
             if bool((layer.parent != NO_PARENT).any()):
                 raise ValueError("broken tree: a node of layer 1 has a parent")
             continue
-        above = layers[number - 2]
-        wrong = (layer.parent < 0) | (layer.parent >= len(above))
-        if bool(wrong.any()):
-            raise ValueError(f"broken tree: node {_first(wrong)} of layer {number} has no parent")
-        parent = layer.parent.long()
-        children = torch.bincount(parent, minlength=len(above))
-        for trouble, what in ((children == 0, "no child"), (children > MAX_CHILDREN, "more than 2 children")):
-            if bool(trouble.any()):
-                raise ValueError(f"broken tree: node {_first(trouble)} of layer {number - 1} has {what}")
-        other = (layer.semantic != above.semantic[parent]) | (layer.dynamic != above.dynamic[parent])
-        if bool(other.any()):
-            raise ValueError(f"labels disagree: node {_first(other)} of layer {number} and its parent")
+        _check_pair(layers[number - 2], layer, number)
+
+
+def _check_pair(above: Layer, layer: Layer, number: int) -> None:
+    """Checks a layer against the next coarser one."""
+    wrong = (layer.parent < 0) | (layer.parent >= len(above))
+    if bool(wrong.any()):
+        raise ValueError(f"broken tree: node {_first(wrong)} of layer {number} has no parent")
+    parent = layer.parent.long()
+    children = torch.bincount(parent, minlength=len(above))
+    for trouble, what in ((children == 0, "no child"), (children > MAX_CHILDREN, "more than 2 children")):
+        if bool(trouble.any()):
+            raise ValueError(f"broken tree: node {_first(trouble)} of layer {number - 1} has {what}")
+    other = (layer.semantic != above.semantic[parent]) | (layer.dynamic != above.dynamic[parent])
+    if bool(other.any()):
+        raise ValueError(f"labels disagree: node {_first(other)} of layer {number} and its parent")
 
 
 def _first(mask: torch.Tensor) -> int:

@@ -1,8 +1,8 @@
-"""The parameter set of 3D Gaussians, as a structure of arrays, and what its numbers mean.
+"""The parameters of 3D Gaussians, as a structure of arrays.
 
-Radiance is linear and unbounded. Spherical harmonics hold it on a perceptual scale, the sRGB curve
-continued above 1: that is the scale on which 3D Gaussian splatting trains and on which its files store
-colours, and a lamp of radiance 50 is only 5.3 there.
+Radiance is linear and unbounded. The spherical harmonics represent it on a perceptual scale, the sRGB curve
+continued above 1: on this scale 3D Gaussian splatting trains, its files store colours, and a lamp of
+radiance 50 is only 5.3.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields
 
 import torch
 
-# Real spherical harmonics in the order and with the signs of 3D Gaussian splatting's files.
+# Factors of the real spherical harmonics, in the order of 3D Gaussian splatting's files.
 SH_DC = 0.28209479177387814
 SH_LINEAR = 0.4886025119029199
 SH_QUADRATIC = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
@@ -29,12 +29,17 @@ def sh_count(degree: int) -> int:
 class Gaussians:
     """N Gaussians.
 
+    All tensors are float32 on one device; any of them may require gradients.
+
     Attributes:
         means: (3, N) centres in world space.
         log_scales: (3, N) natural logarithms of the standard deviations along the principal axes.
         rotations: (4, N) quaternions (w, x, y, z), not necessarily of unit length.
         opacity_logits: (N,) opacity before the sigmoid.
         sh: (K, 3, N) spherical harmonics of the perceptual radiance minus 0.5, K = (degree + 1)^2.
+
+    Raises:
+        ValueError: a tensor has the wrong shape.
     """
 
     means: torch.Tensor
@@ -69,12 +74,12 @@ class Gaussians:
             yield field.name, getattr(self, field.name)
 
     def select(self, keep: torch.Tensor) -> Gaussians:
-        """The Gaussians that an index or a mask (N,) names."""
+        """The Gaussians at an index or a mask (N,), copied."""
         return Gaussians(**{name: tensor[..., keep].contiguous() for name, tensor in self.tensors()})
 
     def is_finite(self) -> bool:
         """Whether every number is finite."""
-        # Infinities are extremes, and what is not a number becomes both; no tensor of flags is needed.
+        # An infinity is an extreme and NaN becomes both extremes, so that no tensor of flags is needed.
         return all(
             bool(torch.isfinite(extreme))
             for _, t in self.tensors()
@@ -87,16 +92,3 @@ def concatenated(parts: list[Gaussians]) -> Gaussians:
     """All Gaussians of several sets of the same degree, in order."""
     names = [name for name, _ in parts[0].tensors()]
     return Gaussians(**{name: torch.cat([getattr(p, name) for p in parts], dim=-1) for name in names})
-
-
-def perceptual_from_radiance(radiance: torch.Tensor) -> torch.Tensor:
-    """The sRGB curve on linear radiance >= 0, continued above 1 by the same power acuity model."""
-    power = 1.055 * radiance.clamp(min=0.0031308) ** (1 / 2.4) - 0.055
-    return torch.where(radiance <= 0.0031308, 12.92 * radiance, power)
-
-
-def logarithmic_from_radiance(radiance: torch.Tensor) -> torch.Tensor:
-    """The sRGB curve up to 1 and a logarithm of the same slope above: what a loss on lamps can bear."""
-    slope = 1.055 / 2.4
-    bright = 1 + slope * torch.log(radiance.clamp(min=1.0))
-    return torch.where(radiance > 1.0, bright, perceptual_from_radiance(radiance.clamp(max=1.0)))

@@ -1,4 +1,4 @@
-"""One Gaussian with the moments of two."""
+"""Merges two Gaussians into one with the same moments."""
 
 from __future__ import annotations
 
@@ -13,11 +13,17 @@ _MAXIMUM_OPACITY = 0.99
 
 
 def merge(a: Gaussians, b: Gaussians) -> Gaussians:
-    """One Gaussian with the moments of two, for N pairs.
+    """Merges N pairs of Gaussians.
 
-    Weights w = o S with o the opacity and S = s1 s2 + s1 s3 + s2 s3, half the surface of a box with the
-    standard deviations as sides. Mean, covariance and colour are weighted by w; the opacity is
+    The weights are w = o S, with o the opacity and S = s1 s2 + s1 s3 + s2 s3, half the surface of a box with
+    the standard deviations as sides. Mean, covariance and colour are means weighted by w; the opacity is
     (w_a + w_b) / S of the result, at most 0.99.
+
+    Args:
+        a, b: N Gaussians each, of one degree.
+
+    Returns:
+        N Gaussians.
     """
     weight_a, weight_b = (_opacity(g) * _surface(np.exp(rows_of(g.log_scales))) for g in (a, b))
     share = weight_a / (weight_a + weight_b)
@@ -44,15 +50,18 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
 
 
 def _opacity(gaussians: Gaussians) -> Floats:
+    """(N,) opacity in 0..1."""
     return 1 / (1 + np.exp(-gaussians.opacity_logits.detach().numpy().astype(np.float64)))
 
 
 def _surface(deviation: Floats) -> Floats:
+    """(N,) half the surface of boxes with sides (N, 3)."""
     a, b, c = deviation.T
     return a * b + a * c + b * c
 
 
 def _covariance(gaussians: Gaussians) -> Floats:
+    """(N, 3, 3) covariance in world space."""
     turn = Rotation.from_quat(quaternions_xyzw(gaussians)).as_matrix().reshape(-1, 3, 3)
     scaled = turn * np.exp(rows_of(gaussians.log_scales))[:, None, :]
     return scaled @ scaled.transpose(0, 2, 1)

@@ -1,4 +1,4 @@
-"""Points in order along a space-filling curve."""
+"""Sorts points along a space-filling curve."""
 
 from __future__ import annotations
 
@@ -6,17 +6,22 @@ import numpy as np
 
 from splat.model.rows import Floats, Ints
 
+_BITS = 20  # per axis
+
 
 def z_curve_order(points: Floats) -> Ints:
-    """Order (N,) in which neighbours in space mostly follow each other (Morton 1966)."""
-    # A training gone wrong is refused elsewhere; here its points only need some place.
+    """Order (N,) of points (N, 3) along the Z-order curve, on which neighbours are mostly close (Morton 1966).
+
+    The result does not depend on the order in memory, except among identical points.
+    """
+    # A training that diverged is rejected elsewhere; its points only need some position here.
     points = np.nan_to_num(points)
     low = points.min(axis=0)
     extent = max(float((points.max(axis=0) - low).max()), 1e-30)
-    cell = ((points - low) / extent * (2**20 - 1)).astype(np.uint64)
+    cell = ((points - low) / extent * (2**_BITS - 1)).astype(np.uint64)
     key = np.zeros(len(points), dtype=np.uint64)
-    for bit in range(20):
+    for bit in range(_BITS):
         for axis in range(3):
             key |= ((cell[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
-    # Equal keys in the order of the coordinates, so that the order in memory does not matter.
+    # Equal keys are sorted by coordinates.
     return np.lexsort((points[:, 2], points[:, 1], points[:, 0], key))

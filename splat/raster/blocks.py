@@ -1,23 +1,29 @@
-"""Lanes that own blocks of pixels, and the splats they read."""
+"""Lanes that own blocks of pixels, and the splats that they read."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import drjit as dr
 
 from splat.base.arrays import Arrays
-from splat.raster.binning import LANES_ACROSS, Bins
-from splat.raster.blending import MINIMUM_TRANSMITTANCE
+from splat.raster.binning import Bins
 from splat.raster.projection import Splats
+from splat.raster.records import RecordLayout, Records
+from splat.raster.tiles import LANES_ACROSS
 
-# A pixel's radiance and opacity lie side by side, so that they come with one load.
+# A block stops once every pixel transmits less: what lies behind changes them by at most this share of its
+# radiance.
+MINIMUM_TRANSMITTANCE = 1e-4
+# A pixel of the image buffer. Nothing is spare.
+PIXEL = RecordLayout((4,), red=1, green=1, blue=1, opacity=1)
 CHANNELS = 4
+# A splat as the tiles read it: centre, log2 of its alpha at (dx, dy) from there as the polynomial
+# xx dx^2 + xy dx dy + yy dy^2 + constant, and radiance. One float is spare.
+_BLENDED = RecordLayout((8, 2), x=1, y=1, xx=1, xy=1, yy=1, constant=1, red=1, green=1, blue=1)
 _LOG2_E = 1.4426950408889634
-# The numbers of a splat lie side by side, eight and two, and come with two packet loads; loads of single
-# floats from places that differ by lane are several times slower.
-_PACKED = (8, 2)
 # Floats of an image that a lane reads or writes at once: two pixels.
 _CHUNK = 2 * CHANNELS
 # Minimax polynomial of 2^f on -0.5..0.5, relative error 7.5e-8.
@@ -28,40 +34,65 @@ _ROUNDING = 12582912.0  # 1.5 * 2^23: adding it rounds a float to an integer in 
 class Blocks:
     """The lanes: one per block of pixels, the 16 blocks of a tile side by side.
 
+    Args:
+        arrays: the backend's array types.
+        bins: the tiles and their lists.
+
     Attributes:
-        side, pixels: of a block.
+        side: of a block in pixels.
+        pixels: in a block.
+        x, y: each lane's first pixel.
+        centre_x, centre_y: that pixel's centre.
+        first, last: range of each lane in the lists; `last` is exclusive.
     """
 
     def __init__(self, arrays: Arrays, bins: Bins):
         Float, UInt = arrays.plain.Float, arrays.plain.UInt
         self._arrays = arrays
-        self.side = bins.tile // LANES_ACROSS
+        self.side = bins.grid.side // LANES_ACROSS
         self.pixels = self.side**2
         lane = dr.arange(UInt, dr.width(bins.tiles) * LANES_ACROSS**2)
         tile = dr.gather(UInt, bins.tiles, lane // LANES_ACROSS**2)
         block = lane % LANES_ACROSS**2
-        columns = arrays.number(bins.columns)
+        columns = arrays.number(bins.grid.columns)
         row = tile // columns
-        self.x = (tile - row * columns) * bins.tile + block % LANES_ACROSS * self.side
-        self.y = row * bins.tile + block // LANES_ACROSS * self.side
+        self.x = (tile - row * columns) * bins.grid.side + block % LANES_ACROSS * self.side
+        self.y = row * bins.grid.side + block // LANES_ACROSS * self.side
         self.centre_x, self.centre_y = Float(self.x) + 0.5, Float(self.y) + 0.5
         self.first = dr.gather(UInt, bins.start, tile)
         self.last = dr.gather(UInt, bins.end, tile)
 
-    def goes_on(self, i: Any, transmittance: Sequence[Any]) -> Any:
-        """Whether any pixel of the block still lets light through, and splats are left."""
+    def is_active(self, i: Any, transmittance: Sequence[Any]) -> Any:
+        """Whether splats are left and any pixel of the block still transmits light."""
         most = transmittance[0]
         for value in transmittance[1:]:
             most = dr.maximum(most, value)
         return (i < self.last) & (most > MINIMUM_TRANSMITTANCE)
 
-    def offset(self, pixel: int, splat: Sequence[Any]) -> tuple[Any, Any]:
-        """From the splat's centre to the centre of the block's pixel."""
-        dx = self.centre_x + float(pixel % self.side) - splat[0]
-        return dx, self.centre_y + float(pixel // self.side) - splat[1]
+    def offset(self, pixel: int, splat: SimpleNamespace) -> tuple[Any, Any]:
+        """Vector from a splat's centre to the centre of one of the block's pixels."""
+        dx = self.centre_x + float(pixel % self.side) - splat.x
+        return dx, self.centre_y + float(pixel // self.side) - splat.y
+
+    def log2_alphas(self, splat: SimpleNamespace) -> list[Any]:
+        """log2 of a splat's alpha, not yet clamped, at each pixel of the block, row by row."""
+        across = [self.offset(column, splat)[0] for column in range(self.side)]
+        across_xx = [splat.xx * dx for dx in across]
+        powers = []
+        for row in range(self.side):
+            # What the pixels of a row have in common.
+            dy = self.offset(row * self.side, splat)[1]
+            base = dr.fma(splat.yy * dy, dy, splat.constant)
+            slope = splat.xy * dy
+            powers += [dr.fma(across[c], across_xx[c] + slope, base) for c in range(self.side)]
+        return powers
 
     def chunks(self, width: int) -> list[tuple[Any, int]]:
-        """Where the block's pixels lie in an image, by twos: in units of two, and the number of the first."""
+        """The block's pixels by twos: position in an image in units of two pixels, and number of the first.
+
+        Args:
+            width: of the image in pixels.
+        """
         columns = self._arrays.number(width)
         return [
             (((self.y + pixel // self.side) * columns + self.x + pixel % self.side) // 2, pixel)
@@ -69,7 +100,7 @@ class Blocks:
         ]
 
     def loaded(self, image: Any, width: int) -> list[Any]:
-        """Three channels of the block's pixels, pixel by pixel, from an image."""
+        """Red, green, blue of each pixel of the block, from a flat image of that width in pixels."""
         values: list[Any] = []
         for target, _ in self.chunks(width):
             shape = (_CHUNK, dr.width(target))
@@ -78,64 +109,30 @@ class Blocks:
         return values
 
 
-def pack(arrays: Arrays, splats: Splats, bins: Bins) -> tuple[Any, Any]:
-    """The splats' numbers in the order in which the tiles read them."""
-    Float, UInt, ArrayXf = arrays.plain.Float, arrays.plain.UInt, arrays.plain.ArrayXf
-    # Powers of two cost less than powers of e, and the opacity joins the exponent as its logarithm.
-    rows = [
-        splats.x,
-        splats.y,
-        splats.xx * (-0.5 * _LOG2_E),
-        splats.xy * -_LOG2_E,
-        splats.yy * (-0.5 * _LOG2_E),
-        dr.log2(dr.maximum(splats.opacity, 1e-12)),
-        splats.red,
-        splats.green,
-        splats.blue,
-        Float(0),
-    ]
-    count = dr.width(splats.x)
-    parts = rows[: _PACKED[0]], rows[_PACKED[0] :]
-    tables = [dr.empty(Float, size * count) for size in _PACKED]
-    for table, part in zip(tables, parts, strict=True):
-        dr.scatter(table, ArrayXf(part), dr.arange(UInt, count), mode=dr.ReduceMode.Permute)
-    dr.eval(tables)
-    packed = [dr.empty(Float, size * bins.pairs) for size in _PACKED]
-    pair = dr.arange(UInt, bins.pairs)
-    splat = dr.gather(UInt, bins.splat, pair)
-    for size, table, target in zip(_PACKED, tables, packed, strict=True):
-        values = dr.gather(ArrayXf, table, splat, shape=(size, bins.pairs))
-        dr.scatter(target, values, pair, mode=dr.ReduceMode.Permute)
-    dr.eval(packed)
-    return packed[0], packed[1]
-
-
-def fetch(arrays: Arrays, packed: tuple[Any, Any], i: Any) -> list[Any]:
-    """x, y, three coefficients of the exponent, log2 of the opacity, red, green, blue of pair i."""
-    eight, two = (
-        dr.gather(arrays.plain.ArrayXf, table, i, shape=(size, dr.width(i)))
-        for size, table in zip(_PACKED, packed, strict=True)
+def blended_records(arrays: Arrays, splats: Splats, bins: Bins) -> Records:
+    """The splats' numbers, one record per pair, in the order in which the tiles read them."""
+    UInt = arrays.plain.UInt
+    records = _BLENDED.pack(
+        arrays,
+        x=splats.x,
+        y=splats.y,
+        # Powers of two cost less than powers of e, and the opacity joins the exponent as its logarithm.
+        xx=splats.xx * (-0.5 * _LOG2_E),
+        xy=splats.xy * -_LOG2_E,
+        yy=splats.yy * (-0.5 * _LOG2_E),
+        constant=dr.log2(dr.maximum(splats.opacity, 1e-12)),
+        red=splats.red,
+        green=splats.green,
+        blue=splats.blue,
     )
-    return [*(eight[k] for k in range(_PACKED[0])), two[0]]
-
-
-def powers(block: Blocks, splat: Sequence[Any]) -> list[tuple[int, Any]]:
-    """For each pixel of the block, log2 of opacity times Gaussian; the row's share is computed once."""
-    across = [block.offset(column, splat)[0] for column in range(block.side)]
-    across_xx = [splat[2] * dx for dx in across]
-    powers = []
-    for row in range(block.side):
-        dy = block.offset(row * block.side, splat)[1]
-        base = dr.fma(splat[4] * dy, dy, splat[5])
-        slope = splat[3] * dy
-        for column in range(block.side):
-            power = dr.fma(across[column], across_xx[column] + slope, base)
-            powers.append((row * block.side + column, power))
-    return powers
+    dr.eval(records.tables)
+    per_pair = records.gathered(dr.gather(UInt, bins.splat, dr.arange(UInt, bins.pairs)))
+    dr.eval(per_pair.tables)
+    return per_pair
 
 
 def exp2(arrays: Arrays, power: Any) -> Any:
-    """2^power for power <= 0; below 2^-16, far under the smallest alpha, it is cut off there."""
+    """2^power for power <= 0; 2^-16, far under the smallest alpha, for any power below -16."""
     Float, Int = arrays.plain.Float, arrays.plain.Int
     clamped = dr.maximum(power, -16.0)
     shifted = clamped + _ROUNDING

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import drjit as dr
@@ -9,13 +10,68 @@ import numpy as np
 import torch
 
 from compose.camera.camera import Camera
-from splat.base.arrays import Arrays
+from splat.base.arrays import Arrays, BackendName
 from splat.model.gaussians import Gaussians
 from splat.raster.binning import bin_splats
-from splat.raster.blending import padded_size, rasterize
+from splat.raster.blending import rasterize
 from splat.raster.blocks import CHANNELS
 from splat.raster.gradient import rasterize_backward
 from splat.raster.projection import PIXEL_FILTER, Parameters, project
+from splat.raster.tiles import TileGrid
+
+
+def render(gaussians: Gaussians, camera: Camera, low_pass: float = PIXEL_FILTER) -> torch.Tensor:
+    """Renders Gaussians; torch can differentiate the image with respect to their tensors.
+
+    The kernels run on the CPU (Dr.Jit's LLVM backend) or on the GPU (its CUDA backend), wherever the tensors
+    are. This fits the colours of three Gaussians to a grey image:
+
+        >>> import numpy as np, torch, splat
+        >>> gaussians = splat.Gaussians(
+        ...     means=torch.tensor([[-0.5, 0.0, 0.5], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]),  # (3, N)
+        ...     log_scales=torch.full((3, 3), -1.0),
+        ...     rotations=torch.tensor([[1.0], [0.0], [0.0], [0.0]]).repeat(1, 3),  # (w, x, y, z)
+        ...     opacity_logits=torch.zeros(3),
+        ...     sh=torch.zeros(1, 3, 3, requires_grad=True),
+        ... )
+        >>> pose = splat.look_at(np.array([0.0, 0.0, -3.0]), np.zeros(3), np.array([0.0, -1.0, 0.0]))
+        >>> camera = splat.Camera(np.linalg.inv(pose), 64, 48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
+        >>> optimizer = torch.optim.Adam([gaussians.sh], lr=0.1)
+        >>> losses = []
+        >>> for _ in range(20):
+        ...     optimizer.zero_grad()
+        ...     loss = ((splat.render(gaussians, camera) - 0.3) ** 2).mean()
+        ...     loss.backward()
+        ...     optimizer.step()
+        ...     losses.append(loss.item())
+        >>> losses[-1] < losses[0]
+        True
+
+    Args:
+        gaussians: N Gaussians, all tensors on one device.
+        camera: the view.
+        low_pass: variance in px^2 of the filter that each Gaussian gets on the screen.
+
+    Returns:
+        (H, W, 3) float32 linear radiance, rows from the top.
+
+    Raises:
+        ValueError: the tensors are on several devices, or on one that is neither CPU nor CUDA.
+    """
+    devices = {tensor.device for _, tensor in gaussians.tensors()}
+    if len(devices) > 1:
+        raise ValueError(f"Gaussians on {', '.join(sorted(map(str, devices)))}: must be on one device")
+    kind = devices.pop().type
+    if kind not in ("cpu", "cuda"):
+        raise ValueError(f"Gaussians on {kind}: must be on cpu or cuda")
+    return render_differentiable(_arrays("llvm" if kind == "cpu" else "cuda"), gaussians, camera, low_pass)
+
+
+def render_differentiable(
+    arrays: Arrays, gaussians: Gaussians, camera: Camera, low_pass: float = PIXEL_FILTER
+) -> torch.Tensor:
+    """Like `render`, with the given backend's array types."""
+    return _Render.apply(arrays, camera, low_pass, *(tensor for _, tensor in gaussians.tensors()))
 
 
 def parameters_from(arrays: Arrays, gaussians: Gaussians) -> Parameters:
@@ -30,8 +86,13 @@ def parameters_from(arrays: Arrays, gaussians: Gaussians) -> Parameters:
     )
 
 
+@lru_cache
+def _arrays(backend: BackendName) -> Arrays:
+    return Arrays(backend)
+
+
 class _Render(torch.autograd.Function):
-    """The bridge: torch holds parameters and the loss, Dr.Jit computes image and gradients."""
+    """The bridge: torch holds parameters and loss, Dr.Jit computes image and gradients."""
 
     @staticmethod
     def forward(  # type: ignore[override]
@@ -43,20 +104,20 @@ class _Render(torch.autograd.Function):
         projected = project(parameters, camera, low_pass)
         splats = projected.detached()
         dr.eval(splats.__dict__, projected.differentiable())
-        bins = bin_splats(arrays, splats, camera.width, camera.height)
+        bins = bin_splats(arrays, splats, TileGrid(camera.width, camera.height))
         image = rasterize(arrays, splats, bins)
         ctx.state = (arrays, leaves, projected, splats, bins, image, [t.shape for t in tensors])
-        width, height = padded_size(bins)
-        buffer = arrays.to_torch(image, tensors[0].device).reshape(height, width, CHANNELS)
+        shape = bins.grid.padded_height, bins.grid.padded_width, CHANNELS
+        buffer = arrays.to_torch(image, tensors[0].device).reshape(shape)
         # A copy: the backward pass still needs the buffer as it is.
         return buffer[: camera.height, : camera.width, :3].clone()
 
     @staticmethod
     def backward(ctx: Any, gradient: torch.Tensor) -> tuple[Any, ...]:  # type: ignore[override]
         arrays, leaves, projected, splats, bins, image, shapes = ctx.state
-        width, height = padded_size(bins)
-        padded = torch.zeros(height, width, CHANNELS, device=gradient.device)
-        padded[: bins.height, : bins.width, :3] = gradient
+        grid = bins.grid
+        padded = torch.zeros(grid.padded_height, grid.padded_width, CHANNELS, device=gradient.device)
+        padded[: grid.height, : grid.width, :3] = gradient
         flow = dr.detach(arrays.from_torch(padded), preserve_type=False)
         gradients = rasterize_backward(arrays, splats, bins, image, flow)
         for value, by_value in zip(projected.differentiable(), gradients, strict=True):
@@ -72,10 +133,3 @@ class _Render(torch.autograd.Function):
             results.append(torch.stack(rows[first : first + count]).reshape(shape))
             first += count
         return (None, None, None, *results)
-
-
-def render_differentiable(
-    arrays: Arrays, gaussians: Gaussians, camera: Camera, low_pass: float = PIXEL_FILTER
-) -> torch.Tensor:
-    """(H, W, 3) linear radiance that torch can differentiate with respect to the Gaussians' tensors."""
-    return _Render.apply(arrays, camera, low_pass, *(tensor for _, tensor in gaussians.tensors()))

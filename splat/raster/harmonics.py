@@ -1,4 +1,4 @@
-"""Spherical harmonics to radiance, in kernels."""
+"""Spherical harmonics to linear radiance, for kernels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,12 @@ from splat.model.gaussians import SH_CUBIC, SH_DC, SH_LINEAR, SH_QUADRATIC
 
 
 def perceptual_radiance(sh: list[list[Any]], direction: list[Any]) -> list[Any]:
-    """Perceptual radiance of the three channels towards a unit direction (N,) x 3."""
+    """Perceptual radiance of the three channels, each (N,).
+
+    Args:
+        sh: for each spherical harmonic its three channels, each (N,).
+        direction: x, y, z of the unit vector from the camera to the Gaussian, each (N,).
+    """
     basis = _sh_basis(len(sh), direction)
     return [
         0.5 + sum(coefficient[c] * value for coefficient, value in zip(sh, basis, strict=True))
@@ -19,6 +24,7 @@ def perceptual_radiance(sh: list[list[Any]], direction: list[Any]) -> list[Any]:
 
 
 def _sh_basis(count: int, direction: list[Any]) -> list[Any]:
+    """The first `count` real spherical harmonics, with the signs of 3D Gaussian splatting's files."""
     x, y, z = direction
     basis: list[Any] = [SH_DC]
     if count > 1:
@@ -41,7 +47,7 @@ def _sh_basis(count: int, direction: list[Any]) -> list[Any]:
 
 
 def radiance_from_perceptual(perceptual: Any) -> Any:
-    """Inverse of the sRGB curve, continued above 1; nothing is darker than black."""
+    """Inverse of the sRGB curve, continued above 1 by the same power; negative values give 0."""
     value = dr.maximum(perceptual, 0)
     bright = dr.exp2(2.4 * dr.log2((dr.maximum(value, 0.04045) + 0.055) * (1 / 1.055)))
     return dr.select(value <= 0.04045, value * (1 / 12.92), bright)

@@ -1,7 +1,7 @@
-"""EWA projection of 3D Gaussians and their colour from a view, differentiated by Dr.Jit.
+"""EWA projection of 3D Gaussians and their colour as seen from a camera, differentiated by Dr.Jit.
 
-Zwicker et al., EWA Splatting (2002); the low-pass with its compensation is that of Mip-Splatting
-(Yu et al. 2024). The exponent and the determinants follow 3D Gaussian splatting (Kerbl et al. 2023).
+Zwicker et al., EWA Splatting (2002). The low-pass filter and its compensation are those of Mip-Splatting
+(Yu et al. 2024), the exponent and the determinants those of 3D Gaussian splatting (Kerbl et al. 2023).
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from splat.raster.harmonics import perceptual_radiance, radiance_from_perceptual
 
 # Variance of the pixel filter in px^2 at the pixel grid (Mip-Splatting's screen-space filter).
 PIXEL_FILTER = 0.1
-# A Gaussian seen edge-on has no area before the filter; without a floor its gradient divides by zero.
+# A Gaussian seen edge-on has no area before it is filtered; without a floor its gradient divides by zero.
 _COMPENSATION_FLOOR = 2.5e-5
-# The affine approximation of the projection is taken no further out than this multiple of the half
-# field of view: beyond it, Gaussians at the side of the camera would smear over the whole frame.
+# The projection is linearized no further out than at this multiple of the half field of view: beyond it,
+# Gaussians beside the camera would smear over the whole frame.
 _TANGENT_LIMIT = 1.3
-# What lies nearer to the eye is not drawn.
+# Gaussians nearer to the camera are not drawn.
 NEAR = 0.01
 
 
@@ -34,9 +34,9 @@ class Splats:
     Attributes:
         x, y: centre in pixels.
         xx, xy, yy: inverse of the 2D covariance, in 1/px^2.
-        opacity: in 0..1, 0 for a Gaussian that is not seen.
+        opacity: in 0..1, 0 for a Gaussian behind the near plane.
         red, green, blue: linear radiance.
-        depth: along the view axis; only the order matters.
+        depth: along the view axis; only its order matters.
     """
 
     x: Any
@@ -51,7 +51,7 @@ class Splats:
     depth: Any
 
     def differentiable(self) -> list[Any]:
-        """All but the depth: what the rasterizer has gradients for, in the order of declaration."""
+        """All parameters that the rasterizer has gradients for, in the order of declaration."""
         return [self.x, self.y, self.xx, self.xy, self.yy, self.opacity, self.red, self.green, self.blue]
 
     def detached(self) -> Splats:
@@ -61,13 +61,13 @@ class Splats:
 
 @dataclass
 class Footprints:
-    """N Gaussians on the film, not filtered yet, Dr.Jit floats of width N.
+    """N projected Gaussians before the low-pass filter, Dr.Jit floats of width N.
 
     Attributes:
         x, y: centre in pixels.
         xx, xy, yy: 2D covariance in px^2.
-        determinant: of that covariance, in px^4, with less cancellation than its entries allow.
-        opacity: in 0..1, 0 for a Gaussian that is not seen.
+        determinant: of that covariance, in px^4, more accurate than from its entries.
+        opacity: in 0..1, 0 for a Gaussian behind the near plane.
         red, green, blue: linear radiance.
         depth: along the view axis.
     """
@@ -87,7 +87,15 @@ class Footprints:
 
 @dataclass
 class Parameters:
-    """The Gaussians' parameters as Dr.Jit floats: lists of rows, each of width N."""
+    """The parameters of N Gaussians as Dr.Jit floats of width N.
+
+    Attributes:
+        means: three rows, world space.
+        log_scales: three rows, natural logarithms of the standard deviations.
+        rotations: four rows, quaternions (w, x, y, z).
+        opacity_logits: one row.
+        sh: for each spherical harmonic its three channels.
+    """
 
     means: list[Any]
     log_scales: list[Any]
@@ -110,15 +118,15 @@ def project(parameters: Parameters, camera: Camera, low_pass: Any) -> Splats:
     """Projects Gaussians onto a camera's film and filters them.
 
     Args:
-        parameters: the Gaussians; what comes out has derivatives if they have.
+        parameters: the Gaussians; if Dr.Jit differentiates them, it differentiates the splats.
         camera: the view.
-        low_pass: variance in px^2 that is added to each 2D covariance; a float or an array of N.
+        low_pass: variance in px^2 that is added to each 2D covariance; a float or an array (N,).
     """
     return filtered(footprints(parameters, camera), low_pass)
 
 
 def filtered(raw: Footprints, low_pass: Any) -> Splats:
-    """The footprints, blurred by a Gaussian of that variance in px^2, each with the light that it had."""
+    """The footprints blurred by a Gaussian of that variance in px^2; each keeps its total light."""
     variance = dr.opaque(type(raw.opacity), low_pass) if isinstance(low_pass, float) else low_pass
     xx, yy = raw.xx + variance, raw.yy + variance
     determinant = raw.determinant + variance * (raw.xx + raw.yy + variance)
@@ -139,7 +147,7 @@ def filtered(raw: Footprints, low_pass: Any) -> Splats:
 
 
 def footprints(parameters: Parameters, camera: Camera) -> Footprints:
-    """Projects Gaussians onto a camera's film."""
+    """Projects Gaussians onto a camera's film, without a filter."""
     number = type(parameters.opacity_logits)
     world, (fx, fy, cx, cy), (limit_x, limit_y) = _opaque(number, camera)
     eye = [dr.opaque(number, float(value)) for value in camera.position]
@@ -160,7 +168,24 @@ def footprints(parameters: Parameters, camera: Camera) -> Footprints:
     row_x = [jx * (world[i] - cut_x * world[8 + i]) for i in range(3)]
     row_y = [jy * (world[4 + i] - cut_y * world[8 + i]) for i in range(3)]
 
-    # Columns of M = J W R S; the 2D covariance is M M^T.
+    covariance = _covariance(parameters, row_x, row_y)
+    opacity = dr.select(seen, dr.rcp(1 + dr.exp(-parameters.opacity_logits)), 0)
+
+    direction = _normalized([mx - eye[0], my - eye[1], mz - eye[2]])
+    red, green, blue = (
+        radiance_from_perceptual(value) for value in perceptual_radiance(parameters.sh, direction)
+    )
+    return Footprints(x, y, *covariance, opacity, red, green, blue, dr.detach(vz))
+
+
+def _covariance(parameters: Parameters, row_x: list[Any], row_y: list[Any]) -> tuple[Any, Any, Any, Any]:
+    """2D covariance xx, xy, yy in px^2, and its determinant.
+
+    Args:
+        parameters: the Gaussians.
+        row_x, row_y: the rows of J W.
+    """
+    # Rows of M = J W R S; the 2D covariance is M M^T.
     rotation = _rotation_matrix(parameters.rotations)
     scales = [dr.exp(s) for s in parameters.log_scales]
     mx_row = [sum(row_x[i] * rotation[i][j] for i in range(3)) * scales[j] for j in range(3)]
@@ -172,19 +197,18 @@ def footprints(parameters: Parameters, camera: Camera) -> Footprints:
     determinant = sum(
         dr.square(mx_row[i] * my_row[j] - mx_row[j] * my_row[i]) for i, j in ((0, 1), (0, 2), (1, 2))
     )
-    opacity = dr.select(seen, dr.rcp(1 + dr.exp(-parameters.opacity_logits)), 0)
-
-    direction = _normalized([mx - eye[0], my - eye[1], mz - eye[2]])
-    red, green, blue = (
-        radiance_from_perceptual(value) for value in perceptual_radiance(parameters.sh, direction)
-    )
-    return Footprints(x, y, xx, xy, yy, determinant, opacity, red, green, blue, dr.detach(vz))
+    return xx, xy, yy, determinant
 
 
 def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any, Any, Any, Any]:
-    """Where centres lie on the film: whether in front, x, y in pixels, and pixels per unit of length.
+    """Positions of centres on the film: whether in front, x, y in pixels, and pixels per unit of length.
 
-    The last is an upper bound over all directions, as `project` takes them.
+    The last is an upper bound over all directions for the linearized projection of `footprints`.
+
+    Args:
+        arrays: the backend's array types.
+        means: three rows, world space.
+        camera: the view.
     """
     world, (fx, fy, cx, cy), (limit_x, limit_y) = _opaque(arrays.plain.Float, camera)
     vx, vy, vz = (sum((world[4 * i + j] * means[j] for j in range(3)), world[4 * i + 3]) for i in range(3))
@@ -199,7 +223,7 @@ def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any
 def _opaque(number: type, camera: Camera) -> tuple[list[Any], list[Any], list[Any]]:
     """World-to-camera (12, row by row), fx, fy, cx, cy, and the limits of the tangents.
 
-    Opaque, so that a kernel reads them and serves any camera: as literals they would be compiled into it.
+    Opaque, so that one kernel serves every camera: literals would be compiled into it.
     """
     half = np.array(
         [
@@ -213,7 +237,7 @@ def _opaque(number: type, camera: Camera) -> tuple[list[Any], list[Any], list[An
 
 
 def _normalized(vector: list[Any]) -> list[Any]:
-    # A quaternion of zeros, or a Gaussian in the eye itself, has no direction: it must not become NaN.
+    # A zero quaternion, or a Gaussian at the camera itself, has no direction but must not become NaN.
     inverse = dr.rsqrt(dr.maximum(sum(v * v for v in vector), 1e-20))
     return [v * inverse for v in vector]
 

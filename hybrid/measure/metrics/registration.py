@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from compose.image.colour import Image, srgb_from_radiance
+from compose.image.colour import Image, luminance, srgb_from_radiance
 
 # Windows in which the shift between two pictures is measured, and how finely.
 _WINDOW = 64
@@ -24,7 +23,7 @@ def registration_px(image: Image, reference: Image) -> float | None:
     """
     from skimage.registration import phase_cross_correlation
 
-    first, second = _luminance(image), _luminance(reference)
+    first, second = (luminance(srgb_from_radiance(each)) for each in (image, reference))
     taper = np.outer(np.hanning(_WINDOW), np.hanning(_WINDOW))
     shifts = []
     for top in range(0, first.shape[0] - _WINDOW + 1, _WINDOW // 2):
@@ -41,7 +40,3 @@ def registration_px(image: Image, reference: Image) -> float | None:
             )
             shifts.append(float(np.hypot(*shift)))
     return float(np.median(shifts)) if shifts else None
-
-
-def _luminance(image: Image) -> NDArray[np.float32]:
-    return srgb_from_radiance(image) @ np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)

@@ -144,7 +144,7 @@ def test_bench_still_gets_better_while_nothing_moves(made, monkeypatch, tmp_path
     assert 0 <= found["most_fall"] < 3
     assert found["reference_psnr"] > frames[0]["psnr"]
     assert run(monkeypatch, *common, "--gaze", 1.5, 0.5) == 2
-    assert "--gaze 1.5 0.5: lies outside of the frame" in capsys.readouterr().err
+    assert "gaze 1.5 0.5: lies outside the frame" in capsys.readouterr().err
 
 
 def bench_of_fovea(name: str, made, monkeypatch, out, *options: object) -> list[dict]:
@@ -315,7 +315,7 @@ def test_quickstart_writes_everything(scene, textured, monkeypatch, tmp_path):
     import hybrid.measure.metrics.registration
     import hybrid.quickstart.quickstart
     import hybrid.training.quick
-    from pathtrace.dataset.capture import CaptureSettings
+    from pathtrace.dataset.settings import CaptureSettings
     from splat.training.trainer import TrainingSettings
 
     monkeypatch.setattr(
@@ -402,7 +402,7 @@ MISTAKES = {
     "an imported forest without a name": (["import", "{tmp}/good.ply", "."], ".: names a folder"),
     "a PLY of x Gaussians": (["import", "{tmp}/x.ply", "{tmp}/f"], "x.ply: element vertex x"),
     "a file that is no PLY": (["import", "{tmp}/cut", "{tmp}/f"], "cut"),
-    "an unknown backend": (["doctor", "--backend", "metal"], "--backend metal"),
+    "an unknown backend": (["doctor", "--backend", "metal"], "backend metal"),
     "a layer that is not there": (
         ["export", "{made}/box.forest", "{tmp}/a.ply", "--layer", "3"],
         "--layer 3",
@@ -415,10 +415,10 @@ MISTAKES = {
     "more layers than pixels": (["train", "{made}/frames", "{tmp}/f", "--layers", "4"], "allow 2"),
     "an unknown law": (
         ["render", "cornell", "--acuity-model", "blur", "-o", "{tmp}/a.png"],
-        "--acuity-model blur",
+        "acuity model blur",
     ),
     "an unknown fovea": (["render", "cornell", "--fovea", "sharp", "-o", "{tmp}/a.png"], "--fovea sharp"),
-    "an unknown display": (["bench", "periphery", "cornell", "--display", "wall"], "--display wall"),
+    "an unknown display": (["bench", "periphery", "cornell", "--display", "wall"], "display wall"),
     "a damaged camera": (
         ["render", "cornell", "--camera", "{tmp}/bad.xml", "-o", "{tmp}/a.png"],
         "--camera",

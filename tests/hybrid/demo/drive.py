@@ -25,7 +25,7 @@ from hybrid.interactive.gaze_input import GazeInput
 from hybrid.interactive.prepare import prepared
 from hybrid.interactive.request import Settings, Shows
 from hybrid.store import cache
-from pathtrace.dataset.capture import CaptureSettings
+from pathtrace.dataset.settings import CaptureSettings
 from splat.io.forest_file import load_forest
 from splat.training.trainer import TrainingSettings
 

@@ -19,7 +19,8 @@ from hybrid.frame.fusion import fusion_of
 from hybrid.frame.periphery import Viewing
 from hybrid.frame.renderer import HybridRenderer
 from hybrid.training.fusion import with_fusion
-from pathtrace.dataset.capture import CaptureSettings, capture
+from pathtrace.dataset.capture import capture
+from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer

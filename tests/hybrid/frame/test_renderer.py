@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from hybrid.baselines.methods import Hybrid
+from splat.lod.pictures import ForestRenderer
 
 from compose.base.errors import UserError
 from compose.camera.serialization import camera_from_json, camera_to_json
 from compose.eye.gaze import Gaze
 from compose.fovea.region import Foveation
 from compose.image.colour import srgb_from_radiance
-from hybrid.baselines.methods import Hybrid
 from hybrid.frame.aovs import frame_layers
 from hybrid.frame.periphery import Viewing
 from hybrid.frame.renderer import HybridRenderer
@@ -19,11 +20,10 @@ from hybrid.measure.metrics.psnr import psnr
 from hybrid.measure.metrics.registration import registration_px
 from hybrid.measure.metrics.ssim import ssim
 from hybrid.output.images import read_layers, write_layers
-from pathtrace.dataset.capture import render_frame
+from pathtrace.dataset.rendering import render_frame
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer
-from splat.lod.pictures import ForestRenderer
 from splat.model.building import build_forest
 from splat.model.forest import Forest, static_layer
 from splat.model.forest import forest_of as forest_from

@@ -113,7 +113,7 @@ def test_pictures_that_cannot_be_compared_are_named(scene):
 
 
 def test_regions_that_are_empty_or_unseen_are_named(scene):
-    with pytest.raises(UserError, match=r"--gaze 1.2 0.5: lies outside of the frame"):
+    with pytest.raises(UserError, match=r"gaze 1.2 0.5: lies outside the frame"):
         regions(Foveation(Gaze(1.2, 0.5)), scene)
     with pytest.raises(UserError, match="the foveal region of this frame is empty"):
         regions(Foveation(GAZE, 0.0, 0.0), scene)

@@ -10,7 +10,8 @@ import torch
 
 from compose.base.errors import UserError
 from hybrid.training.forest import checkpoint_path, held_out_quality, train_forest
-from pathtrace.dataset.capture import CaptureSettings, capture
+from pathtrace.dataset.capture import capture
+from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from splat.io.tensors import save_tensors

@@ -1,65 +1,84 @@
-"""Which LLVM is taken, and what is said where there is none."""
+"""Which backend is selected, and what is reported where none works."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import ctypes.util
 
+import drjit as dr
+import mitsuba as mi
 import pytest
 
-import compose.base.llvm as module
+import pathtrace.base.backend as module
 from compose.base.errors import UserError
-from compose.base.llvm import find_llvm, llvm_version
-from pathtrace.base.backend import select_backend
+from pathtrace.base.backend import CUDA_VARIANT, LLVM_VARIANT, select_backend
 
 
-def libraries(monkeypatch, tmp_path: Path, system: list[str], environment: list[str]) -> None:
-    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
-    for kind, names in (("_system_libraries", system), ("_environment_libraries", environment)):
-        paths = [tmp_path / kind / name for name in names]
-        for path in paths:
-            path.parent.mkdir(exist_ok=True)
-            path.touch()
-        monkeypatch.setattr(module, kind, lambda paths=paths: paths)
+@pytest.fixture
+def unselected(backend, monkeypatch):
+    """As in a new process on a machine without CUDA; the variant of the test run is restored afterwards."""
+    monkeypatch.setattr(module, "_selected", None)
+    monkeypatch.setattr(module, "_cuda_works", lambda: False)
+    yield monkeypatch
+    mi.set_variant(backend.variant)
 
 
-@pytest.mark.parametrize(
-    ("name", "version"),
-    [("libLLVM-15.so.1", 15), ("libLLVM.so.19.1", 19), ("libLLVM-23.so", 23), ("libLLVM.so", None)],
-)
-def test_the_version_is_in_the_name(name, version):
-    assert llvm_version(Path("/nowhere") / name) == version
-
-
-def test_a_good_system_library_comes_first(monkeypatch, tmp_path):
-    libraries(monkeypatch, tmp_path, ["libLLVM-15.so.1", "libLLVM.so.19.1"], ["libLLVM-23.so"])
-    assert find_llvm().version == 19
-
-
-def test_versions_that_abort_are_passed_over(monkeypatch, tmp_path):
-    libraries(monkeypatch, tmp_path, ["libLLVM-15.so.1", "libLLVM-16.so"], ["libLLVM-23.so"])
-    assert find_llvm().version == 23
-
-
-@pytest.mark.parametrize(("names", "seen"), [(["libLLVM-15.so.1"], "only LLVM 15"), ([], "no LLVM found")])
-def test_no_usable_library_says_what_to_install(monkeypatch, tmp_path, names, seen):
-    libraries(monkeypatch, tmp_path, names, [])
-    with pytest.raises(UserError, match=rf"{seen}.*pip install karellen-llvm-core"):
-        find_llvm()
-
-
-def test_an_explicit_path_must_be_good(monkeypatch, tmp_path):
-    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / "libLLVM-19.so"))
-    with pytest.raises(UserError, match="does not exist"):
-        find_llvm()
-    (tmp_path / "libLLVM-15.so").touch()
-    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / "libLLVM-15.so"))
-    with pytest.raises(UserError, match="is LLVM 15"):
-        find_llvm()
-
-
-def test_the_choice_of_backend_is_checked(backend):
-    with pytest.raises(UserError, match="must be auto, cuda or llvm"):
+def test_unknown_and_other_choices_are_refused(backend):
+    with pytest.raises(UserError, match=r"^backend metal: must be auto, cuda or llvm$"):
         select_backend("metal")
-    other = "cuda" if backend.variant.startswith("llvm") else "llvm"
-    with pytest.raises(UserError, match="already in use"):
+    other = "cuda" if backend.variant == LLVM_VARIANT else "llvm"
+    with pytest.raises(UserError, match=f"^backend {other}: {backend.variant} is already in use$"):
         select_backend(other)
+
+
+def test_the_first_choice_stays(backend):
+    same = "llvm" if backend.variant == LLVM_VARIANT else "cuda"
+    assert select_backend() is select_backend("auto") is select_backend(same) is backend
+    assert mi.variant() == backend.variant
+
+
+@pytest.mark.parametrize(("choice", "reason"), [("llvm", "as requested"), ("auto", "no CUDA device")])
+def test_llvm_is_used_without_cuda(unselected, choice, reason):
+    selected = select_backend(choice)
+    assert selected.variant == mi.variant() == LLVM_VARIANT
+    assert selected.llvm is module.LLVM
+    assert reason in selected.reason
+
+
+@pytest.mark.parametrize("choice", ["cuda", "auto"])
+def test_cuda_is_used_if_it_works(unselected, choice):
+    unselected.setattr(module, "_cuda_works", lambda: True)
+    selected = select_backend(choice)
+    assert (selected.variant, selected.llvm) == (CUDA_VARIANT, None)
+
+
+def test_llvm_can_be_chosen_although_cuda_works(unselected):
+    unselected.setattr(module, "_cuda_works", lambda: True)
+    assert select_backend("llvm").variant == LLVM_VARIANT
+
+
+def test_cuda_that_does_not_work_is_refused(unselected):
+    with pytest.raises(UserError, match=r"^backend cuda: no CUDA device"):
+        select_backend("cuda")
+    # A refused choice does not count as the first one.
+    assert select_backend("llvm").variant == LLVM_VARIANT
+
+
+def test_a_missing_llvm_is_reported_unless_cuda_works(unselected):
+    unselected.setattr(module, "LLVM", UserError("no LLVM found"))
+    unselected.setattr(ctypes.util, "find_library", lambda name: None)
+    for choice in ("llvm", "auto"):
+        with pytest.raises(UserError, match="no LLVM found"):
+            select_backend(choice)
+    unselected.setattr(ctypes.util, "find_library", lambda name: f"lib{name}.so")
+    with pytest.raises(UserError, match="no LLVM found"):
+        select_backend("auto")
+    unselected.setattr(module, "_cuda_works", lambda: True)
+    assert select_backend("auto").variant == CUDA_VARIANT
+
+
+def test_an_old_llvm_that_was_loaded_before_is_reported(unselected):
+    unselected.setattr(dr.detail, "llvm_version", lambda: (18, 1, 0))
+    with pytest.raises(UserError, match="loaded LLVM 18; import hybrid before drjit"):
+        select_backend("llvm")
+    unselected.setattr(dr.detail, "llvm_version", lambda: (19, 1, 0))
+    assert select_backend("llvm").variant == LLVM_VARIANT

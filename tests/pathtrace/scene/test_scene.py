@@ -1,16 +1,12 @@
-"""Scenes: what loads, what is refused and how."""
+"""Scenes: what loads, and what is refused."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
-import numpy as np
 import pytest
 
 from compose.base.errors import UserError
-from pathtrace.scene.bundled import bundled_scenes
-from pathtrace.scene.scene import DEFAULT_MAX_DEPTH, load_scene
+from pathtrace.scene.description import DEFAULT_MAX_DEPTH
+from pathtrace.scene.scene import load_scene
 from tests import small
 from tests.conftest import real_file
 
@@ -27,8 +23,7 @@ SENSOR = '<sensor type="perspective"><film type="hdrfilm"/></sensor>'
 EMITTER = '<emitter type="area"/>'
 
 
-def test_the_bundled_scenes_load():
-    assert {"cornell", "room"} <= set(bundled_scenes())
+def test_a_bundled_scene_loads():
     room = load_scene("room")
     assert 20_500 <= room.triangles <= 21_500
     assert len(room.mitsuba.emitters()) == 2
@@ -41,6 +36,24 @@ def test_an_unknown_integrator_does_not_matter(tmp_path):
     scene = load_scene(file)
     assert (scene.name, scene.max_depth) == ("mine", 5)
     assert load_scene(file, max_depth=3).max_depth == 3
+    assert scene.camera.width == 768
+
+
+def test_a_file_named_scene_is_called_by_its_folder(tmp_path):
+    (tmp_path / "attic").mkdir()
+    file = tmp_path / "attic" / "scene.xml"
+    file.write_text(MINIMAL.format(sensor=SENSOR, emitter=EMITTER))
+    assert load_scene(file).name == load_scene(tmp_path / "attic").name == "attic"
+
+
+def test_triangles_are_those_of_meshes(tmp_path):
+    """A cube has twelve, a sphere none."""
+    file = tmp_path / "mine.xml"
+    text = MINIMAL.format(sensor=SENSOR, emitter=EMITTER)
+    file.write_text(text)
+    assert load_scene(file).triangles == 0
+    file.write_text(text.replace("</scene>", "<shape type='cube'/></scene>"))
+    assert load_scene(file).triangles == 12
 
 
 def test_the_hash_follows_the_content(tmp_path):
@@ -75,7 +88,7 @@ def test_the_hash_follows_a_depth_that_is_not_the_scenes_own(tmp_path):
         ),
         ("<scene version='3.0.0'><shape type='nonsense'/></scene>", "Mitsuba refuses"),
         ("<scene version='3.0.0'><shape", "not well-formed"),
-        ("<shape version='3.0.0' type='sphere'/>", "whole scene"),
+        ("<shape version='3.0.0' type='sphere'/>", "complete scene"),
     ],
 )
 def test_a_bad_scene_is_refused_in_one_line(tmp_path, text, complaint):
@@ -93,7 +106,9 @@ def test_a_missing_scene_is_refused():
 
 
 def test_a_dictionary_is_a_scene():
-    assert load_scene(small.furnace()).camera.width == 32
+    scene = load_scene(small.furnace())
+    assert (scene.name, scene.max_depth, scene.camera.width) == ("dictionary", DEFAULT_MAX_DEPTH, 32)
+    assert len(scene.mitsuba.shapes()) == 1
 
 
 @pytest.mark.parametrize("name", ["staircase2", "veach-bidir"])
@@ -101,51 +116,3 @@ def test_scenes_in_the_wild_load(name):
     scene = load_scene(real_file(f"scenes/{name}/scene.xml"))
     assert scene.name == name
     assert scene.triangles > 10_000
-
-
-# Shapes with the same material, which Mitsuba merges, and lights among them.
-_MANY = """
-<scene version="3.0.0">
-  <sensor type="perspective"><float name="fov" value="60"/>
-    <transform name="to_world"><lookat origin="0, 0, -6" target="0, 0, 0" up="0, 1, 0"/></transform></sensor>
-  {shapes}
-</scene>
-"""
-_SHAPE = """<shape type="{kind}">{light}
-  <bsdf type="diffuse"><rgb name="reflectance" value="0.5, {green}, 0.5"/></bsdf>
-  <transform name="to_world"><scale value="0.3"/><translate x="{x}" y="{y}"/></transform></shape>"""
-_LIGHT = '<emitter type="area"><rgb name="radiance" value="{power}"/></emitter>'
-_TRACES = """
-import compose, hashlib, sys
-from hybrid.options import loaded_scene, select
-select("auto")
-from pathtrace.film import frame_positions, interleaved
-from pathtrace.tracer import Tracer
-scene = loaded_scene(sys.argv[1])
-camera = scene.camera.resized(24, 16)
-radiance = interleaved(Tracer(scene).trace(camera, frame_positions(camera), 2, 3).radiance)
-print(hashlib.sha256(radiance.tobytes()).hexdigest())
-"""
-
-
-def test_the_same_seed_gives_the_same_noise_in_another_process(tmp_path):
-    rng = np.random.default_rng(1)
-    shapes = [
-        _SHAPE.format(
-            kind=("rectangle", "cube")[number % 2],
-            light=_LIGHT.format(power=f"{1 + number}, 1, 1") if number % 3 == 0 else "",
-            green=("0.2", "0.7")[number % 4 // 2],
-            x=rng.uniform(-2, 2),
-            y=rng.uniform(-2, 2),
-        )
-        for number in range(40)
-    ]
-    file = tmp_path / "many.xml"
-    file.write_text(_MANY.format(shapes="".join(shapes)))
-    found = {
-        subprocess.run(
-            [sys.executable, "-c", _TRACES, file], capture_output=True, text=True, check=True
-        ).stdout
-        for _ in range(3)
-    }
-    assert len(found) == 1

@@ -6,7 +6,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from compose.fovea.samples import DIFFUSE, SPECULAR
+from compose.image.gloss import DIFFUSE, SPECULAR
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer

@@ -206,7 +206,7 @@ def test_the_losss_gradient_equals_finite_differences():
 
 def test_a_closed_sphere_has_radiance_one_after_training(arrays, backend):
     """The furnace of the path tracer's tests, learnt from its frames."""
-    from pathtrace.dataset.capture import render_frame
+    from pathtrace.dataset.rendering import render_frame
     from pathtrace.scene.scene import load_scene
     from pathtrace.trace.tracer import Tracer
     from tests import small

@@ -1,0 +1,111 @@
+"""Loads scenes, frame sets and forests, and makes them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pathtrace.base.backend import select_backend
+
+if TYPE_CHECKING:
+    from pathtrace.dataset.capture import CaptureSettings
+    from pathtrace.dataset.frames import FrameSet
+    from pathtrace.scene.scene import Scene
+    from splat.model.forest import Forest
+    from splat.training.trainer import TrainingSettings
+
+Progress = Callable[[int, int], None]
+
+
+def _ignore(done: int, total: int) -> None:
+    """Ignores progress."""
+
+
+def load_scene(
+    source: str | Path | dict[str, Any], *, max_depth: int | None = None, backend: str = "auto"
+) -> Scene:
+    """Loads a scene, and selects what everything runs on when called first.
+
+    Args:
+        source: name of a bundled scene, path of a Mitsuba 3 XML file, or scene dictionary.
+        max_depth: path depth; the scene's own if None.
+        backend: auto (CUDA if available), cuda or llvm; fixed by the first call of a process.
+
+    Raises:
+        UserError: the scene is missing, Mitsuba refuses it, it has no perspective camera or no light, or the
+            backend is not available.
+    """
+    select_backend(backend)
+    from pathtrace.scene.scene import load_scene as load
+
+    return load(source, max_depth)
+
+
+def capture(
+    scene: Scene,
+    folder: Path | str,
+    settings: CaptureSettings | None = None,
+    progress: Progress = _ignore,
+) -> FrameSet:
+    """Renders a frame set to train on; resumes if interrupted.
+
+    Args:
+        scene: what to render.
+        folder: of the frame set; created if it does not exist.
+        settings: what to capture; the defaults of CaptureSettings if None.
+        progress: called with samples done and samples in total.
+
+    Raises:
+        UserError: the folder holds another capture or cannot be written, or the scene leaves no room for
+            that many views.
+    """
+    from pathtrace.dataset.capture import CaptureSettings
+    from pathtrace.dataset.capture import capture as run
+
+    return run(scene, Path(folder), settings or CaptureSettings(), progress)
+
+
+def load_frames(folder: Path | str) -> FrameSet:
+    """Loads a captured frame set.
+
+    Raises:
+        UserError: the folder is not a frame set, or its capture is incomplete.
+    """
+    from pathtrace.dataset.frames import read_frame_set
+
+    return read_frame_set(Path(folder))
+
+
+def train(
+    frames: FrameSet,
+    path: Path | str,
+    settings: TrainingSettings | None = None,
+    progress: Progress = _ignore,
+) -> Forest:
+    """Trains a forest on a frame set and writes it; resumes if interrupted.
+
+    Args:
+        frames: to train on.
+        path: forest file to write.
+        settings: how to train; the defaults of TrainingSettings if None.
+        progress: called with steps done and steps in total.
+
+    Raises:
+        UserError: a frame is damaged, there are none to train on, or the file cannot be written.
+    """
+    select_backend()
+    from hybrid.training.forest import train as run
+
+    return run(frames, Path(path), settings, progress)
+
+
+def load_forest(path: Path | str) -> Forest:
+    """Loads a forest file.
+
+    Raises:
+        UserError: the file is missing, damaged, or of another version.
+    """
+    from splat.io.forest_file import load_forest as load
+
+    return load(Path(path))

@@ -1,0 +1,68 @@
+"""`hybrid capture`: renders training frames."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hybrid.cli.options import (
+    FRAME,
+    MEASUREMENT,
+    Backend,
+    FixedSize,
+    FramesFolder,
+    Json,
+    MaxDepth,
+    SceneName,
+    Seed,
+    loaded_scene,
+    select,
+    user_errors,
+    write_json,
+)
+from hybrid.runtime.progress import progress_bar
+
+
+def capture(
+    scene: SceneName,
+    frames: FramesFolder,
+    views: Annotated[int, typer.Option(help="Training views.", rich_help_panel=FRAME)] = 64,
+    held_out: Annotated[
+        int, typer.Option(help="Views that training never sees.", rich_help_panel=MEASUREMENT)
+    ] = 8,
+    size: FixedSize = (256, 256),
+    spp: Annotated[
+        int, typer.Option(help="Samples per pixel of a training view.", rich_help_panel=FRAME)
+    ] = 32,
+    held_out_spp: Annotated[
+        int, typer.Option(help="Samples per pixel of a held-out view.", rich_help_panel=MEASUREMENT)
+    ] = 256,
+    max_depth: MaxDepth = None,
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Render training frames; resumes if interrupted."""
+    select(backend)
+    from pathtrace.dataset.capture import CaptureSettings
+    from pathtrace.dataset.capture import capture as run
+
+    with user_errors():
+        settings = CaptureSettings(views, held_out, *size, spp, held_out_spp, seed)
+    start = time.perf_counter()
+    with progress_bar("capture (samples)") as bar:
+        found = run(loaded_scene(scene, max_depth), Path(frames), settings, bar)
+    row = {
+        "scene": found.scene_name,
+        "views": len(found.training),
+        "held_out": len(found.held_out),
+        "width": size[0],
+        "height": size[1],
+        "spp": spp,
+        "seconds": time.perf_counter() - start,
+    }
+    write_json(json_file, row)
+    print(f"{row['views']} training views and {row['held_out']} held-out views in {frames}")

@@ -1,0 +1,18 @@
+"""`hybrid doctor`: checks the installation."""
+
+from __future__ import annotations
+
+from compose.base.errors import UserError
+from hybrid.cli.options import Backend, Json, write_json
+
+
+def doctor(backend: Backend = "auto", json_file: Json = None) -> None:
+    """Say which backend runs, why, and what to install if something is missing."""
+    from hybrid.runtime.doctor import examine
+
+    report = examine(backend)
+    for line in report.lines():
+        print(line)
+    write_json(json_file, report.facts)
+    if report.problem:
+        raise UserError(report.problem)

@@ -1,0 +1,43 @@
+"""`hybrid quickstart`: the main job, from nothing to images and numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from compose.base.errors import UserError
+from hybrid.cli.options import Backend, FovA, FovB, Json, Seed, loaded_scene, select, write_json
+from hybrid.frame.settings import DEFAULTS, FrameSettings
+
+
+def quickstart(
+    scene: Annotated[str, typer.Argument(metavar="[SCENE]")] = "room",
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for images, page and numbers.")] = Path(
+        "out"
+    ),
+    fov_a: FovA = DEFAULTS.fov_a,
+    fov_b: FovB = DEFAULTS.fov_b,
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Capture, train, render and measure: the main job, from nothing to images and numbers."""
+    settings = FrameSettings(fov_a=fov_a, fov_b=fov_b)
+    select(backend)
+    from hybrid.output.images import check_writable
+    from hybrid.quickstart.quickstart import SIZE
+    from hybrid.quickstart.quickstart import quickstart as run
+
+    if not len(settings.foveation.region(SIZE, SIZE).pixels):
+        raise UserError(f"--fov-a {fov_a}: there is no fovea to show, it holds no pixel of {SIZE} x {SIZE}")
+    check_writable(out / "result.json")
+    result = run(loaded_scene(scene), out, settings, seed)
+    write_json(out / "result.json", result)
+    write_json(json_file, result)
+    print(
+        f"hybrid {result['hybrid']['psnr']:.2f} dB, splats {result['splat']['psnr']:.2f} dB, "
+        f"{result['ratio']:.2f} x faster than full path tracing, {result['seconds']['total']:.0f} s in total"
+    )
+    print(f"Open {out / 'index.html'}")

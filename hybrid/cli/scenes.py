@@ -1,0 +1,51 @@
+"""`hybrid scenes`: lists the bundled scenes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hybrid.cli.options import Backend, Json, select, write_json
+
+
+def scenes(backend: Backend = "auto", json_file: Json = None) -> None:
+    """List the bundled scenes and their facts."""
+    select(backend)
+    from pathtrace.scene.bundled import bundled_scenes
+
+    rows = [_facts(name) for name in bundled_scenes()]
+    for row in rows:
+        print(_line(row))
+    write_json(json_file, rows)
+
+
+def _facts(name: str) -> dict[str, Any]:
+    from hybrid.store.cache import newest_forest
+    from pathtrace.scene.bundled import bundled_scenes
+    from pathtrace.scene.scene import load_scene
+    from splat.io.forest_file import load_forest
+
+    scene = load_scene(name)
+    forest = newest_forest(scene)
+    counts = load_forest(forest).counts if forest else ()
+    return {
+        "scene": name,
+        "triangles": scene.triangles,
+        "emitters": len(scene.mitsuba.emitters()),
+        "max_depth": scene.max_depth,
+        "width": scene.camera.width,
+        "height": scene.camera.height,
+        "file": str(bundled_scenes()[name]),
+        "forest": str(forest) if forest else None,
+        "nodes_per_layer": list(counts),
+        "trees": counts[0] if counts else 0,
+    }
+
+
+def _line(row: dict[str, Any]) -> str:
+    nodes = " + ".join(f"{count:,}" for count in row["nodes_per_layer"])
+    forest = f"forest {row['forest']}: {row['trees']:,} trees, layers of {nodes} nodes"
+    return (
+        f"{row['scene']}: {row['triangles']:,} triangles, {row['emitters']} emitters, "
+        f"depth {row['max_depth']}, {row['width']} x {row['height']}, "
+        + (forest if row["forest"] else "no forest yet")
+    )

@@ -1,0 +1,91 @@
+"""Targets of `hybrid render`: settings chosen from those that were measured."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from compose.base.errors import UserError
+from hybrid.frame.settings import DEFAULTS, FrameSettings
+
+if TYPE_CHECKING:
+    from pathtrace.scene.scene import Scene
+    from splat.model.forest import Forest
+
+
+@dataclass(frozen=True)
+class Target:
+    """A time or a quality that a frame must meet.
+
+    Attributes:
+        milliseconds: that it may take; None for any.
+        jod: quality that it must reach; None for any.
+        command: measures the settings to choose from.
+    """
+
+    milliseconds: float | None
+    jod: float | None
+    command: str
+
+    @property
+    def is_set(self) -> bool:
+        """Whether there is a target at all."""
+        return self.milliseconds is not None or self.jod is not None
+
+    def require_forest(self, scene: Scene, given: Path | None) -> None:
+        """Checks that settings can have been measured: there must be a forest already."""
+        from hybrid.store.cache import newest_forest
+
+        if self.is_set and given is None and newest_forest(scene) is None:
+            raise self._not_measured()
+
+    def applied(self, scene: Scene, forest: Forest, settings: FrameSettings) -> FrameSettings:
+        """The settings that meet the target, or the given ones if there is none.
+
+        Raises:
+            UserError: nothing was measured, or nothing measured meets the target.
+        """
+        if not self.is_set:
+            return settings
+        from hybrid.plan.choice import chosen
+        from hybrid.plan.measured import MeasuredStore
+
+        camera, _ = settings.resolved(scene.camera)
+        store = MeasuredStore.of("trade", scene, forest, (camera.width, camera.height), settings)
+        found = store.load()
+        if found is None:
+            raise self._not_measured()
+        choice = chosen(*found, self.milliseconds, self.jod)
+        best = choice.settings
+        print(
+            f"--fovea {best.fovea.value} --spp {best.spp} --fov-a {best.fov_a:g} --fov-b {best.fov_b:g}: "
+            f"measured to take {choice.milliseconds:.0f} ms in the scene's own view"
+        )
+        return replace(settings, fovea=best.fovea, spp=best.spp, fov_a=best.fov_a, fov_b=best.fov_b)
+
+    def _not_measured(self) -> UserError:
+        return UserError(
+            f"--target-ms, --target-jod: these settings have not been measured here; run: {self.command}"
+        )
+
+
+def measuring_command(
+    scene: str,
+    forest: Path | None,
+    size: tuple[int, int],
+    settings: FrameSettings,
+    display: str,
+    backend: str,
+) -> str:
+    """The command that measures what a target chooses from, with the options that matter."""
+    options = [
+        ("--acuity-model", settings.acuity_model, DEFAULTS.acuity_model),
+        ("--display", display, "desktop"),
+        ("--backend", backend, "auto"),
+    ]
+    words = ["hybrid", "sweep", scene, "--over", "trade", "--size", str(size[0]), str(size[1])]
+    words += [] if forest is None else ["--forest", str(forest)]
+    words += [word for option, value, default in options if value != default for word in (option, value)]
+    return shlex.join(words)

@@ -1,0 +1,50 @@
+"""`hybrid train`: trains a forest on a frame set."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hybrid.cli.options import Backend, FramesFolder, Json, Seed, select, user_errors, write_json
+from hybrid.runtime.progress import progress_bar
+
+
+def train(
+    frames: FramesFolder,
+    forest: Annotated[Path, typer.Argument(metavar="FOREST", help="Forest file to write.")],
+    iterations: Annotated[int, typer.Option(help="Optimizer steps over all layers.")] = 3000,
+    gaussians: Annotated[int, typer.Option(help="Final number of Gaussians in the finest layer.")] = 40_000,
+    layers: Annotated[int, typer.Option(help="Layers of the forest; 1 for Gaussians without trees.")] = 4,
+    degree: Annotated[int, typer.Option(help="Degree of the spherical harmonics, 0 to 3.")] = 2,
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Train a forest on a frame set; resumes if interrupted."""
+    select(backend)
+    from hybrid.output.images import check_writable
+    from hybrid.store.cache import store_forest
+    from hybrid.training.forest import train as run
+    from hybrid.training.held_out import held_out_quality
+    from pathtrace.dataset.frames import read_frame_set
+    from splat.training.trainer import TrainingSettings
+
+    with user_errors():
+        settings = TrainingSettings(iterations, gaussians, layers, degree, seed)
+    found = read_frame_set(frames)
+    check_writable(forest)
+    start = time.perf_counter()
+    with progress_bar("train (steps)") as bar:
+        trained = run(found, forest, settings, bar)
+    seconds = time.perf_counter() - start
+    store_forest(trained, forest.stem)
+    rows = held_out_quality(found, trained)
+    facts = {"scene": found.scene_name, "layers": rows, "trees": trained.counts[0]}
+    write_json(json_file, {**facts, "iterations": iterations, "seconds": seconds})
+    print(f"{sum(trained.counts):,} nodes in {trained.counts[0]:,} trees in {seconds:.0f} s")
+    for row in rows:
+        quality = f", held-out views {row['psnr']:.2f} dB, SSIM {row['ssim']:.4f}" if "psnr" in row else ""
+        print(f"layer {row['layer']}: {row['nodes']:,} nodes{quality}")

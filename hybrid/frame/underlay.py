@@ -1,0 +1,46 @@
+"""The splats under the path-traced disc."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from compose.camera.camera import Camera
+from compose.image.colour import Image
+
+
+@dataclass(frozen=True)
+class Underlay:
+    """The splats rendered under the disc, which a fused fovea is made of among others.
+
+    Attributes:
+        camera: the view.
+        radiance: (H, W, 3) linear, of the whole frame; only the rectangle around the disc is used.
+        enlargement: side of the pixels that the splats were trained on, in pixels of this image.
+
+    Raises:
+        ValueError: the image has another size than the camera's frame.
+    """
+
+    camera: Camera
+    radiance: Image
+    enlargement: float
+
+    def __post_init__(self) -> None:
+        height, width = self.radiance.shape[:2]
+        if (width, height) != (self.camera.width, self.camera.height):
+            raise ValueError(
+                f"the underlay is {width} x {height}, the frame {self.camera.width} x {self.camera.height}"
+            )
+
+
+def underlay_of(camera: Camera, underlay: Underlay | None) -> Underlay:
+    """The underlay, provided that there is one and that it shows the camera's view.
+
+    Raises:
+        ValueError: it is missing, or belongs to another camera.
+    """
+    if underlay is None:
+        raise ValueError("a fused fovea requires the splats under the disc")
+    if underlay.camera != camera:
+        raise ValueError("the underlay belongs to another camera")
+    return underlay

@@ -1,0 +1,49 @@
+"""Path-traced pictures without any splats."""
+
+from __future__ import annotations
+
+import math
+
+from compose.camera.camera import Camera
+from compose.image.colour import Image
+from hybrid.frame.disc import is_quick
+from hybrid.runtime.clock import Clock
+from pathtrace.trace.film import FilmPositions
+from pathtrace.trace.fractional import fractional_counts
+from pathtrace.trace.image import TracedImage, auxiliary_images, radiance_image
+from pathtrace.trace.tracer import Tracer, auxiliary_spp
+
+
+def traced_image(
+    tracer: Tracer,
+    camera: Camera,
+    positions: FilmPositions,
+    columns: int,
+    spp: float,
+    seed: int,
+    denoised: bool,
+    clock: Clock | None = None,
+) -> Image:
+    """(N / columns, columns, 3) radiance of N film positions that lie in rows.
+
+    Args:
+        tracer: of the scene.
+        camera: the view; its film coordinates are those of the positions.
+        positions: of the picture's pixels.
+        columns: of the picture.
+        spp: samples per position, at least 1 each; where that is no whole number, the mean over all of them.
+        seed: same seed, same picture.
+        denoised: by OIDN, with albedo and normal.
+        clock: gets the laps trace and denoise.
+    """
+    clock = clock or Clock()
+    counts = fractional_counts(spp, positions.count, seed)
+    radiance = radiance_image(tracer, camera, positions, columns, counts, seed)
+    clock.lap("trace")
+    if not denoised:
+        return radiance
+    spp_of_auxiliary = auxiliary_spp(math.ceil(spp))
+    auxiliary = auxiliary_images(tracer, camera, positions, columns, spp_of_auxiliary, seed)
+    cleaned = TracedImage(radiance, *auxiliary).denoised(is_quick(spp))
+    clock.lap("denoise")
+    return cleaned

@@ -1,0 +1,120 @@
+"""Settings of frames with what they were measured to take and to be worth, stored per machine."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from compose.base.errors import UserError
+from compose.base.files import write_whole
+from hybrid.frame.settings import FrameSettings
+from hybrid.plan.pareto import pareto_front
+from hybrid.store.cache import scene_folder
+from hybrid.store.identity import measured_identity, require_same, short_hash
+from pathtrace.scene.scene import Scene
+from splat.model.forest import Forest
+
+# What is varied; everything else is part of the identity.
+_VARIED = ("fovea", "spp", "fov_a", "fov_b", "layers", "rate", "scale")
+
+
+@dataclass(frozen=True)
+class MeasuredSettings:
+    """Settings and what they were measured to take and to be worth.
+
+    Attributes:
+        settings: of the frame; gaze and camera have no meaning here.
+        milliseconds: median time of a frame.
+        quality: JOD, or SSIM where FovVideoVDP is not installed.
+    """
+
+    settings: FrameSettings
+    milliseconds: float
+    quality: float
+
+
+def front_of(measured: Sequence[MeasuredSettings]) -> list[MeasuredSettings]:
+    """The Pareto-optimal settings, from the fastest to the best."""
+    return pareto_front(measured, lambda one: (one.milliseconds, one.quality))
+
+
+@dataclass(frozen=True)
+class MeasuredStore:
+    """Where the measured settings of one scene, forest, frame size, display and machine are stored.
+
+    Attributes:
+        file: in the scene's cache folder.
+        identity: of what was measured, and on which machine.
+        base: settings whose acuity model and display were measured.
+    """
+
+    file: Path
+    identity: dict[str, Any]
+    base: FrameSettings
+
+    @staticmethod
+    def of(
+        kind: str, scene: Scene, forest: Forest, size: tuple[int, int], base: FrameSettings
+    ) -> MeasuredStore:
+        """The store for one use.
+
+        Args:
+            kind: which frames are measured, such as single ones or those of the window.
+            scene, forest: what is rendered.
+            size: width and height of the frame.
+            base: acuity model and display.
+        """
+        width, height = size
+        identity = measured_identity(
+            scene,
+            forest,
+            kind=kind,
+            width=width,
+            height=height,
+            acuity_model=base.acuity_model,
+            display=asdict(base.display),
+        )
+        name = f"measured-{kind}-{width}x{height}-{short_hash(identity)}.json"
+        return MeasuredStore(scene_folder(scene.name, scene.hash) / name, identity, base)
+
+    def save(self, metric: str, measured: Sequence[MeasuredSettings]) -> None:
+        """Stores settings whose quality is in a metric.
+
+        Raises:
+            UserError: the cache folder cannot be written.
+        """
+        rows = [_row(one) for one in measured]
+        text = json.dumps({"identity": self.identity, "metric": metric, "rows": rows}, indent=1) + "\n"
+        write_whole(self.file, lambda part: part.write_text(text))
+
+    def load(self) -> tuple[str, list[MeasuredSettings]] | None:
+        """Metric and settings that were stored; None if there are none.
+
+        Raises:
+            UserError: the file is damaged.
+        """
+        try:
+            found = json.loads(self.file.read_text())
+            advice = "delete it to measure again"
+            require_same(dict(found["identity"]), self.identity, f"{self.file}: was measured", advice)
+            return str(found["metric"]), [self._measured(row) for row in found["rows"]]
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, LookupError, TypeError) as error:
+            raise UserError(f"{self.file}: is damaged ({error!r}); delete it to measure again") from error
+
+    def _measured(self, row: dict[str, Any]) -> MeasuredSettings:
+        varied = {name: row[name] for name in _VARIED}
+        varied["layers"] = None if varied["layers"] is None else tuple(varied["layers"])
+        return MeasuredSettings(
+            replace(self.base, **varied), float(row["milliseconds"]), float(row["quality"])
+        )
+
+
+def _row(one: MeasuredSettings) -> dict[str, Any]:
+    settings = one.settings.as_json()
+    varied = {name: settings[name] for name in _VARIED}
+    return {**varied, "milliseconds": one.milliseconds, "quality": one.quality}

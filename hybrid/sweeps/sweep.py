@@ -1,0 +1,87 @@
+"""Runs a sweep from its name to its table; resumes if interrupted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from hybrid.plan.measured import MeasuredSettings, MeasuredStore
+from hybrid.runtime.machine import machine
+from hybrid.store.cache import scene_folder
+from hybrid.store.identity import short_hash
+from hybrid.store.journal import Journal
+from hybrid.sweeps.break_even import break_even
+from hybrid.sweeps.catalogue import sweep_named
+from hybrid.sweeps.record import applied, identity_of
+from hybrid.sweeps.run import Effort, swept
+from hybrid.sweeps.setting import Setting
+from pathtrace.dataset.views import unseen_views
+from pathtrace.scene.scene import Scene
+from splat.model.forest import Forest
+
+# Views of the sweep over views.
+_VIEWS = 4
+# Metric of the quality that targets are met with, SSIM where FovVideoVDP is not installed.
+_TRADED = ("jod", "ssim")
+
+
+def sweep(
+    scene: Scene,
+    forest: Forest,
+    over: str,
+    base: Setting,
+    effort: Effort,
+    write: Callable[[dict[str, Any]], None],
+    progress: Callable[[int, int], None],
+) -> dict[str, Any]:
+    """Times hybrid frames and full path tracing in turns, over one quantity.
+
+    Args:
+        scene, forest: what is rendered.
+        over: name of the sweep.
+        base: the setting that it varies.
+        effort: how much is measured.
+        write: called with the result before the intermediate results are deleted.
+        progress: called with work done and work in total, in thousandths of a row.
+
+    Returns:
+        scene, forest, over, title, rows, break_even (of the sweep over the radius), the settings that all
+        rows have in common, and machine.
+
+    Raises:
+        UserError: there is no such sweep, or a region to be judged is empty.
+    """
+    chosen = sweep_named(over, forest.counts)
+    views = unseen_views(scene, _VIEWS, base.camera.width, base.camera.height)
+    settings = chosen.settings(base, views)
+    identity = identity_of(scene, forest, chosen, settings, effort)
+    folder = scene_folder(scene.name, scene.hash)
+    journal = Journal(folder / f"sweep-{over}-{short_hash(identity)}.json", identity)
+    rows = swept(scene, forest, settings, chosen.judged, effort, journal, progress)
+    if over == "trade":
+        _store(scene, forest, settings, rows)
+    content = {
+        "scene": scene.name,
+        "forest": forest.digest(),
+        "over": over,
+        "title": chosen.title,
+        "rows": rows,
+        "break_even": break_even(rows) if over == "radius" else [],
+        **applied(chosen, base, effort),
+        "machine": machine(),
+    }
+    write(content)
+    journal.remove()
+    return content
+
+
+def _store(scene: Scene, forest: Forest, settings: list[Setting], rows: list[dict[str, Any]]) -> None:
+    """Stores what targets choose from."""
+    metric = next(name for name in _TRADED if f"whole {name}" in rows[0]["quality"])
+    measured = [
+        MeasuredSettings(setting.frame, row["ms"]["p50"], row["quality"][f"whole {metric}"])
+        for setting, row in zip(settings, rows, strict=True)
+    ]
+    camera, frame = settings[0].camera, replace(settings[0].frame, camera=None)
+    MeasuredStore.of("trade", scene, forest, (camera.width, camera.height), frame).save(metric, measured)

@@ -1,0 +1,39 @@
+"""Checkpoints of an unfinished training, from which it resumes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from compose.base.errors import UserError
+from pathtrace.dataset.frames import FrameSet
+from splat.io.tensors import FORMAT_VERSION, load_tensors, save_tensors
+from splat.training.trainer import Trainer
+
+
+def checkpoint_path(forest: Path) -> Path:
+    """File of the checkpoint of a forest that is being trained."""
+    return forest.with_name(forest.name + ".checkpoint")
+
+
+def save_checkpoint(trainer: Trainer, path: Path, frames: FrameSet) -> None:
+    """Saves the state of a training on a frame set."""
+    tensors, numbers = trainer.state()
+    kind = {"format_version": FORMAT_VERSION, "kind": "checkpoint", "frames": frames.digest}
+    save_tensors(path, tensors, {**kind, **numbers})
+
+
+def restore_checkpoint(trainer: Trainer, path: Path, frames: FrameSet) -> None:
+    """Continues from a checkpoint if there is one.
+
+    Raises:
+        UserError: the checkpoint is damaged, or belongs to another training.
+    """
+    if not path.is_file():
+        return
+    tensors, metadata = load_tensors(path)
+    if metadata.get("kind") != "checkpoint" or metadata.get("frames") != frames.digest:
+        raise UserError(f"{path}: not a checkpoint of this training; remove it to start anew")
+    try:
+        trainer.restore(tensors, metadata)
+    except (ValueError, KeyError) as error:
+        raise UserError(f"{path}: {error}; remove it to start anew") from error

@@ -1,0 +1,36 @@
+"""Quality of a forest on the held-out views of a frame set."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hybrid.measure.metrics.similarity import quality
+from hybrid.runtime.device import device_arrays
+from hybrid.training.forest import training_view
+from pathtrace.dataset.frames import FrameSet
+from splat.lod.pictures import ForestRenderer
+from splat.model.forest import Forest
+from splat.training.layer import reduced
+
+
+def held_out_quality(frames: FrameSet, forest: Forest) -> list[dict[str, Any]]:
+    """Mean PSNR and SSIM of each layer alone over the held-out views, coarsest first.
+
+    Layer l is compared with frames reduced to its resolution, at that size.
+
+    Returns:
+        Rows of layer, nodes and, if views were held out, psnr and ssim.
+    """
+    renderer = ForestRenderer(device_arrays(), forest)
+    views = [training_view(entry) for entry in frames.held_out]
+    rows: list[dict[str, Any]] = []
+    for number, count in enumerate(forest.counts, start=1):
+        factor = 2 ** (len(forest.counts) - number)
+        found = []
+        for view in (reduced(view, factor) for view in views):
+            found.append(quality(renderer.render_layer(view.camera, number).image(), view.radiance))
+        means = {name: float(np.mean([row[name] for row in found])) for name in found[0]} if found else {}
+        rows.append({"layer": number, "nodes": count, **means})
+    return rows

@@ -1,0 +1,69 @@
+"""A video along a gaze trace."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from compose.eye.gaze_trace import GazeTrace
+from compose.image.colour import bytes_from_radiance
+from hybrid.frame.renderer import Renderer
+from hybrid.frame.settings import FrameSettings
+from hybrid.output.video import write_mp4
+from hybrid.runtime.interrupts import interrupts_between_steps
+from hybrid.video.frames import VideoFrames
+
+
+def render_video(
+    path: Path,
+    renderer: Renderer,
+    settings: FrameSettings,
+    trace: GazeTrace,
+    fps: int,
+    seed: int,
+    identity: dict[str, Any],
+    progress: Callable[[int, int], None],
+) -> list[dict[str, float]]:
+    """Renders the frames of a trace and writes them; the file appears whole or not at all.
+
+    Until then the frames lie in a folder beside it, from which an interrupted video resumes.
+
+    Args:
+        path: of an MP4 file.
+        renderer: of the frames; with a history it shows what the window shows.
+        settings: of the frames; the gaze is the trace's.
+        trace: where the viewer looks.
+        fps: frames per second.
+        seed: of the first frame.
+        identity: of everything that the frames depend on, as JSON has it.
+        progress: called with frames done and frames in total.
+
+    Returns:
+        Milliseconds per pass of each frame.
+
+    Raises:
+        UserError: the folder is damaged, or holds another video.
+    """
+    camera, _ = settings.resolved(renderer.scene.camera)
+    count = max(1, round(trace.duration * fps))
+    disc = renderer.fovea.disc
+    frames = VideoFrames(path.with_name(path.name + ".frames"), identity)
+    disc.restore_history(camera, frames.history())
+    with interrupts_between_steps() as interrupted:
+        try:
+            for number in range(len(frames.milliseconds), count):
+                progress(number, count)
+                frame = renderer.frame(replace(settings, gaze=trace.at(number / fps)), seed + number)
+                frames.add(bytes_from_radiance(frame.composite), frame.milliseconds, disc.history_state)
+                interrupted()
+            # Encoding may be interrupted as well.
+            frames.keep(disc.history_state())
+        except KeyboardInterrupt:
+            frames.keep(disc.history_state())
+            raise
+    progress(count, count)
+    write_mp4(path, frames.images(), (camera.width, camera.height), fps)
+    frames.remove()
+    return frames.milliseconds

@@ -1,0 +1,37 @@
+"""Settings of a capture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class CaptureSettings:
+    """Settings of a capture.
+
+    Attributes:
+        views: number of training views.
+        held_out: number of further views that training never sees; may be 0.
+        width, height: frame size in pixels.
+        spp: samples per pixel of a training view, which is denoised afterwards.
+        held_out_spp: samples per pixel of a held-out view, which is denoised as well.
+        seed: same seed, same frames.
+
+    Raises:
+        ValueError: a count or a size is not positive.
+    """
+
+    views: int = 64
+    held_out: int = 8
+    width: int = 256
+    height: int = 256
+    spp: int = 32
+    held_out_spp: int = 256
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("views", "width", "height", "spp", "held_out_spp"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name.replace('_', '-')} is {getattr(self, name)}; must be positive")
+        if self.held_out < 0:
+            raise ValueError(f"held-out is {self.held_out}; must not be negative")

@@ -1,0 +1,45 @@
+"""An image of a forest on the device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.camera.camera import Camera
+from splat.base.arrays import Arrays
+from splat.raster.tiles import TileGrid
+
+
+@dataclass
+class SplatImage:
+    """An image of a forest.
+
+    Attributes:
+        radiance: flat Float buffer, rows of stride x channels, of which the first three are linear radiance;
+            black where nothing is drawn.
+        width, height: image in pixels.
+        stride, channels: width of the buffer in pixels, and floats per pixel.
+        nodes: Gaussians drawn, those in several layer images counted in each.
+    """
+
+    radiance: Any
+    width: int
+    height: int
+    stride: int
+    channels: int
+    nodes: int
+
+    def image(self) -> NDArray[np.float32]:
+        """(H, W, 3) float32 view of the radiance."""
+        return self.radiance.numpy().reshape(-1, self.stride, self.channels)[: self.height, : self.width, :3]
+
+
+def black_image(arrays: Arrays, camera: Camera, nodes: int) -> SplatImage:
+    """A black image of a camera's size."""
+    grid = TileGrid(camera.width, camera.height)
+    black = dr.zeros(arrays.plain.Float, grid.padded_width * grid.padded_height * 3)
+    return SplatImage(black, camera.width, camera.height, grid.padded_width, 3, nodes)

@@ -1,0 +1,210 @@
+"""Renders several layers of a forest, each at its own sampling rate, and composites them into one frame.
+
+A layer is drawn where it has a weight in the frame, at the sampling rate that is needed there, and the layer
+images are composited by their weights, pixel by pixel. Fov-GS instead blends the Gaussians of two layers in
+one list, each with a part of its opacity, which lets the coarse ones hide the fine ones: half-way between two
+layers that costs 2.7 dB on `room` (29.2 against 31.8 dB at 256 x 256).
+
+All layer images share one projection, one sort and one rasterization: they lie one above the other in an
+atlas. An image at rate r has one sample per 2^r x 2^r pixels, at their centre.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.camera.camera import Camera
+from splat.base.arrays import Arrays
+from splat.lod.compositing import composite
+from splat.lod.footprints import ForestFootprints
+from splat.lod.image import SplatImage, black_image
+from splat.lod.layer_images import AtlasEntry, Lattice, LayerImage, pack_atlas
+from splat.lod.selection import touching
+from splat.model.forest import Forest
+from splat.raster.binning import TileBounds, bin_splats
+from splat.raster.blending import rasterize
+from splat.raster.blocks import CHANNELS
+from splat.raster.projection import PIXEL_FILTER, Splats, filtered
+from splat.raster.records import RecordLayout
+from splat.raster.tiles import TILE, TileGrid
+
+# Side of a tile in samples, where samples are larger than pixels: few splats cover many of those.
+_COARSE_TILE = 8
+# What splats need to know of their atlas entry: samples per pixel, minimum width of the filter as a multiple
+# of the filter at the pixel grid, first row of samples, and bounds in tiles. Two floats are spare.
+_ENTRY = RecordLayout((8,), scale=1, least_blur=1, offset=1, columns=1, top=1, bottom=1)
+
+
+class ForestRenderer:
+    """Renders a forest that stays on the device.
+
+    Args:
+        arrays: the backend's array types.
+        forest: what to draw.
+    """
+
+    def __init__(self, arrays: Arrays, forest: Forest):
+        self.arrays, self.forest = arrays, forest
+        self._footprints = ForestFootprints(arrays, forest)
+
+    def render(
+        self, camera: Camera, images: Sequence[LayerImage], cutoff: Lattice, wanted: NDArray[np.bool_]
+    ) -> SplatImage:
+        """Renders layer images and composites them.
+
+        Args:
+            camera: the view.
+            images: layers and rates; their weights sum to 1 wherever a cell is wanted.
+            cutoff: (rows + 1, columns + 1) highest frequency to keep, in cycles per pixel, at the corners of
+                cells of TILE pixels.
+            wanted: (rows, columns) bool, cells that are drawn at all.
+        """
+        images = [image for image in images if bool((image.weight > 0).any())]
+        tile = tile_side(image.rate for image in images)
+        entries = pack_atlas(images, wanted, tile)
+        atlas = self.draw_atlas(camera, entries, cutoff, tile)
+        if not atlas.nodes or _is_frame(entries):
+            return atlas
+        return composite(self.arrays, entries, atlas, camera)
+
+    def render_layer(self, camera: Camera, layer: int, rate: int = 0) -> SplatImage:
+        """Renders one layer over the whole frame: its samples, (H / 2^rate, W / 2^rate) rounded up."""
+        grid = TileGrid(camera.width, camera.height)
+        corners = (grid.rows + 1, grid.columns + 1)
+        image = LayerImage(layer, rate, np.ones(corners, np.float32))
+        tile = tile_side([rate])
+        entries = pack_atlas([image], grid.mask(None), tile)
+        samples = self.draw_atlas(camera, entries, np.full(corners, 0.5, np.float32), tile)
+        return replace(samples, width=-(-camera.width >> rate), height=-(-camera.height >> rate))
+
+    def draw_atlas(
+        self, camera: Camera, entries: Sequence[AtlasEntry], cutoff: Lattice, tile: int
+    ) -> SplatImage:
+        """Renders the atlas; a black image of the frame's size if no node shows in any entry.
+
+        Args:
+            camera: the view.
+            entries: of the atlas.
+            cutoff: as in `render`.
+            tile: side of the rasterizer's tiles, in samples.
+        """
+        chosen = self._chosen(camera, entries, cutoff)
+        if not any(dr.width(index) for index in chosen):
+            return black_image(self.arrays, camera, 0)
+        splats, bounds = self._splats(camera, entries, chosen, cutoff, tile)
+        columns = max(entry.tiles.shape[1] for entry in entries)
+        wider = [np.pad(entry.tiles, ((0, 0), (0, columns - entry.tiles.shape[1]))) for entry in entries]
+        mask = np.vstack(wider)
+        grid = TileGrid(columns * tile, mask.shape[0] * tile, tile)
+        bins = bin_splats(self.arrays, splats, grid, mask, bounds, in_order=True)
+        image = rasterize(self.arrays, splats, bins)
+        nodes = dr.width(splats.x)
+        return SplatImage(image, camera.width, camera.height, grid.padded_width, CHANNELS, nodes)
+
+    def _least_blur(self, camera: Camera, image: LayerImage) -> float:
+        """Minimum width of the filter, as a multiple of the filter at the pixel grid.
+
+        The layer was trained with a filter of its training frames' pixels, and the sampling grid requires one
+        of its own.
+        """
+        return max(camera.fy / self.forest.focal_of(image.layer), 2.0**image.rate)
+
+    def _chosen(self, camera: Camera, entries: Sequence[AtlasEntry], cutoff: Lattice) -> list[Any]:
+        """For each entry, indices of its layer's footprints that may show in its cells."""
+        lowest = np.minimum.reduce([cutoff[:-1, :-1], cutoff[1:, :-1], cutoff[:-1, 1:], cutoff[1:, 1:]])
+        blurs = [
+            max(0.5 / float(lowest[entry.cells].min()), self._least_blur(camera, entry.image))
+            for entry in entries
+        ]
+        layers = [entry.image.layer for entry in entries]
+        visible = self._footprints.layers(camera, max(blurs, default=1.0), layers)
+        # At lower rates pixels look up samples that lie up to one sample away.
+        margins = [2.0**entry.image.rate if entry.image.rate else 0.0 for entry in entries]
+        masks = [
+            None if nodes is None else touching(self.arrays, nodes, entry.cells, blur, margin)
+            for entry, nodes, blur, margin in zip(entries, visible, blurs, margins, strict=True)
+        ]
+        dr.eval(masks)
+        none = dr.zeros(self.arrays.plain.UInt, 0)
+        return [none if mask is None else dr.compress(mask) for mask in masks]
+
+    def _splats(
+        self,
+        camera: Camera,
+        entries: Sequence[AtlasEntry],
+        chosen: Sequence[Any],
+        cutoff: Lattice,
+        tile: int,
+    ) -> tuple[Splats, TileBounds]:
+        """The chosen nodes of all entries in samples of the atlas, and the tiles they are confined to."""
+        Float, UInt = self.arrays.plain.Float, self.arrays.plain.UInt
+        raw = self._footprints.footprints([entry.image.layer for entry in entries], chosen)
+        number, lane, start = UInt(0), dr.arange(UInt, dr.width(raw.x)), 0
+        for part in chosen[:-1]:
+            start += dr.width(part)
+            number += dr.select(lane >= self.arrays.number(start), UInt(1), UInt(0))
+        tops = [entry.top // tile for entry in entries]
+        records = _ENTRY.upload(
+            self.arrays,
+            scale=[0.5**entry.image.rate for entry in entries],
+            least_blur=[self._least_blur(camera, entry.image) for entry in entries],
+            offset=[entry.top for entry in entries],
+            columns=[entry.tiles.shape[1] for entry in entries],
+            top=tops,
+            bottom=[top + entry.tiles.shape[0] for top, entry in zip(tops, entries, strict=True)],
+        )
+        entry = records.at(number)
+        # Fov-GS's Eq. 8, mended: variance c (ppd / 2f)^2 px^2.
+        resolved = 0.5 / _interpolated(self.arrays, cutoff, raw.x, raw.y)
+        splats = filtered(raw, PIXEL_FILTER * dr.square(dr.maximum(resolved, entry.least_blur)))
+        bounds = TileBounds(entry.columns, entry.top, entry.bottom)
+        return _in_samples(splats, entry.scale, entry.offset), bounds
+
+
+def tile_side(rates: Iterable[int]) -> int:
+    """Side of the rasterizer's tiles, in samples, for an atlas of images at these rates."""
+    return TILE if all(rate == 0 for rate in rates) else _COARSE_TILE
+
+
+def finest_frequency(camera: Camera, forest: Forest, layer: int) -> float:
+    """Highest frequency that a layer was trained to show, in cycles per pixel of a camera."""
+    return 0.5 * forest.focal_of(layer) / camera.fy
+
+
+def _in_samples(splats: Splats, scale: Any, offset: Any) -> Splats:
+    """Splats in pixels of the frame as splats in samples of the atlas."""
+    square = dr.rcp(dr.square(scale))
+    return Splats(
+        splats.x * scale,
+        dr.fma(splats.y, scale, offset),
+        splats.xx * square,
+        splats.xy * square,
+        splats.yy * square,
+        *(splats.opacity, splats.red, splats.green, splats.blue, splats.depth),
+    )
+
+
+def _interpolated(arrays: Arrays, lattice: Lattice, x: Any, y: Any) -> Any:
+    """Values of a lattice with a point every TILE pixels, linear in between, at positions in pixels."""
+    Float, UInt = arrays.plain.Float, arrays.plain.UInt
+    rows, columns = (arrays.number(side) for side in lattice.shape)
+    values = Float(lattice.ravel())
+    u = dr.clip(x * (1 / TILE), 0, Float(columns) - 1.001)
+    v = dr.clip(y * (1 / TILE), 0, Float(rows) - 1.001)
+    column, row = UInt(u), UInt(v)
+    fu, fv = u - Float(column), v - Float(row)
+    corner = row * columns + column
+    at = lambda offset: dr.gather(Float, values, corner + offset)  # noqa: E731
+    return dr.lerp(dr.lerp(at(0), at(1), fu), dr.lerp(at(columns), at(columns + 1), fu), fv)
+
+
+def _is_frame(entries: Sequence[AtlasEntry]) -> bool:
+    """Whether the atlas is the frame itself: a single image at full rate with weight 1 everywhere."""
+    image = entries[0].image
+    return len(entries) == 1 and image.rate == 0 and bool((image.weight == 1).all())

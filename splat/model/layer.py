@@ -1,0 +1,78 @@
+"""One layer of a forest: Gaussians with parents and labels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+
+from splat.model.gaussians import Gaussians, concatenated
+
+NO_PARENT = -1
+BACKGROUND = -1
+# The trees are binary.
+MAX_CHILDREN = 2
+LABELS = ("parent", "semantic", "dynamic")
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One layer of a forest: N nodes, each a Gaussian.
+
+    Attributes:
+        gaussians: N Gaussians.
+        parent: (N,) int32, index in the next coarser layer; -1 in the coarsest, whose nodes are the roots.
+        semantic: (N,) int32, instance that a node belongs to; -1 for the background.
+        dynamic: (N,) bool, whether that instance moves.
+
+    Raises:
+        ValueError: a tensor has the wrong shape.
+    """
+
+    gaussians: Gaussians
+    parent: torch.Tensor
+    semantic: torch.Tensor
+    dynamic: torch.Tensor
+
+    def __post_init__(self) -> None:
+        n = len(self.gaussians)
+        for name, tensor in self.labels():
+            if tuple(tensor.shape) != (n,):
+                raise ValueError(f"{name} has shape {tuple(tensor.shape)}, expected ({n},)")
+
+    def __len__(self) -> int:
+        return len(self.gaussians)
+
+    def labels(self) -> Iterator[tuple[str, torch.Tensor]]:
+        """Names and tensors of everything but the Gaussians."""
+        for name in LABELS:
+            yield name, getattr(self, name)
+
+    def select(self, keep: torch.Tensor) -> Layer:
+        """The nodes at an index or a mask (N,)."""
+        return Layer(self.gaussians.select(keep), *(tensor[keep] for _, tensor in self.labels()))
+
+    def part(self, start: int, end: int) -> Layer:
+        """The nodes from start up to end; shares this layer's memory."""
+        gaussians = Gaussians(**{name: t[..., start:end] for name, t in self.gaussians.tensors()})
+        return Layer(gaussians, *(tensor[start:end] for _, tensor in self.labels()))
+
+
+def static_layer(gaussians: Gaussians) -> Layer:
+    """Gaussians without parents, all of them static background."""
+    n = len(gaussians)
+    return Layer(
+        gaussians,
+        torch.full((n,), NO_PARENT, dtype=torch.int32),
+        torch.full((n,), BACKGROUND, dtype=torch.int32),
+        torch.zeros(n, dtype=torch.bool),
+    )
+
+
+def concatenated_layers(parts: list[Layer]) -> Layer:
+    """All nodes of several parts of one layer, in order."""
+    return Layer(
+        concatenated([p.gaussians for p in parts]),
+        *(torch.cat([getattr(p, name) for p in parts]) for name in LABELS),
+    )

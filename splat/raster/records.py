@@ -1,0 +1,195 @@
+"""Packed records: the numbers of one item side by side in memory, under names.
+
+A packet load brings 2, 4 or 8 neighbouring floats at once. Where the index jumps from lane to lane, that is
+several times faster than one load per number from separate arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from types import SimpleNamespace
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from splat.base.arrays import Arrays
+
+
+@dataclass(frozen=True)
+class Packet:
+    """One packet load of a record.
+
+    Attributes:
+        floats: which of the record's floats it brings.
+        table: number of the table that holds it.
+        stride: packets per record in that table.
+        offset: which of those it is.
+    """
+
+    floats: slice
+    table: int
+    stride: int
+    offset: int
+
+    @property
+    def size(self) -> int:
+        """Floats that it brings."""
+        return self.floats.stop - self.floats.start
+
+    def index(self, record: Any) -> Any:
+        """Position in the table, in packets."""
+        return record if self.stride == 1 else record * self.stride + self.offset
+
+
+class RecordLayout:
+    """Which number lies where in a record, and which packet loads bring it.
+
+    The slots fill the record from its start. Floats beyond the last slot are spare: written as 0, never read,
+    there for further slots. Consecutive loads of one size share a table, so that a long record lies in few
+    cache lines; any other load has a table of its own.
+
+        >>> layout = RecordLayout((4, 2), x=1, colour=3, tile=1, integers=("tile",))
+        >>> layout.spare
+        1
+
+    Args:
+        loads: floats per packet load, powers of two.
+        integers: slots that hold a UInt each, stored as its bits.
+        slots: width of each slot in floats, in the order in which they lie in memory.
+
+    Attributes:
+        slots: which of a record's floats each slot is.
+        integers: as given.
+        packets: one per load.
+        spare: number of floats that no slot uses.
+
+    Raises:
+        ValueError: a load is not a power of two, the slots do not fit the loads, or an integer is not a slot
+            of width 1.
+    """
+
+    def __init__(self, loads: Sequence[int], integers: Sequence[str] = (), **slots: int):
+        if any(load < 1 or load & (load - 1) for load in loads):
+            raise ValueError(f"loads {tuple(loads)}: must be powers of two")
+        self.spare = sum(loads) - sum(slots.values())
+        if self.spare < 0:
+            raise ValueError(f"slots of {sum(slots.values())} floats do not fit loads of {sum(loads)}")
+        if wrong := [name for name in integers if slots.get(name) != 1]:
+            raise ValueError(f"integers {wrong}: must be slots of width 1")
+        self.integers = frozenset(integers)
+        ends = np.cumsum([0, *slots.values()]).tolist()
+        self.slots = {name: slice(*ends[k : k + 2]) for k, name in enumerate(slots)}
+        self.packets: list[Packet] = []
+        end = 0
+        for table, (size, run) in enumerate(groupby(loads)):
+            stride = len(list(run))
+            for offset in range(stride):
+                self.packets.append(Packet(slice(end, end + size), table, stride, offset))
+                end += size
+
+    def pack(self, arrays: Arrays, **values: Any) -> Records:
+        """Packs arrays that are on the device.
+
+        Args:
+            arrays: the backend's array types.
+            values: by slot an array (N,), or a list of them for a slot wider than 1; arrays of width 1 are
+                broadcast.
+
+        Raises:
+            ValueError: the names are not those of the slots.
+        """
+        self._check_names(values)
+        floats: list[Any] = []
+        for name, slot in self.slots.items():
+            row = values[name]
+            if name in self.integers:
+                row = dr.reinterpret_array(arrays.plain.Float, row)
+            floats += [row] if slot.stop - slot.start == 1 else list(row)
+        floats += [arrays.plain.Float(0) for _ in range(self.spare)]
+        count = max(dr.width(row) for row in floats)
+        return self.scattered(arrays, [arrays.plain.ArrayXf(floats[p.floats]) for p in self.packets], count)
+
+    def upload(self, arrays: Arrays, **values: Any) -> Records:
+        """Packs numbers that are in host memory and copies them to the device.
+
+        Args:
+            arrays: the backend's array types.
+            values: by slot numbers (N,), or (width, N) for a slot wider than 1; no integers.
+
+        Raises:
+            ValueError: the names are not those of the slots, or some slots are integers.
+        """
+        self._check_names(values)
+        if self.integers:
+            raise ValueError(f"integers {sorted(self.integers)}: can only be packed on the device")
+        rows = {name: np.atleast_2d(np.asarray(value, dtype=np.float32)) for name, value in values.items()}
+        count = max(row.shape[1] for row in rows.values())
+        host = np.zeros((count, self.packets[-1].floats.stop), dtype=np.float32)
+        for name, slot in self.slots.items():
+            host[:, slot] = rows[name].T
+        tables = []
+        for table in range(self.packets[-1].table + 1):
+            own = [packet.floats for packet in self.packets if packet.table == table]
+            tables.append(arrays.plain.Float(host[:, own[0].start : own[-1].stop].ravel()))
+        return Records(arrays, self, tables)
+
+    def scattered(self, arrays: Arrays, packets: Sequence[Any], count: int) -> Records:
+        """`count` records of packets, one ArrayXf per load."""
+        sizes = [packet.size * packet.stride for packet in self.packets if packet.offset == 0]
+        tables = [dr.empty(arrays.plain.Float, size * count) for size in sizes]
+        record = dr.arange(arrays.plain.UInt, count)
+        for packet, values in zip(self.packets, packets, strict=True):
+            dr.scatter(tables[packet.table], values, packet.index(record), mode=dr.ReduceMode.Permute)
+        return Records(arrays, self, tables)
+
+    def _check_names(self, values: Mapping[str, Any]) -> None:
+        if values.keys() != self.slots.keys():
+            raise ValueError(f"values for {sorted(values)}, expected {sorted(self.slots)}")
+
+
+@dataclass(frozen=True)
+class Records:
+    """N records of one layout.
+
+    Attributes:
+        arrays: the backend's array types.
+        layout: names and positions of the numbers.
+        tables: flat Floats that hold them.
+    """
+
+    arrays: Arrays
+    layout: RecordLayout
+    tables: list[Any]
+
+    def at(self, index: Any) -> SimpleNamespace:
+        """The records at an index (M,): by slot an array (M,), or a list of them for a slot wider than 1."""
+        floats = [value for packet in self._packets(index) for value in packet]
+        found = {}
+        for name, slot in self.layout.slots.items():
+            value = floats[slot] if slot.stop - slot.start > 1 else floats[slot.start]
+            if name in self.layout.integers:
+                value = dr.reinterpret_array(self.arrays.plain.UInt, value)
+            found[name] = value
+        return SimpleNamespace(**found)
+
+    def gathered(self, index: Any) -> Records:
+        """Copies of the records at an index (M,), in that order."""
+        return self.layout.scattered(self.arrays, self._packets(index), dr.width(index))
+
+    def _packets(self, index: Any) -> list[Any]:
+        """The packets of the records at an index, one ArrayXf per load."""
+        ArrayXf, width = self.arrays.plain.ArrayXf, dr.width(index)
+        return [
+            dr.gather(ArrayXf, self.tables[p.table], p.index(index), shape=(p.size, width))
+            for p in self.layout.packets
+        ]
+
+
+def concatenated_records(parts: Sequence[Records]) -> Records:
+    """All records of several parts of one layout, in order."""
+    first = parts[0]
+    tables = zip(*(part.tables for part in parts), strict=True)
+    return Records(first.arrays, first.layout, [first.arrays.concatenated(table) for table in tables])

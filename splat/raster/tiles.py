@@ -1,0 +1,60 @@
+"""The grid of square tiles that the rasterizer works on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Each tile has 4 x 4 lanes: they fill one AVX-512 vector and half a warp.
+LANES_ACROSS = 4
+# 16 x 16 pixels, 4 x 4 per lane: the more pixels a splat covers, the more a large tile saves.
+TILE = 16
+
+
+@dataclass(frozen=True)
+class TileGrid:
+    """A frame divided into tiles; those at the right and at the bottom may reach beyond it.
+
+    Attributes:
+        width, height: frame in pixels.
+        side: of a tile in pixels, a multiple of 4.
+    """
+
+    width: int
+    height: int
+    side: int = TILE
+
+    @property
+    def columns(self) -> int:
+        """Tiles per row."""
+        return -(-self.width // self.side)
+
+    @property
+    def rows(self) -> int:
+        """Tiles per column."""
+        return -(-self.height // self.side)
+
+    @property
+    def padded_width(self) -> int:
+        """Width of all tiles in pixels."""
+        return self.columns * self.side
+
+    @property
+    def padded_height(self) -> int:
+        """Height of all tiles in pixels."""
+        return self.rows * self.side
+
+    def mask(self, wanted: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+        """(rows, columns) the wanted tiles; None stands for all.
+
+        Raises:
+            ValueError: the mask has another shape.
+        """
+        shape = self.rows, self.columns
+        if wanted is None:
+            return np.ones(shape, dtype=bool)
+        if wanted.shape != shape:
+            raise ValueError(f"wanted has shape {wanted.shape}, expected {shape}")
+        return wanted

@@ -1,0 +1,190 @@
+"""`hybrid evaluate`: whole, interrupted and gone on with, the same twice, and looked at in a browser."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+import hybrid.evaluation.budgets
+import hybrid.evaluation.judged
+import hybrid.evaluation.tuning
+from hybrid.evaluation import timed
+from hybrid.evaluation.entries import OURS
+from hybrid.evaluation.judged import HALVES
+from hybrid.measure.regions import REGIONS
+from hybrid.output.images import write_png
+from hybrid.sweeps import catalogue
+from tests.hybrid.command import run
+
+pytestmark = pytest.mark.usefixtures("backend")
+SMALL = ["--size", 64, 64, "--views", 2, "--reference-spp", 4, "--repeats", 3]
+
+
+@pytest.fixture(scope="module")
+def evaluated(made, tmp_path_factory):
+    """A command line that evaluates a box, its cache folder kept from call to call."""
+    folder = tmp_path_factory.mktemp("evaluated")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HYBRID_HOME", str(folder / "home"))
+        patch.setattr(hybrid.evaluation.tuning, "_F", (0.1, 0.4))
+        patch.setattr(hybrid.evaluation.tuning, "_SPP", (1,))
+        patch.setattr(hybrid.evaluation.budgets, "_LOOKS", 3)
+        patch.setattr(timed, "_WARM_UP", 1)
+
+        def command(report: Path, *options: object) -> int:
+            common = ["evaluate", "cornell", "--forest", made / "box.forest", "--report", report]
+            return run(patch, *common, *SMALL, *options)
+
+        assert command(folder / "first") == 0
+        yield folder, command
+
+
+def quality_of(folder: Path) -> list[dict]:
+    return json.loads((folder / "evaluation.json").read_text())["quality"]
+
+
+def test_all_rows_are_there(evaluated):
+    folder, _ = evaluated
+    found = json.loads((folder / "first" / "evaluation.json").read_text())
+    methods = {row["method"] for row in found["quality"]}
+    assert {
+        OURS,
+        "hybrid, raw",
+        "hybrid, denoised",
+        "splats alone",
+        "full",
+        "enlarged",
+        "rmfr",
+        HALVES,
+    } <= methods
+    assert {"rmfr, tuned", "full, denoised", "enlarged, denoised", f"{OURS}, 16 spp"} <= methods
+    for row in found["quality"]:
+        assert set(row) == {"view", "method", "budget", "region", "metric", "value"}
+        assert row["budget"] in ("fixed", "equal-rays", "equal-time")
+        assert row["region"] in REGIONS
+    assert {row["view"] for row in found["quality"]} == {0, 1}
+    for row in found["time"]:
+        assert (row["width"], row["height"], row["repeats"]) == (64, 64, 3)
+        # Three frames have no 95th percentile.
+        assert list(row["ms"]) == ["p50"]
+        assert row["ms"]["p50"] > 0
+        assert row["passes"]
+    rays = {(row["method"], row["budget"]): row["rays"] for row in found["methods"]}
+    ours = rays[OURS, "fixed"]
+    assert rays["rmfr, tuned", "equal-rays"] == pytest.approx(ours, rel=0.05)
+    assert rays["enlarged", "equal-rays"] == pytest.approx(ours, rel=0.05)
+    assert all(row["psnr"] > 10 for row in found["references"])
+    assert found["machine"]["cores"] >= 1
+
+
+def test_the_same_seed_gives_the_same_quality_whether_interrupted_or_not(evaluated):
+    folder, command = evaluated
+    stop_after = 5
+    calls = []
+
+    def interrupted(*arguments):
+        calls.append(1)
+        if len(calls) == stop_after:
+            raise KeyboardInterrupt
+        write_png(*arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(hybrid.evaluation.judged, "write_png", interrupted)
+        assert command(folder / "second") == 130
+    assert not (folder / "second" / "evaluation.json").exists()
+    assert command(folder / "second") == 0
+    assert quality_of(folder / "second") == quality_of(folder / "first")
+
+
+def test_another_evaluation_in_the_same_folder_is_refused(evaluated, capsys):
+    folder, command = evaluated
+    assert command(folder / "first", "--spp", 3) == 2
+    assert "holds an evaluation with another settings" in capsys.readouterr().err
+    assert command(folder / "third", "--gaze", 1.5, 0.5) == 2
+    assert "gaze 1.5 0.5: lies outside the frame" in capsys.readouterr().err
+    assert command(folder / "third", "--fov-a", 0, "--fov-b", 0) == 2
+    assert "there is no fovea to evaluate" in capsys.readouterr().err
+
+
+def test_the_page_works_in_a_browser(evaluated, tmp_path):
+    webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium")
+    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    if chromium is None or driver is None:
+        pytest.skip("needs chromium and chromedriver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = chromium
+    for option in ("--headless", "--no-sandbox", "--disable-gpu", "--window-size=1200,2400"):
+        options.add_argument(option)
+    for option in ("background-networking", "component-update", "sync", "quic"):
+        options.add_argument(f"--disable-{option}")
+    browser = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
+    try:
+        browser.get((evaluated[0] / "first" / "index.html").as_uri())
+        _look(browser)
+        assert not [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+    finally:
+        browser.quit()
+
+
+def _look(browser) -> None:
+    """Pictures are shown, the slider follows the pointer, other pictures can be chosen, columns sort."""
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.support.ui import Select, WebDriverWait
+
+    wait = WebDriverWait(browser, 20)
+    ask = browser.execute_script
+    shown = "return [...document.querySelectorAll('.stage img')].map(i => i.naturalWidth)"
+    wait.until(lambda _: ask(shown) == [64, 64])
+    wait.until(lambda _: ask("return document.getElementById('difference').width") == 64)
+    stage = browser.find_element("id", "stage")
+    ActionChains(browser).move_to_element_with_offset(stage, -stage.size["width"] // 4, 0).perform()
+    at = float(ask("return document.getElementById('stage').style.getPropertyValue('--at')").rstrip("%"))
+    assert at == pytest.approx(25, abs=2)
+    before = ask("return document.querySelector('.stage .left').src")
+    Select(browser.find_element("id", "left")).select_by_visible_text("splats alone")
+    wait.until(lambda _: ask("return document.querySelector('.stage .left').src") != before)
+    assert len(browser.find_elements("css selector", "#verdicts li")) >= 1
+    assert len(browser.find_elements("css selector", ".plots svg")) >= 1
+    head = browser.find_elements("css selector", "table.sortable thead th")[2]
+    cells = "return [...document.querySelectorAll('table.sortable')][0].tBodies[0].rows"
+    for order in (1, -1):
+        head.click()
+        values = [float(v) for v in ask(f"return [...({cells[7:]})].map(r => r.cells[2].textContent)")]
+        assert values == sorted(values, reverse=order < 0)
+
+
+def test_a_sweep_goes_into_the_page(evaluated, made, monkeypatch, capsys):
+    folder, _ = evaluated
+    monkeypatch.setattr(catalogue, "_RADII", (20, 90))
+    monkeypatch.setattr(catalogue, "BREAK_EVEN", {(48, 32): 51.0})
+    common = ["sweep", "cornell", "--forest", made / "box.forest", "--repeats", 3, "--warm-up", 1]
+    assert run(monkeypatch, *common, "--over", "radius", "--report", folder / "nowhere") == 2
+    assert "nowhere: holds no evaluation" in capsys.readouterr().err
+    before = (folder / "first" / "index.html").read_text()
+    assert run(monkeypatch, *common, "--over", "radius", "--report", folder / "first") == 0
+    page = (folder / "first" / "index.html").read_text()
+    assert "cornell, over radius of the fovea (FPC, Figures 7 to 10)" in page
+    assert "48x32: as fast as full path tracing at a radius of" in page
+    assert "<th>covered, %</th>" in page
+    assert page.count("<svg") == before.count("<svg") + 1
+
+
+def test_a_sweep_stays_off_the_page_of_another_scene_and_of_a_damaged_evaluation(
+    evaluated, tmp_path, monkeypatch, capsys
+):
+    """Refused before any work: there is no forest, and none is trained."""
+    text = (evaluated[0] / "first" / "evaluation.json").read_text()
+    monkeypatch.setenv("HYBRID_HOME", str(tmp_path / "home"))
+    damaged = (text[:-20], "[]", json.dumps({"scene": "cornell"}), "7")
+    for content, said in [
+        (text.replace('"scene": "cornell"', '"scene": "room"'), "an evaluation of room, not of")
+    ] + [(content, "evaluation.json: is damaged") for content in damaged]:
+        (tmp_path / "evaluation.json").write_text(content)
+        assert run(monkeypatch, "sweep", "cornell", "--over", "radius", "--report", tmp_path) == 2
+        error = capsys.readouterr().err
+        assert said in error
+        assert "training" not in error
+        assert [file.name for file in tmp_path.iterdir()] == ["evaluation.json"]

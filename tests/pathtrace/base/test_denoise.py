@@ -1,0 +1,119 @@
+"""Denoising: noise goes, edges and brightness stay."""
+
+from __future__ import annotations
+
+import mitsuba_oidn
+import numpy as np
+import pytest
+
+import pathtrace.base.denoise as module
+from pathtrace.base.denoise import denoise, denoise_coarsely
+from tests import small
+
+SIZE = 64
+
+
+@pytest.fixture(scope="module")
+def images() -> dict[str, np.ndarray]:
+    """A tiled wall under uneven light: truth, the same with noise of 70 %, albedo and normal."""
+    y, x = np.mgrid[0:SIZE, 0:SIZE] / SIZE
+    tile = (np.floor(x * 8) + np.floor(y * 8))[..., None] % 2
+    albedo = np.where(tile, [0.9, 0.6, 0.3], [0.2, 0.3, 0.4]).astype(np.float32)
+    truth = (albedo * (1 + x + 0.5 * np.sin(6 * y))[..., None]).astype(np.float32)
+    noisy = (truth * small.rng().gamma(2, 0.5, truth.shape)).astype(np.float32)
+    normal = np.broadcast_to([0, 0, 1], truth.shape).astype(np.float32)
+    return {"truth": truth, "noisy": noisy, "albedo": albedo, "normal": normal}
+
+
+def error(image: np.ndarray, truth: np.ndarray) -> float:
+    return float(np.mean((image - truth) ** 2))
+
+
+def cleaned(images: dict[str, np.ndarray], clean=denoise, **options) -> np.ndarray:
+    return clean(images["noisy"], images["albedo"], images["normal"], **options)
+
+
+@pytest.mark.parametrize("clean", [denoise, denoise_coarsely])
+def test_noise_is_removed_without_a_change_in_brightness(images, clean):
+    result = cleaned(images, clean)
+    assert result.dtype == np.float32
+    # Measured: 27 times less.
+    assert error(result, images["truth"]) < error(images["noisy"], images["truth"]) / 15
+    assert result.mean() == pytest.approx(images["truth"].mean(), rel=0.05)
+
+
+def test_albedo_preserves_edges(images):
+    unguided = denoise(images["noisy"], np.ones_like(images["albedo"]), images["normal"])
+    # Measured: 4 times less.
+    assert error(cleaned(images), images["truth"]) < error(unguided, images["truth"]) / 2
+
+
+def test_the_quick_network_is_used_on_request_only(images, monkeypatch):
+    used = []
+    oidn = mitsuba_oidn.denoise
+    monkeypatch.setattr(
+        mitsuba_oidn,
+        "denoise",
+        lambda *args, **options: used.append(options["quality"]) or oidn(*args, **options),
+    )
+    best, quick = cleaned(images), cleaned(images, quick=True)
+    cleaned(images, denoise_coarsely)
+    assert used == [mitsuba_oidn.Quality.High, mitsuba_oidn.Quality.Fast, mitsuba_oidn.Quality.Fast]
+    assert not np.array_equal(best, quick)
+
+
+def test_radiance_is_unbounded(images):
+    bright = denoise(1000 * images["noisy"], images["albedo"], images["normal"])
+    np.testing.assert_allclose(bright / 1000, cleaned(images), rtol=0.01, atol=0.01)
+
+
+def test_albedo_is_clipped_and_arrays_need_not_be_contiguous(images):
+    flipped = denoise(
+        images["noisy"][:, ::-1].astype(np.float64),
+        np.where(images["albedo"] == np.float32(0.9), 7.0, images["albedo"])[:, ::-1],
+        images["normal"][:, ::-1],
+    )
+    saturated = np.where(images["albedo"] == np.float32(0.9), np.float32(1), images["albedo"])
+    expected = denoise(
+        np.ascontiguousarray(images["noisy"][:, ::-1]),
+        np.ascontiguousarray(saturated[:, ::-1]),
+        images["normal"],
+    )
+    np.testing.assert_array_equal(flipped, expected)
+
+
+@pytest.fixture
+def resampling_alone(monkeypatch):
+    """Replaces the denoiser, so that only the change of resolution is left; records its quality."""
+    asked = []
+
+    def identity(radiance, albedo, normal, quick=False):
+        asked.append((radiance.shape, albedo.shape, normal.shape, quick))
+        return radiance
+
+    monkeypatch.setattr(module, "denoise", identity)
+    return asked
+
+
+@pytest.mark.parametrize("size", [(8, 12), (7, 11)])
+def test_a_linear_ramp_survives_the_lower_resolution(resampling_alone, size):
+    """Means of 2 x 2 pixels and linear interpolation reproduce it except at the border."""
+    y, x = np.mgrid[0 : size[0], 0 : size[1]].astype(np.float32)
+    ramp = np.stack([x, y, 3 * x - 2 * y + 50], axis=-1)
+    grey = np.full_like(ramp, 0.4)
+    result = denoise_coarsely(ramp, grey, grey)
+    half = (-(-size[0] // 2), -(-size[1] // 2), 3)
+    assert resampling_alone == [(half, half, half, True)]
+    assert result.shape == ramp.shape
+    np.testing.assert_allclose(result[1:-2, 1:-2], ramp[1:-2, 1:-2], rtol=1e-5, atol=1e-5)
+    # In the corner, the mean of the first four pixels is repeated.
+    np.testing.assert_allclose(result[0, 0], [0.5, 0.5, 50.5], rtol=1e-5)
+
+
+def test_the_albedos_detail_is_restored(resampling_alone):
+    """Under even light, stripes of single pixels come back although half the resolution cannot show them."""
+    albedo = np.zeros((8, 8, 3), dtype=np.float32)
+    albedo[:, ::2] = 0.8
+    result = denoise_coarsely((albedo + np.float32(0.1)) * 5, albedo, albedo)
+    np.testing.assert_allclose(result[:, ::2], 4.5, rtol=1e-5)
+    np.testing.assert_allclose(result[:, 1::2], 0.5, rtol=1e-5)

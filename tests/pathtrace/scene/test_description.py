@@ -1,0 +1,72 @@
+"""The XML that Mitsuba gets, and the path depth that a scene asks for."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import pytest
+
+from compose.base.errors import UserError
+from pathtrace.scene.description import DEFAULT_MAX_DEPTH, SceneDescription, read_description
+
+INTEGRATOR = '<integrator type="path"><integer name="max_depth" value="{}"/></integrator>'
+
+
+def described(tmp_path, content: str) -> SceneDescription:
+    file = tmp_path / "scene.xml"
+    file.write_text(f'<scene version="3.0.0">{content}</scene>')
+    return read_description(file)
+
+
+@pytest.mark.parametrize(
+    ("content", "depth"),
+    [
+        ("", DEFAULT_MAX_DEPTH),
+        (INTEGRATOR.format(5), 5),
+        (INTEGRATOR.format(" 5 "), 5),
+        (INTEGRATOR.format(1), 1),
+        # No limit, more than the limit, no number.
+        (INTEGRATOR.format(-1), DEFAULT_MAX_DEPTH),
+        (INTEGRATOR.format(0), DEFAULT_MAX_DEPTH),
+        (INTEGRATOR.format(65), DEFAULT_MAX_DEPTH),
+        (INTEGRATOR.format("deep"), DEFAULT_MAX_DEPTH),
+        ('<integrator type="path"><integer name="rr_depth" value="3"/></integrator>', DEFAULT_MAX_DEPTH),
+        # Through a parameter, and in an integrator within another.
+        ('<default name="bounces" value="4"/>' + INTEGRATOR.format("$bounces"), 4),
+        (INTEGRATOR.format("$bounces"), DEFAULT_MAX_DEPTH),
+        (f'<integrator type="aov">{INTEGRATOR.format(6)}</integrator>', 6),
+    ],
+)
+def test_the_scene_names_its_path_depth(tmp_path, content, depth):
+    assert described(tmp_path, content).max_depth == depth
+
+
+def test_only_the_integrator_is_removed(tmp_path):
+    content = (
+        '<default name="integrator" value="only_its_author_has_it"/><default name="spp" value="4"/>'
+        '<integrator type="$integrator"/><sensor type="perspective"/><shape type="sphere"/>'
+    )
+    root = ET.fromstring(described(tmp_path, content).text)
+    assert root.tag == "scene"
+    assert root.get("version") == "3.0.0"
+    assert [(child.tag, child.get("name")) for child in root] == [
+        ("default", "spp"),
+        ("sensor", None),
+        ("shape", None),
+    ]
+
+
+def test_the_fingerprint_covers_named_files(tmp_path):
+    content = '<shape type="ply"><string name="filename" value="box.ply"/></shape>'
+    (tmp_path / "box.ply").write_text("one")
+    first = described(tmp_path, content).fingerprint
+    assert described(tmp_path, content).fingerprint == first
+    (tmp_path / "box.ply").write_text("other")
+    assert described(tmp_path, content).fingerprint != first
+
+
+def test_text_that_is_not_xml_is_refused(tmp_path):
+    file = tmp_path / "broken.xml"
+    file.write_text("<scene version='3.0.0'><shape")
+    with pytest.raises(UserError, match=r"broken\.xml: not well-formed XML"):
+        read_description(file)

@@ -1,0 +1,55 @@
+"""Cameras of Mitsuba's sensors."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from compose.base.errors import UserError
+from pathtrace.scene.sensor import camera_of_sensor
+from tests import small
+
+pytestmark = pytest.mark.usefixtures("backend")
+
+
+def test_intrinsics_follow_from_field_of_view_and_film():
+    """A field of view of 90 degrees has a focal length of half the side that it spans."""
+    description = {**small.sensor(60, 40, 90.0), "principal_point_offset_x": 0.1}
+    description["principal_point_offset_y"] = -0.25
+    camera = camera_of_sensor(mi.load_dict(description), "mine")
+    assert (camera.width, camera.height) == (60, 40)
+    assert camera.fx == camera.fy == pytest.approx(20, rel=1e-5)
+    assert (camera.cx, camera.cy) == (pytest.approx(24), pytest.approx(30))
+    across = camera_of_sensor(mi.load_dict({**description, "fov_axis": "x"}), "mine")
+    assert across.fx == across.fy == pytest.approx(30, rel=1e-5)
+
+
+def test_the_pose_is_that_of_look_at():
+    camera = camera_of_sensor(mi.load_dict(small.sensor()), "mine")
+    np.testing.assert_allclose(camera.position, [0.3, 0.2, -1], atol=1e-6)
+    # The target lies in the middle, what is above it higher up.
+    pixels, depth = camera.project(np.array([[0.1, 0.0, 0.4], [0.1, 0.1, 0.4]]))
+    np.testing.assert_allclose(pixels[0], [16, 16], atol=1e-4)
+    assert pixels[1, 1] < 16
+    assert (depth > 0).all()
+
+
+def test_a_projected_point_is_where_the_sensor_has_it():
+    """To 1e-3 pixels: the sensor's own direction sampling against Camera.project, off the film's centre."""
+    description = small.sensor()
+    description["principal_point_offset_x"] = 0.07
+    description["principal_point_offset_y"] = -0.04
+    sensor = mi.load_dict(description)
+    point = np.array([[0.2, 0.1, 1.0]])
+    expected, _ = camera_of_sensor(sensor, "mine").project(point)
+    si = dr.zeros(mi.SurfaceInteraction3f)
+    si.p = mi.Point3f(*point[0].tolist())
+    sample, _ = sensor.sample_direction(si, mi.Point2f(0.5))
+    np.testing.assert_allclose(np.array(sample.uv).ravel(), expected[0], atol=1e-3)
+
+
+def test_other_projections_are_refused():
+    with pytest.raises(UserError, match=r"^mine: the camera is not a perspective one"):
+        camera_of_sensor(mi.load_dict({"type": "orthographic"}), "mine")

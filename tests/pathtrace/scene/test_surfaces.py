@@ -1,0 +1,116 @@
+"""What is free and what is visible, by Embree: spheres of known radius, and Mitsuba's own first hits."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from pathtrace.scene.scene import load_scene
+from pathtrace.scene.surfaces import Surfaces, sphere_directions
+from pathtrace.trace.film import frame_positions
+from pathtrace.trace.tracer import Tracer
+from tests import small
+
+pytestmark = pytest.mark.usefixtures("backend")
+# Spheres are tessellated: at most 0.9 % of the radius inside.
+TESSELLATION = 0.01
+
+
+@pytest.fixture(scope="module")
+def ball(backend) -> Surfaces:
+    """Inside a sphere of radius 3."""
+    return Surfaces(load_scene(small.furnace()))
+
+
+def facing_wall(width: float) -> dict:
+    """A camera at the origin that looks along z, 90 degrees wide; a wall at z = 4 on one side of it."""
+    look = mi.ScalarTransform4f().look_at(origin=[0, 0, 0], target=[0, 0, 1], up=[0, 1, 0])
+    wall = mi.ScalarTransform4f().translate([width / 2, 0, 4]).scale([width / 2, 100, 1])
+    return {
+        "type": "scene",
+        "sensor": {**small.sensor(32, 32, 90.0), "to_world": look},
+        "wall": {"type": "rectangle", "to_world": wall},
+        "lamp": {"type": "point"},
+    }
+
+
+def test_distances_in_a_ball(ball):
+    directions = sphere_directions(50)
+    assert ball.distance(np.zeros((50, 3)), directions).shape == (50,)
+    np.testing.assert_allclose(ball.distance(np.zeros((50, 3)), directions), 3, rtol=TESSELLATION)
+    aside = np.array([[2.0, 0, 0], [2.0, 0, 0]])
+    found = ball.distance(aside, np.array([[1.0, 0, 0], [-1.0, 0, 0]]))
+    np.testing.assert_allclose(found, [1, 5], rtol=0.03)
+    assert ball.untessellated == []
+
+
+def test_rays_that_hit_nothing_are_infinite():
+    surfaces = Surfaces(load_scene(facing_wall(4.0)))
+    directions = np.array([[0.0, 0, 1], [0.0, 0, -1], [-0.6, 0, 0.8]])
+    found = surfaces.distance(np.array([[1.0, 0, 0]] * 3), directions)
+    np.testing.assert_allclose(found, [4, np.inf, np.inf])
+
+
+def test_clearance_is_the_distance_to_the_nearest_surface(ball):
+    assert ball.clearance(np.zeros(3)) == pytest.approx(3, rel=TESSELLATION)
+    for point in np.diag([2.0, 2.5, -2.0]):
+        assert ball.clearance(point) == pytest.approx(3 - np.linalg.norm(point), rel=0.03)
+
+
+def test_visibility_ends_at_surfaces(ball):
+    assert ball.sees(np.zeros(3), np.array([1.0, 1, 1]))
+    assert not ball.sees(np.zeros(3), np.array([4.0, 0, 0]))
+    assert not ball.sees(np.array([4.0, 0, 0]), np.zeros(3))
+    assert ball.sees(np.ones(3), np.ones(3))
+    wall = Surfaces(load_scene(facing_wall(4.0)))
+    assert wall.sees(np.zeros(3), np.array([1.0, 0, 3.9]))
+    assert not wall.sees(np.zeros(3), np.array([1.0, 0, 4.1]))
+
+
+def test_embree_agrees_with_mitsuba_in_the_room():
+    scene = load_scene("room")
+    camera = scene.camera.resized(64, 64)
+    expected = Tracer(scene).hits(camera, frame_positions(camera)).distance
+    rays = camera.rays(camera.pixel_centres())
+    found = Surfaces(scene).distance(np.repeat(camera.position[None], len(rays), axis=0), rays)
+    assert np.mean(np.isclose(found, expected, rtol=1e-3)) > 0.995
+
+
+def test_the_median_distance_is_that_of_what_is_seen():
+    """A wall at depth 4 on the right, nothing on the left: rays to it are 4 to 4 sqrt(3) long."""
+    scene = load_scene(facing_wall(100.0))
+    surfaces = Surfaces(scene)
+    distance = surfaces.probe(scene.camera).reshape(24, 24)
+    seen = np.isfinite(distance)
+    assert (seen.sum(axis=1) == 12).all()
+    # Mitsuba's x axis points to the left of the image.
+    assert seen[:, :12].all()
+    x, y = np.meshgrid(*[(np.arange(24) + 0.5) / 12 - 1] * 2)
+    expected = 4 * np.sqrt(1 + x**2 + y**2)
+    np.testing.assert_allclose(distance[seen], expected[seen], rtol=1e-5)
+    assert surfaces.median_distance(scene.camera) == pytest.approx(np.median(expected), rel=1e-5)
+
+
+def test_a_camera_that_sees_nothing_has_no_median_distance():
+    scene = load_scene({**facing_wall(4.0), "wall": {"type": "sphere", "center": [0, 0, -9]}})
+    assert Surfaces(scene).median_distance(scene.camera) == np.inf
+
+
+def test_a_scene_without_triangles_is_empty(tmp_path):
+    (tmp_path / "hair.txt").write_text("\n".join(f"{i} 0 0 0.1" for i in range(5)))
+    curve = {"type": "bsplinecurve", "filename": str(tmp_path / "hair.txt")}
+    surfaces = Surfaces(load_scene({**facing_wall(4.0), "wall": curve}))
+    assert surfaces.untessellated == ["BSplineCurve"]
+    assert surfaces.clearance(np.zeros(3)) == np.inf
+
+
+def test_directions_are_even_over_the_sphere():
+    directions = sphere_directions(256)
+    assert directions.shape == (256, 3)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1)
+    np.testing.assert_allclose(directions.mean(axis=0), 0, atol=0.01)
+    np.testing.assert_allclose(directions.T @ directions / 256, np.eye(3) / 3, atol=0.01)
+    # Each has its own place: an even spacing would be about 0.22.
+    gaps = np.linalg.norm(directions[:, None] - directions, axis=-1) + 2 * np.eye(256)
+    assert gaps.min() > 0.12
