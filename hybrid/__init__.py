@@ -34,15 +34,15 @@ if TYPE_CHECKING:
     from hybrid.frame.renderer import Renderer as Renderer
     from hybrid.frame.settings import FrameSettings as FrameSettings
     from pathtrace.base.backend import select_backend as select_backend
-    from pathtrace.dataset.capture import CaptureSettings as CaptureSettings
     from pathtrace.dataset.frames import FrameSet as FrameSet
+    from pathtrace.dataset.settings import CaptureSettings as CaptureSettings
     from pathtrace.scene.scene import Scene as Scene
     from splat.model.forest import Forest as Forest
     from splat.training.trainer import TrainingSettings as TrainingSettings
 
 _MODULES = {
     "Camera": "compose.camera.camera",
-    "CaptureSettings": "pathtrace.dataset.capture",
+    "CaptureSettings": "pathtrace.dataset.settings",
     "Display": "compose.eye.display",
     "EvaluationSettings": "hybrid.evaluation.settings",
     "Forest": "splat.model.forest",

@@ -41,7 +41,7 @@ ACUITY_LIMIT = 1 / 48
 ACUITY_SLOPE = 0.022  # 1.32 arcmin per degree
 # How much more is resolved where the image draws attention (Fov-GS, Eq. 9).
 SALIENCY_GAIN = 0.4
-# The default model; docs/measured.md has the comparison.
+# The default model; docs/measured/periphery.md has the comparison.
 DEFAULT_ACUITY_MODEL = "geisler-perry"
 
 

@@ -36,7 +36,7 @@ def evaluate(
 
     Args:
         scene, forest: what is rendered.
-        folder: of the report.
+        folder: for the report; the evaluation resumes from what it finds there.
         settings: what to measure; the defaults of EvaluationSettings if None.
         baseline_forest: forest file of Gaussians without trees (trained with one layer) to compare with.
         progress: called with the activity, work done and work in total.

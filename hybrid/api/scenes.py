@@ -1,4 +1,4 @@
-"""Loads scenes, frame sets and forests, and makes them."""
+"""Loads scenes, frame sets and forests; captures frame sets and trains forests."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hybrid.runtime.progress import no_progress
 from pathtrace.base.backend import select_backend
 
 if TYPE_CHECKING:
-    from pathtrace.dataset.capture import CaptureSettings
     from pathtrace.dataset.frames import FrameSet
+    from pathtrace.dataset.settings import CaptureSettings
     from pathtrace.scene.scene import Scene
     from splat.model.forest import Forest
     from splat.training.trainer import TrainingSettings
@@ -18,19 +19,15 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int], None]
 
 
-def _ignore(done: int, total: int) -> None:
-    """Ignores progress."""
-
-
 def load_scene(
     source: str | Path | dict[str, Any], *, max_depth: int | None = None, backend: str = "auto"
 ) -> Scene:
-    """Loads a scene, and selects what everything runs on when called first.
+    """Loads a scene. The first call in a process also selects the backend.
 
     Args:
         source: name of a bundled scene, path of a Mitsuba 3 XML file, or scene dictionary.
         max_depth: path depth; the scene's own if None.
-        backend: auto (CUDA if available), cuda or llvm; fixed by the first call of a process.
+        backend: auto (CUDA if available), cuda or llvm; it cannot change within a process.
 
     Raises:
         UserError: the scene is missing, Mitsuba refuses it, it has no perspective camera or no light, or the
@@ -46,9 +43,9 @@ def capture(
     scene: Scene,
     folder: Path | str,
     settings: CaptureSettings | None = None,
-    progress: Progress = _ignore,
+    progress: Progress = no_progress,
 ) -> FrameSet:
-    """Renders a frame set to train on; resumes if interrupted.
+    """Renders a frame set for training; resumes if interrupted.
 
     Args:
         scene: what to render.
@@ -60,8 +57,8 @@ def capture(
         UserError: the folder holds another capture or cannot be written, or the scene leaves no room for
             that many views.
     """
-    from pathtrace.dataset.capture import CaptureSettings
     from pathtrace.dataset.capture import capture as run
+    from pathtrace.dataset.settings import CaptureSettings
 
     return run(scene, Path(folder), settings or CaptureSettings(), progress)
 
@@ -81,7 +78,7 @@ def train(
     frames: FrameSet,
     path: Path | str,
     settings: TrainingSettings | None = None,
-    progress: Progress = _ignore,
+    progress: Progress = no_progress,
 ) -> Forest:
     """Trains a forest on a frame set and writes it; resumes if interrupted.
 

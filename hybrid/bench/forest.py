@@ -15,8 +15,9 @@ from compose.camera.camera import Camera, camera_from_pose
 from splat.base.arrays import BackendName
 from splat.io.forest_file import load_forest, save_forest
 from splat.model.building import build_forest
-from splat.model.forest import forest_of, static_layer
+from splat.model.forest import forest_of
 from splat.model.gaussians import Gaussians, sh_count
+from splat.model.layer import static_layer
 
 _LAYERS = 4
 _DEGREE = 2

@@ -9,7 +9,6 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from splat.lod.pictures import JoinedFrame
 
 from compose.camera.camera import Camera
 from compose.eye.acuity import ACUITY_MODELS
@@ -21,6 +20,7 @@ from hybrid.measure.metrics.fovvideovdp import jod
 from hybrid.measure.metrics.ssim import ssim
 from hybrid.measure.timing import percentiles
 from hybrid.runtime.device import device_arrays
+from splat.lod.image import SplatImage
 from splat.model.forest import Forest
 
 GAZES = (Gaze(0.5, 0.5), Gaze(0.2, 0.2))
@@ -87,7 +87,7 @@ def _passes(
     models: Sequence[FrameSettings],
     camera: Camera,
     times: dict[str, list[float]] | None,
-) -> dict[str, JoinedFrame]:
+) -> dict[str, SplatImage]:
     """The periphery once with each acuity model."""
     drawn = {}
     for periphery, settings in zip(peripheries, models, strict=True):
@@ -102,7 +102,7 @@ def _passes(
 
 
 def _quality(
-    models: Sequence[FrameSettings], camera: Camera, drawn: dict[str, JoinedFrame]
+    models: Sequence[FrameSettings], camera: Camera, drawn: dict[str, SplatImage]
 ) -> list[dict[str, Any]]:
     """Rows of how close each periphery is to that at full level and rate."""
     full = drawn[FULL].image().copy()

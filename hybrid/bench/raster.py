@@ -13,10 +13,11 @@ from hybrid.measure.timing import percentiles
 from hybrid.runtime.device import device_arrays
 from splat.base.arrays import Arrays
 from splat.raster.binning import bin_splats
-from splat.raster.blending import padded_size, rasterize
+from splat.raster.blending import rasterize
 from splat.raster.blocks import CHANNELS
 from splat.raster.gradient import rasterize_backward
 from splat.raster.projection import Splats
+from splat.raster.tiles import TileGrid
 
 
 def random_splats(arrays: Arrays, count: int, width: int, height: int, rng: np.random.Generator) -> Splats:
@@ -48,12 +49,12 @@ def bench_raster(
     forward, backward = [], []
     for step in range(-warm_up, repeats):
         start = time.perf_counter()
-        bins = bin_splats(arrays, splats, width, height)
+        bins = bin_splats(arrays, splats, TileGrid(width, height))
         image = rasterize(arrays, splats, bins)
         dr.sync_thread()
         middle = time.perf_counter()
         if step == -warm_up:
-            padded = padded_size(bins)
+            padded = bins.grid.padded_width, bins.grid.padded_height
             gradient = arrays.plain.Float(
                 rng.normal(size=padded[0] * padded[1] * CHANNELS).astype(np.float32)
             )

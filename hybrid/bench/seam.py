@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from compose.eye.gaze import Gaze
 from compose.fovea.mode import FoveaMode
 from compose.fovea.region import FoveaRegion
-from compose.image.colour import Image
+from compose.image.colour import Image, luminance
 from hybrid.bench.fusion import means, unfitted_views
 from hybrid.frame.frame import Frame
 from hybrid.frame.renderer import Renderer
@@ -76,9 +76,9 @@ def _seam(frame: Frame, band: Region, truth: Image) -> dict[str, float]:
     region = frame.region
     traced = band.mask.ravel()[region.pixels]
     pixels = region.pixels[traced]
-    right = _luminance(truth.reshape(-1, 3)[pixels])
-    outer = _luminance(frame.periphery.reshape(-1, 3)[pixels])
-    difference = _luminance(frame.fovea.radiance[traced]) - outer
+    right = luminance(truth.reshape(-1, 3)[pixels])
+    outer = luminance(frame.periphery.reshape(-1, 3)[pixels])
+    difference = luminance(frame.fovea.radiance[traced]) - outer
     sector = _sectors(region, pixels)
     present = np.unique(sector)
     local = [difference[sector == s].mean() / max(right[sector == s].mean(), _DARK) for s in present]
@@ -88,10 +88,6 @@ def _seam(frame: Frame, band: Region, truth: Image) -> dict[str, float]:
     }
     seen = jod(band.alone(frame.composite, truth), truth, frame.settings.display, frame.settings.gaze)
     return row if seen is None else {**row, "jod": seen}
-
-
-def _luminance(radiance: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.asarray(radiance @ np.array([0.2126, 0.7152, 0.0722], dtype=np.float32))
 
 
 def _sectors(region: FoveaRegion, pixels: NDArray[np.uint32]) -> NDArray[np.int64]:

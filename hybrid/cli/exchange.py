@@ -38,7 +38,8 @@ def import_ply(
     """Read a PLY file of 3D Gaussian splatting; the forest fits any scene."""
     from splat.io.forest_file import save_forest
     from splat.io.ply import UNBOUND_FOCAL, load_ply
-    from splat.model.forest import forest_of, static_layer
+    from splat.model.forest import forest_of
+    from splat.model.layer import static_layer
 
     gaussians = load_ply(source)
     save_forest(forest, forest_of([static_layer(gaussians)], UNBOUND_FOCAL, source.stem, ""))

@@ -7,20 +7,24 @@ from PySide6.QtGui import QColor, QFont, QImage, QMouseEvent, QPainter, QPaintEv
 from PySide6.QtWidgets import QWidget
 
 from compose.eye.gaze import Gaze
-from hybrid.interactive.source import Shown
+from hybrid.interactive.shown import Shown
 
 _SHADE = QColor(0, 0, 0, 150)
 _MARGIN = 8
 
 
 class Canvas(QWidget):
-    """Shows frames in their shape, as large as there is room, with lines of text over them."""
+    """Shows frames in their own proportions, as large as they fit, with lines of text over them.
 
-    # Where the mouse is on the frame.
+    Args:
+        size: preferred size in pixels.
+    """
+
+    # Gaze: the mouse has moved there.
     gazed = Signal(object)
-    # How far it was dragged to the right and down, in heights of this widget.
+    # The mouse was dragged to the right and down, in heights of this widget.
     dragged = Signal(float, float)
-    # The newest frame is on the screen.
+    # Shown: the newest frame is on the screen.
     painted = Signal(object)
     resized = Signal()
 
@@ -33,7 +37,7 @@ class Canvas(QWidget):
         self._held: QPointF | None = None
         self._hud: list[str] = []
         self._overlay: list[str] = []
-        self.ring = True
+        self._ring = True
         self.setMouseTracking(True)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setMinimumSize(160, 120)
@@ -42,36 +46,41 @@ class Canvas(QWidget):
         return self._hint
 
     def show_frame(self, shown: Shown) -> None:
-        """Shows it at the next chance."""
+        """Shows a frame as soon as Qt paints next."""
         height, width = shown.image.shape[:2]
-        # The image only points at the picture, which must live as long.
+        # The QImage shares the memory of the array, which `_shown` keeps alive.
         self._shown = shown
         self._image = QImage(shown.image.data, width, height, 3 * width, QImage.Format.Format_RGB888)
         self._fresh = True
         self.update()
 
     def write(self, hud: list[str], overlay: list[str]) -> None:
-        """Lines in the corner, and lines in the middle."""
+        """Shows lines in the upper left corner, and lines in the middle."""
         if (hud, overlay) != (self._hud, self._overlay):
             self._hud, self._overlay = hud, overlay
             self.update()
 
+    def toggle_ring(self) -> None:
+        """Shows or hides the ring around the disc."""
+        self._ring = not self._ring
+        self.update()
+
     def frame_rectangle(self) -> QRectF:
-        """Where the frame is."""
+        """Where the frame is in this widget."""
         if self._image is None:
             return QRectF(self.rect())
         scale = min(self.width() / self._image.width(), self.height() / self._image.height())
         width, height = scale * self._image.width(), scale * self._image.height()
         return QRectF((self.width() - width) / 2, (self.height() - height) / 2, width, height)
 
-    def gaze_of(self, at: QPointF) -> Gaze:
-        """The gaze at a point of this widget; beyond the frame, its edge."""
+    def gaze_of(self, point: QPointF) -> Gaze:
+        """The gaze at a point of this widget; outside the frame, the nearest one on its edge."""
         frame = self.frame_rectangle()
-        x, y = (at.x() - frame.x()) / frame.width(), (at.y() - frame.y()) / frame.height()
+        x, y = (point.x() - frame.x()) / frame.width(), (point.y() - frame.y()) / frame.height()
         return Gaze(min(max(x, 0.0), 1.0), min(max(y, 0.0), 1.0))
 
     def point_of(self, gaze: Gaze) -> QPointF:
-        """Inverse of `gaze_of`."""
+        """The point of this widget at a gaze; inverse of `gaze_of`."""
         frame = self.frame_rectangle()
         return QPointF(frame.x() + gaze.x * frame.width(), frame.y() + gaze.y * frame.height())
 
@@ -84,11 +93,11 @@ class Canvas(QWidget):
             self._held = None
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:  # noqa: N802
-        at = event.position()
+        point = event.position()
         if self._held is not None:
-            way, self._held = at - self._held, at
+            way, self._held = point - self._held, point
             self.dragged.emit(way.x() / self.height(), way.y() / self.height())
-        self.gazed.emit(self.gaze_of(at))
+        self.gazed.emit(self.gaze_of(point))
 
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
         self.resized.emit()
@@ -100,23 +109,24 @@ class Canvas(QWidget):
         if self._image is not None and self._shown is not None:
             painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform)
             painter.drawImage(frame, self._image)
-            if self.ring:
+            if self._ring:
                 self._draw_ring(painter, self._shown, frame)
-        self._draw_lines(painter, self._hud, middle=False)
-        self._draw_lines(painter, self._overlay, middle=True)
+        self._draw_lines(painter, self._hud, centred=False)
+        self._draw_lines(painter, self._overlay, centred=True)
         painter.end()
         if self._fresh:
             self._fresh = False
             self.painted.emit(self._shown)
 
     def _draw_ring(self, painter: QPainter, shown: Shown, frame: QRectF) -> None:
-        """Where the disc of this very frame is."""
+        """Draws a circle around the disc of the frame that is shown, which may be behind the mouse."""
         radius = shown.request.settings.fov_a / 100 * frame.height()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setPen(QPen(QColor(255, 255, 255, 110), 1))
         painter.drawEllipse(self.point_of(shown.request.settings.gaze), radius, radius)
 
-    def _draw_lines(self, painter: QPainter, lines: list[str], middle: bool) -> None:
+    def _draw_lines(self, painter: QPainter, lines: list[str], centred: bool) -> None:
+        """Draws lines of text on a shade, in the middle or in the upper left corner."""
         if not lines:
             return
         font = QFont("monospace", 9)
@@ -125,8 +135,8 @@ class Canvas(QWidget):
         metrics = painter.fontMetrics()
         width = max(metrics.horizontalAdvance(line) for line in lines) + 2 * _MARGIN
         height = len(lines) * metrics.height() + 2 * _MARGIN
-        left = (self.width() - width) / 2 if middle else 0.0
-        top = (self.height() - height) / 2 if middle else 0.0
+        left = (self.width() - width) / 2 if centred else 0.0
+        top = (self.height() - height) / 2 if centred else 0.0
         painter.fillRect(QRectF(left, top, width, height), _SHADE)
         painter.setPen(Qt.GlobalColor.white)
         for number, line in enumerate(lines):

@@ -11,12 +11,19 @@ from compose.eye.acuity import ACUITY_MODELS
 from hybrid.frame.settings import FrameSettings
 from hybrid.interactive.request import View
 
+# Ends of the sliders: radii and scale in percent.
 _MOST_RADIUS, _MOST_SPP, _LEAST_SCALE, _MOST_RATE = 75, 16, 25, 3
+# Ends and default of the target, in frames per second.
+_LEAST_FPS, _MOST_FPS, _DEFAULT_FPS = 1, 120, 15
+# Widths of a slider in pixels, and of a list in letters.
 _SLIDER_WIDTH, _LETTERS = 100, 12
 
 
 class Panel(QWidget):
-    """Sliders and lists; what is chosen with them is always a valid setting.
+    """Sliders and lists; what is chosen with them is a valid setting at every moment.
+
+    Until something is changed by hand, the settings are exactly the initial ones, which sliders, with their
+    whole numbers, may only approximate.
 
     Args:
         settings: initial settings; what no control changes stays as it is.
@@ -29,7 +36,8 @@ class Panel(QWidget):
     def __init__(self, settings: FrameSettings, target_fps: float | None, layers: int):
         super().__init__()
         self._form = QFormLayout(self)
-        self._initial = settings
+        self._initial, self._initial_target = settings, target_fps
+        self._touched = False
         self._chosen: FrameSettings | None = None
         # Before anyone else hears of a change.
         self.changed.connect(self._forget)
@@ -38,19 +46,25 @@ class Panel(QWidget):
         self.fov_a = self._slider("fov-a", 0, _MOST_RADIUS, round(settings.fov_a), " %")
         self.fov_b = self._slider("fov-b", 0, _MOST_RADIUS, round(settings.fov_b), " %")
         self.spp = self._slider("samples", 1, _MOST_SPP, settings.spp, "")
-        self.acuity_model = self._list("acuity_model", list(ACUITY_MODELS), settings.acuity_model)
+        self.acuity_model = self._list("acuity model", list(ACUITY_MODELS), settings.acuity_model)
         self.coarsest = self._slider("coarsest layer", 1, layers, low, "")
         self.finest = self._slider("finest layer", 1, layers, high, "")
-        self.rate = self._slider("coarser rate", 0, _MOST_RATE, settings.rate, "")
+        self.rate = self._slider("finest rate", 0, _MOST_RATE, settings.rate, "")
         self.scale = self._slider("scale", _LEAST_SCALE, 100, round(100 * settings.scale), " %")
         self.controlled = QCheckBox("keep FPS")
         self.controlled.setChecked(target_fps is not None)
-        self.target = QSpinBox(minimum=1, maximum=120)
-        self.target.setValue(round(target_fps or 15))
+        self.target = QSpinBox(minimum=_LEAST_FPS, maximum=_MOST_FPS)
+        self.target.setValue(round(target_fps or _DEFAULT_FPS))
         self._form.addRow(self.controlled, self.target)
-        # Keys belong to the frame: with the focus here, arrows and letters would change what is chosen.
+        # Keys belong to the frame: a control with the focus would react to arrows and letters.
         for control in self.findChildren(QWidget):
             control.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self._connect()
+        self._enable_manual(self.controlled.isChecked())
+        self._chosen = replace(settings, layers=(low, high))
+
+    def _connect(self) -> None:
+        """Makes ends of ranges push each other, and reports changes of the target."""
         self.fov_a.valueChanged.connect(lambda value: self.fov_b.setValue(min(self.fov_b.value(), value)))
         self.fov_b.valueChanged.connect(lambda value: self.fov_a.setValue(max(self.fov_a.value(), value)))
         self.coarsest.valueChanged.connect(
@@ -59,12 +73,9 @@ class Panel(QWidget):
         self.finest.valueChanged.connect(
             lambda value: self.coarsest.setValue(min(self.coarsest.value(), value))
         )
-        self.controlled.toggled.connect(self._mark_chosen)
+        self.controlled.toggled.connect(self._enable_manual)
         self.controlled.toggled.connect(self.changed)
         self.target.valueChanged.connect(self.changed)
-        self._mark_chosen(self.controlled.isChecked())
-        # Until something is changed by hand: sliders know whole numbers only.
-        self._chosen = replace(settings, layers=(low, high))
 
     def settings(self) -> FrameSettings:
         """The chosen settings; the same object until one of them changes."""
@@ -72,12 +83,11 @@ class Panel(QWidget):
             self._chosen = self._read()
         return self._chosen
 
-    def _forget(self) -> None:
-        self._chosen = None
-
     @property
     def target_fps(self) -> float | None:
         """Frames per second to keep; None for no target."""
+        if not self._touched:
+            return self._initial_target
         return float(self.target.value()) if self.controlled.isChecked() else None
 
     @property
@@ -85,11 +95,15 @@ class Panel(QWidget):
         """The chosen view."""
         return View(self.views.currentText())
 
+    def _forget(self) -> None:
+        self._touched, self._chosen = True, None
+
     def _read(self) -> FrameSettings:
+        """The settings that the controls show."""
         return replace(
             self._initial,
             fov_a=float(self.fov_a.value()),
-            # While one slider moves, the one that follows it has not moved yet.
+            # While one slider moves, the one that it pushes has not moved yet.
             fov_b=float(min(self.fov_b.value(), self.fov_a.value())),
             spp=self.spp.value(),
             acuity_model=self.acuity_model.currentText(),
@@ -98,12 +112,13 @@ class Panel(QWidget):
             scale=self.scale.value() / 100,
         )
 
-    def _mark_chosen(self, controlled: bool) -> None:
-        """What the controller chooses cannot be chosen by hand at the same time."""
+    def _enable_manual(self, controlled: bool) -> None:
+        """Disables what the controller chooses, or enables it again."""
         for control in (self.spp, self.finest, self.coarsest, self.rate, self.scale):
             control.setEnabled(not controlled)
 
     def _slider(self, name: str, low: int, high: int, value: int, unit: str) -> QSlider:
+        """Adds a slider with its value in its label."""
         slider, label = QSlider(Qt.Orientation.Horizontal), QLabel()
         slider.setRange(low, high)
         slider.setMinimumWidth(_SLIDER_WIDTH)
@@ -115,9 +130,10 @@ class Panel(QWidget):
         return slider
 
     def _list(self, name: str, entries: list[str], chosen: str) -> QComboBox:
+        """Adds a list of which one entry is chosen."""
         box = QComboBox()
         box.addItems(entries)
-        # The longest entry must not decide how much is left for the frame.
+        # The longest entry must not take the room of the frame.
         box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         box.setMinimumContentsLength(_LETTERS)
         box.setCurrentText(chosen)

@@ -1,4 +1,4 @@
-"""Whether a window can be opened here."""
+"""Checks whether a window can be opened here."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import sys
 from compose.base.errors import UserError
 
 _INSTALL = "the window needs Qt: pip install 'foveated-hybrid-renderer[demo]'"
-# What Qt's plugin for X11 loads, by the names of Debian's packages.
+# Debian packages with the libraries that Qt's plugin for X11 loads.
 _LIBRARIES = (
     "libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0 libxcb-shape0 "
     "libxcb-util1 libxkbcommon-x11-0"
@@ -17,7 +17,7 @@ _LIBRARIES = (
 
 
 def require_window() -> None:
-    """Finds out before Qt does, which would end the process.
+    """Checks that Qt can open a window, before Qt itself ends the process because it cannot.
 
     Raises:
         UserError: Qt is not installed, there is no display, or Qt cannot use it.
@@ -39,6 +39,10 @@ def require_window() -> None:
 
 
 def tried(environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
-    """How another process ends that opens Qt's display, in this environment or another one."""
+    """Lets another process connect to the display; the outcome of that process.
+
+    Args:
+        environment: of the process; None for that of this one.
+    """
     trial = [sys.executable, "-c", "from PySide6.QtWidgets import QApplication; QApplication([])"]
     return subprocess.run(trial, env=environment, capture_output=True, text=True, check=False)

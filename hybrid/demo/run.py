@@ -12,7 +12,8 @@ from typing import Any
 from PySide6.QtWidgets import QApplication
 
 from compose.eye.gaze_trace import GazeTrace
-from hybrid.demo.bench import WindowBench, figures, steadiness, summary
+from hybrid.demo.bench import WindowBench
+from hybrid.demo.figures import figures, steadiness, summary
 from hybrid.demo.thread import RenderThread
 from hybrid.demo.window import Window
 from hybrid.frame.settings import FrameSettings
@@ -27,10 +28,10 @@ class WindowOptions:
     Attributes:
         size: width and height of the frame in pixels.
         latency: delay of the gaze in seconds.
-        folder: for pictures and gaze traces.
+        folder: for screenshots and gaze traces.
         target_fps: frames per second to keep; None for no target.
-        bench: seconds for which the mouse is moved before the window closes; None leaves it open.
-        load: seconds of the bench in which another process keeps one core busy.
+        bench: seconds after which the window closes, with the mouse moving until then; None leaves it open.
+        load: seconds of the bench for which another process keeps one core busy.
     """
 
     size: tuple[int, int]
@@ -60,16 +61,17 @@ def run_window(
         options: how the window runs.
 
     Returns:
-        What was measured, and a summary of it.
+        What was measured (see `figures`; `target`, see `steadiness`), and a summary of it for people.
 
     Raises:
         UserError: the scene or the forest cannot be used.
     """
     application = QApplication(sys.argv[:1])
-    benched = options.bench is not None
-    thread = RenderThread(partial(prepared, scene, forest, backend, not benched))
+    measures = options.bench is not None
+    # Training would take minutes of a measurement that is expected to take seconds.
+    thread = RenderThread(partial(prepared, scene, forest, backend, not measures))
     gaze = GazeInput(options.latency, trace)
-    window = Window(thread, settings, options.target_fps, options.size, gaze, options.folder, benched)
+    window = Window(thread, settings, options.target_fps, options.size, gaze, options.folder, measures)
     bench = None
     if options.bench is not None:
         bench = WindowBench(window, options.bench, trace is None, options.load)
@@ -79,7 +81,8 @@ def run_window(
     application.exec()
     if window.error is not None:
         raise window.error
-    found = figures(window, 0.0 if bench is None else bench.start)
+    size = window.canvas.width(), window.canvas.height()
+    found = figures(window.meter, size, 0.0 if bench is None else bench.start)
     if options.target_fps is not None:
         loaded = None if bench is None else bench.loaded
         found["target"] = steadiness(found["frames"], options.target_fps, loaded)

@@ -1,4 +1,4 @@
-"""The thread on which everything is rendered. Scene, forest and Dr.Jit live on it alone."""
+"""The thread on which everything is rendered; scene, forest and Dr.Jit live on it alone."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ from hybrid.interactive.ladder import ladder_for
 from hybrid.interactive.loop import FrameLoop
 from hybrid.interactive.newest import Newest
 from hybrid.interactive.request import Request
-from hybrid.interactive.source import FrameSource, Shown
+from hybrid.interactive.shown import Shown
+from hybrid.interactive.source import FrameSource
 from hybrid.runtime.progress import Report
 
-# Seconds after which a thread that has nothing to do looks whether it is to end.
-_LOOK = 0.1
+# Seconds between two checks of an idle thread whether it is to end.
+_POLL = 0.1
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Ready:
     Attributes:
         name: of the scene.
         camera: the scene's own.
-        distance: how far away things are, in units of the scene.
+        distance: median distance to what that camera sees, in units of the scene.
         layers: of the forest.
     """
 
@@ -42,17 +43,23 @@ class Ready:
 
 
 class RenderThread(QThread):
-    """Renders the newest request, again and again as long as that makes it better.
+    """Renders the newest request, again and again as long as that makes the frame better.
 
     Args:
-        prepare: makes the source of frames, on this thread; gets a function that reports progress, and
-            raises KeyboardInterrupt when the window is closed.
+        prepare: makes the source of frames, on this thread. It is given a function that reports progress,
+            and that raises KeyboardInterrupt once the window is closed.
+
+    Attributes:
+        requests: what the window asks for.
+        frames: what it receives.
     """
 
+    # Activity, steps done, steps in total.
     progress = Signal(str, int, int)
     ready = Signal(object)
-    # There is something in `frames`: frames themselves would pile up before a window that is busy.
+    # There is a frame in `frames`. If the signal carried it, frames would pile up before a busy window.
     arrived = Signal()
+    # A message for the user.
     saved = Signal(str)
     failed = Signal(object)
 
@@ -61,54 +68,55 @@ class RenderThread(QThread):
         self.requests: Newest[Request] = Newest()
         self.frames: Newest[Shown] = Newest()
         self._prepare = prepare
-        self._files: Newest[tuple[Path, Path]] = Newest()
+        self._screenshots: Newest[Path] = Newest()
         self._stopping = threading.Event()
 
     def stop(self) -> None:
-        """Ends the thread after the frame or the step that it is at; returns when it has."""
+        """Ends the thread after the frame or step that it is at; returns when it has ended."""
         self._stopping.set()
         self.wait()
 
-    def save(self, picture: Path, layers: Path) -> None:
-        """Asks for files of what is shown."""
-        self._files.put((picture, layers))
+    def save(self, png: Path) -> None:
+        """Asks for files of what is shown: the image as PNG, the frame's AOVs as EXR beside it."""
+        self._screenshots.put(png)
 
     def run(self) -> None:
-        """Called by Qt, on the new thread."""
+        """Prepares and renders; Qt calls this on the new thread."""
         try:
             source = self._prepare(self._report)
-            layers = len(source.renderer.periphery.forest.counts)
-            name = source.renderer.scene.name
-            self.ready.emit(Ready(name, source.camera, source.distance(), layers))
+            self.ready.emit(Ready(source.name, source.camera, source.distance(), source.layers))
             self._serve(source, FrameLoop(source, partial(ladder_for, source, report=self._report)))
         except KeyboardInterrupt:
-            pass  # the window was closed while something was prepared
+            pass  # the window was closed during preparation
         except Exception as error:
-            # The window ends, and it is raised where it can be seen.
+            # The window closes, and raises it on the main thread.
             self.failed.emit(error)
 
-    def _report(self, what: str, done: int, total: int) -> None:
+    def _report(self, activity: str, done: int, total: int) -> None:
         if self._stopping.is_set():
             raise KeyboardInterrupt
-        self.progress.emit(what, done, total)
+        self.progress.emit(activity, done, total)
 
     def _serve(self, source: FrameSource, loop: FrameLoop) -> None:
+        """Renders until the window is closed."""
+        request: Request | None = None
         while not self._stopping.is_set():
-            # The pause comes first, so that the gaze is as new as it can be.
+            # Wait first, then take the request, so that its gaze is as new as can be.
             self._stopping.wait(max(0.0, loop.due - time.perf_counter()))
-            asked, fresh = self.requests.take(_LOOK if loop.idle else 0.0)
-            files, wanted = self._files.take(0.0)
-            if files is not None and wanted:
-                self.saved.emit(_saved(source, *files))
-            if asked is not None and (fresh or not loop.idle):
-                self.frames.put(loop.make(asked))
+            newer = self.requests.take(_POLL if loop.idle else 0.0)
+            png = self._screenshots.take()
+            if png is not None:
+                self.saved.emit(_saved(source, png))
+            request = newer or request
+            if request is not None and (newer is not None or not loop.idle):
+                self.frames.put(loop.make(request))
                 self.arrived.emit()
 
 
-def _saved(source: FrameSource, picture: Path, layers: Path) -> str:
-    """Writes both files; what to tell of it."""
+def _saved(source: FrameSource, png: Path) -> str:
+    """Writes the files of a screenshot; a message for the user."""
     try:
-        source.save(picture, layers)
+        source.save(png)
     except UserError as error:
         return str(error)
-    return f"{picture} and {layers.suffix}"
+    return f"{png} and .exr"

@@ -3,49 +3,40 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from PySide6.QtCore import QSize, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QKeyEvent
-from PySide6.QtWidgets import QDockWidget, QMainWindow, QProgressBar, QScrollArea
+from PySide6.QtWidgets import QMainWindow, QProgressBar
 
 from compose.base.errors import UserError
 from compose.eye.gaze import Gaze
 from hybrid.demo.canvas import Canvas
-from hybrid.demo.hud import HELP, lines_of
+from hybrid.demo.dock import controls_dock
+from hybrid.demo.hud import lines_of
+from hybrid.demo.keys import COMMANDS, HELP, Command, HeldKeys
 from hybrid.demo.panel import Panel
 from hybrid.demo.thread import Ready, RenderThread
 from hybrid.frame.settings import FrameSettings
-from hybrid.interactive.gaze_input import GazeInput, GazeRecorder
+from hybrid.interactive.files import unused_file
+from hybrid.interactive.gaze_input import GazeInput
 from hybrid.interactive.meter import Meter
+from hybrid.interactive.recording import GazeRecording
 from hybrid.interactive.request import Request, View
-from hybrid.interactive.source import Shown
+from hybrid.interactive.shown import Shown
 from hybrid.interactive.walk import Walker
 
-# Milliseconds between two looks at keys and gaze where they may have changed without an event: more often
-# than any frame comes. Otherwise seldom, as all that the window does is taken from the renderer.
+# Milliseconds between two ticks: while keys or the gaze may change without an event, more often than any
+# frame comes; otherwise rarely, since all the time that the window takes is lost to the renderer.
 _TICK, _REST = 8, 100
-# Milliseconds for which the window's size must stay the same until frames follow it: until then they are
-# enlarged. With a target, each new size is measured for half a minute.
+# Milliseconds for which the window must keep its size until frames follow it; until then they are enlarged.
+# With a target, each new size is measured for half a minute.
 _SETTLE = 200
-# How far one walks in a second, in units of how far away things are, and turns, in degrees.
-_PACE, _TURN = 0.3, 60.0
-_Key = Qt.Key
-_WALK = {
-    _Key.Key_W: (0, 0, 1),
-    _Key.Key_S: (0, 0, -1),
-    _Key.Key_A: (-1, 0, 0),
-    _Key.Key_D: (1, 0, 0),
-    _Key.Key_Q: (0, 1, 0),
-    _Key.Key_E: (0, -1, 0),
-}
-_LOOK = {
-    _Key.Key_Left: (-1, 0),
-    _Key.Key_Right: (1, 0),
-    _Key.Key_Up: (0, -1),
-    _Key.Key_Down: (0, 1),
-}
+# Milliseconds for which a message stays.
+_MESSAGE = 5000
 
 
 class Window(QMainWindow):
@@ -57,8 +48,16 @@ class Window(QMainWindow):
         target_fps: initial target, None for none.
         size: of the frame, in pixels.
         gaze: where it comes from.
-        folder: where pictures and gaze traces go.
-        keeps_all: whether all frame times are kept.
+        folder: for screenshots and gaze traces.
+        keeps_all: whether to keep the times of all frames.
+
+    Attributes:
+        canvas: shows the frame.
+        meter: times of the shown frames.
+        panel, walker: controls and viewer; None until the scene is loaded.
+        request: the newest one that was sent to the renderer.
+        shown: the frame on the screen.
+        error: that ended the renderer.
     """
 
     def __init__(
@@ -73,34 +72,44 @@ class Window(QMainWindow):
     ):
         super().__init__()
         self._thread, self._settings, self._target_fps = thread, settings, target_fps
-        self._gaze, self._folder, self._size = gaze, folder, size
-        self.meter = Meter(keeps_all)
-        self.error: Exception | None = None
+        self._size, self._gaze, self._folder = size, gaze, folder
+        self.canvas, self.meter = Canvas(QSize(*size)), Meter(keeps_all)
         self.panel: Panel | None = None
         self.walker: Walker | None = None
+        self.request: Request | None = None
+        self.shown: Shown | None = None
+        self.error: Exception | None = None
         self._ready: Ready | None = None
-        self._asked: Request | None = None
-        self._recorder: GazeRecorder | None = None
-        self._held: Gaze | None = None
-        self._keys: set[int] = set()
-        self._hud, self._help = True, False
-        self._last: Shown | None = None
-        self._before = time.perf_counter()
+        self._held_gaze: Gaze | None = None
+        self._held_keys = HeldKeys(time.perf_counter())
+        self._recording = GazeRecording(folder)
+        self._texts = {Command.HUD}
+        self._actions: dict[Command | View, Callable[[], object]] = {
+            Command.HOLD: self._toggle_hold,
+            Command.RING: self.canvas.toggle_ring,
+            Command.HUD: partial(self._toggle_text, Command.HUD),
+            Command.HELP: partial(self._toggle_text, Command.HELP),
+            Command.FULL_SCREEN: self._toggle_full_screen,
+            Command.LEAVE: self._leave,
+        }
         self.setWindowTitle("hybrid")
-        self.canvas = Canvas(QSize(*size))
         self.setCentralWidget(self.canvas)
-        self._bar = QProgressBar()
-        self._bar.setFormat("loading the scene")
-        self._bar.setMaximum(0)
-        self.statusBar().addPermanentWidget(self._bar, 1)
-        # Hiding the bar must not change the size of the frame.
-        self.statusBar().setFixedHeight(self._bar.sizeHint().height())
+        self._bar = self._progress_bar()
         self._settling = QTimer(self, interval=_SETTLE, singleShot=True)
+        self._timer = QTimer(self, interval=_REST)
         self._connect()
-        self._timer = QTimer(self)
-        self._timer.timeout.connect(self.tick)
-        self._timer.start(_REST)
+        self._timer.start()
         thread.start()
+
+    def _progress_bar(self) -> QProgressBar:
+        """Adds a bar to the status bar."""
+        bar = QProgressBar()
+        bar.setFormat("loading the scene")
+        bar.setMaximum(0)
+        self.statusBar().addPermanentWidget(bar, 1)
+        # Hiding the bar must not change the size of the frame.
+        self.statusBar().setFixedHeight(bar.sizeHint().height())
+        return bar
 
     def _connect(self) -> None:
         thread, canvas = self._thread, self.canvas
@@ -114,36 +123,30 @@ class Window(QMainWindow):
         canvas.painted.connect(self._on_painted)
         canvas.resized.connect(self._settling.start)
         self._settling.timeout.connect(self._on_settled)
+        self._timer.timeout.connect(self.tick)
 
     def tick(self) -> None:
-        """Walks as far as keys are held, and asks for the frame that this and the gaze make."""
+        """Walks as far as keys are held, and asks for the frame that this and the gaze call for."""
         now = time.perf_counter()
-        seconds, self._before = now - self._before, now
-        watched = bool(self._keys) or not self._gaze.is_live or self._gaze.latency > 0
-        if self._timer.interval() != (interval := _TICK if watched else _REST):
+        seconds = self._held_keys.elapsed(now)
+        interval = _TICK if self._held_keys or self._gaze.changes_by_itself else _REST
+        if self._timer.interval() != interval:
             self._timer.setInterval(interval)
-        if self.walker is None or self.panel is None or self._ready is None:
+        if self._ready is None or self.walker is None or self.panel is None:
             return
-        for key in self._keys:
-            if key in _WALK:
-                step = _PACE * self._ready.distance * seconds
-                self.walker.walk(*(step * way for way in _WALK[_Key(key)]))
-            elif key in _LOOK:
-                self.walker.look(*(_TURN * seconds * way for way in _LOOK[_Key(key)]))
-        before, newest = self._gaze.told, self._gaze.at(now)
-        gaze = self._held or newest
-        if self._recorder is not None:
-            self._recorder.add(now, gaze)
-        camera = self.walker.camera(*self._size)
-        told = self._gaze.told
-        settings = replace(self.panel.settings(), camera=camera, gaze=gaze)
-        request = Request(settings, self.panel.view, told, self.panel.target_fps)
-        if not request.same_frame(self._asked):
-            # A gaze that is held, or held no more, has not moved.
-            if self._asked is not None and gaze != self._asked.settings.gaze and told != before:
-                self.meter.event(told)
-            self._asked = request
-            self._thread.requests.put(request)
+        self._held_keys.move(self.walker, self._ready.distance, seconds)
+        before, newest = self._gaze.last, self._gaze.at(now)
+        gaze = self._held_gaze or newest.gaze
+        self._recording.add(now, gaze)
+        settings = replace(self.panel.settings(), camera=self.walker.camera(*self._size), gaze=gaze)
+        request = Request(settings, self.panel.view, newest.time, self.panel.target_fps)
+        if request.same_frame(self.request):
+            return
+        # A gaze that is held or released has not moved.
+        if self.request is not None and gaze != self.request.settings.gaze and newest.time != before.time:
+            self.meter.moved(newest.time)
+        self.request = request
+        self._thread.requests.put(request)
 
     def closeEvent(self, event: QCloseEvent) -> None:  # noqa: N802
         self._timer.stop()
@@ -151,108 +154,44 @@ class Window(QMainWindow):
         event.accept()
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
-        key = _Key(event.key())
-        if key in _WALK or key in _LOOK:
-            if key not in self._keys:
-                self._before = time.perf_counter()
-            self._keys.add(key)
+        if self._held_keys.press(event.key(), time.perf_counter()):
             self.tick()
         elif not event.isAutoRepeat():
-            self._command(key)
+            command = COMMANDS.get(event.key())
+            action = self._actions.get(command) if command else None
+            if action is not None:
+                action()
+            self._write()
+            self.tick()
 
     def keyReleaseEvent(self, event: QKeyEvent) -> None:  # noqa: N802
         if not event.isAutoRepeat():
-            self._keys.discard(_Key(event.key()))
+            self._held_keys.release(event.key())
 
     def focusNextPrevChild(self, forward: bool) -> bool:  # noqa: N802
         # Tab is a command here.
         return False
 
     def changeEvent(self, event: object) -> None:  # noqa: N802
-        # Another window gets the releases of keys that are held when it comes to the front.
+        # When another window comes to the front, it gets the releases of held keys.
         if not self.isActiveWindow():
-            self._keys.clear()
-
-    def _command(self, key: Qt.Key) -> None:
-        number = key - _Key.Key_1
-        if 0 <= number < len(View) and self.panel is not None:
-            self.panel.views.setCurrentIndex(number)
-        elif key == _Key.Key_R and self.walker is not None:
-            self.walker.reset()
-        elif key == _Key.Key_Space:
-            self._held = None if self._held else self._gaze.at(time.perf_counter())
-        elif key == _Key.Key_P and self._ready is not None:
-            self._save(self._ready.name)
-        elif key == _Key.Key_T and self._ready is not None:
-            self._record(self._ready.name)
-        elif key == _Key.Key_G:
-            self.canvas.ring = not self.canvas.ring
-            self.canvas.update()
-        elif key == _Key.Key_H:
-            self._hud = not self._hud
-        elif key == _Key.Key_F1:
-            self._help = not self._help
-        elif key == _Key.Key_Tab and self.panel is not None:
-            self._dock.setVisible(not self._dock.isVisible())
-        elif key == _Key.Key_F or (key == _Key.Key_Escape and self.isFullScreen()):
-            self.showNormal() if self.isFullScreen() else self.showFullScreen()
-        elif key == _Key.Key_Escape:
-            self.close()
-        self._write()
-        self.tick()
-
-    def _save(self, name: str) -> None:
-        try:
-            picture = _unused(self._folder, name, ".png")
-        except OSError as error:
-            self._say(f"{self._folder}: cannot be read ({error.strerror})")
-        else:
-            self._thread.save(picture, picture.with_suffix(".exr"))
-
-    def _record(self, name: str) -> None:
-        """Begins to record the gaze, or writes what was recorded; until that is possible, it goes on."""
-        if self._recorder is None:
-            self._recorder = GazeRecorder()
-            self._say("recording the gaze")
-            return
-        trace = self._recorder.trace()
-        try:
-            if trace is not None:
-                file = _unused(self._folder, f"{name}-gaze", ".csv")
-                trace.save(file)
-                self._say(str(file))
-            self._recorder = None
-        except (UserError, OSError) as error:
-            self._say(str(error))
-
-    def _on_settled(self) -> None:
-        self._size = self.canvas.width(), self.canvas.height()
-        self.tick()
-
-    def _on_progress(self, what: str, done: int, total: int) -> None:
-        self.meter.pause()
-        self._bar.setVisible(done < total)
-        self._bar.setMaximum(total)
-        self._bar.setValue(done)
-        self._bar.setFormat(f"{what} %v / %m")
+            self._held_keys.clear()
 
     def _on_ready(self, ready: Ready) -> None:
         self._ready = ready
         self.setWindowTitle(f"{ready.name} - hybrid")
         self.walker = Walker(ready.camera)
-        self.panel = Panel(self._settings, self._target_fps, ready.layers)
-        self.panel.changed.connect(self.tick)
-        self._dock = QDockWidget("controls")
-        # A small frame must not grow to the height of the controls.
-        scrolled = QScrollArea()
-        scrolled.setWidget(self.panel)
-        scrolled.setWidgetResizable(True)
-        scrolled.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        bar = scrolled.verticalScrollBar().sizeHint().width()
-        scrolled.setFixedWidth(self.panel.sizeHint().width() + bar)
-        self._dock.setWidget(scrolled)
-        self._dock.setFeatures(QDockWidget.DockWidgetFeature.NoDockWidgetFeatures)
-        self.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, self._dock)
+        self.panel = panel = Panel(self._settings, self._target_fps, ready.layers)
+        panel.changed.connect(self.tick)
+        dock = controls_dock(panel)
+        self.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, dock)
+        self._actions |= {
+            Command.HOME: self.walker.reset,
+            Command.SAVE: partial(self._save, ready.name),
+            Command.RECORD: lambda: self._say(self._recording.toggle(ready.name)),
+            Command.CONTROLS: lambda: dock.setVisible(not dock.isVisible()),
+        }
+        self._actions |= {view: partial(panel.views.setCurrentIndex, n) for n, view in enumerate(View)}
         self._bar.hide()
         # After Qt has laid out the controls.
         QTimer.singleShot(0, self._fit)
@@ -261,24 +200,23 @@ class Window(QMainWindow):
         self.tick()
 
     def _fit(self) -> None:
-        """Beside the controls the frame keeps the size that was asked for."""
+        """Makes the window as large as the frame needs it beside the controls."""
         self.resize(self.size() + self.canvas.sizeHint() - self.canvas.size())
 
-    def _on_frame(self) -> None:
-        shown, fresh = self._thread.frames.take(0.0)
-        if fresh and shown is not None:
-            self.canvas.show_frame(shown)
+    def _on_settled(self) -> None:
+        self._size = self.canvas.width(), self.canvas.height()
+        self.tick()
 
-    def _on_painted(self, shown: Shown) -> None:
-        self.meter.shown(time.perf_counter(), shown.request.asked, shown.milliseconds)
-        self._last = shown
-        self._write()
+    def _on_progress(self, activity: str, done: int, total: int) -> None:
+        self.meter.pause()
+        self._bar.setVisible(done < total)
+        self._bar.setMaximum(total)
+        self._bar.setValue(done)
+        self._bar.setFormat(f"{activity} %v / %m")
 
     def _on_gaze(self, gaze: Gaze) -> None:
-        now = time.perf_counter()
-        if self._gaze.is_live:
-            self._gaze.move(now, gaze)
-            self.tick()
+        self._gaze.move(time.perf_counter(), gaze)
+        self.tick()
 
     def _on_drag(self, right: float, down: float) -> None:
         if self.walker is not None and self._ready is not None:
@@ -286,21 +224,41 @@ class Window(QMainWindow):
             degrees = self._ready.camera.vertical_fov
             self.walker.look(-right * degrees, -down * degrees)
 
+    def _on_frame(self) -> None:
+        shown = self._thread.frames.take()
+        if shown is not None:
+            self.canvas.show_frame(shown)
+
+    def _on_painted(self, shown: Shown) -> None:
+        self.meter.shown(time.perf_counter(), shown.request.gaze_time, shown.milliseconds)
+        self.shown = shown
+        self._write()
+
     def _on_failure(self, error: Exception) -> None:
         self.error = error
         self.close()
 
+    def _save(self, name: str) -> None:
+        try:
+            self._thread.save(unused_file(self._folder, name, ".png"))
+        except UserError as error:
+            self._say(str(error))
+
+    def _toggle_hold(self) -> None:
+        self._held_gaze = None if self._held_gaze else self._gaze.at(time.perf_counter()).gaze
+
+    def _toggle_text(self, text: Command) -> None:
+        self._texts ^= {text}
+
+    def _toggle_full_screen(self) -> None:
+        self.showNormal() if self.isFullScreen() else self.showFullScreen()
+
+    def _leave(self) -> None:
+        self.showNormal() if self.isFullScreen() else self.close()
+
     def _say(self, text: str) -> None:
-        self.statusBar().showMessage(text, 5000)
+        self.statusBar().showMessage(text, _MESSAGE)
 
     def _write(self) -> None:
-        hud = lines_of(self._last, self.meter) if self._hud and self._last is not None else []
-        self.canvas.write(hud, HELP if self._help else [])
-
-
-def _unused(folder: Path, name: str, suffix: str) -> Path:
-    """A file name with a number that none has yet."""
-    number = 1
-    while (folder / f"{name}-{number:03d}{suffix}").exists():
-        number += 1
-    return folder / f"{name}-{number:03d}{suffix}"
+        hud = lines_of(self.shown, self.meter) if Command.HUD in self._texts and self.shown else []
+        self.canvas.write(hud, HELP if Command.HELP in self._texts else [])

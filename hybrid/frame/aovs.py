@@ -17,13 +17,13 @@ from hybrid.frame.settings import FrameSettings
 def aovs_of(
     composite: Image, settings: FrameSettings, detail: DetailMap, region: FoveaRegion, fovea: FoveaImage
 ) -> dict[str, NDArray[np.float32]]:
-    """The AOVs that follow from a frame's parts, (H, W, 3) or (H, W) each.
+    """The AOVs that follow from the parts of a frame, (H, W, 3) or (H, W) each.
 
     Returns:
-        composite (also unnamed); fovea as it was blended; path-traced, the mean of the samples, and its
-        variance (inf where a single sample does not tell); denoised, unless raw; if fused, the share of each
-        parent (fusion.traced, fusion.denoised, fusion.splat); weight of the fovea; eccentricity in degrees on
-        the display; level (1 to L); rate (log2 of pixels per sample along each axis).
+        composite (also without a name); fovea as it was blended; path-traced, the mean of the samples, and
+        variance, of that mean (inf where there is only one sample); denoised, unless raw; if fused, the share
+        of each parent (fusion.traced, fusion.denoised, fusion.splat); weight of the fovea; eccentricity in
+        degrees on the display; level (1 to L); rate (log2 of pixels per sample along each axis).
     """
     viewer = settings.display.viewer(region.width, region.height)
     return {
@@ -41,7 +41,7 @@ def aovs_of(
 
 
 def _of_parents(region: FoveaRegion, fovea: FoveaImage) -> dict[str, NDArray[np.float32]]:
-    """AOVs that only a denoised or a fused fovea has."""
+    """The AOVs that only a denoised or a fused fovea has."""
     found = {}
     if fovea.denoised is not None:
         found["denoised"] = region.image_of(fovea.denoised)

@@ -1,4 +1,4 @@
-"""A disc as images: its samples and the underlay, in the rectangle around it."""
+"""The disc as images: its samples and the underlay, in the rectangle around it."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from pathtrace.base.denoise import denoise, denoise_coarsely
 
 
 def parents_of(region: FoveaRegion, samples: Samples, underlay: Underlay, quick: bool = False) -> Parents:
-    """Everything that is fused, in the rectangle around the disc.
+    """The images that are fused, cropped to the rectangle around the disc.
 
     Args:
         region: the disc.
         samples: of its pixels.
         underlay: of the same view.
-        quick: whether to use the quicker denoiser whatever the sample count.
+        quick: whether to use the quicker denoiser at any sample count.
     """
     rectangle = region.rectangle
     splats = rectangle.crop(underlay.radiance)
@@ -43,10 +43,11 @@ def parents_of(region: FoveaRegion, samples: Samples, underlay: Underlay, quick:
 
 @dataclass(frozen=True)
 class DiscImages:
-    """Samples with auxiliary features as images.
+    """Samples and their auxiliary features as images.
 
     Attributes:
-        radiance, albedo, normal: (h, w, 3).
+        radiance: (h, w, 3) linear, mean of the samples.
+        albedo, normal: (h, w, 3).
         count: (h, w, 1) samples per pixel.
     """
 
@@ -57,17 +58,17 @@ class DiscImages:
 
     @staticmethod
     def of(samples: Samples, surroundings: Image, rectangle: Rectangle) -> DiscImages:
-        """A disc's samples in the rectangle around it.
+        """The samples of a disc, in the rectangle around it.
 
         Args:
             samples: of the disc's D pixels.
-            surroundings: (h, w, 3) radiance for the rectangle's pixels outside the disc.
+            surroundings: (h, w, 3) radiance of the rectangle's pixels outside the disc.
             rectangle: around the disc.
         """
         scattered = rectangle.scattered
         return DiscImages(
             scattered(surroundings, samples.radiance),
-            # No albedo is traced outside the disc; the image itself is the best substitute.
+            # No albedo is traced outside the disc; the image is the best substitute.
             scattered(np.clip(surroundings, 0, 1), samples.albedo),
             scattered(np.zeros_like(surroundings), samples.normal),
             scattered(np.ones((*rectangle.shape, 1), dtype=np.float32), samples.count[:, None]),
@@ -84,11 +85,14 @@ class DiscImages:
 
 
 def denoised_for_fusion(images: DiscImages, quick: bool = False) -> Image:
-    """(h, w, 3) denoised as one parent of several; at low sample counts not worth the full price."""
+    """(h, w, 3) denoised radiance, as one parent of several.
+
+    At low sample counts the better denoiser costs more than it adds to the others.
+    """
     denoiser = denoise_coarsely if quick or is_quick(images.spp) else denoise
     return denoiser(images.radiance, images.albedo, images.normal)
 
 
 def is_quick(spp: float) -> bool:
-    """Whether the quicker denoiser is the better deal at this many samples per pixel."""
+    """Whether the quicker denoiser is the better choice at this many samples per pixel."""
     return spp < QUICK_BELOW

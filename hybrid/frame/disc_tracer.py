@@ -1,4 +1,4 @@
-"""Traces the disc: where its samples go, and what is known of them from earlier frames."""
+"""Traces the disc: distributes its samples, and reuses those of earlier frames."""
 
 from __future__ import annotations
 
@@ -19,20 +19,21 @@ from hybrid.frame.underlay import Underlay, underlay_of
 from pathtrace.trace.film import interleaved, pixel_positions
 from pathtrace.trace.tracer import Tracer, auxiliary_spp
 
-# From this sample count on, a part of the samples, traced everywhere, tells where the others are needed.
+# From this many samples per pixel on, a share of them is traced everywhere; it shows where the others are
+# needed.
 _ADAPTIVE_FROM = 4
 _FIRST_SHARE = 0.25
 _FEWEST_FIRST = 2
 _SECOND_STREAM = 0x5EED0000
-# With a history, a few samples per frame add up; the auxiliary features must be good enough for the sum.
+# With a history, the few samples of each frame add up; the auxiliary features must be good enough for all.
 _AUXILIARY_SPP_WITH_HISTORY = 8
-# Side in pixels of the window in which missing samples are looked for.
+# Side in pixels of the window in which samples are counted to find out where they are missing.
 _WINDOW = 5
 
 
 @dataclass(frozen=True)
 class DiscRequest:
-    """The samples that a frame asks for.
+    """The samples that a frame requires.
 
     Attributes:
         camera: the view.
@@ -50,7 +51,7 @@ class DiscRequest:
 
 
 class DiscTracer:
-    """Traces discs.
+    """Traces the discs of one scene.
 
     Args:
         tracer: of the scene.
@@ -76,7 +77,7 @@ class DiscTracer:
         return {} if self._history is None else self._history.state()
 
     def restore_history(self, camera: Camera, state: dict[str, NDArray[np.generic]]) -> None:
-        """Continues from saved samples of a camera's view."""
+        """Continues from the saved samples of a camera's view; does nothing if none were saved."""
         if state:
             self._history = History.restored(camera, state)
 
@@ -85,10 +86,13 @@ class DiscTracer:
 
         Args:
             request: which samples.
-            underlay: the splats under the disc, with which samples go where they help; without, and at low
-                sample counts, all pixels get the same number.
+            underlay: the splats under the disc; with them, samples go where they help most. Without them, and
+                at low sample counts, all pixels get the same number.
             quick: whether all pixels get the same number in any case: deciding takes an eighth of the time
                 of tracing a disc at one sample per pixel.
+
+        Raises:
+            ValueError: the underlay, if it is used, belongs to another camera.
         """
         if not len(request.region.pixels):
             return _dark(request.region.pixels)
@@ -111,13 +115,13 @@ class DiscTracer:
     def trace_each(
         self, camera: Camera, pixels: NDArray[np.uint32], counts: NDArray[np.int64], seed: int
     ) -> Samples:
-        """Samples of (D,) pixels, (D,) counts of them, at least 1 each, independent of anything known."""
+        """Samples of (D,) pixels, `counts` (D,) in each, at least 1; earlier frames are ignored."""
         if not len(pixels):
             return _dark(pixels)
         return self._without_history(camera, _dark(pixels), _one_for_all(counts), seed)
 
     def known(self, request: DiscRequest, quick: bool = False) -> Samples:
-        """What is known of the disc before anything but auxiliary features is traced."""
+        """What is known of the disc before any radiance is traced: auxiliary features and the history."""
         camera, pixels = request.camera, request.region.pixels
         if self._history is None:
             if not request.auxiliary:
@@ -135,7 +139,7 @@ class DiscTracer:
     def _adaptive(
         self, request: DiscRequest, known: Samples, sequence: _Sequence, underlay: Underlay
     ) -> Samples:
-        """A few samples everywhere, the others where those disagree with the splats."""
+        """New samples: a few everywhere, the others where these disagree with the splats."""
         camera, region, seed = request.camera, request.region, request.seed
         even = np.ones(len(region.pixels), dtype=np.float32)
         total = request.spp * len(region.pixels)
@@ -145,13 +149,13 @@ class DiscTracer:
         parents = parents_of(region, merged(known, new), underlay)
         differs = disagreement(parents.denoised, parents.splat)
         worth = region.rectangle.gathered(differs[..., None])[:, 0]
-        # Another random stream than that of the first samples.
+        # The second samples must not repeat the random numbers of the first ones.
         seed += _SECOND_STREAM
         counts = allotted(worth, self._have(region, known) + new.count, total - first, seed)
         return self._traced(camera, new, counts, seed, sequence)
 
     def _filled(self, request: DiscRequest, known: Samples, sequence: _Sequence) -> Samples:
-        """As many samples, where fewest are known."""
+        """New samples, more of them where fewer are known."""
         region = request.region
         even = np.ones(len(region.pixels), dtype=np.float32)
         new = _without_light(known)
@@ -165,7 +169,7 @@ class DiscTracer:
         return _Sequence(*self._history.sampled(camera, pixels, seed))
 
     def _seen(self, camera: Camera, pixels: NDArray[np.uint32], spp: int, sequence: _Sequence) -> Samples:
-        """Pixels with auxiliary features, without light."""
+        """Pixels with auxiliary features but without radiance."""
         if not len(pixels):
             return _dark(pixels)
         positions = pixel_positions(mi.UInt32(pixels), camera.width)
@@ -181,7 +185,7 @@ class DiscTracer:
     def _without_history(
         self, camera: Camera, known: Samples, spp: int | NDArray[np.int64], seed: int
     ) -> Samples:
-        """Pixels of whose light nothing is known, with that many samples each."""
+        """Pixels whose radiance is unknown, with `spp` samples each."""
         positions = pixel_positions(mi.UInt32(known.pixels), camera.width)
         traced = self._tracer.trace(camera, positions, spp, seed)
         count = np.full(len(known.pixels), spp, dtype=np.float32)
@@ -191,7 +195,7 @@ class DiscTracer:
     def _traced(
         self, camera: Camera, known: Samples, counts: NDArray[np.int64], seed: int, sequence: _Sequence
     ) -> Samples:
-        """With that many further samples in each pixel, placed where earlier ones left gaps."""
+        """The pixels with `counts` further samples each, placed in the gaps between earlier ones."""
         chosen = np.flatnonzero(counts)
         taken = (sequence.taken + known.count.astype(np.int64))[chosen]
         counts = counts[chosen]
@@ -204,11 +208,11 @@ class DiscTracer:
         return merged(known, replace(known, count=count, radiance=radiance, squares=squares))
 
     def _have(self, region: FoveaRegion, known: Samples) -> NDArray[np.float32]:
-        """(D,) samples per pixel in the neighbourhood of each.
+        """(D,) samples per pixel in the neighbourhood of each pixel.
 
         Reprojected samples fall on pixels at random. Filling every gap among them would take several samples
-        of a pixel at once, which blur when they are reprojected in their turn; only where samples are missing
-        over a whole neighbourhood are they to be filled in.
+        of one pixel at once, which blur when they are reprojected in turn. Gaps are therefore filled only
+        where a whole neighbourhood lacks samples.
         """
         if self._history is None:
             return known.count
@@ -222,11 +226,11 @@ class DiscTracer:
 
 @dataclass(frozen=True)
 class _Sequence:
-    """Positions of samples in their pixels.
+    """Where the next samples lie in their pixels.
 
     Attributes:
-        taken: samples drawn before, (D,) or one number for all pixels.
-        pattern: seed of the pattern.
+        taken: samples already drawn, (D,) or one number for all pixels.
+        pattern: seed of the sampling pattern.
     """
 
     taken: int | NDArray[np.int64]
@@ -234,7 +238,7 @@ class _Sequence:
 
 
 def _one_for_all(numbers: NDArray[np.int64]) -> int | NDArray[np.int64]:
-    """A single number where all are equal, which saves the tracer an array."""
+    """A single number if all are equal, which saves the tracer an array."""
     return int(numbers[0]) if (numbers == numbers[0]).all() else numbers
 
 
@@ -245,6 +249,6 @@ def _without_light(samples: Samples) -> Samples:
 
 
 def _dark(pixels: NDArray[np.uint32]) -> Samples:
-    """Pixels of which nothing is known."""
+    """Pixels about which nothing is known."""
     triple, gloss = np.zeros((len(pixels), 3), dtype=np.float32), np.zeros(len(pixels), dtype=np.uint8)
     return Samples(pixels, triple[:, 0], triple, triple, triple, triple, triple, gloss)

@@ -1,4 +1,4 @@
-"""The fovea of a frame: its samples, and the image made of them."""
+"""The fovea of a frame: its samples, and the image made from them."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from pathtrace.trace.tracer import Tracer
 
 @dataclass(frozen=True)
 class FoveaImage:
-    """The fovea and what it was made of, for the D pixels of a region.
+    """The fovea and what it was made from, for the D pixels of a region.
 
     Attributes:
         radiance: (D, 3) linear.
-        samples: per pixel, with those of earlier frames.
-        denoised: (D, 3), unless raw.
-        weights: (D, 3) share of each parent (compose.fusion.parents.PARENTS), only if fused.
+        samples: of each pixel, including those of earlier frames.
+        denoised: (D, 3) linear radiance; None if raw.
+        weights: (D, 3) share of each parent (compose.fusion.parents.PARENTS); None unless fused.
         excluded: pixels in which a parent was left out because it was not finite or negative.
     """
 
@@ -52,7 +52,7 @@ class Fovea:
         self._fusion = fusion
 
     def thins_band(self, mode: FoveaMode) -> bool:
-        """Whether fewer samples are traced in the band: only where no other pixel depends on them."""
+        """Whether fewer samples are traced in the band; only possible if no other pixel depends on them."""
         return mode is FoveaMode.RAW and not self.disc.has_history
 
     def paths(self, mode: FoveaMode, region: FoveaRegion, spp: int) -> float:
@@ -69,7 +69,7 @@ class Fovea:
         underlay: Underlay | None = None,
         quick: bool = False,
     ) -> tuple[FoveaRegion, Samples]:
-        """Samples of the disc.
+        """Traces the disc.
 
         Args:
             mode: how the fovea will be made.
@@ -77,10 +77,10 @@ class Fovea:
             spp: samples per pixel.
             seed: same seed, same samples.
             underlay: the splats under the disc, for a fused fovea.
-            quick: whether the frame must not take longer for better samples.
+            quick: whether samples are distributed evenly, which takes less time.
 
         Returns:
-            The region that has samples, with the weights of the blend, and its samples.
+            The region of the pixels that have samples, with the weights of the blend; and the samples.
         """
         if self.thins_band(mode):
             thin, counts = thinned(region, spp, seed)
@@ -97,16 +97,16 @@ class Fovea:
         underlay: Underlay | None = None,
         quick: bool = False,
     ) -> FoveaImage:
-        """The fovea that samples give.
+        """Makes the fovea from its samples.
 
         Args:
             mode: how to make it.
             region: the disc.
             samples: of its pixels.
-            surroundings: (H, W, 3) radiance that fills the corners of the rectangle around the disc; used
+            surroundings: (H, W, 3) radiance that fills the corners of the rectangle around the disc; required
                 for a denoised fovea only.
-            underlay: the splats under the disc; used for a fused fovea only.
-            quick: whether a fused fovea uses the quicker denoiser whatever the sample count.
+            underlay: the splats under the disc, in the same view; required for a fused fovea only.
+            quick: whether a fused fovea uses the quicker denoiser at any sample count.
 
         Raises:
             ValueError: what the mode requires is missing.

@@ -22,7 +22,7 @@ from hybrid.output.images import write_exr, write_png
 
 
 class AovSource(Protocol):
-    """Renders what a frame does not need, but its file has."""
+    """Renders the AOVs that a frame itself does not need."""
 
     def splats(self, settings: FrameSettings) -> Image:
         """(H, W, 3) the finest layer over the whole frame."""
@@ -37,14 +37,14 @@ class Frame:
 
     Attributes:
         composite: (H, W, 3) linear radiance, the frame itself.
-        settings: how it was made, with its camera.
+        settings: how it was made, as resolved for its camera.
         camera: the view.
         periphery: (H, W, 3) the splats; black in tiles that the fovea hides.
-        detail: what the viewer resolves where.
+        detail: the detail that the viewer resolves in each part of the frame.
         nodes_drawn: Gaussians drawn in the periphery, counted once per layer image.
-        fovea: the disc and what it was made of.
+        fovea: the disc and what it was made from.
         underlay: the splats under the disc, if fused.
-        region: the disc's pixels, and the weights of the blend; for a raw fovea those that have samples.
+        region: the disc's pixels and the weights of the blend; for a raw fovea, the pixels with samples.
         milliseconds: per pass (region, detail, splat, underlay, trace, fovea, blend), and in total.
         source: renders further AOVs when the frame is saved.
     """
@@ -62,11 +62,15 @@ class Frame:
     source: AovSource = field(repr=False, compare=False)
 
     def of_disc(self, values: NDArray[np.float32]) -> Image:
-        """(H, W, C) image of values (D, C) in the disc's pixels, black elsewhere."""
+        """(H, W, C) image of values (D, C) of the region's pixels, black elsewhere."""
         return self.region.image_of(values)
 
     def aovs(self) -> dict[str, NDArray[np.float32]]:
-        """Everything the frame consists of, as named images: the layers of its EXR file."""
+        """The images that the frame consists of, by name: the layers of its EXR file.
+
+        Beside the AOVs of `aovs_of`, these are splat, (H, W, 3) the finest layer over the whole frame, and
+        depth, (H, W) along the view axis; both are rendered now.
+        """
         splats, depth = self.source.splats(self.settings), self.source.depth(self.camera)
         return aovs_of(self.composite, self.settings, self.detail, self.region, self.fovea) | {
             "splat": splats,

@@ -1,4 +1,4 @@
-"""Frames for a window: rendered for speed first and then, while nothing changes, for quality."""
+"""Frames for a window: rendered quickly at first and then, while nothing changes, improved."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from hybrid.runtime.clock import Clock
 from pathtrace.scene.scene import Scene
 from splat.model.forest import Forest
 
-# Ending paths early makes samples cheaper by more than it makes them noisier, and every frame adds more of
-# them: on `room` 25 ms instead of 53 at 1.5 times the variance, on staircase2 both change by the same factor.
+# Ending paths early saves more time than it adds noise, and every frame adds samples: on `room` it takes
+# 25 ms instead of 53 at 1.5 times the variance; on staircase2 time and variance change by the same factor.
 _ROULETTE_DEPTH = 1
 
 
 class LiveRenderer(Renderer):
-    """Renders frames in sequence; a fused fovea reuses the samples of earlier ones.
+    """Renders frames in sequence, with a raw or a fused fovea that reuses the samples of earlier frames.
 
     Args:
         scene: what is path-traced.
@@ -37,7 +37,7 @@ class LiveRenderer(Renderer):
         self._last_camera: Camera | None = None
 
     def frame(self, settings: FrameSettings = INTERACTIVE, seed: int = 0) -> Frame:
-        """One frame, as of a `Renderer`; what depends on a camera alone is kept while it stands still."""
+        """One frame, as from `Renderer.frame`; what depends on the camera alone is kept until it moves."""
         clock = Clock()
         camera, settings = settings.resolved(self.scene.camera)
         disc = settings.foveation.region(camera.width, camera.height)
@@ -67,12 +67,13 @@ class LiveRenderer(Renderer):
         return Frame(composite, settings, camera, *parts, self)
 
     def refined(self, frame: Frame, spp: int, seed: int, quick: bool) -> Frame:
-        """The last frame with further samples in its disc.
+        """A frame with further samples in its disc.
 
         Args:
-            frame: of this renderer, whose camera has not changed since.
-            spp, seed: of the samples that are added.
-            quick: whether the fovea is reconstructed in the quicker way.
+            frame: the last one of this renderer.
+            spp: samples per pixel to add.
+            seed: of these samples.
+            quick: whether the fovea is made with the quicker denoiser.
         """
         clock = Clock()
         fovea = self._refined_fovea(frame, spp, seed, quick, clock)
@@ -93,6 +94,6 @@ class LiveRenderer(Renderer):
         return Underlay(camera, radiance, self.periphery.enlargement(camera, settings))
 
     def forget(self) -> None:
-        """Drops everything known from earlier frames."""
+        """Drops everything that is known from earlier frames."""
         self.fovea.disc.forget()
         self._last_camera = None

@@ -1,4 +1,4 @@
-"""The splatted periphery of a frame: what the eye resolves where, and the layers drawn for it."""
+"""The splatted periphery of a frame: the detail that the eye resolves, and the layers drawn for it."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ from compose.fovea.region import FoveaRegion
 from compose.image.colour import Image
 from hybrid.frame.settings import FrameSettings
 from splat.base.arrays import Arrays
-from splat.lod.joining import Picture
-from splat.lod.pictures import ForestRenderer, JoinedFrame, KeptPictures, finest_frequency
+from splat.lod.cached_images import CachedLayerImages
+from splat.lod.image import SplatImage
+from splat.lod.layer_images import LayerImage
+from splat.lod.renderer import ForestRenderer, finest_frequency
 from splat.model.forest import Forest
-from splat.raster.binning import TILE
+from splat.raster.tiles import TILE
 
 # Side in pixels of the coarse image in which saliency is computed.
 _COARSE = 64
@@ -30,7 +32,7 @@ assert CELL == TILE
 class Periphery:
     """Draws the periphery of frames with one forest.
 
-    What depends on the camera alone is kept until the camera changes.
+    Results that depend on the camera alone are kept until it changes.
 
     Args:
         arrays: the rasterizer's array types.
@@ -41,11 +43,11 @@ class Periphery:
         self.forest = forest
         self._renderer = ForestRenderer(arrays, forest)
         self._saliency: tuple[Camera, NDArray[np.float32]] | None = None
-        # Layers of the last view that stood still, and what they were drawn for.
-        self._kept: tuple[tuple[object, ...], KeptPictures, Image] | None = None
+        # What the layers of the last still view were drawn for; their images; the finest one as a whole.
+        self._kept: tuple[tuple[object, ...], CachedLayerImages, Image] | None = None
 
     def layers_of(self, settings: FrameSettings) -> tuple[int, int]:
-        """Coarsest and finest layer that settings allow.
+        """Coarsest and finest layer that may be drawn with these settings.
 
         Raises:
             UserError: the forest does not have those layers.
@@ -57,7 +59,11 @@ class Periphery:
         return low, high
 
     def detail(self, camera: Camera, settings: FrameSettings) -> DetailMap:
-        """The detail that the viewer resolves in a frame."""
+        """The detail that the viewer resolves in each part of a frame.
+
+        Raises:
+            UserError: the forest does not have the layers that the settings ask for.
+        """
         low, high = self.layers_of(settings)
         unlimited = settings.acuity_model == "none"
         rates = [0 if unlimited else self._finest_rate(camera, settings, n) for n in range(1, high + 1)]
@@ -78,38 +84,42 @@ class Periphery:
         )
 
     def _finest_rate(self, camera: Camera, settings: FrameSettings, layer: int) -> int:
-        """Finest useful sampling rate of a layer, which has no detail between its training pixels."""
+        """Finest useful sampling rate of a layer: it has no detail between its training pixels."""
         pixel = camera.fy / self.forest.focal_of(layer)
         samples = 1 if ACUITY_MODELS[settings.acuity_model].relative else 2
         return int(np.clip(np.floor(np.log2(pixel / samples)), 0, COARSEST_RATE))
 
     def saliency(self, camera: Camera) -> NDArray[np.float32]:
-        """Saliency in 0..1 of layer 1, drawn coarsely, at the corners of the detail map's cells."""
+        """(rows + 1, columns + 1) saliency in 0..1 at the corners of the detail map's cells.
+
+        It is computed from layer 1, drawn coarsely.
+        """
         if self._saliency is None or self._saliency[0] != camera:
             rate = max(0, round(np.log2(max(camera.width, camera.height) / _COARSE)))
             coarse = self._renderer.render_layer(camera, 1, rate).image()
             self._saliency = camera, at_corners(saliency(coarse), camera.width, camera.height)
         return self._saliency[1]
 
-    def draw(self, camera: Camera, detail: DetailMap, region: FoveaRegion) -> JoinedFrame:
-        """The part of a frame that the fovea leaves visible, at the required detail."""
+    def draw(self, camera: Camera, detail: DetailMap, region: FoveaRegion) -> SplatImage:
+        """The part of a frame that the fovea leaves visible, drawn with the required detail."""
         pictures = [
-            Picture(step.layer, step.rate, detail.weight(number)) for number, step in enumerate(detail.steps)
+            LayerImage(step.layer, step.rate, detail.weight(number))
+            for number, step in enumerate(detail.steps)
         ]
         return self._renderer.render(camera, pictures, detail.cutoff, region.peripheral_tiles(TILE))
 
     def draw_still(
         self, camera: Camera, settings: FrameSettings, detail: DetailMap, region: FoveaRegion
-    ) -> JoinedFrame:
-        """Like `draw`, from layers that are drawn once per camera and joined anew for each gaze.
+    ) -> SplatImage:
+        """Like `draw`, from layers that are drawn once per camera and joined again for each gaze.
 
         All layers and rates that any gaze may require are drawn over the whole frame, which takes little
-        longer than one frame does otherwise; joining takes a quarter of it. The cut-off inside a step is not
-        that of the gaze, so that the frame has slightly more detail than required.
+        longer than `draw` takes for one frame; joining takes a quarter of that. Within a step the cut-off
+        does not follow the gaze, so the frame has slightly more detail than required.
         """
         shares = [detail.weight(number) for number in range(len(detail.steps))]
         kept, _ = self._kept_layers(camera, settings, detail)
-        return kept.joined(shares, region.peripheral_tiles(TILE))
+        return kept.composite(shares, region.peripheral_tiles(TILE))
 
     def whole_still(self, camera: Camera, settings: FrameSettings, detail: DetailMap) -> Image:
         """Like `whole`, drawn once per camera."""
@@ -117,19 +127,19 @@ class Periphery:
 
     def _kept_layers(
         self, camera: Camera, settings: FrameSettings, detail: DetailMap
-    ) -> tuple[KeptPictures, Image]:
+    ) -> tuple[CachedLayerImages, Image]:
         steps = [(step.layer, step.rate) for step in detail.steps]
         drawn_for = camera, self.layers_of(settings), steps
         if self._kept is None or self._kept[0] != drawn_for:
             whole = np.array(self.whole(camera, settings))
-            self._kept = drawn_for, KeptPictures(self._renderer, camera, steps), whole
+            self._kept = drawn_for, CachedLayerImages(self._renderer, camera, steps), whole
         return self._kept[1:]
 
-    def under_disc(self, camera: Camera, settings: FrameSettings, region: FoveaRegion) -> JoinedFrame:
+    def under_disc(self, camera: Camera, settings: FrameSettings, region: FoveaRegion) -> SplatImage:
         """The finest allowed layer at full rate, over the rectangle around the disc."""
         wanted = region.foveal_tiles(TILE)
         corners = (wanted.shape[0] + 1, wanted.shape[1] + 1)
-        picture = Picture(self.layers_of(settings)[1], 0, np.ones(corners, dtype=np.float32))
+        picture = LayerImage(self.layers_of(settings)[1], 0, np.ones(corners, dtype=np.float32))
         return self._renderer.render(camera, [picture], np.full(corners, 0.5, dtype=np.float32), wanted)
 
     def enlargement(self, camera: Camera, settings: FrameSettings) -> float:

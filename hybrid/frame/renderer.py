@@ -32,7 +32,7 @@ class Renderer:
         scene: what is path-traced.
         forest: its Gaussians.
         history: whether the fovea reuses the samples of earlier frames.
-        roulette_depth: path depth from which on Russian roulette ends paths.
+        roulette_depth: path depth from which Russian roulette ends paths.
 
     Raises:
         UserError: the forest belongs to another scene.
@@ -59,7 +59,7 @@ class Renderer:
         self.fovea = Fovea(self.tracer, fusion_of(forest), history)
 
     def frame(self, settings: FrameSettings = DEFAULTS, seed: int = 0) -> Frame:
-        """One frame.
+        """Renders one frame.
 
         Args:
             settings: how to make it.
@@ -89,14 +89,14 @@ class Renderer:
         return Frame(composite, settings, camera, *parts, self)
 
     def underlay(self, camera: Camera, settings: FrameSettings, disc: FoveaRegion) -> Underlay | None:
-        """The splats under the disc, if they are fused with it."""
+        """The splats under the disc; None unless the settings fuse them with it."""
         if settings.fovea is not FoveaMode.FUSED:
             return None
         radiance = self.periphery.under_disc(camera, settings, disc).image()
         return Underlay(camera, radiance, self.periphery.enlargement(camera, settings))
 
     def disc_alone(self, settings: FrameSettings, seed: int) -> Image:
-        """(D, 3) the disc of a frame, without the splats around it; D as in that frame's region."""
+        """(D, 3) linear radiance of a frame's disc, without rendering a periphery; D as in its region."""
         camera, settings = settings.resolved(self.scene.camera)
         disc = settings.foveation.region(camera.width, camera.height)
         underlay = self.underlay(camera, settings, disc)
@@ -105,13 +105,13 @@ class Renderer:
         return self.fovea.image(settings.fovea, region, samples, surroundings, underlay).radiance
 
     def paths(self, settings: FrameSettings) -> float:
-        """Expected number of paths that a frame takes."""
+        """Expected number of paths traced for a frame."""
         camera, settings = settings.resolved(self.scene.camera)
         disc = settings.foveation.region(camera.width, camera.height)
         return self.fovea.paths(settings.fovea, disc, settings.spp)
 
     def splats(self, settings: FrameSettings = DEFAULTS) -> Image:
-        """(H, W, 3) the finest allowed layer over the whole frame, also where a fovea would hide it."""
+        """(H, W, 3) the finest allowed layer over the whole frame, including what a fovea would hide."""
         camera, settings = settings.resolved(self.scene.camera)
         return self.periphery.whole(camera, settings)
 

@@ -10,7 +10,7 @@ from compose.image.colour import Image
 
 @dataclass(frozen=True)
 class Underlay:
-    """The splats rendered under the disc, which a fused fovea is made of among others.
+    """The splats rendered under the disc, one of the images from which a fused fovea is made.
 
     Attributes:
         camera: the view.
@@ -18,7 +18,7 @@ class Underlay:
         enlargement: side of the pixels that the splats were trained on, in pixels of this image.
 
     Raises:
-        ValueError: the image has another size than the camera's frame.
+        ValueError: the size of the image is not that of the camera's frame.
     """
 
     camera: Camera
@@ -34,7 +34,7 @@ class Underlay:
 
 
 def underlay_of(camera: Camera, underlay: Underlay | None) -> Underlay:
-    """The underlay, provided that there is one and that it shows the camera's view.
+    """The underlay, after checking that it shows the camera's view.
 
     Raises:
         ValueError: it is missing, or belongs to another camera.

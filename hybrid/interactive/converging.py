@@ -15,21 +15,21 @@ from pathtrace.trace.film import frame_positions, interleaved, pixel_positions
 from pathtrace.trace.image import TracedImage, auxiliary_images
 from pathtrace.trace.tracer import Tracer, auxiliary_spp
 
-# A sixteenth of the pixels at a time, spread over the frame: the window stays quick, and the picture sharpens
-# everywhere at once. In the order of a dither matrix (Bayer 1973).
+# Each step traces one pixel of every 4 x 4 block: the window stays responsive, and the image sharpens
+# everywhere at once. The order is that of a dither matrix (Bayer 1973).
 _SIDE = 4
 _ORDER = (0, 10, 2, 8, 5, 15, 7, 13, 1, 11, 3, 9, 4, 14, 6, 12)
-# Enough for any screen.
+# No screen shows a difference beyond this many samples per pixel.
 _MOST_SAMPLES = 1024
 
 
 class ConvergingFrame:
-    """Path-traced radiance of one view.
+    """Path-traced radiance of one view, which gets better with every step.
 
     Args:
         tracer: of the scene.
         camera: the view.
-        stand_in: (H, W, 3) radiance shown where nothing was traced yet.
+        stand_in: (H, W, 3) radiance for pixels that have no sample yet.
 
     Attributes:
         camera: the view.
@@ -37,6 +37,7 @@ class ConvergingFrame:
 
     def __init__(self, tracer: Tracer, camera: Camera, stand_in: Image):
         self._tracer, self.camera = tracer, camera
+        # One row per pixel, row-major: (H * W, 3) and (H * W,).
         self._stand_in = stand_in.reshape(-1, 3)
         self._sums = np.zeros_like(self._stand_in)
         self._counts = np.zeros(len(self._sums), dtype=np.float32)
@@ -44,37 +45,42 @@ class ConvergingFrame:
 
     @property
     def samples(self) -> int:
-        """Per pixel, in all of them."""
+        """Samples that every pixel has."""
         return self._steps // len(_ORDER)
 
     @property
     def complete(self) -> bool:
-        """Whether no more samples will be taken."""
+        """Whether further samples would make no visible difference."""
         return self.samples >= _MOST_SAMPLES
 
     def refine(self) -> int:
-        """One more sample of some pixels; how many those are."""
-        place, turn = _ORDER[self._steps % len(_ORDER)], self._steps // len(_ORDER)
-        pixels = _every(self.camera, place // _SIDE, place % _SIDE)
+        """Adds one sample to a sixteenth of the pixels.
+
+        Returns:
+            Number of paths traced.
+        """
+        # The pixels of this step have `samples` samples so far.
+        samples, in_block = self.samples, _ORDER[self._steps % len(_ORDER)]
+        pixels = _one_per_block(self.camera, in_block // _SIDE, in_block % _SIDE)
         self._steps += 1
         if not len(pixels):
             return 0
         positions = pixel_positions(mi.UInt32(pixels), self.camera.width)
-        # Other samples than those of the frame that this is compared with.
+        # Not the seeds of the frames that this one is compared with.
         seed = REFERENCE_SEED + self._steps
-        traced = self._tracer.trace(self.camera, positions, 1, seed, turn, REFERENCE_SEED)
+        traced = self._tracer.trace(self.camera, positions, 1, seed, samples, REFERENCE_SEED)
         self._sums[pixels] += interleaved(traced.radiance)
         self._counts[pixels] += 1
         return len(pixels)
 
     def image(self) -> Image:
-        """(H, W, 3) the mean of all samples."""
-        known = self._counts[:, None]
-        mean = np.where(known > 0, self._sums / np.maximum(known, 1), self._stand_in)
+        """(H, W, 3) mean radiance of all samples."""
+        counts = self._counts[:, None]
+        mean = np.where(counts > 0, self._sums / np.maximum(counts, 1), self._stand_in)
         return mean.reshape(self.camera.height, self.camera.width, 3)
 
     def denoised(self) -> Image:
-        """(H, W, 3) the same, cleaned: against the noise of few samples no difference would be seen."""
+        """(H, W, 3) the same, denoised: the noise of few samples would hide every difference."""
         return TracedImage(self.image(), *self._auxiliary).denoised(quick=True)
 
     @cached_property
@@ -86,8 +92,8 @@ class ConvergingFrame:
         )
 
 
-def _every(camera: Camera, row: int, column: int) -> NDArray[np.uint32]:
-    """Row-major indices of one pixel of each block."""
+def _one_per_block(camera: Camera, row: int, column: int) -> NDArray[np.uint32]:
+    """(N,) row-major indices of the pixels at a row and column, 0 to 3, of their 4 x 4 block."""
     rows = np.arange(row, camera.height, _SIDE, dtype=np.uint32)
     columns = np.arange(column, camera.width, _SIDE, dtype=np.uint32)
     return (rows[:, None] * np.uint32(camera.width) + columns).ravel()

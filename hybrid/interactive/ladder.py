@@ -1,4 +1,4 @@
-"""Measures what the window's frames take and are worth, from coarse to fine; once per machine."""
+"""Measures the time and quality of the window's frames, from coarse to fine, once per machine."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from hybrid.plan.measured import MeasuredSettings, MeasuredStore, front_of
 from hybrid.runtime.progress import Report
 
 _REFERENCE_SPP = 16
-# Timed frames, and frames before them.
+# Timed frames, and frames before them that are not timed.
 _TIMED, _WARM_UP = 5, 2
 _RADII = (5.0, 8.0, 11.0, 15.0, 20.0, 25.0, 30.0)
 _ACTIVITY = "measuring settings"
@@ -35,29 +35,36 @@ def ladder_for(source: FrameSource, like: Request, report: Report) -> list[Measu
         source: of frames.
         like: a request with the window's size, acuity model and display.
         report: called with the activity, steps done and steps in total.
+
+    Raises:
+        UserError: the cache folder cannot be written, or a file in it is damaged.
     """
-    size_of = like.settings.camera or source.camera
-    camera = source.camera.resized(size_of.width, size_of.height)
+    window = like.settings.camera or source.camera
+    camera = source.camera.resized(window.width, window.height)
     settings = replace(like.settings, camera=camera, gaze=Gaze(), scale=1.0)
-    forest = source.renderer.periphery.forest
-    size = camera.width, camera.height
-    store = MeasuredStore.of("window", source.renderer.scene, forest, size, settings)
+    renderer, size = source.renderer, (camera.width, camera.height)
+    store = MeasuredStore.of("window", renderer.scene, renderer.periphery.forest, size, settings)
     found = store.load()
-    if found is None:
-        measured = _measured(source, camera, settings, report)
-        store.save("quality", measured)
-        return front_of(measured)
-    return front_of(found[1])
+    if found is not None:
+        return front_of(found[1])
+    measured = _measured(source, camera, settings, report)
+    store.save("quality", measured)
+    return front_of(measured)
 
 
 def candidates(base: FrameSettings, layers: int) -> list[FrameSettings]:
-    """Settings from very coarse to very fine, for a forest with that many layers."""
+    """Settings from very coarse to very fine.
+
+    Args:
+        base: acuity model, display, and the share of the radius that the band takes.
+        layers: of the forest.
+    """
 
     def made(
         fov_a: float, spp: int = 1, finest: int = layers, rate: int = 0, scale: float = 1.0
     ) -> FrameSettings:
-        wide = base.with_radius(fov_a)
-        return replace(wide, spp=spp, layers=(1, finest), rate=rate, scale=scale)
+        sized = base.with_radius(fov_a)
+        return replace(sized, spp=spp, layers=(1, finest), rate=rate, scale=scale)
 
     coarse = [made(radius, scale=scale) for scale in (0.5, 0.75) for radius in (8.0, 15.0)]
     coarse += [made(radius, rate=1) for radius in (8.0, 15.0)]
@@ -70,35 +77,51 @@ def candidates(base: FrameSettings, layers: int) -> list[FrameSettings]:
 def _measured(
     source: FrameSource, camera: Camera, base: FrameSettings, report: Report
 ) -> list[MeasuredSettings]:
-    wanted = candidates(base, len(source.renderer.periphery.forest.counts))
+    """All candidates with their time and quality."""
+    wanted = candidates(base, source.layers)
     report(_ACTIVITY, 0, len(wanted) + 1)
     truth = reference(source.renderer.tracer, camera, _REFERENCE_SPP, REFERENCE_SEED).radiance
     measured = []
     for number, settings in enumerate(wanted):
         report(_ACTIVITY, number + 1, len(wanted) + 1)
-        measured.append(_of(source, settings, camera, truth))
+        milliseconds = _median_time(source, settings)
+        quality = _quality(source, settings, camera, truth)
+        measured.append(MeasuredSettings(settings, milliseconds, quality))
     report(_ACTIVITY, len(wanted) + 1, len(wanted) + 1)
     source.forget()
     return measured
 
 
-def _of(source: FrameSource, settings: FrameSettings, camera: Camera, truth: Image) -> MeasuredSettings:
-    """Settings with their time, and their quality in a first frame without any history."""
+def _median_time(source: FrameSource, settings: FrameSettings) -> float:
+    """Median milliseconds of frames while the gaze moves."""
     times = []
     for gaze in gaze_path(_WARM_UP + _TIMED):
         start = time.perf_counter()
         source.show(Request(replace(settings, gaze=gaze)), quick=True)
         times.append((time.perf_counter() - start) * 1000)
+    return float(np.median(times[_WARM_UP:]))
+
+
+def _quality(source: FrameSource, settings: FrameSettings, camera: Camera, truth: Image) -> float:
+    """Quality of a first frame, without any history, to a viewer who looks at the gaze of the settings.
+
+    In JOD, or SSIM where FovVideoVDP is not installed.
+
+    Args:
+        source: of frames.
+        settings: of the frame.
+        camera: the window's.
+        truth: (H, W, 3) radiance of the camera's view.
+    """
     source.forget()
-    composite = _enlarged(source.show(Request(settings), quick=True).frame.composite, camera)
-    # JOD for a viewer who looks at the centre; SSIM where FovVideoVDP is not installed.
-    quality = jod(composite, truth, settings.display, settings.gaze)
-    milliseconds = float(np.median(times[_WARM_UP:]))
-    return MeasuredSettings(settings, milliseconds, ssim(composite, truth) if quality is None else quality)
+    shown = source.show(Request(settings), quick=True)
+    composite = _enlarged(shown.frame.composite, camera)
+    found = jod(composite, truth, settings.display, settings.gaze)
+    return ssim(composite, truth) if found is None else found
 
 
 def _enlarged(image: Image, camera: Camera) -> Image:
-    """(H, W, 3) at the window's resolution, as the window shows it."""
+    """(H, W, 3) image at the window's resolution, as the window shows it."""
     size = camera.width, camera.height
     if image.shape[1::-1] == size:
         return image

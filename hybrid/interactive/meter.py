@@ -1,48 +1,62 @@
-"""Times of shown frames: how often they come, and how long after the events that they answer."""
+"""When frames were shown: the time between them, and from the gaze to the screen."""
 
 from __future__ import annotations
 
 from collections import deque
+from typing import NamedTuple
 
-# As many as anyone wants to see percentiles of while the window runs.
+# Recent frames whose percentiles are shown while the window runs.
 _RECENT = 100
 
 
-class Meter:
-    """Collects when frames were shown.
-
-    Args:
-        all_of_them: whether everything is kept, or only what is recent.
+class Timed(NamedTuple):
+    """A duration that ended when a frame was shown.
 
     Attributes:
-        intervals: seconds between frames, each after the time at which it ended.
-        latencies: seconds from each event to the first frame that knows of it or of a newer one, after the
-            time of that frame.
-        passes: milliseconds of each pass of the frames.
+        at: time.perf_counter of that frame.
+        seconds: the duration.
     """
 
-    def __init__(self, all_of_them: bool = False):
-        most = None if all_of_them else _RECENT
-        self.intervals: deque[tuple[float, float]] = deque(maxlen=most)
-        self.latencies: deque[tuple[float, float]] = deque(maxlen=most)
+    at: float
+    seconds: float
+
+
+class Meter:
+    """Collects the times of shown frames.
+
+    All times are of time.perf_counter.
+
+    Args:
+        keeps_all: whether to keep every frame, or only the last hundred.
+
+    Attributes:
+        intervals: from each frame to the next one.
+        latencies: from each gaze movement to the first frame that includes it or a newer one.
+        passes: milliseconds of each pass, by name, of each frame.
+    """
+
+    def __init__(self, keeps_all: bool = False):
+        most = None if keeps_all else _RECENT
+        self.intervals: deque[Timed] = deque(maxlen=most)
+        self.latencies: deque[Timed] = deque(maxlen=most)
         self.passes: deque[dict[str, float]] = deque(maxlen=most)
-        self._events: deque[float] = deque(maxlen=10 * _RECENT)
+        self._movements: deque[float] = deque(maxlen=10 * _RECENT)
         self._last: float | None = None
 
-    def event(self, at: float) -> None:
-        """The gaze has moved."""
-        self._events.append(at)
+    def moved(self, gaze_time: float) -> None:
+        """Notes that the gaze moved at that time."""
+        self._movements.append(gaze_time)
 
     def pause(self) -> None:
-        """No frames are made for a while, for another reason than that they take so long."""
-        self._events.clear()
+        """Notes that no frames come for a while, for another reason than that they are slow."""
+        self._movements.clear()
         self._last = None
 
-    def shown(self, at: float, asked: float, passes: dict[str, float]) -> None:
-        """A frame is on the screen that knows of all events until `asked`."""
+    def shown(self, at: float, gaze_time: float, passes: dict[str, float]) -> None:
+        """Notes that a frame is on the screen which includes all movements up to `gaze_time`."""
         self.passes.append(passes)
-        while self._events and self._events[0] <= asked:
-            self.latencies.append((at, at - self._events.popleft()))
+        while self._movements and self._movements[0] <= gaze_time:
+            self.latencies.append(Timed(at, at - self._movements.popleft()))
         if self._last is not None:
-            self.intervals.append((at, at - self._last))
+            self.intervals.append(Timed(at, at - self._last))
         self._last = at

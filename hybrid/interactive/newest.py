@@ -1,4 +1,4 @@
-"""A place for one thing, handed from thread to thread: the newest wins."""
+"""A slot that hands the newest item from thread to thread."""
 
 from __future__ import annotations
 
@@ -9,26 +9,22 @@ T = TypeVar("T")
 
 
 class Newest(Generic[T]):
-    """What is put in replaces what was there; who takes gets the newest, or waits for it."""
+    """Holds one item; a newer one replaces it, whether or not it was taken."""
 
     def __init__(self) -> None:
-        self._changed = threading.Condition()
+        self._arrived = threading.Condition()
         self._item: T | None = None
-        self._fresh = False
 
     def put(self, item: T) -> None:
-        """Never waits."""
-        with self._changed:
-            self._item, self._fresh = item, True
-            self._changed.notify()
+        """Puts an item into the slot; never waits."""
+        with self._arrived:
+            self._item = item
+            self._arrived.notify()
 
-    def take(self, timeout: float) -> tuple[T | None, bool]:
-        """The newest item, None before the first one, and whether it has come since it was last taken.
-
-        Waits for so many seconds at most if it has not.
-        """
-        with self._changed:
-            if not self._fresh:
-                self._changed.wait(timeout)
-            fresh, self._fresh = self._fresh, False
-            return self._item, fresh
+    def take(self, timeout: float = 0.0) -> T | None:
+        """Takes the newest item out of the slot; None if it is still empty after `timeout` seconds."""
+        with self._arrived:
+            if self._item is None:
+                self._arrived.wait(timeout)
+            item, self._item = self._item, None
+            return item

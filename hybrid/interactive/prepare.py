@@ -1,4 +1,4 @@
-"""Prepares what must be there before the first frame: scene, forest and renderer."""
+"""Prepares what the first frame needs: scene, forest and renderer."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from hybrid.runtime.progress import Bar, Report
 from hybrid.store.cache import newest_forest
 from hybrid.training.quick import forest_for
 from pathtrace.base.backend import select_backend
+from pathtrace.scene.scene import load_scene
 
 
 def prepared(scene: str, forest: Path | None, backend: str, trains: bool, report: Report) -> FrameSource:
@@ -33,11 +34,9 @@ def prepared(scene: str, forest: Path | None, backend: str, trains: bool, report
     def bars(title: str) -> Iterator[Bar]:
         yield lambda done, total, step="": report(title, done, total)
 
+    # Before the scene is loaded, since the backend decides what it is loaded into.
     select_backend(backend)
-    # After the backend, which decides on the kind of scene that is loaded.
-    from pathtrace.scene.scene import load_scene
-
     loaded = load_scene(scene)
     if not trains and forest is None and newest_forest(loaded) is None:
-        raise UserError(f"{scene}: there is no forest yet, and no time to train one; run hybrid demo {scene}")
+        raise UserError(f"{scene}: there is no forest yet; run hybrid demo {scene} first, which trains one")
     return FrameSource(LiveRenderer(loaded, forest_for(loaded, forest, bars)))

@@ -17,7 +17,7 @@ class View(Enum):
     PATH_TRACED = "path-traced frame"
     SPLIT = "composite | path-traced"
     LEVELS = "levels and rates"
-    DIFFERENCE = "difference to the path-traced frame"
+    DIFFERENCE = "difference from the path-traced frame"
 
     @property
     def needs_path_traced(self) -> bool:
@@ -31,15 +31,15 @@ class Request:
 
     Attributes:
         settings: of the frame, with its camera at the window's resolution.
-        view: what of the frame is shown.
-        asked: time.perf_counter of the newest gaze movement that the request includes.
+        view: what to show of the frame.
+        gaze_time: time.perf_counter of the newest gaze movement that the settings include.
         target_fps: frames per second for which radius, samples, layers, rate and scale are chosen frame by
             frame; None leaves them as they are.
     """
 
     settings: FrameSettings
     view: View = View.COMPOSITE
-    asked: float = 0.0
+    gaze_time: float = 0.0
     target_fps: float | None = None
 
     def same_frame(self, other: Request | None) -> bool:

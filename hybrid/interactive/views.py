@@ -1,4 +1,4 @@
-"""Images of the window's views, in sRGB."""
+"""The window's views of a frame, in sRGB."""
 
 from __future__ import annotations
 
@@ -9,37 +9,46 @@ from numpy.typing import NDArray
 
 from compose.image.colour import Image, srgb_from_radiance
 from hybrid.frame.frame import Frame
+from hybrid.interactive.converging import ConvergingFrame
 from hybrid.interactive.request import View
 from hybrid.pictures.levels import levels_picture
 
-# A difference of this much in sRGB has the strongest colour.
+# Differences of this much in sRGB, or more, are white in the heat map.
 _STRONGEST = 0.25
 
 
-def image_of(view: View, frame: Frame, path_traced: Image | None) -> NDArray[np.uint8]:
+def image_of(view: View, frame: Frame, path_traced: ConvergingFrame | None) -> NDArray[np.uint8]:
     """(H, W, 3) sRGB image of a view.
 
     Args:
         view: what to show.
         frame: the hybrid frame.
-        path_traced: (H, W, 3) radiance of the whole frame, for views that need it.
+        path_traced: the whole frame, path-traced, for views that need it.
+
+    Raises:
+        ValueError: the view needs the path-traced frame, and there is none.
     """
-    if path_traced is not None:
-        if view == View.DIFFERENCE:
-            return _heat(frame.composite, path_traced)
-        if view == View.SPLIT:
-            return _split(frame.composite, path_traced)
-        return _bytes(path_traced)
-    if view == View.FOVEA:
-        return _bytes(frame.of_disc(frame.fovea.radiance * frame.region.weights[:, None]))
-    if view == View.PERIPHERY:
-        return _bytes(frame.periphery)
-    if view == View.LEVELS:
+    if view is View.LEVELS:
         return levels_picture(frame.composite, frame.detail, frame.region)
-    return _bytes(frame.composite)
+    if not view.needs_path_traced:
+        return _srgb_bytes(_of_frame(view, frame))
+    if path_traced is None:
+        raise ValueError(f"{view} needs the path-traced frame")
+    if view is View.DIFFERENCE:
+        return _heat_map(frame.composite, path_traced.denoised())
+    if view is View.SPLIT:
+        return _split(frame.composite, path_traced.image())
+    return _srgb_bytes(path_traced.image())
 
 
-def _bytes(radiance: Image) -> NDArray[np.uint8]:
+def _of_frame(view: View, frame: Frame) -> Image:
+    """(H, W, 3) radiance of a part of the frame, or of all of it."""
+    if view is View.FOVEA:
+        return frame.of_disc(frame.fovea.radiance * frame.region.weights[:, None])
+    return frame.periphery if view is View.PERIPHERY else frame.composite
+
+
+def _srgb_bytes(radiance: Image) -> NDArray[np.uint8]:
     """compose.image.colour.bytes_from_radiance as a kernel, which takes a tenth of the time."""
     flat = mi.Float(np.ascontiguousarray(radiance).ravel())
     linear = dr.fmin(dr.fmax(flat, 0), 1)
@@ -51,13 +60,13 @@ def _bytes(radiance: Image) -> NDArray[np.uint8]:
 def _split(left: Image, right: Image) -> NDArray[np.uint8]:
     """Two images on either side of a white line."""
     middle = left.shape[1] // 2
-    picture = _bytes(np.concatenate([left[:, :middle], right[:, middle:]], axis=1))
-    picture[:, middle] = 255
-    return picture
+    image = _srgb_bytes(np.concatenate([left[:, :middle], right[:, middle:]], axis=1))
+    image[:, middle] = 255
+    return image
 
 
-def _heat(image: Image, reference: Image) -> NDArray[np.uint8]:
-    """Difference as a heat map: black for none, then red, yellow, and white for the strongest."""
+def _heat_map(image: Image, reference: Image) -> NDArray[np.uint8]:
+    """Mean absolute difference in sRGB: black for none, then red, yellow, and white for the strongest."""
     difference = np.abs(srgb_from_radiance(image) - srgb_from_radiance(reference)).mean(axis=2)
     heat = 3 * np.clip(difference / _STRONGEST, 0, 1)[..., None] - np.arange(3)
     return (np.clip(heat, 0, 1) * 255 + 0.5).astype(np.uint8)

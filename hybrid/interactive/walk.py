@@ -9,7 +9,7 @@ import numpy as np
 from compose.camera.camera import Array, Camera, camera_from_pose
 from compose.camera.turning import turned
 
-# Degrees that one looks up and down at most.
+# Steepest look up or down, in degrees.
 _MOST_PITCH = 85.0
 
 
@@ -17,7 +17,7 @@ class Walker:
     """A viewer who starts at a camera.
 
     Args:
-        home: where, and its upward axis is up.
+        home: where the walk begins; its upward axis stays upward.
     """
 
     def __init__(self, home: Camera):
@@ -25,37 +25,38 @@ class Walker:
         self.reset()
 
     def reset(self) -> None:
-        """Back to where the walk began."""
+        """Returns to where the walk began."""
         self._offset: Array = np.zeros(3)
         self._yaw = self._pitch = 0.0
         self._view: Camera | None = None
 
     def look(self, right: float, down: float) -> None:
-        """Turns by so many degrees."""
+        """Turns by angles in degrees."""
         self._view = None
         self._yaw += right
         self._pitch = float(np.clip(self._pitch + down, -_MOST_PITCH, _MOST_PITCH))
 
     def walk(self, right: float, down: float, forward: float) -> None:
-        """Moves along the axes of the view by so many units of the scene."""
+        """Moves along the axes of the view, in units of the scene."""
         self._view = None
         self._offset = self._offset + self._rotation() @ np.array([right, down, forward])
 
     def camera(self, width: int, height: int) -> Camera:
-        """The view on a frame of that many pixels; the same object as long as nothing moves."""
+        """The view in a frame of that many pixels; the same object as long as nothing moves."""
         if self._view is None or (self._view.width, self._view.height) != (width, height):
             self._view = self._seen(width, height)
         return self._view
 
     def _seen(self, width: int, height: int) -> Camera:
-        pose = np.eye(4)
-        pose[:3, :3] = self._rotation()
-        pose[:3, 3] = self._home.position + self._offset
         home = self._home.resized(width, height)
         if not self._offset.any() and not self._yaw and not self._pitch:
             return home
+        pose = np.eye(4)
+        pose[:3, :3] = self._rotation()
+        pose[:3, 3] = self._home.position + self._offset
         moved = camera_from_pose(pose, width, height, home.fx, home.fy, home.cx, home.cy)
         return replace(home, world_to_camera=moved.world_to_camera)
 
     def _rotation(self) -> Array:
+        """(3, 3) camera-to-world rotation of the view."""
         return turned(self._home.camera_to_world[:3, :3], self._yaw, -self._pitch)

@@ -1,4 +1,4 @@
-"""Converged radiance of a view, and an honest estimate of the error that is left in it."""
+"""Converged radiance of a view, with an unbiased estimate of the error that is left in it."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
 from compose.image.colour import Image, srgb_from_radiance
+from hybrid.measure.metrics.psnr import psnr_of_error
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.image import TracedImage, auxiliary_images, radiance_image
 from pathtrace.trace.tracer import Tracer, auxiliary_spp
 
-# Far from the seeds of frames, whose noise would otherwise be that of the reference.
+# Far from the seeds of frames, whose noise must be independent of the reference's.
 REFERENCE_SEED = 1_000_003
-# Independent parts of a reference's samples.
+# Independent parts of a reference's samples, two per half.
 _PARTS = 4
-# Slopes of the tone curve are taken over this much radiance.
+# Step in radiance over which the slope of the sRGB curve is taken.
 _STEP = 1e-3
 
 
@@ -27,26 +28,53 @@ class Reference:
 
     Attributes:
         radiance: (H, W, 3) linear, mean of `halves`.
-        halves: two independent estimates, denoised each for itself.
-        errors: (H, W) unbiased estimates of its squared error in sRGB, noisy and at times negative.
+        halves: two independent estimates (H, W, 3), each denoised on its own.
+        errors: (H, W) unbiased estimate of the radiance's squared error in sRGB; noisy, at times negative.
     """
 
     radiance: Image
     halves: tuple[Image, Image]
     errors: NDArray[np.float32]
 
+    @staticmethod
+    def of_halves(halves: tuple[Image, Image], parts: list[list[Image]]) -> Reference:
+        """The mean of two denoised halves, with its error, denoising bias included.
+
+        For samples a and b, independent of a denoised image d and of each other, the mean of (a - d)(b - d)
+        is the squared error of d, because their noise cancels. Each half is compared with the samples of the
+        other one. Averaging the halves removes half of their variance, which is a quarter of their squared
+        difference.
+
+        Args:
+            halves: (H, W, 3) radiance each.
+            parts: of each half, two independent noisy estimates (H, W, 3) from its samples.
+        """
+        radiance = 0.5 * (halves[0] + halves[1])
+        slope = (srgb_from_radiance(radiance + _STEP) - srgb_from_radiance(radiance)) / _STEP
+        errors = [
+            (one - half) * (other - half) * slope**2
+            for half, (one, other) in zip(halves, reversed(parts), strict=True)
+        ]
+        between = (halves[0] - halves[1]) ** 2 * slope**2
+        error = (0.5 * (errors[0] + errors[1]) - 0.25 * between).mean(axis=-1)
+        return Reference(radiance, halves, error.astype(np.float32))
+
     def squared_error(self, where: NDArray[np.bool_] | None = None) -> float:
-        """In sRGB, mean over some pixels or all: the upper end of its confidence interval."""
+        """Mean squared error in sRGB, at the upper end of its confidence interval.
+
+        Args:
+            where: (H, W) pixels that count; all of them if None.
+        """
         errors = self.errors[where] if where is not None else self.errors.ravel()
         upper = errors.mean(dtype=np.float64) + 2 * errors.std(dtype=np.float64) / np.sqrt(errors.size)
-        # The variance between the halves alone is there for certain.
+        # The estimate may be too low, even negative; the variance between the halves is a lower bound.
         between = srgb_from_radiance(self.halves[0]) - srgb_from_radiance(self.halves[1])
         squares = (between if where is None else between[where]) ** 2
         return max(float(upper), 0.25 * float(squares.mean(dtype=np.float64)))
 
     def psnr(self, where: NDArray[np.bool_] | None = None) -> float:
-        """Of the reference itself against the truth, in dB: no frame can be told to be better than that."""
-        return float(-10 * np.log10(max(self.squared_error(where), 1e-12)))
+        """PSNR in dB of the reference against the truth: no frame can be shown to be better than that."""
+        return psnr_of_error(self.squared_error(where))
 
 
 def reference(tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed: int) -> Reference:
@@ -55,7 +83,7 @@ def reference(tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed
     Args:
         tracer: of the scene.
         camera: the view.
-        spp: samples per pixel in all, at least 4; the same for all, or (H * W,).
+        spp: samples per pixel in total, at least 4; one number, or (H * W,).
         seed: same seed, same reference.
 
     Raises:
@@ -63,39 +91,30 @@ def reference(tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed
     """
     if np.min(spp) < _PARTS:
         raise ValueError(f"a reference needs at least {_PARTS} samples per pixel")
+    first, second = (_half(tracer, camera, spp, seed, number) for number in range(2))
+    return Reference.of_halves((first.denoised, second.denoised), [first.parts, second.parts])
+
+
+@dataclass(frozen=True)
+class _Half:
+    """Half of a reference's samples: denoised (H, W, 3), and as two noisy parts (H, W, 3)."""
+
+    denoised: Image
+    parts: list[Image]
+
+
+def _half(tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed: int, number: int) -> _Half:
     positions, size = frame_positions(camera), (camera.height, camera.width)
-    halves, parts = [], []
-    for half in range(2):
-        first, last = (spp * (2 * half + part) // _PARTS for part in (0, 2))
-        middle = spp * (2 * half + 1) // _PARTS
-        seeds = np.random.SeedSequence([seed, half]).generate_state(2)
-        raw = [
-            radiance_image(tracer, camera, positions, camera.width, count, int(part_seed))
-            for count, part_seed in zip((middle - first, last - middle), seeds, strict=True)
-        ]
-        auxiliary = auxiliary_images(
-            tracer, camera, positions, camera.width, auxiliary_spp(int(np.max(spp))), int(seeds[0])
-        )
-        share = np.broadcast_to((last - middle) / (last - first), size[0] * size[1])
-        mean = raw[0] + (raw[1] - raw[0]) * share.reshape(*size, 1).astype(np.float32)
-        halves.append(TracedImage(mean, *auxiliary).denoised())
-        parts.append(raw)
-    return judged(halves, parts)
-
-
-def judged(halves: list[Image], parts: list[list[Image]]) -> Reference:
-    """The mean of two halves, with its error, to which their denoiser's bias belongs.
-
-    Against samples a and b that are independent of a denoised picture d, and of each other, the mean of
-    (a - d)(b - d) is the squared error of d: their noise falls out. Each half is judged by the other's
-    samples. Of the mean of both, half of the variance between them is gone.
-    """
-    radiance = 0.5 * (halves[0] + halves[1])
-    slope = (srgb_from_radiance(radiance + _STEP) - srgb_from_radiance(radiance)) / _STEP
-    errors = [
-        (one - half) * (other - half) * slope**2
-        for half, (one, other) in zip(halves, reversed(parts), strict=True)
+    # A quarter of the samples each; where they do not divide evenly, counts differ by one.
+    first, middle, last = (spp * (2 * number + part) // _PARTS for part in range(3))
+    seeds = [int(one) for one in np.random.SeedSequence([seed, number]).generate_state(2)]
+    parts = [
+        radiance_image(tracer, camera, positions, camera.width, count, part_seed)
+        for count, part_seed in zip((middle - first, last - middle), seeds, strict=True)
     ]
-    between = (halves[0] - halves[1]) ** 2 * slope**2
-    error = (0.5 * (errors[0] + errors[1]) - 0.25 * between).mean(axis=-1)
-    return Reference(radiance, (halves[0], halves[1]), error.astype(np.float32))
+    auxiliary = auxiliary_images(
+        tracer, camera, positions, camera.width, auxiliary_spp(int(np.max(spp))), seeds[0]
+    )
+    share = np.broadcast_to((last - middle) / (last - first), size[0] * size[1])
+    mean = parts[0] + (parts[1] - parts[0]) * share.reshape(*size, 1).astype(np.float32)
+    return _Half(TracedImage(mean, *auxiliary).denoised(), parts)

@@ -1,4 +1,4 @@
-"""The parts of a frame over which quality is told apart."""
+"""The regions of a frame for which quality is measured separately."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from compose.eye.saliency import saliency
 from compose.fovea.region import Foveation
 from compose.image.colour import Image
 
-# In the order of every table.
+# In the order of all tables.
 REGIONS = ("whole", "foveal", "seam", "peripheral", "salient")
-# What draws attention more than so much of the frame does is salient.
+# Quantile of saliency above which pixels belong to the salient region.
 _SALIENT_ABOVE = 0.8
-# Side, in pixels, of the picture in which attention is looked for.
+# Side in pixels of the image in which saliency is computed.
 _COARSE = 64
 
 
@@ -29,8 +29,8 @@ class Region:
 
     Attributes:
         name: one of REGIONS.
-        mask: (H, W).
-        box: rows and columns around them.
+        mask: (H, W) its pixels.
+        box: rows and columns of the rectangle around them.
     """
 
     name: str
@@ -39,7 +39,11 @@ class Region:
 
     @staticmethod
     def of(name: str, mask: NDArray[np.bool_]) -> Region:
-        """Raises UserError where there are no such pixels."""
+        """The region of a mask (H, W).
+
+        Raises:
+            UserError: the mask is empty.
+        """
         rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
         if not len(rows):
             raise UserError(f"the {name} region of this frame is empty: nothing can be measured there")
@@ -47,22 +51,22 @@ class Region:
         return Region(name, mask, box)
 
     def alone(self, image: Image, reference: Image) -> Image:
-        """(H, W, 3) the reference with these pixels of the image: no error from elsewhere leaks in."""
+        """(H, W, 3) the image inside the region, the reference outside, so that no other error counts."""
         return np.where(self.mask[..., None], image, reference)
 
 
 def regions(foveation: Foveation, reference: Image) -> dict[str, Region]:
     """All regions of a frame, by name.
 
-    The whole; the foveal disc inside fov-a, its band included; the seam, which is that band from fov-b to
-    fov-a; the periphery outside fov-a; and what of the reference draws attention.
+    These are the whole frame; the foveal disc inside fov-a, band included; the seam, which is the band from
+    fov-b to fov-a; the periphery outside fov-a; and the salient fifth of the reference.
 
     Args:
         foveation: gaze and radii.
         reference: (H, W, 3) converged radiance.
 
     Raises:
-        UserError: the gaze is outside of the frame, or a region is empty.
+        UserError: the gaze lies outside the frame, or a region is empty.
     """
     plain = plain_regions(foveation, (reference.shape[0], reference.shape[1]))
     return {**plain, "salient": Region.of("salient", _salient(reference))}
@@ -71,7 +75,9 @@ def regions(foveation: Foveation, reference: Image) -> dict[str, Region]:
 def plain_regions(
     foveation: Foveation, size: tuple[int, int], wanted: Sequence[str] = REGIONS[:-1]
 ) -> dict[str, Region]:
-    """The regions that foveation alone decides on, by name.
+    """The regions that depend on foveation alone, by name.
+
+    The seam is left out if it has no width, and so are seam and periphery if the disc covers the frame.
 
     Args:
         foveation: gaze and radii.
@@ -79,7 +85,7 @@ def plain_regions(
         wanted: names, any but salient.
 
     Raises:
-        UserError: the gaze is outside of the frame, or a region that is wanted is empty.
+        UserError: the gaze lies outside the frame, or a wanted region is empty.
     """
     gaze = foveation.gaze
     require_within_frame(gaze.x, gaze.y)
@@ -93,7 +99,7 @@ def plain_regions(
         "seam": (radius >= inner) & (radius < outer),
         "peripheral": radius >= outer,
     }
-    # A seam of no width, or a disc that covers the frame, is how the frame was asked for.
+    # Settings that ask for such a frame are no mistake, unlike a disc without a pixel.
     left_out = {"seam"} if outer == inner else set()
     if masks["foveal"].all():
         left_out |= {"peripheral", "seam"}
@@ -101,7 +107,7 @@ def plain_regions(
 
 
 def _salient(reference: Image) -> NDArray[np.bool_]:
-    """(H, W) the fifth of a frame that draws most attention."""
+    """(H, W) the most salient fifth of an image."""
     height, width = reference.shape[:2]
     step = max(1, max(height, width) // _COARSE)
     rows, columns = height // step, width // step

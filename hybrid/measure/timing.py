@@ -1,4 +1,4 @@
-"""Times of frames: warm-up, methods interleaved along a fixed gaze path, medians."""
+"""Timing of frames: methods interleaved along a fixed gaze path after a warm-up, and percentiles."""
 
 from __future__ import annotations
 
@@ -13,40 +13,43 @@ import numpy as np
 
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
+from hybrid.runtime.progress import no_progress
 
-# How far the gaze goes from the middle, in fractions of the frame's width and height.
+# How far the gaze moves from the centre, in fractions of the frame's width and height.
 REACH = (0.15, 0.15)
-# Degrees from one frame's camera to the next one's, and after how many they return: with 50 pixels per
-# degree, a twentieth of a pixel at most.
+# Degrees from one frame's camera to the next one's, and the number of frames after which they repeat: at 50
+# pixels per degree they differ by a twentieth of a pixel at most.
 _NUDGE, _NUDGES = 1e-6, 1000
 
 
 def percentiles(milliseconds: list[float], wanted: Sequence[int] = (50, 95)) -> dict[str, float]:
-    """Percentiles by their names, such as p50 for the median."""
+    """Percentiles by name, such as p50 for the median."""
     return {f"p{percent}": float(np.percentile(milliseconds, percent)) for percent in wanted}
 
 
 def gaze_path(count: int, reach: tuple[float, float] = REACH) -> list[Gaze]:
-    """A closed curve around the middle of the frame.
+    """A closed curve around the centre of the frame.
 
     Args:
         count: points on it.
-        reach: how far it goes from the middle, in fractions of the frame's width and height. By default, a
-            disc with a radius of up to 35 % of the height stays whole in frames no narrower than high.
+        reach: how far it extends from the centre, in fractions of the frame's width and height. With the
+            default, a disc with a radius of up to 35 % of the height stays inside frames that are at least as
+            wide as high.
     """
     turns = (2 * math.pi * i / count for i in range(count))
     return [Gaze(0.5 + reach[0] * math.sin(t), 0.5 + reach[1] * math.sin(2 * t + 0.5)) for t in turns]
 
 
 def jittered(camera: Camera, number: int) -> Camera:
-    """The camera, turned about its own vertical axis by so little that no picture shows it.
+    """The camera, turned about its vertical axis by too little to be visible.
 
     Frames of one camera share what depends on the camera alone. A frame that is timed with a camera of its
-    own pays for all of it, as every frame does while the viewer moves.
+    own pays for everything, as every frame does while the viewer moves.
 
     Args:
         camera: the view.
-        number: of the frame. A thousand in turn have different keys, none of them the camera's own.
+        number: of the frame. A thousand consecutive numbers give different keys, all different from the
+            camera's own.
     """
     angle = math.radians(_NUDGE) * (1 + number % _NUDGES)
     turn = np.eye(4)
@@ -59,16 +62,16 @@ def interleaved(
     methods: dict[str, Callable[[Gaze, int], Any]],
     repeats: int,
     warm_up: int,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Callable[[int, int], None] = no_progress,
     reach: tuple[float, float] = REACH,
 ) -> dict[str, list[float]]:
-    """Milliseconds of each method at each step of the gaze path; all methods take a step in turn.
+    """Milliseconds of each method at each step of the gaze path; at each step, all methods take turns.
 
     Args:
         methods: functions of gaze and seed that return when their frame is complete.
         repeats: measured frames per method.
-        warm_up: frames before that, not counted.
-        progress: called with (rounds done, rounds in all).
+        warm_up: frames before that, which are not measured.
+        progress: called with rounds done and rounds in total.
         reach: of the gaze path.
     """
 
@@ -79,7 +82,7 @@ def interleaved(
 
     timed = [partial(total, method) for method in methods.values()]
     found = interleaved_passes(timed, repeats, warm_up, progress, reach)
-    return {n: [frame["total"] for frame in frames] for n, frames in zip(methods, found, strict=True)}
+    return {name: [frame["total"] for frame in frames] for name, frames in zip(methods, found, strict=True)}
 
 
 def interleaved_passes(
@@ -89,7 +92,7 @@ def interleaved_passes(
     progress: Callable[[int, int], None],
     reach: tuple[float, float] = REACH,
 ) -> list[list[dict[str, float]]]:
-    """Milliseconds per pass, of each frame of each method: `interleaved` for frames that time themselves."""
+    """Milliseconds per pass of each frame of each method: `interleaved` for frames that time themselves."""
     found: list[list[dict[str, float]]] = [[] for _ in methods]
     path = gaze_path(repeats, reach)
     for turn in range(-warm_up, repeats):

@@ -1,4 +1,4 @@
-"""The hybrid frame as a method among others."""
+"""The hybrid frame as a method."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from hybrid.methods.method import TimedImage
 
 @dataclass(frozen=True)
 class HybridMethod:
-    """Hybrid frames; gaze and camera are those of each frame.
+    """Renders hybrid frames.
 
     Attributes:
         renderer: of the scene.
-        frame_settings: everything else.
+        frame_settings: of the frames; each frame sets gaze and camera.
     """
 
     renderer: Renderer

@@ -1,4 +1,4 @@
-"""What methods of rendering a frame have in common, so that they can be compared."""
+"""The interface that all methods of rendering a frame share, so that they can be compared."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from compose.image.colour import Image
 
 @dataclass(frozen=True)
 class TimedImage:
-    """A frame and what it took.
+    """A frame and how long it took.
 
     Attributes:
         image: (H, W, 3) linear radiance.
@@ -24,14 +24,14 @@ class TimedImage:
 
 
 class Method(Protocol):
-    """A method of rendering frames, with all its settings."""
+    """A method of rendering frames, together with its settings."""
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Its settings, for tables."""
+        """Its settings as JSON has them, for tables."""
 
     def rays(self, camera: Camera, gaze: Gaze) -> float:
-        """Paths per pixel of the frame."""
+        """Expected number of paths per pixel of the frame."""
 
     def render(self, camera: Camera, gaze: Gaze, seed: int) -> TimedImage:
-        """One frame; same seed, same frame."""
+        """One frame; same seed, same frame on the same machine."""

@@ -1,4 +1,4 @@
-"""Baselines that trace every pixel: at full resolution, enlarged, and warped around the gaze (RMFR)."""
+"""Path-traced baselines: at full resolution, enlarged, and warped around the gaze (RMFR)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,13 @@ from pathtrace.trace.tracer import Tracer
 
 @dataclass(frozen=True)
 class FullTrace:
-    """All pixels path-traced with the same sample count, as far as whole samples allow."""
+    """Traces all pixels with the same sample count.
+
+    Attributes:
+        tracer: of the scene.
+        spp: samples per pixel, at least 1; of a fractional number the mean over all pixels.
+        denoised: whether to denoise the image.
+    """
 
     tracer: Tracer
     spp: float
@@ -45,10 +51,13 @@ class FullTrace:
 
 @dataclass(frozen=True)
 class Enlarged:
-    """The whole frame path-traced with fewer, larger pixels, and enlarged bicubically.
+    """Traces the whole frame with fewer, larger pixels and enlarges it bicubically.
 
     Attributes:
-        share: of the frame's pixels.
+        tracer: of the scene.
+        share: number of traced pixels over the frame's.
+        spp: samples per traced pixel.
+        denoised: whether to denoise the image before enlarging it.
     """
 
     tracer: Tracer
@@ -75,22 +84,29 @@ class Enlarged:
         small = traced_image(self.tracer, camera, positions, columns, self.spp, seed, self.denoised, clock)
         planes = torch.from_numpy(small).permute(2, 0, 1)[None]  # (1, 3, rows, columns)
         size = (camera.height, camera.width)
+        # Bicubic weights overshoot at edges, below 0 as well.
         large = functional.interpolate(planes, size=size, mode="bicubic")[0].permute(1, 2, 0).clamp(min=0)
         image = np.ascontiguousarray(large.numpy())  # (H, W, 3)
         clock.lap("enlarge")
         return TimedImage(image, clock.milliseconds())
 
     def _size(self, camera: Camera) -> tuple[int, int]:
+        """Columns and rows that are traced."""
         scale = float(np.sqrt(self.share))
         return max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
 
 
 @dataclass(frozen=True)
 class Rmfr:
-    """Rectangular mapping-based foveated rendering: traced in a smaller buffer, densest at the gaze.
+    """Rectangular mapping-based foveated rendering (RMFR, Ye et al. 2022).
+
+    Traces a smaller buffer that is densest at the gaze, and maps it back to the frame.
 
     Attributes:
+        tracer: of the scene.
         f, sigma: parameters of the mapping (hybrid.methods.warp).
+        spp: samples per pixel of the buffer, at least 1; of a fractional number the mean.
+        denoised: whether to denoise the buffer.
     """
 
     tracer: Tracer

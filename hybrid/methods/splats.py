@@ -1,4 +1,4 @@
-"""Gaussians alone as a baseline."""
+"""Splats alone as a baseline."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hybrid.runtime.clock import Clock
 
 @dataclass(frozen=True)
 class SplatsAlone:
-    """All Gaussians of the finest layer at full rate."""
+    """Renders all Gaussians of the finest layer at full rate."""
 
     periphery: Periphery
 

@@ -1,4 +1,4 @@
-"""Path-traced pictures without any splats."""
+"""Path-traced images without splats."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ def traced_image(
     denoised: bool,
     clock: Clock | None = None,
 ) -> Image:
-    """(N / columns, columns, 3) radiance of N film positions that lie in rows.
+    """(N / columns, columns, 3) radiance at N film positions.
 
     Args:
         tracer: of the scene.
-        camera: the view; its film coordinates are those of the positions.
-        positions: of the picture's pixels.
-        columns: of the picture.
-        spp: samples per position, at least 1 each; where that is no whole number, the mean over all of them.
-        seed: same seed, same picture.
-        denoised: by OIDN, with albedo and normal.
-        clock: gets the laps trace and denoise.
+        camera: the view, to whose film the positions refer.
+        positions: of the image's pixels, row by row.
+        columns: of the image.
+        spp: samples per position, at least 1; of a fractional number the mean over all positions.
+        seed: same seed, same image on the same machine.
+        denoised: whether to denoise with OIDN, guided by albedo and normal.
+        clock: records the passes trace and denoise.
     """
     clock = clock or Clock()
     counts = fractional_counts(spp, positions.count, seed)
@@ -44,6 +44,6 @@ def traced_image(
         return radiance
     spp_of_auxiliary = auxiliary_spp(math.ceil(spp))
     auxiliary = auxiliary_images(tracer, camera, positions, columns, spp_of_auxiliary, seed)
-    cleaned = TracedImage(radiance, *auxiliary).denoised(is_quick(spp))
+    image = TracedImage(radiance, *auxiliary).denoised(is_quick(spp))
     clock.lap("denoise")
-    return cleaned
+    return image

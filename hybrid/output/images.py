@@ -16,33 +16,48 @@ from compose.image.colour import Image, bytes_from_radiance
 
 
 def check_writable(path: Path) -> None:
-    """Checks, before long work begins, that its result can be written.
+    """Checks, before long work begins, that a file can be written; creates its folder.
 
     Raises:
-        UserError: the folder cannot be made or written.
+        UserError: the folder cannot be created or written to, or the path is a folder itself.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UserError(f"{path}: its folder cannot be made ({error.strerror})") from error
+        raise UserError(f"{path}: its folder cannot be created ({error.strerror})") from error
     if not os.access(path.parent, os.W_OK | os.X_OK) or path.is_dir():
-        raise UserError(f"{path}: cannot be written there")
+        raise UserError(f"{path}: cannot be written")
 
 
 def write_png(path: Path, radiance: Image) -> None:
-    """Writes (H, W, 3) linear radiance as sRGB."""
+    """Writes (H, W, 3) linear radiance as an sRGB PNG file.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
     write_srgb(path, bytes_from_radiance(radiance))
 
 
 def write_srgb(path: Path, image: NDArray[np.uint8]) -> None:
-    """Writes an (H, W, 3) image that is in sRGB already."""
+    """Writes an (H, W, 3) image that is already in sRGB as a PNG file.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
     write_whole(path, lambda part: PillowImage.fromarray(image).save(part, format="PNG"))
 
 
 def write_exr(path: Path, aovs: dict[str, NDArray[np.float32]]) -> None:
     """Writes AOVs to one EXR file: channels name.R, .G and .B for (H, W, 3), name.V for (H, W).
 
-    The AOV without a name is what viewers show that ignore names.
+    Viewers that ignore layer names show the AOV whose name is empty.
+
+    Args:
+        path: of the file.
+        aovs: images by name, all of the same size.
+
+    Raises:
+        UserError: the file cannot be written.
     """
     channels = {}
     for name, image in aovs.items():
@@ -55,6 +70,6 @@ def write_exr(path: Path, aovs: dict[str, NDArray[np.float32]]) -> None:
 
 
 def read_exr(path: Path) -> dict[str, NDArray[np.float32]]:
-    """All channels of an EXR file by their full names, (H, W) each."""
+    """All channels of an EXR file by their full names, such as composite.R; (H, W) each."""
     file = OpenEXR.File(str(path), separate_channels=True)
     return {name: channel.pixels for name, channel in file.channels().items()}

@@ -1,4 +1,4 @@
-"""Video files."""
+"""Video files: H.264 in MP4."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _QUALITY = "16"
 
 
 def check_video(width: int, height: int) -> None:
-    """Checks, before long work begins, that a video of that frame size can be written.
+    """Checks, before long work begins, that a video with that frame size can be written.
 
     Raises:
         UserError: PyAV is not installed, or a side of the frame is odd.
@@ -27,17 +27,20 @@ def check_video(width: int, height: int) -> None:
     except ImportError as error:
         raise UserError(_INSTALL) from error
     if width % 2 or height % 2:
-        raise UserError(f"frame size {width} x {height}: both must be even in a video")
+        raise UserError(f"frame size {width} x {height}: width and height of a video must be even")
 
 
 def write_mp4(path: Path, images: Iterator[NDArray[np.uint8]], size: tuple[int, int], fps: int) -> None:
-    """Writes images (H, W, 3) in sRGB as H.264; the file appears whole or not at all.
+    """Writes a video; the file appears complete or not at all.
 
     Args:
         path: of the file.
-        images: one per frame.
-        size: width and height.
+        images: (H, W, 3) in sRGB, one per frame.
+        size: width and height in pixels, both even.
         fps: frames per second.
+
+    Raises:
+        UserError: the file cannot be written.
     """
     write_whole(path, lambda part: _encode(part, images, size, fps))
 

@@ -1,4 +1,4 @@
-"""A picture to look at: level, sampling rate and eccentricity of a frame, per pixel."""
+"""A picture of the level, sampling rate and eccentricity of each pixel of a frame."""
 
 from __future__ import annotations
 
@@ -12,22 +12,28 @@ from compose.eye.steps import COARSEST_RATE
 from compose.fovea.region import FoveaRegion
 from compose.image.colour import Image, bytes_from_radiance
 
-# Level 1 to L from red to blue; what is in between is mixed.
+# Levels 1 to L run from red to blue.
 _COARSE, _FINE = np.array([230.0, 70.0, 40.0]), np.array([40.0, 110.0, 240.0])
-_TINT = 0.5
+_TINT = 0.5  # share of the tint in the colour of a pixel
 _RING = 10  # degrees between two rings
 
 
 def detail_picture(frame: Image, detail: DetailMap, region: FoveaRegion) -> NDArray[np.uint8]:
-    """(H + legend, W, 3) sRGB: `levels_picture` above a strip that says what its colours and lines mean."""
+    """(H + legend, W, 3) sRGB: `levels_picture` above a legend of its colours and lines."""
     return np.vstack([levels_picture(frame, detail, region), _legend(detail)])
 
 
 def levels_picture(frame: Image, detail: DetailMap, region: FoveaRegion) -> NDArray[np.uint8]:
-    """(H, W, 3) sRGB: the frame in grey, tinted by level, with tiles by rate and rings by angle.
+    """(H, W, 3) sRGB: the frame in grey, tinted by level, with lines between rates and rings of angle.
 
-    Below full rate the frame is shown in blocks as large as its samples; white rings stand at every 10
-    degrees of eccentricity, black lines between rates; what is path-traced alone keeps its colours.
+    Below the full rate, the frame is shown in blocks as large as its samples. White rings mark every 10
+    degrees of eccentricity, black lines separate sampling rates. Pixels that show the path tracer alone keep
+    their colours.
+
+    Args:
+        frame: (H, W, 3) linear radiance.
+        detail: of the frame.
+        region: the disc's pixels and the weights of the blend.
     """
     picture = bytes_from_radiance(frame).astype(np.float64)
     rate = _rates(detail)
@@ -53,11 +59,12 @@ def levels_picture(frame: Image, detail: DetailMap, region: FoveaRegion) -> NDAr
 
 
 def _rates(detail: DetailMap) -> NDArray[np.int64]:
-    """(H, W) the rate that has the larger share."""
+    """(H, W) sampling rate, the one with the larger share where two are blended."""
     return np.rint(detail.per_pixel(detail.drawn_rate)).astype(np.int64)
 
 
 def _in_blocks(picture: NDArray[np.float64], size: int) -> NDArray[np.float64]:
+    """(H, W, 3) in which each block of size x size pixels has its mean."""
     height, width = picture.shape[:2]
     padded = np.pad(picture, ((0, -height % size), (0, -width % size), (0, 0)), mode="edge")
     blocks = padded.reshape(padded.shape[0] // size, size, padded.shape[1] // size, size, 3).mean(axis=(1, 3))
@@ -65,6 +72,7 @@ def _in_blocks(picture: NDArray[np.float64], size: int) -> NDArray[np.float64]:
 
 
 def _legend(detail: DetailMap) -> NDArray[np.uint8]:
+    """(legend, W, 3) sRGB."""
     size = max(12, detail.width // 80)
     strip = Pillow.new("RGB", (detail.width, 3 * size), "white")
     draw, font = ImageDraw.Draw(strip), ImageFont.load_default(size)
@@ -76,8 +84,7 @@ def _legend(detail: DetailMap) -> NDArray[np.uint8]:
         draw.text((x + 1.3 * size, size // 2), f"layer {layer}", "black", font)
         x += int(1.3 * size + draw.textlength("layer 0  ", font))
     present = ", ".join(f"{1 << step} x {1 << step}" for step in sorted(set(_rates(detail).ravel().tolist())))
-    text = (
-        f"white: every {_RING} degrees from the gaze   black: between rates (one sample per {present} pixels)"
-    )
+    rings = f"white: every {_RING} degrees from the gaze"
+    text = f"{rings}   black: between rates (one sample per {present} pixels)"
     draw.text((size // 2, 1.7 * size), text, "black", font)
     return np.asarray(strip)

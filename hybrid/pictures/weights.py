@@ -1,4 +1,4 @@
-"""A picture of what each parent of a fused fovea is worth, pixel by pixel."""
+"""A picture of the share that each parent has in a fused fovea, pixel by pixel."""
 
 from __future__ import annotations
 
@@ -10,11 +10,15 @@ from hybrid.frame.frame import Frame
 
 
 def weights_picture(frame: Frame) -> NDArray[np.uint8]:
-    """(H, W, 3) sRGB bytes: the shares of traced, denoised and splats as red, green and blue.
+    """(H, W, 3) sRGB: the shares of traced, denoised and splat as red, green and blue.
 
-    Outside the disc lies the frame itself, grey and dark. The fovea must be fused.
+    Outside the disc, the picture shows the frame itself in dark grey.
+
+    Raises:
+        ValueError: the fovea is not fused.
     """
-    assert frame.fovea.weights is not None
+    if frame.fovea.weights is None:
+        raise ValueError("only a fused fovea has weights")
     shown = bytes_from_radiance(frame.composite).mean(axis=2, keepdims=True).repeat(3, axis=2) * 0.4
     shown.reshape(-1, 3)[frame.region.pixels] = frame.fovea.weights * 255
     return (np.clip(shown, 0, 255) + 0.5).astype(np.uint8)

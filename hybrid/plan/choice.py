@@ -1,4 +1,4 @@
-"""Chooses settings for a target time or a target quality from those that were measured."""
+"""Chooses from measured settings the ones that meet a target time or a target quality."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from hybrid.plan.measured import MeasuredSettings
 def chosen(
     metric: str, measured: Sequence[MeasuredSettings], milliseconds: float | None, quality: float | None
 ) -> MeasuredSettings:
-    """The best settings within a time, or the fastest of a quality; with both, the fastest within both.
+    """The best settings within a time, or the fastest that reach a quality, or the fastest that do both.
 
     Args:
-        metric: of the quality, jod or ssim.
-        measured: to choose from, at least one.
-        milliseconds: that a frame may take; None for any.
-        quality: in JOD, that a frame must reach; None for any.
+        metric: in which quality was measured, jod or ssim.
+        measured: settings to choose from, at least one.
+        milliseconds: the time that a frame may take; None for any.
+        quality: the quality in JOD that a frame must reach; None for any.
 
     Raises:
-        UserError: nothing fits, or the quality is not known in JOD.
+        UserError: no settings meet the target, or a quality is asked for but was not measured in JOD.
     """
     if quality is not None and metric != "jod":
         raise UserError(

@@ -1,4 +1,4 @@
-"""Keeps frames at a target rate: chooses among measured settings and follows the machine's load."""
+"""Keeps frames at a target rate by choosing among measured settings; adapts to the machine's load."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from itertools import pairwise
 from hybrid.frame.settings import FrameSettings
 from hybrid.plan.measured import MeasuredSettings
 
-# Share of the target time that frames are planned to take, since times vary.
+# Share of the target time that frames are planned to take, because times vary.
 _PLANNED = 0.85
 # How quickly the controller accepts that the machine has become slower, and that it is faster again.
 _SLOWER, _FASTER = 0.5, 0.08
-# Steps of the ladder that it climbs per frame at most; it descends at once.
+# Largest climb per frame, in steps of the ladder; it descends at once.
 _CLIMB = 0.12
-# A single frame counts as at most this many times the expected time: an outlier is not a load.
+# A frame counts as at most this many times the expected time, because one outlier is not a load.
 _MOST = 3.0
 
 
@@ -27,22 +27,26 @@ class FrameTimeController:
         ladder: Pareto-optimal settings, each slower and better than the one before it.
         target: milliseconds per frame.
 
+    Attributes:
+        target: milliseconds per frame.
+        load: time of a frame over the time measured for its settings, averaged over recent frames.
+
     Raises:
-        ValueError: the ladder is empty or does not rise.
+        ValueError: the ladder is empty, or its times do not increase.
     """
 
     def __init__(self, ladder: Sequence[MeasuredSettings], target: float):
         times = [one.milliseconds for one in ladder]
         if not ladder or any(after <= before for before, after in pairwise(times)):
-            raise ValueError("a ladder needs settings, each slower than the one before it")
+            raise ValueError("a ladder requires settings, each slower than the one before it")
         self._ladder, self._times = list(ladder), times
         self.target = target
-        # Time of frames over that measured; position on the ladder, with fractions between two settings.
         self.load = 1.0
+        # On the ladder, with fractions between two settings.
         self._position = self._affordable()
 
     def choice(self) -> MeasuredSettings:
-        """The settings of the next frame; between two on the ladder, only the radius is interpolated."""
+        """The settings of the next frame; between two on the ladder, radius and time are interpolated."""
         below = int(self._position)
         lower = self._ladder[below]
         if below + 1 == len(self._ladder):
@@ -57,17 +61,17 @@ class FrameTimeController:
 
     @property
     def expected(self) -> float:
-        """Milliseconds that the next frame should take, at most the target."""
+        """Milliseconds that the next frame is expected to take, at most the target."""
         return min(self.choice().milliseconds * self.load, self.target)
 
     def took(self, milliseconds: float) -> None:
-        """Learns how long the frame of the last choice took."""
+        """Adapts the load and the choice to the time that the frame of the last choice took."""
         relative = min(milliseconds / self.choice().milliseconds, _MOST * self.load)
         self.load += (_SLOWER if relative > self.load else _FASTER) * (relative - self.load)
         self._position = min(self._affordable(), self._position + _CLIMB)
 
     def _affordable(self) -> float:
-        """The highest position whose frames should take the target time."""
+        """The highest position at which frames are expected to meet the target."""
         budget = _PLANNED * self.target / self.load
         above = bisect_right(self._times, budget)
         if above == 0:
@@ -79,7 +83,10 @@ class FrameTimeController:
 
 
 def applied(choice: MeasuredSettings, requested: FrameSettings) -> FrameSettings:
-    """Requested settings with the chosen ones in their place; the band keeps its share of the radius."""
+    """The requested settings with the chosen radius, samples, layers, rate and scale.
+
+    The band keeps its share of the radius.
+    """
     settings = choice.settings
     return replace(
         requested.with_radius(settings.fov_a),

@@ -1,4 +1,4 @@
-"""Settings of frames with what they were measured to take and to be worth, stored per machine."""
+"""Frame settings with the time and quality measured for them, stored per machine."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _VARIED = ("fovea", "spp", "fov_a", "fov_b", "layers", "rate", "scale")
 
 @dataclass(frozen=True)
 class MeasuredSettings:
-    """Settings and what they were measured to take and to be worth.
+    """Frame settings with the time and quality measured for them.
 
     Attributes:
-        settings: of the frame; gaze and camera have no meaning here.
+        settings: of the frame; its gaze and camera have no meaning here.
         milliseconds: median time of a frame.
-        quality: JOD, or SSIM where FovVideoVDP is not installed.
+        quality: JOD, or SSIM if FovVideoVDP is not installed.
     """
 
     settings: FrameSettings
@@ -37,18 +37,18 @@ class MeasuredSettings:
 
 
 def front_of(measured: Sequence[MeasuredSettings]) -> list[MeasuredSettings]:
-    """The Pareto-optimal settings, from the fastest to the best."""
+    """The Pareto-optimal settings, ordered from the fastest to the best."""
     return pareto_front(measured, lambda one: (one.milliseconds, one.quality))
 
 
 @dataclass(frozen=True)
 class MeasuredStore:
-    """Where the measured settings of one scene, forest, frame size, display and machine are stored.
+    """Stores measured settings of one scene, forest, frame size, acuity model, display and machine.
 
     Attributes:
         file: in the scene's cache folder.
-        identity: of what was measured, and on which machine.
-        base: settings whose acuity model and display were measured.
+        identity: everything that the measurements depend on.
+        base: settings with the acuity model and the display of the measurements.
     """
 
     file: Path
@@ -59,13 +59,13 @@ class MeasuredStore:
     def of(
         kind: str, scene: Scene, forest: Forest, size: tuple[int, int], base: FrameSettings
     ) -> MeasuredStore:
-        """The store for one use.
+        """The store for one kind of frame.
 
         Args:
-            kind: which frames are measured, such as single ones or those of the window.
+            kind: name of what is measured, such as single frames or those of the window.
             scene, forest: what is rendered.
-            size: width and height of the frame.
-            base: acuity model and display.
+            size: width and height of the frame in pixels.
+            base: settings with the acuity model and the display.
         """
         width, height = size
         identity = measured_identity(
@@ -81,7 +81,7 @@ class MeasuredStore:
         return MeasuredStore(scene_folder(scene.name, scene.hash) / name, identity, base)
 
     def save(self, metric: str, measured: Sequence[MeasuredSettings]) -> None:
-        """Stores settings whose quality is in a metric.
+        """Stores settings whose quality was measured in a metric.
 
         Raises:
             UserError: the cache folder cannot be written.
@@ -91,20 +91,22 @@ class MeasuredStore:
         write_whole(self.file, lambda part: part.write_text(text))
 
     def load(self) -> tuple[str, list[MeasuredSettings]] | None:
-        """Metric and settings that were stored; None if there are none.
+        """The stored metric and settings; None if nothing was stored.
 
         Raises:
             UserError: the file is damaged.
         """
+        advice = "delete it to measure again"
         try:
             found = json.loads(self.file.read_text())
-            advice = "delete it to measure again"
-            require_same(dict(found["identity"]), self.identity, f"{self.file}: was measured", advice)
-            return str(found["metric"]), [self._measured(row) for row in found["rows"]]
+            theirs, metric = dict(found["identity"]), str(found["metric"])
+            measured = [self._measured(row) for row in found["rows"]]
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, LookupError, TypeError) as error:
-            raise UserError(f"{self.file}: is damaged ({error!r}); delete it to measure again") from error
+        except (OSError, ValueError, LookupError, TypeError, UserError) as error:
+            raise UserError(f"{self.file}: is damaged ({error!r}); {advice}") from error
+        require_same(theirs, self.identity, f"{self.file}: was measured", advice)
+        return metric, measured
 
     def _measured(self, row: dict[str, Any]) -> MeasuredSettings:
         varied = {name: row[name] for name in _VARIED}

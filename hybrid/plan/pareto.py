@@ -9,11 +9,14 @@ T = TypeVar("T")
 
 
 def pareto_front(items: Iterable[T], cost_and_quality: Callable[[T], tuple[float, float]]) -> list[T]:
-    """The Pareto-optimal items: no other is both faster and better. From the fastest to the best.
+    """The Pareto-optimal items, ordered from the fastest to the best.
+
+    An item is left out if another one is at least as fast and at least as good; of equal items the first one
+    stays.
 
     Args:
         items: to choose from.
-        cost_and_quality: of an item, its time (less is better) and its quality (more is better).
+        cost_and_quality: returns the time of an item (less is better) and its quality (more is better).
     """
     front: list[T] = []
     for item in sorted(items, key=lambda one: (cost_and_quality(one)[0], -cost_and_quality(one)[1])):

@@ -1,4 +1,4 @@
-"""The quickstart's page: pictures side by side with the numbers, one file that needs nothing else."""
+"""The quickstart's page: images side by side and the measurements, in one self-contained file."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ from typing import Any
 
 from compose.base.files import write_whole
 
-_PICTURES = (
+# Name of the PNG file, title and caption.
+_IMAGES = (
     (
         "hybrid",
-        "Hybrid",
-        "path-traced inside the inner circle, splats outside the outer; point at a picture to see both",
+        "Hybrid frame",
+        "path-traced inside the inner circle, splats outside the outer one; hover to see the circles",
     ),
     ("reference", "Reference", "path-traced, {reference_spp} samples per pixel, denoised"),
     ("splat", "Splats alone", "{gaussians:,} Gaussians"),
     (
         "weights",
-        "What the fovea is made of",
-        "red: path-traced samples, green: the same denoised, blue: splats",
+        "Weights of the fused fovea",
+        "red: path-traced samples, green: the same samples denoised, blue: splats",
     ),
 )
 
@@ -44,14 +45,23 @@ td { font-variant-numeric: tabular-nums; font-weight: 600 } tr + tr { border-top
 </style></head><body>
 <h1>$title</h1><p>$subtitle</p>
 <main>$figures</main>
-<table><caption>What was measured</caption>$rows</table>
+<table><caption>Measurements</caption>$rows</table>
 </body></html>
 """)
 
 
 def write_page(path: Path, folder: Path, result: dict[str, Any]) -> None:
-    """Writes the page; the pictures are read from the folder and put into it."""
-    figures = "".join(_figure(folder, result, *picture) for picture in _PICTURES)
+    """Writes the page.
+
+    Args:
+        path: HTML file to write.
+        folder: with the images hybrid.png, reference.png, splat.png and weights.png, which are embedded.
+        result: the content of result.json.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    figures = "".join(_figure(folder, result, *image) for image in _IMAGES)
     rows = "".join(
         f"<tr><th>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>" for name, value in _rows(result)
     )
@@ -70,6 +80,7 @@ def write_page(path: Path, folder: Path, result: dict[str, Any]) -> None:
 
 
 def _figure(folder: Path, result: dict[str, Any], name: str, title: str, caption: str) -> str:
+    """HTML of one image, with fov-a and fov-b as circles that appear under the pointer."""
     data = base64.b64encode((folder / f"{name}.png").read_bytes()).decode()
     aspect = 100 * result["width"] / result["height"]
     circles = "".join(
@@ -83,23 +94,28 @@ def _figure(folder: Path, result: dict[str, Any], name: str, title: str, caption
 
 
 def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:
-    pair = lambda q: f"{q['psnr']:.2f} dB, SSIM {q['ssim']:.4f}"  # noqa: E731
-    time = lambda t: f"{t['p50']:.0f} ms (p95 {t['p95']:.0f} ms)"  # noqa: E731
+    """Names and values of the measurements."""
     seconds = ", ".join(f"{name} {value:.0f} s" for name, value in result["seconds"].items())
+    ceiling = f"at most {result['ceiling']:.2f}×, if splats took no time"
     rows = [
-        ("Hybrid frame against the reference", pair(result["hybrid"])),
-        ("Splats alone, views that training never saw", pair(result["splat"])),
-        ("Hybrid frame", time(result["hybrid_ms"])),
-        ("Full path-traced frame, same samples, denoised too", time(result["path_traced_ms"])),
-        ("The disc alone", time(result["disc_ms"])),
-        (
-            "Hybrid is faster by",
-            f"{result['ratio']:.2f}×  (ceiling, without splats: {result['ceiling']:.2f}×)",
-        ),
+        ("Quality of the hybrid frame, against the reference", _quality(result["hybrid"])),
+        ("Quality of the splats alone, in held-out views", _quality(result["splat"])),
+        ("Time of the hybrid frame", _time(result["hybrid_ms"])),
+        ("Time of a full path-traced frame, same samples, also denoised", _time(result["path_traced_ms"])),
+        ("Time of the disc alone", _time(result["disc_ms"])),
+        ("Speed-up over full path tracing", f"{result['ratio']:.2f}× ({ceiling})"),
         ("Gaussians", f"{result['gaussians']:,}"),
-        ("Time taken", seconds),
+        ("Duration", seconds),
     ]
     if "registration_px" in result:
-        shift = f"{result['registration_px']:.3f} px"
-        rows.insert(2, ("Registration of splats and path-traced frame", shift))
+        offset = f"{result['registration_px']:.3f} px"
+        rows.insert(2, ("Offset between splats and path-traced frame", offset))
     return rows
+
+
+def _quality(metrics: dict[str, float]) -> str:
+    return f"{metrics['psnr']:.2f} dB, SSIM {metrics['ssim']:.4f}"
+
+
+def _time(quantiles: dict[str, float]) -> str:
+    return f"{quantiles['p50']:.0f} ms (p95 {quantiles['p95']:.0f} ms)"

@@ -1,4 +1,4 @@
-"""The main job from nothing: capture, training, a hybrid frame, its reference, and the numbers."""
+"""The whole workflow for one scene: capture, training, a hybrid frame, its reference, measurements."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from hybrid.training.quick import make_quick_forest
 from pathtrace.dataset.rendering import render_frame
 from pathtrace.scene.scene import Scene
 
-# Side of the frame, which shows the scene's own view.
+# Width and height of the frame, which shows the scene's own view.
 SIZE = 512
 _REFERENCE_SPP = 64
 _REPEATS, _WARM_UP = 7, 2
@@ -37,8 +37,8 @@ def quickstart(scene: Scene, folder: Path, settings: FrameSettings, seed: int) -
 
     Args:
         scene: what to render.
-        folder: for everything that is written, frame set and forest included.
-        settings: of the frame; the disc must hold a pixel of a frame of SIZE x SIZE.
+        folder: for everything that is written, including frame set and forest.
+        settings: of the frame; the disc must contain a pixel of a frame of SIZE x SIZE.
         seed: same seed, same images on the same machine.
 
     Returns:

@@ -8,7 +8,7 @@ import drjit as dr
 
 
 class Clock:
-    """Measures consecutive passes; each ends when the device has finished its work."""
+    """Measures consecutive passes. A pass ends when the device has finished its work."""
 
     def __init__(self) -> None:
         self._start = self._last = time.perf_counter()
@@ -22,5 +22,5 @@ class Clock:
         self._last = now
 
     def milliseconds(self) -> dict[str, float]:
-        """Milliseconds of each pass, and of all together (total)."""
+        """Milliseconds of each pass, and of all passes together ("total")."""
         return {**self._laps, "total": (self._last - self._start) * 1000}

@@ -15,18 +15,23 @@ _PACKAGES = ("mitsuba", "drjit", "mitsuba-oidn", "embreex", "torch", "numpy", "O
 
 @dataclass
 class Report:
-    """Facts about the installation, and what to do if something is wrong (`problem`, else None)."""
+    """What an examination of the installation found.
+
+    Attributes:
+        facts: versions, backend and hardware by name; None for facts that do not apply.
+        problem: what is wrong and how to fix it; None if everything works.
+    """
 
     facts: dict[str, Any] = field(default_factory=dict)
     problem: str | None = None
 
     def lines(self) -> list[str]:
-        """The facts, one per line."""
+        """The facts that apply, one per line."""
         return [f"{name}: {value}" for name, value in self.facts.items() if value is not None]
 
 
 def examine(choice: str) -> Report:
-    """Selects the backend, runs a kernel on it, and lists the versions of its packages.
+    """Lists the versions of the installed packages, selects the backend and runs a kernel on it.
 
     Args:
         choice: "auto", "cuda" or "llvm".

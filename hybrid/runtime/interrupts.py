@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def interrupts_between_steps() -> Iterator[Callable[[], None]]:
-    """Delays Ctrl-C to the end of a step: in the middle of one, there is no state to resume from.
+    """Delays Ctrl-C until a step is complete, because no work can resume from the middle of a step.
 
     Yields:
         A function to call between steps; it raises KeyboardInterrupt if Ctrl-C was pressed.

@@ -1,4 +1,4 @@
-"""The machine and software that figures are measured on."""
+"""The machine and the software on which results are measured."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _DISTRIBUTION = "foveated-hybrid-renderer"
 
 
 def machine() -> dict[str, Any]:
-    """Everything that measured times depend on: hardware, backend, and the versions of the software.
+    """Everything that measured times depend on: hardware, backend and software versions.
 
     Returns:
         cpu, cores, gpu (None on the CPU backend), backend (Mitsuba's variant), python, version (of this
@@ -36,7 +36,7 @@ def machine() -> dict[str, Any]:
 
 
 def _gpu() -> str | None:
-    """Name of the first NVIDIA GPU; None where the driver does not tell."""
+    """Name of the first NVIDIA GPU; None if the driver does not report it."""
     cards = sorted(Path("/proc/driver/nvidia/gpus").glob("*/information"))
     return _first_value(cards[0], "Model") if cards else None
 

@@ -8,9 +8,9 @@ import drjit as dr
 
 
 def release_memory() -> None:
-    """Releases memory that Dr.Jit and the C library keep for reuse.
+    """Releases the memory that Dr.Jit and the C library keep for reuse.
 
-    Takes some milliseconds, and as many again when the memory is next needed.
+    This takes a few milliseconds, and about as many again when the memory is next needed.
     """
     dr.flush_malloc_cache()
     # Specific to glibc; other C libraries release memory by themselves.

@@ -24,22 +24,22 @@ class Bar(Protocol):
     """Shows the progress of a job."""
 
     def __call__(self, done: int, total: int, step: str = "") -> None:
-        """Shows that `done` of `total` steps are complete, and what kind of step comes next."""
+        """Shows that `done` of `total` steps are complete and, optionally, which kind of step comes next."""
 
 
 def no_progress(done: int, total: int) -> None:
     """Ignores progress."""
 
 
-# Called with the current activity, steps done and steps in total, where no bar can be drawn.
+# Where no bar can be drawn: called with the current activity, steps done and steps in total.
 Report: TypeAlias = Callable[[str, int, int], None]
-# Makes a bar for a job of that title.
+# Makes a bar for a job with the given title.
 Bars: TypeAlias = Callable[[str], AbstractContextManager[Bar]]
 
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Bar]:
-    """A bar for one job."""
+    """A progress bar for one job, with the elapsed time and the time left."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),

@@ -1,4 +1,4 @@
-"""Threads of the two libraries that compute on the same CPU cores."""
+"""Threads of Dr.Jit and torch, which compete for the same CPU cores."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import drjit as dr
 
 @contextmanager
 def torch_alone() -> Iterator[None]:
-    """Stops Dr.Jit's worker threads for a while: they spin while waiting and take cores from torch.
+    """Stops Dr.Jit's worker threads, which spin while they wait and take cores from torch.
 
-    Fusing a disc is a quarter faster with it; stopping and starting the threads takes 0.1 ms.
+    This makes fusing a disc a quarter faster; stopping and restarting the threads takes 0.1 ms.
     """
     before = dr.thread_count()
     dr.set_thread_count(1)

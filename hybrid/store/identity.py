@@ -20,7 +20,7 @@ def measured_identity(scene: Scene, forest: Forest, **settings: Any) -> dict[str
 
     Args:
         scene, forest: what is rendered.
-        settings: whatever else the results depend on, as JSON has it.
+        settings: everything else that the results depend on, in types that JSON has.
     """
     rendered = {"scene": scene.hash, "max_depth": scene.max_depth, "forest": forest.digest()}
     return {**rendered, **settings, "machine": machine()}
@@ -55,7 +55,7 @@ def require_scene(item: Forest | FrameSet, scene_name: str, scene_hash: str, sou
 
     Args:
         item: the forest or frame set.
-        scene_name, scene_hash: of the scene.
+        scene_name, scene_hash: name and hash of the scene.
         source: where the item comes from, for the message.
 
     Raises:

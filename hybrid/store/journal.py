@@ -1,4 +1,4 @@
-"""Results of an evaluation or a sweep so far, which let it resume if interrupted."""
+"""The results so far of an evaluation or a sweep, from which it resumes if interrupted."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ class Journal:
     """Named results in one JSON file.
 
     Args:
-        path: the file; created with the first result.
-        identity: of the work, as JSON has it.
+        path: the file; created when the first result is saved.
+        identity: everything that the results depend on, in types that JSON has.
 
     Raises:
-        UserError: the file is damaged, or belongs to other work.
+        UserError: the file is damaged, or belongs to another identity.
     """
 
     def __init__(self, path: Path, identity: dict[str, Any]):
@@ -33,13 +33,13 @@ class Journal:
             theirs = dict(found["identity"])
             dict(found["results"])
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise UserError(f"{path}: is damaged ({error!r}); delete it to start anew") from error
+            raise UserError(f"{path}: is damaged ({error!r}); delete it to start again") from error
         what, advice = f"{path.parent}: holds an evaluation", "choose another folder"
         require_same(theirs, identity, what, advice)
         self._content = found
 
     def once(self, name: str, make: Callable[[], Any]) -> Any:
-        """The result of that name; computed and saved if there is none yet."""
+        """The result with that name; computed and saved if there is none yet."""
         if name not in self:
             self[name] = make()
         return self[name]
@@ -60,6 +60,6 @@ class Journal:
         self._path.unlink(missing_ok=True)
 
     def write(self) -> None:
-        """Saves all results."""
+        """Saves all results; required only after a result was changed in place."""
         text = json.dumps(self._content) + "\n"
         write_whole(self._path, lambda part: part.write_text(text))

@@ -1,4 +1,4 @@
-"""Checkpoints of an unfinished training, from which it resumes."""
+"""Checkpoints of an unfinished training run, from which it resumes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,11 @@ def checkpoint_path(forest: Path) -> Path:
 
 
 def save_checkpoint(trainer: Trainer, path: Path, frames: FrameSet) -> None:
-    """Saves the state of a training on a frame set."""
+    """Saves the state of a training run on a frame set.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
     tensors, numbers = trainer.state()
     kind = {"format_version": FORMAT_VERSION, "kind": "checkpoint", "frames": frames.digest}
     save_tensors(path, tensors, {**kind, **numbers})
@@ -26,14 +30,14 @@ def restore_checkpoint(trainer: Trainer, path: Path, frames: FrameSet) -> None:
     """Continues from a checkpoint if there is one.
 
     Raises:
-        UserError: the checkpoint is damaged, or belongs to another training.
+        UserError: the checkpoint is damaged, or belongs to another training run.
     """
     if not path.is_file():
         return
     tensors, metadata = load_tensors(path)
     if metadata.get("kind") != "checkpoint" or metadata.get("frames") != frames.digest:
-        raise UserError(f"{path}: not a checkpoint of this training; remove it to start anew")
+        raise UserError(f"{path}: not a checkpoint of this training run; delete it to start again")
     try:
         trainer.restore(tensors, metadata)
     except (ValueError, KeyError) as error:
-        raise UserError(f"{path}: {error}; remove it to start anew") from error
+        raise UserError(f"{path}: {error}; delete it to start again") from error

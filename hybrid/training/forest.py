@@ -1,4 +1,4 @@
-"""From a frame set to a forest: training that resumes if interrupted."""
+"""Trains a forest on a frame set; resumes if interrupted."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from pathtrace.dataset.exr import read_frame
 from pathtrace.dataset.frames import FrameEntry, FrameSet
 from splat.io.forest_file import save_forest
 from splat.model.forest import Forest, forest_of
-from splat.training.initialization import TrainingView
 from splat.training.trainer import Trainer, TrainingSettings, most_layers
+from splat.training.views import TrainingView
 
 _CHECKPOINT_SECONDS = 30.0
 
 
 def training_view(entry: FrameEntry) -> TrainingView:
-    """A captured frame as a view to train on."""
+    """A captured frame as a training view."""
     frame = read_frame(entry.file)
     camera = entry.camera
     cosine = (camera.rays(camera.pixel_centres()) @ camera.camera_to_world[:3, 2]).reshape(frame.depth.shape)
-    # In a mirror the normal is the mirror's, not that of the surface that appears behind it.
+    # The normal seen in a mirror is that of the mirror, not of the surface that appears behind it.
     reflected = frame.unfolded * cosine > frame.depth * 1.001
     normal = np.where(reflected[..., None], 0, frame.normal).astype(np.float32)
     return TrainingView(camera, frame.radiance, frame.unfolded, normal)
@@ -45,7 +45,7 @@ def train(
 
     Args:
         frames: to train on.
-        path: forest file to write; a checkpoint lies beside it until training is complete.
+        path: forest file to write; a checkpoint is kept beside it until training is complete.
         settings: how to train; the defaults of TrainingSettings if None.
         progress: called with steps done and steps in total.
 
@@ -73,7 +73,7 @@ def train(
 
 
 def _require_enough(frames: FrameSet, settings: TrainingSettings) -> None:
-    """Checks that frames are there, and large enough for all layers."""
+    """Checks that there are frames, and that they are large enough for all layers."""
     if not frames.training:
         raise UserError(f"{frames.folder}: holds no frames to train on")
     camera = frames.training[0].camera
@@ -86,7 +86,7 @@ def _require_enough(frames: FrameSet, settings: TrainingSettings) -> None:
 
 
 def _run(trainer: Trainer, save: Callable[[], None], progress: Callable[[int], None]) -> None:
-    """Trains to the end, and saves a checkpoint now and then and on Ctrl-C."""
+    """Trains to the end; saves a checkpoint regularly and on Ctrl-C."""
     saved = time.perf_counter()
 
     def step(done: int) -> None:

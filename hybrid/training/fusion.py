@@ -1,4 +1,4 @@
-"""Fits the fusion to a scene, on the estimates of a frame set."""
+"""Fits the fusion network to a scene, with the estimates of a frame set as examples."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import fields
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
-from splat.lod.pictures import ForestRenderer
 
 from compose.fusion.fitting import ITERATIONS, LEAST_SIZE, Example, fit
 from compose.fusion.parents import Parents
@@ -18,21 +17,22 @@ from hybrid.runtime.device import device_arrays
 from pathtrace.dataset.exr import read_estimate, read_frame
 from pathtrace.dataset.frames import FrameEntry, FrameSet
 from pathtrace.trace.image import TracedImage
+from splat.lod.renderer import ForestRenderer
 from splat.model.forest import Forest
 
-# Examples per view in which the sample count varies, and the size in pixels of the patches of equal count.
+# Examples per view in which the sample count varies; smallest and largest size, in pixels, of the patches of
+# equal count.
 _MIXED = 2
 _PATCHES = 2.0, 12.0
 
 
 def with_fusion(frames: FrameSet, forest: Forest, seed: int, progress: Callable[[int, int], None]) -> Forest:
-    """The forest with a fusion fitted to it.
+    """The forest with a fusion network fitted to it; unchanged if the frame set has no example.
 
     Args:
-        frames: their estimates are the examples; without any that is large enough, the forest is returned
-            unchanged.
+        frames: their estimates are the examples, if they are large enough.
         forest: trained on the same frame set.
-        seed: same seed, same fusion on the same machine.
+        seed: same seed, same network on the same machine.
         progress: called with steps done and steps in total.
     """
     examples = list(_examples(frames, forest, np.random.default_rng(seed)))
@@ -45,7 +45,7 @@ def fusion_steps(frames: FrameSet) -> int:
 
 
 def _usable(frames: FrameSet) -> list[FrameEntry]:
-    """Views and close-ups that training has not seen and that are large enough for an example."""
+    """The views and close-ups that training has not seen and that are large enough for an example."""
     return [
         entry
         for entry in frames.held_out + frames.close_ups
@@ -54,7 +54,7 @@ def _usable(frames: FrameSet) -> list[FrameEntry]:
 
 
 def _examples(frames: FrameSet, forest: Forest, rng: np.random.Generator) -> Iterator[Example]:
-    """For each view with estimates: the parents of a fovea, and its reference."""
+    """For each estimate of each view: the parents of a fovea, and the reference."""
     renderer = ForestRenderer(device_arrays(), forest)
     finest = len(forest.counts)
     for entry in _usable(frames):
@@ -81,7 +81,7 @@ def _parents(images: DiscImages, splat: Image, enlargement: float) -> Parents:
 
 
 def _mixed(traced: list[DiscImages], rng: np.random.Generator) -> DiscImages:
-    """Two estimates in random patches, as where history is thin and where sampling is adaptive."""
+    """Two estimates in random patches, as a short history and adaptive sampling leave them."""
     one, other = (traced[index] for index in rng.choice(len(traced), 2, replace=False))
     noise = gaussian_filter(rng.normal(size=one.count.shape[:2]), rng.uniform(*_PATCHES))
     first = (noise > np.quantile(noise, rng.uniform(0.2, 0.8)))[..., None]

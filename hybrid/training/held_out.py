@@ -10,18 +10,18 @@ from hybrid.measure.metrics.similarity import quality
 from hybrid.runtime.device import device_arrays
 from hybrid.training.forest import training_view
 from pathtrace.dataset.frames import FrameSet
-from splat.lod.pictures import ForestRenderer
+from splat.lod.renderer import ForestRenderer
 from splat.model.forest import Forest
-from splat.training.layer import reduced
+from splat.training.views import reduced
 
 
 def held_out_quality(frames: FrameSet, forest: Forest) -> list[dict[str, Any]]:
     """Mean PSNR and SSIM of each layer alone over the held-out views, coarsest first.
 
-    Layer l is compared with frames reduced to its resolution, at that size.
+    Layer l is compared with frames that are reduced to its resolution.
 
     Returns:
-        Rows of layer, nodes and, if views were held out, psnr and ssim.
+        Per layer: layer (1 to L), nodes and, if there are held-out views, psnr in dB and ssim.
     """
     renderer = ForestRenderer(device_arrays(), forest)
     views = [training_view(entry) for entry in frames.held_out]

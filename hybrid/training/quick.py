@@ -1,4 +1,4 @@
-"""A forest for a scene that has none: captured and trained in minutes."""
+"""Makes a forest for a scene that has none, in minutes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from splat.io.forest_file import load_forest
 from splat.model.forest import Forest
 from splat.training.trainer import TrainingSettings
 
-# Good enough to look at, in minutes.
+# They take minutes, and the result is good enough to look at.
 QUICK_CAPTURE = CaptureSettings(views=40, held_out=4, spp=16, held_out_spp=64)
 QUICK_TRAINING = TrainingSettings(iterations=900, gaussians=30_000)
 
@@ -30,7 +30,7 @@ class QuickForest:
     Attributes:
         forest: the forest.
         frames: what it was trained on.
-        seconds: that "capture" and "train" took.
+        seconds: the time that "capture" and "train" took.
     """
 
     forest: Forest
@@ -39,11 +39,11 @@ class QuickForest:
 
 
 def forest_for(scene: Scene, given: Path | None, bars: Bars = progress_bar) -> Forest:
-    """The given forest, else the newest one of the scene, else one trained now.
+    """The given forest, else the newest one of the scene in the cache, else one that is trained now.
 
     Args:
         scene: what the forest is for.
-        given: forest file that the user asked for.
+        given: forest file, if the user named one.
         bars: show the progress of capture and training.
 
     Raises:
@@ -63,7 +63,7 @@ def make_quick_forest(scene: Scene, folder: Path, seed: int, bars: Bars = progre
 
     Args:
         scene: what to capture.
-        folder: for the frame set and the forest.
+        folder: for the frame set and the forest file.
         seed: same seed, same forest on the same machine.
         bars: show the progress of both.
     """

@@ -24,14 +24,14 @@ State = dict[str, NDArray[np.generic]]
 
 
 class VideoFrames:
-    """The frames of a video that are rendered already, in a folder, with the fovea's history after them.
+    """The rendered frames of a video, in a folder, and the fovea's history after the last of them.
 
     Args:
-        folder: where; created with the first frame.
-        identity: of the video, as JSON has it.
+        folder: for frames and history; created with the first frame.
+        identity: everything that the frames depend on, in types that JSON has.
 
     Attributes:
-        milliseconds: per pass, of each frame that is rendered already.
+        milliseconds: per pass, of each rendered frame.
 
     Raises:
         UserError: the folder is damaged, or holds another video.
@@ -53,35 +53,41 @@ class VideoFrames:
             )
             self.milliseconds = found["milliseconds"]
             if not all(self._file(number).is_file() for number in range(len(self.milliseconds))):
-                raise UserError(f"{folder}: frames are missing; delete it to start anew")
+                raise UserError(f"{folder}: frames are missing; delete it to start again")
 
     def history(self) -> State:
-        """The fovea's history after the last frame; empty if there was none."""
+        """The fovea's history after the last frame; empty if there is none."""
         return {name: tensor.numpy() for name, tensor in self._history.items()}
 
     def add(
         self, image: NDArray[np.uint8], milliseconds: dict[str, float], history: Callable[[], State]
     ) -> None:
-        """Stores the next frame (H, W, 3), and now and then the history."""
+        """Stores the next frame, (H, W, 3) in sRGB, and the history once in a while.
+
+        Args:
+            image: the frame.
+            milliseconds: per pass.
+            history: called for the fovea's history if it is to be stored.
+        """
         write_srgb(self._file(len(self.milliseconds)), image)
         self.milliseconds.append(milliseconds)
         if time.monotonic() - self._saved > _EVERY:
             self.keep(history())
 
     def keep(self, history: State) -> None:
-        """Stores the history after the last frame, from where the video resumes."""
+        """Stores the history after the last frame; the video resumes from there."""
         tensors = {name: torch.from_numpy(values) for name, values in history.items()}
         save_tensors(self._state, tensors, {"identity": self._identity, "milliseconds": self.milliseconds})
         self._saved = time.monotonic()
 
     def images(self) -> Iterator[NDArray[np.uint8]]:
-        """All of them, (H, W, 3) each."""
+        """All frames, (H, W, 3) in sRGB each."""
         for number in range(len(self.milliseconds)):
             with PillowImage.open(self._file(number)) as image:
                 yield np.asarray(image)
 
     def remove(self) -> None:
-        """Deletes the folder when the video is complete."""
+        """Deletes the folder, once the video is complete."""
         shutil.rmtree(self._folder)
 
     def _file(self, number: int) -> Path:

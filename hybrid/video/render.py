@@ -26,25 +26,25 @@ def render_video(
     identity: dict[str, Any],
     progress: Callable[[int, int], None],
 ) -> list[dict[str, float]]:
-    """Renders the frames of a trace and writes them; the file appears whole or not at all.
+    """Renders a video along a gaze trace; the file appears complete or not at all.
 
-    Until then the frames lie in a folder beside it, from which an interrupted video resumes.
+    Until it is complete, its frames are kept in a folder beside it, from which an interrupted video resumes.
 
     Args:
-        path: of an MP4 file.
-        renderer: of the frames; with a history it shows what the window shows.
-        settings: of the frames; the gaze is the trace's.
+        path: MP4 file to write.
+        renderer: of the frames; one with a history shows what the window shows.
+        settings: of the frames, except for the gaze.
         trace: where the viewer looks.
         fps: frames per second.
-        seed: of the first frame.
-        identity: of everything that the frames depend on, as JSON has it.
+        seed: of the first frame; each further frame has the next one.
+        identity: everything that the frames depend on, in types that JSON has.
         progress: called with frames done and frames in total.
 
     Returns:
-        Milliseconds per pass of each frame.
+        Milliseconds per pass, of each frame.
 
     Raises:
-        UserError: the folder is damaged, or holds another video.
+        UserError: the folder is damaged or holds another video, or the file cannot be written.
     """
     camera, _ = settings.resolved(renderer.scene.camera)
     count = max(1, round(trace.duration * fps))

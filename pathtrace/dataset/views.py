@@ -96,8 +96,8 @@ class _Neighbourhood:
 
     def border(self) -> list[Camera]:
         """The scene's own camera, turned to the border of what other views see."""
-        turned = [_moved(self.home, np.zeros(3), yaw, pitch) for yaw, pitch in _BORDER]
-        return [view for view in turned if self._is_usable(view)]
+        views = [_moved(self.home, np.zeros(3), yaw, pitch) for yaw, pitch in _BORDER]
+        return [view for view in views if self._is_usable(view)]
 
     def spread(self, count: int, seed: int) -> list[Camera]:
         """Views spread evenly over positions and directions; UserError if there is no space for them."""

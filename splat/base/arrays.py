@@ -66,8 +66,8 @@ class Arrays:
     def argsort(self, key: Any, bound: int) -> Any:
         """Indices that sort a UInt array stably: equal keys keep their order.
 
-        On the CPU this is a radix sort of one pass for bounds up to 2^14 and of several for larger ones, where
-        `dr.argsort` always takes three.
+        On the CPU this is a radix sort of one pass for bounds up to 2^14 and of two for bounds up to 2^22,
+        where `dr.argsort` takes three.
 
         Args:
             key: (N,) UInt, every element less than `bound`.

@@ -14,7 +14,7 @@ from splat.model.layer import LABELS, Layer
 _ATTACHED = "attached."
 
 
-def save_forest(path: Path, forest: Forest) -> None:
+def save_forest(path: str | Path, forest: Forest) -> None:
     """Writes a forest file atomically.
 
     Raises:
@@ -33,16 +33,17 @@ def save_forest(path: Path, forest: Forest) -> None:
     tensors = {name: tensor.detach().cpu() for name, tensor in nodes.gaussians.tensors()}
     tensors |= dict(nodes.labels())
     tensors |= {_ATTACHED + name: tensor for name, tensor in forest.attached.items()}
-    save_tensors(path, tensors, metadata)
+    save_tensors(Path(path), tensors, metadata)
 
 
-def load_forest(path: Path) -> Forest:
+def load_forest(path: str | Path) -> Forest:
     """Reads a forest file.
 
     Raises:
         UserError: the file is missing, truncated, corrupt or of another version, it holds numbers that are
             not finite, or its trees are broken.
     """
+    path = Path(path)
     tensors, metadata = load_tensors(path)
     if metadata.get("kind") != "forest":
         raise UserError(f"{path}: not a forest file; make one with: hybrid train FRAMES FOREST")

@@ -12,7 +12,8 @@ from compose.base.errors import UserError
 from compose.base.files import write_whole
 from splat.model.gaussians import MAX_DEGREE, Gaussians, sh_count
 
-# The training frames of imported Gaussians are unknown: this focal length gives them no filter but the pixel's.
+# The frames that imported Gaussians were trained on are unknown. With this focal length they get no wider
+# filter than the pixel's.
 UNBOUND_FOCAL = 1e9
 
 
@@ -29,7 +30,7 @@ def _ply_properties(degree: int) -> list[str]:
     ]
 
 
-def save_ply(path: Path, gaussians: Gaussians) -> None:
+def save_ply(path: str | Path, gaussians: Gaussians) -> None:
     """Writes Gaussians in the layout of the INRIA implementation, binary little-endian.
 
     Raises:
@@ -52,15 +53,16 @@ def save_ply(path: Path, gaussians: Gaussians) -> None:
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
     header += [f"property float {name}" for name in names] + ["end_header", ""]
     content = "\n".join(header).encode() + table.tobytes()
-    write_whole(path, lambda part: part.write_bytes(content))
+    write_whole(Path(path), lambda part: part.write_bytes(content))
 
 
-def load_ply(path: Path) -> Gaussians:
+def load_ply(path: str | Path) -> Gaussians:
     """Reads Gaussians in the layout of the INRIA implementation.
 
     Raises:
         UserError: the file is missing, truncated, or not of that layout.
     """
+    path = Path(path)
     if not path.is_file():
         raise UserError(f"{path}: no such file")
     content = path.read_bytes()

@@ -151,7 +151,7 @@ class _NodeTable:
         widths = {"means": 3, "log_scales": 3, "rotations": 4, "opacity_logits": 1, "sh": 3 * coefficients}
         # 2, 1, 2, 5 floats are spare for spherical harmonics of degree 0, 1, 2, 3.
         loads = -(-sum(widths.values()) // _NODE_LOAD)
-        layout = RecordLayout([_NODE_LOAD] * loads, **widths)
+        layout = RecordLayout([_NODE_LOAD] * loads, (), **widths)
         tensors = {name: t.reshape(-1, len(gaussians)).numpy() for name, t in gaussians.tensors()}
         self._coefficients = coefficients
         self._records = layout.upload(arrays, **tensors)

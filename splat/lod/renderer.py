@@ -143,7 +143,7 @@ class ForestRenderer:
         tile: int,
     ) -> tuple[Splats, TileBounds]:
         """The chosen nodes of all entries in samples of the atlas, and the tiles they are confined to."""
-        Float, UInt = self.arrays.plain.Float, self.arrays.plain.UInt
+        UInt = self.arrays.plain.UInt
         raw = self._footprints.footprints([entry.image.layer for entry in entries], chosen)
         number, lane, start = UInt(0), dr.arange(UInt, dr.width(raw.x)), 0
         for part in chosen[:-1]:
@@ -160,7 +160,7 @@ class ForestRenderer:
             bottom=[top + entry.tiles.shape[0] for top, entry in zip(tops, entries, strict=True)],
         )
         entry = records.at(number)
-        # Fov-GS's Eq. 8, mended: variance c (ppd / 2f)^2 px^2.
+        # Fov-GS's Eq. 8, corrected: variance c (ppd / 2f)^2 px^2.
         resolved = 0.5 / _interpolated(self.arrays, cutoff, raw.x, raw.y)
         splats = filtered(raw, PIXEL_FILTER * dr.square(dr.maximum(resolved, entry.least_blur)))
         bounds = TileBounds(entry.columns, entry.top, entry.bottom)

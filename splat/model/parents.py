@@ -105,11 +105,7 @@ class _ParentSearch:
                     break
         candidates.sort()
         known = near.reach[child]
-        if (
-            self._count
-            and new < tries
-            and (len(candidates) < tries or candidates[tries - 1][0] > known)
-        ):
+        if self._count and new < tries and (len(candidates) < tries or candidates[tries - 1][0] > known):
             # A new parent beyond the known neighbours may be among the nearest: measure all of them.
             candidates = [c for c in candidates if c[1] < self._given]
             distances = np.linalg.norm(self._made[: self._count] - self._children[child], axis=1)

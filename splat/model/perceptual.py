@@ -12,7 +12,7 @@ def perceptual_from_radiance(radiance: torch.Tensor) -> torch.Tensor:
 
 
 def logarithmic_from_radiance(radiance: torch.Tensor) -> torch.Tensor:
-    """The sRGB curve up to 1, and above it a logarithm of the same slope, so that lamps do not rule a loss."""
+    """The sRGB curve up to 1 and a logarithm of the same slope above, so that lamps do not rule a loss."""
     slope = 1.055 / 2.4
     bright = 1 + slope * torch.log(radiance.clamp(min=1.0))
     return torch.where(radiance > 1.0, bright, perceptual_from_radiance(radiance.clamp(max=1.0)))

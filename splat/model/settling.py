@@ -52,7 +52,7 @@ def _grown_down(layers: list[Layer]) -> list[Layer]:
 
 
 def _kept_parents(below: Layer, above: Layer) -> Ints:
-    """(N,) parents of the children within one standard deviation and with the same labels; -1 for the rest."""
+    """(N,) parents that children may keep, else -1: within one standard deviation, with the same labels."""
     parent = below.parent.numpy().astype(np.int64)
     known = np.flatnonzero((parent >= 0) & (parent < len(above)))
     of = parent[known]
@@ -82,7 +82,7 @@ def _occurrence(values: Ints) -> Ints:
 
 
 def _with_children(below: Layer, above: Layer, parent: Ints) -> tuple[Layer, Ints]:
-    """Gives a child to every node above that has none: one of a nearby node that has two, else a copy of itself.
+    """Gives a child to every node above that has none: a nearby node's second child, else a copy of itself.
 
     Returns:
         The layer below with the copies after the given nodes, and the parent of every node in it.

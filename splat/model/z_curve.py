@@ -10,7 +10,7 @@ _BITS = 20  # per axis
 
 
 def z_curve_order(points: Floats) -> Ints:
-    """Order (N,) of points (N, 3) along the Z-order curve, on which neighbours are mostly close (Morton 1966).
+    """Order (N,) of points (N, 3) along the Z-order curve, which keeps neighbours together (Morton 1966).
 
     The result does not depend on the order in memory, except among identical points.
     """

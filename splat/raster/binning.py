@@ -35,12 +35,13 @@ class Bins:
     Attributes:
         grid: the tiles.
         tiles: (T,) numbers of the tiles that are rasterized, row by row.
-        start, end: (columns * rows,) range of each tile in the lists.
+        start, end: (columns * rows + 1,) range of each tile in the lists; the last one is the range of pairs
+            that no tile blends.
         splat: (P,) splat of each pair, sorted by tile, then by depth.
         unsorted: (P,) position of each pair before sorting.
         first, count: (S,) the run of each of the S splats that have one.
         owner: (S,) these splats.
-        pairs: P, not counting pairs that no tile blends, which come last.
+        pairs: P, not counting pairs that no tile blends.
     """
 
     grid: TileGrid
@@ -245,5 +246,5 @@ def _sorted(arrays: Arrays, grid: TileGrid, tiles: Any, runs: _Runs, key: Any, s
 
 def _no_bins(arrays: Arrays, grid: TileGrid, tiles: Any) -> Bins:
     """Empty lists."""
-    none, empty = dr.zeros(arrays.plain.UInt, 0), dr.zeros(arrays.plain.UInt, grid.columns * grid.rows)
+    none, empty = dr.zeros(arrays.plain.UInt, 0), dr.zeros(arrays.plain.UInt, grid.columns * grid.rows + 1)
     return Bins(grid, tiles, empty, empty, none, none, none, none, none, 0)

@@ -8,6 +8,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 import torch
+from torch.autograd.function import once_differentiable
 
 from compose.camera.camera import Camera
 from splat.base.arrays import Arrays, BackendName
@@ -23,8 +24,9 @@ from splat.raster.tiles import TileGrid
 def render(gaussians: Gaussians, camera: Camera, low_pass: float = PIXEL_FILTER) -> torch.Tensor:
     """Renders Gaussians; torch can differentiate the image with respect to their tensors.
 
-    The kernels run on the CPU (Dr.Jit's LLVM backend) or on the GPU (its CUDA backend), wherever the tensors
-    are. This fits the colours of three Gaussians to a grey image:
+    The kernels run where the tensors are: on the CPU (Dr.Jit's LLVM backend) or on a GPU (its CUDA backend).
+    An image can be differentiated once, and there are no second derivatives. This fits the colours of three
+    Gaussians to a grey image:
 
         >>> import numpy as np, torch, splat
         >>> gaussians = splat.Gaussians(
@@ -113,8 +115,13 @@ class _Render(torch.autograd.Function):
         return buffer[: camera.height, : camera.width, :3].clone()
 
     @staticmethod
-    def backward(ctx: Any, gradient: torch.Tensor) -> tuple[Any, ...]:  # type: ignore[override]
+    @once_differentiable
+    def backward(ctx: Any, gradient: torch.Tensor) -> tuple[Any, ...]:
+        # Dr.Jit's graph is gone after one traversal.
+        if ctx.state is None:
+            raise RuntimeError("this image was differentiated already: render it again")
         arrays, leaves, projected, splats, bins, image, shapes = ctx.state
+        ctx.state = None
         grid = bins.grid
         padded = torch.zeros(grid.padded_height, grid.padded_width, CHANNELS, device=gradient.device)
         padded[: grid.height, : grid.width, :3] = gradient

@@ -57,7 +57,10 @@ def rasterize_backward(arrays: Arrays, splats: Splats, bins: Bins, image: Any, g
 
     state = (block.first, [Float(1) for _ in range(block.pixels)], behind, slots)
     _, _, _, slots = dr.while_loop(
-        state, lambda i, transmittance, behind, slots: block.is_active(i, transmittance), walk, mode="symbolic"
+        state,
+        lambda i, transmittance, behind, slots: block.is_active(i, transmittance),
+        walk,
+        mode="symbolic",
     )
     dr.eval(slots)
     return _from_sums(splats, _sum_runs(arrays, bins, slots, count))

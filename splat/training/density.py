@@ -1,8 +1,8 @@
-"""Density control: where the picture is wrong Gaussians are added, those that nobody sees go.
+"""Density control: adds Gaussians where the image is wrong and removes those that nobody sees.
 
-3D Gaussian splatting infers from gradients where Gaussians are missing, because it has no geometry. Here
-the path tracer knows the distance of every pixel: new ones are placed right there, at pixels drawn in
-proportion to their error.
+3D Gaussian splatting has no geometry and infers from gradients where Gaussians are missing. Here the path
+tracer knows the distance of every pixel: new Gaussians are placed on the surface, at pixels drawn with
+probability proportional to their error.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ import torch
 from numpy.typing import NDArray
 
 from splat.model.gaussians import Gaussians, concatenated
-from splat.training.initialization import TrainingView, seed_at
+from splat.training.initialization import seed_at
+from splat.training.views import TrainingView
 
-INITIAL_SHARE = 0.5  # of the final number of the finest layer
+INITIAL_SHARE = 0.5  # of the finest layer's final number
 _EVERY = 100  # iterations
 _FIRST, _LAST = 0.05, 0.6  # shares of the training between which the number changes
 _MINIMUM_OPACITY = 0.02
@@ -25,9 +26,9 @@ class DensityControl:
     """Decides when and how the set of Gaussians changes.
 
     Args:
-        iterations: length of the training.
-        initial_count: how many Gaussians it begins with.
-        final_count: how many there shall be in the end.
+        iterations: length of the training in steps.
+        initial_count: Gaussians at the start.
+        final_count: Gaussians at the end.
     """
 
     def __init__(self, iterations: int, initial_count: int, final_count: int):
@@ -35,22 +36,31 @@ class DensityControl:
         self._errors: dict[int, torch.Tensor] = {}
 
     def observe(self, view: int, error: torch.Tensor) -> None:
-        """Remembers a view's latest error per pixel (H, W)."""
+        """Records a view's latest error per pixel (H, W)."""
         self._errors[view] = error
 
     def is_due(self, iteration: int) -> bool:
-        """Whether the number changes after this iteration."""
+        """Whether the set changes after this iteration, counted from 0."""
         share = iteration / self.iterations
         return iteration % _EVERY == _EVERY - 1 and _FIRST <= share <= _LAST
 
     def change(
         self, gaussians: Gaussians, views: list[TrainingView], rng: np.random.Generator
     ) -> tuple[torch.Tensor, Gaussians]:
-        """Indices (M,) of the Gaussians that stay, and new ones."""
+        """Chooses what stays and what is new.
+
+        Args:
+            gaussians: the set as it is.
+            views: those that errors were recorded for.
+            rng: draws the pixels of the new ones.
+
+        Returns:
+            Indices (M,) of the Gaussians that stay, and the new Gaussians.
+        """
         opacity = torch.sigmoid(gaussians.opacity_logits)
         finite = torch.isfinite(gaussians.means).all(dim=0) & torch.isfinite(gaussians.log_scales).all(dim=0)
         kept = torch.nonzero((opacity >= _MINIMUM_OPACITY) & finite)[:, 0]
-        # Towards the final number in equal steps, whatever was pruned.
+        # In equal steps towards the final number, no matter how many were pruned.
         rounds = max(1, int((_LAST - _FIRST) * self.iterations / _EVERY))
         step = -(-(self.final_count - self.initial_count) // rounds)
         target = min(self.final_count, len(gaussians) + step)
@@ -59,8 +69,9 @@ class DensityControl:
     def _added(
         self, count: int, views: list[TrainingView], degree: int, rng: np.random.Generator
     ) -> Gaussians:
+        """New Gaussians, shared among the views in proportion to their mean errors."""
         seen = sorted(self._errors)
-        # A little for every view: where nothing is wrong anywhere, the shares are equal, not 0 / 0.
+        # The small term makes the shares equal, rather than 0 / 0, if there is no error at all.
         weights = np.array([float(self._errors[v].mean()) for v in seen]) + 1e-9
         shares = rng.multinomial(max(0, count), weights / weights.sum())
         parts = [
@@ -70,18 +81,18 @@ class DensityControl:
         return concatenated(parts)
 
     def state(self) -> dict[str, torch.Tensor]:
-        """What must be saved with a checkpoint."""
+        """Tensors for a checkpoint."""
         return {f"error.{view}": error for view, error in self._errors.items()}
 
     def restore(self, tensors: dict[str, torch.Tensor]) -> None:
-        """Inverse of `state`."""
+        """Restores what `state` returned; other tensors are ignored."""
         self._errors = {
             int(name.split(".")[1]): tensor for name, tensor in tensors.items() if name.startswith("error.")
         }
 
 
 def _draw(error: torch.Tensor, view: TrainingView, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Indices of pixels that show a surface, drawn without repetition in proportion to their error."""
+    """Indices of at most `count` pixels with a surface, drawn without replacement in proportion to error."""
     weights = error.numpy().ravel().astype(np.float64)
     weights[~np.isfinite(view.distance.ravel())] = 0
     possible = int(np.count_nonzero(weights))

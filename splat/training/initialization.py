@@ -1,45 +1,29 @@
-"""Gaussians placed on the surfaces that training frames show."""
+"""Places Gaussians on the surfaces that training frames show."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from compose.camera.camera import Camera
-from splat.model.gaussians import SH_DC, Gaussians, concatenated, perceptual_from_radiance, sh_count
+from splat.model.gaussians import SH_DC, Gaussians, concatenated, sh_count
+from splat.model.perceptual import perceptual_from_radiance
+from splat.training.views import TrainingView
 
 # A seed is a flat disc on its surface, this much thinner than wide.
 _FLATNESS = 0.2
 _INITIAL_OPACITY = 0.5
 
 
-@dataclass(frozen=True)
-class TrainingView:
-    """One frame to learn from.
-
-    Attributes:
-        camera: the view.
-        radiance: (H, W, 3) float32, linear.
-        distance: (H, W) float32 along the ray to where the surface seems to be, behind a mirror for what
-            is seen in it; inf where nothing is.
-        normal: (H, W, 3) float32 in world space, zero where it is unknown.
-    """
-
-    camera: Camera
-    radiance: NDArray[np.float32]
-    distance: NDArray[np.float32]
-    normal: NDArray[np.float32]
-
-
 def seed_from_views(
     views: list[TrainingView], count: int, degree: int, rng: np.random.Generator
 ) -> Gaussians:
-    """Seeds at `count` random pixels of all views, so wide that together they cover the surfaces."""
+    """Seeds at `count` random pixels of all views, wide enough to cover the surfaces together.
+
+    Pixels where nothing was hit give no seed.
+    """
     pixels = views[0].camera.width * views[0].camera.height
-    # The views overlap: what one of them sees, about count seeds cover between them.
+    # The views overlap, so that about `count` seeds cover what one of them sees.
     spacing = np.sqrt(pixels / count)
     shares = np.full(len(views), count // len(views))
     shares[: count % len(views)] += 1
@@ -57,9 +41,12 @@ def seed_at(view: TrainingView, pixels: NDArray[np.int64], size: float, degree: 
 
     Args:
         view: the frame.
-        pixels: (M,) row-major indices; those where nothing was hit give no seed.
+        pixels: (M,) row-major indices; pixels where nothing was hit give no seed.
         size: standard deviation in pixels of that frame.
-        degree: degree of the spherical harmonics; only the constant one is set.
+        degree: of the spherical harmonics, of which only the constant one is set.
+
+    Returns:
+        At most M Gaussians.
     """
     camera = view.camera
     distance = view.distance.ravel()[pixels]
@@ -87,7 +74,7 @@ def _rotation_to(normals: NDArray[np.float32]) -> NDArray[np.float64]:
     """Quaternions (M, 4) that turn the z axis into the normals (M, 3); identity for a zero normal."""
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     unit = np.where(length > 1e-6, normals / np.maximum(length, 1e-6), [0.0, 0.0, 1.0])
-    # Half-way quaternion (1 + z.n, z x n); for n = -z any half turn about a horizontal axis will do.
+    # Half-way quaternion (1 + z.n, z x n); for n = -z any half turn about a horizontal axis works.
     quaternion = np.stack([1 + unit[:, 2], -unit[:, 1], unit[:, 0], np.zeros(len(unit))], axis=1)
     quaternion[unit[:, 2] < -1 + 1e-6] = [0.0, 1.0, 0.0, 0.0]
     return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)

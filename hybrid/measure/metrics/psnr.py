@@ -7,14 +7,21 @@ from numpy.typing import NDArray
 
 from compose.image.colour import Image, srgb_from_radiance
 
+# Smaller errors count as this one, so that equal images have 120 dB instead of infinitely many.
+_LEAST_ERROR = 1e-12
+
 
 def psnr(image: Image, reference: Image, where: NDArray[np.bool_] | None = None) -> float:
-    """Peak signal-to-noise ratio in dB of linear (H, W, 3) radiance, sRGB clipped to 0..1.
+    """Peak signal-to-noise ratio in dB, of sRGB values clipped to 0..1; at most 120.
 
     Args:
-        image, reference: to compare.
-        where: (H, W) pixels that count; all by default.
+        image, reference: (..., 3) linear radiance.
+        where: (...) pixels that count; all of them if None.
     """
     squares = (srgb_from_radiance(image) - srgb_from_radiance(reference)) ** 2
-    error = np.mean(squares if where is None else squares[where], dtype=np.float64)
-    return float(-10 * np.log10(max(error, 1e-12)))
+    return psnr_of_error(np.mean(squares if where is None else squares[where], dtype=np.float64))
+
+
+def psnr_of_error(squared_error: float) -> float:
+    """Peak signal-to-noise ratio in dB of a mean squared error of values in 0..1; at most 120."""
+    return float(-10 * np.log10(max(squared_error, _LEAST_ERROR)))

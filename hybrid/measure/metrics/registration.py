@@ -1,4 +1,4 @@
-"""Whether two pictures of one view line up."""
+"""Whether two images of one view line up."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ import numpy as np
 
 from compose.image.colour import Image, luminance, srgb_from_radiance
 
-# Windows in which the shift between two pictures is measured, and how finely.
+# Side in pixels of the windows in which the shift is measured, and steps per pixel.
 _WINDOW = 64
 _UPSAMPLING = 50
-# A window counts as textured when its luminance varies by this much (standard deviation, sRGB).
+# A window counts as textured if its luminance (sRGB) has at least this standard deviation.
 _TEXTURE = 0.05
 
 
 def registration_px(image: Image, reference: Image) -> float | None:
-    """Median shift in pixels between two pictures of one view, over their textured windows.
+    """Median shift in pixels between two images (H, W, 3) of one view, over their textured windows.
 
     Phase correlation in windows of 64 x 64 pixels, to 1/50 px (Guizar-Sicairos et al. 2008).
 
     Returns:
-        The shift, None where no window is textured enough to tell.
+        The shift; None if no window has enough texture to tell.
     """
     from skimage.registration import phase_cross_correlation
 
-    first, second = (luminance(srgb_from_radiance(each)) for each in (image, reference))
+    first, second = (luminance(srgb_from_radiance(one)) for one in (image, reference))
     taper = np.outer(np.hanning(_WINDOW), np.hanning(_WINDOW))
     shifts = []
     for top in range(0, first.shape[0] - _WINDOW + 1, _WINDOW // 2):

@@ -1,4 +1,4 @@
-"""PSNR, and SSIM as a map, as a mean, and weighted by what the eye resolves."""
+"""PSNR and SSIM together."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ from hybrid.measure.metrics.ssim import ssim
 
 
 def quality(image: Image, reference: Image) -> dict[str, float]:
-    """PSNR and SSIM under the names that every report uses."""
+    """PSNR and SSIM of (H, W, 3) linear radiance, under the names that all reports use."""
     return {"psnr": psnr(image, reference), "ssim": ssim(image, reference)}

@@ -1,4 +1,4 @@
-"""Structural similarity (Wang et al. 2004)."""
+"""Structural similarity (SSIM, Wang et al. 2004)."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from numpy.typing import NDArray
 
 from compose.image.colour import Image, srgb_from_radiance
 
-# Half of SSIM's window: so far from the border the map is not defined.
+# Half the side of SSIM's window: the map is undefined this close to the border.
 SSIM_MARGIN = 5
 
 
 def ssim_map(image: Image, reference: Image) -> NDArray[np.float32]:
-    """(H, W) structural similarity of linear (H, W, 3) radiance, sRGB clipped to 0..1, mean of channels.
+    """(H, W) SSIM of linear radiance (H, W, 3) as sRGB clipped to 0..1, mean of the channels.
 
-    Wang et al. 2004: 11 x 11 Gaussian window, sigma 1.5, K 0.01 and 0.03, population covariance. Valid
-    SSIM_MARGIN pixels from the border inwards.
+    As in Wang et al. 2004: 11 x 11 Gaussian window, sigma 1.5, K 0.01 and 0.03, population covariance. Valid
+    from SSIM_MARGIN pixels inside the border on.
     """
-    # Imported here: a frame rendered with a forest at hand need not wait for scikit-image.
+    # Imported here because rendering a frame must not wait for scikit-image.
     from skimage.metrics import structural_similarity
 
     _, full = structural_similarity(
@@ -34,16 +34,16 @@ def ssim_map(image: Image, reference: Image) -> NDArray[np.float32]:
 
 
 def ssim(image: Image, reference: Image, weight: NDArray[np.float32] | None = None) -> float:
-    """Mean of `ssim_map` over its valid region.
+    """Mean of `ssim_map` over its valid pixels.
 
     Args:
-        image, reference: to compare.
-        weight: (H, W) of each pixel, such as a region's mask or the relative acuity; 1 by default.
+        image, reference: (H, W, 3) linear radiance.
+        weight: (H, W) weight of each pixel, such as a region's mask or the relative acuity; 1 if None.
     """
     return valid_mean(ssim_map(image, reference), weight)
 
 
-def valid_mean(found: NDArray[np.float32], weight: NDArray[np.float32] | None = None) -> float:
-    """Mean over the valid region of a map (H, W) of SSIM, of equal or so much weight (H, W)."""
+def valid_mean(similarity: NDArray[np.float32], weight: NDArray[np.float32] | None = None) -> float:
+    """Mean of an SSIM map (H, W) over its valid pixels, weighted by (H, W) or equally."""
     valid = np.s_[SSIM_MARGIN:-SSIM_MARGIN, SSIM_MARGIN:-SSIM_MARGIN]
-    return float(np.average(found[valid], weights=None if weight is None else weight[valid]))
+    return float(np.average(similarity[valid], weights=None if weight is None else weight[valid]))

@@ -1,78 +1,66 @@
-"""Cameras: axes, resizing, projection; the angles of the eye."""
+"""Pinhole cameras: projection, rays, resizing, equality."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from compose.camera.axes import (
-    mitsuba_from_opencv,
-    opencv_from_mitsuba,
-    opencv_from_opengl,
-    opengl_from_opencv,
-)
 from compose.camera.camera import Camera, camera_from_pose, look_at
-from compose.camera.serialization import camera_from_json, camera_to_json
-from compose.eye.gaze import Gaze, eccentricity
+
+POSITION, TARGET = np.array([1.0, 2.0, 3.0]), np.array([0.2, -0.5, 0.4])
+POSE = look_at(POSITION, TARGET, np.array([0.0, 0.0, 1.0]))
+CAMERA = camera_from_pose(POSE, 80, 60, 50, 55, 41, 29)
 
 
-def pose() -> np.ndarray:
-    return look_at(np.array([1.0, 2.0, 3.0]), np.array([0.2, -0.5, 0.4]), np.array([0.0, 0.0, 1.0]))
+def test_a_point_projects_as_by_hand():
+    """x = 50 * 1 / 5 + 41 and y = 55 * 2 / 5 + 29."""
+    camera = Camera(np.eye(4), 80, 60, 50, 55, 41, 29)
+    pixels, depth = camera.project(np.array([[1.0, 2.0, 5.0], [0.0, 0.0, 2.0]]))
+    np.testing.assert_allclose(pixels, [[51, 51], [41, 29]])
+    np.testing.assert_allclose(depth, [5, 2])
 
 
-def test_a_point_ahead_projects_to_the_principal_point():
-    camera = camera_from_pose(pose(), 80, 60, 50, 55, 41, 29)
-    pixels, depth = camera.project(camera.position[None] + 2.5 * pose()[:3, 2])
+def test_look_at_sees_its_target_in_the_middle():
+    assert np.linalg.det(POSE[:3, :3]) == pytest.approx(1)
+    np.testing.assert_allclose(POSE[:3, :3].T @ POSE[:3, :3], np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(CAMERA.position, POSITION)
+    pixels, depth = CAMERA.project(TARGET[None])
     np.testing.assert_allclose(pixels, [[41, 29]], atol=1e-9)
-    np.testing.assert_allclose(depth, [2.5])
+    np.testing.assert_allclose(depth, [np.linalg.norm(TARGET - POSITION)])
 
 
-def test_up_in_the_world_is_up_in_the_picture():
-    camera = camera_from_pose(pose(), 80, 60, 50, 50, 40, 30)
-    ahead = camera.position + 3 * pose()[:3, 2]
-    pixels, _ = camera.project(np.stack([ahead, ahead + np.array([0, 0, 0.1])]))
+def test_up_in_the_world_is_up_in_the_image_and_the_horizon_is_level():
+    pixels, _ = CAMERA.project(np.stack([TARGET, TARGET + np.array([0, 0, 0.1])]))
     assert pixels[1, 1] < pixels[0, 1]
+    assert pixels[1, 0] == pytest.approx(pixels[0, 0])
 
 
-def test_rays_go_back_through_the_pixels_they_came_from():
-    camera = camera_from_pose(pose(), 80, 60, 50, 55, 41, 29)
+def test_the_pose_is_the_inverse_of_the_view():
+    np.testing.assert_allclose(CAMERA.camera_to_world, POSE, atol=1e-12)
+    np.testing.assert_allclose(CAMERA.camera_to_world @ CAMERA.world_to_camera, np.eye(4), atol=1e-12)
+
+
+def test_rays_pass_through_their_pixels():
     pixels = np.array([[0.5, 0.5], [79.5, 10.0], [33.0, 59.0]])
-    back, depth = camera.project(camera.position + 4 * camera.rays(pixels))
+    rays = CAMERA.rays(pixels)
+    np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1)
+    back, depth = CAMERA.project(CAMERA.position + 4 * rays)
     np.testing.assert_allclose(back, pixels, atol=1e-9)
     assert (depth > 0).all()
 
 
-def test_axes_convert_there_and_back():
-    np.testing.assert_allclose(opencv_from_mitsuba(mitsuba_from_opencv(pose())), pose())
-    np.testing.assert_allclose(opencv_from_opengl(opengl_from_opencv(pose())), pose())
+def test_pixel_centres_go_row_by_row_from_the_top():
+    camera = Camera(np.eye(4), 3, 2, 1, 1, 0, 0)
+    expected = [[0.5, 0.5], [1.5, 0.5], [2.5, 0.5], [0.5, 1.5], [1.5, 1.5], [2.5, 1.5]]
+    assert camera.pixel_centres().tolist() == expected
 
 
-def test_a_scale_in_to_world_is_dropped():
-    scaled = mitsuba_from_opencv(pose()) @ np.diag([2.0, 2.0, 2.0, 1.0])
-    np.testing.assert_allclose(opencv_from_mitsuba(scaled), pose())
-
-
-def test_json_holds_the_camera():
-    camera = camera_from_pose(pose(), 80, 60, 50, 55, 41, 29)
-    back = camera_from_json(camera_to_json(camera))
-    np.testing.assert_allclose(back.world_to_camera, camera.world_to_camera, atol=1e-12)
-    assert (back.width, back.height, back.fx, back.cy) == (80, 60, 50, 29)
-
-
-def test_a_size_in_json_may_be_a_float_of_whole_pixels():
-    entry = camera_to_json(camera_from_pose(pose(), 640, 480, 500, 500, 320, 240))
-    camera = camera_from_json({**entry, "w": 640.0, "h": 480.0})
-    assert (camera.width, camera.height) == (640, 480)
-    assert isinstance(camera.width, int)
-    assert isinstance(camera.height, int)
-
-
-@pytest.mark.parametrize("name", ["w", "h"])
-@pytest.mark.parametrize("size", [640.5, "640", None, True, [640], float("nan"), float("inf")])
-def test_a_size_in_json_that_is_not_whole_pixels_is_refused_by_name(name, size):
-    entry = camera_to_json(camera_from_pose(pose(), 640, 480, 500, 500, 320, 240))
-    with pytest.raises(ValueError, match=f"^{name} is .*; must be a whole number of pixels"):
-        camera_from_json({**entry, name: size})
+def test_the_vertical_field_of_view_adds_both_sides_of_the_principal_point():
+    """arctan(100 / 100) on both sides; arctan(1) + arctan(2) off the centre."""
+    assert Camera(np.eye(4), 10, 200, 7, 100, 5, 100).vertical_fov == pytest.approx(90)
+    assert Camera(np.eye(4), 10, 150, 7, 50, 5, 50).vertical_fov == pytest.approx(108.43495)
 
 
 def test_a_wider_frame_sees_more_and_keeps_its_height():
@@ -83,27 +71,62 @@ def test_a_wider_frame_sees_more_and_keeps_its_height():
     assert wide.cx == 512
 
 
-@pytest.mark.parametrize(("width", "height", "focal"), [(0, 4, 1), (4, -1, 1), (4, 4, 0), (4, 4, np.nan)])
-def test_impossible_cameras_are_refused(width, height, focal):
-    with pytest.raises(ValueError, match=r"positive|finite"):
-        Camera(np.eye(4), width, height, focal, focal, 2, 2)
+def test_resizing_scales_the_offset_of_the_principal_point():
+    """Twice as high: the point lies 1 pixel right of the centre before, and 2 after."""
+    large = CAMERA.resized(200, 120)
+    assert (large.width, large.height) == (200, 120)
+    assert (large.fx, large.fy, large.cx, large.cy) == (100, 110, 102, 58)
+    assert large.world_to_camera is CAMERA.world_to_camera
 
 
-def test_eccentricity_is_a_great_circle():
-    """110 degrees wide and square: the corner lies at tan = sqrt(2) tan 55 deg, 63.66 degrees."""
-    focal = 50 / np.tan(np.radians(55))
-    camera = Camera(np.eye(4), 100, 100, focal, focal, 50, 50)
-    angle = eccentricity(camera, Gaze())
-    rays = camera.rays(np.array([[0.0, 0.0]]))
-    corner = np.degrees(np.arccos(rays[0, 2]))
-    assert corner == pytest.approx(np.degrees(np.arctan(np.sqrt(2) * np.tan(np.radians(55)))))
-    assert angle[0, 0] == pytest.approx(corner, abs=0.5)
-    # The four pixels around the gaze: half a diagonal away, arctan(sqrt(1/2) tan(55 deg) / 50).
-    assert angle.min() == pytest.approx(1.1570, abs=1e-3)
-    # Seen from the corner, the opposite one is twice as far.
-    assert eccentricity(camera, Gaze(0, 0))[-1, -1] == pytest.approx(2 * corner, abs=0.5)
+def test_a_crop_sees_the_same_points_from_its_corner():
+    crop = CAMERA.cropped(10, 20, 30, 25)
+    assert (crop.width, crop.height) == (30, 25)
+    np.testing.assert_allclose(crop.project(TARGET[None])[0], [[31, 9]], atol=1e-9)
 
 
-def test_a_gaze_that_is_no_number_is_refused():
-    with pytest.raises(ValueError, match="finite"):
-        Gaze(float("nan"), 0.5)
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("width", 0, "0 x 60 must be positive"),
+        ("height", -1, "80 x -1 must be positive"),
+        ("fx", 0.0, "focal length"),
+        ("fy", -1.0, "focal length"),
+        ("fx", np.nan, "finite"),
+        ("cx", np.inf, "finite"),
+        ("cy", np.nan, "finite"),
+        ("world_to_camera", np.diag([1.0, 1.0, np.inf, 1.0]), "finite"),
+    ],
+)
+def test_impossible_cameras_are_refused(name, value, said):
+    with pytest.raises(ValueError, match=said):
+        replace(CAMERA, **{name: value})
+
+
+def test_a_principal_point_outside_the_frame_is_allowed():
+    assert CAMERA.cropped(100, 100, 8, 8).cx == -59
+
+
+def test_cameras_with_the_same_numbers_are_equal():
+    again = camera_from_pose(POSE.copy(), 80, 60, 50, 55, 41, 29)
+    assert again is not CAMERA
+    assert again == CAMERA
+    assert hash(again) == hash(CAMERA)
+    assert {CAMERA: "found"}[again] == "found"
+
+
+@pytest.mark.parametrize("name", ["width", "height", "fx", "fy", "cx", "cy", "world_to_camera"])
+def test_cameras_that_differ_in_any_number_are_not_equal(name):
+    value = getattr(CAMERA, name)
+    other = replace(CAMERA, **{name: value + (1 if isinstance(value, int) else 1e-9)})
+    assert other != CAMERA
+    assert other.key != CAMERA.key
+
+
+def test_a_camera_is_not_equal_to_anything_else():
+    assert CAMERA.key != CAMERA
+    assert (CAMERA == 3) is False
+
+
+def test_intrinsics_become_floats():
+    assert all(type(getattr(CAMERA, name)) is float for name in ("fx", "fy", "cx", "cy"))

@@ -1,4 +1,4 @@
-"""Samples of earlier frames: where they go when the camera moves, and which of them no longer hold."""
+"""Samples of earlier frames: how they add up, and what is left of them when the camera moves."""
 
 from __future__ import annotations
 
@@ -7,110 +7,183 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from compose.camera.camera import Camera, look_at
+from compose.camera.camera import Camera
 from compose.fovea.history import History
-from compose.fovea.samples import DIFFUSE, GLOSSY, SPECULAR, Samples, merged
+from compose.fovea.samples import Samples, merged
+from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
 from tests import small
+from tests.compose.fovea.views import SIZE, camera, samples, wall
 
-SIZE = 48
-
-
-def camera(x: float = 0.0, turn: float = 0.0) -> Camera:
-    """Looks along +z from z = -4, from x, turned by degrees."""
-    target = [x + np.sin(np.radians(turn)), 0, -4 + np.cos(np.radians(turn))]
-    pose = look_at(np.array([x, 0.0, -4]), np.array(target), np.array([0.0, -1, 0]))
-    return Camera(np.linalg.inv(pose), SIZE, SIZE, SIZE, SIZE, SIZE / 2, SIZE / 2)
+ALL = SIZE * SIZE
 
 
-def wall(view: Camera, z: np.ndarray | float = 0.0) -> np.ndarray:
-    """(D, 3) where the rays through all pixels' centres meet the plane at z."""
-    rays = view.rays(view.pixel_centres())
-    return view.position + rays * ((z - view.position[2]) / rays[:, 2])[:, None]
-
-
-def samples(position: np.ndarray, radiance: np.ndarray, gloss: int = DIFFUSE, count: float = 1) -> Samples:
-    size = len(position)
-    flat = np.broadcast_to(np.asarray(radiance, dtype=np.float32), (size, 3)).astype(np.float32)
-    return Samples(
-        np.arange(size, dtype=np.uint32),
-        np.full(size, count, dtype=np.float32),
-        flat,
-        flat**2,
-        flat,
-        flat,
-        position.astype(np.float32),
-        np.full(size, gloss, dtype=np.uint8),
-    )
-
-
-def added(history: History, view: Camera, new: Samples, seed: int) -> Samples:
-    """All that is known of the new samples' pixels."""
-    dark = np.zeros_like(new.radiance)
-    seen = replace(new, count=np.zeros_like(new.count), radiance=dark, squares=dark)
-    known = history.recall(view, new.pixels, seen, 4, seed)
+def added(history: History, view: Camera, new: Samples, seed: int = 0) -> Samples:
+    """All that is known of the new samples' pixels after a frame."""
+    known = history.recall(view, new.pixels, unlit(new), 4, seed)
     history.remember(new)
     return merged(known, new)
 
 
-def test_what_was_looked_at_often_enough_need_not_be_again():
+def unlit(new: Samples) -> Samples:
+    """Auxiliary features alone."""
+    dark = np.zeros_like(new.radiance)
+    return replace(new, count=np.zeros_like(new.count), radiance=dark, squares=dark)
+
+
+def part(whole: Samples, chosen: slice) -> Samples:
+    return Samples(*(getattr(whole, field.name)[chosen] for field in fields(Samples)))
+
+
+def again(number: int) -> Camera:
+    """Cameras that differ, but see the same."""
+    return replace(camera(), fx=SIZE + number * 1e-9)
+
+
+def test_auxiliary_features_are_traced_until_they_are_good_enough():
     history, view = History(), camera()
     new = samples(wall(view), np.array([0.5, 0.4, 0.3]))
     assert (history.unseen(view, new.pixels, 8) == new.pixels).all()
-    added(history, view, new, 0)
+    added(history, view, new)  # 4 sample positions
     assert (history.unseen(view, new.pixels, 8) == new.pixels).all()
-    half = new.pixels[: SIZE * SIZE // 2]
-    part = Samples(*(getattr(new, field.name)[: len(half)] for field in fields(Samples)))
-    history.recall(view, half, part, 4, 0)
-    assert (history.unseen(view, new.pixels, 8) == new.pixels[len(half) :]).all()
-    # What is known of the others is what was seen before.
-    nothing = Samples(*(getattr(new, field.name)[:0] for field in fields(Samples)))
-    known = history.recall(view, new.pixels, nothing, 4, 0)
-    assert (known.position == new.position).all()
-    assert np.allclose(known.albedo, new.albedo)
-    assert (known.count == 1).all()
+    assert not len(history.unseen(view, new.pixels, 4))
+    half = part(new, slice(0, ALL // 2))
+    history.recall(view, half.pixels, half, 4, 0)
+    assert (history.unseen(view, new.pixels, 8) == new.pixels[ALL // 2 :]).all()
     assert (history.unseen(camera(0.1), new.pixels, 8) == new.pixels).all()
-    # With more samples the auxiliary features must not fall behind.
+    # They must not fall behind the samples.
     history.remember(replace(new, count=np.full_like(new.count, 10)))
     assert (history.unseen(view, new.pixels, 8) == new.pixels).all()
+
+
+def test_64_sample_positions_are_enough_for_any_number_of_samples():
+    history, view = History(), camera()
+    new = samples(wall(view), np.ones(3), count=1000)
+    history.recall(view, new.pixels, unlit(new), 63, 0)
+    history.remember(new)
+    assert len(history.unseen(view, new.pixels, 8)) == ALL
+    history.recall(view, new.pixels, unlit(new), 1, 0)
+    assert not len(history.unseen(view, new.pixels, 8))
+
+
+def test_what_was_seen_before_is_known_without_looking_again():
+    history, view = History(), camera()
+    new = samples(wall(view), np.array([0.5, 0.4, 0.3]), GLOSSY)
+    added(history, view, new)
+    known = history.recall(view, new.pixels, part(new, slice(0, 0)), 4, 0)
+    assert (known.position == new.position).all()
+    assert (known.gloss == GLOSSY).all()
+    assert (known.count == 1).all()
+    np.testing.assert_allclose(known.albedo, new.albedo)
+    np.testing.assert_allclose(known.normal, new.normal)
+
+
+def test_auxiliary_features_are_means_over_sample_positions():
+    """4 positions of 0.2 and 12 of 0.6: 0.5; what they hit is what the first ones hit."""
+    history, view = History(), camera()
+    first = samples(wall(view), np.full(3, 0.2), GLOSSY)
+    second = samples(wall(view, 1.0), np.full(3, 0.6), SPECULAR)
+    history.recall(view, first.pixels, first, 4, 0)
+    known = history.recall(view, first.pixels, second, 12, 0)
+    np.testing.assert_allclose(known.albedo, 0.5, rtol=1e-6)
+    np.testing.assert_allclose(known.normal, 0.5, rtol=1e-6)
+    assert (known.position == first.position).all()
+    assert (known.gloss == GLOSSY).all()
+    assert (known.count == 0).all()
+
+
+def test_further_samples_continue_the_pattern_of_the_first_ones():
+    history, view = History(), camera()
+    new = samples(wall(view), np.ones(3), count=3)
+    counts, seed = history.sampled(view, new.pixels, 5)
+    assert seed == 5
+    assert (counts == 0).all()
+    added(history, view, part(new, slice(0, 100)), seed=5)
+    counts, seed = history.sampled(view, new.pixels, 6)
+    assert seed == 5
+    assert counts.dtype == np.int64
+    assert (counts[:100] == 3).all()
+    assert (counts[100:] == 0).all()
+    counts, seed = history.sampled(camera(0.1), new.pixels, 7)
+    assert seed == 7
+    assert (counts == 0).all()
 
 
 def test_a_still_camera_adds_up_exactly():
     history, view, rng = History(), camera(), small.rng()
     draws = rng.uniform(0, 2, (7, SIZE * SIZE, 3)).astype(np.float32)
     for draw in draws:
-        kept = added(history, view, samples(wall(view), draw), 0)
+        kept = added(history, view, samples(wall(view), draw))
     assert (kept.count == 7).all()
     np.testing.assert_allclose(kept.radiance, draws.mean(axis=0), rtol=1e-5)
     np.testing.assert_allclose(kept.variance(), draws.var(axis=0, ddof=1) / 7, rtol=1e-3, atol=1e-5)
 
 
-def test_one_sample_does_not_tell_its_variance():
-    view = camera()
-    assert np.isinf(samples(wall(view), np.ones(3)).variance()).all()
-
-
 def test_a_moving_gaze_keeps_what_it_has_seen():
     history, view = History(), camera()
     everything = samples(wall(view), np.ones(3))
-    part = lambda chosen: replace(  # noqa: E731
-        everything, **{name: getattr(everything, name)[chosen] for name in everything.__dataclass_fields__}
-    )
-    left, right = slice(0, SIZE * SIZE // 2), slice(SIZE * SIZE // 4, SIZE * SIZE)
-    added(history, view, part(left), 0)
-    kept = added(history, view, part(right), 0)
-    both = SIZE * SIZE // 4
+    added(history, view, part(everything, slice(0, ALL // 2)))
+    kept = added(history, view, part(everything, slice(ALL // 4, ALL)))
+    both = ALL // 4
     assert (kept.count[:both] == 2).all()
     assert (kept.count[both:] == 1).all()
 
 
+def test_earlier_views_count_as_32_samples_per_pixel_at_most():
+    """A thousand black samples from one camera and two white ones from the next: 2 of 34."""
+    history = History()
+    place = wall(camera())
+    added(history, again(0), samples(place, np.zeros(3), count=1000))
+    kept = added(history, again(1), samples(place, np.ones(3), count=2))
+    inside = kept.count.reshape(SIZE, SIZE)[4:-4, 4:-4]
+    np.testing.assert_allclose(inside, 34)
+    np.testing.assert_allclose(kept.radiance.reshape(SIZE, SIZE, 3)[4:-4, 4:-4], 2 / 34, rtol=1e-5)
+
+
+def test_sixteen_earlier_views_are_remembered():
+    history = History()
+    place = wall(camera())
+    counts = [added(history, again(n), samples(place, np.ones(3))).count[ALL // 2 + 24] for n in range(20)]
+    assert counts == [min(n, 16) + 1 for n in range(20)]
+
+
+def test_another_frame_size_starts_anew():
+    history, view = History(), camera()
+    place = wall(view)
+    added(history, again(0), samples(place, np.ones(3)))
+    added(history, again(1), samples(place, np.ones(3)))
+    larger = view.resized(SIZE * 2, SIZE)
+    kept = added(history, larger, part(samples(wall(larger), np.ones(3)), slice(0, ALL)))
+    assert (kept.count == 1).all()
+    assert (added(history, again(2), samples(place, np.ones(3))).count == 1).all()
+
+
+def test_a_saved_history_continues_the_view():
+    history, view = History(), camera()
+    assert history.state() == {}
+    first = part(samples(wall(view), np.array([0.1, 0.2, 0.3]), GLOSSY, count=3), slice(0, 500))
+    added(history, view, first, seed=9)
+    state = {name: values.copy() for name, values in history.state().items()}
+    assert set(state) == {"count", "light", "places", "guides", "position", "gloss", "pattern"}
+    restored = History.restored(view, state)
+    second = samples(wall(view), np.array([0.5, 0.5, 0.9]))
+    for wanted in (4, 8):
+        found = restored.unseen(view, second.pixels, wanted)
+        assert (found == history.unseen(view, second.pixels, wanted)).all()
+    assert restored.sampled(view, second.pixels, 0)[1] == 9
+    assert (restored.sampled(view, second.pixels, 0)[0] == history.sampled(view, second.pixels, 0)[0]).all()
+    one, other = added(history, view, second), added(restored, view, second)
+    for field in fields(Samples):
+        assert (getattr(one, field.name) == getattr(other, field.name)).all()
+
+
 @pytest.mark.parametrize("moved", [camera(x=0.31), camera(turn=3.7)], ids=["walk", "turn"])
-def test_samples_go_where_their_place_is_seen(moved):
-    """A wall painted with a slow wave: what arrives is what is there, to half a pixel."""
+def test_samples_move_to_where_their_hit_points_are_visible(moved):
+    """A wall painted with a slow wave: what arrives is what is there, to within half a pixel."""
     paint = lambda place: 1 + np.sin(np.outer(place[:, 0], [2.0, 1.5, 1.0]))  # noqa: E731
     history, before = History(), camera()
-    added(history, before, samples(wall(before), paint(wall(before)), count=8), 0)
+    added(history, before, samples(wall(before), paint(wall(before)), count=8))
     there = wall(moved)
-    kept = added(history, moved, samples(there, paint(there)), 0)
+    kept = added(history, moved, samples(there, paint(there)))
     inside = np.abs(kept.count - 9) < 1
     assert inside.mean() > 0.5
     pixel = 4 / SIZE
@@ -118,20 +191,20 @@ def test_samples_go_where_their_place_is_seen(moved):
 
 
 def test_many_small_steps_do_not_blur():
-    """A checkerboard after forty steps of a third of a pixel: still black and white inside the fields."""
+    """A checkerboard after forty steps of a third of a pixel: still black and white inside its squares."""
     paint = lambda place: ((np.floor(place[:, :1]) + np.floor(place[:, 1:2])) % 2) * np.ones(3)  # noqa: E731
     history = History()
     for step in range(40):
         view = camera(x=step * 4 / SIZE / 3)
         there = wall(view)
-        kept = added(history, view, samples(there, paint(there)), 0)
+        kept = added(history, view, samples(there, paint(there)))
     inside = (np.abs(there[:, :2] - np.round(there[:, :2])) > 0.13).all(axis=1) & (kept.count > 8)
     assert inside.sum() > 300
     assert np.abs(kept.radiance - paint(there))[inside].max() < 0.05
 
 
-def test_what_was_hidden_starts_anew():
-    """A panel before a wall: when the camera steps aside, no sample of the panel is left on the wall."""
+def test_a_surface_that_was_hidden_starts_anew():
+    """A panel in front of a wall: when the camera steps aside, no sample of the panel is left on the wall."""
     history = History()
 
     def seen(view: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -141,9 +214,9 @@ def test_what_was_hidden_starts_anew():
 
     before, after = camera(), camera(x=0.5)
     place, panel_before = seen(before)
-    added(history, before, samples(place, np.where(panel_before, 1.0, 0.2)[:, None], count=16), 0)
+    added(history, before, samples(place, np.where(panel_before, 1.0, 0.2)[:, None], count=16))
     place, panel = seen(after)
-    kept = added(history, after, samples(place, np.where(panel, 1.0, 0.2)[:, None]), 0)
+    kept = added(history, after, samples(place, np.where(panel, 1.0, 0.2)[:, None]))
     away = np.abs(kept.radiance[:, 0] - np.where(panel, 1.0, 0.2)) > 0.1
     edge = panel.reshape(SIZE, SIZE)
     grown = edge.copy()
@@ -167,10 +240,10 @@ def _outline(mask: np.ndarray) -> np.ndarray:
     ("gloss", "walk", "kept_share"),
     [(SPECULAR, 0.2, 0), (GLOSSY, 0.8, 0), (GLOSSY, 0.1, 1), (DIFFUSE, 0.2, 1)],
 )
-def test_what_shines_is_forgotten_when_seen_from_elsewhere(gloss, walk, kept_share):
+def test_reflections_are_forgotten_when_seen_from_elsewhere(gloss, walk, kept_share):
     history, before, after = History(), camera(), camera(x=walk)
-    added(history, before, samples(wall(before), np.ones(3), gloss), 0)
-    kept = added(history, after, samples(wall(after), np.ones(3), gloss), 0)
+    added(history, before, samples(wall(before), np.ones(3), gloss))
+    kept = added(history, after, samples(wall(after), np.ones(3), gloss))
     middle = (kept.count > 1).reshape(SIZE, SIZE)[16:32, 16:32]
     assert (middle.mean() > 0.8) == bool(kept_share)
     assert kept_share or not middle.any()
@@ -178,6 +251,6 @@ def test_what_shines_is_forgotten_when_seen_from_elsewhere(gloss, walk, kept_sha
 
 def test_a_mirror_seen_from_the_same_place_is_kept():
     history, before, after = History(), camera(), camera(turn=2.0)
-    added(history, before, samples(wall(before), np.ones(3), SPECULAR), 0)
-    kept = added(history, after, samples(wall(after), np.ones(3), SPECULAR), 0)
+    added(history, before, samples(wall(before), np.ones(3), SPECULAR))
+    kept = added(history, after, samples(wall(after), np.ones(3), SPECULAR))
     assert (kept.count > 1).mean() > 0.7

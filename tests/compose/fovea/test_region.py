@@ -1,4 +1,4 @@
-"""Disc, weights, tiles, and the blend."""
+"""The disc's pixels, weights and tiles."""
 
 from __future__ import annotations
 
@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
-from compose.blend.blend import blend
 from compose.eye.gaze import Gaze
 from compose.fovea.region import Foveation
-from compose.image.colour import bytes_from_radiance
 
 GAZES = [Gaze(), Gaze(0, 0), Gaze(1, 0.3), Gaze(-0.1, 0.5), Gaze(5, 5)]
 
@@ -23,58 +21,98 @@ def brute_force(foveation: Foveation, width: int, height: int) -> np.ndarray:
     return np.where(radius < a, ramp, 0)
 
 
+def visible(weight: np.ndarray, tile: int, share: float = 1.0) -> np.ndarray:
+    """(rows, columns) whether a tile has a pixel of a lower weight."""
+    rows, columns = (-(-side // tile) for side in weight.shape)
+    tiles = [
+        [(weight[r * tile : (r + 1) * tile, c * tile : (c + 1) * tile] < share).any() for c in range(columns)]
+        for r in range(rows)
+    ]
+    return np.array(tiles)
+
+
 @pytest.mark.parametrize("gaze", GAZES)
 @pytest.mark.parametrize(("fov_a", "fov_b"), [(20, 15), (30, 0), (12, 12), (0, 0), (70, 10)])
 def test_weights_follow_the_definition(gaze, fov_a, fov_b):
     foveation = Foveation(gaze, fov_a, fov_b)
     region = foveation.region(61, 40)
     np.testing.assert_allclose(region.weight_image(), brute_force(foveation, 61, 40), atol=1e-6)
-    assert len(np.unique(region.pixels)) == len(region.pixels)
+    assert (np.diff(region.pixels.astype(np.int64)) > 0).all()
     assert ((region.weights >= 0) & (region.weights <= 1)).all()
+    assert region.pixels.dtype == np.uint32
+    assert region.weights.dtype == np.float32
+
+
+def test_weights_by_hand():
+    """Radii of 4 and 2 pixels around the middle of a row: pixel centres lie 0.5, 1.5, 2.5 ... pixels away."""
+    region = Foveation(Gaze(0.5, 0.5), 400, 200).region(10, 1)
+    np.testing.assert_allclose(region.weight_image()[0], [0, 0.25, 0.75, 1, 1, 1, 1, 0.75, 0.25, 0])
+    assert region.centre == (5, 0.5)
+    assert region.inner == 2
 
 
 @pytest.mark.parametrize("gaze", GAZES)
-def test_the_two_shares_sum_to_one(gaze):
-    """Where both pictures are the same, the composite is that picture."""
-    region = Foveation(gaze, 35, 20).region(50, 50)
-    image = np.full((50, 50, 3), 0.7, dtype=np.float32)
-    composite = blend(image, image.reshape(-1, 3)[region.pixels], region)
-    np.testing.assert_allclose(composite, image, atol=1e-6)
+def test_a_disc_covers_the_frame_as_soon_as_its_furthest_pixel_lies_inside(gaze):
+    """The furthest of 30 x 20 pixels is a corner."""
+    x, y = np.meshgrid(np.arange(30) + 0.5, np.arange(20) + 0.5)
+    furthest = np.hypot(x - gaze.x * 30, y - gaze.y * 20).max() / 20 * 100
+    assert not Foveation(gaze, furthest - 0.01, 0).region(30, 20).covers_frame
+    whole = Foveation(gaze, furthest + 0.01, 0).region(30, 20)
+    assert whole.covers_frame
+    assert (whole.weight_image() == 1).all()
+    assert whole.pixels.tolist() == list(range(600))
+    assert not whole.peripheral_tiles(16).any()
+    assert whole.foveal_tiles(16).all()
 
 
-def test_a_disc_that_covers_the_frame_is_the_traced_frame_exactly():
-    region = Foveation(Gaze(0.3, 0.6), 400, 10).region(30, 20)
-    traced = np.random.default_rng(0).normal(size=(600, 3)).astype(np.float32)
-    composite = blend(np.full((20, 30, 3), np.nan, dtype=np.float32), traced, region)
-    assert np.array_equal(composite.reshape(-1, 3)[region.pixels], traced)
-    assert not region.peripheral_tiles(16).any()
-
-
-def test_no_disc_is_the_splat_frame_exactly():
+def test_without_a_disc_everything_is_periphery():
     region = Foveation(Gaze(), 0, 0).region(30, 20)
-    splats = np.random.default_rng(0).normal(size=(20, 30, 3)).astype(np.float32)
-    assert np.array_equal(blend(splats, np.zeros((0, 3), dtype=np.float32), region), splats)
+    assert not len(region.pixels)
+    assert not region.covers_frame
     assert region.peripheral_tiles(16).all()
+    assert not region.foveal_tiles(16).any()
 
 
 @pytest.mark.parametrize("gaze", GAZES)
-def test_a_tile_is_left_out_only_where_the_disc_hides_all_of_it(gaze):
+@pytest.mark.parametrize("tile", [8, 16])
+def test_a_tile_is_left_out_only_if_the_disc_hides_all_of_it(gaze, tile):
     region = Foveation(gaze, 60, 45).region(75, 70)
-    tiles = region.peripheral_tiles(16)
-    weight = region.weight_image()
-    for row in range(tiles.shape[0]):
-        for column in range(tiles.shape[1]):
-            box = weight[row * 16 : row * 16 + 16, column * 16 : column * 16 + 16]
-            assert tiles[row, column] == bool((box < 1).any())
+    np.testing.assert_array_equal(region.peripheral_tiles(tile), visible(region.weight_image(), tile))
 
 
-@pytest.mark.parametrize(("fov_a", "fov_b"), [(10, 20), (-1, -2), (float("nan"), 1), (20, float("inf"))])
-def test_impossible_radii_are_refused(fov_a, fov_b):
-    with pytest.raises(UserError, match="--fov-"):
+@pytest.mark.parametrize("gaze", [Gaze(), Gaze(0, 0), Gaze(0.37, 0.61)])
+def test_foveal_tiles_overlap_the_rectangle_around_the_disc(gaze):
+    region = Foveation(gaze, 25, 10).region(75, 70)
+    rows, columns = region.rectangle.box
+    outside = np.ones((70, 75))
+    outside[rows, columns] = 0
+    np.testing.assert_array_equal(region.foveal_tiles(16), visible(outside, 16))
+
+
+def test_values_become_an_image_of_the_frame():
+    region = Foveation(Gaze(0.3, 0.4), 20, 10).region(12, 10)
+    values = np.arange(2 * len(region.pixels), dtype=np.float32).reshape(-1, 2) + 1
+    image = region.image_of(values)
+    assert image.shape == (10, 12, 2)
+    np.testing.assert_array_equal(image.reshape(-1, 2)[region.pixels], values)
+    assert np.count_nonzero(image) == values.size
+
+
+@pytest.mark.parametrize(
+    ("fov_a", "fov_b", "said"),
+    [
+        (10, 20, "^fov-b 20: must be at most fov-a 10"),
+        (-1, -2, "^fov-a -1: must be a percentage"),
+        (1, -2, "^fov-b -2: must be a percentage"),
+        (float("nan"), 1, "^fov-a nan: must be a percentage"),
+        (20, float("inf"), "^fov-b inf: must be a percentage"),
+    ],
+)
+def test_impossible_radii_are_refused_by_name(fov_a, fov_b, said):
+    with pytest.raises(UserError, match=said):
         Foveation(Gaze(), fov_a, fov_b)
 
 
-def test_bytes_are_srgb():
-    """Half of the light is 188 of 255."""
-    values = np.array([[[0.0, 0.5, 1.0], [-1.0, 2.0, 0.0031308]]], dtype=np.float32)
-    assert bytes_from_radiance(values).tolist() == [[[0, 188, 255], [0, 255, 10]]]
+def test_equal_radii_and_no_disc_are_allowed():
+    assert Foveation(Gaze(), 20, 20).fov_b == 20
+    assert Foveation(Gaze(), 0, 0).fov_a == 0

@@ -19,7 +19,7 @@ from PIL import Image
 from hybrid.cli.main import app
 from hybrid.output.images import read_layers
 from splat.io.forest_file import load_forest, save_forest
-from splat.io.ply import export_ply
+from splat.io.ply import save_ply
 from tests.conftest import real_file
 from tests.hybrid.command import TINY_CAPTURE, TINY_TRAINING, run
 
@@ -437,7 +437,7 @@ def test_a_mistake_is_one_line_and_exit_code_2(mistake, made, monkeypatch, tmp_p
     shutil.copy(made / "box.forest", tmp_path / "corrupt")
     with open(tmp_path / "corrupt", "r+b") as file:
         file.write(b"\xff" * 64)
-    export_ply(tmp_path / "good.ply", load_forest(made / "box.forest").finest)
+    save_ply(tmp_path / "good.ply", load_forest(made / "box.forest").finest)
     camera = json.loads((made / "frames" / "transforms.json").read_text())
     pose = camera["frames"][0]["transform_matrix"]
     (tmp_path / "half.json").write_text(json.dumps({**camera, "transform_matrix": pose, "w": 32.5}))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 from hybrid.baselines.methods import Hybrid
-from splat.lod.pictures import ForestRenderer
 
 from compose.base.errors import UserError
 from compose.camera.serialization import camera_from_json, camera_to_json
@@ -24,12 +23,15 @@ from pathtrace.dataset.rendering import render_frame
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer
+from splat.lod.renderer import ForestRenderer
 from splat.model.building import build_forest
-from splat.model.forest import Forest, static_layer
+from splat.model.forest import Forest
 from splat.model.forest import forest_of as forest_from
 from splat.model.gaussians import Gaussians
-from splat.training.initialization import TrainingView, seed_from_views
+from splat.model.layer import static_layer
+from splat.training.initialization import seed_from_views
 from splat.training.trainer import Trainer, TrainingSettings
+from splat.training.views import TrainingView
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")

@@ -1,37 +1,40 @@
-"""The newest thing wins, and nobody waits for nothing."""
+"""The newest item wins, is taken once, and wakes whoever waits for it."""
 
 from __future__ import annotations
 
 import threading
-import time
 
 from hybrid.interactive.newest import Newest
 
 
-def test_the_newest_wins_and_is_new_once():
-    place: Newest[int] = Newest()
-    assert place.take(0) == (None, False)
+def test_the_newest_item_is_taken_once():
+    slot: Newest[int] = Newest()
+    assert slot.take() is None
     for item in range(5):
-        place.put(item)
-    assert place.take(0) == (4, True)
-    assert place.take(0) == (4, False)
+        slot.put(item)
+    assert slot.take() == 4
+    assert slot.take() is None
 
 
-def test_who_waits_is_woken():
-    place: Newest[str] = Newest()
-    timer = threading.Timer(0.05, place.put, ["here"])
-    timer.start()
-    start = time.perf_counter()
-    assert place.take(10) == ("here", True)
-    assert time.perf_counter() - start < 5
-    timer.join()
+def test_taking_from_an_empty_slot_gives_up():
+    assert Newest[int]().take(0.01) is None
 
 
-def test_many_threads_lose_nothing_that_is_last():
-    place: Newest[int] = Newest()
-    threads = [threading.Thread(target=lambda: [place.put(n) for n in range(1000)]) for _ in range(4)]
+def test_an_item_wakes_whoever_waits():
+    slot: Newest[str] = Newest()
+    taken: list[str | None] = []
+    waits = threading.Thread(target=lambda: taken.append(slot.take(600)), daemon=True)
+    waits.start()
+    slot.put("here")
+    waits.join(60)
+    assert taken == ["here"]
+
+
+def test_what_many_threads_put_last_is_not_lost():
+    slot: Newest[int] = Newest()
+    threads = [threading.Thread(target=lambda: [slot.put(n) for n in range(1000)]) for _ in range(4)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert place.take(0) == (999, True)
+    assert slot.take() == 999

@@ -1,22 +1,26 @@
-"""The cache folder: which forest of a scene is the newest."""
+"""The cache folder, and which forest of a scene is the newest."""
 
 from __future__ import annotations
 
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from hybrid.store.cache import newest_forest, scene_folder
+from hybrid.store import cache
+from hybrid.store.cache import home, newest_forest, scene_folder, store_forest
 from pathtrace.scene.scene import load_scene
+from splat.io.forest_file import load_forest
 from tests import small
+from tests.hybrid.forests import white_dot
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
 
 
-@pytest.fixture
-def scene():
+@pytest.fixture(scope="module")
+def scene(backend):
     return load_scene(small.furnace())
 
 
@@ -31,16 +35,47 @@ def folder(scene):
     return folder
 
 
+def test_the_cache_folder_is_the_platforms_unless_the_environment_names_one(monkeypatch, tmp_path):
+    monkeypatch.setattr(cache.platformdirs, "user_cache_dir", lambda name: f"/caches/{name}")
+    assert home() == tmp_path / "home"
+    for unset in (lambda: monkeypatch.setenv("HYBRID_HOME", ""), lambda: monkeypatch.delenv("HYBRID_HOME")):
+        unset()
+        assert home() == Path("/caches/hybrid")
+
+
+def test_each_version_of_a_scene_has_a_folder_of_its_own():
+    folders = {scene_folder(*of) for of in (("a", "12" * 32), ("a", "34" * 32), ("b", "12" * 32))}
+    assert len(folders) == 3
+    assert {folder.parent for folder in folders} == {home()}
+    assert scene_folder("a", "12" * 32).name == "a-121212121212"
+
+
+def test_the_forest_that_was_stored_last_is_the_newest(scene):
+    forest = replace(white_dot((0, 0, 1)), scene_name=scene.name, scene_hash=scene.hash)
+    store_forest(replace(forest, scene_hash="ab" * 32), "of-another-scene")
+    assert newest_forest(scene) is None
+    store_forest(forest, "first")
+    assert newest_forest(scene).name == "first.safetensors"
+    os.utime(newest_forest(scene), (1000, 1000))
+    store_forest(replace(forest, trained_focal=51.0), "again")
+    assert load_forest(newest_forest(scene)).trained_focal == 51
+
+
 def test_a_scene_without_forests_has_no_newest_one(scene):
     assert newest_forest(scene) is None
 
 
-def test_a_forest_whose_writing_is_not_finished_is_not_the_newest(scene, folder):
+def test_an_incomplete_file_is_not_the_newest_forest(scene, folder):
     (folder / ".part-newer.safetensors").write_text("")
     assert newest_forest(scene) == folder / "new.safetensors"
 
 
-def test_a_forest_that_vanishes_meanwhile_is_passed_over(scene, folder, monkeypatch):
+def test_files_of_another_kind_are_no_forests(scene, folder):
+    (folder / "newer.safetensors.checkpoint").write_text("")
+    assert newest_forest(scene) == folder / "new.safetensors"
+
+
+def test_a_forest_that_vanishes_meanwhile_is_skipped(scene, folder, monkeypatch):
     stat = Path.stat
 
     def vanishing(path, **options):

@@ -110,6 +110,12 @@ def test_a_linear_ramp_survives_the_lower_resolution(resampling_alone, size):
     np.testing.assert_allclose(result[0, 0], [0.5, 0.5, 50.5], rtol=1e-5)
 
 
+def test_an_even_image_stays_even(resampling_alone):
+    """Up to its border, also where an odd side leaves half a block."""
+    even = np.full((7, 11, 3), 2.5, dtype=np.float32)
+    np.testing.assert_allclose(denoise_coarsely(even, even, even), even, rtol=1e-5)
+
+
 def test_the_albedos_detail_is_restored(resampling_alone):
     """Under even light, stripes of single pixels come back although half the resolution cannot show them."""
     albedo = np.zeros((8, 8, 3), dtype=np.float32)

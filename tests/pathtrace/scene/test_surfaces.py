@@ -110,6 +110,7 @@ def test_directions_are_even_over_the_sphere():
     assert directions.shape == (256, 3)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1)
     np.testing.assert_allclose(directions.mean(axis=0), 0, atol=0.01)
+    assert directions[:, 2].mean() == pytest.approx(0, abs=1e-9)
     np.testing.assert_allclose(directions.T @ directions / 256, np.eye(3) / 3, atol=0.01)
     # Each has its own place: an even spacing would be about 0.22.
     gaps = np.linalg.norm(directions[:, None] - directions, axis=-1) + 2 * np.eye(256)

@@ -1,4 +1,4 @@
-"""Where samples go in their pixels."""
+"""Which lane traces which sample, and where samples lie in their boxes."""
 
 from __future__ import annotations
 
@@ -14,51 +14,118 @@ pytestmark = pytest.mark.usefixtures("backend")
 COUNT = 500
 
 
-def places(spp, taken: int = 0, pattern: int = 1) -> np.ndarray:
-    """(COUNT, spp, 2) offsets in their boxes, of positions at whole numbers."""
-    corner = mi.Float(np.arange(COUNT, dtype=np.float32)), mi.Float(np.full(COUNT, 7, dtype=np.float32))
+def row_of_boxes(row: float = 7) -> FilmPositions:
+    """COUNT pixels side by side."""
+    return FilmPositions(mi.Float(np.arange(COUNT, dtype=np.float32)), mi.Float(np.full(COUNT, row)))
+
+
+def samples(spp, offset=0, pattern: int = 1, row: float = 7) -> np.ndarray:
+    """(COUNT, spp, 2) sample positions relative to their boxes."""
     lanes = Lanes.of(COUNT, spp)
-    x, y = lanes.places(FilmPositions(*corner), mi.UInt32(taken), mi.UInt32(pattern))
+    x, y = lanes.sample_positions(row_of_boxes(row), mi.UInt32(offset), mi.UInt32(pattern))
     used = slice(0, lanes.count)
     index = lanes.index.numpy()[used]
-    offsets = np.stack([x.numpy()[used] - index, y.numpy()[used] - 7], axis=-1)
-    return offsets.reshape(COUNT, -1, 2)
+    return np.stack([x.numpy()[used] - index, y.numpy()[used] - row], axis=-1).reshape(COUNT, -1, 2)
+
+
+def test_lanes_of_equal_counts():
+    lanes = Lanes.of(3, 2)
+    assert lanes.count == 6
+    assert lanes.index.numpy()[:6].tolist() == [0, 0, 1, 1, 2, 2]
+    assert lanes.sample.numpy()[:6].tolist() == [0, 1, 0, 1, 0, 1]
+    assert lanes.first.numpy().tolist() == [0, 2, 4]
+
+
+def test_lanes_of_different_counts():
+    lanes = Lanes.of(4, np.array([2, 0, 1, 3]))
+    assert lanes.count == 6
+    assert lanes.index.numpy()[:6].tolist() == [0, 0, 2, 3, 3, 3]
+    assert lanes.sample.numpy()[:6].tolist() == [0, 1, 0, 0, 1, 2]
+    assert lanes.first.numpy()[[0, 2, 3]].tolist() == [0, 2, 3]
+
+
+@pytest.mark.parametrize(("positions", "spp", "width"), [(3, 2, 4096), (4096, 1, 4096), (4097, 1, 8192)])
+def test_lanes_are_padded_with_inactive_ones(positions, spp, width):
+    """A frozen function is not recorded again as long as the width stays a multiple of 4096."""
+    for counts in (spp, np.full(positions, spp)):
+        active = Lanes.of(positions, counts).active.numpy()
+        assert len(active) == width
+        assert active[: positions * spp].all()
+        assert not active[positions * spp :].any()
+
+
+def test_sums_are_over_each_positions_samples():
+    channel = mi.Float(np.concatenate([[1, 2, 4, 8, 16, 32], np.full(4090, 1000.0)]))
+    assert Lanes.of(3, 2).sums(channel).numpy().tolist() == [3, 12, 48]
+    assert Lanes.of(6, 1).sums(channel).numpy().tolist() == [1, 2, 4, 8, 16, 32]
+    assert Lanes.of(5, np.array([2, 0, 1, 3, 0])).sums(channel).numpy().tolist() == [3, 0, 4, 56, 0]
 
 
 @pytest.mark.parametrize("spp", [2, 4, 16])
 def test_every_column_and_row_of_a_box_gets_one_sample(spp):
-    strata = np.sort(np.floor(places(spp) * spp), axis=1)
+    strata = np.sort(np.floor(samples(spp) * spp), axis=1)
     assert (strata == np.arange(spp)[None, :, None]).all()
 
 
-def test_later_samples_go_where_earlier_ones_left_gaps():
-    both = np.concatenate([places(4), places(4, taken=4)], axis=1)
-    np.testing.assert_array_equal(both, places(8))
+def test_every_cell_of_a_box_gets_one_sample():
+    """The first 16 points of a Sobol sequence fill a grid of 4 x 4."""
+    cells = np.floor(samples(16) * 4)
+    assert (np.sort(cells[..., 0] * 4 + cells[..., 1], axis=1) == np.arange(16)).all()
+
+
+def test_later_samples_fill_the_gaps_between_earlier_ones():
+    both = np.concatenate([samples(4), samples(4, offset=4)], axis=1)
+    np.testing.assert_array_equal(both, samples(8))
     assert (np.sort(np.floor(both * 8), axis=1) == np.arange(8)[None, :, None]).all()
 
 
-def test_first_places_are_spread_evenly_over_all_boxes():
-    """Each box's first place is uniform: the estimate of any one sample is unbiased."""
-    first = places(1)[:, 0]
+def test_each_position_may_have_its_own_offset():
+    offsets = small.rng().integers(0, 6, COUNT).astype(np.uint32)
+    expected = samples(8)[np.arange(COUNT)[:, None], offsets[:, None] + np.arange(2)]
+    np.testing.assert_array_equal(samples(2, offset=offsets), expected)
+
+
+def test_first_samples_are_uniform_over_all_boxes():
+    """Each box's first sample is uniform: the estimate of any one sample is unbiased."""
+    first = samples(1)[:, 0]
     counts = np.histogram2d(first[:, 0], first[:, 1], bins=5, range=[[0, 1], [0, 1]])[0]
     expected = COUNT / 25
     # Chi-squared with 24 degrees of freedom: 0.999 quantile.
     assert ((counts - expected) ** 2 / expected).sum() < 51.2
 
 
-def test_patterns_and_numbers_per_position_may_differ():
-    assert not np.array_equal(places(2, pattern=1), places(2, pattern=2))
+@pytest.mark.parametrize("other", [{"pattern": 2}, {"row": 8}])
+def test_other_patterns_and_boxes_are_scrambled_independently(other):
+    one, two = samples(1)[:, 0], samples(1, **other)[:, 0]
+    for axis in (0, 1):
+        # Uncorrelated: standard deviation 1 / sqrt(500) = 0.045.
+        assert abs(np.corrcoef(one[:, axis], two[:, axis])[0, 1]) < 4 * 0.045
+
+
+def test_a_boxs_samples_do_not_depend_on_the_other_boxes():
+    pixels = np.array([17, 3, 400], dtype=np.float32)
+    lanes = Lanes.of(3, 4)
+    boxes = FilmPositions(mi.Float(pixels), mi.Float([7, 7, 7]))
+    x, _ = lanes.sample_positions(boxes, mi.UInt32(0), mi.UInt32(1))
+    found = x.numpy()[:12].reshape(3, 4) - pixels[:, None]
+    np.testing.assert_array_equal(found, samples(4)[pixels.astype(int), :, 0])
+
+
+def test_numbers_of_samples_may_differ():
     counts = small.rng().integers(0, 5, COUNT)
-    corner = mi.Float(np.arange(COUNT, dtype=np.float32)), mi.Float(np.full(COUNT, 7, dtype=np.float32))
     lanes = Lanes.of(COUNT, counts)
-    x, _ = lanes.places(FilmPositions(*corner), mi.UInt32(0), mi.UInt32(1))
-    offsets = (x.numpy() - lanes.index.numpy())[: lanes.count]
-    even = places(4)[..., 0]
-    np.testing.assert_array_equal(offsets, np.concatenate([even[i, :n] for i, n in enumerate(counts)]))
+    x, _ = lanes.sample_positions(row_of_boxes(), mi.UInt32(0), mi.UInt32(1))
+    found = (x.numpy() - lanes.index.numpy())[: lanes.count]
+    even = samples(4)[..., 0]
+    np.testing.assert_array_equal(found, np.concatenate([even[i, :n] for i, n in enumerate(counts)]))
 
 
-def test_a_sequence_that_ends_begins_anew_elsewhere():
-    assert not np.array_equal(places(4), places(4, taken=4096))
+def test_a_sequence_that_ends_restarts_scrambled_otherwise():
+    restarted = samples(4, offset=4096)
+    assert not np.array_equal(restarted, samples(4))
+    assert (np.sort(np.floor(restarted * 4), axis=1) == np.arange(4)[None, :, None]).all()
+    across = samples(2, offset=4095)
+    np.testing.assert_array_equal(across[:, 1], restarted[:, 0])
 
 
 def test_samples_fill_boxes_of_any_size():
@@ -66,13 +133,13 @@ def test_samples_fill_boxes_of_any_size():
     width = small.rng().uniform(0.25, 3, COUNT).astype(np.float32)
     boxes = box_positions(left, np.full(COUNT, 2.0), width, np.full(COUNT, 0.5))
     lanes = Lanes.of(COUNT, 4)
-    x, y = lanes.places(boxes, mi.UInt32(0), mi.UInt32(1))
+    x, y = lanes.sample_positions(boxes, mi.UInt32(0), mi.UInt32(1))
     index = lanes.index.numpy()[: lanes.count]
     inside = (x.numpy()[: lanes.count] - left[index]) / width[index]
-    # Far from 0 float32 is coarser than narrow boxes' quarters are exact.
+    # Far from 0, float32 is coarser than the quarters of narrow boxes are exact.
     quarters = np.sort(np.floor(inside.reshape(COUNT, 4) * 4 + 1e-3), axis=1)
     assert (quarters == np.arange(4)).mean() > 0.99
     assert (inside > -1e-3).all()
     assert (inside < 1 + 1e-3).all()
-    assert y.numpy()[: lanes.count].min() >= 2
-    assert y.numpy()[: lanes.count].max() < 2.5
+    rows = (y.numpy()[: lanes.count] - 2) / 0.5
+    assert (np.sort(np.floor(rows.reshape(COUNT, 4) * 4), axis=1) == np.arange(4)).all()

@@ -1,4 +1,4 @@
-"""The tracer against Mitsuba's own render, the furnace, and the cameras' agreement."""
+"""The tracer against Mitsuba's own render, closed spheres, and areas that can be computed by hand."""
 
 from __future__ import annotations
 
@@ -9,16 +9,169 @@ import pytest
 from scipy import stats
 
 from compose.camera.axes import mitsuba_from_opencv
+from compose.camera.camera import Camera
 from pathtrace.scene.scene import load_scene
-from pathtrace.trace.film import FilmPositions, frame_positions, pixel_positions
-from pathtrace.trace.tracer import Tracer
+from pathtrace.trace.film import FilmPositions, box_positions, frame_positions, interleaved, pixel_positions
+from pathtrace.trace.tracer import Tracer, auxiliary_spp
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")
 
 
-def picture(traced, camera) -> np.ndarray:
+def image_of(traced, camera) -> np.ndarray:
     return np.stack([c.numpy() for c in traced.radiance], axis=-1).reshape(camera.height, camera.width, 3)
+
+
+# Radiance and albedo of the lit square.
+GLOW, ALBEDO = np.array([2.0, 1.0, 0.5]), 0.25
+
+
+def lit_square() -> dict:
+    """A glowing square that covers part of the view, turned so that its edges cross pixels.
+
+    At path depth 1, radiance is its coverage of a pixel times GLOW: it depends on the sample positions alone.
+    """
+    look = mi.ScalarTransform4f().look_at(origin=[0, 0, 0], target=[0, 0, 1], up=[0, 1, 0])
+    square = (
+        mi.ScalarTransform4f().translate([0, 0, 2]).rotate([0, 0, 1], 20).rotate([0, 1, 0], 180).scale(0.5)
+    )
+    return {
+        "type": "scene",
+        "sensor": {**small.sensor(16, 16, 60.0), "to_world": look},
+        "square": {
+            "type": "rectangle",
+            "to_world": square,
+            "bsdf": {"type": "diffuse", "reflectance": ALBEDO},
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": GLOW.tolist()}},
+        },
+    }
+
+
+@pytest.fixture(scope="module")
+def square(backend) -> tuple[Tracer, Camera, FilmPositions]:
+    scene = load_scene(lit_square(), max_depth=1)
+    return Tracer(scene), scene.camera, frame_positions(scene.camera)
+
+
+def radiance(square, *args, **options) -> np.ndarray:
+    """(N, 3) radiance of the lit square's view."""
+    tracer, camera, positions = square
+    return interleaved(tracer.trace(camera, positions, *args, **options).radiance)
+
+
+def test_radiance_is_the_mean_over_each_pixel(square):
+    """The square's area in the image: 8 pixels high at fy = 13.86, z = 2 and side 1: 6.93 squared."""
+    found = radiance(square, 256)
+    np.testing.assert_allclose(found.sum(axis=0), 6.928**2 * GLOW, rtol=0.005)
+    assert found.max() == pytest.approx(2, rel=1e-6)
+    # Along the edges, pixels are covered in part.
+    assert ((found[:, 0] > 0.1) & (found[:, 0] < 1.9)).sum() > 20
+
+
+def test_squares_are_means_of_squared_samples(square):
+    """Samples are 0 or GLOW; so their squares are GLOW times as much."""
+    tracer, camera, positions = square
+    traced = tracer.trace(camera, positions, 16)
+    np.testing.assert_allclose(interleaved(traced.squares), interleaved(traced.radiance) * GLOW, rtol=1e-5)
+
+
+def test_an_offset_continues_the_sequence(square):
+    """Four samples and the four after them are the first eight, whatever the seeds."""
+    eight = radiance(square, 8, seed=1, pattern=5)
+    first, second = radiance(square, 4, seed=2, pattern=5), radiance(square, 4, seed=3, offset=4, pattern=5)
+    assert not np.array_equal(first, second)
+    np.testing.assert_allclose((first + second) / 2, eight, atol=1e-6)
+    each = radiance(square, 4, offset=np.where(np.arange(256) % 2, 4, 0), pattern=5)
+    np.testing.assert_array_equal(each, np.where(np.arange(256)[:, None] % 2, second, first))
+
+
+def test_the_pattern_is_that_of_the_seed_by_default(square):
+    np.testing.assert_array_equal(radiance(square, 4, seed=5), radiance(square, 4, seed=9, pattern=5))
+    assert not np.array_equal(radiance(square, 4, seed=5), radiance(square, 4, seed=5, pattern=6))
+    assert not np.array_equal(radiance(square, 4, seed=5), radiance(square, 4, seed=5, pattern=0))
+
+
+def test_a_sequence_that_restarts_is_not_that_of_the_next_pattern(square):
+    """After 4096 samples, positions are scrambled otherwise; neighbouring patterns must not be alike then."""
+    again = radiance(square, 4, offset=4096, pattern=5)
+    for pattern in (4, 5, 6):
+        assert not np.array_equal(again, radiance(square, 4, pattern=pattern))
+
+
+@pytest.mark.parametrize("spp", [7, np.arange(256) % 9 + 1])
+def test_many_samples_are_traced_in_passes(square, monkeypatch, spp):
+    """Each sample once, however few lanes there are at once."""
+    whole = radiance(square, spp, seed=3)
+    monkeypatch.setattr("pathtrace.trace.tracer._MAX_LANES", 300)
+    np.testing.assert_allclose(radiance(square, spp, seed=3), whole, atol=1e-6)
+
+
+def test_passes_have_random_numbers_of_their_own(monkeypatch):
+    """Otherwise, the paths of all passes would be alike, and their mean as noisy as one pass."""
+    scene = load_scene(small.corner())
+    tracer, camera, positions = Tracer(scene), scene.camera, frame_positions(scene.camera)
+    truth = image_of(tracer.trace(camera, positions, 1024, seed=9), camera)
+    error = lambda seed: np.mean((image_of(tracer.trace(camera, positions, 16, seed), camera) - truth) ** 2)  # noqa: E731
+    whole = np.mean([error(seed) for seed in range(4)])
+    monkeypatch.setattr("pathtrace.trace.tracer._MAX_LANES", positions.count)
+    assert np.mean([error(seed) for seed in range(4)]) < 1.5 * whole
+
+
+def test_auxiliary_features_have_the_same_edges_as_radiance(square):
+    """With the same pattern, offset and number of samples, both have the square's coverage."""
+    tracer, camera, positions = square
+    coverage = radiance(square, 4, seed=5, offset=3)[:, 0] / GLOW[0]
+    found = tracer.auxiliary(camera, positions, 4, pattern=5, offset=3)
+    np.testing.assert_allclose(found.albedo[1].numpy(), coverage * ALBEDO, atol=1e-6)
+    np.testing.assert_allclose(found.normal[2].numpy(), -coverage, atol=1e-5)
+
+
+def test_auxiliary_positions_are_those_of_the_first_sample(square):
+    tracer, camera, positions = square
+    first, other = (
+        interleaved(tracer.auxiliary(camera, positions, 1, pattern=5, offset=offset).position)
+        for offset in (3, 4)
+    )
+    found = tracer.auxiliary(camera, positions, 4, pattern=5, offset=3)
+    np.testing.assert_array_equal(interleaved(found.position), first)
+    assert not np.array_equal(first, other)
+    # Each lies on a ray through its pixel.
+    pixels, _ = camera.project(first.astype(np.float64))
+    inside = pixels - camera.pixel_centres() + 0.5
+    assert inside.min() > -1e-3
+    assert inside.max() < 1 + 1e-3
+    assert found.gloss.numpy().tolist() == [0] * 256
+
+
+@pytest.mark.parametrize(("spp", "expected"), [(1, 4), (4, 4), (5, 5), (16, 16), (17, 16), (1024, 16)])
+def test_auxiliary_features_take_4_to_16_samples(spp, expected):
+    assert auxiliary_spp(spp) == expected
+
+
+def test_samples_that_are_not_finite_count_as_black():
+    """A ball of infinite radiance in red, seen directly and in the light on the walls."""
+    description = small.corner()
+    infinite = {"type": "area", "radiance": {"type": "rgb", "value": [float("inf"), 1, 1]}}
+    description["star"] = {"type": "sphere", "center": [-0.3, 0.3, 0.8], "radius": 0.1, "emitter": infinite}
+    scene = load_scene(description)
+    traced = Tracer(scene).trace(scene.camera, frame_positions(scene.camera), 16)
+    found = image_of(traced, scene.camera)
+    assert np.isfinite(found).all()
+    assert np.isfinite(interleaved(traced.squares)).all()
+    (x, y), _ = (values[0] for values in scene.camera.project(np.array([[-0.3, 0.3, 0.8]])))
+    assert found[int(y), int(x)].tolist() == [0, 0, 0]
+
+
+def test_roulette_ends_paths_early_without_a_bias():
+    """In a closed sphere, radiance stays 1 and gets noisier."""
+    scene = load_scene(small.furnace(0.5), max_depth=40)
+    spread = []
+    for depth in (40, 2):
+        tracer = Tracer(scene, roulette_depth=depth)
+        values = radiance((tracer, scene.camera, frame_positions(scene.camera)), 16)[:, 0]
+        assert abs(values.mean() - 1) < 4 * values.std() / np.sqrt(len(values)) + 1e-3
+        spread.append(values.std())
+    assert spread[1] > 1.5 * spread[0]
 
 
 def test_radiance_agrees_with_mitsubas_render(backend):
@@ -30,7 +183,7 @@ def test_radiance_agrees_with_mitsubas_render(backend):
     runs, spp = 24, 32
     ours, theirs = [], []
     for seed in range(runs):
-        ours.append(picture(tracer.trace(camera, frame_positions(camera), spp, seed), camera))
+        ours.append(image_of(tracer.trace(camera, frame_positions(camera), spp, seed), camera))
         theirs.append(mi.render(scene.mitsuba, integrator=integrator, spp=spp, seed=1000 + seed).numpy())
     p = stats.ttest_ind(np.array(ours), np.array(theirs), equal_var=False).pvalue
     # Pixels that see the lamp directly are the same in every run and have no variance to test.
@@ -40,20 +193,20 @@ def test_radiance_agrees_with_mitsubas_render(backend):
     assert len(tested) > 2000
     threshold = 1 - (1 - 0.01) ** (1 / len(tested))
     assert tested.min() > threshold
-    # A small bias everywhere, too small for any pixel, shows in the mean of the whole picture.
+    # A bias too small to show in any pixel shows in the mean of the whole image.
     means = [np.mean(images, axis=(1, 2, 3)) for images in (ours, theirs)]
     assert stats.ttest_ind(*means, equal_var=False).pvalue > 1e-3
 
 
-def test_the_test_above_can_fail(backend):
-    """The same comparison against paths of depth 2 finds the missing bounces."""
+def test_missing_bounces_would_be_noticed(backend):
+    """The test above fails for paths of depth 2."""
     scene = load_scene(small.corner(), max_depth=6)
     camera = scene.camera
     runs = {}
     for depth in (2, 6):
         tracer = Tracer(scene, max_depth=depth)
         runs[depth] = [
-            picture(tracer.trace(camera, frame_positions(camera), 32, seed), camera) for seed in range(8)
+            image_of(tracer.trace(camera, frame_positions(camera), 32, seed), camera) for seed in range(8)
         ]
     p = stats.ttest_ind(np.array(runs[2]), np.array(runs[6]), equal_var=False).pvalue
     assert np.nanmin(p) < 1e-6
@@ -63,44 +216,30 @@ def test_the_test_above_can_fail(backend):
 def test_a_closed_sphere_has_radiance_one(reflectance):
     scene = load_scene(small.furnace(reflectance), max_depth=40)
     traced = Tracer(scene).trace(scene.camera, frame_positions(scene.camera), spp=64, seed=3)
-    values = picture(traced, scene.camera).mean(axis=2).ravel()
+    values = image_of(traced, scene.camera).mean(axis=2).ravel()
     error = values.std(ddof=1) / np.sqrt(len(values))
     assert abs(values.mean() - 1) < 4 * error + 1e-4
     assert error < 0.01
 
 
 def test_a_disc_is_a_part_of_the_frame():
-    """Same positions, another order and selection: equal within noise, equal in what has no noise."""
+    """A selection of a frame's pixels has the frame's radiance and albedo there, within noise."""
     scene = load_scene(small.corner())
     camera = scene.camera
     indices = np.array([5, 17, 400, 401, 900], dtype=np.uint32)
-    tracer, disc, frame = (
-        Tracer(scene),
-        pixel_positions(mi.UInt32(indices), camera.width),
-        frame_positions(camera),
-    )
+    tracer, frame = Tracer(scene), frame_positions(camera)
+    disc = pixel_positions(mi.UInt32(indices), camera.width)
     parts = tracer.trace(camera, disc, 4096, 1).radiance + tracer.auxiliary(camera, disc, 1024, 1).albedo
     wholes = tracer.trace(camera, frame, 512, 2).radiance + tracer.auxiliary(camera, frame, 512, 2).albedo
     for part, whole in zip(parts, wholes, strict=True):
         np.testing.assert_allclose(part.numpy(), whole.numpy()[indices], rtol=0.15, atol=0.02)
 
 
-def test_samples_are_averaged_over_passes(monkeypatch):
-    """Many samples are traced in several passes; their mean must not depend on where the passes end."""
-    import pathtrace.trace.tracer as module
-
-    scene = load_scene(small.furnace())
-    monkeypatch.setattr(module, "_MAX_LANES", 3 * 32 * 32)
-    tracer = Tracer(scene, max_depth=40)
-    values = picture(tracer.trace(scene.camera, frame_positions(scene.camera), spp=16), scene.camera)
-    assert values.mean() == pytest.approx(1, abs=0.02)
-
-
 def test_seeds_repeat_and_differ():
     scene = load_scene(small.corner())
     tracer, positions = Tracer(scene), frame_positions(scene.camera)
     first, again, other = (
-        picture(tracer.trace(scene.camera, positions, 2, seed), scene.camera) for seed in (7, 7, 8)
+        image_of(tracer.trace(scene.camera, positions, 2, seed), scene.camera) for seed in (7, 7, 8)
     )
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
@@ -109,17 +248,44 @@ def test_seeds_repeat_and_differ():
 def test_a_moving_gaze_or_camera_records_nothing_again():
     scene = load_scene(small.corner())
     tracer, camera = Tracer(scene), scene.camera
-    positions = pixel_positions(dr.arange(mi.UInt32, 700), camera.width)
-    tracer.trace(camera, positions, 1, 0)
-    before = tracer._trace_radiance.n_recordings
-    for step in range(1, 6):
+
+    def frame(step: int) -> None:
         moved = pixel_positions(dr.arange(mi.UInt32, 700 - 13 * step) + step, camera.width)
-        tracer.trace(camera.resized(32 + step, 32), moved, 1, step)
-    assert tracer._trace_radiance.n_recordings == before
+        view = camera.resized(32 + step, 32)
+        tracer.trace(view, moved, 1, step, offset=step)
+        tracer.auxiliary(view, moved, 4, pattern=step)
+
+    frame(0)
+    before = tracer._trace_radiance.n_recordings, tracer._trace_auxiliary.n_recordings
+    for step in range(1, 6):
+        frame(step)
+    assert (tracer._trace_radiance.n_recordings, tracer._trace_auxiliary.n_recordings) == before
+
+
+def test_a_moving_gaze_or_camera_compiles_nothing_again():
+    scene = load_scene(small.corner())
+    tracer, camera = Tracer(scene), scene.camera
+
+    def frame(step: int) -> list[bool]:
+        """Whether each kernel of a frame was known before."""
+        dr.kernel_history_clear()
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+            moved = pixel_positions(dr.arange(mi.UInt32, 700 - 13 * step) + step, camera.width + step)
+            view = camera.resized(camera.width + step, 32)
+            tracer.trace(view, moved, 1, step, offset=step)
+            tracer.auxiliary(view, moved, 4, pattern=step)
+            tracer.hits(view, moved)
+        return [entry["cache_hit"] for entry in dr.kernel_history() if entry["type"] == dr.KernelType.JIT]
+
+    # Numbers that happen to be 0 or 1 have kernels of their own.
+    for step in (2, 3):
+        frame(step)
+    assert len(frame(4)) >= 3
+    assert all(frame(5))
 
 
 def test_film_positions_need_not_be_pixels():
-    """At the same place between two pixels, whatever the list around it."""
+    """Boxes that lie across pixels see a closed sphere's radiance as well."""
     scene = load_scene(small.furnace())
     positions = FilmPositions(mi.Float([3.25, 17.5]), mi.Float([8.75, 1.1]))
     traced = Tracer(scene, max_depth=40).trace(scene.camera, positions, 4096)
@@ -131,21 +297,51 @@ def test_hits_lie_on_the_surfaces():
     camera = scene.camera
     hits = Tracer(scene).hits(camera, frame_positions(camera))
     points = camera.position + camera.rays(camera.pixel_centres()) * hits.distance[:, None]
-    plain = hits.unfolded == hits.distance
-    on_back = plain & (np.abs(points[:, 2] - 2) < 1e-3)
-    on_board = plain & (np.abs(points[:, 2] - 1.2) < 1e-3)
+    direct = hits.unfolded == hits.distance
+    on_back = direct & (np.abs(points[:, 2] - 2) < 1e-3)
+    on_board = direct & (np.abs(points[:, 2] - 1.2) < 1e-3)
     on_ball = np.abs(np.linalg.norm(points - [0.5, -0.1, 1.0], axis=1) - 0.35) < 1e-3
     assert on_back.any()
     assert on_board.any()
     assert on_ball.any()
-    # The ball is a mirror: what is seen in it lies farther away than its surface.
+    assert (on_back | on_board | on_ball).mean() > 0.95
+    # The ball is a mirror: what it shows lies farther away than its surface.
     assert (hits.unfolded[on_ball] >= hits.distance[on_ball]).all()
     assert (hits.unfolded[on_ball] > hits.distance[on_ball] + 0.1).mean() > 0.2
-    assert len(np.unique(hits.shape[hits.shape >= 0])) >= 3
+    # Each surface is one shape of the scene, at its index.
+    for mask, centre in ((on_back, [0, 0, 2]), (on_board, [-0.6, 0.1, 1.2]), (on_ball, [0.5, -0.1, 1.0])):
+        (index,) = set(hits.shape[mask].tolist())
+        box = scene.mitsuba.shapes()[index].bbox()
+        np.testing.assert_allclose(np.ravel(box.center()), centre, atol=1e-5)
+    assert hits.distance.dtype == hits.unfolded.dtype == np.float32
+    assert hits.shape.dtype == np.int32
+
+
+def test_hits_go_through_the_middle_of_each_position():
+    """Of pixels, and of boxes that are 4 pixels wide and 2 high."""
+    scene = load_scene(small.furnace())
+    camera = scene.camera
+    left, top = np.array([0.0, 12, 28]), np.array([0.0, 20, 30])
+    boxes = box_positions(left, top, np.full(3, 4.0), np.full(3, 2.0))
+    hits = Tracer(scene).hits(camera, boxes)
+    middle = np.stack([left + 2, top + 1], axis=1)
+    points = camera.position + camera.rays(middle) * hits.distance[:, None]
+    np.testing.assert_allclose(np.linalg.norm(points, axis=1), 3, rtol=1e-5)
+
+
+def test_rays_that_hit_nothing_have_no_shape():
+    scene = load_scene(lit_square())
+    hits = Tracer(scene).hits(scene.camera, frame_positions(scene.camera))
+    missed = hits.shape == -1
+    assert missed.any()
+    assert not missed.all()
+    assert np.isinf(hits.distance[missed]).all()
+    assert np.isinf(hits.unfolded[missed]).all()
+    assert np.isfinite(hits.distance[~missed]).all()
 
 
 def test_mitsuba_sees_a_point_in_the_same_pixel(backend):
-    """A tiny lamp, rendered by Mitsuba through a sensor built from our camera."""
+    """A tiny lamp, rendered by Mitsuba through a sensor with the camera's pose."""
     scene = load_scene(small.corner())
     camera = scene.camera.resized(96, 64)
     point = np.array([0.2, 0.1, 1.0])
@@ -170,22 +366,8 @@ def test_mitsuba_sees_a_point_in_the_same_pixel(backend):
     np.testing.assert_allclose(centre, expected[0], atol=0.05)
 
 
-def test_the_projected_point_is_exact_in_mitsubas_sensor(backend):
-    """To 1e-3 px: the sensor's own direction sampling against Camera.project, with an offset film."""
-    description = small.corner()
-    description["sensor"]["principal_point_offset_x"] = 0.07
-    description["sensor"]["principal_point_offset_y"] = -0.04
-    scene = load_scene(description)
-    point = np.array([[0.2, 0.1, 1.0]])
-    expected, _ = scene.camera.project(point)
-    si = dr.zeros(mi.SurfaceInteraction3f)
-    si.p = mi.Point3f(*point[0].tolist())
-    sample, _ = scene.mitsuba.sensors()[0].sample_direction(si, mi.Point2f(0.5))
-    np.testing.assert_allclose(np.array(sample.uv).ravel(), expected[0], atol=1e-3)
-
-
 def test_each_position_may_have_its_own_number_of_samples():
-    """Means agree with those of equal numbers, within their noise; variance falls with the number."""
+    """Means agree with those of equal counts within their noise; the variance falls with the count."""
     scene = load_scene(small.corner())
     camera = scene.camera
     tracer, positions = Tracer(scene), frame_positions(camera)
@@ -197,7 +379,7 @@ def test_each_position_may_have_its_own_number_of_samples():
         mean, squares = traced.radiance[0].numpy(), traced.squares[0].numpy()
         means.append(mean)
         variances.append(np.maximum(squares - mean**2, 0) / (count - 1))
-    # Over the whole picture, and over the pixels that have few samples and those that have many.
+    # Over the whole image, and over the pixels with few and with many samples.
     for part in (counts > 0, counts == 64, counts == 256):
         difference = (means[0] - means[1])[part].sum()
         assert abs(difference) < 4 * np.sqrt(sum(variance[part].sum() for variance in variances))
@@ -205,14 +387,3 @@ def test_each_position_may_have_its_own_number_of_samples():
     few = variances[0][counts == 64].sum() / variances[1][counts == 64].sum()
     assert 3 < few < 5
     assert 0.75 < variances[0][counts == 256].sum() / variances[1][counts == 256].sum() < 1.3
-
-
-def test_many_samples_are_traced_in_parts(monkeypatch):
-    """However few lanes there are at once, every sample is traced and counted once."""
-    scene = load_scene(small.furnace(0.5), max_depth=40)
-    camera = scene.camera.resized(8, 8)
-    monkeypatch.setattr("pathtrace.trace.tracer._MAX_LANES", 100)
-    tracer, positions = Tracer(scene), frame_positions(camera)
-    for spp in (7, np.arange(1, 65)):
-        traced = tracer.trace(camera, positions, spp, seed=3)
-        assert np.mean([c.numpy().mean() for c in traced.radiance]) == pytest.approx(1, abs=0.03)

@@ -9,7 +9,13 @@ from compose.camera.camera import Camera
 from splat.model.gaussians import SH_CUBIC, SH_DC, SH_LINEAR, SH_QUADRATIC, Gaussians
 
 
+def double(g: Gaussians) -> Gaussians:
+    """The same Gaussians in float64."""
+    return Gaussians(**{name: tensor.double() for name, tensor in g.tensors()})
+
+
 def rotation_matrix(q: torch.Tensor) -> torch.Tensor:
+    """(N, 3, 3) of quaternions (4, N)."""
     w, x, y, z = q / q.norm(dim=0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -20,6 +26,7 @@ def rotation_matrix(q: torch.Tensor) -> torch.Tensor:
 
 
 def harmonics(count: int, d: torch.Tensor) -> torch.Tensor:
+    """(count, N) real spherical harmonics of directions (3, N)."""
     x, y, z = d
     a, b, c = SH_QUADRATIC
     e, f, g, h, i = SH_CUBIC
@@ -45,11 +52,13 @@ def harmonics(count: int, d: torch.Tensor) -> torch.Tensor:
 
 
 def radiance(perceptual: torch.Tensor) -> torch.Tensor:
+    """Inverse of the sRGB curve, continued above 1."""
     value = perceptual.clamp(min=0)
     return torch.where(value <= 0.04045, value / 12.92, ((value.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4)
 
 
 def project(g: Gaussians, camera: Camera, low_pass: float) -> dict[str, torch.Tensor]:
+    """N splats: centre (2, N), inverse (N, 2, 2), opacity (N,), colour (3, N), depth (N,)."""
     world = torch.tensor(camera.world_to_camera)
     W, t = world[:3, :3], world[:3, 3]
     local = W @ g.means + t[:, None]
@@ -93,6 +102,7 @@ def project(g: Gaussians, camera: Camera, low_pass: float) -> dict[str, torch.Te
 
 
 def blend(splats: dict[str, torch.Tensor], width: int, height: int) -> torch.Tensor:
+    """(H, W, 3) float64 of splats as `project` returns them."""
     order = torch.argsort(splats["depth"])
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     pixels = torch.tensor(np.stack([x, y]))  # (2, H, W)

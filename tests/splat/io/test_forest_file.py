@@ -13,7 +13,7 @@ from splat.model.building import build_forest
 from splat.model.forest import Forest, forest_of, static_layer
 from splat.model.gaussians import Gaussians
 from tests.conftest import real_file
-from tests.splat.raster.test_raster import camera, gaussians
+from tests.splat.samples import camera, gaussians
 
 
 def forest() -> Forest:

@@ -17,7 +17,7 @@ from splat.model.forest import Forest, forest_of, static_layer
 from splat.model.gaussians import Gaussians
 from splat.raster.projection import PIXEL_FILTER
 from tests.splat.raster import reference
-from tests.splat.raster.test_raster import gaussians
+from tests.splat.samples import gaussians
 
 WIDTH, HEIGHT = 150, 100
 CORNERS = (-(-HEIGHT // 16) + 1, -(-WIDTH // 16) + 1)

@@ -1,0 +1,165 @@
+"""Reprojection of single samples, by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from compose.fovea.reprojection import EarlierView, Reprojected, reproject
+from compose.fovea.samples import Samples
+from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
+from tests.compose.fovea.views import SIZE, camera, samples, wall
+
+# At (0, 0, -4), looking along +z at a wall at z = 0; one pixel is 1/12 wide there.
+VIEW = camera()
+WALL = samples(wall(VIEW), np.zeros(3))
+PIXEL = 4 / SIZE
+ELSEWHERE = np.array([0.05, 0.0, -4.0])
+
+
+def earlier(
+    points: list[list[float]], viewpoint: np.ndarray = ELSEWHERE, gloss: int = DIFFUSE, count: float = 2.0
+) -> EarlierView:
+    """Samples of points; the light of number n is n, n + 1, ... n + 5."""
+    size = len(points)
+    light = np.arange(size, dtype=np.float32)[:, None] + np.arange(6, dtype=np.float32)
+    return EarlierView(
+        np.full(size, count, dtype=np.float32),
+        light,
+        np.array(points, dtype=np.float32),
+        np.full(size, gloss, dtype=np.uint8),
+        viewpoint,
+    )
+
+
+def count_at(found: Reprojected | None, row: int, column: int) -> float:
+    if found is None:
+        return 0.0
+    return float(found.at(np.array([row]), np.array([column]))[0][0])
+
+
+def test_a_sample_goes_to_the_pixel_in_which_its_point_is_visible():
+    """World x and image x agree, world y is down: 2.5 and 1.5 pixels off the middle at column and row 24."""
+    found = reproject([earlier([[2.5 * PIXEL, 1.5 * PIXEL, 0]])], VIEW, WALL)
+    assert found is not None
+    count, sums = found.at(np.array([25, 25, 24]), np.array([26, 25, 26]))
+    assert count.tolist() == [2, 0, 0]
+    # Twice the light 0, 1, ... 5.
+    np.testing.assert_allclose(sums[0], [0, 2, 4, 6, 8, 10])
+    assert count.dtype == sums.dtype == np.float32
+    assert found.count.sum() == 2
+
+
+def test_samples_of_several_views_add_up_in_a_pixel():
+    inside = [[2.3 * PIXEL, 1.5 * PIXEL, 0], [2.7 * PIXEL, 1.5 * PIXEL, 0]]
+    found = reproject([earlier(inside), earlier(inside[:1], VIEW.position, count=5)], VIEW, WALL)
+    assert found is not None
+    count, sums = found.at(np.array([25]), np.array([26]))
+    assert count[0] == 2 + 2 + 5
+    # Twice 0, twice 1 and five times 0 for the first of six.
+    np.testing.assert_allclose(sums[0], [2, 11, 20, 29, 38, 47])
+
+
+@pytest.mark.parametrize(
+    "point",
+    [
+        [0.0, 0.0, -8.0],  # behind the camera, in line with the wall
+        [2.001, 0.0, 0.0],  # just outside the frame on each side
+        [-2.001, 0.0, 0.0],
+        [0.0, 2.001, 0.0],
+        [0.0, -2.001, 0.0],
+    ],
+)
+def test_points_out_of_view_are_dropped(point):
+    assert reproject([earlier([point], VIEW.position)], VIEW, WALL) is None
+
+
+def test_only_the_rectangle_around_the_new_samples_counts():
+    """Rows 20 to 22 and columns 30 to 33; outside it, nothing is known."""
+    pixels = np.array([20 * SIZE + 30, 21 * SIZE + 33, 22 * SIZE + 31], dtype=np.uint32)
+    index = pixels.astype(int)
+    new = Samples(*(getattr(WALL, name)[index] for name in WALL.__dataclass_fields__))
+    points = [
+        [(c + 0.5 - 24) * PIXEL, (r + 0.5 - 24) * PIXEL, 0]
+        for r, c in ((20, 30), (22, 33), (23, 31), (21, 29))
+    ]
+    found = reproject([earlier(points, VIEW.position)], VIEW, new)
+    assert found is not None
+    assert (found.rows, found.columns) == (slice(20, 23), slice(30, 34))
+    assert found.count.shape == (3, 4)
+    assert found.sums.shape == (3, 4, 6)
+    rows, columns = np.array([20, 22, 23, 21, 19]), np.array([30, 33, 31, 29, 30])
+    assert found.at(rows, columns)[0].tolist() == [2, 2, 0, 0, 0]
+    assert found.at(np.array([20]), np.array([34]))[0].tolist() == [0]
+
+
+@pytest.mark.parametrize(
+    ("depth", "kept"), [(4 * 1.004, True), (4 * 0.996, True), (4 * 1.01, False), (4 * 0.99, False)]
+)
+def test_a_point_that_is_not_on_the_visible_surface_is_dropped(depth, kept):
+    """Within half a percent of its distance it is."""
+    point = [0.5 * PIXEL, 0.5 * PIXEL, depth - 4]
+    assert (count_at(reproject([earlier([point])], VIEW, WALL), 24, 24) > 0) == kept
+    # From this very position whatever was visible still is.
+    assert count_at(reproject([earlier([point], VIEW.position)], VIEW, WALL), 24, 24) == 2
+
+
+@pytest.mark.parametrize(
+    ("gloss", "degrees", "kept"),
+    [
+        (DIFFUSE, 60, True),
+        (GLOSSY, 7.9, True),
+        (GLOSSY, 8.1, False),
+        (SPECULAR, 0.19, True),
+        (SPECULAR, 0.21, False),
+    ],
+)
+def test_glossy_surfaces_hold_as_long_as_the_direction_of_sight_hardly_turns(gloss, degrees, kept):
+    new = replace(WALL, gloss=np.full_like(WALL.gloss, gloss))
+    # Seen from around the point in the middle, 4 in front of the camera.
+    turn = np.radians(degrees)
+    viewpoint = np.array([4 * np.sin(turn), 0, -4 * np.cos(turn)])
+    found = reproject([earlier([[0.001, 0.001, 0]], viewpoint, gloss)], VIEW, new)
+    assert (count_at(found, 24, 24) > 0) == kept
+
+
+def test_nothing_else_lands_where_something_specular_is_visible():
+    gloss = WALL.gloss.copy()
+    gloss[24 * SIZE + 24] = SPECULAR
+    new = replace(WALL, gloss=gloss)
+    points = [[0.5 * PIXEL, 0.5 * PIXEL, 0], [1.5 * PIXEL, 0.5 * PIXEL, 0]]
+    found = reproject([earlier(points)], VIEW, new)
+    assert count_at(found, 24, 24) == 0
+    assert count_at(found, 24, 25) == 2
+
+
+def test_a_nearer_sample_hides_those_behind_it_in_its_quarter_of_a_pixel():
+    """A bar at z = -1 in front of column 24 of the wall: both may be visible there."""
+    position = WALL.position.copy().reshape(SIZE, SIZE, 3)
+    position[:, 24] = wall(VIEW, -1.0).reshape(SIZE, SIZE, 3)[:, 24]
+    new = replace(WALL, position=position.reshape(-1, 3).astype(np.float32))
+    near = [
+        0.25 * 0.75 * PIXEL,
+        0.25 * PIXEL,
+        -1.0,
+    ]  # upper left quarter of pixel (24, 24), at 3/4 of the distance
+    behind = [0.25 * PIXEL, 0.25 * PIXEL, 0.0]  # the same quarter
+    beside = [0.75 * PIXEL, 0.25 * PIXEL, 0.0]  # upper right quarter
+    assert count_at(reproject([earlier([behind])], VIEW, new), 24, 24) == 2
+    assert count_at(reproject([earlier([near, behind])], VIEW, new), 24, 24) == 2
+    assert count_at(reproject([earlier([near, beside])], VIEW, new), 24, 24) == 4
+    # Nothing hides what was visible from this very position.
+    both = [earlier([near]), earlier([behind], VIEW.position)]
+    assert count_at(reproject(both, VIEW, new), 24, 24) == 4
+
+
+def test_neighbouring_pixels_tell_which_distances_are_visible():
+    """A point at the distance of the bar holds up to one pixel beside it."""
+    position = WALL.position.copy().reshape(SIZE, SIZE, 3)
+    position[:, 24] = wall(VIEW, -1.0).reshape(SIZE, SIZE, 3)[:, 24]
+    new = replace(WALL, position=position.reshape(-1, 3).astype(np.float32))
+    for column, kept in ((22, False), (23, True), (24, True), (25, True), (26, False)):
+        point = [(column + 0.5 - 24) * PIXEL * 0.75, 0.5 * PIXEL * 0.75, -1.0]
+        assert (count_at(reproject([earlier([point])], VIEW, new), 24, column) > 0) == kept

@@ -1,0 +1,40 @@
+"""Cameras before a wall, and samples of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from compose.camera.camera import Camera, look_at
+from compose.fovea.samples import Samples
+from compose.image.gloss import DIFFUSE
+
+SIZE = 48
+
+
+def camera(x: float = 0.0, turn: float = 0.0) -> Camera:
+    """48 x 48 pixels at (x, 0, -4), looking along +z, turned by degrees."""
+    target = [x + np.sin(np.radians(turn)), 0, -4 + np.cos(np.radians(turn))]
+    pose = look_at(np.array([x, 0.0, -4]), np.array(target), np.array([0.0, -1, 0]))
+    return Camera(np.linalg.inv(pose), SIZE, SIZE, SIZE, SIZE, SIZE / 2, SIZE / 2)
+
+
+def wall(view: Camera, z: np.ndarray | float = 0.0) -> np.ndarray:
+    """(D, 3) points where the rays through all pixels' centres meet the plane at z."""
+    rays = view.rays(view.pixel_centres())
+    return view.position + rays * ((z - view.position[2]) / rays[:, 2])[:, None]
+
+
+def samples(position: np.ndarray, radiance: np.ndarray, gloss: int = DIFFUSE, count: float = 1) -> Samples:
+    """Samples of the first D pixels that hit positions (D, 3); albedo and normal are the radiance, too."""
+    size = len(position)
+    flat = np.broadcast_to(np.asarray(radiance, dtype=np.float32), (size, 3)).astype(np.float32)
+    return Samples(
+        np.arange(size, dtype=np.uint32),
+        np.full(size, count, dtype=np.float32),
+        flat,
+        flat**2,
+        flat,
+        flat,
+        position.astype(np.float32),
+        np.full(size, gloss, dtype=np.uint8),
+    )

@@ -1,0 +1,12 @@
+"""Classes of gloss."""
+
+from __future__ import annotations
+
+from compose.image import gloss
+
+
+def test_classes_are_plain_integers_in_ascending_order_of_gloss():
+    """Kernels write them and tables are indexed by them."""
+    classes = [gloss.DIFFUSE, gloss.GLOSSY, gloss.SPECULAR]
+    assert classes == [0, 1, 2]
+    assert all(type(one) is int for one in classes)

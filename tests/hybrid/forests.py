@@ -1,0 +1,38 @@
+"""Forests that need no training."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from pathtrace.dataset.rendering import render_frame
+from pathtrace.scene.scene import Scene
+from pathtrace.trace.tracer import Tracer
+from splat.model.building import build_forest
+from splat.model.forest import Forest, forest_of
+from splat.model.gaussians import Gaussians
+from splat.model.layer import static_layer
+from splat.training.initialization import seed_from_views
+from splat.training.views import TrainingView
+from tests import small
+
+
+def rough_forest(scene: Scene, degree: int = 0) -> Forest:
+    """Three layers of untrained Gaussians: a rough picture of the scene, enough to blend with."""
+    frame = render_frame(Tracer(scene), scene.camera, 4, 0)
+    view = TrainingView(scene.camera, frame.radiance, frame.unfolded, frame.normal)
+    gaussians = seed_from_views([view], 500, degree, small.rng())
+    layers = build_forest(static_layer(gaussians), 0.05, 3)
+    return forest_of(layers, scene.camera.fy, scene.name, scene.hash)
+
+
+def white_dot(point: tuple[float, float, float], focal: float = 50.0, opacity_logit: float = 8.0) -> Forest:
+    """One small white Gaussian, nearly opaque, that fits any scene."""
+    dot = Gaussians(
+        torch.tensor(point, dtype=torch.float32)[:, None],
+        torch.full((3, 1), float(np.log(0.03))),
+        torch.tensor([[1.0], [0], [0], [0]]),
+        torch.tensor([opacity_logit]),
+        torch.full((1, 3, 1), 1.7),
+    )
+    return forest_of([static_layer(dot)], focal, "", "")

@@ -1,0 +1,41 @@
+"""Progress bars: title, step and count on standard error."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from rich.console import Console
+
+from hybrid.runtime import progress
+from hybrid.runtime.progress import progress_bar
+
+
+@pytest.fixture
+def shown(monkeypatch):
+    """What the bar writes to a terminal."""
+    screen = io.StringIO()
+    monkeypatch.setattr(progress, "console", Console(file=screen, force_terminal=True, width=120))
+    return screen
+
+
+def test_a_bar_shows_title_step_and_count(shown):
+    with progress_bar("capture") as bar:
+        bar(3, 12, "denoising")
+    assert "capture denoising" in shown.getvalue()
+    assert "3/12" in shown.getvalue()
+
+
+def test_a_step_is_not_shown_once_it_is_over(shown):
+    with progress_bar("capture") as bar:
+        bar(3, 12, "denoising")
+        bar(4, 12)
+    last = shown.getvalue().rsplit("capture", 1)[1]
+    assert "4/12" in last
+    assert "denoising" not in last
+
+
+def test_results_and_bars_do_not_mix(capsys):
+    progress.console.print("a bar")
+    assert progress.console.stderr
+    assert capsys.readouterr().out == ""

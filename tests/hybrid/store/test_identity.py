@@ -1,0 +1,78 @@
+"""Results of different settings are never mixed."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from compose.base.errors import UserError
+from hybrid.runtime.machine import machine
+from hybrid.store.identity import measured_identity, require_same, require_scene, short_hash
+from tests.hybrid.forests import white_dot
+
+
+def test_the_order_of_entries_does_not_matter_and_their_values_do():
+    hashed = short_hash({"a": 1, "b": [2, 3]})
+    assert short_hash({"b": [2, 3], "a": 1}) == hashed
+    assert short_hash({"a": 1, "b": [3, 2]}) != hashed
+    assert short_hash({"a": 1}) != hashed
+    assert len(hashed) == 12
+    assert int(hashed, 16) >= 0
+
+
+def test_equal_identities_are_the_same_also_as_json_gives_them_back():
+    require_same({"size": [4, 5], "seed": 0}, {"size": (4, 5), "seed": 0}, "f", "g")
+
+
+@pytest.mark.parametrize(
+    ("found", "named"),
+    [
+        ({"a": 1, "b": 2, "c": 4}, "another c;"),
+        ({"a": 0, "b": 2, "c": 0}, "another a, c;"),
+        ({"a": 1, "b": 2}, "another c;"),
+        ({"a": 1, "b": 2, "c": 3, "d": 4}, "another d;"),
+        ({}, "another a, b, c;"),
+    ],
+)
+def test_what_differs_is_named(found, named):
+    with pytest.raises(UserError, match=f"^f: holds work with {named} go away$"):
+        require_same(found, {"a": 1, "b": 2, "c": 3}, "f: holds work", "go away")
+
+
+def item(name: str, digest: str) -> SimpleNamespace:
+    return SimpleNamespace(scene_name=name, scene_hash=digest)
+
+
+def test_a_forest_fits_its_own_scene_and_an_imported_one_fits_any():
+    require_scene(item("room", "ab" * 32), "room", "ab" * 32, "file")
+    require_scene(item("room", ""), "cornell", "ab" * 32, "file")
+
+
+def test_what_belongs_to_another_scene_is_refused():
+    with pytest.raises(UserError) as refused:
+        require_scene(item("room", "ab" * 32), "cornell", "cd" * 32, "a.forest")
+    assert str(refused.value) == "a.forest belongs to scene room (abababab), not to cornell (cdcdcdcd)"
+
+
+def test_another_version_of_the_same_scene_is_refused_with_a_reason():
+    with pytest.raises(UserError, match=r"; the scene or its path depth has changed$"):
+        require_scene(item("room", "ab" * 32), "room", "cd" * 32, "a.forest")
+
+
+def test_measurements_depend_on_scene_depth_forest_settings_and_machine(backend):
+    forest, other = white_dot((0, 0, 1)), white_dot((0, 0, 1), opacity_logit=7.0)
+    scene = SimpleNamespace(hash="ab" * 32, max_depth=8)
+    identity = measured_identity(scene, forest, spp=4)
+    assert identity["machine"] == machine()
+    assert identity["spp"] == 4
+    deeper = SimpleNamespace(hash="ab" * 32, max_depth=9)
+    changed = SimpleNamespace(hash="cd" * 32, max_depth=8)
+
+    others = [
+        measured_identity(deeper, forest, spp=4),
+        measured_identity(changed, forest, spp=4),
+        measured_identity(scene, other, spp=4),
+        measured_identity(scene, forest, spp=5),
+    ]
+    assert len({short_hash(one) for one in [identity, *others]}) == 5

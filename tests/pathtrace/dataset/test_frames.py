@@ -1,0 +1,105 @@
+"""Reading a frame set, also one that another program or an interrupted capture left."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from compose.base.errors import UserError
+from pathtrace.dataset.frames import FORMAT_VERSION, read_frame_set
+
+IDENTITY = np.eye(4).tolist()
+
+
+def entry(name: str, held_out: bool = False, estimates: tuple[int, ...] = (), **intrinsics) -> dict:
+    return {
+        "file_path": f"frames/{name}.exr",
+        "transform_matrix": IDENTITY,
+        "samples": 8,
+        "held_out": held_out,
+        "estimates": [{"samples": n, "file_path": f"frames/{name}-{n}.exr"} for n in estimates],
+        **intrinsics,
+    }
+
+
+@pytest.fixture
+def document() -> dict:
+    return {
+        "w": 32,
+        "h": 24,
+        "fl_x": 30.0,
+        "fl_y": 31.0,
+        "cx": 16.0,
+        "cy": 12.0,
+        "format_version": FORMAT_VERSION,
+        "scene": {"name": "attic", "hash": "abc"},
+        "frames": [entry("0"), entry("1", held_out=True, estimates=(1, 4)), entry("2")],
+        "close_ups": [entry("1-closer2", held_out=True, w=16, h=12, fl_x=60.0, fl_y=62.0)],
+    }
+
+
+def written(folder: Path, document: dict) -> Path:
+    """The folder, with an empty file for each that the document names."""
+    (folder / "frames").mkdir()
+    for frame in document.get("frames", []) + document.get("close_ups", []):
+        for file in (frame, *frame["estimates"]):
+            (folder / file["file_path"]).touch()
+    (folder / "transforms.json").write_text(json.dumps(document))
+    return folder
+
+
+def test_a_frame_set_is_what_its_document_says(tmp_path, document):
+    frames = read_frame_set(written(tmp_path, document))
+    assert (frames.folder, frames.scene_name, frames.scene_hash) == (tmp_path, "attic", "abc")
+    assert frames.digest == hashlib.sha256((tmp_path / "transforms.json").read_bytes()).hexdigest()
+    assert [e.file for e in frames.training] == [tmp_path / "frames/0.exr", tmp_path / "frames/2.exr"]
+    (held_out,) = frames.held_out
+    assert held_out.estimates == {1: tmp_path / "frames/1-1.exr", 4: tmp_path / "frames/1-4.exr"}
+    assert (held_out.samples, held_out.held_out) == (8, True)
+    assert (held_out.camera.width, held_out.camera.fx) == (32, 30.0)
+    (close_up,) = frames.close_ups
+    assert (close_up.camera.width, close_up.camera.height, close_up.camera.fy) == (16, 12, 62.0)
+    # Without intrinsics of its own, an entry has the document's.
+    assert close_up.camera.cx == 16.0
+
+
+@pytest.mark.parametrize("name", ["0", "1-4", "1-closer2"])
+def test_every_missing_file_is_noticed(tmp_path, document, name):
+    written(tmp_path, document)
+    (tmp_path / "frames" / f"{name}.exr").unlink()
+    with pytest.raises(UserError, match=rf"1 of 6 files are missing \({name}\.exr first\).*resume"):
+        read_frame_set(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"format_version": FORMAT_VERSION + 1}, "format version 3, this program reads 2; capture"),
+        ({"frames": None}, "not the description of a frame set"),
+        ({"scene": {"name": "attic"}}, "not the description of a frame set"),
+        ({"w": "wide"}, "not the description of a frame set"),
+        ({"w": 0}, "not the description of a frame set"),
+    ],
+)
+def test_other_documents_are_refused(tmp_path, document, change, complaint):
+    written(tmp_path, document)
+    (tmp_path / "transforms.json").write_text(json.dumps({**document, **change}))
+    with pytest.raises(UserError, match=complaint) as caught:
+        read_frame_set(tmp_path)
+    assert str(tmp_path / "transforms.json") in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["{}", "[]", "no JSON"])
+def test_text_that_is_no_document_is_refused(tmp_path, text):
+    (tmp_path / "transforms.json").write_text(text)
+    with pytest.raises(UserError, match=r"transforms\.json: not the description of a frame set"):
+        read_frame_set(tmp_path)
+
+
+def test_a_folder_without_a_document_is_refused(tmp_path):
+    with pytest.raises(UserError, match="not a frame set"):
+        read_frame_set(tmp_path)

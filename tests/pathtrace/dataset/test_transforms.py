@@ -1,0 +1,141 @@
+"""The description of a capture: which frames, how many samples, cameras that other programs understand."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from compose.base.errors import UserError
+from compose.camera.camera import Camera, camera_from_pose, look_at
+from compose.camera.serialization import camera_from_json
+from pathtrace.dataset.settings import CaptureSettings
+from pathtrace.dataset.transforms import describe_capture, write_description
+from pathtrace.dataset.views import ViewSet
+from pathtrace.scene.scene import Scene
+
+SETTINGS = CaptureSettings(views=6, held_out=4, width=32, height=24, spp=2, held_out_spp=16, seed=5)
+
+
+def camera(x: float) -> Camera:
+    pose = look_at(np.array([x, 0.5, -1]), np.array([0.1, 0.0, 2]), np.array([0.0, 1, 0]))
+    return camera_from_pose(pose, 32, 24, 30.0, 31.0, 16.5, 12.0)
+
+
+# Two cameras that are always trained on, and eight of which four are held out.
+VIEWS = ViewSet([camera(x) for x in (0, 0.1)], [camera(x) for x in np.linspace(0.2, 0.9, 8)])
+
+
+def described(**changes) -> dict:
+    settings = CaptureSettings(**{**SETTINGS.__dict__, **changes})
+    scene = Scene("attic", "abc", None, camera(0), max_depth=6)
+    return describe_capture(scene, VIEWS, settings)
+
+
+def test_the_document_names_scene_settings_and_intrinsics():
+    document = described()
+    assert document["scene"] == {"name": "attic", "hash": "abc", "max_depth": 6}
+    assert document["settings"]["held_out_spp"] == 16
+    assert document["camera_model"] == "OPENCV"
+    intrinsics = {name: document[name] for name in ("w", "h", "fl_x", "fl_y", "cx", "cy")}
+    assert intrinsics == {"w": 32, "h": 24, "fl_x": 30.0, "fl_y": 31.0, "cx": 16.5, "cy": 12.0}
+    assert document["format_version"] == 2
+    assert json.loads(json.dumps(document)) == document
+
+
+def test_held_out_views_are_spaced_evenly_over_the_spread_ones():
+    frames = described()["frames"]
+    assert [i for i, frame in enumerate(frames) if frame["held_out"]] == [3, 5, 7, 9]
+    assert [frame["samples"] for frame in frames] == [2, 2, 2, 16, 2, 16, 2, 16, 2, 16]
+    assert [frame["file_path"] for frame in frames[:2]] == ["frames/0000.exr", "frames/0001.exr"]
+    assert not any(frame["held_out"] for frame in described(held_out=0)["frames"])
+    assert [i for i, f in enumerate(described(held_out=8)["frames"]) if f["held_out"]] == list(range(2, 10))
+
+
+def test_two_of_three_held_out_views_have_estimates_and_close_ups():
+    document = described()
+    assert [i for i, frame in enumerate(document["frames"]) if frame["estimates"]] == [3, 5, 9]
+    assert [entry["file_path"] for entry in document["close_ups"]] == [
+        f"frames/000{index}-closer{factor}.exr" for index in (3, 5, 9) for factor in (2, 4)
+    ]
+    assert all(entry["held_out"] and entry["samples"] == 16 for entry in document["close_ups"])
+
+
+@pytest.mark.parametrize(
+    ("spp", "estimates"),
+    [
+        (1, []),
+        (2, [1]),
+        (5, [1]),
+        (6, [1, 2]),
+        (16, [1, 2, 4]),
+        (64, [1, 2, 4, 16]),
+        (256, [1, 2, 4, 16, 64]),
+    ],
+)
+def test_estimates_take_half_of_the_samples_at_most(spp, estimates):
+    document = described(held_out_spp=spp)
+    for entry in (document["frames"][3], document["close_ups"][0]):
+        assert [e["samples"] for e in entry["estimates"]] == estimates
+        stem = entry["file_path"].removesuffix(".exr")
+        assert [e["file_path"] for e in entry["estimates"]] == [f"{stem}-{n}spp.exr" for n in estimates]
+
+
+def test_close_ups_are_parts_of_their_views():
+    """A point in the world is seen in the close-up where it is in the view, 2 or 4 times as large."""
+    document = described()
+    corners = set()
+    for entry in document["close_ups"]:
+        index, factor = int(entry["file_path"][7:11]), int(entry["file_path"][-5])
+        view = camera_from_json({**document, **document["frames"][index]})
+        part = camera_from_json({**document, **entry})
+        assert (part.width, part.height) == (16, 12)
+        points = view.position + view.rays(np.array([[3.0, 4.0], [20.0, 15.0]])) * 2
+        left, top = factor * view.project(points)[0][0] - part.project(points)[0][0]
+        np.testing.assert_allclose(part.project(points)[0], factor * view.project(points)[0] - [left, top])
+        assert left == pytest.approx(round(left), abs=1e-9)
+        assert 0 <= round(left) <= 32 * factor - 16
+        assert 0 <= round(top) <= 24 * factor - 12
+        corners.add((round(left), round(top)))
+    assert len(corners) > 3
+
+
+def test_the_seed_decides_where_close_ups_lie():
+    assert described()["close_ups"] == described()["close_ups"]
+    assert described()["close_ups"] != described(seed=6)["close_ups"]
+    assert described()["frames"] == described(seed=6)["frames"]
+
+
+def test_cameras_are_in_the_nerfstudio_convention():
+    """A point projected with nothing but the file's own numbers lands where the camera has it."""
+    document = json.loads(json.dumps(described()))
+    point = np.array([0.1, 0.0, 1.5])
+    for frame, view in zip(document["frames"], VIEWS.fixed + VIEWS.spread, strict=True):
+        to_camera = np.linalg.inv(np.array(frame["transform_matrix"]))
+        x, y, z = to_camera[:3, :3] @ point + to_camera[:3, 3]
+        u = document["fl_x"] * x / -z + document["cx"]
+        v = document["fl_y"] * -y / -z + document["cy"]
+        pixels, depth = view.project(point[None])
+        np.testing.assert_allclose([u, v], pixels[0], atol=1e-6)
+        assert depth[0] > 0
+        assert frame["time"] == 0
+
+
+def test_more_held_out_views_than_there_are_is_refused():
+    with pytest.raises(UserError, match=r"^held-out 9: must be at most 8"):
+        described(held_out=9)
+
+
+def test_an_equal_description_is_kept_and_another_one_refused(tmp_path):
+    document, folder = described(), tmp_path / "new"
+    write_description(folder, document)
+    assert json.loads((folder / "transforms.json").read_text()) == document
+    assert (folder / "frames").is_dir()
+    (folder / "frames" / "0000.exr").touch()
+    write_description(folder, document)
+    with pytest.raises(UserError, match="new: holds another capture; choose another folder"):
+        write_description(folder, described(seed=6))
+    assert json.loads((folder / "transforms.json").read_text()) == document
+    assert sorted(Path(p).name for p in folder.rglob("*")) == ["0000.exr", "frames", "transforms.json"]

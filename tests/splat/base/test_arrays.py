@@ -1,0 +1,67 @@
+"""Conversion to and from torch, concatenation and sorting."""
+
+from __future__ import annotations
+
+import drjit as dr
+import numpy as np
+import pytest
+import torch
+
+from splat.base.arrays import Arrays
+
+
+def test_a_number_is_read_from_memory(arrays):
+    number = arrays.number(7)
+    assert number.numpy().tolist() == [7]
+    # A literal would be compiled into the kernels that use it.
+    assert number.state == dr.VarState.Evaluated
+
+
+def test_backends_have_their_own_types():
+    cpu, gpu = Arrays("llvm"), Arrays("cuda")
+    assert dr.backend_v(cpu.plain.Float) == dr.JitBackend.LLVM
+    assert dr.backend_v(gpu.plain.Float) == dr.JitBackend.CUDA
+    assert dr.is_diff_v(cpu.ad.Float)
+    assert not dr.is_diff_v(cpu.plain.Float)
+
+
+def test_tensors_go_there_and_back(arrays):
+    tensor = torch.arange(6.0).reshape(2, 3)
+    there = arrays.from_torch(tensor)
+    assert there.numpy().tolist() == [0, 1, 2, 3, 4, 5]
+    back = arrays.to_torch(there * 2, tensor.device)
+    assert back.tolist() == [0, 2, 4, 6, 8, 10]
+
+
+def test_a_transposed_tensor_is_read_in_its_own_order(arrays):
+    assert arrays.from_torch(torch.arange(6.0).reshape(2, 3).T).numpy().tolist() == [0, 3, 1, 4, 2, 5]
+
+
+def test_on_the_cpu_memory_is_shared():
+    tensor = torch.zeros(4)
+    array = Arrays("llvm").from_torch(tensor)
+    tensor[2] = 5
+    assert array.numpy().tolist() == [0, 0, 5, 0]
+
+
+def test_concatenation_keeps_the_order_and_skips_empty_parts(arrays):
+    UInt = arrays.plain.UInt
+    parts = [UInt([3, 1]), dr.zeros(UInt, 0), UInt([7]), UInt([2, 9, 4])]
+    assert arrays.concatenated(parts).numpy().tolist() == [3, 1, 7, 2, 9, 4]
+    assert dr.width(arrays.concatenated([dr.zeros(UInt, 0)])) == 0
+
+
+# One pass of 14 bits up to 16384, two of 11 bits up to 2^22, three beyond.
+@pytest.mark.parametrize("bound", [1, 2, 5, 2047, 16384, 16385, 70_000, 1 << 22, (1 << 22) + 1, 1 << 26])
+@pytest.mark.parametrize("count", [1, 1000])
+def test_sorting_is_stable(arrays, bound, count):
+    keys = np.random.default_rng(bound).integers(0, bound, count, dtype=np.uint32)
+    # Many equal keys, and the largest possible one.
+    keys[::3] = keys[0]
+    keys[-1] = bound - 1
+    order = arrays.argsort(arrays.plain.UInt(keys), bound).numpy()
+    np.testing.assert_array_equal(order, np.argsort(keys, kind="stable"))
+
+
+def test_sorting_nothing_gives_nothing(arrays):
+    assert dr.width(arrays.argsort(dr.zeros(arrays.plain.UInt, 0), 5)) == 0

@@ -1,0 +1,66 @@
+"""Splats made by hand, and a float64 twin that blends them pixel by pixel."""
+
+from __future__ import annotations
+
+import drjit as dr
+import numpy as np
+import torch
+
+from splat.raster.projection import Splats
+from tests.splat.raster import reference
+
+NAMES = ("x", "y", "xx", "xy", "yy", "opacity", "red", "green", "blue", "depth")
+
+
+def round_splats(arrays, rows: list[tuple[float, ...]]) -> Splats:
+    """Round splats from rows of x, y, standard deviation in px, opacity, red, green, blue, depth."""
+    x, y, deviation, opacity, red, green, blue, depth = np.array(rows, dtype=np.float64).T
+    inverse = 1 / deviation**2
+    return uploaded(arrays, [x, y, inverse, 0 * x, inverse, opacity, red, green, blue, depth])
+
+
+def random_splats(arrays, count: int, width: int, height: int, seed: int = 0) -> Splats:
+    """Ellipses in and around a frame, from a third of a pixel to some 12 pixels, long ones among them."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(-8, width + 8, count), rng.uniform(-8, height + 8, count)
+    a, b = 1 / np.exp(rng.uniform(-1, 2.5, (2, count))) ** 2
+    turn = rng.uniform(0, np.pi, count)
+    cosine, sine = np.cos(turn), np.sin(turn)
+    xx, yy = cosine**2 * a + sine**2 * b, sine**2 * a + cosine**2 * b
+    # Invisible and opaque ones among them.
+    opacity = rng.uniform(-0.1, 1.1, count).clip(0, 1)
+    colour = rng.uniform(0, 2, (3, count))
+    return uploaded(
+        arrays, [x, y, xx, cosine * sine * (a - b), yy, opacity, *colour, rng.uniform(1, 9, count)]
+    )
+
+
+def uploaded(arrays, rows: list[np.ndarray]) -> Splats:
+    """Splats from rows in the order of NAMES."""
+    splats = Splats(*(arrays.plain.Float(np.asarray(row, dtype=np.float32)) for row in rows))
+    dr.eval(splats.__dict__)
+    return splats
+
+
+def doubles(splats: Splats) -> dict[str, np.ndarray]:
+    """The splats' numbers in float64, by name."""
+    return {name: getattr(splats, name).numpy().astype(np.float64) for name in NAMES}
+
+
+def blended(leaves: dict[str, torch.Tensor], width: int, height: int) -> torch.Tensor:
+    """(H, W, 3) the twin's image of float64 tensors by name."""
+    inverse = torch.stack(
+        [
+            torch.stack([leaves["xx"], leaves["xy"]], dim=-1),
+            torch.stack([leaves["xy"], leaves["yy"]], dim=-1),
+        ],
+        dim=-2,
+    )
+    splats = {
+        "centre": torch.stack([leaves["x"], leaves["y"]]),
+        "inverse": inverse,
+        "opacity": leaves["opacity"],
+        "colour": torch.stack([leaves["red"], leaves["green"], leaves["blue"]]),
+        "depth": leaves["depth"],
+    }
+    return reference.blend(splats, width, height)
