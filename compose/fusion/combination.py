@@ -10,7 +10,7 @@ per pixel what each is worth. Four things are built around it:
   of the network, which has never seen so many.
 - The result is drawn towards the traced radiance wherever the two differ by more than noise explains, in
   the spirit of the James-Stein combiner of Gu et al. 2022: with more samples the weight of these goes to 1.
-- A parent that is negative or not finite in a pixel gets no weight there.
+- A parent that is negative or not finite in a pixel is replaced by another one there.
 """
 
 from __future__ import annotations

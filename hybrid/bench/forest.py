@@ -1,4 +1,4 @@
-"""What a forest costs: growing it over Gaussians (Algorithm 1), loading it, and its memory at rendering."""
+"""Costs of a forest: building it over Gaussians (Algorithm 1), loading it, and memory while rendering."""
 
 from __future__ import annotations
 
@@ -21,22 +21,24 @@ from splat.model.layer import static_layer
 
 _LAYERS = 4
 _DEGREE = 2
-# A pixel of the training frames on the walls of the room that the Gaussians are drawn on, in its units.
+# Side of a training pixel on the walls, in units of the room, whose sides are 2.
 _PIXEL = 0.004
 _FOCAL = 500.0
 _SIZE = (1920, 1080)
 
 
 def bench_forest(nodes: int, seed: int, backend: BackendName) -> dict[str, Any]:
-    """Times and memory of a forest over Gaussians drawn at random on the walls of a room of 2 x 2 x 2.
-
-    Memory is the peak of a process of its own that loads the file and renders a frame of 1920x1080 under
-    the default acuity model; loading is from the file to the first Gaussian on the device.
+    """Times and memory of a forest over random Gaussians on the walls of a room of 2 x 2 x 2.
 
     Args:
-        nodes: of the finest layer.
+        nodes: number of Gaussians of the finest layer.
         seed: same seed, same forest.
         backend: that renders.
+
+    Returns:
+        finest, the number of nodes; layers, nodes of each; build_s; load_s, from the file to the device;
+        peak_bytes of a separate process that loads the file and renders a frame of 1920 x 1080 under the
+        default acuity model; nodes_drawn in that frame.
     """
     start = time.perf_counter()
     layers = build_forest(static_layer(_on_walls(nodes, np.random.default_rng(seed))), _PIXEL, _LAYERS)
@@ -44,7 +46,7 @@ def bench_forest(nodes: int, seed: int, backend: BackendName) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bench.forest"
         save_forest(path, forest_of(layers, _FOCAL, "", ""))
-        # Spawned, not forked: it must not begin with this process's memory.
+        # Spawned, because a forked process starts with this one's memory.
         with multiprocessing.get_context("spawn").Pool(1) as pool:
             rendering = pool.apply(_loaded_and_rendered, (path, backend))
     return {
@@ -56,6 +58,7 @@ def bench_forest(nodes: int, seed: int, backend: BackendName) -> dict[str, Any]:
 
 
 def _on_walls(count: int, rng: np.random.Generator) -> Gaussians:
+    """Random Gaussians on the six walls."""
     means = rng.uniform(-1, 1, (3, count))
     wall = rng.integers(0, 6, count)
     means[wall % 3, np.arange(count)] = np.where(wall < 3, -1.0, 1.0)
@@ -71,6 +74,7 @@ def _on_walls(count: int, rng: np.random.Generator) -> Gaussians:
 
 
 def _loaded_and_rendered(path: Path, backend: BackendName) -> dict[str, Any]:
+    """Runs in a process of its own."""
     from hybrid.frame.periphery import Periphery
     from hybrid.frame.settings import FrameSettings
     from hybrid.runtime.device import device_arrays
@@ -90,12 +94,12 @@ def _loaded_and_rendered(path: Path, backend: BackendName) -> dict[str, Any]:
 
 
 def _peak_bytes() -> int:
-    """Most memory that this process ever held; getrusage would count that of the process that spawned it."""
+    """Peak memory of this process; getrusage would include that of the process that spawned it."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) * 1024
 
 
 def _inside() -> Camera:
-    """From the middle of the room towards one of its walls."""
+    """A camera at the centre of the room, facing a wall."""
     width, height = _SIZE
     return camera_from_pose(np.eye(4), width, height, width / 1.2, width / 1.2, width / 2, height / 2)

@@ -1,4 +1,4 @@
-"""What is lost where a forest takes the place of converged frames, on views that it was not trained on."""
+"""What is lost if a forest replaces the periphery of converged frames, on held-out views."""
 
 from __future__ import annotations
 
@@ -28,13 +28,16 @@ def bench_held_out(
     settings: FrameSettings,
     progress: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
-    """One row per acuity model: mean quality of held-out frames whose periphery comes from the forest.
+    """One row per acuity model: quality of held-out frames whose periphery is replaced.
 
     Args:
-        frames: converged ones are held out.
-        forest: trained on the others.
-        settings: display, and the radius inside of which the converged frame stays; the gaze is central.
+        frames: whose held-out frames are used, which are converged.
+        forest: trained on the other ones.
+        settings: gaze, display, and the disc inside of which the converged frame stays.
         progress: called with frames done and frames in total.
+
+    Returns:
+        Rows with means of jod (None if not installed), psnr and ssim, and lowest_jod.
 
     Raises:
         UserError: no frame is held out.
@@ -47,7 +50,7 @@ def bench_held_out(
     for number, entry in enumerate(frames.held_out):
         reference = read_frame(entry.file).radiance
         for name, model in models.items():
-            image = _exchanged(periphery, model, entry.camera, reference)
+            image = _replaced(periphery, model, entry.camera, reference)
             found[name].append({"jod": jod(image, reference, display, gaze), **quality(image, reference)})
         progress(number + 1, len(frames.held_out))
     return [
@@ -64,8 +67,8 @@ def bench_held_out(
     ]
 
 
-def _exchanged(periphery: Periphery, settings: FrameSettings, camera: Camera, reference: Image) -> Image:
-    """(H, W, 3) the reference with the forest's periphery."""
+def _replaced(periphery: Periphery, settings: FrameSettings, camera: Camera, reference: Image) -> Image:
+    """(H, W, 3) the reference with the periphery of the forest."""
     region = settings.foveation.region(camera.width, camera.height)
     fovea = region.weight_image()[..., None]
     drawn = periphery.draw(camera, periphery.detail(camera, settings), region).image()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,9 @@ from compose.fovea.rectangle import Rectangle
 from compose.fovea.region import FoveaRegion, Foveation
 from compose.fusion.network import Fusion
 from compose.image.colour import Image
-from hybrid.bench.fusion import means, measured, unfitted_views, whole_underlay
+from hybrid.bench.candidates import whole_underlay
+from hybrid.bench.metrics import image_metrics, means
+from hybrid.bench.views import unfitted_views
 from hybrid.frame.disc_tracer import DiscRequest
 from hybrid.frame.fovea import Fovea
 from hybrid.frame.fusion import fusion_of
@@ -36,12 +38,18 @@ FRAMES = 16
 _SCALE = 2
 _FRAMES_PER_SECOND = 30.0
 _TURN = 10.0  # degrees per second
-_STRIDE = 0.3  # of the distance to what the viewer looks at, per second
+_STRIDE = 0.3  # fraction of the distance to what the viewer looks at, per second
 _RADIUS = 20.0  # of the disc, in percent of the height
+_SINGLE_SPP = (1, 8)  # samples per pixel of the single frames that the walk is compared with
 
 
 def walk(camera: Camera, distance: float) -> list[Camera]:
-    """The last FRAMES frames of a walk that ends at the camera: sideways, turning towards the way it goes."""
+    """The last FRAMES cameras of a walk that ends at a camera: sideways, turning in the same direction.
+
+    Args:
+        camera: the last one.
+        distance: to what the viewer looks at, in units of the scene; the speed is proportional to it.
+    """
     path = []
     for step in range(FRAMES - 1, -1, -1):
         seconds = step / _FRAMES_PER_SECOND
@@ -63,17 +71,19 @@ def bench_motion(
     reference_spp: int,
     progress: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
-    """One row per mode and method: the last disc of a walk at one sample a frame, and discs of single frames.
+    """One row per mode and method: the last disc of a walk at 1 spp per frame, and discs of single frames.
 
-    The viewer keeps looking at the same thing while walking past it. `fresh` is the PSNR over the pixels
-    that have no history.
+    The viewer keeps looking at the same point while walking past it.
 
     Args:
         scene, forest: what is rendered.
-        frames: that the forest was trained on; its unfitted views, at twice their resolution, are where the
-            walks end.
+        frames: that the forest was trained on; the walks end at its unfitted views, at twice their
+            resolution.
         reference_spp: samples per pixel of the references.
-        progress: called with walks done and walks in all.
+        progress: called with walks done and walks in total.
+
+    Returns:
+        Rows of means over the walks; fresh_psnr is that of the pixels without history, if there are any.
     """
     tracer, fusion = Tracer(scene), fusion_of(forest)
     periphery = Periphery(device_arrays(), forest)
@@ -85,19 +95,28 @@ def bench_motion(
         around = region.rectangle
         truth = _reference(tracer, camera, around, reference_spp)
         for mode in FoveaMode:
-            discs, fresh = _discs(tracer, periphery, fusion, mode, camera, region)
-            for method, disc in discs.items():
-                found.setdefault((mode.value, method), []).append(_measured(around, disc, truth, fresh))
+            discs = _discs(tracer, periphery, fusion, mode, camera, region)
+            for method, disc in discs.radiance.items():
+                row = _measured(around, disc, truth, discs.fresh)
+                found.setdefault((mode.value, method), []).append(row)
         progress(done + 1, len(views))
     return [
-        {
-            "scene": scene.name,
-            "mode": mode,
-            "method": method,
-            **means(rows),
-        }
+        {"scene": scene.name, "mode": mode, "method": method, **means(rows)}
         for (mode, method), rows in found.items()
     ]
+
+
+@dataclass(frozen=True)
+class _Discs:
+    """Discs of D pixels at the end of a walk.
+
+    Attributes:
+        radiance: (D, 3) by method.
+        fresh: (D,) pixels without history.
+    """
+
+    radiance: dict[str, Image]
+    fresh: NDArray[np.bool_]
 
 
 def _disc(camera: Camera, gaze: Gaze) -> FoveaRegion:
@@ -111,8 +130,8 @@ def _discs(
     mode: FoveaMode,
     camera: Camera,
     region: FoveaRegion,
-) -> tuple[dict[str, Image], NDArray[np.bool_]]:
-    """The walk's last disc by each method, and which of its pixels have no history."""
+) -> _Discs:
+    """The last disc of a walk that ends at a camera, and discs of single frames."""
     distance = _distance(tracer, camera)
     ray = camera.rays(np.array([[camera.cx, camera.cy]]))
     watched = camera.position + distance * ray
@@ -130,13 +149,13 @@ def _discs(
         fovea.trace(mode, earlier, _disc(earlier, gaze), 1, seed)
     fresh = fovea.disc.known(DiscRequest(camera, region, 1, FRAMES)).count == 0
     discs = {f"{FRAMES} frames of 1 spp": shown(fovea, 1)}
-    for spp in (1, 8):
+    for spp in _SINGLE_SPP:
         discs[f"single frame, {spp} spp"] = shown(alone, spp)
-    return discs, fresh
+    return _Discs(discs, fresh)
 
 
 def _distance(tracer: Tracer, camera: Camera) -> float:
-    """Of what lies in the middle of the view; if that is sky, the median of what is seen."""
+    """Distance of what is at the centre of the view; if that is sky, the median of what is visible."""
     found = tracer.hits(camera, frame_positions(camera)).distance
     middle = found[camera.height // 2 * camera.width + camera.width // 2]
     distance = float(middle) if np.isfinite(middle) else Surfaces(tracer.scene).median_distance(camera)
@@ -146,7 +165,7 @@ def _distance(tracer: Tracer, camera: Camera) -> float:
 
 
 def _reference(tracer: Tracer, camera: Camera, around: Rectangle, spp: int) -> Image:
-    """(D, 3) of the disc, from a crop around it."""
+    """(D, 3) reference radiance of the disc, traced in a crop around it."""
     rows, columns = around.box
     height, width = around.shape
     crop = camera.cropped(columns.start, rows.start, width, height)
@@ -154,10 +173,17 @@ def _reference(tracer: Tracer, camera: Camera, around: Rectangle, spp: int) -> I
 
 
 def _measured(around: Rectangle, disc: Image, truth: Image, fresh: NDArray[np.bool_]) -> dict[str, float]:
-    """Metrics over the rectangle around the disc, equal in its corners; PSNR over the disc alone."""
+    """Metrics over the rectangle around the disc, whose corners are equal; PSNR over the disc alone.
+
+    Args:
+        around: the rectangle.
+        disc, truth: (D, 3) radiance.
+        fresh: (D,) pixels without history.
+    """
     black = np.zeros((*around.shape, 3), dtype=np.float32)
     right = around.scattered(black, truth)
-    found = measured(around.scattered(black, disc), right)
+    found = image_metrics(around.scattered(black, disc), right)
+    # Pixels without error do not change the sum of squares, only their number.
     found["psnr"] += 10 * float(np.log10(len(disc) / black[..., 0].size))
     if fresh.any():
         elsewhere_right = around.scattered(black, np.where(fresh[:, None], disc, truth))

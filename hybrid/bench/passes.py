@@ -1,4 +1,4 @@
-"""What each pass of a frame costs, with a raw, a denoised and a fused fovea."""
+"""Time of each pass of a frame, with a raw, a denoised and a fused fovea."""
 
 from __future__ import annotations
 
@@ -26,14 +26,19 @@ def bench_passes(
     warm_up: int,
     progress: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
-    """One row per mode of the fovea, `passes` in milliseconds; the modes take turns along one gaze path.
+    """One row per fovea mode; the modes take turns along one gaze path.
 
     Args:
         scene, forest: what is rendered.
         settings: of the frames, apart from gaze and mode.
         repeats: measured frames per mode.
-        warm_up: frames before that.
-        progress: called with rounds done and rounds in all.
+        warm_up: frames before that, which are not measured.
+        progress: called with rounds done and rounds in total.
+
+    Returns:
+        Rows with percentiles of all `passes` in milliseconds; share_of_tracing, the median time of making the
+        fovea from its samples (underlay included) over that of tracing them; and over_raw, by how much all of
+        that exceeds the tracing of a raw fovea, as a fraction.
     """
     renderer = Renderer(scene, forest)
     camera = settings.camera or scene.camera
@@ -62,7 +67,7 @@ def bench_passes(
 def _shares(raw: list[dict[str, float]], frames: list[dict[str, float]]) -> dict[str, float]:
     """What is made of the samples, over the tracing of these frames, and over that of raw ones.
 
-    Tracing finds albedo and normal as well where they are used; raw frames need neither.
+    Tracing includes albedo and normal, which raw frames do not need.
     """
     made = np.median([frame["fovea"] + frame["underlay"] for frame in frames])
     tracing, bare = (np.median([frame["trace"] for frame in some]) for some in (frames, raw))

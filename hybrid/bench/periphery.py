@@ -1,4 +1,4 @@
-"""What each acuity model saves in the periphery, and what that costs in quality."""
+"""How much time each acuity model saves in the periphery, and how much quality that costs."""
 
 from __future__ import annotations
 
@@ -24,18 +24,19 @@ from splat.lod.image import SplatImage
 from splat.model.forest import Forest
 
 GAZES = (Gaze(0.5, 0.5), Gaze(0.2, 0.2))
+# The acuity model that the others are compared with: full level and rate everywhere.
 FULL = "none"
-# Units of the scene per pass: far enough for another camera, near enough for the same picture.
+# Units of the scene that the camera moves per pass: enough to make it another camera, too little to see.
 _STEP = 1e-4
+_INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
+# Milliseconds of each pass by acuity model.
+Times = dict[str, list[float]]
 
 
 def display_camera(scene_camera: Camera, display: Display) -> Camera:
-    """The scene's own view as the display opens it: its pose, under the angle that the display spans."""
+    """The scene's own view on a display: its pose, with the display's size and field of view."""
     eye = display.viewer(display.width, display.height)
     return Camera(scene_camera.world_to_camera, *(getattr(eye, n) for n in _INTRINSICS))
-
-
-_INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
 
 
 def bench_periphery(
@@ -48,28 +49,31 @@ def bench_periphery(
 ) -> list[dict[str, Any]]:
     """One row per gaze and acuity model, whose passes are interleaved with those at full level and rate.
 
-    A pass is everything from the gaze to the joined image of what lies outside fov-b. Footprints and saliency
-    depend on the camera alone and are kept while it stands still, as in `periphery_ms` and `full_ms`; in
-    `moving_ms` and `moving_full_ms` every pass has another camera. Quality is that of the frame with only the
-    periphery exchanged.
+    A pass is everything from the gaze to the composited image of what lies outside fov-b. Footprints and
+    saliency depend on the camera alone and are kept while it stands still.
 
     Args:
         forest, camera: what is drawn.
         settings: fov_b and display.
         repeats: measured passes per acuity model and gaze.
-        warm_up: passes before that.
+        warm_up: passes before that, which are not measured.
         progress: called with rounds done and rounds in total.
+
+    Returns:
+        Rows with percentiles of periphery_ms and full_ms, with a still camera, and of moving_ms and
+        moving_full_ms, with another camera in each pass; their ratios (full over periphery); and jod and ssim
+        against a frame that differs only in having a full periphery.
     """
     models = [replace(settings, acuity_model=name) for name in ACUITY_MODELS]
-    # One each, so that none uses what another has just kept.
+    # One per model, so that none reuses what another one has kept.
     peripheries = [Periphery(device_arrays(), forest) for _ in models]
     turns = range(-warm_up, repeats)
     rows: list[dict[str, Any]] = []
     for number, gaze in enumerate(GAZES):
         at_gaze = [replace(model, gaze=gaze) for model in models]
-        kinds: list[dict[str, list[float]]] = []
+        kinds: list[Times] = []
         for moving in (True, False):
-            times: dict[str, list[float]] = {name: [] for name in ACUITY_MODELS}
+            times: Times = {name: [] for name in ACUITY_MODELS}
             for turn in turns:
                 view = _moved(camera, turn * _STEP) if moving else camera
                 drawn = _passes(peripheries, at_gaze, view, times if turn >= 0 else None)
@@ -86,9 +90,9 @@ def _passes(
     peripheries: Sequence[Periphery],
     models: Sequence[FrameSettings],
     camera: Camera,
-    times: dict[str, list[float]] | None,
+    times: Times | None,
 ) -> dict[str, SplatImage]:
-    """The periphery once with each acuity model."""
+    """The periphery once with each acuity model, by its name; adds their times."""
     drawn = {}
     for periphery, settings in zip(peripheries, models, strict=True):
         region = settings.foveation.region(camera.width, camera.height)
@@ -104,7 +108,7 @@ def _passes(
 def _quality(
     models: Sequence[FrameSettings], camera: Camera, drawn: dict[str, SplatImage]
 ) -> list[dict[str, Any]]:
-    """Rows of how close each periphery is to that at full level and rate."""
+    """Rows that compare each periphery with that at full level and rate."""
     full = drawn[FULL].image().copy()
     rows = []
     for settings in models:
@@ -124,11 +128,12 @@ def _quality(
     return rows
 
 
-def _times(
-    acuity_model: str, moving: dict[str, list[float]], still: dict[str, list[float]]
-) -> dict[str, Any]:
+def _times(acuity_model: str, moving: Times, still: Times) -> dict[str, Any]:
     """Percentiles of passes with a moving and with a still camera, and their ratios to full detail."""
-    ratio = lambda times: float(np.median(times[FULL]) / np.median(times[acuity_model]))  # noqa: E731
+
+    def ratio(times: Times) -> float:
+        return float(np.median(times[FULL]) / np.median(times[acuity_model]))
+
     return {
         "periphery_ms": percentiles(still[acuity_model]),
         "full_ms": percentiles(still[FULL]),
@@ -140,7 +145,7 @@ def _times(
 
 
 def _moved(camera: Camera, distance: float) -> Camera:
-    """A camera a little to the right."""
+    """The camera moved to its right, by a distance in units of the scene."""
     pose = camera.world_to_camera.copy()
     pose[0, 3] -= distance
     return replace(camera, world_to_camera=pose)

@@ -1,4 +1,4 @@
-"""How well the two renderers meet: what differs between both sides of the band, and whether it is seen."""
+"""How well the two renderers meet: how much they differ in the band, and whether that is visible."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from compose.eye.gaze import Gaze
 from compose.fovea.mode import FoveaMode
 from compose.fovea.region import FoveaRegion
 from compose.image.colour import Image, luminance
-from hybrid.bench.fusion import means, unfitted_views
+from hybrid.bench.metrics import means
+from hybrid.bench.views import unfitted_views
 from hybrid.frame.frame import Frame
 from hybrid.frame.renderer import Renderer
 from hybrid.frame.settings import FrameSettings
@@ -27,9 +28,9 @@ from splat.model.forest import Forest
 
 GAZES = (Gaze(0.5, 0.5), Gaze(0.35, 0.4))
 _SCALE = 2
-# Of the band, all around: wide enough to average noise, narrow enough to show where the seam is.
+# Sectors around the band: wide enough to average noise, narrow enough to show local differences.
 _SECTORS = 24
-# No difference is taken relative to less luminance than this.
+# Differences are not taken relative to a luminance below this.
 _DARK = 0.01
 
 
@@ -41,14 +42,19 @@ def bench_seam(
     reference_spp: int,
     progress: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
-    """One row per way to make the fovea: means over the unfitted views, at twice their resolution, and gazes.
+    """One row per fovea mode: means over gazes and the unfitted views, at twice their resolution.
 
     Args:
         scene, forest: what is rendered.
         frames: that the forest was trained on.
         settings: of the frames, apart from camera, gaze and mode.
         reference_spp: samples per pixel of the references.
-        progress: called with views done and views in all.
+        progress: called with views done and views in total.
+
+    Returns:
+        Rows with `difference`, how much brighter the fovea is than the splats, over the band, relative to the
+        reference; `sectors`, the root mean square of that over sectors of the band; and, if installed, the
+        band's `jod`.
     """
     found: dict[FoveaMode, list[dict[str, float]]] = {mode: [] for mode in FoveaMode}
     views = unfitted_views(frames)
@@ -68,11 +74,7 @@ def bench_seam(
 
 
 def _seam(frame: Frame, band: Region, truth: Image) -> dict[str, float]:
-    """Both sides of the band in linear luminance, relative to what is right; and the band's JOD.
-
-    `difference` is that of the means over all of the band that is traced, `sectors` the root mean square over
-    its sectors.
-    """
+    """One frame's part of a row; only traced pixels of the band count."""
     region = frame.region
     traced = band.mask.ravel()[region.pixels]
     pixels = region.pixels[traced]
@@ -91,7 +93,7 @@ def _seam(frame: Frame, band: Region, truth: Image) -> dict[str, float]:
 
 
 def _sectors(region: FoveaRegion, pixels: NDArray[np.uint32]) -> NDArray[np.int64]:
-    """(B,) which part of the band all around each pixel is in."""
+    """(B,) number of the sector that each of B pixels lies in."""
     row, column = pixels // region.width, pixels % region.width
     angle = np.arctan2(row + 0.5 - region.centre[1], column + 0.5 - region.centre[0])
     return ((angle / (2 * np.pi) + 0.5) * _SECTORS).astype(np.int64) % _SECTORS

@@ -1,10 +1,10 @@
-"""How a picture gets better while nothing moves, frame by frame, as the window makes them."""
+"""How the disc improves from frame to frame while nothing moves, as in the window."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,22 +13,23 @@ from scipy.ndimage import binary_dilation
 
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
-from compose.image.colour import Image, srgb_from_radiance
+from compose.image.colour import Image
 from hybrid.frame.live import LiveRenderer
 from hybrid.frame.settings import FrameSettings
 from hybrid.interactive.loop import FrameLoop
 from hybrid.interactive.request import Request
 from hybrid.interactive.source import FrameSource
+from hybrid.measure.metrics.psnr import psnr
 from hybrid.measure.reference import REFERENCE_SEED, reference
 from pathtrace.trace.tracer import Tracer
 
-# Frames elsewhere that compile the kernels.
+# Frames with other gazes, before anything is measured, for which the kernels are compiled.
 _WARM_UP = 6
-# The reference is denoised: with few samples right beside the disc, their noise would leak into it. Pixels.
+# The reference has full samples this many pixels beyond the disc: its denoiser would spread noise from there.
 _MARGIN = 32
-# Samples per pixel of what lies farther off.
+# Samples per pixel of the reference elsewhere.
 _ELSEWHERE = 4
-# Seconds in which frames still hurry.
+# Seconds after which frames may take longer for better quality.
 _HURRIED = 1.0
 
 
@@ -39,59 +40,99 @@ def bench_still(
     reference_spp: int,
     progress: Callable[[int, int], None],
 ) -> dict[str, Any]:
-    """PSNR of the disc, before it is blended, in sRGB against a reference, for each frame.
+    """PSNR of the disc before blending, in sRGB against a reference, for each frame.
 
     Args:
         renderer: of the scene.
         settings: of the frames, with camera and gaze.
         seconds: for which nothing moves.
-        reference_spp: samples per pixel of the reference, where the disc is.
-        progress: called with seconds done and seconds in all.
+        reference_spp: samples per pixel of the reference in the disc.
+        progress: called with seconds done and seconds in total.
 
     Returns:
-        `frames`, each with its `seconds`, `spp` and `psnr`; `reference_psnr`, of the reference itself against
-        the truth; `most_fall`, by how many dB a frame was worse than the best one before it, at most, once
-        frames hurry no more.
+        `frames`, each with `seconds`, `spp` and `psnr`; `reference_psnr` of the reference itself against the
+        truth; `most_fall`, the largest loss in dB of a frame against the best one before it, once frames no
+        longer hurry.
     """
-    loop = FrameLoop(FrameSource(renderer), lambda request: [])
     gaze = settings.gaze
     camera, _ = settings.resolved(renderer.scene.camera)
-    request = lambda at: Request(replace(settings, gaze=at))  # noqa: E731
+    loop = FrameLoop(FrameSource(renderer), lambda request: [])
     for number in range(_WARM_UP):
-        loop.make(request(Gaze(1 - gaze.x, 0.01 * number)))
+        loop.make(Request(replace(settings, gaze=Gaze(1 - gaze.x, 0.01 * number))))
     renderer.forget()
-    seen: list[tuple[float, float, Image]] = []
-    start = time.perf_counter()
-    while not seen or seen[-1][0] < seconds:
-        shown = loop.make(request(gaze))
-        seen.append((time.perf_counter() - start, shown.spp, shown.frame.fovea.radiance.copy()))
-        progress(int(seen[-1][0]), int(seconds) + 1)
+    seen = _watched(loop, Request(settings), seconds, progress)
     disc = np.zeros((camera.height, camera.width), dtype=bool)
-    disc.ravel()[shown.frame.region.pixels] = True
-    truth, certainty = _reference(renderer.tracer, camera, disc, reference_spp)
-    psnr = [_psnr(radiance, truth) for _, _, radiance in seen]
-    best = np.maximum.accumulate(psnr)
-    falls = [b - p for (at, _, _), b, p in zip(seen, best, psnr, strict=True) if at > _HURRIED]
-    frames = [{"seconds": at, "spp": spp, "psnr": p} for (at, spp, _), p in zip(seen, psnr, strict=True)]
+    disc.ravel()[seen[-1].pixels] = True
+    truth = _reference(renderer.tracer, camera, disc, reference_spp)
+    frames = [
+        {"seconds": one.seconds, "spp": one.spp, "psnr": psnr(one.radiance, truth.radiance)} for one in seen
+    ]
     progress(int(seconds) + 1, int(seconds) + 1)
     return {
         "scene": renderer.scene.name,
         "gaze": [gaze.x, gaze.y],
         "reference_spp": reference_spp,
-        "reference_psnr": certainty,
-        "most_fall": float(max(falls, default=0.0)),
+        "reference_psnr": truth.psnr,
+        "most_fall": most_fall(frames),
         "frames": frames,
     }
 
 
-def _reference(tracer: Tracer, camera: Camera, disc: NDArray[np.bool_], spp: int) -> tuple[Image, float]:
-    """(D, 3) radiance of a disc, and the PSNR of that itself."""
+def most_fall(frames: list[dict[str, float]]) -> float:
+    """Largest loss in dB of a frame against the best one before it; frames that hurry do not count.
+
+    Args:
+        frames: with `seconds` and `psnr`, in order.
+    """
+    best = np.maximum.accumulate([frame["psnr"] for frame in frames])
+    falls = [
+        top - frame["psnr"] for top, frame in zip(best, frames, strict=True) if frame["seconds"] > _HURRIED
+    ]
+    return float(max(falls, default=0.0))
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """One frame.
+
+    Attributes:
+        seconds: from the first request until it was complete.
+        spp: mean samples per pixel of the disc.
+        pixels: (D,) of the disc.
+        radiance: (D, 3) of the disc.
+    """
+
+    seconds: float
+    spp: float
+    pixels: NDArray[np.uint32]
+    radiance: Image
+
+
+@dataclass(frozen=True)
+class _Truth:
+    """Reference radiance of a disc (D, 3), and its own PSNR."""
+
+    radiance: Image
+    psnr: float
+
+
+def _watched(
+    loop: FrameLoop, request: Request, seconds: float, progress: Callable[[int, int], None]
+) -> list[_Seen]:
+    """All frames of a request within a time."""
+    seen: list[_Seen] = []
+    start = time.perf_counter()
+    while not seen or seen[-1].seconds < seconds:
+        shown = loop.make(request)
+        frame = shown.frame
+        at = time.perf_counter() - start
+        seen.append(_Seen(at, shown.spp, frame.region.pixels, frame.fovea.radiance.copy()))
+        progress(int(seen[-1].seconds), int(seconds) + 1)
+    return seen
+
+
+def _reference(tracer: Tracer, camera: Camera, disc: NDArray[np.bool_], spp: int) -> _Truth:
+    """The reference of a disc (H, W)."""
     counts = np.where(binary_dilation(disc, iterations=_MARGIN), spp, min(spp, _ELSEWHERE))
     found = reference(tracer, camera, counts.ravel(), REFERENCE_SEED)
-    return found.radiance[disc], found.psnr(disc)
-
-
-def _psnr(radiance: Image, truth: Image) -> float:
-    """In dB, of (D, 3) radiance in sRGB."""
-    error = np.mean((srgb_from_radiance(radiance) - srgb_from_radiance(truth)) ** 2, dtype=np.float64)
-    return float(-10 * np.log10(max(error, 1e-12)))
+    return _Truth(found.radiance[disc], found.psnr(disc))

@@ -47,8 +47,8 @@ def capture(
 ) -> None:
     """Render training frames; resumes if interrupted."""
     select(backend)
-    from pathtrace.dataset.capture import CaptureSettings
     from pathtrace.dataset.capture import capture as run
+    from pathtrace.dataset.settings import CaptureSettings
 
     with user_errors():
         settings = CaptureSettings(views, held_out, *size, spp, held_out_spp, seed)

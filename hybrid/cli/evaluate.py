@@ -105,11 +105,11 @@ def evaluate(
 
 def _print(found: dict[str, Any]) -> None:
     """Foveal and whole quality of each method, mean over the views, beside its time."""
-    from hybrid.evaluation.judged import HALVES
-    from hybrid.evaluation.verdicts import keys_of, mean_of
+    from hybrid.evaluation.keys import HALVES_KEY
+    from hybrid.evaluation.results import keys_of, mean_of
 
     times = {(row["method"], row["budget"]): row["ms"]["p50"] for row in found["time"]}
-    keys = [(HALVES, "fixed"), *keys_of(found)]
+    keys = [HALVES_KEY, *keys_of(found)]
     means = {
         (region, metric): [mean_of(found, key, region, metric) for key in keys]
         for region in ("foveal", "whole")

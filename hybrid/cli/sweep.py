@@ -121,7 +121,7 @@ def sweep(
     if settings.fov_a == 0:
         raise UserError("--fov-a 0.0: there is no fovea to time")
     select(backend)
-    from hybrid.sweeps.run import Effort
+    from hybrid.sweeps.effort import Effort
     from hybrid.sweeps.setting import Setting
     from hybrid.sweeps.sweep import sweep as run
     from hybrid.training.quick import forest_for

@@ -1,1 +1,1 @@
-"""How good frames are where the viewer looks and where not, how fast, and what else could be had for that."""
+"""Quality and speed of hybrid frames against baselines, at equal rays and at equal time."""

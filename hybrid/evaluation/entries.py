@@ -1,15 +1,18 @@
-"""The ways to make a frame that an evaluation compares, at what each costs."""
+"""The methods that an evaluation compares, and the budgets they get."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
 from compose.fovea.mode import FoveaMode
-from hybrid.evaluation.budgets import NEAR, Tuning, at_equal_time, families
+from hybrid.evaluation.equal_time import TOLERANCE, at_equal_time
+from hybrid.evaluation.families import Tuning, families
+from hybrid.evaluation.keys import EQUAL_RAYS, EQUAL_TIME, FIXED, OURS, Key
 from hybrid.evaluation.settings import EvaluationSettings
 from hybrid.frame.renderer import Renderer
 from hybrid.methods.hybrid import HybridMethod
@@ -18,19 +21,17 @@ from hybrid.methods.splats import SplatsAlone
 from hybrid.store.journal import Journal
 from pathtrace.trace.tracer import Tracer
 
-# The method whose rays and time the others get.
-OURS = "hybrid, fused"
-# Samples per pixel of further hybrid frames: from which on their foveas pass the splats.
+# Samples per pixel of further fused frames, which show from which count on they surpass the splats.
 OTHER_SPP = (1, 2, 4, 16)
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One way to make a frame.
+    """A method at one budget.
 
     Attributes:
         name: of the method.
-        budget: in what it was made equal to OURS: equal-rays, equal-time, or fixed for none.
+        budget: EQUAL_RAYS, EQUAL_TIME or FIXED.
         method: renders it.
         briefly: whether a few frames are enough to time it.
     """
@@ -41,28 +42,33 @@ class Entry:
     briefly: bool = False
 
     @property
+    def key(self) -> Key:
+        """Identifies its results."""
+        return Key(self.name, self.budget)
+
+    @property
     def title(self) -> str:
-        """The same for entries that make the same frames under the same name, and only for those."""
+        """Name in the journal: equal for entries of the same name that render the same frames, only."""
         return ", ".join((self.name, self.budget, json.dumps(self.method.settings, sort_keys=True)))
 
 
 def hybrid_entries(renderer: Renderer, settings: EvaluationSettings) -> list[Entry]:
-    """This project's frames, by how the fovea is made, and by sample count."""
+    """Hybrid frames with each fovea mode, and fused ones with other sample counts."""
 
-    def made(mode: FoveaMode, spp: int) -> HybridMethod:
+    def hybrid(mode: FoveaMode, spp: int) -> HybridMethod:
         return HybridMethod(renderer, replace(settings.frame, fovea=mode, spp=spp))
 
-    entries = [Entry(f"hybrid, {mode.value}", "fixed", made(mode, settings.frame.spp)) for mode in FoveaMode]
+    entries = [Entry(f"hybrid, {mode.value}", FIXED, hybrid(mode, settings.frame.spp)) for mode in FoveaMode]
     for spp in OTHER_SPP:
         if spp != settings.frame.spp:
-            entries.append(Entry(f"{OURS}, {spp} spp", "fixed", made(FoveaMode.FUSED, spp), briefly=True))
+            entries.append(Entry(f"{OURS}, {spp} spp", FIXED, hybrid(FoveaMode.FUSED, spp), briefly=True))
     return entries
 
 
 def splat_entries(splats: SplatsAlone, flat: SplatsAlone | None) -> list[Entry]:
-    """Gaussians alone: those of the forest, and a model without trees if there is one."""
-    entries = [Entry("splats alone", "fixed", splats)]
-    return entries if flat is None else [*entries, Entry("3dgs, no forest", "fixed", flat)]
+    """Splats alone: those of the forest, and if given a model without trees."""
+    entries = [Entry("splats alone", FIXED, splats)]
+    return entries if flat is None else [*entries, Entry("3dgs, no forest", FIXED, flat)]
 
 
 def baseline_entries(
@@ -74,29 +80,28 @@ def baseline_entries(
     costs: Journal,
     progress: Callable[[int, int], None],
 ) -> list[Entry]:
-    """What traces paths, at the rays and at the time of ours.
+    """Path-traced baselines at equal rays and at equal time.
 
-    A peer that takes more rays even at its cheapest is there at that, as fixed: it is given more than ours.
-    One that meets both budgets with the same settings stands in both rows.
+    A baseline that takes more rays even at its cheapest is included as FIXED, with more than ours. One whose
+    settings meet both budgets is included twice.
 
     Args:
-        ours: whose cost is to be met.
+        ours: the entry whose rays and time the baselines get.
         tracer: of the scene.
-        tuning: of the peers.
+        tuning: of the baselines.
         camera, gaze: what is rendered.
-        costs: keeps what met the time, so that the same is taken ever after.
-        progress: called with peers done and peers in all.
+        costs: stores the rays of equal time, so that later evaluations compare the same frames.
+        progress: called with baselines done and baselines in total.
     """
     rays = ours.method.rays(camera, gaze)
     known = families(tracer, tuning)
     entries = []
     for number, (name, family) in enumerate(known.items()):
         equal = family(rays)
-        affordable = equal.rays(camera, gaze) <= rays * (1 + NEAR)
-        budget = "equal-rays" if affordable else "fixed"
-        entries.append(Entry(name, budget, equal, briefly=affordable))
-        met = costs.once(name, lambda: at_equal_time(family, ours.method, camera, gaze, rays))  # noqa: B023
+        affordable = equal.rays(camera, gaze) <= rays * (1 + TOLERANCE)
+        entries.append(Entry(name, EQUAL_RAYS if affordable else FIXED, equal, briefly=affordable))
+        met = costs.once(name, partial(at_equal_time, family, ours.method, camera, gaze, rays))
         if met is not None:
-            entries.append(Entry(name, "equal-time", family(met)))
+            entries.append(Entry(name, EQUAL_TIME, family(met)))
         progress(number + 1, len(known))
     return entries

@@ -9,7 +9,7 @@ from compose.base.errors import UserError
 from compose.eye.gaze import require_within_frame
 from hybrid.frame.settings import EVALUATION, FrameSettings
 
-# Where differences are smallest, and the viewer sees them best, a reference has this many times the samples.
+# References have this many times the samples in the disc, where differences are smallest and most visible.
 FOVEAL_REFERENCE = 8
 
 
@@ -21,7 +21,7 @@ class EvaluationSettings:
         frame: settings of the hybrid frames; views set the camera, and methods how the fovea is made.
         width, height: frame size in pixels.
         views: number of views.
-        reference_spp: samples per pixel of the references, FOVEAL_REFERENCE times as many in the disc.
+        reference_spp: samples per pixel of the references; FOVEAL_REFERENCE times as many in the disc.
         repeats: timed frames per method.
         seed: same seed, same quality on the same machine.
 
@@ -46,7 +46,7 @@ class EvaluationSettings:
             raise UserError("fov-a 0.0: there is no fovea to evaluate")
 
     def as_json(self) -> dict[str, Any]:
-        """All settings as JSON has them, the display apart."""
+        """All settings as JSON has them, except for the display."""
         frame, names = self.frame, [field.name for field in fields(self) if field.name != "frame"]
         return {
             "gaze_x": frame.gaze.x,

@@ -103,7 +103,11 @@ class Warp:
 
 
 def _between(axis: Axis) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
-    """Per frame pixel: the two buffer pixels beside its centre, and the weight of the second one; (size,) each."""
+    """The two buffer pixels beside the centre of each frame pixel, and the second one's weight.
+
+    Returns:
+        First pixels, second pixels and weights, (size,) each.
+    """
     centres = np.arange(axis.size, dtype=np.float64) + 0.5
     position = np.clip(axis.buffer_of(centres) - 0.5, 0, axis.buffer - 1)
     first = np.minimum(position.astype(np.int64), max(0, axis.buffer - 2))

@@ -1,92 +1,52 @@
-"""The page of an evaluation: one file that needs no server."""
+"""The page of an evaluation: one file that requires no server."""
 
 from __future__ import annotations
 
-import base64
-import io
 import json
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
-from PIL import Image as PillowImage
 
 from compose.base.errors import UserError
 from compose.base.files import write_whole
-from hybrid.evaluation.entries import OURS
-from hybrid.evaluation.judged import HALVES, flip_name, picture_name
+from hybrid.evaluation.keys import OURS_KEY
+from hybrid.evaluation.results import foveal_metric_names, keys_of
 from hybrid.evaluation.settings import FOVEAL_REFERENCE
-from hybrid.evaluation.verdicts import Key, foveal_metrics, keys_of, mean_of, verdicts
+from hybrid.evaluation.verdicts import WHOLE_METRIC, verdicts
 from hybrid.measure.metrics.installed import missing
-from hybrid.measure.quality import METRICS
 from hybrid.measure.regions import REGIONS
-from hybrid.report.plots import samples_plot, sweep_plots, trade_plot
+from hybrid.report.images import embedded_flips, embedded_images
+from hybrid.report.plots import quality_over_time_plot, samples_plot
+from hybrid.report.sweep_plots import sweep_plots
+from hybrid.report.tables import quality_table, sweep_columns, time_table
 from hybrid.sweeps.break_even import sentence
-from hybrid.sweeps.table import table
 
 # What the page shows of evaluation.json.
 _CONTENT = ("scene", "settings", "references", "methods", "quality", "time", "machine")
-# Pictures in the page are compressed; the PNG files beside it are not.
-_JPEG_QUALITY = 90
-_DIGITS = {"psnr": 2, "ssim": 4, "fssim": 4, "flip": 4, "hdr-flip": 4, "lpips": 4, "jod": 2}
 
 
 def write_report(folder: Path) -> None:
-    """Writes index.html from evaluation.json, the pictures, and the sweeps that lie beside it.
+    """Writes index.html from evaluation.json, the images, and the sweeps in the same folder.
 
     Args:
         folder: of the report.
     """
     found = json.loads((folder / "evaluation.json").read_text())
     sweeps = [json.loads(file.read_text()) for file in sorted(folder.glob("sweep-*.json"))]
-    settings, machine = found["settings"], found["machine"]
-    views = sorted({row["view"] for row in found["quality"]})
-    keys, judged_by = keys_of(found), foveal_metrics(found)
-    width, height = settings["width"], settings["height"]
-    psnr = {n: [r["psnr"] for r in found["references"] if r["region"] == n] for n in ("whole", "foveal")}
     templates = Environment(loader=PackageLoader("hybrid.report", "."), autoescape=True)
     text = templates.get_template("evaluation.html").render(
-        title=f"Evaluation of {found['scene']}",
-        subtitle=(
-            f"{width} × {height}, samples per pixel in the disc: {settings['spp']}, "
-            f"fov-a {settings['fov_a']:g} %, fov-b {settings['fov_b']:g} % of the height, "
-            f"{len(views)} views. References of {settings['reference_spp']} samples per pixel, "
-            f"{FOVEAL_REFERENCE * settings['reference_spp']} in the disc, denoised."
-        ),
-        verdicts=verdicts(found),
-        views=views,
-        aspect=100 * width / height,
-        gaze_x=100 * settings["gaze_x"] * width / height,
-        gaze_y=100 * settings["gaze_y"],
-        fov_a=settings["fov_a"],
-        fov_b=settings["fov_b"],
-        trade=_plots(
-            [trade_plot(found, "foveal", m) for m in judged_by] + [trade_plot(found, "whole", "ssim")]
-        ),
+        **_overview(found),
+        **_plots_and_tables(found),
+        **_viewer(found, folder),
         sweeps=[_sweep(sweep) for sweep in sweeps],
-        samples=_plots([samples_plot(found, metric) for metric in judged_by]),
-        reference_note=(
-            f"Against the truth the references have {min(psnr['whole']):.1f} to {max(psnr['whole']):.1f} dB, "
-            f"{min(psnr['foveal']):.1f} to {max(psnr['foveal']):.1f} dB in the fovea, "
-            "their denoiser's bias included."
-        ),
-        quality=[_quality_table(found, region, keys) for region in REGIONS],
-        time=_time_table(found),
-        size=f"{width} × {height}",
-        machine=f"{machine['cpu']}, {machine['cores']} cores, Python {machine['python']}, "
-        + ", ".join(f"{name} {version}" for name, version in machine["packages"].items()),
-        missing=missing(),
-        pictures=[_pictures(folder, view, keys) for view in views],
-        flips=[_flips(folder, view, keys) for view in views],
-        left=label((OURS, "fixed")),
-        right="reference",
     )
     write_whole(folder / "index.html", lambda part: part.write_text(text, encoding="utf-8"))
 
 
 def evaluated_scene(folder: Path) -> str:
-    """Name of the scene that a folder's evaluation is of.
+    """Name of the scene that the evaluation in a folder is of.
 
     Args:
         folder: of the report.
@@ -107,68 +67,84 @@ def evaluated_scene(folder: Path) -> str:
         raise UserError(f"{file}: is damaged ({error}); run hybrid evaluate again") from error
 
 
-def label(key: Key) -> str:
-    """A method as it is named in lists."""
-    return key[0] if key[1] == "fixed" else f"{key[0]} ({key[1]})"
-
-
-def _plots(plots: list[str | None]) -> list[Markup]:
-    return [Markup(plot) for plot in plots if plot is not None]
-
-
-def _sweep(sweep: dict[str, Any]) -> dict[str, Any]:
-    """Title, plots and table of a sweep."""
-    rows = sweep["rows"]
-    columns = table(rows)
-    for name in rows[0].get("quality", {}):
-        digits = _DIGITS[name.split()[1]]
-        columns[name] = [f"{row['quality'][name]:.{digits}f}" for row in rows]
-    said = [sentence(row) for row in sweep["break_even"]]
-    made = "" if "fovea" in columns else f", {sweep['fovea']} fovea"
-    title = f"{sweep['scene']}, over {sweep['title']}{made}, {rows[0]['repeats']} frames each"
+def _overview(found: dict[str, Any]) -> dict[str, Any]:
+    """Title, verdicts, and what was measured with what."""
+    settings, machine = found["settings"], found["machine"]
+    packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
     return {
-        "title": title,
-        "plots": _plots(list(sweep_plots(sweep))),
-        "columns": list(columns),
-        "rows": list(zip(*columns.values(), strict=True)),
-        "said": said,
+        "title": f"Evaluation of {found['scene']}",
+        "subtitle": (
+            f"{settings['width']} × {settings['height']}, samples per pixel in the disc: {settings['spp']}, "
+            f"fov-a {settings['fov_a']:g} %, fov-b {settings['fov_b']:g} % of the height, "
+            f"{len(_views(found))} views. References: {settings['reference_spp']} samples per pixel, "
+            f"{FOVEAL_REFERENCE * settings['reference_spp']} in the disc, denoised."
+        ),
+        "verdicts": verdicts(found),
+        "reference_note": _reference_note(found),
+        "size": f"{settings['width']} × {settings['height']}",
+        "machine": f"{machine['cpu']}, {machine['cores']} cores, Python {machine['python']}, {packages}",
+        "missing": missing(),
     }
 
 
-def _quality_table(found: dict[str, Any], region: str, keys: list[Key]) -> dict[str, Any]:
-    names = [m for m in METRICS if mean_of(found, (OURS, "fixed"), region, m) is not None]
-    rows = []
-    for key in [*keys, (HALVES, "fixed")]:
-        values = [mean_of(found, key, region, metric) for metric in names]
-        cells = ["-" if v is None else f"{v:.{_DIGITS[m]}f}" for v, m in zip(values, names, strict=True)]
-        rows.append({"method": key[0], "budget": key[1], "cells": cells, "ours": key[0].startswith("hybrid")})
-    return {"region": region, "metrics": names, "rows": rows}
+def _reference_note(found: dict[str, Any]) -> str:
+    psnr = {n: [r["psnr"] for r in found["references"] if r["region"] == n] for n in ("whole", "foveal")}
+    return (
+        f"Against the truth, the references have {min(psnr['whole']):.1f} to {max(psnr['whole']):.1f} dB "
+        f"over the whole frame and {min(psnr['foveal']):.1f} to {max(psnr['foveal']):.1f} dB in the fovea, "
+        "denoising bias included."
+    )
 
 
-def _time_table(found: dict[str, Any]) -> dict[str, Any]:
-    names = list(dict.fromkeys(name for row in found["time"] for name in row["passes"]))
-    rows = []
-    for row in found["time"]:
-        cells = [f"{row['ms'][p]:.0f}" if p in row["ms"] else "-" for p in ("p50", "p95", "p99")]
-        cells += [f"{1000 / row['ms']['p50']:.1f}", str(row["repeats"])]
-        cells += [f"{row['passes'][name]:.0f}" if name in row["passes"] else "-" for name in names]
-        rows.append({**row, "cells": cells, "ours": row["method"].startswith("hybrid")})
-    return {"columns": ["p50", "p95", "p99", "FPS", "frames", *names], "rows": rows}
+def _plots_and_tables(found: dict[str, Any]) -> dict[str, Any]:
+    """Quality over time, foveal quality over samples, and the tables of quality and time."""
+    metrics, keys = foveal_metric_names(found), keys_of(found)
+    over_time = [quality_over_time_plot(found, "foveal", metric) for metric in metrics]
+    over_time.append(quality_over_time_plot(found, "whole", WHOLE_METRIC))
+    return {
+        "over_time": _markup(over_time),
+        "samples": _markup([samples_plot(found, metric) for metric in metrics]),
+        "quality": [quality_table(found, region, keys) for region in REGIONS],
+        "time": time_table(found),
+    }
 
 
-def _pictures(folder: Path, view: int, keys: list[Key]) -> dict[str, str]:
-    names = {"reference": picture_name(view, None)}
-    names |= {label(key): picture_name(view, key) for key in keys}
-    return {name: _embedded(folder / file) for name, file in names.items()}
+def _viewer(found: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The images, and the circles drawn over them in percent of the height."""
+    settings, views, keys = found["settings"], _views(found), keys_of(found)
+    width, height = settings["width"], settings["height"]
+    return {
+        "views": views,
+        "images": [embedded_images(folder, view, keys) for view in views],
+        "flips": [embedded_flips(folder, view, keys) for view in views],
+        "left": OURS_KEY.label,
+        "right": "reference",
+        "aspect": 100 * width / height,
+        "gaze_x": 100 * settings["gaze_x"] * width / height,
+        "gaze_y": 100 * settings["gaze_y"],
+        "fov_a": settings["fov_a"],
+        "fov_b": settings["fov_b"],
+    }
 
 
-def _flips(folder: Path, view: int, keys: list[Key]) -> dict[str, str]:
-    files = {label(key): folder / flip_name(view, key) for key in keys}
-    return {name: _embedded(file) for name, file in files.items() if file.exists()}
+def _views(found: dict[str, Any]) -> list[int]:
+    return sorted({row["view"] for row in found["quality"]})
 
 
-def _embedded(file: Path) -> str:
-    """A picture as a data URL."""
-    buffer = io.BytesIO()
-    PillowImage.open(file).convert("RGB").save(buffer, format="JPEG", quality=_JPEG_QUALITY, subsampling=0)
-    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
+def _sweep(sweep: dict[str, Any]) -> dict[str, Any]:
+    """Title, plots, sentences and table of a sweep."""
+    rows = sweep["rows"]
+    columns = sweep_columns(rows)
+    fovea = "" if "fovea" in columns else f", {sweep['fovea']} fovea"
+    return {
+        "title": f"{sweep['scene']}, over {sweep['title']}{fovea}, {rows[0]['repeats']} frames each",
+        "plots": _markup(sweep_plots(sweep)),
+        "columns": list(columns),
+        "rows": list(zip(*columns.values(), strict=True)),
+        "sentences": [sentence(row) for row in sweep["break_even"]],
+    }
+
+
+def _markup(plots: list[str] | list[str | None]) -> list[Markup]:
+    """SVG elements that jinja does not escape, without those that could not be plotted."""
+    return [Markup(plot) for plot in plots if plot is not None]

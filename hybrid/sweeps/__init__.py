@@ -1,1 +1,1 @@
-"""Tables and figures over one quantity at a time, those of Foveated Path Culling (FPC) among them."""
+"""Tables and figures over one quantity at a time, including those of Foveated Path Culling (FPC)."""

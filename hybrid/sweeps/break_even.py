@@ -1,4 +1,4 @@
-"""Up to which radius of the fovea a hybrid frame is faster than the full path-traced one."""
+"""The radius of the disc at which a hybrid frame takes as long as the full path-traced one."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 
 from hybrid.sweeps import fpc
 
-# Resamplings for an interval, and what lies outside of it on both sides together.
+# Resamplings for an interval, and the probability of values outside it, on both sides together.
 _RESAMPLINGS, _OUTSIDE = 1000, 0.05
 
 
 def ratio_interval(of_full: list[float], ours: list[float]) -> tuple[float, float]:
-    """Interval that holds the ratio of the two medians with 95 % confidence (bootstrap over pairs).
+    """Interval that contains the ratio of the two medians with 95 % confidence (bootstrap over pairs).
 
     Args:
-        of_full, ours: milliseconds of frames that were made in turn, in pairs.
+        of_full, ours: milliseconds of frames that were rendered in turns, in pairs.
     """
     pairs = np.array([of_full, ours])
     picks = np.random.default_rng(0).integers(pairs.shape[1], size=(_RESAMPLINGS, pairs.shape[1]))
@@ -27,11 +27,11 @@ def ratio_interval(of_full: list[float], ours: list[float]) -> tuple[float, floa
 
 
 def break_even(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Per resolution of a sweep over the radius: where hybrid and full frame take equally long.
+    """Where hybrid and full path-traced frames take equally long, for each resolution of a radius sweep.
 
-    `radius` is where the ratio of medians falls below 1, `slower_from` where the whole of its interval does:
-    a disc that covers nearly all of the frame is nearly the full frame, and the two differ by less than can
-    be measured. Both are None where that is so at no radius that was measured.
+    `radius` is where the ratio of medians falls below 1, `slower_from` where its whole confidence interval
+    does: a disc that covers nearly all of the frame takes nearly as long as the full frame, so that the two
+    differ by less than can be measured. Both are None if that happens at no measured radius.
     """
     found = []
     for size in dict.fromkeys((row["width"], row["height"]) for row in rows):
@@ -51,18 +51,18 @@ def break_even(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def sentence(row: dict[str, Any]) -> str:
-    """What a row of `break_even` says."""
+    """A row of `break_even` in words."""
     radius = "more than 90" if row["radius"] is None else f"{row['radius']:.0f}"
-    doubt = "at none" if row["slower_from"] is None else f"from {row['slower_from']:.0f} % on"
+    slower = "at no radius" if row["slower_from"] is None else f"from {row['slower_from']:.0f} % on"
     return (
         f"{row['width']}x{row['height']}: as fast as full path tracing at a radius of {radius} % of the "
-        f"height (FPC: {row['paper']:.0f}), slower with 95 % confidence {doubt}; "
-        f"least ratio {row['least_ratio']:.3f}."
+        f"height (FPC: {row['paper']:.0f}), slower with 95 % confidence {slower}; "
+        f"lowest ratio {row['least_ratio']:.3f}."
     )
 
 
 def _crossing(radii: list[float], ratios: list[float]) -> float | None:
-    """Where ratios first fall below 1, linear between radii."""
+    """Where ratios first fall below 1, interpolated linearly between radii."""
     if ratios[0] < 1:
         return radii[0]
     for (before, ratio), (after, after_ratio) in pairwise(zip(radii, ratios, strict=True)):

@@ -1,4 +1,4 @@
-"""The sweeps: what each varies."""
+"""The sweeps by name, and what each varies; many repeat tables and figures of Foveated Path Culling (FPC)."""
 
 from __future__ import annotations
 
@@ -25,36 +25,38 @@ class Sweep:
     """A sweep.
 
     Attributes:
-        settings: makes its rows from the setting to vary and further views of the scene.
+        settings: its rows, from the setting to vary and further views of the scene.
         title: of its table.
-        judged: whether quality is measured as well as time.
+        with_quality: whether quality is measured as well as time.
         sets: quantities that it sets itself: size, fovea, fov_a, fov_b, spp or acuity_model.
         scales_radii: whether it sets fov_a and keeps the ratio of the two radii.
     """
 
     settings: Callable[[Setting, list[Camera]], list[Setting]]
     title: str
-    judged: bool = False
+    with_quality: bool = False
     sets: tuple[str, ...] = ()
     scales_radii: bool = False
 
     @property
     def ignored(self) -> tuple[str, ...]:
-        """Quantities that have no influence on it."""
-        return self.sets if self.judged else (*self.sets, "reference_spp")
+        """Quantities of the base that have no influence on it."""
+        return self.sets if self.with_quality else (*self.sets, "reference_spp")
 
 
 def _with_frame(base: Setting, varied: dict[str, Any], **changed: Any) -> Setting:
-    """A row whose frame settings differ from the base in the given ones."""
+    """The base with changed frame settings."""
     return replace(base, frame=replace(base.frame, **changed), varied=varied)
 
 
 def _with_radius(base: Setting, radius: float) -> Setting:
-    """The base with a disc of that radius in percent of the height, and the band in proportion."""
+    """The base with that fov-a in percent of the height, and fov-b in proportion."""
     return replace(base, frame=base.frame.with_radius(float(radius)))
 
 
 def _sizes(table: dict[tuple[int, int], tuple[float, float]]) -> Callable[..., list[Setting]]:
+    """The frame sizes of one of FPC's tables."""
+
     def settings(base: Setting, views: list[Camera]) -> list[Setting]:
         return [
             replace(
@@ -88,7 +90,7 @@ def _spp(base: Setting, views: list[Camera]) -> list[Setting]:
         for radius in fpc.FIGURE_14_RADII:
             wide = _with_radius(base, radius)
             row = _with_frame(wide, {"spp": spp, "radius": radius}, spp=spp)
-            # FPC compares all of them with path tracing at one sample per pixel.
+            # FPC compares all sample counts with path tracing at one sample per pixel.
             paper = {"ratio_1spp": known[radius] / fpc.FIGURE_14_FULL} if radius in known else {}
             rows.append(replace(row, camera=camera, paper=paper, over_one_spp=True))
     return rows
@@ -144,21 +146,21 @@ SWEEPS = {
     "radius": Sweep(_radius, "radius of the fovea (FPC, Figures 7 to 10)", sets=("size",), scales_radii=True),
     "spp": Sweep(_spp, "samples per pixel (FPC, Figure 14)", sets=("size", "spp"), scales_radii=True),
     "view": Sweep(_view, "views (FPC, Figures 12 and 13)", sets=("size",), scales_radii=True),
-    "band": Sweep(_band, "fov-a and fov-b", judged=True, sets=("fov_a", "fov_b")),
-    "acuity": Sweep(_acuity_models, "acuity models", judged=True, sets=("acuity_model",)),
+    "band": Sweep(_band, "fov-a and fov-b", with_quality=True, sets=("fov_a", "fov_b")),
+    "acuity": Sweep(_acuity_models, "acuity models", with_quality=True, sets=("acuity_model",)),
     "trade": Sweep(
         _trade,
         "settings that `hybrid render --target-ms` chooses from",
-        judged=True,
+        with_quality=True,
         sets=("fovea", "spp"),
         scales_radii=True,
     ),
-    "denoiser": Sweep(_denoiser, "how the fovea is made", judged=True, sets=("fovea", "spp")),
+    "denoiser": Sweep(_denoiser, "how the fovea is made", with_quality=True, sets=("fovea", "spp")),
 }
 
 
 def layer_sweep(counts: tuple[int, ...]) -> Sweep:
-    """Fewer Gaussians: without the finest layers, and without the coarsest ones.
+    """The sweep over layers: without the finest ones, and without the coarsest ones.
 
     Args:
         counts: nodes of the forest's layers, coarsest first.
@@ -174,11 +176,11 @@ def layer_sweep(counts: tuple[int, ...]) -> Sweep:
             for low, high in spans
         ]
 
-    return Sweep(settings, "layers and Gaussians", judged=True)
+    return Sweep(settings, "layers and Gaussians", with_quality=True)
 
 
 def sweep_named(name: str, counts: tuple[int, ...]) -> Sweep:
-    """The sweep of that name.
+    """The sweep with that name.
 
     Args:
         name: of the sweep.

@@ -1,9 +1,9 @@
-"""One hybrid frame against the full path-traced one, and against its disc alone."""
+"""A hybrid frame against the full path-traced one, and against its disc alone."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from compose.camera.camera import Camera
@@ -26,26 +26,31 @@ def compare(
 ) -> dict[str, Any]:
     """One row: times of the hybrid frame, of the full path-traced frame, and of the disc alone.
 
-    All three run with kernels compiled and recorded; the full frame is traced by the same function as the
-    disc, and denoised if the disc is. The gaze moves only so far that the disc stays in the frame. Each frame
-    has a camera of its own, so that it pays for everything it shows.
+    All three are timed after their kernels have been compiled; the full frame is traced by the same function
+    as the disc, and denoised if the disc is. The gaze moves only so far that the disc stays in the frame.
+    Each frame has its own camera, so that it pays for everything it shows.
+
+    Args:
+        renderer: of the scene.
+        camera: the view.
+        settings: of the frame, apart from gaze and camera.
+        repeats: measured frames of each.
+        warm_up: frames before that, which are not measured.
+        progress: called with rounds done and rounds in total.
+
+    Returns:
+        Percentiles hybrid_ms, path_traced_ms and disc_ms; their ratios `ratio` (path-traced over hybrid) and
+        `ceiling` (path-traced over disc); the settings; and `covered`, the mean fraction of the frame that
+        the disc covers.
     """
-    full_trace = FullTrace(renderer.tracer, settings.spp, settings.fovea is not FoveaMode.RAW)
-
-    def at(gaze: Gaze, number: int) -> FrameSettings:
-        return replace(settings, gaze=gaze, camera=jittered(camera, number))
-
-    def hybrid(gaze: Gaze, seed: int) -> None:
-        renderer.frame(at(gaze, 3 * seed), seed)
-
-    def full(gaze: Gaze, seed: int) -> None:
-        full_trace.render(jittered(camera, 3 * seed + 1), gaze, seed)
-
-    def disc(gaze: Gaze, seed: int) -> None:
-        renderer.disc_alone(at(gaze, 3 * seed + 2), seed)
-
-    methods: dict[str, Callable[[Gaze, int], Any]] = {"hybrid": hybrid, "path_traced": full, "disc": disc}
+    full = FullTrace(renderer.tracer, settings.spp, settings.fovea is not FoveaMode.RAW)
+    frames = _Frames(renderer, camera, settings, full)
     reach = reach_for(settings.fov_a, camera)
+    methods: dict[str, Callable[[Gaze, int], Any]] = {
+        "hybrid": frames.hybrid,
+        "path_traced": frames.path_traced,
+        "disc": frames.disc,
+    }
     times = interleaved(methods, repeats, warm_up, progress, reach)
     row: dict[str, Any] = {f"{name}_ms": percentiles(values) for name, values in times.items()}
     return {
@@ -60,3 +65,25 @@ def compare(
         "covered": covered(settings.fov_a, camera, repeats, reach),
         "repeats": repeats,
     }
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """What is compared, each frame with its own camera."""
+
+    renderer: Renderer
+    camera: Camera
+    settings: FrameSettings
+    full: FullTrace
+
+    def hybrid(self, gaze: Gaze, seed: int) -> None:
+        self.renderer.frame(self._at(gaze, 3 * seed), seed)
+
+    def path_traced(self, gaze: Gaze, seed: int) -> None:
+        self.full.render(jittered(self.camera, 3 * seed + 1), gaze, seed)
+
+    def disc(self, gaze: Gaze, seed: int) -> None:
+        self.renderer.disc_alone(self._at(gaze, 3 * seed + 2), seed)
+
+    def _at(self, gaze: Gaze, number: int) -> FrameSettings:
+        return replace(self.settings, gaze=gaze, camera=jittered(self.camera, number))

@@ -1,4 +1,4 @@
-"""How much of the frame a disc covers while the gaze moves, and how far the gaze may go without a loss."""
+"""How much of the frame a disc covers while the gaze moves, and how far the gaze may move."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from compose.camera.camera import Camera
 from compose.fovea.region import Foveation
 from hybrid.measure.timing import REACH, gaze_path
 
-# So far the gaze goes at least: it must move.
+# The gaze moves at least this far, in fractions of the frame's side.
 _LEAST_REACH = 0.02
 
 
 def reach_for(radius: float, camera: Camera) -> tuple[float, float]:
-    """How far the gaze may go from the middle so that a disc covers as much as it does there.
+    """How far the gaze may move from the centre so that a disc covers about as much as it does there.
 
-    Along an axis on which the disc fits into the frame, up to where it touches the edge. Along one on which
-    it does not, a step loses more on one side than it gains on the other; there the gaze moves so little that
-    the loss stays below half a percent of what is covered.
+    Along an axis on which the disc fits into the frame, the gaze moves until the disc touches the edge. Along
+    an axis on which it does not fit, moving loses more on one side than it gains on the other; there the gaze
+    moves so little that less than half a percent of the covered pixels is lost.
 
     Args:
         radius: in percent of the height.
         camera: of the frame.
 
     Returns:
-        Fractions of the frame's width and height, as `gaze_path` takes them.
+        Fractions of the frame's width and height, for `gaze_path`.
     """
     pixels = radius / 100 * camera.height
     across, down = (
@@ -35,7 +35,7 @@ def reach_for(radius: float, camera: Camera) -> tuple[float, float]:
 
 
 def covered(radius: float, camera: Camera, count: int, reach: tuple[float, float]) -> float:
-    """Mean share of the frame that a disc covers along a gaze path.
+    """Mean fraction of the frame that a disc covers along a gaze path.
 
     Args:
         radius: in percent of the height.
@@ -43,7 +43,5 @@ def covered(radius: float, camera: Camera, count: int, reach: tuple[float, float
         count, reach: of the path.
     """
     width, height = camera.width, camera.height
-    regions_along = (
-        Foveation(gaze, radius, radius).region(width, height) for gaze in gaze_path(count, reach)
-    )
-    return float(np.mean([len(region.pixels) for region in regions_along]) / (width * height))
+    along = (Foveation(gaze, radius, radius).region(width, height) for gaze in gaze_path(count, reach))
+    return float(np.mean([len(region.pixels) for region in along]) / (width * height))

@@ -1,12 +1,12 @@
-"""Figures of Foveated Path Culling (FPC).
+"""Figures published in Foveated Path Culling (FPC).
 
-Its frame rates are those of its own scene and renderers on an RTX 3060: ratios can be compared with them,
-times cannot.
+Its frame rates are those of its own scene and renderers on an RTX 3060: ratios are comparable with ours,
+times are not.
 """
 
 from __future__ import annotations
 
-# (width, height): (FPC's frames per second, those of its path tracing). Tables 4 and 5.
+# (width, height): frames per second of FPC and of its path tracing. Tables 4 and 5.
 TABLE_4 = {
     (800, 600): (265.4, 330.2),
     (1012, 1061): (195.2, 152.0),
@@ -19,9 +19,10 @@ TABLE_5 = {
     (930, 975): (211.2, 180.5),
     (1012, 1061): (195.2, 152.0),
 }
-# Radius in percent of the height up to which FPC is faster: Figures 8, 9 and 10; in Figure 7 up to the last.
+# Radius in percent of the height up to which FPC is faster than path tracing: Figures 8, 9, 10 and 7. In
+# Figure 7 it is faster up to the largest radius.
 BREAK_EVEN = {(1280, 780): 51.0, (1012, 1061): 50.0, (1954, 1061): 85.0, (3316, 1061): 90.0}
-# Samples per pixel: frames per second by radius in percent; path tracing has 150 at one sample (Figure 14).
+# Samples per pixel: frames per second by radius in percent. Path tracing has 150 at one sample (Figure 14).
 FIGURE_14 = {
     1: {10: 200, 90: 100},
     2: {10: 192, 90: 67},

@@ -8,7 +8,7 @@ from typing import Any
 from hybrid.measure.metrics.installed import missing
 from hybrid.store.identity import measured_identity
 from hybrid.sweeps.catalogue import Sweep
-from hybrid.sweeps.run import Effort
+from hybrid.sweeps.effort import Effort
 from hybrid.sweeps.setting import Setting
 from pathtrace.scene.scene import Scene
 from splat.model.forest import Forest
@@ -21,7 +21,7 @@ def identity_of(
 
     Args:
         scene, forest: what is rendered.
-        sweep: whether its rows are judged.
+        sweep: whether its rows have quality.
         settings: the rows.
         effort: how much is measured.
     """
@@ -29,14 +29,14 @@ def identity_of(
         {**vars(setting), "camera": setting.camera.key.hex(), "frame": setting.frame.as_json()}
         for setting in settings
     ]
-    metrics = {"missing metrics": missing()} if sweep.judged else {}
+    metrics = {"missing metrics": missing()} if sweep.with_quality else {}
     return measured_identity(
-        scene, forest, settings=rows, judged=sweep.judged, effort=asdict(effort), **metrics
+        scene, forest, settings=rows, quality=sweep.with_quality, effort=asdict(effort), **metrics
     )
 
 
 def applied(sweep: Sweep, base: Setting, effort: Effort) -> dict[str, Any]:
-    """The settings that all rows have in common, as JSON has them, without what the sweep varies or ignores.
+    """The settings that all rows have in common, without those that the sweep varies or ignores, as JSON.
 
     Args:
         sweep: what it varies and ignores.

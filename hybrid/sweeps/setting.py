@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from compose.camera.camera import Camera
+from compose.fovea.mode import FoveaMode
 from hybrid.frame.settings import FrameSettings
 
 
@@ -17,8 +18,8 @@ class Setting:
         camera: the view.
         frame: settings of the frame, apart from gaze and camera.
         varied: the quantities that the sweep varies, by name.
-        paper: FPC's own ratios for this row, under the names of ours; empty if there are none.
-        over_one_spp: whether to compare with the full frame at one sample per pixel as well.
+        paper: Foveated Path Culling's (FPC's) ratios for this row, by the names of ours; empty if unknown.
+        over_one_spp: whether to compare with the full path-traced frame at one sample per pixel as well.
     """
 
     camera: Camera
@@ -27,8 +28,13 @@ class Setting:
     paper: dict[str, float] = field(default_factory=dict)
     over_one_spp: bool = False
 
+    @property
+    def is_denoised(self) -> bool:
+        """Whether its fovea, and so the full path-traced frame it is compared with, is denoised."""
+        return self.frame.fovea is not FoveaMode.RAW
+
 
 def varied(row: dict[str, Any]) -> dict[str, Any]:
-    """The varied quantities of a sweep's row: the entries before the times."""
+    """The varied quantities of a sweep's row: all entries before the times."""
     names = list(row)
     return {name: row[name] for name in names[: names.index("ms")]}

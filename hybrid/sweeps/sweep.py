@@ -13,17 +13,18 @@ from hybrid.store.identity import short_hash
 from hybrid.store.journal import Journal
 from hybrid.sweeps.break_even import break_even
 from hybrid.sweeps.catalogue import sweep_named
+from hybrid.sweeps.effort import Effort
 from hybrid.sweeps.record import applied, identity_of
-from hybrid.sweeps.run import Effort, swept
+from hybrid.sweeps.run import swept
 from hybrid.sweeps.setting import Setting
 from pathtrace.dataset.views import unseen_views
 from pathtrace.scene.scene import Scene
 from splat.model.forest import Forest
 
-# Views of the sweep over views.
+# Number of views that the sweep over views has.
 _VIEWS = 4
-# Metric of the quality that targets are met with, SSIM where FovVideoVDP is not installed.
-_TRADED = ("jod", "ssim")
+# Metrics in which target qualities may be given; the first one that was measured is used.
+_TARGET_METRICS = ("jod", "ssim")
 
 
 def sweep(
@@ -50,7 +51,7 @@ def sweep(
         rows have in common, and machine.
 
     Raises:
-        UserError: there is no such sweep, or a region to be judged is empty.
+        UserError: there is no such sweep, or a region whose quality is measured is empty.
     """
     chosen = sweep_named(over, forest.counts)
     views = unseen_views(scene, _VIEWS, base.camera.width, base.camera.height)
@@ -58,7 +59,7 @@ def sweep(
     identity = identity_of(scene, forest, chosen, settings, effort)
     folder = scene_folder(scene.name, scene.hash)
     journal = Journal(folder / f"sweep-{over}-{short_hash(identity)}.json", identity)
-    rows = swept(scene, forest, settings, chosen.judged, effort, journal, progress)
+    rows = swept(scene, forest, settings, chosen.with_quality, effort, journal, progress)
     if over == "trade":
         _store(scene, forest, settings, rows)
     content = {
@@ -77,8 +78,8 @@ def sweep(
 
 
 def _store(scene: Scene, forest: Forest, settings: list[Setting], rows: list[dict[str, Any]]) -> None:
-    """Stores what targets choose from."""
-    metric = next(name for name in _TRADED if f"whole {name}" in rows[0]["quality"])
+    """Stores the settings that target times and target qualities choose from."""
+    metric = next(name for name in _TARGET_METRICS if f"whole {name}" in rows[0]["quality"])
     measured = [
         MeasuredSettings(setting.frame, row["ms"]["p50"], row["quality"][f"whole {metric}"])
         for setting, row in zip(settings, rows, strict=True)

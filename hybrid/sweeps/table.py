@@ -1,4 +1,4 @@
-"""A sweep's rows as a table: what varied, how much was covered, times and ratios."""
+"""A sweep's rows as a table: varied quantities, coverage, times and ratios."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from hybrid.sweeps.setting import varied
 
 
 def table(rows: list[dict[str, Any]]) -> dict[str, list[str]]:
-    """Cells by the names of their columns; those of ratios that no row has are left out.
+    """Cells by column name, without quality; columns of ratios that no row has are left out.
 
     Args:
-        rows: of one sweep, its quality is no part of the table.
+        rows: of one sweep.
     """
     columns = {name: [_short(row[name]) for row in rows] for name in varied(rows[0])}
     columns["covered, %"] = [_number(100 * row["covered"], 1) if "covered" in row else "-" for row in rows]

@@ -16,7 +16,7 @@ from pathtrace.scene.scene import Scene
 from pathtrace.scene.surfaces import Surfaces
 from pathtrace.trace.tracer import Tracer
 
-# Seeds of different captures keep apart by more than the frames of one.
+# Keeps the seeds of different captures apart: far more than one capture has frames.
 _CAPTURE_SEED_STEP = 100_003
 
 

@@ -46,7 +46,7 @@ def load_forest(path: str | Path) -> Forest:
     path = Path(path)
     tensors, metadata = load_tensors(path)
     if metadata.get("kind") != "forest":
-        raise UserError(f"{path}: not a forest file; make one with: hybrid train FRAMES FOREST")
+        raise UserError(f"{path}: not a forest file; must be one that a training wrote")
     try:
         gaussians = Gaussians(**{name: tensors[name] for name in Gaussians.__dataclass_fields__})
         forest = Forest(

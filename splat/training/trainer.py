@@ -83,7 +83,7 @@ class Trainer:
     def __init__(self, arrays: Arrays, views: list[TrainingView], settings: TrainingSettings):
         self.settings = settings
         self._pixel = pixel_footprint(views)
-        self._schedule = _schedule(settings)
+        self._schedule = training_schedule(settings)
         self._layers = [
             LayerTraining(
                 arrays,
@@ -168,7 +168,7 @@ class Trainer:
         self.iteration = int(numbers["iteration"])
 
 
-def _schedule(settings: TrainingSettings) -> np.ndarray:
+def training_schedule(settings: TrainingSettings) -> np.ndarray:
     """(iterations,) index of the layer that each step trains."""
     finest = settings.layers - 1
     schedule = np.full(settings.iterations, finest)

@@ -103,6 +103,10 @@ def test_impossible_cameras_are_refused(name, value, said):
         replace(CAMERA, **{name: value})
 
 
+def test_one_pixel_is_a_frame():
+    assert replace(CAMERA, width=1, height=1).pixel_centres().tolist() == [[0.5, 0.5]]
+
+
 def test_a_principal_point_outside_the_frame_is_allowed():
     assert CAMERA.cropped(100, 100, 8, 8).cx == -59
 

@@ -83,6 +83,34 @@ def test_the_full_quality_region_counts_as_its_edge():
     assert (found.step_index[inside] < found.step_index[0, 0]).all()
 
 
+@pytest.mark.parametrize(
+    ("gaze", "corner", "edge"),
+    [
+        # Gazes 768 and 432 pixels off the centre. The nearest edge is the one 216 pixels further out, as
+        # arctan(984 / 1844.2) - arctan(768 / 1844.2) and arctan(648 / 1844.2) - arctan(432 / 1844.2).
+        (Gaze(0.9, 0.5), (34, 108), 5.475),
+        (Gaze(0.1, 0.5), (34, 12), 5.475),
+        (Gaze(0.5, 0.9), (61, 60), 6.176),
+        (Gaze(0.5, 0.1), (7, 60), 6.176),
+    ],
+)
+def test_off_the_centre_the_edge_of_full_quality_is_the_nearest_in_degrees(gaze, corner, edge):
+    """Between the gaze and that edge, 1 / a(edge) applies, at the corner's pixels per degree."""
+    found = desktop("fov-gs", gaze)
+    x, y = corner[1] * 16 - 960, corner[0] * 16 - 540
+    per_degree = np.pi / 180 * np.sqrt(1844.16**2 + x**2 + y**2)
+    assert found.cutoff[corner] == pytest.approx(1 / (1 / 48 + 0.022 * edge) / per_degree, rel=5e-4)
+
+
+def test_without_a_full_quality_region_detail_falls_from_the_gaze_on():
+    found = detail_map(
+        DESKTOP, Gaze(0.3, 0.4), 1920, 1080, ACUITY_MODELS["fov-gs"], 0.0, LayerRange(0.25, RATES)
+    )
+    assert np.isfinite(found.cutoff).all()
+    assert np.isfinite(found.step_index).all()
+    assert found.cutoff.max() == 0.5
+
+
 def test_detail_falls_with_eccentricity():
     found = desktop("fov-gs")
     order = np.argsort(found.eccentricity.ravel())

@@ -46,3 +46,12 @@ def test_a_uniform_image_draws_no_attention():
     assert found.shape == (10, 12)
     assert found.dtype == np.float32
     assert (found == 0).all()
+
+
+def test_saliency_of_noise_does_not_change():
+    """Values of this implementation, as all of its channels and the blur give them."""
+    image = np.random.default_rng(0).uniform(0, 1, (24, 32, 3)).astype(np.float32)
+    found = saliency(image)
+    np.testing.assert_allclose(
+        found[[3, 12, 20, 5], [4, 16, 30, 25]], [0.340812, 0.275183, 0.582898, 0.266194], atol=1e-5
+    )

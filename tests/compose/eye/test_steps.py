@@ -71,6 +71,13 @@ def test_a_step_does_not_begin_before_the_last_one_has_faded_in():
     assert [step.octaves for step in steps[1:3]] == [3.5, 4.0]
 
 
+def test_every_rate_of_the_coarsest_layer_waits_for_the_fade_before():
+    """Layers begin at 3.5 and 4.5 octaves; the rates of 8 and 16 pixels would begin at 4 and 5."""
+    steps = detail_steps(1 / 16, 0.25, (0, 0, 0), 1, 0.5)
+    assert pairs(steps) == [(3, 0), (2, 1), (1, 2), (1, 3), (1, 4)]
+    assert [step.octaves for step in steps[1:]] == [3.5, 4.5, 5, 5.5]
+
+
 @pytest.mark.parametrize("finest", [0.5, 0.3, 0.1, 0.02])
 @pytest.mark.parametrize("rates", [(0,), (1, 0), (4, 3, 2, 1), (0, 0, 0)])
 def test_steps_only_get_coarser(finest, rates):

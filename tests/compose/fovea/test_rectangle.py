@@ -73,6 +73,7 @@ def test_the_rectangle_around_two_rows_by_hand():
     """Pixels (1, 2), (1, 3) and (2, 2) of 10 x 10 pixels: already even on both sides."""
     around = Rectangle.around(np.array([12, 13, 22], dtype=np.uint32), 10, 10)
     assert around.box == (slice(1, 3), slice(2, 4))
+    assert around.shape == (2, 2)
     assert around.spans == [(0, 0, 2), (2, 2, 3)]
 
 

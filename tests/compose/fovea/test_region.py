@@ -113,6 +113,10 @@ def test_impossible_radii_are_refused_by_name(fov_a, fov_b, said):
         Foveation(Gaze(), fov_a, fov_b)
 
 
+def test_default_radii():
+    assert (Foveation(Gaze()).fov_a, Foveation(Gaze()).fov_b) == (20, 15)
+
+
 def test_equal_radii_and_no_disc_are_allowed():
     assert Foveation(Gaze(), 20, 20).fov_b == 20
     assert Foveation(Gaze(), 0, 0).fov_a == 0

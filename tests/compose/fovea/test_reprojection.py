@@ -66,9 +66,9 @@ def test_samples_of_several_views_add_up_in_a_pixel():
     "point",
     [
         [0.0, 0.0, -8.0],  # behind the camera, in line with the wall
-        [2.001, 0.0, 0.0],  # just outside the frame on each side
-        [-2.001, 0.0, 0.0],
-        [0.0, 2.001, 0.0],
+        [2.0, 0.0, 0.0],  # on the right and lower edge, which belong to the next pixel
+        [0.0, 2.0, 0.0],
+        [-2.001, 0.0, 0.0],  # just beyond the left and upper edge
         [0.0, -2.001, 0.0],
     ],
 )
@@ -95,9 +95,8 @@ def test_only_the_rectangle_around_the_new_samples_counts():
     assert found.at(np.array([20]), np.array([34]))[0].tolist() == [0]
 
 
-@pytest.mark.parametrize(
-    ("depth", "kept"), [(4 * 1.004, True), (4 * 0.996, True), (4 * 1.01, False), (4 * 0.99, False)]
-)
+# Limits are half a percent beyond the nearest and farthest of nine pixels, at 4.0004 and 4.0039.
+@pytest.mark.parametrize(("depth", "kept"), [(4.020, True), (3.982, True), (4.027, False), (3.978, False)])
 def test_a_point_that_is_not_on_the_visible_surface_is_dropped(depth, kept):
     """Within half a percent of its distance it is."""
     point = [0.5 * PIXEL, 0.5 * PIXEL, depth - 4]
@@ -155,11 +154,23 @@ def test_a_nearer_sample_hides_those_behind_it_in_its_quarter_of_a_pixel():
     assert count_at(reproject(both, VIEW, new), 24, 24) == 4
 
 
-def test_neighbouring_pixels_tell_which_distances_are_visible():
-    """A point at the distance of the bar holds up to one pixel beside it."""
-    position = WALL.position.copy().reshape(SIZE, SIZE, 3)
-    position[:, 24] = wall(VIEW, -1.0).reshape(SIZE, SIZE, 3)[:, 24]
+@pytest.mark.parametrize("depth", [-1.0, 1.0], ids=["nearer", "farther"])
+@pytest.mark.parametrize("vertical", [True, False])
+def test_neighbouring_pixels_tell_which_distances_are_visible(depth, vertical):
+    """A point at the distance of a bar, or of a slit's ground, holds up to one pixel beside it."""
+    position, other = (wall(VIEW, z).reshape(SIZE, SIZE, 3) for z in (0.0, depth))
+    bar = np.s_[:, 24] if vertical else np.s_[24]
+    position[bar] = other[bar]
     new = replace(WALL, position=position.reshape(-1, 3).astype(np.float32))
-    for column, kept in ((22, False), (23, True), (24, True), (25, True), (26, False)):
-        point = [(column + 0.5 - 24) * PIXEL * 0.75, 0.5 * PIXEL * 0.75, -1.0]
-        assert (count_at(reproject([earlier([point])], VIEW, new), 24, column) > 0) == kept
+    scale = PIXEL * (4 + depth) / 4
+    for beside, kept in ((-2, False), (-1, True), (0, True), (1, True), (2, False)):
+        across, along = (beside + 0.5) * scale, 0.5 * scale
+        point = [across, along, depth] if vertical else [along, across, depth]
+        at = (24, 24 + beside) if vertical else (24 + beside, 24)
+        assert (count_at(reproject([earlier([point])], VIEW, new), *at) > 0) == kept
+
+
+def test_a_glossy_point_must_lie_on_the_visible_surface_as_well():
+    new = replace(WALL, gloss=np.full_like(WALL.gloss, GLOSSY))
+    behind = [0.5 * PIXEL, 0.5 * PIXEL, 1.0]
+    assert reproject([earlier([behind], gloss=GLOSSY)], VIEW, new) is None

@@ -46,9 +46,10 @@ def error(image: np.ndarray, truth: np.ndarray) -> float:
 
 def random_fusion() -> Fusion:
     """The network before fitting, but with random outputs."""
-    torch.manual_seed(0)
-    fusion = Fusion()
-    torch.nn.init.normal_(fusion.judge.weight, std=0.3)
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        fusion = Fusion()
+        torch.nn.init.normal_(fusion.judge.weight, std=0.3)
     return fusion.eval()
 
 

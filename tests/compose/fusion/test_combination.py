@@ -1,4 +1,4 @@
-"""The fusion: what it trusts, what it refuses, and that fitting it pays."""
+"""The fusion: which parents it trusts, and what it excludes."""
 
 from __future__ import annotations
 
@@ -7,90 +7,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scipy.ndimage import gaussian_filter
 
-from compose.fusion import fitting
-from compose.fusion.combination import fuse, regressed, trust
-from compose.fusion.features import features_of
-from compose.fusion.fitting import Example, fit
-from compose.fusion.network import Fusion, mixture
+from compose.fusion.combination import QUICK_BELOW, fuse, regressed, statistical, trust
 from compose.fusion.parents import Parents
-from tests import small
+from tests.compose.fusion.examples import cropped, error, example, random_fusion
 
 
-def blurred(image: np.ndarray, sigma: float) -> np.ndarray:
-    return gaussian_filter(image, (sigma, sigma, 0)).astype(np.float32)
+def flat(value: float, side: int = 32) -> torch.Tensor:
+    return torch.full((1, 3, side, side), float(value))
 
 
-def example(seed: int, spp: int, size: int = 96) -> Example:
-    """A textured wall in soft light: splats that blur, samples that are noisy, a denoiser that blurs more."""
-    rng = small.rng(seed)
-    albedo = np.kron(rng.uniform(0.1, 0.9, (size // 8, size // 8, 3)), np.ones((8, 8, 1))).astype(np.float32)
-    light = 2 * blurred(rng.uniform(0, 1, (size, size, 1)).astype(np.float32), 16) ** 2 + 0.3
-    truth = (albedo * light).astype(np.float32)
-    traced = (truth * rng.gamma(spp / 2, 2 / spp, truth.shape)).astype(np.float32)
-    denoised = blurred(traced / (albedo + 0.01), 2) * (albedo + 0.01)
+def counts(value: float, side: int = 32) -> torch.Tensor:
+    return torch.full((1, 1, side, side), float(value))
+
+
+def uniform(size: int = 32, count: float = 4, **values: float) -> Parents:
+    """Uniform parents: radiance and albedo of 0.5 but for the given values, variance 0.01."""
     shape = (size, size, 3)
-    variance = np.broadcast_to(truth**2 * 2 / spp, shape).astype(np.float32)
-    parents = Parents(
-        traced,
-        variance,
-        denoised.astype(np.float32),
-        blurred(truth, 1.5),
-        albedo,
-        np.broadcast_to(np.float32([0, 0, 1]), shape),
-        np.full((size, size, 1), spp, dtype=np.float32),
-        2.0,
-    )
-    return Example(parents, truth)
-
-
-def error(image: np.ndarray, truth: np.ndarray) -> float:
-    """Mean squared error in dB."""
-    return 10 * np.log10(np.mean((image - truth) ** 2))
-
-
-def random_fusion() -> Fusion:
-    """As it is before fitting, but with opinions."""
-    torch.manual_seed(0)
-    fusion = Fusion()
-    torch.nn.init.normal_(fusion.judge.weight, std=0.3)
-    return fusion.eval()
-
-
-@pytest.fixture(scope="module")
-def fitted() -> Fusion:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fitting, "ITERATIONS", 250)
-        examples = [example(seed, spp) for seed in range(3) for spp in (2, 16)]
-        return fit(examples, 0, lambda done, total: None)
-
-
-@pytest.mark.parametrize("spp", [2, 16])
-def test_fused_is_better_than_the_better_parent(fitted, spp):
-    given = example(11, spp)
-    fused = fuse(given.parents, fitted)
-    best = min(error(getattr(given.parents, name), given.reference) for name in ("splat", "denoised"))
-    assert error(fused.radiance, given.reference) < best - 0.5
-
-
-def test_splats_of_another_world_are_noticed(fitted):
-    """Something moved: no worse than the denoised samples, by 0.2 dB."""
-    given = example(12, 16)
-    moved = replace(given.parents, splat=np.roll(given.parents.splat, 20, axis=0))
-    fused = fuse(moved, fitted)
-    assert error(fused.radiance, given.reference) < error(given.parents.denoised, given.reference) + 0.2
-
-
-def test_fitting_again_gives_the_same(monkeypatch):
-    monkeypatch.setattr(fitting, "ITERATIONS", 3)
-    states = [fit([example(0, 4)], 5, lambda done, total: None).state_dict() for _ in range(2)]
-    assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
+    names = ("traced", "variance", "denoised", "splat", "albedo", "normal")
+    images = {n: np.full(shape, values.get(n, 0.01 if n == "variance" else 0.5), np.float32) for n in names}
+    return Parents(**images, count=np.full((size, size, 1), count, np.float32), enlargement=1.0)
 
 
 @pytest.mark.parametrize("fusion", [None, random_fusion()], ids=["statistical", "unfitted"])
 def test_with_more_samples_the_traced_radiance_takes_over(fusion):
-    """However wrong the other parents are: weight and radiance go to the samples, and the error to theirs."""
+    """However wrong the other parents are, weight and radiance go to the samples and the error to theirs."""
     shares, excess = [], []
     for spp in (16, 256, 4096, 1 << 24):
         given = example(3, spp)
@@ -104,21 +45,143 @@ def test_with_more_samples_the_traced_radiance_takes_over(fusion):
     assert abs(excess[-1]) < 0.1
 
 
-def test_noise_alone_is_not_taken_for_bias():
-    """An exact estimate beside noisy samples keeps nearly all of its share."""
-    given = example(4, 4)
-    batch = lambda image: torch.from_numpy(image.copy()).permute(2, 0, 1)[None]  # noqa: E731
-    truth, traced = batch(given.reference), batch(given.parents.traced)
-    variance = batch(given.parents.variance)
-    count = torch.full_like(truth[:, :1], 4)
-    assert trust(truth, traced, variance, count).mean() > 0.97
-    many = torch.full_like(count, 1024)
-    biased = truth + 3 * variance.sqrt().mean()
-    assert trust(biased, traced, variance, many).mean() < 0.3
+@pytest.mark.parametrize("fusion", [None, random_fusion()], ids=["statistical", "unfitted"])
+@pytest.mark.parametrize("spp", [4, 64])
+def test_weights_sum_to_one(fusion, spp):
+    fused = fuse(example(5, spp).parents, fusion)
+    np.testing.assert_allclose(fused.weights.sum(axis=2), 1, atol=1e-5)
+    assert fused.weights.min() >= 0
+    assert fused.excluded == 0
+
+
+@pytest.mark.parametrize("fusion", [None, random_fusion()], ids=["statistical", "unfitted"])
+def test_parents_that_agree_are_kept_at_any_scale(fusion):
+    """Radiance is linear and unbounded: a lamp of radiance 5000 stays one."""
+    agreed = replace(uniform(), traced=lamp(), denoised=lamp(), splat=lamp(), variance=0 * lamp())
+    np.testing.assert_allclose(fuse(agreed, fusion).radiance, 5000, rtol=1e-3)
+
+
+def lamp() -> np.ndarray:
+    return np.full((32, 32, 3), 5000, np.float32)
+
+
+@pytest.mark.parametrize(("height", "width"), [(65, 71), (64, 71), (65, 70)])
+def test_odd_sizes_are_fused_like_even_ones(height, width):
+    """Away from the last row and column, padding hardly makes a difference."""
+    given = example(7, 4).parents
+    whole, part = (
+        fuse(parents, random_fusion()) for parents in (cropped(given, 72, 72), cropped(given, height, width))
+    )
+    assert part.radiance.shape == (height, width, 3)
+    assert part.weights.shape == (height, width, 3)
+    # At a quarter of the resolution an odd side is a fraction of a pixel longer, so they agree only nearly.
+    assert error(part.radiance[:40, :40], whole.radiance[:40, :40]) < -44
+
+
+def test_many_samples_decide_whether_denoising_is_nearer_to_the_truth():
+    """From 32 samples per pixel on, an exact denoised image takes over from the network's estimate."""
+    given = example(5, 64)
+    exact = replace(given.parents, denoised=given.reference, splat=given.parents.splat * 0.8)
+    few, many = (
+        fuse(replace(exact, count=np.full_like(exact.count, count)), random_fusion()) for count in (31, 32)
+    )
+    assert many.weights[..., 1].mean() > few.weights[..., 1].mean() + 0.2
+    assert error(many.radiance, given.reference) < error(few.radiance, given.reference) - 3
+
+
+@pytest.mark.parametrize(("count", "same"), [(QUICK_BELOW, True), (16, False)])
+def test_the_quicker_denoiser_counts_as_few_samples(count, same):
+    given = replace(example(2, 16).parents)
+    given = replace(given, count=np.full_like(given.count, count))
+    slow, quick = (fuse(replace(given, quick=quick), random_fusion()) for quick in (False, True))
+    assert np.array_equal(slow.radiance, quick.radiance) == same
+
+
+def test_the_network_knows_the_enlargement():
+    given = example(2, 16).parents
+    small, large = (fuse(replace(given, enlargement=side), random_fusion()) for side in (1.0, 4.0))
+    assert not np.allclose(small.radiance, large.radiance)
+
+
+@pytest.mark.parametrize("fusion", [None, random_fusion()], ids=["statistical", "unfitted"])
+@pytest.mark.parametrize("name", ["traced", "denoised", "splat"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
+def test_an_invalid_parent_is_left_out_and_counted(name, value, fusion):
+    given = example(6, 4)
+    image = getattr(given.parents, name).copy()
+    image[10, 20, 1] = image[30, 40] = value
+    before = image.copy()
+    fused = fuse(replace(given.parents, **{name: image}), fusion)
+    assert fused.excluded == 2
+    assert np.isfinite(fused.radiance).all()
+    assert fused.radiance.min() >= 0
+    np.testing.assert_array_equal(image, before)
+
+
+@pytest.mark.parametrize(
+    ("bad", "expected"),
+    [
+        (("traced",), 0.5),
+        (("denoised",), 0.5),
+        (("splat",), 0.5),
+        (("traced", "splat"), 0.5),
+        (("denoised", "splat"), 0.0),
+        (("traced", "denoised", "splat"), 0.0),
+    ],
+)
+def test_the_other_parents_stand_in_for_an_invalid_one(bad, expected):
+    """All are 0.5 but for one pixel. Without denoised samples and splats, nothing but the samples is left."""
+    given = uniform()
+    for name in bad:
+        getattr(given, name)[16, 16] = np.nan
+    fused = fuse(given, None)
+    assert fused.excluded == 1
+    if bad == ("denoised", "splat"):
+        assert 0 <= fused.radiance[16, 16].max() <= 0.5
+    else:
+        np.testing.assert_allclose(fused.radiance[16, 16], expected, atol=1e-3)
+    np.testing.assert_allclose(fused.radiance[4, 4], 0.5, atol=1e-3)
+
+
+def test_an_invalid_sample_is_not_trusted_to_correct_the_estimate():
+    """The samples are black where the other parents are 0.5; in an invalid pixel these are kept."""
+    given = uniform(traced=0.0, variance=1e-6)
+    given.traced[16, 16] = np.nan
+    fused = fuse(given, None)
+    np.testing.assert_allclose(fused.radiance[16, 16], 0.5, atol=1e-3)
+    assert fused.radiance[4, 4].max() < 0.01
+
+
+@pytest.mark.parametrize("name", ["albedo", "normal"])
+def test_invalid_auxiliary_features_do_not_spread(name):
+    given = example(6, 4).parents
+    image = np.array(getattr(given, name))
+    image[10, 20] = np.nan
+    image[30, 40] = -np.inf
+    fused = fuse(replace(given, **{name: image}), random_fusion())
+    assert fused.excluded == 0
+    assert np.isfinite(fused.radiance).all()
+
+
+def test_statistics_hold_the_bias_of_splats_against_noise():
+    """Squared bias d^2 - v against v / 36: of (0.3, 0.01) and (0.1, 0.0099), by hand."""
+    for difference, variance, expected in ((0.3, 0.01, 0.99654), (0.1, 0.0099, 0.26666), (0.05, 0.01, 0.0)):
+        radiance, weights = statistical(flat(0.5 + difference), flat(0.7), flat(0.5), flat(variance))
+        np.testing.assert_allclose(weights[:, 1], expected, atol=1e-4)
+        np.testing.assert_allclose(weights[:, 2], 1 - expected, atol=1e-4)
+        np.testing.assert_allclose(radiance, 0.5 + 0.2 * expected, atol=1e-4)
+        assert (weights[:, 0] == 0).all()
+
+
+def test_an_unknown_variance_is_taken_from_what_denoising_removed():
+    """0.8 - 0.7 squared is 0.01."""
+    radiance, _ = statistical(flat(0.8), flat(0.7), flat(0.5), flat(np.inf))
+    known, _ = statistical(flat(0.8), flat(0.7), flat(0.5), flat(0.01))
+    np.testing.assert_allclose(radiance, known, atol=1e-6)
 
 
 def way(length: float, at: float, noise: float) -> np.ndarray:
-    """(N,) shares of the way found between two flat pictures, where the truth lies at that share."""
+    """(N,) shares of the way found between two flat images, where the truth lies at that share."""
     start, end = torch.full((1, 3, 96, 96), 0.5), torch.full((1, 3, 96, 96), 0.5 + length)
     generator = torch.Generator().manual_seed(0)
     traced = start + at * length + noise * torch.randn(start.shape, generator=generator)
@@ -133,86 +196,61 @@ def test_many_samples_tell_which_of_two_estimates_is_nearer():
 
 
 def test_few_samples_leave_the_first_estimate_as_it_is():
-    """Their noise would choose at random; the share is a tenth of it, at most."""
+    """Their noise would choose at random; it gets at most about a tenth."""
     assert way(0.02, 1.0, 0.3).max() < 0.12
     assert way(0.02, 0.0, 0.3).max() < 0.12
 
 
-def test_weights_are_shares():
-    fused = fuse(example(5, 4).parents, random_fusion())
-    np.testing.assert_allclose(fused.weights.sum(axis=2), 1, atol=1e-5)
-    assert fused.weights.min() >= 0
-    assert fused.excluded == 0
+def test_noise_lengthens_the_way():
+    """0.5 * 0.1^2 over 0.1^2 + 24 / 36 * 0.003."""
+    share = regressed(flat(0.5), flat(0.6), flat(0.55), flat(0.003))
+    np.testing.assert_allclose(share, 0.41667, atol=1e-4)
+    assert (regressed(flat(0.5), flat(0.6), flat(0.55), flat(np.inf)) == 0).all()
 
 
-@pytest.mark.parametrize("name", ["traced", "denoised", "splat"])
-@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
-def test_what_is_no_radiance_is_left_out_and_counted(name, value):
-    given = example(6, 4)
-    image = getattr(given.parents, name).copy()
-    image[10, 20, 1] = image[30, 40] = value
-    fused = fuse(replace(given.parents, **{name: image}), random_fusion())
-    assert fused.excluded == 2
-    assert np.isfinite(fused.radiance).all()
-    assert fused.radiance.min() >= 0
+def test_noise_alone_does_not_count_as_bias():
+    """An exact estimate keeps nearly all of its share beside noisy samples, a biased one does not."""
+    given = example(4, 4)
+    batch = lambda image: torch.from_numpy(image.copy()).permute(2, 0, 1)[None]  # noqa: E731
+    truth, traced = batch(given.reference), batch(given.parents.traced)
+    variance = batch(given.parents.variance)
+    count = torch.full_like(truth[:, :1], 4)
+    assert trust(truth, traced, variance, count).mean() > 0.97
+    many = torch.full_like(count, 1024)
+    biased = truth + 3 * variance.sqrt().mean()
+    assert trust(biased, traced, variance, many).mean() < 0.3
 
 
-def test_odd_sizes_are_fused_as_well():
-    given = example(7, 4).parents
-    names = ("traced", "variance", "denoised", "splat", "albedo", "normal", "count")
-    odd = replace(given, **{name: getattr(given, name)[:65, :71] for name in names})
-    assert fuse(odd, random_fusion()).radiance.shape == (65, 71, 3)
+def test_trust_without_noise_by_hand():
+    """v / (v + d^2 - v): 0.01 over 0.04; where only the floor of bias is left, 1e-5 over 1e-5 + 0.005^2."""
+    share = trust(flat(1), flat(1.2), flat(0.01), counts(64))
+    np.testing.assert_allclose(share, 0.25, atol=1e-4)
+    share = trust(flat(1), flat(1 + 1e-5**0.5), flat(1e-5), counts(64))
+    np.testing.assert_allclose(share, 0.28571, atol=1e-3)
+    assert (trust(flat(1), flat(5), flat(np.inf), counts(1)) == 1).all()
 
 
-def test_parents_of_different_size_are_refused():
-    given = example(8, 4).parents
-    with pytest.raises(ValueError, match="splat is"):
-        replace(given, splat=given.splat[:-1])
+@pytest.mark.parametrize(("count", "expected"), [(1, 0.03782), (400, 0.01552)])
+def test_a_single_outlier_among_few_samples_counts_less(count, expected):
+    """One of 32 x 32 pixels differs by 5, with a variance of 0.01 everywhere.
+
+    Over 6 x 6 pixels the excess is 24.99 / 36 less 0.01 of the others, 0.6844. Twice an error is subtracted,
+    which is at most 0.01 (1.5 + 20 / sqrt(count)): 0.43 for one sample and 0.05 for 400.
+    """
+    traced = flat(1)
+    traced[..., 16, 16] = 6
+    share = trust(flat(1), traced, flat(0.01), counts(count))
+    np.testing.assert_allclose(share[0, 0, 16, 16], expected, rtol=2e-3)
+    assert share[0, 0, 2, 2] > 0.9
 
 
-def test_radiance_beyond_one_keeps_its_scale():
-    """Linear and unbounded: where all parents agree on a lamp of radiance 5000, so does the result."""
-    given = example(9, 4).parents
-    lamp = np.full_like(given.traced, 5000)
-    agreed = replace(given, traced=lamp, denoised=lamp, splat=lamp, variance=np.zeros_like(lamp))
-    np.testing.assert_allclose(fuse(agreed, random_fusion()).radiance, 5000, rtol=1e-3)
-
-
-def test_the_gradient_of_the_mixture_by_finite_differences():
+def test_black_samples_are_as_uncertain_as_their_neighbourhood():
+    """A patch in which single samples have found no light shows no variance, but its neighbourhood does."""
     generator = torch.Generator().manual_seed(0)
-    draw = lambda *shape: torch.rand(*shape, generator=generator, dtype=torch.float64)  # noqa: E731
-    judged = (draw(1, 9, 4, 4) - 0.5).requires_grad_()
-    images = [draw(1, 3, 4, 4) for _ in range(3)]
-    texture = [draw(1, 3, 4, 4) - 0.5 for _ in range(3)]
-    assert torch.autograd.gradcheck(lambda x: mixture(x, images, texture), (judged,))
-
-
-def test_the_mixture_in_plain_words():
-    """One pixel, by hand: shares by softmax, splats sharpened by the texture that they lack."""
-    judged = torch.tensor([0.5, -0.2, 0.1, 0.7, -0.3, 0.2, 0.4, 0.0, -0.4], dtype=torch.float64)
-    pixel = lambda *values: torch.tensor(values, dtype=torch.float64).view(1, 3, 1, 1)  # noqa: E731
-    traced, denoised, splat = pixel(1, 2, 3), pixel(0.5, 0.4, 0.3), pixel(0.2, 0.6, 0.1)
-    texture = [pixel(0.3, 0.1, -0.2), pixel(0.5, 0.5, 0.5), pixel(-0.1, 0, 0.1)]
-    radiance, weights = mixture(judged.view(1, 9, 1, 1), [traced, denoised, splat], texture)
-    values = judged.numpy()
-    share = np.exp([values[0] - 2, values[1], values[2]])
-    share /= share.sum()
-    lacks = sum(k * t.numpy().ravel() for k, t in zip(values[3:6], texture, strict=True))
-    sharp = splat.numpy().ravel() * np.exp(lacks + 0.5 * np.tanh(values[6:9]))
-    expected = share[0] * traced.numpy().ravel() + share[1] * denoised.numpy().ravel() + share[2] * sharp
-    np.testing.assert_allclose(radiance.numpy().ravel(), expected, rtol=1e-12)
-    np.testing.assert_allclose(weights.numpy().ravel(), share, rtol=1e-12)
-
-
-def test_looks_are_finite_at_the_extremes():
-    given = example(10, 1).parents
-    for scale in (0.0, 1e-6, 1e6):
-        images = [
-            torch.from_numpy(np.ascontiguousarray(i)).permute(2, 0, 1)[None]
-            for i in (given.traced * scale, given.denoised * scale, given.splat, given.albedo, given.normal)
-        ]
-        features = features_of(images, torch.ones(1, 1, 96, 96), torch.tensor([1.0]))
-        assert features.fine.isfinite().all()
-        assert features.coarse.isfinite().all()
-        assert features.fine.shape[1] == features.FINE
-        assert features.coarse.shape[1] == features.COARSE
+    variance, traced = flat(0.25, 64), 1 + 0.5 * torch.randn((1, 3, 64, 64), generator=generator)
+    variance[..., 24:36, 24:36] = 0
+    traced[..., 24:36, 24:36] = 0
+    share = trust(flat(1, 64), traced, variance, counts(1, 64))
+    assert share[0, 0, 28:32, 28:32].min() > 0.1
+    # Without any variance around it, it would be believed.
+    assert trust(flat(1, 64), traced, 0 * variance, counts(1, 64))[0, 0, 28:32, 28:32].max() < 1e-6

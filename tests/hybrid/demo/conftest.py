@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from typing import Any
 
 import pytest
 
@@ -17,3 +18,13 @@ def offscreen() -> dict[str, str]:
     if tried(environment).returncode != 0:
         pytest.skip("Qt can open no window here, not even in memory: its libraries are missing")
     return environment
+
+
+@pytest.fixture(scope="session")
+def application(offscreen) -> Any:
+    """Qt in this process."""
+    from PySide6.QtWidgets import QApplication
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("QT_QPA_PLATFORM", offscreen["QT_QPA_PLATFORM"])
+        return QApplication.instance() or QApplication([])

@@ -17,14 +17,13 @@ from PySide6.QtGui import QImage
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QSlider
 
-from compose.eye.display import DISPLAYS
-from compose.eye.gaze import Gaze
 from hybrid.demo.thread import RenderThread
 from hybrid.demo.window import Window
+from hybrid.frame.settings import INTERACTIVE
 from hybrid.interactive.gaze_input import GazeInput
 from hybrid.interactive.prepare import prepared
-from hybrid.interactive.request import Settings, Shows
-from hybrid.store import cache
+from hybrid.interactive.request import View
+from hybrid.training import quick
 from pathtrace.dataset.settings import CaptureSettings
 from splat.io.forest_file import load_forest
 from splat.training.trainer import TrainingSettings
@@ -35,15 +34,19 @@ _PATIENCE = 120.0
 
 def opened(forest: Path, folder: Path) -> Window:
     """A window that shows frames of the forest's scene, one of the bundled ones."""
-    make = partial(prepared, load_forest(forest).scene_name, forest, DISPLAYS["desktop"], "auto", True)
-    window = Window(RenderThread(make), Settings(), SIZE, GazeInput(0.0, None), folder)
+    window = window_of(load_forest(forest).scene_name, forest, folder)
     window.show()
-    wait(lambda: window._last is not None and window._last.picture.shape[1] == SIZE[0])
+    wait(lambda: window.shown is not None and window.shown.image.shape[1] == SIZE[0])
     return window
 
 
+def window_of(scene: str, forest: Path | None, folder: Path) -> Window:
+    thread = RenderThread(partial(prepared, scene, forest, "auto", True))
+    return Window(thread, INTERACTIVE, None, SIZE, GazeInput(0.0, None), folder)
+
+
 def wait(done: Callable[[], bool]) -> None:
-    """Until something is the case; the window lives on meanwhile."""
+    """Waits until something is the case, while the window runs."""
     end = time.monotonic() + _PATIENCE
     while not done():
         if time.monotonic() > end:
@@ -52,28 +55,25 @@ def wait(done: Callable[[], bool]) -> None:
 
 
 def pause(seconds: float) -> None:
+    """Lets the window run for a while."""
     loop = QEventLoop()
     QTimer.singleShot(round(1000 * seconds), loop.quit)
     loop.exec()
 
 
-def picture(window: Window) -> np.ndarray:
-    """(H, W, 3) what is on the screen where the frame is, once nothing older than now is shown there."""
-    # The mouse is moved by the window system, when it comes to it.
+def image(window: Window) -> np.ndarray:
+    """(H, W, 3) what is on the screen where the frame is, once it answers all input until now."""
+    # The window system moves the mouse some time later.
     pause(0.1)
-    wait(lambda: window._last is not None and window._last.request.same_picture(window._asked))
+    wait(lambda: window.shown is not None and window.shown.request.same_frame(window.request))
     grabbed = window.canvas.grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
     rows = np.frombuffer(grabbed.constBits(), np.uint8).reshape(grabbed.height(), grabbed.bytesPerLine())
     return rows[:, : 3 * grabbed.width()].reshape(grabbed.height(), grabbed.width(), 3).copy()
 
 
-def point(window: Window, gaze: Gaze) -> QPoint:
-    return window.canvas.point_of(gaze).toPoint()
-
-
 def disc(window: Window) -> dict[str, float]:
-    """Where light is in a picture of the fovea alone, in pixels."""
-    y, x = np.nonzero(picture(window).sum(axis=2) > 0)
+    """Where there is light in the view of the fovea alone, in pixels."""
+    y, x = np.nonzero(image(window).sum(axis=2) > 0)
     return {"x": (x.min() + x.max() + 1) / 2, "y": (y.min() + y.max() + 1) / 2, "width": int(np.ptp(x)) + 1}
 
 
@@ -82,60 +82,38 @@ def key(window: Window, which: Qt.Key) -> None:
 
 
 def trains(folder: Path, closes: float) -> dict[str, object]:
-    """A forest that is missing is trained, the window alive; or closed before that is done."""
-    cache.QUICK_CAPTURE = CaptureSettings(views=5, held_out=3, width=32, height=32, spp=2, held_out_spp=4)
-    cache.QUICK_TRAINING = TrainingSettings(iterations=60, gaussians=400, degree=1, layers=2)
-    make = partial(prepared, "cornell", None, DISPLAYS["desktop"], "auto", True)
-    thread, said, beats = RenderThread(make), [], [time.monotonic()]
-    thread.progress.connect(lambda what, done, total: said.append(what))
-    window = Window(thread, Settings(), SIZE, GazeInput(0.0, None), folder)
+    """Trains a missing forest while the window stays responsive; or closes the window before that is done."""
+    quick.QUICK_CAPTURE = CaptureSettings(views=5, held_out=3, width=32, height=32, spp=2, held_out_spp=4)
+    quick.QUICK_TRAINING = TrainingSettings(iterations=60, gaussians=400, degree=1, layers=2)
+    window, said, beats = window_of("cornell", None, folder), [], [time.monotonic()]
+    window._thread.progress.connect(lambda activity, done, total: said.append(activity))
     window.show()
     heart = QTimer()
     heart.timeout.connect(lambda: beats.append(time.monotonic()))
     heart.start(10)
-    wait(lambda: window._last is not None or (closes > 0 and len(said) > 0))
+    wait(lambda: window.shown is not None or (closes > 0 and len(said) > 0))
     seen: dict[str, object] = {"said": sorted(set(said)), "pause": float(np.diff(beats).max())}
-    return ended(window, seen | {"shown": window._last is not None})
+    return ended(window, seen | {"shown": window.shown is not None})
 
 
 def tour(forest: Path, folder: Path) -> dict[str, object]:
-    """Mouse, keys and sliders, one after another."""
+    """Uses mouse, keys and sliders, one after another."""
     window = opened(forest, folder)
-    seen: dict[str, object] = {"platform": QApplication.platformName(), "first": picture(window).mean()}
-    key(window, Qt.Key.Key_H)
-    key(window, Qt.Key.Key_G)
-    key(window, Qt.Key.Key_2)
-    places = []
-    for x, y in ((80, 60), (240, 180), (160, 120)):
-        QTest.mouseMove(window.canvas, QPoint(x, y))
-        places.append({"mouse": [x, y], **disc(window)})
-    seen["discs"] = places
-    assert window.panel is not None
-    assert isinstance(window.panel.fov_a, QSlider)
-    window.panel.fov_a.setValue(30)
-    seen["wider"] = disc(window)["width"]
-    key(window, Qt.Key.Key_Space)
-    QTest.mouseMove(window.canvas, QPoint(40, 40))
-    seen["held"] = disc(window)
-    key(window, Qt.Key.Key_Space)
+    seen: dict[str, object] = {"platform": QApplication.platformName(), "first": image(window).mean()}
+    # Neither text nor ring; the fovea alone.
+    for which in (Qt.Key.Key_H, Qt.Key.Key_G, Qt.Key.Key_2):
+        key(window, which)
+    seen |= discs(window)
     seen["views"] = {}
-    for number, shows in enumerate(Shows):
+    for number, view in enumerate(View):
         key(window, Qt.Key(Qt.Key.Key_1 + number))
-        seen["views"][shows.name] = picture(window).mean()  # type: ignore[index]
+        seen["views"][view.name] = image(window).mean()  # type: ignore[index]
     key(window, Qt.Key.Key_1)
     seen["help"] = difference(window, lambda: key(window, Qt.Key.Key_F1))
     key(window, Qt.Key.Key_F1)
     seen["hud"] = difference(window, lambda: key(window, Qt.Key.Key_H))
     key(window, Qt.Key.Key_H)
-    seen["walked"] = difference(window, lambda: hold(window, Qt.Key.Key_W))
-    seen["dragged"] = difference(window, lambda: drag(window))
-    before = window._asked
-    key(window, Qt.Key.Key_R)
-    picture(window)
-    assert before is not None
-    assert window._asked is not None
-    seen["at home"] = window._asked.camera.position.tolist()
-    seen["away"] = before.camera.position.tolist()
+    seen |= walk(window)
     key(window, Qt.Key.Key_T)
     for x in range(100, 220, 10):
         QTest.mouseMove(window.canvas, QPoint(x, 100))
@@ -146,26 +124,61 @@ def tour(forest: Path, folder: Path) -> dict[str, object]:
     key(window, Qt.Key.Key_Tab)
     pause(0.3)
     seen["wide"] = window.canvas.width()
-    picture(window)
-    seen["frame"] = window._last.picture.shape if window._last else None
+    image(window)
+    seen["frame"] = window.shown.image.shape if window.shown else None
     return ended(window, seen)
 
 
+def discs(window: Window) -> dict[str, object]:
+    """Where the disc is while the mouse moves, with a larger radius, and while the gaze is held."""
+    found = []
+    for x, y in ((80, 60), (240, 180), (160, 120)):
+        QTest.mouseMove(window.canvas, QPoint(x, y))
+        found.append({"mouse": [x, y], **disc(window)})
+    assert window.panel is not None
+    window.panel.fov_a.setValue(30)
+    wider = disc(window)["width"]
+    key(window, Qt.Key.Key_Space)
+    QTest.mouseMove(window.canvas, QPoint(40, 40))
+    held = disc(window)
+    key(window, Qt.Key.Key_Space)
+    return {"discs": found, "wider": wider, "held": held}
+
+
+def walk(window: Window) -> dict[str, object]:
+    """How much of the image walking and dragging change, and where the viewer is then, and back at home."""
+    walked = difference(window, lambda: hold(window, Qt.Key.Key_W))
+    dragged = difference(window, lambda: drag(window))
+    away = position(window)
+    key(window, Qt.Key.Key_R)
+    image(window)
+    return {"walked": walked, "dragged": dragged, "away": away, "at home": position(window)}
+
+
+def position(window: Window) -> list[float]:
+    """Where the camera of the newest request is."""
+    assert window.request is not None
+    assert window.request.settings.camera is not None
+    return window.request.settings.camera.position.tolist()
+
+
 def difference(window: Window, act: Callable[[], object]) -> float:
-    """Mean over what has changed on the screen after something was done."""
-    before = picture(window).astype(float)
+    """Mean absolute change of the image after something was done."""
+    before = image(window).astype(float)
     act()
     pause(0.2)
-    return float(np.abs(picture(window) - before).mean())
+    return float(np.abs(image(window) - before).mean())
 
 
 def hold(window: Window, which: Qt.Key) -> None:
+    """Holds a key for a while."""
     QTest.keyPress(window.canvas, which)
     pause(0.4)
     QTest.keyRelease(window.canvas, which)
 
 
 def drag(window: Window) -> None:
+    """Drags the scene to the right."""
     button, canvas = Qt.MouseButton.LeftButton, window.canvas
     QTest.mousePress(canvas, button, Qt.KeyboardModifier.NoModifier, QPoint(100, 100))
     for x in range(100, 160, 10):
@@ -175,7 +188,7 @@ def drag(window: Window) -> None:
 
 
 def fuzz(forest: Path, folder: Path, seconds: float = 20.0) -> dict[str, object]:
-    """Random input for a while, and how much memory that takes."""
+    """Random input for some seconds; records the memory in MiB, second by second."""
     window, chance = opened(forest, folder), random.Random(7)
     start = time.monotonic()
     memory: list[tuple[float, float]] = []
@@ -207,7 +220,7 @@ def random_step(window: Window, chance: random.Random) -> None:
         drag(window)
     elif kind < 0.9:
         slider = chance.choice(panel.findChildren(QSlider))
-        # Radii and samples that a frame can be made of in a moment.
+        # Radii and samples with which frames stay quick.
         most = min(slider.maximum(), 40 if slider in (panel.fov_a, panel.fov_b) else 100)
         slider.setValue(chance.randint(slider.minimum(), min(most, 4) if slider is panel.spp else most))
     elif kind < 0.93:
@@ -227,11 +240,11 @@ def resident() -> float:
 
 
 def ended(window: Window, seen: dict[str, object]) -> dict[str, object]:
-    """After closing the window: what was seen, and what is left of it."""
+    """Closes the window, and adds to what was seen what is left running."""
     error = window.error
     window.close()
     threads = [thread.name for thread in threading.enumerate() if thread is not threading.main_thread()]
-    # Qt's threads show up as dummies while they run Python.
+    # Qt's threads are listed as dummies while they run Python.
     return seen | {"running": window._thread.isRunning(), "threads": threads, "error": error and str(error)}
 
 
@@ -240,6 +253,6 @@ if __name__ == "__main__":
     scenario, *files = sys.argv[1:4]
     arguments = [float(value) for value in sys.argv[4:]]
     paths = [Path(file) for file in files]
-    scenarios = {"tour": tour, "fuzz": fuzz, "trains": lambda forest, out, closes: trains(out, closes)}
+    scenarios = {"tour": tour, "fuzz": fuzz, "trains": lambda forest, folder, closes: trains(folder, closes)}
     result = scenarios[scenario](*paths, *arguments)
     (paths[1] / "seen.json").write_text(json.dumps(result, default=float))

@@ -1,48 +1,146 @@
-"""What is chosen with the controls is always a valid setting."""
+"""What is chosen with the controls is a valid setting at every moment."""
 
 from __future__ import annotations
 
+import random
+from dataclasses import replace
+
 import pytest
 
-from hybrid.interactive.request import Settings
+pytest.importorskip("PySide6.QtWidgets", reason="the window needs Qt", exc_type=ImportError)
+
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QLabel, QSlider, QWidget
+
+from compose.eye.acuity import ACUITY_MODELS
+from hybrid.demo.panel import Panel
+from hybrid.frame.settings import FrameSettings
+from hybrid.interactive.request import View
+
+pytestmark = pytest.mark.usefixtures("application")
+INITIAL = FrameSettings(fov_a=15.0, fov_b=11.0, spp=1)
 
 
-@pytest.fixture(scope="module")
-def application(offscreen) -> object:
-    from PySide6.QtWidgets import QApplication
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("QT_QPA_PLATFORM", offscreen["QT_QPA_PLATFORM"])
-        return QApplication.instance() or QApplication([])
-
-
-def test_what_was_asked_for_is_kept_until_something_is_changed(application):
-    from hybrid.demo.panel import Panel
-
-    asked = Settings(12.4, 11.25, 32, "fov-gs", None, 1, 0.5, 24.5)
-    panel = Panel(asked, 4)
-    chosen = panel.settings()
-    assert (chosen.fov_a, chosen.fov_b, chosen.spp, chosen.target_fps) == (12.4, 11.25, 32, 24.5)
-    assert chosen.layers == (1, 4)
+def test_initial_settings_are_exact_until_something_is_changed():
+    asked = FrameSettings(
+        fov_a=12.4, fov_b=11.25, spp=32, acuity_model="fov-gs", rate=1, scale=0.5, display="hmd"
+    )
+    panel = Panel(asked, 24.5, 4)
+    assert panel.settings() == replace(asked, layers=(1, 4))
+    assert panel.target_fps == 24.5
     panel.acuity_model.setCurrentText("none")
     assert panel.settings().acuity_model == "none"
+    assert panel.target_fps == 24
+    # What no control changes.
+    assert panel.settings().display == asked.display
 
 
-def test_no_one_hears_of_a_setting_that_is_not_valid(application):
-    from hybrid.demo.panel import Panel
+def test_initial_layers_are_kept():
+    panel = Panel(replace(INITIAL, layers=(2, 3)), None, 4)
+    assert (panel.coarsest.value(), panel.finest.value()) == (2, 3)
+    assert panel.settings().layers == (2, 3)
 
-    panel = Panel(Settings(15.0, 11.0), 4)
-    heard = []
+
+def test_each_control_sets_what_it_names():
+    panel = Panel(INITIAL, None, 4)
+    panel.fov_a.setValue(40)
+    panel.fov_b.setValue(30)
+    panel.spp.setValue(3)
+    panel.acuity_model.setCurrentText("fov-gs")
+    panel.coarsest.setValue(2)
+    panel.finest.setValue(3)
+    panel.rate.setValue(2)
+    panel.scale.setValue(50)
+    expected = FrameSettings(
+        fov_a=40.0, fov_b=30.0, spp=3, acuity_model="fov-gs", layers=(2, 3), rate=2, scale=0.5
+    )
+    assert panel.settings() == expected
+    assert panel.target_fps is None
+    panel.controlled.setChecked(True)
+    panel.target.setValue(30)
+    assert panel.target_fps == 30
+    assert panel.view is View.COMPOSITE
+    panel.views.setCurrentIndex(5)
+    assert panel.view is View.LEVELS
+
+
+def test_lists_hold_all_views_and_acuity_models():
+    panel = Panel(INITIAL, None, 4)
+    assert [panel.views.itemText(i) for i in range(panel.views.count())] == [view.value for view in View]
+    assert panel.acuity_model.count() == len(ACUITY_MODELS)
+
+
+def test_labels_show_the_values():
+    panel = Panel(INITIAL, None, 4)
+    panel.fov_a.setValue(40)
+    texts = {label.text() for label in panel.findChildren(QLabel)}
+    assert {"fov-a 40 %", "fov-b 11 %", "samples 1", "finest layer 4", "scale 100 %", "acuity model"} <= texts
+
+
+def test_the_ends_of_a_range_push_each_other():
+    panel = Panel(INITIAL, None, 4)
+    panel.fov_a.setValue(5)
+    assert panel.fov_b.value() == 5
+    panel.fov_b.setValue(50)
+    assert panel.fov_a.value() == 50
+    panel.finest.setValue(2)
+    panel.coarsest.setValue(3)
+    assert panel.finest.value() == 3
+    panel.finest.setValue(1)
+    assert panel.coarsest.value() == 1
+
+
+def test_settings_are_the_same_object_until_one_changes():
+    panel = Panel(INITIAL, None, 4)
+    first = panel.settings()
+    assert panel.settings() is first
+    panel.spp.setValue(2)
+    second = panel.settings()
+    assert second is not first
+    assert panel.settings() is second
+
+
+def test_every_setting_that_anyone_hears_of_is_valid():
+    # FrameSettings checks all values but the order of the layers.
+    panel, chance = Panel(INITIAL, None, 4), random.Random(3)
+    heard: list[FrameSettings] = []
     panel.changed.connect(lambda: heard.append(panel.settings()))
-    for value in (40, 5, 60, 0, 30):
-        panel.fov_a.setValue(value)
-    for value in (50, 10):
-        panel.fov_b.setValue(value)
-    for value in (1, 3):
-        panel.finest.setValue(value)
-    panel.coarsest.setValue(4)
-    assert len(heard) >= 10
-    for settings in heard:
-        assert settings.fov_b <= settings.fov_a
-        assert settings.layers[0] <= settings.layers[1]
-    assert heard[-1].layers == (4, 4)
+    sliders = panel.findChildren(QSlider)
+    assert len(sliders) == 7
+    for _ in range(300):
+        slider = chance.choice(sliders)
+        slider.setValue(chance.randint(slider.minimum(), slider.maximum()))
+    assert len(heard) > 250
+    assert all(settings.layers and settings.layers[0] <= settings.layers[1] for settings in heard)
+    assert len(set(heard)) > 200
+
+
+def test_every_change_is_heard():
+    panel = Panel(INITIAL, None, 4)
+    heard: list[None] = []
+    panel.changed.connect(lambda: heard.append(None))
+    for change in (
+        lambda: panel.views.setCurrentIndex(1),
+        lambda: panel.controlled.setChecked(True),
+        lambda: panel.target.setValue(31),
+        lambda: panel.scale.setValue(70),
+    ):
+        before = len(heard)
+        change()
+        assert len(heard) == before + 1
+
+
+def test_what_the_controller_chooses_cannot_be_chosen_by_hand():
+    panel = Panel(INITIAL, 15.0, 4)
+    chosen = panel.spp, panel.coarsest, panel.finest, panel.rate, panel.scale
+    assert not any(control.isEnabled() for control in chosen)
+    assert panel.fov_a.isEnabled()
+    panel.controlled.setChecked(False)
+    assert all(control.isEnabled() for control in chosen)
+    assert panel.target_fps is None
+
+
+def test_no_control_takes_keys_from_the_frame():
+    panel = Panel(INITIAL, None, 4)
+    policies = {control.focusPolicy() for control in panel.findChildren(QWidget)}
+    assert policies == {Qt.FocusPolicy.NoFocus}

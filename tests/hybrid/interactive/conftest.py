@@ -1,4 +1,4 @@
-"""A source of real frames, and frames made up."""
+"""A source of real frames."""
 
 from __future__ import annotations
 
@@ -11,6 +11,13 @@ from splat.io.forest_file import load_forest
 
 
 @pytest.fixture(scope="session")
-def source(backend, made) -> FrameSource:
-    """Frames of the Cornell box."""
-    return FrameSource(LiveRenderer(load_scene("cornell"), load_forest(made / "box.forest")))
+def renderer(backend, made) -> LiveRenderer:
+    """Renders the Cornell box."""
+    return LiveRenderer(load_scene("cornell"), load_forest(made / "box.forest"))
+
+
+@pytest.fixture
+def source(renderer) -> FrameSource:
+    """Frames of the Cornell box, none of which has been shown."""
+    renderer.forget()
+    return FrameSource(renderer)

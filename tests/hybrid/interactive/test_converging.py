@@ -42,7 +42,9 @@ class Steps:
         self.seeds.append(seed)
         self.offsets.append(offset)
         step, ones = len(self.pixels), np.ones(len(x), dtype=np.float32)
-        return SimpleNamespace(radiance=[mi.Float(step * ones), mi.Float(2 * step * ones), mi.Float(0 * ones)])
+        return SimpleNamespace(
+            radiance=[mi.Float(step * ones), mi.Float(2 * step * ones), mi.Float(0 * ones)]
+        )
 
 
 def test_sixteen_steps_sample_each_pixel_once_spread_over_the_frame():
@@ -132,7 +134,7 @@ def test_the_mean_of_a_real_scene_has_no_bias(tracer):
     deviation = np.sqrt((squares - truth**2).clip(0).mean() / 16 / len(truth))
     error = refined(tracer, view, 16).image().mean() - truth.mean()
     assert abs(error) < 4 * deviation
-    assert deviation < 0.01 * truth.mean()
+    assert deviation < 0.02 * truth.mean()
 
 
 def test_denoising_few_samples_brings_them_closer_to_the_truth(tracer):

@@ -55,7 +55,5 @@ def test_odd_sizes_are_refused_before_the_work(size, refused):
 
 def test_without_pyav_the_command_that_installs_it_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(
-        UserError, match=r"videos require PyAV: pip install 'foveated-hybrid-renderer\[demo\]"):
-    ):
+    with pytest.raises(UserError, match=r"videos require PyAV: pip install '.*\[demo\]'"):
         check_video(32, 16)

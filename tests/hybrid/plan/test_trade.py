@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 
 import pytest
+from hybrid.plan.trade import Choice, Trade, chosen
 
 from compose.base.errors import UserError
-from hybrid.plan.trade import Choice, Trade, chosen
 from hybrid.sweeps import catalogue
 from tests.hybrid.command import run
 

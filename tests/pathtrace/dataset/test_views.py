@@ -122,6 +122,18 @@ def test_the_same_seed_gives_the_same_views(room):
     assert not set(keys(first)) & set(keys(other))
 
 
+def test_views_are_those_of_earlier_versions(ball):
+    """Frame sets that were begun with an earlier version must be resumable; values of the first version."""
+    scene, surfaces = ball
+    first, second = choose_views(scene, surfaces, 3, 32, 32, seed=1).spread
+    for view, position, forward in (
+        (first, [-0.0671, -0.1290, -0.1394], [-0.0682, 0.0826, 0.9942]),
+        (second, [-0.1529, 0.2399, 0.0921], [0.1306, -0.0125, 0.9914]),
+    ):
+        np.testing.assert_allclose(view.position, position, atol=1e-4)
+        np.testing.assert_allclose(view.camera_to_world[:3, 2], forward, atol=1e-4)
+
+
 def test_unseen_views_are_no_training_views(room):
     scene, surfaces = room
     unseen = unseen_views(scene, 3, 32, 32)

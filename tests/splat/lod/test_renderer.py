@@ -1,4 +1,4 @@
-"""A joined frame against a float64 twin that draws each picture on its own and joins them pixel by pixel."""
+"""Composited frames against a float64 twin that draws each layer image alone and sums them pixel by pixel."""
 
 from __future__ import annotations
 
@@ -9,46 +9,48 @@ import pytest
 import torch
 from scipy.ndimage import map_coordinates
 
-from compose.camera.camera import Camera, camera_from_pose
-from splat.lod.joining import Picture
-from splat.lod.pictures import ForestRenderer
-from splat.model.building import build_forest
-from splat.model.forest import Forest, forest_of, static_layer
-from splat.model.gaussians import Gaussians
+from compose.camera.camera import Camera
+from splat.lod.layer_images import LayerImage
+from splat.lod.renderer import ForestRenderer, finest_frequency, tile_side
+from splat.model.forest import Forest, forest_of
+from splat.model.layer import static_layer
 from splat.raster.projection import PIXEL_FILTER
+from tests.splat.lod.views import (
+    CELLS,
+    CORNERS,
+    HEIGHT,
+    WIDTH,
+    everything,
+    frame_camera,
+    no_cutoff,
+    ramp,
+    small_forest,
+)
 from tests.splat.raster import reference
 from tests.splat.samples import gaussians
-
-WIDTH, HEIGHT = 150, 100
-CORNERS = (-(-HEIGHT // 16) + 1, -(-WIDTH // 16) + 1)
-CELLS = (CORNERS[0] - 1, CORNERS[1] - 1)
 
 
 @pytest.fixture(scope="module")
 def camera() -> Camera:
-    pose = np.eye(4)
-    pose[:3, 3] = [0.1, -0.2, -4]
-    return camera_from_pose(pose, WIDTH, HEIGHT, 120.0, 120.0, WIDTH / 2, HEIGHT / 2)
+    return frame_camera()
 
 
 @pytest.fixture(scope="module")
 def forest() -> Forest:
-    return forest_of(build_forest(static_layer(gaussians("overlap", 80, 1)), 0.05, 3), 120.0, "", "")
-
-
-def ramp(low: float, high: float) -> np.ndarray:
-    """A lattice that rises from left to right."""
-    return np.tile(np.linspace(low, high, CORNERS[1], dtype=np.float32), (CORNERS[0], 1))
+    return small_forest()
 
 
 def lattice_at(lattice: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return map_coordinates(lattice.astype(np.float64), [y / 16, x / 16], order=1, mode="nearest")
 
 
-def sampled(forest: Forest, camera: Camera, layer: int, rate: int, variance: float) -> np.ndarray:
-    """A layer at one sample per 2^rate x 2^rate pixels: the twin on a camera with larger pixels."""
+def sampled(forest: Forest, camera: Camera, layer: int, rate: int, variance) -> np.ndarray:
+    """A layer at one sample per 2^rate x 2^rate pixels: the twin on a camera with larger pixels.
+
+    The variance in px^2 is one number, or one per Gaussian.
+    """
     size = 1 << rate
-    # Not rounded, as the projection's limits follow from the frame's width.
+    # Not rounded, since the projection's limits follow from the frame's width.
     small = replace(
         camera,
         width=camera.width / size,
@@ -58,39 +60,30 @@ def sampled(forest: Forest, camera: Camera, layer: int, rate: int, variance: flo
         cx=camera.cx / size,
         cy=camera.cy / size,
     )
-    g = forest.layers[layer - 1].gaussians
-    double = Gaussians(**{name: tensor.double() for name, tensor in g.tensors()})
-    splats = reference.project(double, small, variance / size**2)
+    g = reference.double(forest.layers[layer - 1].gaussians)
+    splats = reference.project(g, small, variance / size**2)
     return reference.blend(splats, -(-camera.width // size), -(-camera.height // size)).numpy()
 
 
-def twin(forest: Forest, camera: Camera, pictures: list[Picture], variances: list[float]) -> np.ndarray:
-    """Samples, interpolated between them, times shares, pixel by pixel."""
+def twin(forest: Forest, camera: Camera, images: list[LayerImage], variances: list[float]) -> np.ndarray:
+    """Samples, interpolated linearly, times weights, pixel by pixel."""
     x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
     total = np.zeros((HEIGHT, WIDTH, 3))
-    for picture, variance in zip(pictures, variances, strict=True):
-        samples = sampled(forest, camera, picture.layer, picture.rate, variance)
-        size = 1 << picture.rate
-        place = [y / size - 0.5, x / size - 0.5]
-        share = lattice_at(picture.share, x, y)
+    for image, variance in zip(images, variances, strict=True):
+        samples = sampled(forest, camera, image.layer, image.rate, variance)
+        size = 1 << image.rate
+        position = [y / size - 0.5, x / size - 0.5]
+        weight = lattice_at(image.weight, x, y)
         for channel in range(3):
-            total[..., channel] += share * map_coordinates(
-                samples[..., channel], place, order=1, mode="nearest"
+            total[..., channel] += weight * map_coordinates(
+                samples[..., channel], position, order=1, mode="nearest"
             )
     return total
 
 
-def everything() -> np.ndarray:
-    return np.ones(CELLS, dtype=bool)
-
-
-def no_cutoff() -> np.ndarray:
-    return np.full(CORNERS, 0.5, dtype=np.float32)
-
-
-def filters(forest: Forest, camera: Camera, pictures: list[Picture], cutoff: float) -> list[float]:
-    """Fov-GS's Eq. 8, mended, for one cut-off everywhere."""
-    blurs = [max(0.5 / cutoff, camera.fy / forest.focal_of(p.layer), 2.0**p.rate, 1.0) for p in pictures]
+def filters(forest: Forest, camera: Camera, images: list[LayerImage], cutoff: float) -> list[float]:
+    """Fov-GS's Eq. 8, corrected, for one cut-off everywhere."""
+    blurs = [max(0.5 / cutoff, camera.fy / forest.focal_of(p.layer), 2.0**p.rate, 1.0) for p in images]
     return [PIXEL_FILTER * blur**2 for blur in blurs]
 
 
@@ -113,22 +106,37 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("cutoff", [0.5, 0.11])
-def test_a_joined_frame_equals_its_twin(arrays, forest, camera, case, cutoff):
-    pictures = [Picture(layer, rate, ramp(*ends)) for layer, rate, ends in CASES[case]]
+def test_a_composited_frame_equals_its_twin(arrays, forest, camera, case, cutoff):
+    images = [LayerImage(layer, rate, ramp(*ends)) for layer, rate, ends in CASES[case]]
     lattice = np.full(CORNERS, cutoff, dtype=np.float32)
-    frame = ForestRenderer(arrays, forest).render(camera, pictures, lattice, everything())
-    expected = twin(forest, camera, pictures, filters(forest, camera, pictures, cutoff))
+    frame = ForestRenderer(arrays, forest).render(camera, images, lattice, everything())
+    expected = twin(forest, camera, images, filters(forest, camera, images, cutoff))
     np.testing.assert_allclose(frame.image(), expected, atol=1e-3)
     assert frame.nodes > 0
 
 
-def test_two_panels_of_one_rate_and_one_of_another_meet_in_a_cell(arrays, forest, camera):
-    """Cells are grouped by rates, whichever layers those are of: left 1 and 2, right 3 and 2."""
+def test_three_images_at_two_rates_meet_in_a_cell(arrays, forest, camera):
+    """Cells are grouped by rates, whichever layers they show: left 1 and 2, right 3 and 2."""
     left, right = np.maximum(ramp(1, -1), 0), np.maximum(ramp(-1, 1), 0)
-    pictures = [Picture(1, 1, left), Picture(3, 1, right), Picture(2, 3, 1 - left - right)]
-    frame = ForestRenderer(arrays, forest).render(camera, pictures, no_cutoff(), everything())
-    expected = twin(forest, camera, pictures, filters(forest, camera, pictures, 0.5))
+    images = [LayerImage(1, 1, left), LayerImage(3, 1, right), LayerImage(2, 3, 1 - left - right)]
+    frame = ForestRenderer(arrays, forest).render(camera, images, no_cutoff(), everything())
+    expected = twin(forest, camera, images, filters(forest, camera, images, 0.5))
     np.testing.assert_allclose(frame.image(), expected, atol=1e-3)
+
+
+def test_the_cutoff_is_interpolated_at_each_gaussian(arrays, forest, camera):
+    """The filter follows from the cut-off at a Gaussian's centre, clamped to the frame."""
+    lattice = ramp(0.02, 0.5) * np.linspace(1, 0.4, CORNERS[0], dtype=np.float32)[:, None]
+    frame = ForestRenderer(arrays, forest).render(
+        camera, [LayerImage(3, 0, ramp(1, 1))], lattice, everything()
+    )
+    centre, _ = camera.project(forest.finest.means.T.double().numpy())
+    cutoff = lattice_at(lattice, centre[:, 0], centre[:, 1])
+    assert cutoff.min() < 0.05
+    assert cutoff.max() > 0.2
+    variance = PIXEL_FILTER * torch.from_numpy(np.maximum(0.5 / cutoff, 1)) ** 2
+    # The worst are Gaussians centred beyond the last lattice point.
+    np.testing.assert_allclose(frame.image(), sampled(forest, camera, 3, 0, variance), atol=3e-3)
 
 
 def test_samples_of_a_layer_are_those_of_larger_pixels(arrays, forest, camera):
@@ -138,7 +146,7 @@ def test_samples_of_a_layer_are_those_of_larger_pixels(arrays, forest, camera):
     np.testing.assert_allclose(image, expected, atol=1e-3)
 
 
-def test_what_is_kept_of_a_camera_is_not_taken_for_another(arrays, forest, camera):
+def test_cached_footprints_belong_to_one_camera(arrays, forest, camera):
     renderer = ForestRenderer(arrays, forest)
     other = replace(camera, cx=camera.cx + 7)
     first = [renderer.render_layer(c, n).image().copy() for c in (camera, other) for n in (3, 1)]
@@ -153,18 +161,18 @@ def test_what_is_kept_of_a_camera_is_not_taken_for_another(arrays, forest, camer
 
 
 def test_a_wider_filter_than_before_reaches_nodes_outside_the_frame(arrays, forest, camera):
-    """Kept footprints serve filters up to some width; a wider one asks for more of them."""
+    """Cached footprints serve filters up to some width; a wider one needs more of them."""
     renderer = ForestRenderer(arrays, forest)
-    picture = Picture(3, 0, ramp(1, 1))
-    renderer.render(camera, [picture], no_cutoff(), everything())
+    image = LayerImage(3, 0, ramp(1, 1))
+    renderer.render(camera, [image], no_cutoff(), everything())
     wide = np.full(CORNERS, 0.01, np.float32)
-    kept = renderer.render(camera, [picture], wide, everything())
-    fresh = ForestRenderer(arrays, forest).render(camera, [picture], wide, everything())
+    kept = renderer.render(camera, [image], wide, everything())
+    fresh = ForestRenderer(arrays, forest).render(camera, [image], wide, everything())
     assert kept.nodes == fresh.nodes
     assert np.array_equal(kept.image(), fresh.image())
 
 
-def test_a_layer_alone_is_the_rasterizers_picture(arrays, forest, camera):
+def test_one_layer_is_the_rasterizers_image(arrays, forest, camera):
     image = ForestRenderer(arrays, forest).render_layer(camera, 3).image()
     expected = sampled(forest, camera, 3, 0, PIXEL_FILTER)
     np.testing.assert_allclose(image, expected, atol=1e-3)
@@ -172,37 +180,36 @@ def test_a_layer_alone_is_the_rasterizers_picture(arrays, forest, camera):
 
 def test_at_the_displays_nyquist_frequency_the_filter_is_the_pixels_own(arrays, forest, camera):
     renderer = ForestRenderer(arrays, forest)
-    at_nyquist = renderer.render(camera, [Picture(3, 0, ramp(1, 1))], no_cutoff(), everything())
+    at_nyquist = renderer.render(camera, [LayerImage(3, 0, ramp(1, 1))], no_cutoff(), everything())
     assert np.array_equal(at_nyquist.image(), renderer.render_layer(camera, 3).image())
 
 
-def test_what_is_not_wanted_is_black_and_costs_nothing(arrays, forest, camera):
+def test_unwanted_cells_are_black_and_cost_nothing(arrays, forest, camera):
     renderer = ForestRenderer(arrays, forest)
     wanted = everything()
     wanted[:, 4:] = False
-    pictures = [Picture(3, 0, ramp(0.5, 0.5)), Picture(2, 0, ramp(0.5, 0.5))]
-    all_of_it = renderer.render(camera, pictures, no_cutoff(), everything())
-    part = renderer.render(camera, pictures, no_cutoff(), wanted)
+    images = [LayerImage(3, 0, ramp(0.5, 0.5)), LayerImage(2, 0, ramp(0.5, 0.5))]
+    all_of_it = renderer.render(camera, images, no_cutoff(), everything())
+    part = renderer.render(camera, images, no_cutoff(), wanted)
     np.testing.assert_array_equal(part.image()[:, :64], all_of_it.image()[:, :64])
-    # The next column of cells is kept for samples that lie across the border.
-    assert (part.image()[:, 96:] == 0).all()
+    assert (part.image()[:, 64:] == 0).all()
     assert part.nodes < all_of_it.nodes
-    nothing = renderer.render(camera, pictures, no_cutoff(), np.zeros(CELLS, dtype=bool))
+    nothing = renderer.render(camera, images, no_cutoff(), np.zeros(CELLS, dtype=bool))
     assert nothing.nodes == 0
     assert (nothing.image() == 0).all()
 
 
-def test_a_layer_without_a_share_is_not_drawn(arrays, forest, camera):
+def test_an_image_without_a_weight_is_not_drawn(arrays, forest, camera):
     renderer = ForestRenderer(arrays, forest)
-    alone = renderer.render(camera, [Picture(3, 0, ramp(1, 1))], no_cutoff(), everything())
+    alone = renderer.render(camera, [LayerImage(3, 0, ramp(1, 1))], no_cutoff(), everything())
     beside = renderer.render(
-        camera, [Picture(3, 0, ramp(1, 1)), Picture(1, 1, ramp(0, 0))], no_cutoff(), everything()
+        camera, [LayerImage(3, 0, ramp(1, 1)), LayerImage(1, 1, ramp(0, 0))], no_cutoff(), everything()
     )
     assert alone.nodes == beside.nodes
     assert np.array_equal(alone.image(), beside.image())
 
 
-@pytest.mark.parametrize("extreme", ["huge", "tiny", "behind", "not a number"])
+@pytest.mark.parametrize("extreme", ["huge", "tiny", "behind", "NaN"])
 def test_extremes_stay_finite(arrays, camera, extreme):
     g = gaussians("overlap", 30, 0)
     if extreme == "huge":
@@ -211,18 +218,37 @@ def test_extremes_stay_finite(arrays, camera, extreme):
         g.log_scales -= 20
     if extreme == "behind":
         g.means[2] -= 100
-    if extreme == "not a number":
+    if extreme == "NaN":
         g.means[0, 3] = float("nan")
     forest = forest_of([static_layer(g)], 120.0, "", "")
-    pictures = [Picture(1, 0, ramp(0, 1)), Picture(1, 2, ramp(1, 0))]
+    images = [LayerImage(1, 0, ramp(0, 1)), LayerImage(1, 2, ramp(1, 0))]
     lattice = np.full(CORNERS, 1e-4, dtype=np.float32)
     assert np.isfinite(
-        ForestRenderer(arrays, forest).render(camera, pictures, lattice, everything()).image()
+        ForestRenderer(arrays, forest).render(camera, images, lattice, everything()).image()
     ).all()
 
 
 def test_the_same_frame_has_the_same_bits(arrays, forest, camera):
-    pictures = [Picture(3, 0, ramp(0, 1)), Picture(2, 1, ramp(1, 0))]
+    images = [LayerImage(3, 0, ramp(0, 1)), LayerImage(2, 1, ramp(1, 0))]
     renderer = ForestRenderer(arrays, forest)
-    first, second = (renderer.render(camera, pictures, no_cutoff(), everything()) for _ in range(2))
-    assert torch.equal(torch.from_numpy(first.image().copy()), torch.from_numpy(second.image().copy()))
+    first, second = (renderer.render(camera, images, no_cutoff(), everything()) for _ in range(2))
+    assert np.array_equal(first.image(), second.image())
+
+
+def test_nodes_are_counted_in_each_image(arrays, forest, camera):
+    """Layers 3 and 1 together have as many as each alone."""
+    renderer = ForestRenderer(arrays, forest)
+    alone = [renderer.render_layer(camera, layer).nodes for layer in (3, 1)]
+    images = [LayerImage(3, 0, ramp(0.5, 0.5)), LayerImage(1, 0, ramp(0.5, 0.5))]
+    assert renderer.render(camera, images, no_cutoff(), everything()).nodes == sum(alone)
+    assert 0 < alone[1] < alone[0] <= len(forest.finest)
+
+
+def test_the_finest_frequency_is_half_a_cycle_per_training_pixel(forest, camera):
+    """Layer 3 was trained at the camera's resolution, layer 1 at a quarter of it."""
+    assert [finest_frequency(camera, forest, layer) for layer in (3, 2, 1)] == [0.5, 0.25, 0.125]
+    assert finest_frequency(replace(camera, fy=240.0), forest, 3) == 0.25
+
+
+def test_tiles_are_small_where_samples_are_large():
+    assert [tile_side(rates) for rates in ([0], [0, 0], [1], [0, 2])] == [16, 16, 8, 8]

@@ -57,8 +57,11 @@ def radiance(perceptual: torch.Tensor) -> torch.Tensor:
     return torch.where(value <= 0.04045, value / 12.92, ((value.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4)
 
 
-def project(g: Gaussians, camera: Camera, low_pass: float) -> dict[str, torch.Tensor]:
-    """N splats: centre (2, N), inverse (N, 2, 2), opacity (N,), colour (3, N), depth (N,)."""
+def project(g: Gaussians, camera: Camera, low_pass: float | torch.Tensor) -> dict[str, torch.Tensor]:
+    """N splats: centre (2, N), inverse (N, 2, 2), opacity (N,), colour (3, N), depth (N,).
+
+    The low-pass is one number or (N,).
+    """
     world = torch.tensor(camera.world_to_camera)
     W, t = world[:3, :3], world[:3, 3]
     local = W @ g.means + t[:, None]
@@ -83,7 +86,8 @@ def project(g: Gaussians, camera: Camera, low_pass: float) -> dict[str, torch.Te
     ).permute(2, 0, 1)
     M = J @ W @ rotation_matrix(g.rotations) @ torch.diag_embed(g.log_scales.exp().T)
     raw = M @ M.transpose(1, 2)
-    full = raw + low_pass * torch.eye(2, dtype=raw.dtype)
+    variance = torch.as_tensor(low_pass, dtype=raw.dtype)[..., None, None]
+    full = raw + variance * torch.eye(2, dtype=raw.dtype)
     det_raw = torch.stack(
         [(M[:, 0, i] * M[:, 1, j] - M[:, 0, j] * M[:, 1, i]) ** 2 for i, j in ((0, 1), (0, 2), (1, 2))]
     ).sum(0)

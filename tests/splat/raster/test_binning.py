@@ -88,7 +88,10 @@ def test_splats_stay_in_their_bounds(arrays):
     UInt = arrays.plain.UInt
     number = lambda a, b: UInt(np.where(upper, a, b).astype(np.uint32))  # noqa: E731
     bounds = TileBounds(number(2, 6), number(0, 3), number(3, 4))
-    every, confined = lists(bin_splats(arrays, splats, GRID)), lists(bin_splats(arrays, splats, GRID, None, bounds))
+    every, confined = (
+        lists(bin_splats(arrays, splats, GRID)),
+        lists(bin_splats(arrays, splats, GRID, None, bounds)),
+    )
     for tile, members in every.items():
         row, column = divmod(tile, GRID.columns)
         inside = np.where(upper[members], (column < 2) & (row < 3), row == 3)

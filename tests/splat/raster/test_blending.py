@@ -23,7 +23,7 @@ def image_of(arrays, splats, grid: TileGrid = GRID, wanted: np.ndarray | None = 
 
 @pytest.mark.parametrize("side", [8, 16])
 def test_an_image_equals_its_twin(arrays, side):
-    splats = random_splats(arrays, 300, 90, 70)
+    splats = random_splats(arrays, 150, 90, 70)
     image = image_of(arrays, splats, TileGrid(90, 70, side))
     leaves = {name: torch.from_numpy(row) for name, row in doubles(splats).items()}
     expected = blended(leaves, 90, 70).numpy()
@@ -45,7 +45,12 @@ def test_two_splats_blend_front_to_back(arrays):
 def test_alpha_falls_as_a_gaussian_and_ends_at_one_part_in_255(arrays):
     """Standard deviation 3, opacity 0.5: sd sqrt(2 ln 127.5) = 9.34 px is where it reaches 1/255."""
     image = image_of(arrays, round_splats(arrays, [(20.5, 20.5, 3.0, 0.5, 1.0, 1.0, 1.0, 1.0)]))
-    for offset, expected in ((0, 0.5), (3, 0.5 * np.exp(-0.5)), (6, 0.5 * np.exp(-2)), (9, 0.5 * np.exp(-4.5))):
+    for offset, expected in (
+        (0, 0.5),
+        (3, 0.5 * np.exp(-0.5)),
+        (6, 0.5 * np.exp(-2)),
+        (9, 0.5 * np.exp(-4.5)),
+    ):
         for x, y in ((20 + offset, 20), (20 - offset, 20), (20, 20 + offset), (20, 20 - offset)):
             assert image[y, x, 0] == pytest.approx(expected, rel=1e-5)
     assert image[20, 30].tolist() == [0, 0, 0, 0]
@@ -68,7 +73,7 @@ def test_nothing_shines_through_three_opaque_splats(arrays):
 
 
 def test_only_wanted_tiles_are_drawn(arrays):
-    splats = random_splats(arrays, 300, 90, 70)
+    splats = random_splats(arrays, 150, 90, 70)
     wanted = np.zeros((GRID.rows, GRID.columns), dtype=bool)
     wanted[1, 1:4] = True
     whole, part = image_of(arrays, splats), image_of(arrays, splats, wanted=wanted)

@@ -1,4 +1,4 @@
-"""The rasterizer against its plain float64 twin: image and every gradient."""
+"""Rendering for torch against its float64 twin: the image and the gradient by every parameter."""
 
 from __future__ import annotations
 
@@ -6,53 +6,22 @@ import numpy as np
 import pytest
 import torch
 
-from compose.camera.camera import Camera, camera_from_pose
+from compose.camera.camera import Camera
 from splat.model.gaussians import Gaussians
-from splat.raster.differentiable import render_differentiable
+from splat.raster.differentiable import parameters_from, render, render_differentiable
 from tests.splat.raster import reference
-
-
-def camera(width: int = 40, height: int = 36) -> Camera:
-    """Looks along +z from z = -4, tilted so that no axis is special."""
-    angle = 0.2
-    pose = np.eye(4)
-    pose[:3, :3] = np.array(
-        [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
-    )
-    pose[:3, 3] = [-0.8, 0.1, -4]
-    return camera_from_pose(pose, width, height, 45.0, 48.0, width / 2 + 1.5, height / 2 - 0.5)
-
-
-def gaussians(kind: str, n: int = 60, degree: int = 3) -> Gaussians:
-    """Random Gaussians; `kind` says what is extreme about them."""
-    g = torch.Generator().manual_seed(7)
-    normal = lambda *shape: torch.randn(*shape, generator=g)  # noqa: E731
-    means, log_scales, logits = normal(3, n), normal(3, n) * 0.4 - 1.6, normal(n)
-    if kind == "off-screen":
-        means *= torch.tensor([6.0, 6.0, 1.0])[:, None]
-    if kind == "behind the camera":
-        means[2] = means[2] * 5 - 4
-    if kind == "nearly opaque":
-        logits += 7
-    if kind == "nearly flat":
-        log_scales[2] = -9.0
-    sh = normal((degree + 1) ** 2, 3, n) * 0.2
-    sh[0] += 0.8
-    return Gaussians(means, log_scales, normal(4, n), logits, sh)
-
-
-KINDS = ["overlap", "off-screen", "behind the camera", "nearly opaque", "nearly flat"]
+from tests.splat.samples import KINDS, camera, gaussians, leaves_of, white_dot
 
 
 def both(arrays, g: Gaussians, cam: Camera, low_pass: float, weight: torch.Tensor):
     """Images and gradients by every parameter of sum(weight * image), of kernel and twin."""
     results = []
-    for dtype, render in (
+    for dtype, rendered in (
         (torch.float32, lambda p: render_differentiable(arrays, p, cam, low_pass)),
         (torch.float64, lambda p: reference.render(p, cam, low_pass)),
     ):
-        leaves = {name: t.to(dtype).clone().requires_grad_() for name, t in g.tensors()}
-        image = render(Gaussians(**leaves))
+        leaves = leaves_of(g, dtype)
+        image = rendered(Gaussians(**leaves))
         (image * weight.to(dtype)).sum().backward()
         results.append((image.detach().double(), {k: v.grad.double() for k, v in leaves.items()}))
     return results
@@ -73,19 +42,29 @@ def test_image_and_gradients_equal_the_twins(arrays, kind):
         assert error < 2e-3, f"{name}: {error}"
 
 
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_lower_degrees_equal_the_twin_too(arrays, degree):
+    g, cam = gaussians(n=20, degree=degree), camera()
+    weight = torch.ones(cam.height, cam.width, 3)
+    (image, gradients), (expected, expected_gradients) = both(arrays, g, cam, 0.3, weight)
+    torch.testing.assert_close(image, expected, atol=2e-4, rtol=1e-4)
+    scale = expected_gradients["sh"].abs().max()
+    assert (gradients["sh"] - expected_gradients["sh"]).abs().max() < 2e-3 * scale
+
+
 def test_gradients_equal_finite_differences(arrays):
     """Along each parameter's own gradient, under a smooth weight.
 
-    The cut at 1/255 moves with a Gaussian's edge, which no gradient knows of; under a weight that varies
-    slowly, what it adds on one side it takes on the other.
+    The cut at 1/255 moves with a Gaussian's edge, which the gradient leaves out; under a weight that varies
+    slowly, what it adds on one side it removes on the other.
     """
     g, cam = gaussians("overlap", n=25, degree=1), camera()
     x, y = torch.meshgrid(torch.arange(cam.width), torch.arange(cam.height), indexing="xy")
     weight = torch.stack([torch.sin(x / 9.0), torch.cos(y / 7.0), torch.sin((x + y) / 11.0)], dim=-1)
-    leaves = {k: t.clone().requires_grad_() for k, t in g.tensors()}
+    leaves = leaves_of(g)
     (render_differentiable(arrays, Gaussians(**leaves), cam) * weight).sum().backward()
     for name, leaf in leaves.items():
-        # Uphill, the derivative is as large as it gets and rounding as small.
+        # Uphill, the derivative is as large as it gets, and rounding matters least.
         direction = leaf.grad / leaf.grad.norm()
         values = []
         for step in (-2e-3, 2e-3):
@@ -96,17 +75,9 @@ def test_gradients_equal_finite_differences(arrays):
 
 
 def test_one_gaussian_has_the_closed_form(arrays):
-    """Isotropic, sd 0.5 at depth 4 with f 40: sd 5 px; at its centre alpha is the compensated opacity."""
+    """Standard deviation 0.5 at depth 4 with f 40 is 5 px; at its centre alpha is the compensated opacity."""
     cam = Camera(np.eye(4), 33, 33, 40.0, 40.0, 16.5, 16.5)
-    sh = torch.full((1, 3, 1), 0.5 / 0.28209479177387814)
-    one = Gaussians(
-        torch.tensor([[0.0], [0.0], [4.0]]),
-        torch.full((3, 1), float(np.log(0.5))),
-        torch.tensor([[1.0], [0], [0], [0]]),
-        torch.zeros(1),
-        sh,
-    )
-    image = render_differentiable(arrays, one, cam, 0.3)
+    image = render_differentiable(arrays, white_dot(4.0, 0.5), cam, 0.3)
     compensation = 25 / 25.3
     assert image[16, 16, 0].item() == pytest.approx(0.5 * compensation, rel=1e-5)
     expected = 0.5 * compensation * np.exp(-(5**2) / (2 * 25.3))
@@ -118,36 +89,86 @@ def test_the_same_input_gives_the_same_bits(arrays):
     weight = torch.randn(cam.height, cam.width, 3, generator=torch.Generator().manual_seed(1))
     runs = []
     for _ in range(2):
-        leaves = {k: t.clone().requires_grad_() for k, t in g.tensors()}
+        leaves = leaves_of(g)
         (render_differentiable(arrays, Gaussians(**leaves), cam) * weight).sum().backward()
         runs.append([leaf.grad for leaf in leaves.values()])
     for first, second in zip(*runs, strict=True):
         assert torch.equal(first, second)
 
 
-@pytest.mark.parametrize("extreme", ["huge", "tiny", "at the eye", "zero quaternion", "not a number"])
-def test_extremes_give_finite_pictures_and_gradients(arrays, extreme):
+@pytest.mark.parametrize("extreme", ["huge", "tiny", "at the camera", "zero quaternion", "NaN"])
+def test_extremes_give_finite_images_and_gradients(arrays, extreme):
     g, cam = gaussians("overlap", n=20), camera()
     if extreme == "huge":
         g.log_scales[:, 0] = 12
     if extreme == "tiny":
         g.log_scales[:, 0] = -30
-    if extreme == "at the eye":
+    if extreme == "at the camera":
         g.means[:, 0] = torch.tensor(cam.position, dtype=torch.float32)
     if extreme == "zero quaternion":
         g.rotations[:, 0] = 0
-    if extreme == "not a number":
+    if extreme == "NaN":
         g.means[:, 0] = float("nan")
-    leaves = {k: t.clone().requires_grad_() for k, t in g.tensors()}
+    leaves = leaves_of(g)
     image = render_differentiable(arrays, Gaussians(**leaves), cam)
     image.sum().backward()
     assert torch.isfinite(image).all()
     for name, leaf in leaves.items():
-        finite = leaf.grad[..., 1:] if extreme == "not a number" else leaf.grad
+        finite = leaf.grad[..., 1:] if extreme == "NaN" else leaf.grad
         assert torch.isfinite(finite).all(), name
 
 
-def test_nothing_to_draw_is_black(arrays):
+def test_nothing_to_draw_is_black_and_has_zero_gradients(arrays):
     g = gaussians("overlap", n=5)
     g.means[2] = -50
-    assert render_differentiable(arrays, g, camera()).abs().max() == 0
+    leaves = leaves_of(g)
+    image = render_differentiable(arrays, Gaussians(**leaves), camera())
+    assert image.abs().max() == 0
+    image.sum().backward()
+    assert all(leaf.grad.abs().max() == 0 for leaf in leaves.values())
+
+
+def test_rows_lie_in_the_order_of_the_tensors(arrays):
+    """The gradient's rows are put back in this order."""
+    g = gaussians(n=4, degree=1)
+    rows = [row.numpy() for row in parameters_from(arrays, g).leaves()]
+    tensors = torch.cat([tensor.reshape(-1, 4) for _, tensor in g.tensors()])
+    np.testing.assert_array_equal(rows, tensors.numpy())
+
+
+def test_the_backend_follows_the_tensors(arrays):
+    g, cam = gaussians(), camera()
+    image = render(g, cam)
+    assert image.shape == (36, 40, 3)
+    assert image.dtype == torch.float32
+    assert image.device.type == "cpu"
+    if arrays.backend == "llvm":
+        assert torch.equal(image, render_differentiable(arrays, g, cam))
+    if torch.cuda.is_available():
+        there = render(Gaussians(**{name: tensor.cuda() for name, tensor in g.tensors()}), cam)
+        assert there.device.type == "cuda"
+        torch.testing.assert_close(there.cpu(), image, atol=2e-4, rtol=1e-4)
+
+
+def test_the_low_pass_is_the_pixel_filter_by_default():
+    g, cam = white_dot(4.0, 0.5), Camera(np.eye(4), 33, 33, 40.0, 40.0, 16.5, 16.5)
+    assert torch.equal(render(g, cam), render(g, cam, 0.1))
+    # A variance of 25 px^2 more halves the area's inverse and so the opacity.
+    assert render(g, cam, 25.0)[16, 16, 0].item() == pytest.approx(0.25, rel=1e-5)
+
+
+def test_other_devices_are_refused():
+    g = Gaussians(**{name: tensor.to("meta") for name, tensor in gaussians(n=3).tensors()})
+    with pytest.raises(ValueError, match="Gaussians on meta: must be on cpu or cuda"):
+        render(g, camera())
+    g.means = torch.zeros(3, 3)
+    with pytest.raises(ValueError, match="Gaussians on cpu, meta: must be on one device"):
+        render(g, camera())
+
+
+def test_an_image_cannot_be_differentiated_twice():
+    leaves = leaves_of(gaussians(n=5))
+    image = render(Gaussians(**leaves), camera())
+    image.sum().backward(retain_graph=True)
+    with pytest.raises(RuntimeError, match="differentiated already: render it again"):
+        image.sum().backward()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import drjit as dr
 import numpy as np
 import pytest
 import torch
@@ -57,10 +56,15 @@ def test_gradients_equal_the_twins(arrays, side):
 
 @pytest.mark.parametrize("name", DIFFERENTIABLE)
 def test_gradients_equal_finite_differences(arrays, name):
-    """Two overlapping splats whose alpha stays below its cap; rendered in float32, hence the large step."""
+    """Two overlapping splats, under a weight that is 0 where they are cut off at 1/255.
+
+    The cut moves with a splat, which the gradient leaves out.
+    """
     rows = [(25.0, 24.0, 6.0, 0.7, 0.5, 1.0, 0.2, 1.0), (31.0, 27.0, 5.0, 0.6, 1.0, 0.3, 0.8, 2.0)]
     grid = TileGrid(WIDTH, HEIGHT)
     splats, weight = round_splats(arrays, rows), weights(grid)
+    y, x = np.mgrid[: grid.padded_height, : grid.padded_width]
+    weight[np.hypot(x - 28, y - 25) > 10] = 0
     found = gradients(arrays, splats, grid, weight)[name]
     values = doubles(splats)
     for k in range(2):
@@ -69,9 +73,11 @@ def test_gradients_equal_finite_differences(arrays, name):
         for sign in (-1, 1):
             moved = {n: row.copy() for n, row in values.items()}
             moved[name][k] += sign * step
-            image = rasterize(arrays, s := uploaded(arrays, list(moved.values())), bin_splats(arrays, s, grid))
+            image = rasterize(
+                arrays, s := uploaded(arrays, list(moved.values())), bin_splats(arrays, s, grid)
+            )
             losses.append((image.numpy().astype(np.float64) * weight.ravel()).sum())
-        assert found[k] == pytest.approx((losses[1] - losses[0]) / (2 * step), rel=0.03, abs=0.02)
+        assert found[k] == pytest.approx((losses[1] - losses[0]) / (2 * step), rel=5e-3, abs=5e-3)
 
 
 def test_a_clamped_alpha_has_a_gradient_by_colour_only(arrays):
@@ -83,7 +89,9 @@ def test_a_clamped_alpha_has_a_gradient_by_colour_only(arrays):
     found = gradients(arrays, splats, grid, weight)
     for name in ("x", "y", "xx", "xy", "yy", "opacity"):
         assert found[name][0] == 0, name
-    np.testing.assert_allclose([found[c][0] for c in ("red", "green", "blue")], 0.99 * np.arange(1, 4), rtol=1e-5)
+    np.testing.assert_allclose(
+        [found[c][0] for c in ("red", "green", "blue")], 0.99 * np.arange(1, 4), rtol=1e-5
+    )
 
 
 def test_the_derivative_by_opacity_of_the_image_is_ignored(arrays):
@@ -116,4 +124,3 @@ def test_gradients_are_repeatable(arrays):
     runs = [gradients(arrays, splats, grid, weights(grid)) for _ in range(2)]
     for name in DIFFERENTIABLE:
         np.testing.assert_array_equal(runs[0][name], runs[1][name])
-    dr.sync_thread()

@@ -1,76 +1,63 @@
-"""Training: it learns, repeats, goes on after an interruption, and places seeds where surfaces are."""
+"""Training learns, repeats, and resumes after an interruption."""
 
 from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from compose.camera.camera import camera_from_pose
 from splat.model.check import check_forest
-from splat.model.gaussians import logarithmic_from_radiance, perceptual_from_radiance
+from splat.model.perceptual import perceptual_from_radiance
 from splat.raster.differentiable import render_differentiable
-from splat.raster.harmonics import radiance_from_perceptual
-from splat.training.initialization import TrainingView, seed_at, seed_from_views
-from splat.training.layer import reduced
-from splat.training.loss import Target
-from splat.training.trainer import Trainer, TrainingSettings
+from splat.training import density
+from splat.training.trainer import Trainer, TrainingSettings, most_layers, training_schedule
+from splat.training.views import reduced
+from tests.splat.samples import equal
+from tests.splat.training.frames import WALLS, closed_sphere, wall
 
-SIZE = 32
-
-
-def pose(x: float) -> np.ndarray:
-    matrix = np.eye(4)
-    matrix[:3, 3] = [x, 0, -3]
-    return matrix
-
-
-def view(x: float) -> TrainingView:
-    """A striped wall at z = 0 with a lamp of radiance 50 on it."""
-    camera = camera_from_pose(pose(x), SIZE, SIZE, 40, 40, SIZE / 2, SIZE / 2)
-    rays = camera.rays(camera.pixel_centres())
-    distance = 3 / rays[:, 2]
-    points = camera.position + rays * distance[:, None]
-    stripe = np.where(np.floor(points[:, 0] * 3) % 2 == 0, 0.1, 0.6)
-    colour = np.stack([stripe, stripe * 0.5, 0.3 + 0 * stripe], axis=1)
-    colour[np.hypot(points[:, 0] - 0.4, points[:, 1]) < 0.25] = 50.0
-    shape = (SIZE, SIZE)
-    normal = np.tile(np.array([0, 0, -1], np.float32), (*shape, 1))
-    return TrainingView(
-        camera,
-        colour.reshape(*shape, 3).astype(np.float32),
-        distance.reshape(shape).astype(np.float32),
-        normal,
-    )
-
-
-VIEWS = [view(x) for x in (-0.4, 0.0, 0.4)]
 SETTINGS = TrainingSettings(iterations=400, gaussians=900, layers=2, degree=1)
+
+
+# With density control every 20 steps, both layers change: see `often`.
+SHORT = TrainingSettings(iterations=200, gaussians=400, layers=2, degree=1)
 
 
 @pytest.fixture(scope="module")
 def trained(arrays) -> Trainer:
-    trainer = Trainer(arrays, VIEWS, SETTINGS)
+    trainer = Trainer(arrays, WALLS, SETTINGS)
     trainer.run()
     return trainer
 
 
+@pytest.fixture
+def often(monkeypatch) -> None:
+    """Density control every 20 steps."""
+    monkeypatch.setattr(density, "_EVERY", 20)
+
+
+@pytest.fixture(scope="module")
+def short(arrays) -> Trainer:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(density, "_EVERY", 20)
+        trainer = Trainer(arrays, WALLS, SHORT)
+        trainer.run()
+    return trainer
+
+
 def same(a: Trainer, b: Trainer) -> bool:
-    """Whether two forests are equal to the last bit."""
-    pairs = zip(a.forest(), b.forest(), strict=True)
+    """Whether two forests agree in every bit."""
     return all(
-        torch.equal(x.parent, y.parent)
-        and all(
-            torch.equal(u, v)
-            for (_, u), (_, v) in zip(x.gaussians.tensors(), y.gaussians.tensors(), strict=True)
-        )
-        for x, y in pairs
+        torch.equal(x.parent, y.parent) and equal(x.gaussians, y.gaussians)
+        for x, y in zip(a.forest(), b.forest(), strict=True)
     )
 
 
 def test_it_learns_a_view_it_never_saw(arrays, trained):
     """The lamp's edge has no antialiasing in these frames and keeps an error; the rest must be learnt."""
-    unseen = view(0.2)
+    unseen = wall(0.2)
 
     def error(trainer: Trainer) -> float:
         image = perceptual_from_radiance(
@@ -80,16 +67,16 @@ def test_it_learns_a_view_it_never_saw(arrays, trained):
         return float(((image.clamp(0, 1) - target.clamp(0, 1)) ** 2).mean())
 
     # Seen: 0.0047 of 0.034.
-    assert error(trained) < 0.25 * error(Trainer(arrays, VIEWS, SETTINGS))
+    assert error(trained) < 0.25 * error(Trainer(arrays, WALLS, SETTINGS))
 
 
 def test_a_lamp_stays_a_lamp(arrays, trained):
-    image = render_differentiable(arrays, trained.forest()[-1].gaussians, VIEWS[1].camera)
-    lamp = torch.from_numpy(VIEWS[1].radiance)[..., 0] > 1
+    image = render_differentiable(arrays, trained.forest()[-1].gaussians, WALLS[1].camera)
+    lamp = torch.from_numpy(WALLS[1].radiance)[..., 0] > 1
     assert image[lamp].median() == pytest.approx(50, rel=0.15)
 
 
-def test_density_control_reaches_the_number_that_was_asked_for(trained):
+def test_density_control_reaches_the_requested_number(trained):
     coarse, fine = trained.forest()
     assert 0.9 * SETTINGS.gaussians <= len(fine) <= 1.1 * SETTINGS.gaussians
     assert len(fine) / 2 <= len(coarse) < len(fine)
@@ -97,127 +84,106 @@ def test_density_control_reaches_the_number_that_was_asked_for(trained):
     assert coarse.gaussians.is_finite()
 
 
-def test_a_trained_forest_has_complete_trees(arrays, trained):
+def test_trees_are_complete_at_any_time(arrays, trained, often):
     check_forest(trained.forest())
-    half_way = Trainer(arrays, VIEWS, SETTINGS)
-    half_way.run(until=250)
-    check_forest(half_way.forest())
+    # Before the forest is built at about 80, after that, and around 160, when the trees are settled.
+    trainer = Trainer(arrays, WALLS, SHORT)
+    for stop in (10, 90, 120, 159, 160, 161, 200):
+        trainer.run(until=stop)
+        assert trainer.iteration == stop
+        check_forest(trainer.forest())
+
+
+def test_children_follow_their_parents_through_a_change_of_density(arrays, often):
+    """Whoever has a parent after the coarse layer changed had the same one, by position, before."""
+    trainer = Trainer(arrays, WALLS, SHORT)
+    coarse, fine = trainer._layers
+    changes = 0
+    while trainer.iteration < 160:
+        before = (coarse.layer, fine.layer) if coarse.begun else None
+        steps = coarse.done
+        trainer.run(until=trainer.iteration + 1)
+        # Density control comes after the 20th of a layer's steps, if not too late.
+        if before is None or coarse.done == steps or coarse.done != 20:
+            continue
+        changes += 1
+        old, new = before[1].parent.long(), fine.layer.parent.long()
+        kept = new != -1
+        assert 0.5 * len(new) < kept.sum()
+        # An optimizer step moves nodes by some pixels at most; other nodes lie further away.
+        moved = coarse.layer.gaussians.means[:, new[kept]] - before[0].gaussians.means[:, old[kept]]
+        assert moved.abs().max() < 0.1
+    assert changes == 1
 
 
 def test_the_coarse_layer_looks_right_at_its_own_resolution(arrays, trained):
-    small = reduced(view(0.2), 2)
+    small = reduced(wall(0.2), 2)
     coarse = trained.forest()[0].gaussians
     image = perceptual_from_radiance(render_differentiable(arrays, coarse, small.camera)).clamp(0, 1)
     target = perceptual_from_radiance(torch.from_numpy(small.radiance)).clamp(0, 1)
-    # Seen: 0.0058; a picture of its mean colour has 0.068.
+    # Seen: 0.0058; an image of its mean colour has 0.068.
     assert float(((image - target) ** 2).mean()) < 0.15 * float(target.var())
 
 
-def test_a_reduced_view_is_the_mean_of_its_pixels():
-    full = view(0.0)
-    small = reduced(full, 4)
-    assert (small.camera.width, small.camera.height) == (SIZE // 4, SIZE // 4)
-    np.testing.assert_allclose(small.radiance[1, 2], full.radiance[4:8, 8:12].mean(axis=(0, 1)), rtol=1e-5)
-    point = np.array([[0.1, 0.2, 0.0]])
-    np.testing.assert_allclose(small.camera.project(point)[0] * 4, full.camera.project(point)[0])
-
-
-def test_the_same_seed_gives_the_same_bits(arrays, trained):
-    again = Trainer(arrays, VIEWS, SETTINGS)
+def test_the_same_seed_gives_the_same_bits(arrays, short, often):
+    again = Trainer(arrays, WALLS, SHORT)
     again.run()
-    assert same(trained, again)
+    assert same(short, again)
 
 
-@pytest.mark.parametrize("stop", [1, 99, 160, 330])
-def test_an_interrupted_training_ends_with_the_same_bits(arrays, trained, stop):
-    first = Trainer(arrays, VIEWS, SETTINGS)
+@pytest.mark.parametrize("stop", [20, 110, 170])
+def test_an_interrupted_training_ends_with_the_same_bits(arrays, short, often, stop):
+    """Interrupted when density control is due, amid all layers, and after the trees are settled."""
+    first = Trainer(arrays, WALLS, SHORT)
     first.run(until=stop)
     tensors, numbers = first.state()
     tensors = {name: tensor.clone() for name, tensor in tensors.items()}
-    second = Trainer(arrays, VIEWS, SETTINGS)
+    second = Trainer(arrays, WALLS, SHORT)
     second.restore(tensors, numbers)
     second.run()
-    assert same(trained, second)
+    assert same(short, second)
+
+
+def test_another_seed_gives_another_forest(arrays, short, often):
+    other = Trainer(arrays, WALLS, replace(SHORT, seed=1))
+    other.run(until=1)
+    first = Trainer(arrays, WALLS, SHORT)
+    first.run(until=1)
+    assert not same(first, other)
+
+
+def test_progress_is_reported_after_each_step(arrays):
+    steps = []
+    trainer = Trainer(arrays, WALLS[:1], TrainingSettings(iterations=5, gaussians=50, layers=1, degree=0))
+    trainer.run(steps.append, until=3)
+    trainer.run(steps.append)
+    assert steps == [1, 2, 3, 4, 5]
+
+
+def test_the_finest_layer_is_trained_alone_and_then_most():
+    """Of 3000 steps the first 1200, then 60 percent; the other three share the rest, 240 each (sd 14)."""
+    assert set(training_schedule(TrainingSettings(layers=1)).tolist()) == {0}
+    schedule = training_schedule(TrainingSettings())
+    assert len(schedule) == 3000
+    assert set(schedule[:1200].tolist()) == {3}
+    counts = Counter(schedule[1200:].tolist())
+    assert counts[3] == pytest.approx(1080, abs=5 * 21)
+    assert all(counts[layer] == pytest.approx(240, abs=5 * 14) for layer in range(3))
 
 
 def test_a_checkpoint_of_other_settings_is_refused(arrays):
-    first = Trainer(arrays, VIEWS, SETTINGS)
-    other = Trainer(arrays, VIEWS, TrainingSettings(iterations=10, gaussians=900, layers=2, degree=1))
+    first = Trainer(arrays, WALLS, SETTINGS)
+    other = Trainer(arrays, WALLS, TrainingSettings(iterations=10, gaussians=900, layers=2, degree=1))
     with pytest.raises(ValueError, match="other settings"):
         other.restore(*first.state())
 
 
-def test_seeds_lie_on_the_surface_with_its_colour(arrays):
-    seeds = seed_at(VIEWS[0], np.arange(SIZE * SIZE), 0.6, degree=1)
-    np.testing.assert_allclose(seeds.means[2].numpy(), 0, atol=1e-5)
-    radiance = radiance_from_perceptual(
-        arrays.plain.Float(0.5 + seeds.sh[0, 0] * 0.28209479177387814)
-    ).torch()
-    np.testing.assert_allclose(radiance, VIEWS[0].radiance.reshape(-1, 3)[:, 0], rtol=1e-4)
-    # Thin along the normal, -z: the third principal axis, turned by the quaternion, is the normal.
-    w, x, y, z = seeds.rotations[:, 0].tolist()
-    axis = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
-    np.testing.assert_allclose(np.abs(axis), [0, 0, 1], atol=1e-6)
-    assert (seeds.log_scales[2] < seeds.log_scales[0]).all()
-
-
-def test_nothing_hit_gives_no_seed():
-    empty = TrainingView(
-        VIEWS[0].camera, VIEWS[0].radiance, np.full((SIZE, SIZE), np.inf, np.float32), VIEWS[0].normal
-    )
-    assert len(seed_from_views([empty, VIEWS[1]], 200, 0, np.random.default_rng(0))) == 100
-
-
-def test_the_curves_are_each_others_inverse(arrays):
-    radiance = torch.tensor([0.0, 0.001, 0.2, 1.0, 7.0, 12_000.0])
-    perceptual = perceptual_from_radiance(radiance)
-    back = radiance_from_perceptual(arrays.plain.Float(perceptual)).torch()
-    torch.testing.assert_close(back, radiance, rtol=1e-4, atol=1e-7)
-    # sRGB of 0.2 is 0.4845; a radiance of e lies 1.055 / 2.4 above 1.
-    assert perceptual[2].item() == pytest.approx(0.4845, abs=1e-4)
-    assert logarithmic_from_radiance(torch.tensor(float(np.e))).item() == pytest.approx(1 + 1.055 / 2.4)
-
-
-def test_ssim_is_that_of_scikit_image():
-    from skimage.metrics import structural_similarity
-
-    rng = np.random.default_rng(0)
-    a, b = rng.uniform(size=(2, 40, 30, 3)).astype(np.float32)
-    target = Target(torch.from_numpy(b))
-    expected = structural_similarity(
-        a,
-        target.seen.numpy(),
-        gaussian_weights=True,
-        sigma=1.5,
-        use_sample_covariance=False,
-        data_range=1.0,
-        channel_axis=2,
-        full=True,
-    )[1][5:-5, 5:-5].mean()
-    assert target.ssim(torch.from_numpy(a)).item() == pytest.approx(expected, abs=1e-5)
-
-
-def test_the_losss_gradient_equals_finite_differences():
-    rng = np.random.default_rng(0)
-    image = torch.tensor(rng.uniform(0.05, 3, (20, 18, 3)), dtype=torch.float64, requires_grad=True)
-    target = Target(torch.tensor(rng.uniform(0.05, 3, (20, 18, 3)), dtype=torch.float64))
-    assert torch.autograd.gradcheck(lambda x: target.loss(x)[0], image, atol=1e-6)
-
-
-def test_a_closed_sphere_has_radiance_one_after_training(arrays, backend):
-    """The furnace of the path tracer's tests, learnt from its frames."""
-    from pathtrace.dataset.rendering import render_frame
-    from pathtrace.scene.scene import load_scene
-    from pathtrace.trace.tracer import Tracer
-    from tests import small
-
-    scene = load_scene(small.furnace(), max_depth=40)
-    tracer = Tracer(scene)
-    frames = [render_frame(tracer, scene.camera, 8, seed) for seed in range(2)]
-    views = [TrainingView(scene.camera, f.radiance, f.unfolded, f.normal) for f in frames]
+def test_a_closed_sphere_has_radiance_one_after_training(arrays):
+    views = [closed_sphere(x) for x in (-0.3, 0.3)]
     trainer = Trainer(arrays, views, TrainingSettings(iterations=150, gaussians=1000, layers=1, degree=0))
     trainer.run()
-    image = render_differentiable(arrays, trainer.forest()[-1].gaussians, scene.camera).numpy()
+    between = closed_sphere(0.0).camera
+    image = render_differentiable(arrays, trainer.forest()[-1].gaussians, between).numpy()
     assert image.mean() == pytest.approx(1, abs=0.02)
     assert np.abs(image - 1).mean() < 0.03
 
@@ -226,3 +192,9 @@ def test_a_closed_sphere_has_radiance_one_after_training(arrays, backend):
 def test_senseless_settings_are_refused(bad):
     with pytest.raises(ValueError, match=r"must (be|have)"):
         TrainingSettings(**bad)
+
+
+def test_the_coarsest_layer_holds_the_similaritys_window():
+    """11 pixels are one layer, 22 two, 43 still two, 44 three; the shorter side counts."""
+    sizes = [(10, 50), (11, 11), (21, 30), (22, 22), (43, 99), (99, 44), (0, 5)]
+    assert [most_layers(*size) for size in sizes] == [0, 1, 1, 2, 2, 3, 0]

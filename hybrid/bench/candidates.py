@@ -1,0 +1,74 @@
+"""All methods that a fovea may be made by, with the same number of samples."""
+
+from __future__ import annotations
+
+from compose.camera.camera import Camera
+from compose.eye.gaze import Gaze
+from compose.fovea.mode import FoveaMode
+from compose.fovea.region import Foveation
+from compose.fovea.samples import Samples
+from compose.image.colour import Image
+from hybrid.frame.fovea import Fovea
+from hybrid.frame.fusion import fusion_of
+from hybrid.frame.periphery import Periphery
+from hybrid.frame.settings import DEFAULTS
+from hybrid.frame.underlay import Underlay
+from pathtrace.base.denoise import denoise
+from pathtrace.scene.scene import Scene
+from pathtrace.trace.tracer import Tracer
+from splat.base.arrays import Arrays
+from splat.model.forest import Forest
+
+# Radius in percent of the height of a disc that covers any frame.
+_WHOLE = 1000.0
+
+
+def whole_underlay(periphery: Periphery, camera: Camera) -> Underlay:
+    """The finest layer over the whole frame."""
+    return Underlay(camera, periphery.whole(camera, DEFAULTS), periphery.enlargement(camera, DEFAULTS))
+
+
+class Candidates:
+    """Foveas of one scene by all methods.
+
+    Args:
+        arrays: the rasterizer's array types.
+        scene, forest: what is rendered.
+    """
+
+    def __init__(self, arrays: Arrays, scene: Scene, forest: Forest):
+        self.tracer = Tracer(scene)
+        self._periphery = Periphery(arrays, forest)
+        self._fused = Fovea(self.tracer, fusion_of(forest))
+        self._statistical = Fovea(self.tracer, None)
+
+    def images(self, camera: Camera, spp: int, seed: int) -> dict[str, Image]:
+        """(H, W, 3) radiance of a disc that covers the frame, by method.
+
+        Returns:
+            splat; raw; denoised, by the better denoiser at all sample counts; mean, of splat and denoised;
+            statistical, fused without a network; `fused, even`, with as many samples in every pixel; and
+            fused, with adaptive samples as in frames.
+        """
+        underlay = whole_underlay(self._periphery, camera)
+        region = Foveation(Gaze(), _WHOLE, _WHOLE).region(camera.width, camera.height)
+
+        def traced(under: Underlay | None) -> Samples:
+            return self._fused.trace(FoveaMode.FUSED, camera, region, spp, seed, under)[1]
+
+        def fused(fovea: Fovea, samples: Samples) -> Image:
+            made = fovea.image(FoveaMode.FUSED, region, samples, underlay.radiance, underlay)
+            return region.image_of(made.radiance)
+
+        even = traced(None)
+        raw = region.image_of(even.radiance)
+        denoised = denoise(raw, region.image_of(even.albedo), region.image_of(even.normal))
+        return {
+            "splat": underlay.radiance,
+            "raw": raw,
+            "denoised": denoised,
+            "mean": 0.5 * (denoised + underlay.radiance),
+            "statistical": fused(self._statistical, even),
+            "fused, even": fused(self._fused, even),
+            "fused": fused(self._fused, traced(underlay)),
+        }

@@ -1,0 +1,37 @@
+"""Names of methods, budgets and metrics in the results of an evaluation."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+# The method whose rays and time the baselines get.
+OURS = "hybrid, fused"
+# The name under which the quality of a reference itself is reported: half of its samples against the other.
+HALVES = "reference, half against half"
+# In what a method was made equal to OURS; FIXED for in nothing.
+EQUAL_RAYS, EQUAL_TIME, FIXED = "equal-rays", "equal-time", "fixed"
+
+
+class Key(NamedTuple):
+    """What identifies a method's results.
+
+    Attributes:
+        method: its name.
+        budget: EQUAL_RAYS, EQUAL_TIME or FIXED.
+    """
+
+    method: str
+    budget: str
+
+    @property
+    def label(self) -> str:
+        """The method as it is named in lists."""
+        return self.method if self.budget == FIXED else f"{self.method} ({self.budget})"
+
+
+OURS_KEY, HALVES_KEY = Key(OURS, FIXED), Key(HALVES, FIXED)
+
+
+def half_name(metric: str, number: int) -> str:
+    """Name of a metric against the first or the second half of a reference's samples."""
+    return f"{metric}, half {number}"

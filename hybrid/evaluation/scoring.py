@@ -1,0 +1,103 @@
+"""Scores images in parallel processes, because metrics take longer than frames."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from compose.image.colour import Image
+from hybrid.evaluation.keys import half_name
+from hybrid.measure.metrics.flip import flip_map
+from hybrid.measure.quality import Viewer, foveal_metrics, metric_rows
+from hybrid.measure.regions import Region
+from hybrid.output.images import write_srgb
+
+# Rows of region, metric and value.
+Rows = list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class ScoringTask:
+    """An image to score.
+
+    Attributes:
+        method: that made it.
+        image, reference: (H, W, 3) linear radiance.
+        halves: of the reference, (H, W, 3) each; the fovea is compared with these as well.
+        regions: of the frame, by name.
+        viewer: display and gaze.
+        flip_file: where to write the FLIP map; None does not write it.
+    """
+
+    method: str
+    image: Image
+    reference: Image
+    halves: tuple[Image, ...]
+    regions: dict[str, Region]
+    viewer: Viewer
+    flip_file: Path | None
+
+
+def score(task: ScoringTask) -> Rows:
+    """Rows of region, metric and value; writes the FLIP map.
+
+    Raises:
+        UserError: the image cannot be compared with its reference.
+    """
+    error = None
+    if task.flip_file is not None:
+        error = flip_map(task.image, task.reference)
+        if error is not None:
+            write_srgb(task.flip_file, _coloured(error))
+    rows: Rows = metric_rows(
+        task.image, task.reference, task.regions, task.viewer, task.method, whole_flip=error
+    )
+    for number, half in enumerate(task.halves, 1):
+        for metric, value in foveal_metrics(task.image, half, task.regions["foveal"], task.viewer).items():
+            rows.append({"region": "foveal", "metric": half_name(metric, number), "value": value})
+    return rows
+
+
+def scored_in_parallel(tasks: Iterator[tuple[str, ScoringTask]]) -> Iterator[tuple[str, Rows]]:
+    """Names of tasks and the results of `score`, in the order of the tasks.
+
+    Args:
+        tasks: with their names; consumed one by one, a few ahead of those that are being scored.
+    """
+    workers = len(os.sched_getaffinity(0))
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _start_worker)
+    waiting: deque[tuple[str, Future[Rows]]] = deque()
+    try:
+        for name, task in tasks:
+            waiting.append((name, pool.submit(score, task)))
+            if len(waiting) > 2 * workers:
+                name, rows = waiting.popleft()
+                yield name, rows.result()
+        for name, rows in waiting:
+            yield name, rows.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _start_worker() -> None:
+    """Workers ignore SIGINT, which the parent handles; each uses one core."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    torch.set_num_threads(1)
+
+
+def _coloured(error: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """(H, W, 3) an error map (H, W) in 0..1, in the colours of FLIP's authors."""
+    from matplotlib import colormaps
+
+    return np.asarray(colormaps["magma"](error, bytes=True)[..., :3])

@@ -1,0 +1,199 @@
+"""The samples of a disc: their number, their variance, where they go, and what earlier frames add."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from compose.eye.gaze import Gaze
+from compose.fovea.region import FoveaRegion, Foveation
+from hybrid.frame.disc_tracer import DiscRequest, DiscTracer
+from hybrid.frame.settings import FrameSettings
+from pathtrace.trace.tracer import Tracer
+
+COVERING = Foveation(Gaze(), 500, 500)
+DISC = Foveation(Gaze(0.4, 0.6), 40, 30)
+
+
+@pytest.fixture(scope="module")
+def tracer(scene) -> Tracer:
+    return Tracer(scene)
+
+
+def request(scene, foveation: Foveation, size: int, spp: int, seed: int, auxiliary: bool = True):
+    camera = scene.camera.resized(size, size)
+    return DiscRequest(camera, foveation.region(size, size), spp, seed, auxiliary)
+
+
+def test_the_variance_is_honest(scene, tracer):
+    """The variance that runs estimate for their mean is the one that many of them show.
+
+    On edges stratified samples have less than the estimate, which takes them for independent; never more.
+    """
+    disc = DiscTracer(tracer, history=False)
+    runs = [disc.trace(request(scene, COVERING, 32, 16, seed, False)) for seed in range(40)]
+    estimated = np.mean([run.variance() for run in runs], axis=0)
+    actual = np.var([run.radiance for run in runs], axis=0, ddof=1)
+    noisy = actual > 1e-6
+    assert 0.95 < np.median(estimated[noisy] / actual[noisy]) < 1.2
+    assert estimated.sum() > 0.9 * actual.sum()
+
+
+def test_auxiliary_features_are_traced_when_required(scene, tracer):
+    disc = DiscTracer(tracer, history=False)
+    without = disc.trace(request(scene, DISC, 32, 1, 3, auxiliary=False))
+    with_them = disc.trace(request(scene, DISC, 32, 1, 3))
+    np.testing.assert_array_equal(without.radiance, with_them.radiance)
+    assert (without.albedo == 0).all()
+    assert (without.normal == 0).all()
+    # Most of the disc shows the wall; normals are unit vectors, shorter where they are averaged.
+    np.testing.assert_allclose(np.median(with_them.albedo, axis=0), [0.7, 0.6, 0.3], atol=1e-3)
+    lengths = np.linalg.norm(with_them.normal, axis=1)
+    assert np.median(lengths) == pytest.approx(1, abs=1e-3)
+    assert lengths.max() < 1 + 1e-3
+
+
+def test_each_pixel_can_have_a_count_of_its_own(scene, tracer):
+    camera, region = scene.camera.resized(32, 32), DISC.region(32, 32)
+    counts = 1 + np.arange(len(region.pixels)) % 3
+    samples = DiscTracer(tracer, history=False).trace_each(camera, region.pixels, counts, 5)
+    np.testing.assert_array_equal(samples.count, counts)
+    np.testing.assert_array_equal(samples.pixels, region.pixels)
+    assert (np.isinf(samples.variance()).all(axis=1) == (counts == 1)).all()
+    # Equal counts are those of a disc without auxiliary features.
+    even = DiscTracer(tracer, history=False).trace_each(camera, region.pixels, counts * 0 + 2, 5)
+    whole = DiscTracer(tracer, history=False).trace(DiscRequest(camera, region, 2, 5, auxiliary=False))
+    np.testing.assert_array_equal(even.radiance, whole.radiance)
+
+
+def test_no_pixels_have_no_samples(scene, tracer):
+    nowhere = Foveation(Gaze(5, 5), 10, 5)
+    for history in (False, True):
+        disc = DiscTracer(tracer, history)
+        assert len(disc.trace(request(scene, nowhere, 32, 4, 0)).pixels) == 0
+    none = np.zeros(0, dtype=np.uint32)
+    assert len(disc.trace_each(scene.camera, none, np.zeros(0, dtype=np.int64), 0).radiance) == 0
+
+
+def wrong_right_half(renderer, region: FoveaRegion, settings: FrameSettings):
+    """The splats under the disc, inverted on the right."""
+    underlay = renderer.underlay(settings.camera, settings, region)
+    wrong = underlay.radiance.copy()
+    wrong[:, 32:] = 1 - np.clip(wrong[:, 32:], 0, 1)
+    return replace(underlay, radiance=wrong)
+
+
+def test_samples_go_where_samples_and_splats_disagree(scene, renderer, tracer):
+    """As many rays as without, and more of them where the splats are wrong."""
+    asked = request(scene, COVERING, 64, 8, 0)
+    settings = FrameSettings(fovea="fused", camera=asked.camera)
+    underlay = wrong_right_half(renderer, asked.region, settings)
+    disc = DiscTracer(tracer, history=False)
+    samples = disc.trace(asked, underlay)
+    assert samples.count.sum() == 8 * 64 * 64
+    count = samples.count.reshape(64, 64)
+    assert count.min() >= 2
+    assert count[:, 34:].mean() > 1.5 * count[:, :30].mean()
+    for even in (
+        disc.trace(asked),
+        disc.trace(asked, underlay, quick=True),
+        disc.trace(replace(asked, spp=3), underlay),
+    ):
+        assert (even.count == even.count[0]).all()
+
+
+def test_adaptive_samples_are_unbiased(scene, renderer, tracer):
+    """Where samples go depends on the first ones only, so that the mean over runs is that of even samples."""
+    asked = request(scene, COVERING, 64, 8, 0)
+    settings = FrameSettings(fovea="fused", camera=asked.camera)
+    underlay = wrong_right_half(renderer, asked.region, settings)
+    disc = DiscTracer(tracer, history=False)
+    right = np.tile(np.arange(64) >= 34, 64)
+    even = np.mean([disc.trace(replace(asked, seed=seed)).radiance[right].mean() for seed in range(8)])
+    runs = [disc.trace(replace(asked, seed=seed), underlay).radiance[right].mean() for seed in range(8, 16)]
+    assert np.mean(runs) == pytest.approx(even, abs=5 * np.std(runs, ddof=1) / np.sqrt(8) + 1e-6)
+
+
+def test_an_underlay_of_another_camera_is_refused(scene, renderer, tracer):
+    asked = request(scene, DISC, 48, 8, 0)
+    settings = FrameSettings(fovea="fused", camera=asked.camera)
+    underlay = renderer.underlay(asked.camera, settings, asked.region)
+    other = replace(underlay, camera=replace(asked.camera, fx=asked.camera.fx * 1.1))
+    with pytest.raises(ValueError, match="another camera"):
+        DiscTracer(tracer, history=False).trace(asked, other)
+
+
+def test_without_a_history_nothing_is_remembered(scene, tracer):
+    disc = DiscTracer(tracer, history=False)
+    assert not disc.has_history
+    assert disc.history_state() == {}
+    asked = request(scene, DISC, 32, 2, 1)
+    first = disc.trace(asked)
+    np.testing.assert_array_equal(disc.trace(asked).radiance, first.radiance)
+    disc.forget()
+    disc.restore_history(asked.camera, {})
+    assert not disc.has_history
+
+
+@pytest.mark.parametrize("quick", [False, True])
+def test_with_a_history_samples_of_a_still_view_add_up(scene, tracer, quick):
+    disc = DiscTracer(tracer, history=True)
+    assert disc.has_history
+    means = []
+    for seed in range(4):
+        samples = disc.trace(request(scene, DISC, 32, 2, seed), quick=quick)
+        assert (samples.count == 2 * (seed + 1)).all()
+        means.append(samples.radiance)
+    # Each mean holds the one before it: sums grow by what two samples have.
+    added = [4 * means[1] - 2 * means[0], 8 * means[3] - 6 * means[2]]
+    assert all((new >= -1e-3).all() for new in added)
+    disc.forget()
+    assert (disc.trace(request(scene, DISC, 32, 2, 9)).count == 2).all()
+
+
+def test_samples_of_a_still_view_fill_the_gaps_between_earlier_ones(scene, tracer):
+    """Four frames of 4 samples each have less error than four frames that know nothing of each other."""
+    truth = DiscTracer(tracer, False).trace(request(scene, DISC, 48, 1024, 77, False)).radiance
+    errors = []
+    for base in range(0, 400, 100):
+        disc = DiscTracer(tracer, history=True)
+        for seed in range(4):
+            summed = disc.trace(request(scene, DISC, 48, 4, base + seed))
+        alone = DiscTracer(tracer, history=False)
+        apart = [alone.trace(request(scene, DISC, 48, 4, base + seed)).radiance for seed in range(4)]
+        images = summed.radiance, np.mean(apart, axis=0)
+        errors.append([np.mean((image - truth) ** 2) for image in images])
+    summed, independent = np.mean(errors, axis=0)
+    # Seen: 0.51.
+    assert summed < 0.8 * independent
+
+
+def test_a_saved_history_goes_on_as_if_it_had_never_stopped(scene, tracer):
+    whole, first, second = (DiscTracer(tracer, history=True) for _ in range(3))
+    for seed in range(3):
+        whole.trace(request(scene, DISC, 32, 1, seed))
+        first.trace(request(scene, DISC, 32, 1, seed))
+    state = {name: np.copy(values) for name, values in first.history_state().items()}
+    second.restore_history(scene.camera.resized(32, 32), state)
+    expected, found = (disc.trace(request(scene, DISC, 32, 1, 3)) for disc in (whole, second))
+    np.testing.assert_array_equal(found.radiance, expected.radiance)
+    np.testing.assert_array_equal(found.count, expected.count)
+    assert (found.count == 4).all()
+
+
+def test_gaps_are_filled_where_a_neighbourhood_lacks_samples(scene, tracer):
+    """The gaze moves: what the disc newly covers gets samples, what was seen before gets fewer."""
+    disc = DiscTracer(tracer, history=True)
+    for seed in range(8):
+        disc.trace(request(scene, Foveation(Gaze(0.3, 0.5), 30, 30), 64, 2, seed))
+    moved = request(scene, Foveation(Gaze(0.6, 0.5), 30, 30), 64, 2, 8)
+    before = disc.known(moved).count
+    after = disc.trace(moved).count
+    assert (before == 0).any()
+    assert (before == 16).any()
+    assert after.sum() == before.sum() + 2 * len(after)
+    new = after - before
+    assert new[before == 0].min() >= 1
+    assert new[before == 0].mean() > 2 > new[before == 16].mean()

@@ -1,0 +1,60 @@
+"""What the first frame needs is loaded or trained, with its progress reported."""
+
+from __future__ import annotations
+
+import pytest
+
+from compose.base.errors import UserError
+from hybrid.interactive import prepare
+from hybrid.interactive.prepare import prepared
+from hybrid.store.cache import store_forest
+from splat.io.forest_file import load_forest
+
+pytestmark = pytest.mark.usefixtures("backend", "own_home")
+
+
+def silent(activity: str, done: int, total: int) -> None:
+    pytest.fail(f"{activity} is reported")
+
+
+def test_a_scene_and_its_forest_become_a_source(made):
+    source = prepared("cornell", made / "box.forest", "auto", False, silent)
+    assert source.name == "cornell"
+    assert source.layers == 2
+
+
+def test_the_newest_forest_of_the_scene_is_used(made):
+    store_forest(load_forest(made / "box.forest"), "box")
+    source = prepared("cornell", None, "auto", False, silent)
+    assert source.renderer.periphery.forest.digest() == load_forest(made / "box.forest").digest()
+
+
+def test_without_a_forest_and_training_it_says_what_to_do():
+    with pytest.raises(UserError, match="no forest yet; run hybrid demo cornell first"):
+        prepared("cornell", None, "auto", False, silent)
+
+
+def test_a_missing_scene_or_forest_is_named(tmp_path):
+    with pytest.raises(UserError, match="no-such-scene"):
+        prepared("no-such-scene", None, "auto", True, silent)
+    with pytest.raises(UserError, match=r"missing\.forest"):
+        prepared("cornell", tmp_path / "missing.forest", "auto", True, silent)
+
+
+def test_a_forest_of_another_scene_is_refused(made):
+    with pytest.raises(UserError, match="belongs to scene cornell"):
+        prepared("room", made / "box.forest", "auto", False, silent)
+
+
+def test_training_is_reported(made, monkeypatch):
+    def trains(scene, given, bars):
+        assert given is None
+        with bars("train (steps)") as bar:
+            bar(1, 5, "layer 1")
+            bar(5, 5)
+        return load_forest(made / "box.forest")
+
+    monkeypatch.setattr(prepare, "forest_for", trains)
+    reported: list[tuple[str, int, int]] = []
+    prepared("cornell", None, "auto", True, lambda *step: reported.append(step))
+    assert reported == [("train (steps)", 1, 5), ("train (steps)", 5, 5)]

@@ -1,0 +1,64 @@
+"""FovVideoVDP: its maximum, its direction, and that it knows gaze and display."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from compose.eye.display import Display
+from compose.eye.gaze import Gaze
+from hybrid.measure.metrics.fovvideovdp import jod
+from tests import small
+
+WIDTH, HEIGHT = 160, 96
+# 40 degrees: 4 pixels per degree, so that the frame's edges lie in the periphery.
+DISPLAY = Display(WIDTH, HEIGHT, 40.0)
+
+
+@pytest.fixture(scope="module")
+def image() -> np.ndarray:
+    smooth = gaussian_filter(small.rng().normal(size=(HEIGHT, WIDTH, 3)), (6, 6, 0))
+    return (0.3 + 0.1 * smooth / smooth.std()).clip(0.02, 1).astype(np.float32)
+
+
+def noisy(image: np.ndarray, size: float) -> np.ndarray:
+    return (image * small.rng(1).uniform(1 - size, 1 + size, image.shape)).astype(np.float32)
+
+
+class TestInstalled:
+    @pytest.fixture(autouse=True)
+    def metric(self):
+        pytest.importorskip("pyfvvdp", reason="FovVideoVDP is not installed")
+
+    def test_equal_images_have_10_and_more_noise_has_less(self, image):
+        scores = [jod(noisy(image, size), image, DISPLAY, Gaze()) for size in (0, 0.05, 0.2, 0.6)]
+        assert scores[0] == pytest.approx(10, abs=1e-5)
+        assert scores == sorted(scores, reverse=True)
+        assert scores[1] - scores[3] > 0.5
+
+    @pytest.mark.parametrize(("x", "columns"), [(0.15, np.s_[:, :48]), (0.85, np.s_[:, -48:])])
+    def test_a_defect_at_the_gaze_is_worse_than_one_elsewhere(self, image, x, columns):
+        defect = image.copy()
+        defect[columns] = noisy(image, 0.4)[columns]
+        at, away = (jod(defect, image, DISPLAY, Gaze(gaze, 0.5)) for gaze in (x, 1 - x))
+        assert at < away - 0.05
+
+    def test_fine_noise_is_less_visible_from_farther_away(self, image):
+        """The same pixels span 40 and 4 degrees."""
+        near, far = (jod(noisy(image, 0.4), image, Display(WIDTH, HEIGHT, fov), Gaze()) for fov in (40, 4))
+        assert far > near + 0.2
+
+    def test_noise_is_less_visible_on_a_darker_display(self, image):
+        bright, dark = (
+            jod(noisy(image, 0.2), image, Display(WIDTH, HEIGHT, 40.0, luminance), Gaze())
+            for luminance in (200.0, 1.0)
+        )
+        assert dark > bright + 0.05
+
+
+def test_without_the_package_there_is_no_value(monkeypatch, image):
+    monkeypatch.setitem(sys.modules, "pyfvvdp", None)
+    assert jod(image, image, DISPLAY, Gaze()) is None

@@ -1,0 +1,103 @@
+"""The nodes that a camera sees: all of those, from near to far, and projected once per camera."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import drjit as dr
+import numpy as np
+import pytest
+
+from splat.lod.footprints import ForestFootprints
+from splat.model.forest import Forest, forest_of
+from splat.model.layer import static_layer
+from splat.raster.differentiable import parameters_from
+from splat.raster.projection import PIXEL_FILTER, footprints
+from tests.splat.lod.views import frame_camera, small_forest
+from tests.splat.samples import gaussians
+
+FIELDS = ("x", "y", "xx", "xy", "yy", "determinant", "opacity", "red", "green", "blue", "depth")
+
+
+def spread_forest(degree: int) -> Forest:
+    """One layer, much of it beside or behind the camera."""
+    g = gaussians("off-screen", 300, degree)
+    g.means[2] *= 4
+    return forest_of([static_layer(g)], 120.0, "", "")
+
+
+def projected(arrays, forest: Forest, camera) -> dict[str, np.ndarray]:
+    """All nodes of the finest layer, in the forest's order."""
+    raw = footprints(parameters_from(arrays, forest.finest), camera)
+    return {name: dr.detach(getattr(raw, name), preserve_type=False).numpy() for name in FIELDS}
+
+
+def index(arrays, count: int):
+    return dr.arange(arrays.plain.UInt, count)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_footprints_are_those_of_the_projection(arrays, degree):
+    """Whatever the length of a node's record, every number comes from its place."""
+    forest, camera = spread_forest(degree), frame_camera()
+    cache = ForestFootprints(arrays, forest)
+    (layer,) = cache.layers(camera, 1.0, [1])
+    found = cache.footprints([1], [index(arrays, dr.width(layer.x))])
+    every = projected(arrays, forest, camera)
+    # The depth tells which node a footprint is of.
+    node = np.abs(found.depth.numpy()[:, None] - every["depth"]).argmin(axis=1)
+    assert len(set(node.tolist())) == len(node)
+    for name in FIELDS:
+        np.testing.assert_allclose(getattr(found, name).numpy(), every[name][node], rtol=1e-5, atol=1e-6)
+    assert (np.diff(found.depth.numpy()) >= -1e-4).all()
+
+
+@pytest.mark.parametrize("blur", [1.0, 30.0])
+def test_no_node_that_shows_is_left_out(arrays, blur):
+    """A node shows where its alpha under the widest filter reaches 1/255 in the frame."""
+    forest, camera = spread_forest(0), frame_camera()
+    (layer,) = ForestFootprints(arrays, forest).layers(camera, blur, [1])
+    raw = projected(arrays, forest, camera)
+    extent = 2 * np.log(np.maximum(raw["opacity"] * 255, 1))
+    reach_x, reach_y = (np.sqrt(extent * (raw[name] + PIXEL_FILTER * blur**2)) for name in ("xx", "yy"))
+    shows = (raw["opacity"] > 1 / 255) & (raw["x"] + reach_x > 0) & (raw["x"] - reach_x < camera.width)
+    shows &= (raw["y"] + reach_y > 0) & (raw["y"] - reach_y < camera.height)
+    kept = set(layer.x.numpy().tolist())
+    assert set(raw["x"][shows].tolist()) <= kept
+    assert 0 < shows.sum() <= len(kept) < len(forest.finest)
+    # Its own numbers are those of its records.
+    some = {name: getattr(layer, name).numpy() for name in ("x", "y", "xx", "yy", "extent")}
+    node = np.abs(raw["x"][:, None] - some["x"]).argmin(axis=0)
+    for name in ("y", "xx", "yy"):
+        np.testing.assert_allclose(some[name], raw[name][node], rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(some["extent"], extent[node], rtol=1e-4, atol=1e-4)
+
+
+def test_layers_follow_one_another(arrays):
+    """Nodes chosen from several layers, out of order, each under its own layer's numbers."""
+    forest, camera = small_forest(), frame_camera()
+    cache = ForestFootprints(arrays, forest)
+    layers = cache.layers(camera, 4.0, [3, 1])
+    chosen = [arrays.plain.UInt([2, 0]), dr.zeros(arrays.plain.UInt, 0), arrays.plain.UInt([1])]
+    cache.layers(camera, 4.0, [2])
+    found = cache.footprints([3, 2, 1], chosen).x.numpy().tolist()
+    x = [layer.x.numpy() for layer in layers]
+    assert found == [x[0][2], x[0][0], x[1][1]]
+
+
+def test_a_camera_is_projected_once(arrays):
+    forest, camera = small_forest(), frame_camera()
+    cache = ForestFootprints(arrays, forest)
+    (first,) = cache.layers(camera, 3.0, [2])
+    # The filter's width is rounded up to a power of two: 4.
+    assert cache.layers(replace(camera), 1.0, [2])[0] is first
+    assert cache.layers(camera, 4.0, [2])[0] is first
+    assert cache.layers(camera, 4.1, [2])[0] is not first
+    assert cache.layers(replace(camera, fx=camera.fx + 1), 1.0, [2])[0] is not first
+
+
+def test_nothing_in_sight_is_none(arrays):
+    g = gaussians(n=20, degree=0)
+    g.means[2] -= 100
+    cache = ForestFootprints(arrays, forest_of([static_layer(g)], 120.0, "", ""))
+    assert cache.layers(frame_camera(), 1.0, [1]) == [None]

@@ -1,0 +1,92 @@
+"""Adam whose moments survive changes of the set."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from splat.model.gaussians import Gaussians, concatenated
+from splat.training.optimizer import GaussianOptimizer
+from tests.splat.samples import equal, gaussians
+
+
+def loss_of(g: Gaussians) -> torch.Tensor:
+    """Pulls every parameter towards 0."""
+    return sum((tensor**2).sum() for _, tensor in g.tensors())
+
+
+def stepped(optimizer: GaussianOptimizer, steps: int = 1, progress: float = 0.0) -> GaussianOptimizer:
+    for _ in range(steps):
+        optimizer.step(loss_of(optimizer.gaussians), progress)
+    return optimizer
+
+
+def detached(optimizer: GaussianOptimizer) -> Gaussians:
+    return Gaussians(**{name: tensor.detach() for name, tensor in optimizer.gaussians.tensors()})
+
+
+def test_it_starts_from_copies():
+    g = gaussians(n=5, degree=2)
+    before = g.select(torch.arange(5))
+    optimizer = GaussianOptimizer(g, 1.0)
+    assert equal(detached(optimizer), g)
+    stepped(optimizer)
+    assert equal(g, before)
+
+
+@pytest.mark.parametrize(
+    ("progress", "rates"),
+    [
+        (0.0, {"means": 0.15, "log_scales": 0.01, "rotations": 0.004, "opacity_logits": 0.05}),
+        # Half-way between the ends on a logarithmic scale: the root of their product.
+        (0.5, {"means": 0.03, "log_scales": 0.00447214, "rotations": 0.002, "opacity_logits": 0.0223607}),
+        (1.0, {"means": 0.006, "log_scales": 0.002, "rotations": 0.001, "opacity_logits": 0.01}),
+    ],
+)
+def test_the_first_step_is_as_long_as_the_rate(progress, rates):
+    """Adam's first step is the rate itself, against the gradient; positions are in units of a pixel."""
+    g = gaussians(n=5, degree=1)
+    moved = detached(stepped(GaussianOptimizer(g, 0.2), 1, progress))
+    for name, rate in rates.items():
+        unit = 0.2 if name == "means" else 1.0
+        expected = getattr(g, name) - unit * rate * getattr(g, name).sign()
+        torch.testing.assert_close(getattr(moved, name), expected, rtol=1e-4, atol=1e-6)
+    constant, directional = {0.0: (0.008, 0.0008), 0.5: (0.00309839, 0.0004), 1.0: (0.0012, 0.0002)}[progress]
+    torch.testing.assert_close(moved.sh[0], g.sh[0] - constant * g.sh[0].sign(), rtol=1e-4, atol=1e-6)
+    torch.testing.assert_close(moved.sh[1:], g.sh[1:] - directional * g.sh[1:].sign(), rtol=1e-4, atol=1e-6)
+
+
+def test_kept_gaussians_keep_their_moments():
+    """After a change the kept ones move on as if nothing had happened, in whatever order they are."""
+    whole = stepped(GaussianOptimizer(gaussians(n=6, degree=1), 1.0), 5)
+    part = stepped(GaussianOptimizer(gaussians(n=6, degree=1), 1.0), 5)
+    kept = torch.tensor([4, 0, 3])
+    added = gaussians("nearly flat", n=2, degree=1)
+    part.replace(concatenated([detached(part).select(kept), added]), kept)
+    stepped(whole, 3)
+    stepped(part, 3)
+    assert len(detached(part)) == 5
+    assert equal(detached(part).select(torch.arange(3)), detached(whole).select(kept))
+    assert not equal(detached(part).select(torch.arange(3, 5)), added)
+
+
+def test_a_restored_optimizer_continues_with_the_same_bits():
+    optimizer = stepped(GaussianOptimizer(gaussians(n=6, degree=1), 0.5), 4)
+    state = {name: tensor.clone() for name, tensor in optimizer.state().items()}
+    again = GaussianOptimizer.restored({**state, "parent": torch.zeros(6)}, 0.5)
+    assert equal(detached(stepped(optimizer, 3, 0.5)), detached(stepped(again, 3, 0.5)))
+
+
+def test_an_optimizer_without_steps_is_restored_too():
+    g = gaussians(n=6, degree=0)
+    fresh = GaussianOptimizer(g, 0.5)
+    again = GaussianOptimizer.restored(fresh.state(), 0.5)
+    assert equal(detached(stepped(fresh)), detached(stepped(again)))
+
+
+def test_an_incomplete_state_is_refused():
+    state = stepped(GaussianOptimizer(gaussians(n=6), 0.5)).state()
+    assert len(state) == 24
+    for missing in ("leaf.means", "adam.exp_avg.sh_constant"):
+        with pytest.raises(KeyError, match=missing):
+            GaussianOptimizer.restored({n: t for n, t in state.items() if n != missing}, 0.5)
