@@ -157,6 +157,15 @@ def test_the_ratio_of_samples_to_splats():
         np.testing.assert_allclose(parts["ratio_12"], expected, atol=1e-5)
 
 
+def test_a_single_bright_sample_counts_as_eight_times_the_splats_at_most():
+    """One of the 36 pixels of a window, and one of the 144 of a large one."""
+    given = flat()
+    given.traced[48, 48] = 1000
+    parts = coarse(seen(given))
+    assert float(parts["ratio_6"][0, 0, 24, 24]) == pytest.approx(8 / 36, abs=1e-5)
+    assert float(parts["ratio_12"].max()) == pytest.approx(8 / 144, abs=1e-5)
+
+
 def test_evidence_of_a_difference_without_noise():
     """t = -0.5 / sqrt(0.0001), and t / (3 + |t|)."""
     parts = coarse(seen(flat(traced=0.1)))

@@ -18,7 +18,9 @@ def test_the_file_holds_each_change_since_the_recording_began(tmp_path):
     for now, gaze in ((3.0, HERE), (3.1, HERE), (3.5, THERE), (4.0, THERE), (4.5, HERE)):
         recording.add(now, gaze)
     assert recording.toggle("room") == str(tmp_path / "room-gaze-001.csv")
-    assert load_gaze_trace(tmp_path / "room-gaze-001.csv") == GazeTrace((0.0, 0.5, 1.5), (HERE, THERE, HERE))
+    file = tmp_path / "room-gaze-001.csv"
+    assert load_gaze_trace(file) == GazeTrace((0.0, 0.5, 1.5), (HERE, THERE, HERE))
+    assert file.read_text().splitlines()[1].startswith("0.0000,")
 
 
 def test_each_recording_begins_anew_and_has_its_own_file(tmp_path):

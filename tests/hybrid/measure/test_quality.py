@@ -1,4 +1,4 @@
-"""The harness checked against itself: what is equal is equal, and every metric sees a defect where it is."""
+"""The metrics of an image by region: equal images are perfect, and every metric sees a defect where it is."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from compose.base.errors import UserError
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from compose.fovea.region import Foveation
-from hybrid.measure.metrics.lpips import lpips
+from hybrid.measure import quality
+from hybrid.measure.metrics.flip import flip_map
 from hybrid.measure.metrics.psnr import psnr
 from hybrid.measure.metrics.ssim import ssim
-from hybrid.measure.quality import METRICS, Viewer, acuity_weight, checked_pair, measured
-from hybrid.measure.regions import REGIONS, regions
+from hybrid.measure.quality import METRICS, Viewer, acuity_weight, checked_pair, foveal_metrics, metric_rows
+from hybrid.measure.regions import REGIONS, plain_regions, regions
 from tests import small
 
-SIZE = 128
+SIZE = 96
 GAZE = Gaze(0.4, 0.55)
 VIEWER = Viewer(Display(SIZE, SIZE, 12.0), GAZE)
 FOVEATION = Foveation(GAZE, 30.0, 20.0)
@@ -27,52 +28,55 @@ FOVEATION = Foveation(GAZE, 30.0, 20.0)
 def scene() -> np.ndarray:
     """A picture with edges and texture."""
     noise = small.rng().normal(size=(SIZE, SIZE, 3))
-    blocks = np.kron(small.rng().uniform(0.1, 0.9, (8, 8, 3)), np.ones((16, 16, 1)))
+    blocks = np.kron(small.rng().uniform(0.1, 0.9, (8, 8, 3)), np.ones((12, 12, 1)))
     picture = blocks * (1 + 0.15 * gaussian_filter(noise, (1, 1, 0)) / 0.28)
     return np.clip(picture, 0.01, 1).astype(np.float32)
 
 
 def table(image: np.ndarray, reference: np.ndarray) -> dict[tuple[str, str], float]:
-    rows = measured(image, reference, regions(FOVEATION, reference), VIEWER)
+    rows = metric_rows(image, reference, regions(FOVEATION, reference), VIEWER)
     return {(str(row["region"]), str(row["metric"])): float(row["value"]) for row in rows}
 
 
-def test_a_frame_against_itself_is_perfect(scene):
-    found = table(scene, scene)
-    perfect = {"psnr": 120, "ssim": 1, "fssim": 1, "flip": 0, "hdr-flip": 0, "lpips": 0, "jod": 10}
-    assert {region for region, _ in found} == set(REGIONS)
-    assert {"psnr", "ssim", "fssim"} <= {metric for _, metric in found}
-    for (region, metric), value in found.items():
-        assert value == pytest.approx(perfect[metric], abs=1e-6), (region, metric)
+@pytest.fixture(scope="module")
+def perfect(scene) -> dict[tuple[str, str], float]:
+    """The metrics of a frame that equals its reference."""
+    return table(scene, scene)
 
 
-def test_noise_of_a_known_size_gives_its_psnr(scene):
-    """PSNR of noise of deviation s in sRGB is -20 log10 s."""
-    encoded = 0.5 + small.rng().normal(0, 0.02, (SIZE, SIZE, 3))
-    linear = ((encoded + 0.055) / 1.055) ** 2.4
-    middle = np.full_like(linear, ((0.5 + 0.055) / 1.055) ** 2.4)
-    found = psnr(linear.astype(np.float32), middle.astype(np.float32))
-    assert found == pytest.approx(-20 * np.log10(0.02), abs=0.1)
+@pytest.fixture(scope="module")
+def of_noise(scene) -> dict[tuple[str, str], float]:
+    """The metrics of a noisy frame."""
+    return table(noisy(scene, 0.3), scene)
 
 
-def test_a_shift_of_a_flat_picture_gives_the_ssim_of_the_formula():
-    """Without any variance SSIM is its luminance term, (2 ab + C1) / (a^2 + b^2 + C1)."""
-    levels = np.array([0.4, 0.7])
-    flat = [np.full((32, 32, 3), ((v + 0.055) / 1.055) ** 2.4, dtype=np.float32) for v in levels]
-    a, b = levels
-    assert ssim(*flat) == pytest.approx((2 * a * b + 1e-4) / (a * a + b * b + 1e-4), abs=1e-5)
+def noisy(scene: np.ndarray, size: float) -> np.ndarray:
+    return scene * small.rng().uniform(1 - size, 1 + size, scene.shape).astype(np.float32)
+
+
+def test_a_frame_against_itself_is_perfect(perfect):
+    best = {"psnr": 120, "ssim": 1, "fssim": 1, "flip": 0, "hdr-flip": 0, "lpips": 0, "jod": 10}
+    assert {region for region, _ in perfect} == set(REGIONS)
+    assert {"psnr", "ssim", "fssim"} <= {metric for _, metric in perfect}
+    for (region, metric), value in perfect.items():
+        assert value == pytest.approx(best[metric], abs=1e-6), (region, metric)
+
+
+def test_metrics_of_one_region_alone_are_there_alone(perfect):
+    found = perfect
+    assert {region for region, metric in found if metric == "fssim"} == {"whole"}
+    assert {region for region, metric in found if metric == "hdr-flip"} <= {"foveal"}
+    assert {region for region, metric in found if metric == "lpips"} <= {"whole", "foveal"}
+    order = [metric for region, metric in found if region == "whole"]
+    assert order == [metric for metric in METRICS if metric in order]
 
 
 @pytest.mark.parametrize("defect", ["noise", "blur"])
-def test_each_metric_tells_where_a_defect_is(scene, defect):
-    """In the fovea, then in the periphery: the one region suffers, the other stays perfect."""
-    if defect == "noise":
-        bad = scene * small.rng().uniform(0.5, 1.5, scene.shape).astype(np.float32)
-    else:
-        bad = gaussian_filter(scene, (2, 2, 0))
+def test_each_metric_tells_where_a_defect_is(scene, perfect, defect):
+    """In the fovea, then in the periphery: one region suffers, the other stays perfect."""
+    bad = noisy(scene, 0.5) if defect == "noise" else gaussian_filter(scene, (2, 2, 0))
     parts = regions(FOVEATION, scene)
     found = {name: table(parts[name].alone(bad, scene), scene) for name in ("foveal", "peripheral")}
-    perfect = table(scene, scene)
     for metric, more_is_better in METRICS.items():
         sign = 1 if more_is_better else -1
         for place, other in (("foveal", "peripheral"), ("peripheral", "foveal")):
@@ -84,14 +88,75 @@ def test_each_metric_tells_where_a_defect_is(scene, defect):
             assert found[other][place, metric] == pytest.approx(perfect[place, metric], abs=1e-6)
 
 
-def test_less_of_a_defect_is_better_in_every_metric(scene):
-    worse, better = (
-        table(scene * small.rng().uniform(1 - s, 1 + s, scene.shape).astype(np.float32), scene)
-        for s in (0.5, 0.1)
-    )
-    for key in worse:
+def test_less_of_a_defect_is_better_in_every_metric(scene, of_noise):
+    better = table(noisy(scene, 0.1), scene)
+    for key in of_noise:
         sign = 1 if METRICS[key[1]] else -1
-        assert sign * worse[key] < sign * better[key], key
+        assert sign * of_noise[key] < sign * better[key], key
+
+
+def test_psnr_of_a_region_is_that_of_its_pixels(scene, of_noise):
+    bad = noisy(scene, 0.3)
+    for name, region in regions(FOVEATION, scene).items():
+        assert of_noise[name, "psnr"] == pytest.approx(psnr(bad[region.mask], scene[region.mask]))
+
+
+def test_ssim_of_a_region_ignores_errors_outside(scene, of_noise):
+    parts = regions(FOVEATION, scene)
+    for name in ("foveal", "peripheral"):
+        alone = parts[name].alone(noisy(scene, 0.3), scene)
+        expected = ssim(alone, scene, parts[name].mask.astype(np.float32))
+        assert of_noise[name, "ssim"] == pytest.approx(expected)
+
+
+def test_flip_of_a_region_is_the_mean_of_its_map(scene, of_noise):
+    """The map is computed around the region only, and given whole where it is known."""
+    pytest.importorskip("flip_evaluator", reason="FLIP's evaluator is not installed")
+    parts = regions(FOVEATION, scene)
+    bad, found = noisy(scene, 0.3), of_noise
+    whole = flip_map(bad, scene)
+    assert found["whole", "flip"] == pytest.approx(float(whole.mean()), abs=1e-6)
+    for name in ("foveal", "peripheral", "seam"):
+        expected = flip_map(parts[name].alone(bad, scene), scene)[parts[name].mask].mean()
+        assert found[name, "flip"] == pytest.approx(float(expected), abs=1e-5), name
+    known = metric_rows(bad, scene, {"whole": parts["whole"]}, VIEWER, whole_flip=np.full_like(whole, 0.5))
+    assert {row["metric"]: row["value"] for row in known}["flip"] == 0.5
+
+
+def test_the_foveal_crop_keeps_the_gaze_where_it_is(scene, monkeypatch):
+    seen = []
+
+    def recorded(image, reference, display, gaze):
+        seen.append((image.shape[:2], gaze.pixel(image.shape[1], image.shape[0])))
+        return 5.0
+
+    monkeypatch.setattr(quality, "jod", recorded)
+    parts = plain_regions(FOVEATION, (SIZE, SIZE))
+    found = {(row["region"], row["metric"]): row["value"] for row in metric_rows(scene, scene, parts, VIEWER)}
+    assert all(found[region, "jod"] == 5 for region in parts)
+    by_region = dict(zip(parts, seen, strict=True))
+    # The gaze is at (38.4, 52.8), the radius of the disc 28.8: it begins at 9.6 and 24.
+    assert by_region["whole"] == by_region["peripheral"] == ((96, 96), pytest.approx((38.4, 52.8)))
+    box = parts["foveal"].box
+    assert (box[1].start, box[0].start) == (10, 24)
+    assert by_region["foveal"] == (parts["foveal"].mask[box].shape, pytest.approx((28.4, 28.8)))
+
+
+def test_foveal_metrics_are_those_of_the_foveal_region(scene, of_noise):
+    found = of_noise
+    alone = foveal_metrics(noisy(scene, 0.3), scene, regions(FOVEATION, scene)["foveal"], VIEWER)
+    assert set(alone) == {metric for region, metric in found if region == "foveal"} & {"jod", "flip"}
+    for metric, value in alone.items():
+        assert value == pytest.approx(found["foveal", metric])
+
+
+def test_what_is_not_installed_is_left_out(scene, monkeypatch):
+    for name in ("jod", "lpips"):
+        monkeypatch.setattr(quality, name, lambda *_: None)
+    for name in ("flip_map", "hdr_flip_map"):
+        monkeypatch.setattr(quality, name, lambda *_: None)
+    assert {metric for _, metric in table(scene, scene)} == {"psnr", "ssim", "fssim"}
+    assert foveal_metrics(scene, scene, regions(FOVEATION, scene)["foveal"], VIEWER) == {}
 
 
 def test_what_the_eye_resolves_weighs_most_at_the_gaze(scene):
@@ -99,41 +164,33 @@ def test_what_the_eye_resolves_weighs_most_at_the_gaze(scene):
     x, y = GAZE.pixel(SIZE, SIZE)
     assert weight[int(y), int(x)] == weight.max() == pytest.approx(1, abs=0.05)
     assert weight[0, -1] < 0.5
+    # Rows come first.
+    assert acuity_weight(VIEWER, (8, 16)).shape == (8, 16)
+
+
+def test_fssim_counts_a_defect_at_the_gaze_for_more(scene):
+    """The same defect in two places that SSIM does not tell apart."""
+    flat = np.full((SIZE, SIZE, 3), 0.3, dtype=np.float32)
+    x, y = (int(at) for at in GAZE.pixel(SIZE, SIZE))
+    near, far = flat.copy(), flat.copy()
+    for picture, row, column in ((near, y, x), (far, 16, 80)):
+        picture[row - 4 : row + 4, column - 4 : column + 4] = 0.5
+    whole = plain_regions(FOVEATION, (SIZE, SIZE), ("whole",))
+    at_gaze, away = (
+        {row["metric"]: row["value"] for row in metric_rows(one, flat, whole, VIEWER)} for one in (near, far)
+    )
+    assert at_gaze["ssim"] == pytest.approx(away["ssim"], abs=1e-4)
+    assert at_gaze["fssim"] < away["fssim"] - 0.01
 
 
 def test_pictures_that_cannot_be_compared_are_named(scene):
-    with pytest.raises(UserError, match="peer is 128 x 127 pixels, its reference 128 x 128"):
-        checked_pair(scene[1:], scene, "peer")
+    with pytest.raises(UserError, match="baseline is 96 x 95 pixels, its reference 96 x 96"):
+        checked_pair(scene[1:], scene, "baseline")
     broken = scene.copy()
     broken[3, 4, 1] = np.inf
-    with pytest.raises(UserError, match="peer has 1 pixels that are not finite"):
-        checked_pair(broken, scene, "peer")
-    with pytest.raises(UserError, match="the reference of peer has 1 pixels"):
-        checked_pair(scene, broken, "peer")
-
-
-def test_regions_that_are_empty_or_unseen_are_named(scene):
-    with pytest.raises(UserError, match=r"gaze 1.2 0.5: lies outside the frame"):
-        regions(Foveation(Gaze(1.2, 0.5)), scene)
-    with pytest.raises(UserError, match="the foveal region of this frame is empty"):
-        regions(Foveation(GAZE, 0.0, 0.0), scene)
-    assert set(regions(Foveation(GAZE, 500.0, 20.0), scene)) == {"whole", "foveal", "salient"}
-    parts = regions(FOVEATION, scene)
-    assert (parts["foveal"].mask ^ parts["peripheral"].mask).all()
-    assert (parts["seam"].mask <= parts["foveal"].mask).all()
-    assert 0.1 < parts["salient"].mask.mean() < 0.3
-
-
-def test_weights_of_lpips_are_arrays_only():
-    import io
-    import pickle
-
-    from hybrid.measure.metrics.lpips import _ArraysOnly
-
-    with pytest.raises(pickle.UnpicklingError, match="no array"):
-        _ArraysOnly(io.BytesIO(pickle.dumps(print))).load()
-    held = {"a": np.arange(3.0)}
-    np.testing.assert_array_equal(_ArraysOnly(io.BytesIO(pickle.dumps(held))).load()["a"], held["a"])
-    if lpips(np.zeros((64, 64, 3), np.float32), np.zeros((64, 64, 3), np.float32)) is None:
-        pytest.skip("the weights of LPIPS are not installed")
-    assert lpips(np.zeros((16, 64, 3), np.float32), np.zeros((16, 64, 3), np.float32)) is None
+    with pytest.raises(UserError, match="baseline has 1 pixels that are not finite"):
+        checked_pair(broken, scene, "baseline")
+    with pytest.raises(UserError, match="the reference of baseline has 1 pixels"):
+        checked_pair(scene, broken, "baseline")
+    with pytest.raises(UserError, match="the frame has 1 pixels"):
+        metric_rows(broken, scene, regions(FOVEATION, scene), VIEWER)

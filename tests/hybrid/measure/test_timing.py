@@ -1,62 +1,102 @@
-"""Cameras for timing: each another, all the same to the eye."""
+"""Timing: which frames are measured, along which path, and with which cameras."""
 
 from __future__ import annotations
+
+import time
 
 import drjit as dr
 import numpy as np
 import pytest
 
 from compose.eye.gaze import Gaze
-from compose.fovea.region import Foveation
-from hybrid.frame.renderer import HybridRenderer
-from hybrid.measure.timing import jittered
-from hybrid.sweeps.comparison import compare
+from hybrid.frame.renderer import Renderer
+from hybrid.frame.settings import FrameSettings
+from hybrid.measure.timing import (
+    REACH,
+    gaze_path,
+    interleaved,
+    interleaved_passes,
+    jittered,
+    percentiles,
+)
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 
-pytestmark = pytest.mark.usefixtures("backend", "own_home")
+
+def test_percentiles_are_interpolated_and_named():
+    assert percentiles([5.0, 1.0, 3.0, 2.0, 4.0]) == {"p50": 3.0, "p95": pytest.approx(4.8)}
+    assert percentiles([7.0], (99,)) == {"p99": 7.0}
 
 
-@pytest.fixture
-def renderer(made):
-    return HybridRenderer(load_scene("cornell"), load_forest(made / "box.forest"), mode="fused")
+def test_a_gaze_path_is_closed_and_stays_within_reach():
+    path = gaze_path(200, (0.1, 0.3))
+    x, y = np.array([[gaze.x, gaze.y] for gaze in path]).T
+    np.testing.assert_allclose([x.min(), x.max()], [0.4, 0.6], atol=1e-3)
+    np.testing.assert_allclose([y.min(), y.max()], [0.2, 0.8], atol=1e-3)
+    steps = np.hypot(np.diff(x, append=x[0]), np.diff(y, append=y[0]))
+    assert 0 < steps.min() <= steps.max() < 0.03
+    assert [(gaze.x, gaze.y) for gaze in gaze_path(3, (0, 0))] == [(0.5, 0.5)] * 3
+    assert max(abs(gaze.x - 0.5) for gaze in gaze_path(200)) == pytest.approx(REACH[0], abs=1e-3)
 
 
-def test_nudged_cameras_differ_by_less_than_can_be_seen(renderer):
-    camera = renderer.tracer.scene.camera.resized(96, 64)
-    cameras = [jittered(camera, number) for number in range(1000)]
-    assert len({one.key for one in [camera, *cameras]}) == 1001
-    points = camera.position + 3 * camera.rays(camera.pixel_centres())
-    for one in (cameras[0], cameras[-1]):
-        assert np.abs(one.project(points)[0] - camera.project(points)[0]).max() < 0.01
-        np.testing.assert_allclose(one.position, camera.position, atol=1e-12)
-        rotation = one.world_to_camera[:3, :3]
-        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
-    frames = [renderer.frame(one, Foveation(Gaze())).composite for one in (camera, cameras[-1])]
-    assert np.abs(frames[0] - frames[1]).mean() < 0.01 * frames[0].mean()
+def test_methods_take_turns_and_the_warm_up_does_not_count():
+    calls: list[tuple[str, Gaze, int]] = []
+
+    def method(name: str):
+        def frame(gaze: Gaze, seed: int) -> dict[str, float]:
+            calls.append((name, gaze, seed))
+            return {"total": float(seed)}
+
+        return frame
+
+    done: list[tuple[int, int]] = []
+    found = interleaved_passes([method("a"), method("b")], 3, 2, lambda *step: done.append(step), (0.1, 0.1))
+    assert [(name, seed) for name, _, seed in calls] == [(n, s) for s in range(5) for n in "ab"]
+    assert found == [[{"total": 2.0}, {"total": 3.0}, {"total": 4.0}]] * 2
+    path = gaze_path(3, (0.1, 0.1))
+    # The warm-up takes the last steps of the path.
+    assert [gaze for name, gaze, _ in calls if name == "a"] == [path[1], path[2], *path]
+    assert done == [(number, 5) for number in range(1, 6)]
 
 
-def test_nudged_cameras_need_no_kernels_of_their_own(renderer):
-    camera = renderer.tracer.scene.camera.resized(96, 64)
-
-    def kernels(numbers: range) -> set[str]:
-        with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
-            dr.kernel_history_clear()
-            for number in numbers:
-                renderer.frame(jittered(camera, number), Foveation(Gaze()))
-            return {entry["hash"] for entry in dr.kernel_history() if "hash" in entry}
-
-    known = kernels(range(8))
-    assert len(known) > 10
-    # A few settle late, whatever the camera. But what depended on it would be another kernel for each of ten.
-    assert len(kernels(range(8, 18)) - known) < 5
+def test_times_of_methods_are_told_apart():
+    """Sleeping takes at least as long as asked."""
+    times = interleaved({"slow": lambda gaze, seed: time.sleep(0.02), "quick": lambda gaze, seed: None}, 3, 1)
+    assert {name: len(values) for name, values in times.items()} == {"slow": 3, "quick": 3}
+    assert min(times["slow"]) >= 20 > min(times["quick"])
 
 
-def test_each_frame_of_a_comparison_has_a_camera_of_its_own(renderer, monkeypatch):
-    asked = []
-    for name in ("frame", "path_traced", "disc_alone"):
-        make = getattr(renderer, name)
-        monkeypatch.setattr(renderer, name, lambda c, *rest, make=make: (asked.append(c.key), make(c, *rest)))
-    row = compare(renderer, renderer.tracer.scene.camera.resized(48, 32), 60, 40, 1, 3, 1, lambda *_: None)
-    assert len(asked) == len(set(asked)) == 3 * (3 + 1)
-    assert row["covered"] == pytest.approx(0.69, abs=0.01)
+@pytest.mark.usefixtures("backend", "own_home")
+class TestJitter:
+    @pytest.fixture
+    def renderer(self, made):
+        return Renderer(load_scene("cornell"), load_forest(made / "box.forest"))
+
+    def test_jittered_cameras_differ_by_less_than_can_be_seen(self, renderer):
+        camera = renderer.scene.camera.resized(96, 64)
+        cameras = [jittered(camera, number) for number in range(1000)]
+        assert len({one.key for one in [camera, *cameras]}) == 1001
+        assert jittered(camera, 1000).key == cameras[0].key
+        points = camera.position + 3 * camera.rays(camera.pixel_centres())
+        for one in (cameras[0], cameras[-1]):
+            assert np.abs(one.project(points)[0] - camera.project(points)[0]).max() < 0.01
+            np.testing.assert_allclose(one.position, camera.position, atol=1e-12)
+            rotation = one.world_to_camera[:3, :3]
+            np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
+        frames = [renderer.frame(FrameSettings(spp=1, camera=one)).composite for one in (camera, cameras[-1])]
+        assert np.abs(frames[0] - frames[1]).mean() < 0.01 * frames[0].mean()
+
+    def test_jittered_cameras_need_no_kernels_of_their_own(self, renderer):
+        camera = renderer.scene.camera.resized(96, 64)
+
+        def kernels(numbers: range) -> set[str]:
+            with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+                dr.kernel_history_clear()
+                for number in numbers:
+                    renderer.frame(FrameSettings(spp=1, camera=jittered(camera, number)))
+                return {entry["hash"] for entry in dr.kernel_history() if "hash" in entry}
+
+        known = kernels(range(8))
+        assert len(known) > 10
+        # A few settle late, whatever the camera. One that depended on it would be another for each of ten.
+        assert len(kernels(range(8, 18)) - known) < 5

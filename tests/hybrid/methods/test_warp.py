@@ -1,12 +1,12 @@
-"""RMFR's mapping: there and back, its ends, its density, and what a frame looks like through it."""
+"""The mapping of RMFR: there and back, its ends, its density, and what a frame looks like through it."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from hybrid.baselines.warp import Axis, Warp
 
 from compose.eye.gaze import Gaze
+from hybrid.methods.warp import Axis, Warp
 
 GAZES = (0.5, 0.2, 0.0, 1.0)
 
@@ -64,9 +64,29 @@ def test_the_gazes_surroundings_are_sharp():
     assert error[126:130, 126:130].mean() < 0.3 < error[:, :64].mean()
 
 
-def test_what_is_no_mapping_is_refused():
+def test_impossible_mappings_are_refused():
     for arguments in ((1.2, 0.1, 10, 5), (0.5, 0.0, 10, 5), (0.5, float("nan"), 10, 5), (0.5, 0.1, 10, 0)):
-        with pytest.raises(ValueError, match=r"lies outside|no mapping"):
+        with pytest.raises(ValueError, match=r"lies outside the frame|all must be positive"):
             Axis(*arguments)
     with pytest.raises(ValueError, match="sigma"):
         Warp.of(Gaze(), 64, 48, 0.1, 0.0)
+
+
+def test_a_buffer_has_at_least_one_pixel():
+    warp = Warp.of(Gaze(0.2, 0.9), 6, 4, 0.1, 100.0)
+    assert (warp.across.buffer, warp.down.buffer) == (1, 1)
+    left, top, width, height = warp.boxes()
+    assert (left[0], top[0], width[0], height[0]) == pytest.approx((0, 0, 6, 4))
+    frame = warp.frame(np.full((1, 1, 3), 0.7, dtype=np.float32))
+    np.testing.assert_allclose(frame, np.full((4, 6, 3), 0.7), rtol=1e-6)
+
+
+def test_between_pixels_a_frame_is_linear():
+    """A buffer of the frame's own size with f so large that the mapping is nearly the identity."""
+    warp = Warp.of(Gaze(0.5, 0.5), 4, 4, 1e9, 2.0)
+    buffer = np.zeros((2, 2, 3), dtype=np.float32)
+    buffer[:, 1], buffer[1] = 1.0, buffer[1] + 2
+    # Frame centres 0.5, 1.5, 2.5, 3.5 are 0.25, 0.75, 1.25, 1.75 in the buffer, whose centres are 0.5 and 1.5.
+    steps = np.array([0, 0.25, 0.75, 1])
+    expected = steps[None, :] + 2 * steps[:, None]
+    np.testing.assert_allclose(warp.frame(buffer)[..., 0], expected, atol=1e-5)

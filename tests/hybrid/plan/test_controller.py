@@ -122,15 +122,19 @@ def test_one_outlier_counts_as_three_times_the_expected_time():
 
 
 def test_the_controller_climbs_an_eighth_of_a_step_per_frame_and_descends_at_once():
-    controller = FrameTimeController(SHORT, 20 / 0.85)
-    controller.took(60.0)
-    assert controller.choice().milliseconds == pytest.approx(10)
+    controller = FrameTimeController(SHORT, 10 / 0.85)
+    controller.target = 1000.0
     times = []
-    for _ in range(40):
-        controller.took(controller.choice().milliseconds * 0.2)
+    for _ in range(17):
+        controller.took(controller.choice().milliseconds)
         times.append(controller.choice().milliseconds)
-    assert np.diff([10, *times])[:8].max() == pytest.approx(0.12 * 10)
-    assert times[-1] == pytest.approx(40)
+    assert times[:3] == pytest.approx([11.2, 12.4, 13.6])
+    # Beyond the second step, times grow by 20 ms per step.
+    assert times[8:10] == pytest.approx([20 + 0.08 * 20, 20 + 0.2 * 20])
+    assert times[-1] == 40
+    controller.target = 10 / 0.85
+    controller.took(40.0)
+    assert controller.choice().milliseconds == pytest.approx(10)
 
 
 def test_a_frame_is_not_expected_to_take_longer_than_the_target():

@@ -21,8 +21,8 @@ from tests.splat.training.frames import WALLS, closed_sphere, wall
 SETTINGS = TrainingSettings(iterations=400, gaussians=900, layers=2, degree=1)
 
 
-# With density control every 20 steps, both layers change: see `often`.
-SHORT = TrainingSettings(iterations=200, gaussians=400, layers=2, degree=1)
+# With density control every 10 steps, both layers change: see `often`.
+SHORT = TrainingSettings(iterations=120, gaussians=400, layers=2, degree=1)
 
 
 @pytest.fixture(scope="module")
@@ -34,14 +34,14 @@ def trained(arrays) -> Trainer:
 
 @pytest.fixture
 def often(monkeypatch) -> None:
-    """Density control every 20 steps."""
-    monkeypatch.setattr(density, "_EVERY", 20)
+    """Density control every 10 steps."""
+    monkeypatch.setattr(density, "_EVERY", 10)
 
 
 @pytest.fixture(scope="module")
 def short(arrays) -> Trainer:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(density, "_EVERY", 20)
+        patch.setattr(density, "_EVERY", 10)
         trainer = Trainer(arrays, WALLS, SHORT)
         trainer.run()
     return trainer
@@ -86,9 +86,9 @@ def test_density_control_reaches_the_requested_number(trained):
 
 def test_trees_are_complete_at_any_time(arrays, trained, often):
     check_forest(trained.forest())
-    # Before the forest is built at about 80, after that, and around 160, when the trees are settled.
+    # Before the forest is built at about 48, after that, and around 96, when the trees are settled.
     trainer = Trainer(arrays, WALLS, SHORT)
-    for stop in (10, 90, 120, 159, 160, 161, 200):
+    for stop in (10, 55, 70, 95, 96, 97, 120):
         trainer.run(until=stop)
         assert trainer.iteration == stop
         check_forest(trainer.forest())
@@ -99,12 +99,12 @@ def test_children_follow_their_parents_through_a_change_of_density(arrays, often
     trainer = Trainer(arrays, WALLS, SHORT)
     coarse, fine = trainer._layers
     changes = 0
-    while trainer.iteration < 160:
+    while trainer.iteration < 96:
         before = (coarse.layer, fine.layer) if coarse.begun else None
         steps = coarse.done
         trainer.run(until=trainer.iteration + 1)
-        # Density control comes after the 20th of a layer's steps, if not too late.
-        if before is None or coarse.done == steps or coarse.done != 20:
+        # Density control comes after the 10th of a layer's steps, if not too late.
+        if before is None or coarse.done == steps or coarse.done != 10:
             continue
         changes += 1
         old, new = before[1].parent.long(), fine.layer.parent.long()
@@ -131,7 +131,7 @@ def test_the_same_seed_gives_the_same_bits(arrays, short, often):
     assert same(short, again)
 
 
-@pytest.mark.parametrize("stop", [20, 110, 170])
+@pytest.mark.parametrize("stop", [20, 66, 102])
 def test_an_interrupted_training_ends_with_the_same_bits(arrays, short, often, stop):
     """Interrupted when density control is due, amid all layers, and after the trees are settled."""
     first = Trainer(arrays, WALLS, SHORT)

@@ -23,9 +23,7 @@ def in_double_precision(x: np.ndarray, y: np.ndarray) -> float:
     both = (weight * (x - mean_x) * (y - mean_y)).sum()
     c1, c2 = 0.01**2, 0.03**2
     return float(
-        (2 * mean_x * mean_y + c1)
-        * (2 * both + c2)
-        / ((mean_x**2 + mean_y**2 + c1) * (var_x + var_y + c2))
+        (2 * mean_x * mean_y + c1) * (2 * both + c2) / ((mean_x**2 + mean_y**2 + c1) * (var_x + var_y + c2))
     )
 
 

@@ -1,0 +1,77 @@
+"""Loading and making scenes, frame sets and forests in Python."""
+
+from __future__ import annotations
+
+import pytest
+
+import hybrid
+from hybrid.api import scenes
+from splat.io.forest_file import load_forest
+from tests import small
+
+CAPTURE = {"views": 2, "held_out": 1, "width": 24, "height": 24, "spp": 2, "held_out_spp": 4}
+TRAINING = {"iterations": 2, "gaussians": 200, "layers": 1, "degree": 0}
+
+
+def test_a_scene_may_be_a_name_or_a_dictionary(backend):
+    bundled = scenes.load_scene("cornell")
+    assert bundled.name == "cornell"
+    assert scenes.load_scene(small.corner()).camera.width == 32
+
+
+def test_another_path_depth_makes_another_scene(backend):
+    usual, shallow = scenes.load_scene("cornell"), scenes.load_scene("cornell", max_depth=2)
+    assert shallow.max_depth == 2 < usual.max_depth
+    assert shallow.hash != usual.hash
+
+
+def test_scenes_that_cannot_be_loaded_are_user_errors(backend, tmp_path):
+    with pytest.raises(hybrid.UserError, match="nowhere"):
+        scenes.load_scene("nowhere.xml")
+    with pytest.raises(hybrid.UserError, match="backend metal: must be auto, cuda or llvm"):
+        scenes.load_scene("cornell", backend="metal")
+
+
+def test_from_a_scene_to_a_forest(backend, tmp_path):
+    captured, trained = [], []
+    scene = scenes.load_scene(small.corner())
+    frames = scenes.capture(
+        scene,
+        str(tmp_path / "frames"),
+        hybrid.CaptureSettings(**CAPTURE),
+        lambda done, total: captured.append((done, total)),
+    )
+    assert captured[-1][0] == captured[-1][1] > 0
+    again = scenes.load_frames(str(tmp_path / "frames"))
+    assert again == frames
+    assert (len(again.training), len(again.held_out)) == (2, 1)
+    forest = scenes.train(
+        frames,
+        str(tmp_path / "a.forest"),
+        hybrid.TrainingSettings(**TRAINING),
+        lambda done, total: trained.append((done, total)),
+    )
+    assert trained[-1] == (2, 2)
+    for loaded in (scenes.load_forest(str(tmp_path / "a.forest")), load_forest(tmp_path / "a.forest")):
+        assert loaded.digest() == forest.digest()
+        assert loaded.scene_hash == scene.hash
+    assert len(forest.counts) == 1
+
+
+def test_progress_and_settings_may_be_left_out(backend, monkeypatch, tmp_path):
+    given = []
+    monkeypatch.setattr("pathtrace.dataset.capture.capture", lambda *arguments: given.append(arguments))
+    monkeypatch.setattr("hybrid.training.forest.train", lambda *arguments: given.append(arguments))
+    scenes.capture("scene", tmp_path / "frames")
+    scenes.train("frames", tmp_path / "a.forest")
+    captured, trained = given
+    assert captured[:3] == ("scene", tmp_path / "frames", hybrid.CaptureSettings())
+    assert trained[:3] == ("frames", tmp_path / "a.forest", None)
+    for progress in (captured[3], trained[3]):
+        progress(1, 2)
+
+
+@pytest.mark.parametrize("load", [scenes.load_frames, scenes.load_forest])
+def test_what_is_not_there_is_named(load, backend, tmp_path):
+    with pytest.raises(hybrid.UserError, match="nothing-here"):
+        load(tmp_path / "nothing-here")
