@@ -36,7 +36,7 @@ def main() -> None:
     parts = {
         "the frame": _with_circles(_srgb(aovs["composite"]), settings),
         "path-traced samples": _srgb(aovs["path-traced"] * (weight > 0)),
-        "fovea: traced, denoised, splats": (255 * shares).astype(np.uint8),
+        "shares: denoised green, splats blue": (255 * shares).astype(np.uint8),
         "splatted periphery": _srgb(aovs["splat"] * (1 - weight)),
     }
     _side_by_side(parts).save(arguments.output)

@@ -1,1 +1,1 @@
-"""Measurements behind design decisions, one module per bench; docs/measured.md has the results."""
+"""Measurements behind design decisions, one module per bench; docs/measured has the results."""

@@ -85,13 +85,20 @@ def evaluate(
     from hybrid.api.evaluation import evaluate as run
     from hybrid.evaluation.verdicts import verdicts
     from hybrid.measure.metrics.installed import missing
+    from hybrid.store.identity import require_scene
     from hybrid.training.quick import forest_for
+    from splat.io.forest_file import load_forest
 
     loaded = loaded_scene(scene)
+    if baseline_forest is not None:
+        # Refused before any bar appears, and before a forest is trained.
+        require_scene(load_forest(baseline_forest), loaded.name, loaded.hash, baseline_forest)
+    # Training shows bars of its own.
+    trained = forest_for(loaded, forest)
     with progress_bar("evaluate") as bar:
         found = run(
             loaded,
-            forest_for(loaded, forest),
+            trained,
             report,
             settings,
             baseline_forest=baseline_forest,

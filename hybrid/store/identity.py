@@ -47,7 +47,7 @@ def require_same(found: dict[str, Any], expected: dict[str, Any], what: str, adv
     expected = json.loads(json.dumps(expected))
     differing = sorted(key for key in {*found, *expected} if found.get(key) != expected.get(key))
     if differing:
-        raise UserError(f"{what} with another {', '.join(differing)}; {advice}")
+        raise UserError(f"{what} for other inputs ({', '.join(differing)}); {advice}")
 
 
 def require_scene(item: Forest | FrameSet, scene_name: str, scene_hash: str, source: object) -> None:

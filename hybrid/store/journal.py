@@ -34,7 +34,7 @@ class Journal:
             dict(found["results"])
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise UserError(f"{path}: is damaged ({error!r}); delete it to start again") from error
-        what, advice = f"{path.parent}: holds an evaluation", "choose another folder"
+        what, advice = f"{path.parent}: holds results", "choose another folder"
         require_same(theirs, identity, what, advice)
         self._content = found
 

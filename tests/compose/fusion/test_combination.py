@@ -130,7 +130,7 @@ def test_an_invalid_parent_is_left_out_and_counted(name, value, fusion):
     ],
 )
 def test_the_other_parents_stand_in_for_an_invalid_one(bad, expected):
-    """All are 0.5 but for one pixel. Without denoised samples and splats, nothing but the samples is left."""
+    """All are 0.5 but for one pixel. Where denoised samples and splats are invalid, only the samples are left."""
     given = uniform()
     for name in bad:
         getattr(given, name)[16, 16] = np.nan

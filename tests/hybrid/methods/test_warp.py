@@ -82,11 +82,12 @@ def test_a_buffer_has_at_least_one_pixel():
 
 
 def test_between_pixels_a_frame_is_linear():
-    """A buffer of the frame's own size with f so large that the mapping is nearly the identity."""
+    """With f so large that the mapping only scales."""
     warp = Warp.of(Gaze(0.5, 0.5), 4, 4, 1e9, 2.0)
     buffer = np.zeros((2, 2, 3), dtype=np.float32)
-    buffer[:, 1], buffer[1] = 1.0, buffer[1] + 2
-    # Frame centres 0.5, 1.5, 2.5, 3.5 are 0.25, 0.75, 1.25, 1.75 in the buffer, whose centres are 0.5 and 1.5.
+    buffer[:, 1] += 1
+    buffer[1] += 2
+    # Frame centres map to 0.25, 0.75, 1.25 and 1.75; those of the buffer are at 0.5 and 1.5.
     steps = np.array([0, 0.25, 0.75, 1])
     expected = steps[None, :] + 2 * steps[:, None]
     np.testing.assert_allclose(warp.frame(buffer)[..., 0], expected, atol=1e-5)

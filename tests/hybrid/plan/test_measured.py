@@ -92,7 +92,7 @@ def test_a_file_that_was_moved_from_another_machine_is_refused(store):
     content = json.loads(store.file.read_text())
     content["identity"]["machine"]["cpu"] = "another one"
     store.file.write_text(json.dumps(content))
-    message = f"^{store.file}: was measured with another machine; delete it to measure again$"
+    message = f"^{store.file}: was measured for other inputs \\(machine\\); delete it to measure again$"
     with pytest.raises(UserError, match=message):
         store.load()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -14,12 +16,18 @@ from hybrid.quickstart import quickstart as module
 from hybrid.quickstart.quickstart import quickstart
 from hybrid.store.cache import newest_forest
 from hybrid.training import quick
+from hybrid.training.quick import QuickForest
+from pathtrace.dataset.frames import read_frame_set
 from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.scene.scene import load_scene
+from splat.io.forest_file import load_forest
 from splat.training.trainer import TrainingSettings
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
 SIDE = 128
+
+
+WRITTEN = {"index.html", "hybrid.exr", "hybrid.png", "reference.png", "splat.png", "weights.png"}
 
 
 @pytest.fixture
@@ -32,31 +40,37 @@ def tiny(monkeypatch):
         monkeypatch.setattr(module, name, value)
 
 
-@pytest.mark.parametrize(("name", "textured"), [("room", True), ("cornell", False)])
-def test_everything_is_written(name, textured, tiny, monkeypatch, tmp_path):
-    if not textured:
-        monkeypatch.setattr(registration, "_TEXTURE", 10.0)
-    scene, settings = load_scene(name), FrameSettings(fov_a=30, fov_b=20, spp=2)
-    result = quickstart(scene, tmp_path, settings, 3)
-    assert {path.name for path in tmp_path.iterdir()} == {
-        "frames-3", "quick-3.safetensors", "index.html",
-        "hybrid.exr", "hybrid.png", "reference.png", "splat.png", "weights.png",
-    }  # fmt: skip
-    composite = np.stack([read_exr(tmp_path / "hybrid.exr")[f"composite.{c}"] for c in "RGB"], axis=2)
-    shown = {path.stem: np.asarray(Image.open(path)) for path in tmp_path.glob("*.png")}
+def test_from_nothing_to_images_and_a_page(tiny, tmp_path):
+    scene, folder = load_scene("room"), tmp_path / "out"
+    result = quickstart(scene, folder, FrameSettings(fov_a=30, fov_b=20, spp=2), 3)
+    assert {path.name for path in folder.iterdir()} == WRITTEN | {"frames-3", "quick-3.safetensors"}
+    composite = np.stack([read_exr(folder / "hybrid.exr")[f"composite.{c}"] for c in "RGB"], axis=2)
+    shown = {path.stem: np.asarray(Image.open(path)) for path in folder.glob("*.png")}
     assert {image.shape for image in shown.values()} == {(SIDE, SIDE, 3)}
     np.testing.assert_array_equal(shown["hybrid"], bytes_from_radiance(composite))
     assert not np.array_equal(shown["reference"], shown["splat"])
     assert newest_forest(scene).name == "quick-3.safetensors"
-    check_result(result, name)
-    assert ("registration_px" in result) == textured
-    page = (tmp_path / "index.html").read_text()
+    check_result(result)
+    assert result["registration_px"] > 0
+    page = (folder / "index.html").read_text()
     assert page.count("data:image/png;base64,") == 4
     assert f"{result['hybrid']['psnr']:.2f} dB" in page
 
 
-def check_result(result, name: str) -> None:
-    facts = {"scene": name, "width": SIDE, "height": SIDE, "spp": 2, "fov_a": 30, "fov_b": 20}
+def test_what_cannot_be_measured_is_left_out(tiny, made, monkeypatch, tmp_path):
+    """An image without texture shows no offset; capture and training are those of another test."""
+    ready = QuickForest(load_forest(made / "box.forest"), read_frame_set(made / "frames"), {"train": 1.0})
+    monkeypatch.setattr(module, "make_quick_forest", lambda scene, folder, seed: ready)
+    monkeypatch.setattr(registration, "_TEXTURE", 10.0)
+    (tmp_path / "out").mkdir()
+    result = quickstart(load_scene("cornell"), tmp_path / "out", FrameSettings(spp=1), 0)
+    assert "registration_px" not in result
+    assert set(result["seconds"]) == {"train", "render", "total"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == WRITTEN
+
+
+def check_result(result: dict[str, Any]) -> None:
+    facts = {"scene": "room", "width": SIDE, "height": SIDE, "spp": 2, "fov_a": 30, "fov_b": 20}
     assert {key: result[key] for key in facts} == facts
     assert set(result["seconds"]) == {"capture", "train", "render", "total"}
     assert result["seconds"]["total"] > result["seconds"]["render"] > 0

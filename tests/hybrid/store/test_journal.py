@@ -82,7 +82,7 @@ def test_another_evaluation_is_refused(tmp_path):
     file = tmp_path / "journal.json"
     Journal(file, IDENTITY).once("first", lambda: 1)
     other = {"scene": "a", "settings": {"size": (4, 6), "seed": 0}}
-    message = f"^{tmp_path}: holds an evaluation with another settings; choose another folder$"
+    message = f"^{tmp_path}: holds results for other inputs \\(settings\\); choose another folder$"
     with pytest.raises(UserError, match=message):
         Journal(file, other)
     assert json.loads(file.read_text())["results"] == {"first": 1}

@@ -87,7 +87,7 @@ def test_the_history_is_stored_every_thirty_seconds(tmp_path, monkeypatch):
 
 
 def test_a_folder_of_another_video_is_refused(folder):
-    message = f"^{folder}: holds the beginning of a video with another seed; delete it, or choose"
+    message = f"^{folder}: holds the beginning of a video for other inputs \\(seed\\); delete it, or choose"
     with pytest.raises(UserError, match=message):
         VideoFrames(folder, IDENTITY | {"seed": 1})
     assert len(VideoFrames(folder, IDENTITY).milliseconds) == 3

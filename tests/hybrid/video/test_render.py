@@ -93,7 +93,7 @@ def test_an_interrupted_video_resumes_to_the_same_end(scene, settings, tmp_path)
     with pytest.raises(KeyboardInterrupt):
         rendered(scene, settings, tmp_path / "parts.mp4", progress=interrupt)
     assert sorted(file.name for file in tmp_path.iterdir()) == ["parts.mp4.frames", "whole.mp4"]
-    with pytest.raises(UserError, match="another of"):
+    with pytest.raises(UserError, match=r"for other inputs \(of\)"):
         rendered(scene, settings, tmp_path / "parts.mp4", identity={"of": "another test"})
     steps = []
     times = rendered(scene, settings, tmp_path / "parts.mp4", progress=lambda done, total: steps.append(done))

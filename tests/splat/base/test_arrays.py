@@ -46,8 +46,8 @@ def test_on_the_cpu_memory_is_shared():
 
 def test_concatenation_keeps_the_order_and_skips_empty_parts(arrays):
     UInt = arrays.plain.UInt
-    parts = [UInt([3, 1]), dr.zeros(UInt, 0), UInt([7]), UInt([2, 9, 4])]
-    assert arrays.concatenated(parts).numpy().tolist() == [3, 1, 7, 2, 9, 4]
+    parts = [UInt([3, 1, 8]), dr.zeros(UInt, 0), UInt([7]), UInt([2, 9, 4])]
+    assert arrays.concatenated(parts).numpy().tolist() == [3, 1, 8, 7, 2, 9, 4]
     assert dr.width(arrays.concatenated([dr.zeros(UInt, 0)])) == 0
 
 

@@ -46,10 +46,8 @@ def test_the_layout_is_that_of_the_inria_implementation(tmp_path):
     header, body = (tmp_path / "one.ply").read_bytes().split(b"end_header\n")
     lines = header.decode().splitlines()
     assert lines[:3] == ["ply", "format binary_little_endian 1.0", "element vertex 1"]
-    names = "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2".split()
-    names += [
-        f"f_rest_{k}" for k in range(9)
-    ] + "opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split()
+    names = [*"xyz", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{k}" for k in range(9))]
+    names += ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
     assert lines[3:] == [f"property float {name}" for name in names]
     numbers = [1, 2, 3, 0, 0, 0, 0, 1, 2, 3, 6, 9, 4, 7, 10, 5, 8, 11, 7, 4, 5, 6, 1, 0, 0, 0]
     assert np.frombuffer(body, "<f4").tolist() == numbers
@@ -85,7 +83,7 @@ def test_a_real_file_loads_and_renders(arrays):
 
 
 def test_mitsubas_ellipsoids_open_our_files_and_agree(tmp_path, arrays):
-    """One wide Gaussian: Mitsuba evaluates alpha at the ray's peak, the rasterizer integrates its footprint."""
+    """One wide Gaussian: Mitsuba evaluates alpha at the ray's peak, the rasterizer integrates a footprint."""
     mi = pytest.importorskip("mitsuba")
     if mi.variant() is None:
         mi.set_variant(f"{arrays.backend}_ad_rgb")

@@ -23,7 +23,7 @@ def test_a_corner_covers_the_cells_around_it():
 
 
 def test_images_lie_one_below_the_other():
-    """Cells of 16 px, 6 x 4. At rate 0 and tiles of 8 that is 12 x 8 tiles; at rate 1 6 x 4; at rate 2 3 x 2."""
+    """6 x 4 cells of 16 px, tiles of 8 samples: 12 x 8 tiles at rate 0, 6 x 4 at rate 1, 3 x 2 at rate 2."""
     whole = np.ones((5, 7), np.float32)
     entries = pack_atlas(
         [LayerImage(3, 0, whole), LayerImage(2, 1, whole), LayerImage(1, 2, whole)], np.ones((4, 6), bool), 8

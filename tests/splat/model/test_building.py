@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import torch
@@ -72,7 +74,7 @@ def test_every_tree_is_complete_and_of_one_label(layers, labels):
     check_forest(forest)
     assert equal(forest[-1].gaussians, given.gaussians)
     # Binary trees need at least half the nodes, and more of them are shared the coarser the layer is.
-    for above, below in zip(forest[:-1], forest[1:], strict=True):
+    for above, below in pairwise(forest):
         assert len(below) / 2 <= len(above) <= len(below)
 
 

@@ -53,7 +53,7 @@ def test_parents_are_those_of_a_plain_search(tries, below, above):
 
 
 def test_given_parents_stay_and_take_up_room():
-    """Both children of parent 0 are given; the third, at the same place, takes 1, the next nearest with room."""
+    """Parent 0 has two given children; the third child, nearby, gets parent 1, the next nearest with room."""
     above, below = line([0.0, 5.0]), line([0.0, 0.1, 0.2])
     _, found = with_parents(below, above, np.array([0, 0, -1]), tries=2)
     assert found.tolist() == [0, 0, 1]

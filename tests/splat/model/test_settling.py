@@ -38,14 +38,14 @@ def test_broken_forests_are_completed():
 
 
 def test_a_child_inside_its_parents_ellipsoid_stays():
-    """Both lie within one standard deviation of parent 0, although parent 1 is nearer; 1 keeps a child, too."""
+    """Both lie within one standard deviation of parent 0, although others are nearer and have room."""
     above = static_layer(spheres([0.0, 3.0, 3.05], [4.0, 1.0, 1.0]))
     below = with_parent([2.9, 3.1, 3.0, 3.05, 3.06], [0, 0, 1, 2, 2])
     assert settle([above, below])[1].parent.tolist() == [0, 0, 1, 2, 2]
 
 
 def test_the_ellipsoid_turns_with_its_parent():
-    """Long along x, turned by 90 degrees about z: long along y. Child 0 lies inside of it, child 1 does not."""
+    """Long along x, turned by 90 degrees about z: long along y. Child 1, beside it on x, lies outside."""
     above = static_layer(spheres([0.0, 0.0], [1.0, 1.0]))
     above.gaussians.log_scales[0, 0] = np.log(4.0)
     above.gaussians.rotations[:, 0] = torch.tensor([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
@@ -88,7 +88,7 @@ def test_a_node_that_finds_no_child_gets_a_copy_of_itself():
 
 
 def test_labels_never_mix():
-    """A child moved to another instance leaves its parent, though it lies inside; nobody else will have it."""
+    """A child that now belongs to another instance leaves its parent, although it lies inside."""
     above, below = static_layer(spheres([0.0], [4.0])), with_parent([0.1, 0.2], [0, 0])
     below = replace(below, semantic=torch.tensor([-1, 6], dtype=torch.int32))
     settled = settle([above, below])

@@ -34,6 +34,15 @@ def test_a_round_gaussian_on_the_axis_has_the_closed_form(arrays):
     assert numbers(splats, "red")[0] == pytest.approx(1, rel=1e-5)
 
 
+def test_a_gaussian_seen_edge_on_keeps_half_a_percent(arrays):
+    """Without an extent along y its compensation would be 0; the floor is the root of 2.5e-5."""
+    edge = white_dot(4.0, 0.5)
+    edge.log_scales[1] = -20.0
+    cam = Camera(np.eye(4), 33, 33, 40.0, 40.0, 16.5, 16.5)
+    splats = project(parameters_from(arrays, edge), cam, 0.1)
+    assert numbers(splats, "opacity")[0] == pytest.approx(0.5 * 0.005, rel=1e-5)
+
+
 def test_a_low_pass_may_differ_per_gaussian(arrays):
     g, cam = gaussians(n=2), camera()
     parameters = parameters_from(arrays, g)

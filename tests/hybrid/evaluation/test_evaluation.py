@@ -1,4 +1,4 @@
-"""`hybrid evaluate`: whole, interrupted and gone on with, the same twice, and looked at in a browser."""
+"""A whole evaluation: its rows, resumed after an interruption, and its page in a browser."""
 
 from __future__ import annotations
 
@@ -8,19 +8,26 @@ from pathlib import Path
 
 import pytest
 
-import hybrid.evaluation.budgets
-import hybrid.evaluation.judged
+import hybrid.evaluation.equal_time
+import hybrid.evaluation.quality
+import hybrid.evaluation.times
 import hybrid.evaluation.tuning
-from hybrid.evaluation import timed
-from hybrid.evaluation.entries import OURS
-from hybrid.evaluation.judged import HALVES
+import hybrid.measure.quality
+from hybrid.evaluation.keys import HALVES, OURS
+from hybrid.evaluation.scoring import score
 from hybrid.measure.regions import REGIONS
 from hybrid.output.images import write_png
-from hybrid.sweeps import catalogue
+from hybrid.sweeps import catalogue, fpc
 from tests.hybrid.command import run
 
 pytestmark = pytest.mark.usefixtures("backend")
 SMALL = ["--size", 64, 64, "--views", 2, "--reference-spp", 4, "--repeats", 3]
+
+
+def scored_here(tasks):
+    """`scored_in_parallel` without its processes, which take seconds to start."""
+    for name, task in tasks:
+        yield name, score(task)
 
 
 @pytest.fixture(scope="module")
@@ -31,8 +38,12 @@ def evaluated(made, tmp_path_factory):
         patch.setenv("HYBRID_HOME", str(folder / "home"))
         patch.setattr(hybrid.evaluation.tuning, "_F", (0.1, 0.4))
         patch.setattr(hybrid.evaluation.tuning, "_SPP", (1,))
-        patch.setattr(hybrid.evaluation.budgets, "_LOOKS", 3)
-        patch.setattr(timed, "_WARM_UP", 1)
+        patch.setattr(hybrid.evaluation.equal_time, "_TRIALS", 3)
+        patch.setattr(hybrid.evaluation.times, "_WARM_UP", 1)
+        patch.setattr(hybrid.evaluation.quality, "scored_in_parallel", scored_here)
+        # The two metrics that take longest are as if they were not installed.
+        patch.setattr(hybrid.measure.quality, "jod", lambda *_: None)
+        patch.setattr(hybrid.measure.quality, "hdr_flip_map", lambda *_: None)
 
         def command(report: Path, *options: object) -> int:
             common = ["evaluate", "cornell", "--forest", made / "box.forest", "--report", report]
@@ -92,7 +103,7 @@ def test_the_same_seed_gives_the_same_quality_whether_interrupted_or_not(evaluat
         write_png(*arguments)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(hybrid.evaluation.judged, "write_png", interrupted)
+        patch.setattr(hybrid.evaluation.quality, "write_png", interrupted)
         assert command(folder / "second") == 130
     assert not (folder / "second" / "evaluation.json").exists()
     assert command(folder / "second") == 0
@@ -102,7 +113,7 @@ def test_the_same_seed_gives_the_same_quality_whether_interrupted_or_not(evaluat
 def test_another_evaluation_in_the_same_folder_is_refused(evaluated, capsys):
     folder, command = evaluated
     assert command(folder / "first", "--spp", 3) == 2
-    assert "holds an evaluation with another settings" in capsys.readouterr().err
+    assert "holds results for other inputs (settings)" in capsys.readouterr().err
     assert command(folder / "third", "--gaze", 1.5, 0.5) == 2
     assert "gaze 1.5 0.5: lies outside the frame" in capsys.readouterr().err
     assert command(folder / "third", "--fov-a", 0, "--fov-b", 0) == 2
@@ -159,7 +170,7 @@ def _look(browser) -> None:
 def test_a_sweep_goes_into_the_page(evaluated, made, monkeypatch, capsys):
     folder, _ = evaluated
     monkeypatch.setattr(catalogue, "_RADII", (20, 90))
-    monkeypatch.setattr(catalogue, "BREAK_EVEN", {(48, 32): 51.0})
+    monkeypatch.setattr(fpc, "BREAK_EVEN", {(48, 32): 51.0})
     common = ["sweep", "cornell", "--forest", made / "box.forest", "--repeats", 3, "--warm-up", 1]
     assert run(monkeypatch, *common, "--over", "radius", "--report", folder / "nowhere") == 2
     assert "nowhere: holds no evaluation" in capsys.readouterr().err

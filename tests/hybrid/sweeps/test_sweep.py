@@ -1,4 +1,4 @@
-"""Sweeps: their rows, where two ways of rendering break even, and FPC's figures beside them."""
+"""Sweeps from their name to their table, as `hybrid sweep` runs them."""
 
 from __future__ import annotations
 
@@ -6,30 +6,28 @@ import json
 
 import pytest
 
-from compose.base.errors import UserError
-from hybrid.baselines import methods as peers
 from hybrid.frame import periphery
-from hybrid.sweeps import catalogue
+from hybrid.methods import path_traced
+from hybrid.sweeps import catalogue, fpc
 from hybrid.sweeps import run as run_module
-from hybrid.sweeps.break_even import break_even, ratio_interval, sentence
-from hybrid.sweeps.catalogue import SWEEPS, sweep_named
-from tests import small
 from tests.hybrid.command import run
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
+# What a sweep's file has beside the settings that its rows have in common.
+CONTENT = {"scene", "forest", "over", "title", "rows", "break_even", "machine"}
 
 
 @pytest.fixture
 def swept(made, monkeypatch, tmp_path):
     """Runs a sweep over small frames and returns what it wrote."""
-    monkeypatch.setattr(catalogue, "BREAK_EVEN", {(48, 32): 51.0, (64, 32): 50.0})
-    monkeypatch.setattr(catalogue, "_RADII", (20, 90))
-    monkeypatch.setattr(catalogue, "_VIEW_SIZES", ((48, 32),))
-    monkeypatch.setattr(catalogue, "_BAND_OUTER", (40.0,))
-    monkeypatch.setattr(catalogue, "_FIGURE_14_SIZE", (48, 32))
-    monkeypatch.setattr(catalogue, "_FIGURE_14_RADII", (10, 90))
+    monkeypatch.setattr(fpc, "BREAK_EVEN", {(48, 32): 51.0, (64, 32): 50.0})
+    monkeypatch.setattr(fpc, "VIEW_SIZES", ((48, 32),))
+    monkeypatch.setattr(fpc, "FIGURE_14_SIZE", (48, 32))
+    monkeypatch.setattr(fpc, "FIGURE_14_RADII", (10, 90))
     for spp in (4, 6):
-        monkeypatch.delitem(catalogue._FIGURE_14, spp)
+        monkeypatch.delitem(fpc.FIGURE_14, spp)
+    monkeypatch.setattr(catalogue, "_RADII", (20, 90))
+    monkeypatch.setattr(catalogue, "_BAND_OUTER", (40.0,))
 
     def sweep(over: str, *options: object) -> dict:
         out = tmp_path / f"{over}.json"
@@ -42,7 +40,7 @@ def swept(made, monkeypatch, tmp_path):
 
 def check(row: dict) -> None:
     assert row["ratio"] == pytest.approx(row["full_ms"]["p50"] / row["ms"]["p50"])
-    assert {"plan", "splat", "trace", "fovea", "blend"} <= set(row["passes"])
+    assert {"detail", "splat", "trace", "fovea", "blend"} <= set(row["passes"])
     assert 0 < row["covered"] <= 1
     assert row["repeats"] == 3
 
@@ -61,9 +59,9 @@ def test_radius_has_a_row_per_size_and_radius_and_tells_where_it_breaks_even(swe
 
 
 def test_every_timed_frame_pays_for_what_its_camera_shows(swept, monkeypatch):
-    """Rows share renderers, which keep what depends on the camera alone: what draws attention, for one."""
+    """Rows share renderers, which keep what depends on the camera alone: saliency, for one."""
     features, cameras = [], set()
-    look, trace = periphery.saliency, peers.traced_image
+    look, trace = periphery.saliency, path_traced.traced_image
 
     def counted(image):
         features.append(image.shape)
@@ -74,7 +72,7 @@ def test_every_timed_frame_pays_for_what_its_camera_shows(swept, monkeypatch):
         return trace(tracer, camera, *rest)
 
     monkeypatch.setattr(periphery, "saliency", counted)
-    monkeypatch.setattr(peers, "traced_image", traced)
+    monkeypatch.setattr(path_traced, "traced_image", traced)
     rows = swept("radius")["rows"]
     assert len(features) == len(rows) * (3 + 1)
     assert len(cameras) == 2 * (3 + 1)
@@ -95,7 +93,7 @@ def test_samples_are_compared_with_one_sample_as_well(swept, capsys, fovea):
     assert [line.split()[-1] for line in shown.splitlines()[2:6]] == ["1.33", "0.67", "1.28", "0.45"]
 
 
-def test_judged_sweeps_have_quality(swept):
+def test_sweeps_with_quality_have_it_in_each_row(swept):
     found = swept("band", "--reference-spp", 4, "--fovea", "fused")
     assert [row["fov_b"] for row in found["rows"]] == [10, 20, 30, 40]
     for row in found["rows"]:
@@ -104,62 +102,17 @@ def test_judged_sweeps_have_quality(swept):
         assert row["quality"]["peripheral psnr"] > 5
 
 
-def test_views_and_layers(swept):
+def test_views_are_other_ones_than_the_scenes(swept):
     assert len({row["view"] for row in swept("view")["rows"]}) == 4
+
+
+def test_layers_have_their_gaussians(swept):
     layers = swept("layers", "--reference-spp", 4)["rows"]
     assert [row["layers"] for row in layers] == ["1 to 1", "1 to 2", "2 to 2"]
     assert layers[0]["gaussians"] < layers[1]["gaussians"]
 
 
-def test_papers_figures_stand_beside_ours():
-    """Foveated Path Culling, Table 4: 800x600 is 19.62 % slower, 3316x1061 is 43.31 % faster."""
-    speed_ups = [ours / full - 1 for ours, full in catalogue._TABLE_4.values()]
-    assert speed_ups == pytest.approx([-0.1962, 0.2828, 0.3771, 0.4331], abs=0.002)
-    speed_ups = [ours / full - 1 for ours, full in catalogue._TABLE_5.values()]
-    assert speed_ups == pytest.approx([-0.0185, 0.0667, 0.17, 0.2842], abs=0.002)
-
-
-def test_the_radius_at_which_two_ways_cost_the_same():
-    def only(*ratios: float) -> dict:
-        """Of rows that are known to within 0.1."""
-        rows = [
-            {
-                "width": 4,
-                "height": 3,
-                "radius": r,
-                "ratio": ratio,
-                "ratio_interval": (ratio - 0.1, ratio + 0.1),
-            }
-            for r, ratio in zip((10, 50, 90), ratios, strict=True)
-        ]
-        return break_even(rows)[0]
-
-    assert only(5.0, 1.5, 1.1)["radius"] is None
-    assert only(5.0, 1.5, 0.5)["radius"] == pytest.approx(70)
-    assert only(5.0, 1.5, 0.5)["slower_from"] == pytest.approx(74)
-    assert only(5.0, 1.5, 0.95)["slower_from"] is None
-    assert only(0.9, 0.8, 0.7)["radius"] == 10
-    assert only(5.0, 1.5, 0.5)["least_ratio"] == 0.5
-    said = sentence({**only(5.0, 1.5, 0.95), "paper": 51.0})
-    assert "at a radius of 86 % of the height (FPC: 51), slower with 95 % confidence at none" in said
-
-
-def test_an_interval_holds_the_ratio_and_shrinks_with_more_frames():
-    """Frames of 100 and of 80 ms with noise of a tenth: in 95 of 100 runs the interval holds 1.25."""
-    rng = small.rng()
-    held, widths = {8: 0, 64: 0}, {8: 0.0, 64: 0.0}
-    for frames in held:
-        for _ in range(200):
-            full, ours = (mean * rng.normal(1, 0.1, frames) for mean in (100, 80))
-            low, high = ratio_interval(list(full), list(ours))
-            held[frames] += low <= 1.25 <= high
-            widths[frames] += (high - low) / 200
-    assert held[64] > 180
-    assert held[8] > 170
-    assert widths[64] < widths[8] / 2
-
-
-def test_a_sweep_that_is_interrupted_goes_on(swept, monkeypatch, tmp_path):
+def test_an_interrupted_sweep_resumes(swept, monkeypatch, tmp_path):
     """Sizes that were measured are kept, others and those of other settings are measured."""
     timed, times = run_module.interleaved_passes, []
 
@@ -190,19 +143,19 @@ def test_a_sweep_that_is_interrupted_goes_on(swept, monkeypatch, tmp_path):
     assert not list((tmp_path / "home").glob("*/sweep-*"))
 
 
-def test_a_seam_that_is_not_judged_may_be_empty_and_a_region_that_is_may_not(
-    swept, made, monkeypatch, capsys
-):
+def test_a_seam_whose_quality_is_not_measured_may_be_empty(swept):
     size = ["--size", 48, 40, "--reference-spp", 4]
-    rows = swept("acuity_model", *size, "--fov-a", 25, "--fov-b", 24.99)["rows"]
+    rows = swept("acuity", *size, "--fov-a", 25, "--fov-b", 24.99)["rows"]
     assert all("foveal ssim" in row["quality"] for row in rows)
 
+
+def test_an_empty_fovea_is_refused_before_anything_is_timed(made, monkeypatch, capsys):
     def forbidden(*_):
         raise AssertionError("timed")
 
     monkeypatch.setattr(run_module, "interleaved_passes", forbidden)
-    command = ["sweep", "cornell", "--forest", made / "box.forest", "--over", "acuity_model", *size]
-    assert run(monkeypatch, *command, "--fov-a", 0.1, "--fov-b", 0.05) == 2
+    command = ["sweep", "cornell", "--forest", made / "box.forest", "--over", "acuity", "--size", 48, 40]
+    assert run(monkeypatch, *command, "--reference-spp", 4, "--fov-a", 0.1, "--fov-b", 0.05) == 2
     assert "the foveal region of this frame is empty" in capsys.readouterr().err
 
 
@@ -213,7 +166,7 @@ def test_a_seam_that_is_not_judged_may_be_empty_and_a_region_that_is_may_not(
         *((over, "--spp 2") for over in ("spp", "denoiser", "trade")),
         *((over, "--fovea raw") for over in ("denoiser", "trade")),
         *(("band", option) for option in ("--fov-a 30", "--fov-b 10")),
-        ("acuity_model", "--acuity-model none"),
+        ("acuity", "--acuity-model none"),
         *((over, "--reference-spp 64") for over in ("resolution", "aspect", "radius", "spp", "view")),
     ],
 )
@@ -221,7 +174,7 @@ def test_an_option_that_would_change_nothing_is_refused(over, option, monkeypatc
     """Also where its value is the default."""
     assert run(monkeypatch, "sweep", "cornell", "--over", over, *option.split()) == 2
     error = capsys.readouterr().err
-    assert f"{option.split()[0]}: changes nothing in a sweep --over {over}" in error
+    assert f"{option.split()[0]}: has no influence on a sweep --over {over}" in error
     assert error.count("\n") == 1
 
 
@@ -229,19 +182,23 @@ def test_what_applied_is_written_down_and_nothing_else(swept):
     found = swept(
         "radius", "--spp", 2, "--acuity-model", "none", "--display", "hmd", "--fov-a", 10, "--fov-b", 5
     )
-    applied = found.keys() - {"scene", "over", "title", "rows", "break_even", "machine"}
-    assert applied == {"forest", "fovea", "fov_b_of_fov_a", "spp", "acuity_model", "display"}
+    assert found.keys() - CONTENT == {"fovea", "fov_b_of_fov_a", "spp", "acuity_model", "display"}
     assert (found["spp"], found["acuity_model"], found["fov_b_of_fov_a"]) == (2, "none", 0.5)
     assert found["display"]["fov"] == 97.0
     assert len(found["forest"]) >= 16
-    found = swept("acuity_model", "--size", 48, 40, "--reference-spp", 4)
-    applied = found.keys() - {"scene", "over", "title", "rows", "break_even", "machine", "forest", "display"}
-    assert applied == {"width", "height", "fovea", "fov_a", "fov_b", "spp", "reference_spp"}
+    assert (found["scene"], found["over"]) == ("cornell", "radius")
 
 
-def test_a_sweep_that_does_not_exist_is_named(monkeypatch, capsys):
-    with pytest.raises(UserError, match="--over moon: must be resolution, aspect"):
-        sweep_named("moon", (1,))
-    assert run(monkeypatch, "sweep", "cornell", "--over", "moon") == 2
-    assert "--over moon: must be" in capsys.readouterr().err
-    assert "radius" in SWEEPS
+def test_targets_are_stored_for_later(swept, monkeypatch, tmp_path):
+    """What `hybrid render --target-ms` chooses from has the times and the quality of the sweep's rows."""
+    monkeypatch.setattr(catalogue, "_TRADE_OUTER", (20.0,))
+    monkeypatch.setattr(catalogue, "_TRADE_SPP", (1, 2))
+    found = swept("trade", "--size", 48, 40, "--reference-spp", 4)
+    (file,) = (tmp_path / "home").glob("*/measured-trade-48x40-*.json")
+    stored = json.loads(file.read_text())
+    assert [row["milliseconds"] for row in stored["rows"]] == [row["ms"]["p50"] for row in found["rows"]]
+    expected = [row["quality"][f"whole {stored['metric']}"] for row in found["rows"]]
+    assert [row["quality"] for row in stored["rows"]] == expected
+    assert [(row["spp"], row["fovea"]) for row in stored["rows"]] == [
+        (row["spp"], row["fovea"]) for row in found["rows"]
+    ]

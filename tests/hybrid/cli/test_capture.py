@@ -1,0 +1,53 @@
+"""`hybrid capture`."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from hybrid.cli import capture as command
+from pathtrace.dataset import capture as module
+from pathtrace.dataset.frames import read_frame_set
+from pathtrace.dataset.settings import CaptureSettings
+from tests.hybrid.command import run
+
+pytestmark = pytest.mark.usefixtures("backend", "own_home")
+
+
+def test_a_frame_set_is_written_and_described(monkeypatch, tmp_path, capsys):
+    out = tmp_path / "c.json"
+    options = ["--views", 2, "--held-out", 1, "--size", 20, 16, "--spp", 2, "--held-out-spp", 4]
+    common = ["capture", "cornell", tmp_path / "frames"]
+    assert run(monkeypatch, *common, *options, "--json", out, "--max-depth", 3) == 0
+    frames = read_frame_set(tmp_path / "frames")
+    assert (len(frames.training), len(frames.held_out)) == (2, 1)
+    row = json.loads(out.read_text())
+    assert row.pop("seconds") > 0
+    assert row == {"scene": "cornell", "views": 2, "held_out": 1, "width": 20, "height": 16, "spp": 2}
+    assert f"2 training views and 1 held-out views in {tmp_path / 'frames'}" in capsys.readouterr().out
+
+
+def test_every_option_reaches_the_settings(monkeypatch, tmp_path):
+    given = []
+
+    def capture(scene, folder, settings, progress):
+        given.extend([scene.max_depth, folder, settings])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "capture", capture)
+    options = ["--views", 3, "--held-out", 2, "--size", 40, 30, "--spp", 5, "--held-out-spp", 6, "--seed", 7]
+    assert run(monkeypatch, "capture", "cornell", tmp_path / "f", *options, "--max-depth", 2) != 0
+    assert given == [2, tmp_path / "f", CaptureSettings(3, 2, 40, 30, 5, 6, 7)]
+
+
+def test_the_defaults_are_those_of_the_settings(monkeypatch, tmp_path):
+    given = []
+
+    def capture(scene, folder, settings, progress):
+        given.append(settings)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "capture", capture)
+    assert run(monkeypatch, command.capture.__name__, "cornell", tmp_path / "f") != 0
+    assert given == [CaptureSettings()]

@@ -1,0 +1,47 @@
+"""`hybrid export` and `hybrid import`."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from hybrid.cli.exchange import export_ply, import_ply
+from splat.io.forest_file import load_forest
+from splat.io.ply import load_ply
+from tests.conftest import real_file
+from tests.hybrid.command import run
+
+pytestmark = pytest.mark.usefixtures("backend", "own_home")
+
+
+@pytest.mark.parametrize(("options", "number"), [(["--layer", 1], 1), (["--layer", 2], 2), ([], 2)])
+def test_a_layer_is_exported_by_its_number(options, number, made, monkeypatch, tmp_path, capsys):
+    assert run(monkeypatch, "export", made / "box.forest", tmp_path / "a.ply", *options) == 0
+    gaussians = load_forest(made / "box.forest").layers[number - 1].gaussians
+    found = load_ply(tmp_path / "a.ply")
+    for name in ("means", "log_scales", "opacity_logits", "sh"):
+        assert torch.equal(getattr(found, name), getattr(gaussians, name))
+    said = f"a.ply: layer {number}, {len(gaussians):,} Gaussians, degree 1\n"
+    assert capsys.readouterr().out.endswith(said)
+
+
+def test_an_exported_forest_is_imported_and_fits_any_scene(made, monkeypatch, tmp_path, capsys):
+    export_ply(made / "box.forest", tmp_path / "a.ply")
+    import_ply(tmp_path / "a.ply", tmp_path / "b.forest")
+    imported = load_forest(tmp_path / "b.forest")
+    assert imported.counts == (len(load_forest(made / "box.forest").finest),)
+    assert (imported.scene_name, imported.scene_hash) == ("a", "")
+    assert "b.forest: " in capsys.readouterr().out
+    common = ["render", "cornell", "--forest", tmp_path / "b.forest", "--size", 40, 30]
+    assert run(monkeypatch, *common, "-o", tmp_path / "b.png") == 0
+
+
+def test_a_real_ply_goes_through_import(monkeypatch, tmp_path):
+    source = real_file("splats/kacytran_try_it7000.ply")
+    assert run(monkeypatch, "import", source, tmp_path / "k.forest") == 0
+    assert run(monkeypatch, "export", tmp_path / "k.forest", tmp_path / "k.ply") == 0
+    # A forest keeps its Gaussians in an order of its own.
+    found, expected = load_ply(tmp_path / "k.ply"), load_ply(source)
+    for name in ("means", "log_scales", "opacity_logits", "sh"):
+        ours, theirs = (getattr(gaussians, name).sort(dim=-1).values for gaussians in (found, expected))
+        assert torch.equal(ours, theirs)

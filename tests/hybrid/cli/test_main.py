@@ -1,0 +1,144 @@
+"""The command line as a whole: which function each command calls, and how a mistake ends."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer
+
+from compose.base.errors import UserError
+from hybrid.cli import main as module
+from hybrid.cli.benches.app import bench_app
+from hybrid.cli.benches.change import change
+from hybrid.cli.benches.forest import forest
+from hybrid.cli.benches.fusion import fusion
+from hybrid.cli.benches.gaze import gaze
+from hybrid.cli.benches.held_out import held_out
+from hybrid.cli.benches.motion import motion
+from hybrid.cli.benches.passes import passes
+from hybrid.cli.benches.periphery import periphery
+from hybrid.cli.benches.raster import raster
+from hybrid.cli.benches.seam import seam
+from hybrid.cli.benches.still import still
+from hybrid.cli.capture import capture
+from hybrid.cli.demo import demo
+from hybrid.cli.doctor import doctor
+from hybrid.cli.evaluate import evaluate
+from hybrid.cli.exchange import export_ply, import_ply
+from hybrid.cli.main import app, main
+from hybrid.cli.quickstart import quickstart
+from hybrid.cli.render import render
+from hybrid.cli.scenes import scenes
+from hybrid.cli.sweep import sweep
+from hybrid.cli.train import train
+from tests.hybrid.command import run
+
+ROOT = Path(__file__).resolve().parents[3]
+COMMANDS = {
+    "doctor": doctor,
+    "scenes": scenes,
+    "quickstart": quickstart,
+    "capture": capture,
+    "train": train,
+    "render": render,
+    "demo": demo,
+    "evaluate": evaluate,
+    "sweep": sweep,
+    "export": export_ply,
+    "import": import_ply,
+}
+BENCHES = {
+    "raster": raster,
+    "periphery": periphery,
+    "gaze": gaze,
+    "forest": forest,
+    "passes": passes,
+    "fusion": fusion,
+    "change": change,
+    "motion": motion,
+    "seam": seam,
+    "still": still,
+    "held-out": held_out,
+}
+
+
+def commands_of(application: typer.Typer) -> dict:
+    return dict(typer.main.get_command(application).commands)
+
+
+@pytest.mark.parametrize(("application", "expected"), [(app, COMMANDS), (bench_app, BENCHES)])
+def test_each_command_calls_its_function(application, expected):
+    found = commands_of(application)
+    found.pop("bench", None)
+    assert {name: command.callback.__wrapped__ for name, command in found.items()} == expected
+
+
+def test_benches_are_commands_of_bench():
+    assert {*commands_of(app)["bench"].commands} == {*BENCHES}
+
+
+@pytest.mark.parametrize("name", [*COMMANDS, *(f"bench {name}" for name in BENCHES)])
+def test_every_command_and_option_has_help(name):
+    command = typer.main.get_command(app)
+    for word in name.split():
+        command = command.commands[word]
+    assert command.help
+    for parameter in command.params:
+        # A bench of the rasterizer has Gaussians, quickstart has a scene; nothing is left to say.
+        if parameter.name not in ("gaussians", "scene", "help"):
+            assert parameter.help, parameter.name
+
+
+def test_json_is_checked_before_the_work_by_every_command_but_export_and_import():
+    commands = commands_of(app)
+    commands |= commands.pop("bench").commands
+    checks = {
+        name: parameter.callback
+        for name, command in commands.items()
+        for parameter in command.params
+        if "--json" in parameter.opts
+    }
+    assert {*commands} - {*checks} == {"export", "import"}
+    assert all(checks.values())
+
+
+def test_help_appears_without_loading_a_renderer():
+    program = (
+        "import sys; from hybrid.cli.main import app; "
+        "app(['render', '--help'], standalone_mode=False); "
+        "print([name for name in ('torch', 'mitsuba', 'drjit') if name in sys.modules])"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip().endswith("[]")
+    assert "--fov-a" in result.stdout
+
+
+def test_a_users_mistake_is_one_line_and_exit_code_2(monkeypatch, capsys):
+    def mistaken() -> None:
+        raise UserError("file.xml: is wrong; must be right")
+
+    monkeypatch.setattr(module, "app", mistaken)
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert stopped.value.code == 2
+    assert capsys.readouterr() == ("", "hybrid: file.xml: is wrong; must be right\n")
+
+
+def test_an_error_of_the_program_is_not_hidden(monkeypatch):
+    def broken() -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(module, "app", broken)
+    with pytest.raises(ZeroDivisionError):
+        main()
+
+
+def test_without_a_command_help_is_shown(monkeypatch, capsys):
+    assert run(monkeypatch) == 2
+    shown = capsys.readouterr()
+    assert "quickstart" in shown.out + shown.err

@@ -1,0 +1,60 @@
+"""`hybrid scenes` and `hybrid doctor`."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import pytest
+
+from hybrid.cli.doctor import doctor
+from hybrid.cli.scenes import scenes
+from hybrid.runtime import doctor as examination
+from tests.hybrid.command import run
+
+pytestmark = pytest.mark.usefixtures("backend", "own_home")
+
+
+def test_scenes_are_listed_with_their_facts(monkeypatch, capsys, tmp_path):
+    assert run(monkeypatch, scenes.__name__, "--json", tmp_path / "s.json") == 0
+    rows = {row["scene"]: row for row in json.loads((tmp_path / "s.json").read_text())}
+    assert {"room", "cornell"} <= {*rows}
+    room = rows["room"]
+    assert 20_500 <= room["triangles"] <= 21_500
+    assert room["emitters"] > 0
+    assert (room["forest"], room["trees"], room["nodes_per_layer"]) == (None, 0, [])
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(rows)
+    line = next(line for line in lines if line.startswith("room: "))
+    size = f"{room['width']} x {room['height']}"
+    assert line == (
+        f"room: {room['triangles']:,} triangles, {room['emitters']} emitters, depth {room['max_depth']}, "
+        f"{size}, no forest yet"
+    )
+
+
+def test_the_newest_forest_of_a_scene_is_named(made, monkeypatch, capsys, tmp_path):
+    monkeypatch.setenv("HYBRID_HOME", str(made / "home"))
+    assert run(monkeypatch, "scenes", "--json", tmp_path / "s.json") == 0
+    row = next(row for row in json.loads((tmp_path / "s.json").read_text()) if row["scene"] == "cornell")
+    assert os.path.basename(row["forest"]) == "box.safetensors"
+    assert row["trees"] == row["nodes_per_layer"][0] > 0
+    shown = capsys.readouterr().out
+    layers = " + ".join(f"{count:,}" for count in row["nodes_per_layer"])
+    assert f"forest {row['forest']}: {row['trees']:,} trees, layers of {layers} nodes" in shown
+
+
+def test_the_doctor_says_what_runs(monkeypatch, capsys, tmp_path):
+    assert run(monkeypatch, doctor.__name__, "--json", tmp_path / "d.json") == 0
+    assert "kernel: runs" in capsys.readouterr().out
+    assert json.loads((tmp_path / "d.json").read_text())["kernel"] == "runs"
+
+
+def test_the_doctor_lists_the_facts_before_the_problem(monkeypatch, capsys, tmp_path):
+    ill = examination.Report({"torch": "missing"}, "missing packages; run: pip install torch")
+    monkeypatch.setattr(examination, "examine", lambda choice: ill)
+    assert run(monkeypatch, "doctor", "--json", tmp_path / "d.json") == 2
+    shown = capsys.readouterr()
+    assert shown.out == "torch: missing\n"
+    assert shown.err == "hybrid: missing packages; run: pip install torch\n"
+    assert json.loads((tmp_path / "d.json").read_text()) == {"torch": "missing"}

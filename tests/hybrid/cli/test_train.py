@@ -1,0 +1,58 @@
+"""`hybrid train`."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from hybrid.cli import train as command
+from hybrid.store.cache import newest_forest
+from hybrid.training import forest as module
+from pathtrace.scene.scene import load_scene
+from splat.io.forest_file import load_forest
+from splat.training.trainer import TrainingSettings
+from tests.hybrid.command import TINY_TRAINING, run
+
+pytestmark = pytest.mark.usefixtures("backend", "own_home")
+
+
+def test_a_forest_is_written_stored_and_measured(made, monkeypatch, tmp_path, capsys):
+    out = tmp_path / "t.json"
+    assert run(monkeypatch, "train", made / "frames", tmp_path / "f.a", *TINY_TRAINING, "--json", out) == 0
+    row = json.loads(out.read_text())
+    assert [layer["layer"] for layer in row["layers"]] == [1, 2]
+    for layer in row["layers"]:
+        assert layer["psnr"] > 10
+        assert 0 < layer["ssim"] <= 1
+    assert row["layers"][1]["nodes"] > row["layers"][0]["nodes"] == row["trees"] > 50
+    assert row["seconds"] > 0
+    assert (row["scene"], row["iterations"]) == ("cornell", 40)
+    stored = newest_forest(load_scene("cornell"))
+    assert stored.name == "f.safetensors"
+    assert load_forest(stored).digest() == load_forest(tmp_path / "f.a").digest()
+    shown = capsys.readouterr().out.splitlines()
+    assert f"in {row['trees']:,} trees" in shown[0]
+    assert shown[2].startswith(f"layer 2: {row['layers'][1]['nodes']:,} nodes, held-out views ")
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ([], TrainingSettings()),
+        (
+            ["--iterations", 5, "--gaussians", 60, "--layers", 1, "--degree", 3, "--seed", 4],
+            TrainingSettings(5, 60, 1, 3, 4),
+        ),
+    ],
+)
+def test_every_option_reaches_the_settings(options, expected, made, monkeypatch, tmp_path):
+    given = []
+
+    def train(frames, path, settings, progress):
+        given.extend([frames.folder, path, settings])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "train", train)
+    assert run(monkeypatch, command.train.__name__, made / "frames", tmp_path / "f", *options) != 0
+    assert given == [made / "frames", tmp_path / "f", expected]

@@ -1,0 +1,93 @@
+"""Methods that render nothing, and what an evaluation might have found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from compose.camera.camera import Camera
+from compose.eye.gaze import Gaze
+from hybrid.evaluation.keys import OURS
+from hybrid.methods.method import TimedImage
+
+CAMERA = Camera(np.eye(4), 8, 8, 8.0, 8.0, 4.0, 4.0)
+
+
+@dataclass(frozen=True)
+class Costly:
+    """A method that takes a fixed time and some per ray; nothing is rendered or waited for."""
+
+    rays_per_pixel: float
+    fixed: float
+    per_ray: float
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        return {"rays": self.rays_per_pixel}
+
+    def rays(self, camera: Camera, gaze: Gaze) -> float:
+        return self.rays_per_pixel
+
+    def render(self, camera: Camera, gaze: Gaze, seed: int) -> TimedImage:
+        total = self.fixed + self.per_ray * self.rays_per_pixel
+        return TimedImage(np.zeros((8, 8, 3), np.float32), {"total": total})
+
+
+@dataclass(frozen=True)
+class Recorder:
+    """A method that remembers what it was asked for; its frames take `spp` milliseconds."""
+
+    spp: float
+    cameras: list[Camera] = field(default_factory=list)
+    gazes: list[Gaze] = field(default_factory=list)
+    seeds: list[int] = field(default_factory=list)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        return {"spp": self.spp}
+
+    def rays(self, camera: Camera, gaze: Gaze) -> float:
+        return self.spp
+
+    def render(self, camera: Camera, gaze: Gaze, seed: int) -> TimedImage:
+        self.cameras.append(camera)
+        self.gazes.append(gaze)
+        self.seeds.append(seed)
+        image = np.full((camera.height, camera.width, 3), 0.5, np.float32)
+        return TimedImage(image, {"trace": 1.0, "total": float(self.spp)})
+
+
+METHODS = {
+    (OURS, "fixed"): {"rays": 0.2, "fovea": "fused", "spp": 2},
+    (f"{OURS}, 16 spp", "fixed"): {"rays": 1.6, "fovea": "fused", "spp": 16},
+    ("splats alone", "fixed"): {"rays": 0.0},
+    ("rmfr, tuned", "equal-time"): {"rays": 0.3},
+    ("full", "fixed"): {"rays": 1.0},
+}
+# Foveal JOD and FLIP, and SSIM of the whole frame in two views.
+_VALUES = {
+    (OURS, "fixed"): (9.0, 0.10, (0.90, 0.80)),
+    (f"{OURS}, 16 spp", "fixed"): (9.6, 0.05, (0.95, 0.85)),
+    ("splats alone", "fixed"): (9.2, 0.11, (0.88, 0.79)),
+    ("rmfr, tuned", "equal-time"): (8.0, 0.20, (0.70, 0.81)),
+    ("full", "fixed"): (9.9, 0.01, (0.99, 0.99)),
+}
+_TIMES = [10.0, 40.0, 2.0, 10.0, 30.0]
+
+
+def found() -> dict[str, Any]:
+    """Quality, methods and times of an evaluation, as in evaluation.json."""
+    quality = []
+    for (method, budget), (jod, flip, similarities) in _VALUES.items():
+        for view in range(2):
+            key = {"view": view, "method": method, "budget": budget}
+            quality.append(
+                {**key, "region": "foveal", "metric": "jod", "value": jod + (0.1, -0.1)[view == 0]}
+            )
+            quality.append({**key, "region": "foveal", "metric": "flip", "value": flip})
+            quality.append({**key, "region": "whole", "metric": "ssim", "value": similarities[view]})
+    methods = [{"method": m, "budget": b, **entry} for (m, b), entry in METHODS.items()]
+    time = [{"method": m, "budget": b, "ms": {"p50": t}} for (m, b), t in zip(METHODS, _TIMES, strict=True)]
+    return {"quality": quality, "methods": methods, "time": time}

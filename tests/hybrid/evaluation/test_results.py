@@ -1,0 +1,82 @@
+"""Values are found in the content of evaluation.json."""
+
+from __future__ import annotations
+
+import pytest
+
+from hybrid.evaluation.keys import OURS, OURS_KEY, Key
+from hybrid.evaluation.results import (
+    affordable_baselines,
+    foveal_metric_names,
+    fused_by_spp,
+    is_better,
+    keys_of,
+    mean_of,
+    times_of,
+    values_of,
+)
+from tests.hybrid.evaluation.fakes import METHODS, found
+
+RMFR = Key("rmfr, tuned", "equal-time")
+SPLATS = Key("splats alone", "fixed")
+
+
+def test_methods_come_in_their_order_each_once():
+    content = found()
+    content["methods"] += content["methods"][:2]
+    assert keys_of(content) == list(METHODS)
+
+
+def test_values_come_in_the_order_of_views():
+    content = found()
+    content["quality"].reverse()
+    assert values_of(content, OURS_KEY, "whole", "ssim") == [0.90, 0.80]
+    assert values_of(content, OURS_KEY, "foveal", "jod") == [8.9, 9.1]
+    assert mean_of(content, OURS_KEY, "whole", "ssim") == pytest.approx(0.85)
+
+
+def test_what_was_not_measured_has_no_mean():
+    for key, region, metric in (
+        (OURS_KEY, "foveal", "ssim"),
+        (OURS_KEY, "seam", "jod"),
+        (Key(OURS, "equal-time"), "foveal", "jod"),
+        (Key("moon", "fixed"), "foveal", "jod"),
+    ):
+        assert mean_of(found(), key, region, metric) is None
+
+
+def test_times_are_medians():
+    times = times_of(found())
+    assert times[OURS_KEY] == 10
+    assert times[SPLATS] == 2
+
+
+def test_fused_frames_are_told_by_their_samples():
+    assert fused_by_spp(found(), "jod") == {2: pytest.approx(9.0), 16: pytest.approx(9.6)}
+    assert fused_by_spp(found(), "lpips") == {2: None, 16: None}
+
+
+def test_the_fovea_is_compared_by_what_is_installed():
+    content = found()
+    assert foveal_metric_names(content) == ["jod", "flip"]
+    without = [row for row in content["quality"] if row["metric"] != "jod"]
+    assert foveal_metric_names({**content, "quality": without}) == ["flip"]
+    plain = [{**row, "metric": {"jod": "psnr", "flip": "ssim"}.get(row["metric"], "ssim")} for row in without]
+    assert foveal_metric_names({**content, "quality": plain}) == ["ssim"]
+
+
+def test_better_is_more_or_less():
+    assert is_better("jod", 9.1, 9.0)
+    assert not is_better("jod", 9.0, 9.0)
+    assert is_better("flip", 0.1, 0.2)
+    assert not is_better("flip", 0.2, 0.2)
+
+
+@pytest.mark.parametrize(("milliseconds", "expected"), [(2.0, True), (10.29, True), (10.31, False)])
+def test_splats_are_affordable_if_they_are_no_slower(milliseconds, expected):
+    """Ours take 10 ms; up to 3 % more count as equal."""
+    content = found()
+    for row in content["time"]:
+        if row["method"] == "splats alone":
+            row["ms"]["p50"] = milliseconds
+    assert affordable_baselines(content) == ([SPLATS, RMFR] if expected else [RMFR])

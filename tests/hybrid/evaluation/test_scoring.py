@@ -1,0 +1,92 @@
+"""Scores of images: against the reference, against its halves, and in the order of the tasks."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image as PillowImage
+
+from compose.base.errors import UserError
+from compose.eye.display import Display
+from compose.eye.gaze import Gaze
+from compose.fovea.region import Foveation
+from hybrid.evaluation.scoring import ScoringTask, score, scored_in_parallel
+from hybrid.measure.metrics.flip import flip_map
+from hybrid.measure.quality import Viewer
+from hybrid.measure.regions import plain_regions
+from tests import small
+
+SIZE = 48
+REFERENCE = small.rng().uniform(0.2, 0.8, (SIZE, SIZE, 3)).astype(np.float32)
+
+
+def task(error: float, halves: tuple[np.ndarray, ...] = (), flip_file: Path | None = None) -> ScoringTask:
+    """An image that is brighter than its reference by a factor."""
+    parts = plain_regions(Foveation(Gaze(), 30, 30), (SIZE, SIZE), ("whole", "foveal"))
+    viewer = Viewer(Display(SIZE, SIZE, 10.0), Gaze())
+    image = REFERENCE * np.float32(1 + error)
+    return ScoringTask("baseline", image, REFERENCE, halves, parts, viewer, flip_file)
+
+
+def table(rows: list[dict]) -> dict[tuple[str, str], float]:
+    return {(row["region"], row["metric"]): row["value"] for row in rows}
+
+
+def test_the_fovea_is_compared_with_both_halves_as_well():
+    """One half equals the image, the other one is far from it."""
+    pytest.importorskip("flip_evaluator", reason="FLIP's evaluator is not installed")
+    image = task(0.1).image
+    found = table(score(task(0.1, (image, REFERENCE * 2))))
+    assert found["foveal", "flip, half 1"] == 0
+    assert found["foveal", "flip, half 2"] > found["foveal", "flip"] > 0
+    assert {region for region, metric in found if "half" in metric} == {"foveal"}
+    assert not any("half" in metric for _, metric in table(score(task(0.1))))
+
+
+def test_the_map_of_flip_is_written_in_colours(tmp_path):
+    pytest.importorskip("flip_evaluator", reason="FLIP's evaluator is not installed")
+    file = tmp_path / "flip.png"
+    found = table(score(task(0.3, (), file)))
+    shown = np.asarray(PillowImage.open(file)).astype(int)
+    assert shown.shape == (SIZE, SIZE, 3)
+    error = flip_map(task(0.3).image, REFERENCE)
+    assert found["whole", "flip"] == pytest.approx(float(error.mean()))
+    # Magma gets brighter with the error, and is black where there is none.
+    order = np.argsort(error.ravel())
+    brightness = shown.sum(axis=2).ravel()[order]
+    assert brightness[-100:].mean() > brightness[:100].mean()
+    score(task(0.0, (), file))
+    assert np.asarray(PillowImage.open(file)).max() < 5
+
+
+def test_an_image_that_cannot_be_compared_is_named():
+    broken = task(float("nan"))
+    with pytest.raises(UserError, match="baseline has 2304 pixels that are not finite"):
+        score(broken)
+
+
+def test_results_come_in_the_order_of_the_tasks_and_errors_are_passed_on():
+    """More tasks than are in flight at once; images are rendered only a few ahead."""
+    workers = len(os.sched_getaffinity(0))
+    count, rendered, names, psnr = 2 * workers + 4, [], [], []
+
+    def tasks():
+        for number in range(count):
+            rendered.append(number)
+            yield str(number), task(0.01 * number)
+        yield "broken", task(float("nan"))
+
+    results = scored_in_parallel(tasks())
+    for _ in range(count):
+        name, rows = next(results)
+        names.append(name)
+        psnr.append(table(rows)["whole", "psnr"])
+        assert len(rendered) <= len(names) + 2 * workers
+    with pytest.raises(UserError, match="not finite"):
+        next(results)
+    assert names == [str(number) for number in range(count)]
+    assert psnr == sorted(psnr, reverse=True)
+    assert psnr[0] == 120
