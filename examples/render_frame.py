@@ -36,7 +36,8 @@ def main() -> None:
     frame = renderer.frame(settings)
     frame.save(folder / "frame.png")
     frame.save(folder / "frame.exr")
-    print(f"{folder / 'frame.png'}: {frame.milliseconds['total']:.0f} ms, {len(frame.region.pixels):,} pixels traced")
+    traced = len(frame.region.pixels)
+    print(f"{folder / 'frame.png'}: {frame.milliseconds['total']:.0f} ms, {traced:,} pixels traced")
 
 
 if __name__ == "__main__":

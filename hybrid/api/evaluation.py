@@ -32,8 +32,8 @@ def evaluate(
 ) -> dict[str, Any]:
     """Compares hybrid frames with baselines at equal rays and at equal time; resumes if interrupted.
 
-    Writes index.html (a page that requires no server), evaluation.json and all images. Metrics run in processes
-    of their own: call it from a program under `if __name__ == "__main__":`.
+    Writes index.html (a page that requires no server), evaluation.json and all images. Metrics run in
+    processes of their own: call it from a program under `if __name__ == "__main__":`.
 
     Args:
         scene, forest: what is rendered.

@@ -111,6 +111,14 @@ def test_without_a_full_quality_region_detail_falls_from_the_gaze_on():
     assert found.cutoff.max() == 0.5
 
 
+@pytest.mark.parametrize("row", [7, 13, 17, 18, 23])
+def test_the_gaze_itself_has_eccentricity_0(row):
+    """Here the dot product of its ray with itself is rounded to more than 1."""
+    found = desktop(gaze=Gaze(0, row * 16 / 1080))
+    assert np.isfinite(found.eccentricity).all()
+    assert found.eccentricity[row, 0] == pytest.approx(0, abs=1e-5)
+
+
 def test_detail_falls_with_eccentricity():
     found = desktop("fov-gs")
     order = np.argsort(found.eccentricity.ravel())

@@ -52,6 +52,20 @@ def test_a_sample_goes_to_the_pixel_in_which_its_point_is_visible():
     assert found.count.sum() == 2
 
 
+@pytest.mark.parametrize(
+    ("point", "row", "column"),
+    [
+        ([-1.999, -1.999, 0], 0, 0),
+        ([1.999, 1.999, 0], 47, 47),
+        # Half a unit in front of the camera: 48 * 0.1 / 0.5 = 9.6 pixels off the middle.
+        ([0.1, -0.1, -3.5], 14, 33),
+    ],
+)
+def test_points_at_the_edges_and_close_to_the_camera_are_visible(point, row, column):
+    found = reproject([earlier([point], VIEW.position)], VIEW, WALL)
+    assert count_at(found, row, column) == 2
+
+
 def test_samples_of_several_views_add_up_in_a_pixel():
     inside = [[2.3 * PIXEL, 1.5 * PIXEL, 0], [2.7 * PIXEL, 1.5 * PIXEL, 0]]
     found = reproject([earlier(inside), earlier(inside[:1], VIEW.position, count=5)], VIEW, WALL)
@@ -117,11 +131,12 @@ def test_a_point_that_is_not_on_the_visible_surface_is_dropped(depth, kept):
 )
 def test_glossy_surfaces_hold_as_long_as_the_direction_of_sight_hardly_turns(gloss, degrees, kept):
     new = replace(WALL, gloss=np.full_like(WALL.gloss, gloss))
-    # Seen from around the point in the middle, 4 in front of the camera.
+    # Seen from around the point in the middle, 4 in front of the camera: from its side, and from below.
     turn = np.radians(degrees)
-    viewpoint = np.array([4 * np.sin(turn), 0, -4 * np.cos(turn)])
-    found = reproject([earlier([[0.001, 0.001, 0]], viewpoint, gloss)], VIEW, new)
-    assert (count_at(found, 24, 24) > 0) == kept
+    for x, y in ((1, 0), (0, 1)):
+        viewpoint = np.array([4 * x * np.sin(turn), 4 * y * np.sin(turn), -4 * np.cos(turn)])
+        found = reproject([earlier([[0.001, 0.001, 0]], viewpoint, gloss)], VIEW, new)
+        assert (count_at(found, 24, 24) > 0) == kept
 
 
 def test_nothing_else_lands_where_something_specular_is_visible():

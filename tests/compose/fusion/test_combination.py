@@ -130,7 +130,7 @@ def test_an_invalid_parent_is_left_out_and_counted(name, value, fusion):
     ],
 )
 def test_the_other_parents_stand_in_for_an_invalid_one(bad, expected):
-    """All are 0.5 but for one pixel. Where denoised samples and splats are invalid, only the samples are left."""
+    """All are 0.5 but for one pixel; without denoised samples and splats only the samples are left there."""
     given = uniform()
     for name in bad:
         getattr(given, name)[16, 16] = np.nan
@@ -206,6 +206,21 @@ def test_noise_lengthens_the_way():
     share = regressed(flat(0.5), flat(0.6), flat(0.55), flat(0.003))
     np.testing.assert_allclose(share, 0.41667, atol=1e-4)
     assert (regressed(flat(0.5), flat(0.6), flat(0.55), flat(np.inf)) == 0).all()
+
+
+def test_a_pixel_of_unknown_variance_says_nothing_about_its_neighbours():
+    """It counts as one without noise among nine blocks of four pixels: a 36th less noise at most."""
+    variance = flat(0.003)
+    variance[..., 16, 16] = np.inf
+    share = regressed(flat(0.5), flat(0.6), flat(0.55), variance)
+    assert share[0, 0, 16, 16] == 0
+    np.testing.assert_allclose(share[0, 0, 17, 17], 0.41667, rtol=0.02)
+    traced = flat(1.2)
+    variance = flat(0.01)
+    variance[..., 16, 16] = np.inf
+    share = trust(flat(1), traced, variance, counts(64))
+    assert share[0, 0, 16, 16] == 1
+    np.testing.assert_allclose(share[0, 0, 17, 17], 0.25, rtol=0.05)
 
 
 def test_noise_alone_does_not_count_as_bias():

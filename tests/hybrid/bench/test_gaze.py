@@ -28,6 +28,6 @@ def test_the_gaze_goes_through_the_centre():
     ],
 )
 def test_discs_that_leave_nothing_to_compare_are_refused(fov_b, step):
-    with pytest.raises(UserError, match=f"--fov-b {fov_b}: covers the frame"):
+    with pytest.raises(UserError, match=rf"^fov-b {fov_b}: covers the frame"):
         gazes_across(DISPLAY, fov_b, step, 40.0)
     assert gazes_across(DISPLAY, 55.0, step, 40.0)

@@ -89,13 +89,11 @@ def test_the_loop_is_idle_before_the_first_request_and_once_a_frame_is_finished(
 def test_frames_take_their_time_only_after_a_second_without_change(clock):
     source = Source(clock)
     loop = loop_of(source)
-    for _ in range(20):
-        loop.make(request(fov_a=50.0, fov_b=25.0))
-    # Each takes 0.1 s, so that the eleventh begins after one second.
-    quick = [quick for _, quick in source.calls]
-    assert all(quick[:10])
-    assert not any(quick[11:])
-    loop.make(request(x=0.6, fov_a=50.0, fov_b=25.0))
+    for _ in range(8):
+        loop.make(request(fov_a=125.0))
+    # Each takes a quarter of a second, so that the fifth begins after exactly one.
+    assert [quick for _, quick in source.calls] == [True] * 5 + [False] * 3
+    loop.make(request(x=0.6, fov_a=125.0))
     assert source.calls[-1][1]
 
 

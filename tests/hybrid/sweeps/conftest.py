@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from hybrid.frame.renderer import Renderer
 from hybrid.frame.settings import SWEEP
+from hybrid.measure import quality
 from hybrid.sweeps.setting import Setting
 from pathtrace.scene.scene import Scene, load_scene
 from splat.model.forest import Forest
@@ -26,6 +28,17 @@ def rough(corner) -> Forest:
 @pytest.fixture
 def renderer(corner, rough) -> Renderer:
     return Renderer(corner, rough)
+
+
+@pytest.fixture
+def quick_metrics(monkeypatch) -> None:
+    """The two metrics that take longest are exchanged: JOD for one that is cheap, HDR-FLIP for none."""
+
+    def cheap(image: np.ndarray, reference: np.ndarray, *_: object) -> float:
+        return float(10 - np.abs(image - reference).mean())
+
+    monkeypatch.setattr(quality, "jod", cheap)
+    monkeypatch.setattr(quality, "hdr_flip_map", lambda *_: None)
 
 
 @pytest.fixture

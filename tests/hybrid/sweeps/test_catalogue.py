@@ -11,6 +11,7 @@ import pytest
 from compose.base.errors import UserError
 from compose.eye.acuity import ACUITY_MODELS
 from compose.fovea.mode import FoveaMode
+from hybrid.measure.timing import jittered
 from hybrid.sweeps import fpc
 from hybrid.sweeps.catalogue import SWEEPS, sweep_named
 from hybrid.sweeps.setting import Setting
@@ -20,7 +21,7 @@ ALL = (*SWEEPS, "layers")
 
 
 def rows_of(name: str, base: Setting) -> list[Setting]:
-    views = [base.camera, base.camera.cropped(0, 0, 48, 32), base.camera.resized(24, 16)]
+    views = [jittered(base.camera, number) for number in range(3)]
     return sweep_named(name, COUNTS).settings(base, views)
 
 
@@ -142,5 +143,5 @@ def test_references_are_needed_for_quality_only(name):
 
 
 def test_a_sweep_that_does_not_exist_is_named():
-    with pytest.raises(UserError, match="sweep over moon: must be over resolution, aspect.* or layers"):
+    with pytest.raises(UserError, match=r"sweep over moon: must be over resolution, aspect.* or layers"):
         sweep_named("moon", (1,))

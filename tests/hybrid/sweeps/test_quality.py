@@ -14,6 +14,8 @@ from hybrid.measure.reference import Reference
 from hybrid.methods.hybrid import HybridMethod
 from hybrid.sweeps.quality import quality_of, regions_of
 
+pytestmark = pytest.mark.usefixtures("quick_metrics")
+
 
 def test_regions_are_around_the_centre_whatever_the_gaze(base):
     elsewhere = replace(base, frame=replace(base.frame, gaze=Gaze(0.1, 0.1)))

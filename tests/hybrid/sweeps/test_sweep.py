@@ -12,7 +12,7 @@ from hybrid.sweeps import catalogue, fpc
 from hybrid.sweeps import run as run_module
 from tests.hybrid.command import run
 
-pytestmark = pytest.mark.usefixtures("backend", "own_home")
+pytestmark = pytest.mark.usefixtures("backend", "own_home", "quick_metrics")
 # What a sweep's file has beside the settings that its rows have in common.
 CONTENT = {"scene", "forest", "over", "title", "rows", "break_even", "machine"}
 
@@ -94,7 +94,7 @@ def test_samples_are_compared_with_one_sample_as_well(swept, capsys, fovea):
 
 
 def test_sweeps_with_quality_have_it_in_each_row(swept):
-    found = swept("band", "--reference-spp", 4, "--fovea", "fused")
+    found = swept("band", "--size", 48, 40, "--reference-spp", 4, "--fovea", "fused")
     assert [row["fov_b"] for row in found["rows"]] == [10, 20, 30, 40]
     for row in found["rows"]:
         check(row)
@@ -107,7 +107,7 @@ def test_views_are_other_ones_than_the_scenes(swept):
 
 
 def test_layers_have_their_gaussians(swept):
-    layers = swept("layers", "--reference-spp", 4)["rows"]
+    layers = swept("layers", "--size", 48, 40, "--reference-spp", 4)["rows"]
     assert [row["layers"] for row in layers] == ["1 to 1", "1 to 2", "2 to 2"]
     assert layers[0]["gaussians"] < layers[1]["gaussians"]
 
@@ -196,8 +196,9 @@ def test_targets_are_stored_for_later(swept, monkeypatch, tmp_path):
     found = swept("trade", "--size", 48, 40, "--reference-spp", 4)
     (file,) = (tmp_path / "home").glob("*/measured-trade-48x40-*.json")
     stored = json.loads(file.read_text())
+    assert stored["metric"] == "jod"
     assert [row["milliseconds"] for row in stored["rows"]] == [row["ms"]["p50"] for row in found["rows"]]
-    expected = [row["quality"][f"whole {stored['metric']}"] for row in found["rows"]]
+    expected = [row["quality"]["whole jod"] for row in found["rows"]]
     assert [row["quality"] for row in stored["rows"]] == expected
     assert [(row["spp"], row["fovea"]) for row in stored["rows"]] == [
         (row["spp"], row["fovea"]) for row in found["rows"]

@@ -184,6 +184,20 @@ def test_at_the_displays_nyquist_frequency_the_filter_is_the_pixels_own(arrays, 
     assert np.array_equal(at_nyquist.image(), renderer.render_layer(camera, 3).image())
 
 
+@pytest.mark.parametrize(("rate", "cutoff"), [(0, 0.5), (0, 0.02), (2, 0.5), (3, 0.5)])
+def test_wanted_cells_do_not_depend_on_the_others(arrays, camera, rate, cutoff):
+    """Nodes outside of them are drawn as far as their filter and the interpolation of samples reach."""
+    renderer = ForestRenderer(arrays, small_forest(400))
+    images, lattice = [LayerImage(1, rate, ramp(1, 1))], np.full(CORNERS, cutoff, dtype=np.float32)
+    wanted = np.zeros(CELLS, dtype=bool)
+    wanted[2:4, 3:6] = True
+    whole = renderer.render(camera, images, lattice, everything())
+    part = renderer.render(camera, images, lattice, wanted)
+    # Up to rounding: the image lies elsewhere in its atlas.
+    np.testing.assert_allclose(part.image()[32:64, 48:96], whole.image()[32:64, 48:96], atol=1e-5)
+    assert 0 < part.nodes <= whole.nodes
+
+
 def test_unwanted_cells_are_black_and_cost_nothing(arrays, forest, camera):
     renderer = ForestRenderer(arrays, forest)
     wanted = everything()

@@ -78,6 +78,19 @@ def test_every_tree_is_complete_and_of_one_label(layers, labels):
         assert len(below) / 2 <= len(above) <= len(below)
 
 
+def test_new_parents_get_parents_of_their_own():
+    """By hand, in pixels, L = 3: one of size 9 and two of size 1, one pixel apart.
+
+    The large one is in all layers. The small ones get a parent with their moments, sqrt(1.25) long, and that
+    one a parent of twice its size.
+    """
+    layers = build_forest(static_layer(spheres([0.0, 100.0, 101.0], [9.0, 1.0, 1.0])), 1.0, 3)
+    assert [len(layer) for layer in layers] == [2, 2, 3]
+    assert [layer.parent.tolist() for layer in layers] == [[-1, -1], [0, 1], [0, 1, 1]]
+    np.testing.assert_allclose(longest_axis(layers[1].gaussians), [9, 1.25**0.5], rtol=1e-5)
+    np.testing.assert_allclose(longest_axis(layers[0].gaussians), [9, 2 * 1.25**0.5], rtol=1e-5)
+
+
 def test_large_gaussians_are_in_all_finer_layers():
     """A Gaussian of class l is a node of layers l to L, its own only ancestor there."""
     given = scattered(200)

@@ -45,14 +45,26 @@ def test_a_child_inside_its_parents_ellipsoid_stays():
 
 
 def test_the_ellipsoid_turns_with_its_parent():
-    """Long along x, turned by 90 degrees about z: long along y. Child 1, beside it on x, lies outside."""
-    above = static_layer(spheres([0.0, 0.0], [1.0, 1.0]))
+    """Long along x, turned by 45 degrees about z: long along x = y. Child 0 lies inside, child 1 does not."""
+    above = static_layer(spheres([0.0, 0.0, 0.0], [1.0, 1.0, 1.0]))
     above.gaussians.log_scales[0, 0] = np.log(4.0)
-    above.gaussians.rotations[:, 0] = torch.tensor([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
-    above.gaussians.means[:, 1] = torch.tensor([2.0, 2.0, 0.0])
-    below = with_parent([0.0, 3.0, 0.0], [0, 0, 0])
-    below.gaussians.means[1] = torch.tensor([3.0, 0.0, 0.0])
-    assert settle([above, below])[1].parent.tolist() == [0, 1, 0]
+    above.gaussians.rotations[:, 0] = torch.tensor([np.cos(np.pi / 8), 0, 0, np.sin(np.pi / 8)])
+    # Nearer parents for both, with one child each.
+    above.gaussians.means[:2, 1:] = torch.tensor([[2.5, 2.5], [2.6, -2.6]])
+    below = with_parent([2.5, 2.5, 2.5, 2.5], [0, 0, 1, 2])
+    below.gaussians.means[1] = torch.tensor([2.5, -2.5, 2.6, -2.6])
+    assert settle([above, below])[1].parent.tolist() == [0, 2, 1, 2]
+
+
+def test_the_ellipsoid_ends_at_one_standard_deviation():
+    """At distance 0.99 along a diagonal the child stays, at 1.01 it goes to the nearer parent."""
+    above = static_layer(spheres([0.0, 1.0], [1.0, 0.1]))
+    above.gaussians.means[1:, 1] = 1.0
+    for distance, expected in ((0.99, 0), (1.01, 1)):
+        below = with_parent([0.0, 0.0, 1.0], [0, 0, 1])
+        below.gaussians.means[:, 0] = distance / np.sqrt(3)
+        below.gaussians.means[1:, 2] = 1.0
+        assert settle([above, below])[1].parent.tolist() == [expected, 0, 1]
 
 
 def test_a_child_outside_goes_to_the_nearest_parent_with_room():

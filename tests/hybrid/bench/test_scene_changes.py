@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
-from hybrid.bench.change import move_object
+from hybrid.bench.scene_changes import move_object
 from pathtrace.scene.scene import load_scene
 from tests import small
 
