@@ -119,6 +119,9 @@ def test_one_outlier_counts_as_three_times_the_expected_time():
     outlier.took(1e6)
     slow.took(45.0)
     assert outlier.load == slow.load == pytest.approx(2)
+    # Now 20 ms are expected of the first step, and 60 ms count at most: half-way from 2 to 6.
+    outlier.took(1e6)
+    assert outlier.load == pytest.approx(4)
 
 
 def test_the_controller_climbs_an_eighth_of_a_step_per_frame_and_descends_at_once():

@@ -79,15 +79,14 @@ def test_every_tree_is_complete_and_of_one_label(layers, labels):
 
 
 def test_new_parents_get_parents_of_their_own():
-    """By hand, in pixels, L = 3: one of size 9 and two of size 1, one pixel apart.
+    """By hand, in pixels, L = 3: one of size 9, and two pairs of size 1, one pixel apart each.
 
-    The large one is in all layers. The small ones get a parent with their moments, sqrt(1.25) long, and that
-    one a parent of twice its size.
+    The large one is in all layers. Each pair gets a parent with its moments, sqrt(1.25) long. In layer 1 the
+    large one has room for the first of these; the second gets a parent of twice its size.
     """
-    layers = build_forest(static_layer(spheres([0.0, 100.0, 101.0], [9.0, 1.0, 1.0])), 1.0, 3)
-    assert [len(layer) for layer in layers] == [2, 2, 3]
-    assert [layer.parent.tolist() for layer in layers] == [[-1, -1], [0, 1], [0, 1, 1]]
-    np.testing.assert_allclose(longest_axis(layers[1].gaussians), [9, 1.25**0.5], rtol=1e-5)
+    layers = build_forest(static_layer(spheres([0.0, 100.0, 101.0, 200.0, 201.0], [9.0, 1, 1, 1, 1])), 1.0, 3)
+    assert [layer.parent.tolist() for layer in layers] == [[-1, -1], [0, 0, 1], [0, 1, 1, 2, 2]]
+    np.testing.assert_allclose(longest_axis(layers[1].gaussians), [9, 1.25**0.5, 1.25**0.5], rtol=1e-5)
     np.testing.assert_allclose(longest_axis(layers[0].gaussians), [9, 2 * 1.25**0.5], rtol=1e-5)
 
 

@@ -70,6 +70,18 @@ def test_new_ones_go_where_the_error_is():
     np.testing.assert_allclose(sorted(position.tolist()), [[1.5, 4.5], [3.5, 2.5]], atol=1e-4)
 
 
+def test_pixels_without_a_surface_are_not_drawn():
+    """They have a thousand times the error of the others, which get all 90 new ones nevertheless."""
+    view = wall(0.0)
+    view.distance[: SIZE // 2] = np.inf
+    density = DensityControl(100, 10, 100)
+    error = torch.ones(SIZE, SIZE)
+    error[: SIZE // 2] = 1000.0
+    density.observe(0, error)
+    _, added = density.change(seeds(10), [view], np.random.default_rng(0))
+    assert len(added) == 90
+
+
 def test_pixels_are_drawn_in_proportion_to_their_error():
     """An error of 3 in the upper half and 1 in the lower: three quarters above. 400 draws, sd 2.2 percent."""
     density = DensityControl(1000, 10, 410)
