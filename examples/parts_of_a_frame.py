@@ -1,6 +1,6 @@
 """A picture of a frame and of its parts: what is traced, what is splatted, and how they are joined.
 
-    python examples/parts_of_a_frame.py room room.forest parts.png
+python examples/parts_of_a_frame.py room room.forest parts.png
 """
 
 from __future__ import annotations

@@ -237,12 +237,14 @@ def _opaque(number: type, camera: Camera) -> tuple[list[Any], list[Any], list[An
 
 
 def _normalized(vector: list[Any]) -> list[Any]:
+    """A vector of unit length, or of nearly none."""
     # A zero quaternion, or a Gaussian at the camera itself, has no direction but must not become NaN.
     inverse = dr.rsqrt(dr.maximum(sum(v * v for v in vector), 1e-20))
     return [v * inverse for v in vector]
 
 
 def _rotation_matrix(quaternion: list[Any]) -> list[list[Any]]:
+    """Rows of the rotation by a quaternion (w, x, y, z) of any length."""
     w, x, y, z = _normalized(quaternion)
     return [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

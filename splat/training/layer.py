@@ -81,6 +81,7 @@ class LayerTraining:
         return self._change_density() if due else None
 
     def _change_density(self) -> torch.Tensor:
+        """Removes and adds nodes; returns the index (N,) that each former node has now, -1 if removed."""
         before = self.layer
         rng = np.random.default_rng([*self._seed, 1, self.done])
         kept, added = self._density.change(before.gaussians, self.views, rng)

@@ -119,6 +119,7 @@ class Trainer:
         return layers if self.iteration > self._settling else settle(layers)
 
     def _step(self) -> None:
+        """Trains the scheduled layer by one step, and keeps the trees up with it."""
         index = int(self._schedule[self.iteration])
         if index < len(self._layers) - 1 and not self._layers[index].begun:
             self._build()

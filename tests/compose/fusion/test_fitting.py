@@ -18,9 +18,15 @@ from tests.compose.fusion.examples import cropped, error, example
 
 
 def fit_quickly(examples: Sequence[Example], iterations: int, seed: int = 0) -> Fusion:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fitting, "ITERATIONS", iterations)
-        return fit(examples, seed, lambda done, total: None)
+    # On a machine that is busy, threads that wait for each other take ten times as long as one alone.
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(fitting, "ITERATIONS", iterations)
+            return fit(examples, seed, lambda done, total: None)
+    finally:
+        torch.set_num_threads(threads)
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +39,7 @@ def test_fused_is_better_than_the_better_parent(fitted, spp):
     given = example(11, spp)
     fused = fuse(given.parents, fitted)
     best = min(error(getattr(given.parents, name), given.reference) for name in ("splat", "denoised"))
-    assert error(fused.radiance, given.reference) < best - 0.5
+    assert error(fused.radiance, given.reference) < best - 6
 
 
 def test_splats_of_another_world_are_noticed(fitted):

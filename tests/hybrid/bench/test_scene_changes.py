@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
-from hybrid.bench.scene_changes import move_object
+from hybrid.bench.scene_changes import CHANGES, dim_lamps, move_object, swap_colours
 from pathtrace.scene.scene import load_scene
 from tests import small
 
@@ -44,3 +44,29 @@ def test_a_view_without_a_mesh_is_refused():
     scene = load_scene(small.corner())
     with pytest.raises(UserError, match="a view sees no mesh that could be moved"):
         move_object(scene, scene.camera)
+
+
+def parameters(scene, part: str) -> dict[str, np.ndarray]:
+    """Values of the parameters whose name has a part."""
+    return {name: np.ravel(value) for name, value in mi.traverse(scene.mitsuba) if part in name}
+
+
+def test_lamps_are_dimmed_to_two_fifths():
+    scene = load_scene(small.corner())
+    (before,) = parameters(scene, "radiance.value").values()
+    dim_lamps(scene, scene.camera)
+    (after,) = parameters(scene, "radiance.value").values()
+    np.testing.assert_allclose(after, 0.4 * before, rtol=1e-6)
+
+
+def test_colours_of_visible_shapes_change_places():
+    """The board's 0.2, 0.3, 0.8 become 0.3, 0.8, 0.2."""
+    scene = load_scene(small.corner())
+    swap_colours(scene, scene.camera)
+    values = [value.tolist() for value in parameters(scene, "reflectance.value").values()]
+    assert pytest.approx([0.3, 0.8, 0.2]) in values
+    assert pytest.approx([0.2, 0.3, 0.8]) not in values
+
+
+def test_all_changes_have_a_name():
+    assert set(CHANGES.values()) == {move_object, swap_colours, dim_lamps}

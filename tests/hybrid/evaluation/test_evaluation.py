@@ -8,20 +8,27 @@ from pathlib import Path
 
 import pytest
 
+import hybrid.evaluation.entries
 import hybrid.evaluation.equal_time
 import hybrid.evaluation.quality
 import hybrid.evaluation.times
 import hybrid.evaluation.tuning
 import hybrid.measure.quality
+from compose.base.errors import UserError
+from hybrid.evaluation.evaluation import Evaluation
 from hybrid.evaluation.keys import HALVES, OURS
 from hybrid.evaluation.scoring import score
+from hybrid.evaluation.settings import EvaluationSettings
 from hybrid.measure.regions import REGIONS
 from hybrid.output.images import write_png
 from hybrid.sweeps import catalogue, fpc
+from pathtrace.scene.scene import load_scene
+from splat.io.forest_file import load_forest
+from tests import small
 from tests.hybrid.command import run
 
 pytestmark = pytest.mark.usefixtures("backend")
-SMALL = ["--size", 64, 64, "--views", 2, "--reference-spp", 4, "--repeats", 3]
+SMALL = ["--size", 48, 48, "--views", 2, "--reference-spp", 4, "--repeats", 3]
 
 
 def scored_here(tasks):
@@ -40,6 +47,7 @@ def evaluated(made, tmp_path_factory):
         patch.setattr(hybrid.evaluation.tuning, "_SPP", (1,))
         patch.setattr(hybrid.evaluation.equal_time, "_TRIALS", 3)
         patch.setattr(hybrid.evaluation.times, "_WARM_UP", 1)
+        patch.setattr(hybrid.evaluation.entries, "OTHER_SPP", (16,))
         patch.setattr(hybrid.evaluation.quality, "scored_in_parallel", scored_here)
         # The two metrics that take longest are as if they were not installed.
         patch.setattr(hybrid.measure.quality, "jod", lambda *_: None)
@@ -78,7 +86,7 @@ def test_all_rows_are_there(evaluated):
         assert row["region"] in REGIONS
     assert {row["view"] for row in found["quality"]} == {0, 1}
     for row in found["time"]:
-        assert (row["width"], row["height"], row["repeats"]) == (64, 64, 3)
+        assert (row["width"], row["height"], row["repeats"]) == (48, 48, 3)
         # Three frames have no 95th percentile.
         assert list(row["ms"]) == ["p50"]
         assert row["ms"]["p50"] > 0
@@ -148,8 +156,8 @@ def _look(browser) -> None:
     wait = WebDriverWait(browser, 20)
     ask = browser.execute_script
     shown = "return [...document.querySelectorAll('.stage img')].map(i => i.naturalWidth)"
-    wait.until(lambda _: ask(shown) == [64, 64])
-    wait.until(lambda _: ask("return document.getElementById('difference').width") == 64)
+    wait.until(lambda _: ask(shown) == [48, 48])
+    wait.until(lambda _: ask("return document.getElementById('difference').width") == 48)
     stage = browser.find_element("id", "stage")
     ActionChains(browser).move_to_element_with_offset(stage, -stage.size["width"] // 4, 0).perform()
     at = float(ask("return document.getElementById('stage').style.getPropertyValue('--at')").rstrip("%"))
@@ -199,3 +207,10 @@ def test_a_sweep_stays_off_the_page_of_another_scene_and_of_a_damaged_evaluation
         assert said in error
         assert "training" not in error
         assert [file.name for file in tmp_path.iterdir()] == ["evaluation.json"]
+
+
+def test_a_forest_of_another_scene_is_refused(made, tmp_path):
+    room = load_scene(small.corner())
+    with pytest.raises(UserError, match="belongs to scene cornell"):
+        Evaluation(room, load_forest(made / "box.forest"), EvaluationSettings(), tmp_path)
+    assert not list(tmp_path.iterdir())

@@ -130,6 +130,7 @@ def test_slower_frames_get_smaller_discs_and_the_band_keeps_its_share(clock):
         loop.make(request(number / 40, 25.0, fov_a=20.0, fov_b=15.0))
     radii = [settings.fov_a for settings in source.used]
     # At 25 FPS a frame has 40 ms, of which 34 are planned: 17 percent of radius, half of that under load.
+    assert radii[0] == pytest.approx(17, rel=0.01)
     assert radii[19] == pytest.approx(17, rel=0.01)
     assert radii[39] == pytest.approx(8.5, rel=0.05)
     assert all(settings.fov_b == pytest.approx(0.75 * settings.fov_a) for settings in source.used)

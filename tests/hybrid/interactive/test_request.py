@@ -46,6 +46,11 @@ def test_anything_else_is_another_frame(other):
     assert not REQUEST.same_frame(other)
 
 
+def test_views_come_in_the_order_of_their_keys():
+    names = "COMPOSITE FOVEA PERIPHERY PATH_TRACED SPLIT LEVELS DIFFERENCE"
+    assert [view.name for view in View] == names.split()
+
+
 def test_three_views_show_a_path_traced_frame():
     needing = {view for view in View if view.needs_path_traced}
     assert needing == {View.PATH_TRACED, View.SPLIT, View.DIFFERENCE}

@@ -139,6 +139,23 @@ def test_the_cutoff_is_interpolated_at_each_gaussian(arrays, forest, camera):
     np.testing.assert_allclose(frame.image(), sampled(forest, camera, 3, 0, variance), atol=3e-3)
 
 
+def test_images_do_not_depend_on_each_other(arrays, camera):
+    """Together they are the weighted sum of each alone, though one has a much wider filter.
+
+    The Gaussians lie mostly outside of the frame and reach into it under that filter.
+    """
+    forest = forest_of([static_layer(gaussians("off-screen", 300, 0))], 120.0, "", "")
+    rise = ramp(0, 1)
+    render = lambda *images: (  # noqa: E731
+        ForestRenderer(arrays, forest).render(camera, list(images), no_cutoff(), everything()).image()
+    )
+    fine, coarse = render(LayerImage(1, 0, ramp(1, 1))), render(LayerImage(1, 4, ramp(1, 1)))
+    both = render(LayerImage(1, 0, 1 - rise), LayerImage(1, 4, rise))
+    x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
+    weight = lattice_at(rise, x, y)[..., None]
+    np.testing.assert_allclose(both, (1 - weight) * fine + weight * coarse, atol=1e-4)
+
+
 def test_samples_of_a_layer_are_those_of_larger_pixels(arrays, forest, camera):
     image = ForestRenderer(arrays, forest).render_layer(camera, 1, 3).image()
     expected = sampled(forest, camera, 1, 3, PIXEL_FILTER * 64)

@@ -79,15 +79,15 @@ def test_every_tree_is_complete_and_of_one_label(layers, labels):
 
 
 def test_new_parents_get_parents_of_their_own():
-    """By hand, in pixels, L = 3: one of size 9, and two pairs of size 1, one pixel apart each.
+    """By hand, in pixels, L = 3: one of size 9 at 0, which is in all layers, and four of size 1.
 
-    The large one is in all layers. Each pair gets a parent with its moments, sqrt(1.25) long. In layer 1 the
-    large one has room for the first of these; the second gets a parent of twice its size.
+    Layer 3 to 2: 100 joins the large one, 101 makes p1, 102 joins it, 103 makes p2. Layer 2 to 1: p1 joins
+    the large one, p2 makes a parent. An only child's parent is twice its size: 2, then 4.
     """
-    layers = build_forest(static_layer(spheres([0.0, 100.0, 101.0, 200.0, 201.0], [9.0, 1, 1, 1, 1])), 1.0, 3)
-    assert [layer.parent.tolist() for layer in layers] == [[-1, -1], [0, 0, 1], [0, 1, 1, 2, 2]]
-    np.testing.assert_allclose(longest_axis(layers[1].gaussians), [9, 1.25**0.5, 1.25**0.5], rtol=1e-5)
-    np.testing.assert_allclose(longest_axis(layers[0].gaussians), [9, 2 * 1.25**0.5], rtol=1e-5)
+    layers = build_forest(static_layer(spheres([0.0, 100.0, 101.0, 102.0, 103.0], [9.0, 1, 1, 1, 1])), 1.0, 3)
+    assert [layer.parent.tolist() for layer in layers] == [[-1, -1], [0, 0, 1], [0, 0, 1, 1, 2]]
+    np.testing.assert_allclose(longest_axis(layers[1].gaussians), [9, 1.25**0.5, 2], rtol=1e-5)
+    np.testing.assert_allclose(longest_axis(layers[0].gaussians), [9, 4], rtol=1e-5)
 
 
 def test_large_gaussians_are_in_all_finer_layers():
