@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,20 +17,23 @@ from compose.fusion.parents import Parents
 from tests.compose.fusion.examples import cropped, error, example
 
 
-def fit_quickly(examples: Sequence[Example], iterations: int, seed: int = 0) -> Fusion:
-    # On a machine that is busy, threads that wait for each other take ten times as long as one alone.
+@pytest.fixture(scope="module", autouse=True)
+def one_thread() -> Iterator[None]:
+    """On a busy machine, threads that wait for each other take ten times as long as one alone."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    try:
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(fitting, "ITERATIONS", iterations)
-            return fit(examples, seed, lambda done, total: None)
-    finally:
-        torch.set_num_threads(threads)
+    yield
+    torch.set_num_threads(threads)
+
+
+def fit_quickly(examples: Sequence[Example], iterations: int, seed: int = 0) -> Fusion:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fitting, "ITERATIONS", iterations)
+        return fit(examples, seed, lambda done, total: None)
 
 
 @pytest.fixture(scope="module")
-def fitted() -> Fusion:
+def fitted(one_thread) -> Fusion:
     return fit_quickly([example(seed, spp) for seed in range(3) for spp in (2, 16)], 250)
 
 

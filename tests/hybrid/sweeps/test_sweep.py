@@ -10,6 +10,8 @@ from hybrid.frame import periphery
 from hybrid.methods import path_traced
 from hybrid.sweeps import catalogue, fpc
 from hybrid.sweeps import run as run_module
+from hybrid.sweeps.effort import Effort
+from hybrid.sweeps.sweep import sweep
 from tests.hybrid.command import run
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home", "quick_metrics")
@@ -203,3 +205,20 @@ def test_targets_are_stored_for_later(swept, monkeypatch, tmp_path):
     assert [(row["spp"], row["fovea"]) for row in stored["rows"]] == [
         (row["spp"], row["fovea"]) for row in found["rows"]
     ]
+
+
+def test_the_result_is_written_before_what_it_resumes_from_is_deleted(
+    corner, rough, base, tmp_path, monkeypatch
+):
+    """An interruption in between loses nothing."""
+    monkeypatch.setattr(catalogue, "_BAND_OUTER", (40.0,))
+    kept = []
+
+    def write(content: dict) -> None:
+        kept.append(list((tmp_path / "home").glob("*/sweep-band-*.json")))
+        assert len(content["rows"]) == 4
+
+    content = sweep(corner, rough, "band", base, Effort(3, 1, 4), write, lambda done, total: None)
+    assert len(kept[0]) == 1
+    assert not kept[0][0].exists()
+    assert (content["over"], content["break_even"]) == ("band", [])
