@@ -120,6 +120,7 @@ def test_the_band_keeps_its_share_of_another_radius():
     settings = replace(DEFAULTS, **(OTHERS | {"fov_a": 20.0, "fov_b": 5.0}))
     assert settings.with_radius(40.0) == replace(settings, fov_a=40.0, fov_b=10.0)
     assert settings.with_radius(0.0) == replace(settings, fov_a=0.0, fov_b=0.0)
+    assert FrameSettings(fov_a=0.5, fov_b=0.25).with_radius(2.0).fov_b == 1
 
 
 def test_from_no_radius_at_all_the_disc_is_all_band():

@@ -26,6 +26,13 @@ def test_every_channel_of_an_exr_file_is_what_was_written(tmp_path):
     np.testing.assert_array_equal(found["depth.V"], depth)
 
 
+def test_other_numbers_are_written_as_32_bit_floats(tmp_path):
+    write_exr(tmp_path / "a.exr", {"level": np.full((2, 3), 1 / 3), "rate": np.ones((2, 3), dtype=int)})
+    found = read_exr(tmp_path / "a.exr")
+    assert {image.dtype for image in found.values()} == {np.dtype(np.float32)}
+    assert (found["level.V"] == np.float32(1 / 3)).all()
+
+
 def test_an_exr_file_is_compressed_scan_lines_of_floats(tmp_path):
     write_exr(tmp_path / "a.exr", {"": np.zeros((64, 64, 3), dtype=np.float32)})
     header = OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True).header()
@@ -80,6 +87,7 @@ def test_a_folder_in_the_place_of_a_file_is_refused_before_the_work(tmp_path):
 
 
 def test_a_folder_without_permission_is_refused_before_the_work(tmp_path, monkeypatch):
-    monkeypatch.setattr(os, "access", lambda path, mode: path != tmp_path)
-    with pytest.raises(UserError, match=r"a\.png: cannot be written"):
-        check_writable(tmp_path / "a.png")
+    for lacking in (os.W_OK, os.X_OK):
+        monkeypatch.setattr(os, "access", lambda path, mode, lacking=lacking: not mode & lacking)
+        with pytest.raises(UserError, match=r"a\.png: cannot be written"):
+            check_writable(tmp_path / "a.png")
