@@ -15,6 +15,7 @@ pytest.importorskip("PySide6.QtWidgets", reason="the window needs Qt", exc_type=
 
 from PySide6.QtCore import QEvent, QObject, QPointF, Qt, Signal
 from PySide6.QtGui import QKeyEvent
+from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QDockWidget
 
 from compose.eye.gaze import Gaze
@@ -138,6 +139,25 @@ def test_nothing_is_asked_for_before_the_scene_is_loaded(make):
     assert not opened.thread.files
 
 
+def test_a_bar_is_busy_until_the_scene_is_loaded(make):
+    opened = make()
+    window, bar = opened.window, opened.window._bar
+    QApplication.processEvents()
+    assert window.windowTitle() == "hybrid"
+    # Without a maximum, a bar shows no share.
+    assert (bar.format(), bar.maximum(), bar.isVisible()) == ("loading the scene", 0, True)
+    assert bar.parent() is window.statusBar()
+    assert bar.width() > 200
+    height = window.canvas.height()
+    opened.load()
+    assert bar.isHidden()
+    assert window.canvas.height() == height
+    assert opened.message() == "F1: help"
+    assert window.canvas.hasFocus()
+    # Only a bench keeps all frames.
+    assert window.meter.intervals.maxlen == 100
+
+
 def test_a_loaded_scene_is_asked_for_with_the_initial_settings(make):
     opened = make(target_fps=24.5)
     opened.load()
@@ -189,6 +209,20 @@ def test_a_late_gaze_is_asked_for_when_it_is_known(make, clock):
     clock[0] = 105.15
     opened.answer()
     assert [late.seconds for late in opened.window.meter.latencies] == [pytest.approx(0.15)]
+
+
+def test_a_late_gaze_needs_no_further_event(make, clock):
+    opened = make(latency=0.1)
+    opened.load()
+    opened.asked()
+    move_mouse(opened.window, HERE)
+    clock[0] += 0.2
+    request, waited = None, 0
+    while request is None and waited < 1000:
+        QTest.qWait(10)
+        request, waited = opened.asked(), waited + 1
+    assert request is not None
+    assert request.settings.gaze == HERE
 
 
 def test_a_trace_replaces_the_mouse(make, clock):
@@ -344,6 +378,7 @@ def test_full_screen_is_left_before_the_window_closes(opened):
     opened.key(Key.Key_Escape)
     assert not window.isVisible()
     assert opened.thread.stopped
+    assert not window._timer.isActive()
 
 
 def test_screenshots_are_numbered(opened, tmp_path):
@@ -395,7 +430,7 @@ def test_frames_follow_a_new_size_once_it_has_settled(opened):
     window.tick()
     assert opened.asked() is None
     assert window._settling.isActive()
-    assert window._settling.interval() == 200
+    assert (window._settling.interval(), window._settling.isSingleShot()) == (200, True)
     window._settling.timeout.emit()
     camera = opened.asked().settings.camera
     assert (camera.width, camera.height) == (300, 200)

@@ -142,9 +142,12 @@ def test_the_cutoff_is_interpolated_at_each_gaussian(arrays, forest, camera):
 def test_images_do_not_depend_on_each_other(arrays, camera):
     """Together they are the weighted sum of each alone, though one has a much wider filter.
 
-    The Gaussians lie mostly outside of the frame and reach into it under that filter.
+    Small, opaque Gaussians around the frame reach into it under that filter alone.
     """
-    forest = forest_of([static_layer(gaussians("off-screen", 300, 0))], 120.0, "", "")
+    g = gaussians("off-screen", 600, 0)
+    g.log_scales -= 1.1
+    g.opacity_logits += 4
+    forest = forest_of([static_layer(g)], 120.0, "", "")
     rise = ramp(0, 1)
     render = lambda *images: (  # noqa: E731
         ForestRenderer(arrays, forest).render(camera, list(images), no_cutoff(), everything()).image()

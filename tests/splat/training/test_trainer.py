@@ -121,15 +121,12 @@ def test_the_coarse_layer_looks_right_at_its_own_resolution(arrays, trained):
     assert float(((image - target) ** 2).mean()) < 0.15 * float(target.var())
 
 
-def test_the_same_seed_gives_the_same_bits(arrays, short, often):
-    again = Trainer(arrays, WALLS, SHORT)
-    again.run()
-    assert same(short, again)
-
-
 @pytest.mark.parametrize("stop", [20, 66, 102])
 def test_an_interrupted_training_ends_with_the_same_bits(arrays, short, often, stop):
-    """Interrupted when density control is due, amid all layers, and after the trees are settled."""
+    """Interrupted when density control is due, amid all layers, and after the trees are settled.
+
+    So do two trainings with the same seed.
+    """
     first = Trainer(arrays, WALLS, SHORT)
     first.run(until=stop)
     tensors, numbers = first.state()
@@ -176,7 +173,7 @@ def test_a_checkpoint_of_other_settings_is_refused(arrays):
 
 def test_a_closed_sphere_has_radiance_one_after_training(arrays):
     views = [closed_sphere(x) for x in (-0.3, 0.3)]
-    trainer = Trainer(arrays, views, TrainingSettings(iterations=150, gaussians=1000, layers=1, degree=0))
+    trainer = Trainer(arrays, views, TrainingSettings(iterations=100, gaussians=1000, layers=1, degree=0))
     trainer.run()
     between = closed_sphere(0.0).camera
     image = render_differentiable(arrays, trainer.forest()[-1].gaussians, between).numpy()
