@@ -9,6 +9,7 @@ import pytest
 
 from compose.base.errors import UserError
 from hybrid.output.video import check_video, write_mp4
+from tests import small
 
 av = pytest.importorskip("av", reason="videos require PyAV")
 
@@ -25,12 +26,25 @@ def test_a_video_shows_every_image_in_order_at_its_rate(tmp_path):
     with av.open(str(tmp_path / "a.mp4")) as video:
         stream = video.streams.video[0]
         assert (stream.width, stream.height, float(stream.average_rate)) == (32, 16, 8)
-        assert stream.codec_context.name == "h264"
+        assert (stream.codec_context.name, stream.pix_fmt) == ("h264", "yuv420p")
         frames = [frame.to_ndarray(format="rgb24") for frame in video.decode(video=0)]
     assert len(frames) == 3
     # Colours are stored as limited-range YUV with 8 bits per channel.
     for frame, colour in zip(frames, (RED, RED, GREY), strict=True):
         np.testing.assert_allclose(frame.reshape(-1, 3).mean(axis=0), colour, atol=6)
+
+
+def test_detail_and_noise_survive_encoding(tmp_path):
+    y, x = np.mgrid[0:64, 0:64]
+    waves = np.stack([128 + 60 * np.sin(x / 3), 128 + 60 * np.cos(y / 4), 128 + 50 * np.sin((x + y) / 5)], 2)
+    noise = small.rng().normal(0, 12, (4, 64, 64, 3))
+    images = np.clip(waves + noise, 0, 255).astype(np.uint8)
+    write_mp4(tmp_path / "a.mp4", iter(images), (64, 64), 8)
+    with av.open(str(tmp_path / "a.mp4")) as video:
+        shown = np.stack([frame.to_ndarray(format="gray") for frame in video.decode(video=0)])
+    error = shown - images @ [0.299, 0.587, 0.114]
+    # Seen: 2.4 of 255; 6.1 at the encoder's own quality.
+    assert np.sqrt(np.mean(error**2)) < 4
 
 
 def test_a_video_appears_complete_or_not_at_all(tmp_path):
