@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("PySide6.QtWidgets", reason="the window needs Qt", exc_type=ImportError)
 
-from PySide6.QtCore import QEvent, QPointF, QSize, Qt
+from PySide6.QtCore import QEvent, QObject, QPointF, QSize, Qt
 from PySide6.QtGui import QImage, QMouseEvent
 from PySide6.QtWidgets import QApplication
 
@@ -56,11 +56,28 @@ def test_before_the_first_frame_it_is_the_whole_canvas(application):
     assert canvas.gaze_of(QPointF(50, 150)) == Gaze(0.25, 0.75)
 
 
+def test_before_the_first_frame_it_is_black_and_nothing_is_reported(application):
+    canvas, painted = Canvas(QSize(320, 240)), []
+    canvas.painted.connect(painted.append)
+    assert not pixels(canvas).any()
+    assert not painted
+
+
+def test_it_takes_the_keys_and_stays_large_enough_to_look_at(canvas):
+    assert canvas.focusPolicy() == Qt.FocusPolicy.StrongFocus
+    assert canvas.minimumSize() == QSize(160, 120)
+    assert canvas.hasMouseTracking()
+
+
 def test_points_and_gazes_are_inverse(canvas):
     assert canvas.gaze_of(QPointF(80, 90)) == Gaze(0.25, 0.25)
     for gaze in (Gaze(0, 0), Gaze(1, 1), Gaze(0.3, 0.8)):
         found = canvas.gaze_of(canvas.point_of(gaze))
         assert (found.x, found.y) == pytest.approx((gaze.x, gaze.y))
+    # With black beside the frame instead.
+    canvas.resize(480, 120)
+    assert canvas.gaze_of(QPointF(160, 30)) == Gaze(0.25, 0.25)
+    assert canvas.point_of(Gaze(0.25, 0.25)) == QPointF(160, 30)
 
 
 def test_beyond_the_frame_the_gaze_is_on_its_edge(canvas):
@@ -102,6 +119,72 @@ def test_each_frame_is_reported_once_when_it_is_painted(canvas):
     assert len(painted) == 1
     pixels(canvas)
     assert painted[1] is newer
+
+
+def test_qt_paints_again_only_when_something_has_changed(canvas):
+    class Paints(QObject):
+        """Counts paint events."""
+
+        count = 0
+
+        def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802
+            self.count += event.type() == QEvent.Type.Paint
+            return False
+
+    paints = Paints()
+    canvas.installEventFilter(paints)
+    canvas.show()
+    QApplication.processEvents()
+    for act, painted in (
+        (lambda: canvas.show_frame(shown()), True),
+        (lambda: canvas.write(["frame 40 ms"], []), True),
+        (lambda: canvas.write(["frame 40 ms"], []), False),
+        (lambda: canvas.write(["frame 40 ms"], ["help"]), True),
+        (canvas.toggle_ring, True),
+    ):
+        before = paints.count
+        act()
+        QApplication.processEvents()
+        assert (paints.count > before) == painted
+    canvas.hide()
+
+
+def test_lines_are_white_on_a_shade_of_the_frame(canvas):
+    canvas.show_frame(shown(image=np.full((240, 320, 3), 200, dtype=np.uint8)))
+    canvas.toggle_ring()
+    canvas.write(["frame 40 ms"], [])
+    seen = pixels(canvas)
+    assert (seen[0, 0] == seen[3, 3]).all()
+    # 105 of 255 parts of the frame are left.
+    assert seen[3, 3] == pytest.approx([82] * 3, abs=2)
+    assert (seen == 255).all(axis=2).any()
+    assert (seen[239] == 200).all()
+
+
+def test_the_shade_fits_its_lines_with_a_margin_of_eight_pixels(canvas):
+    canvas.show_frame(shown(image=np.full((240, 320, 3), 60, dtype=np.uint8)))
+    canvas.toggle_ring()
+
+    def boxes(hud: list[str], overlay: list[str]) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Left, top, right and bottom of the shade, and of the text on it."""
+        canvas.write(hud, overlay)
+        seen = pixels(canvas)
+        found = []
+        for where in ((seen != 60).any(axis=2), (seen > 100).all(axis=2)):
+            y, x = np.nonzero(where)
+            found.append((x.min(), y.min(), x.max() + 1, y.max() + 1))
+        return found[0], found[1]
+
+    one, text = boxes(["MMMM"], [])
+    two, _ = boxes(["MMMM", "MMMM"], [])
+    assert one[:2] == two[:2] == (0, 0)
+    assert one[2] == two[2]
+    assert 2 * one[3] - two[3] == pytest.approx(16, abs=1)
+    assert [text[0] - one[0], one[2] - text[2]] == pytest.approx([8, 8], abs=2)
+    middle, text = boxes([], ["MMMM", "MMMM", "MMMM"])
+    assert [middle[0] + middle[2], middle[1] + middle[3]] == pytest.approx([320, 240], abs=2)
+    assert [text[0] - middle[0], middle[2] - text[2]] == pytest.approx([8, 8], abs=2)
+    assert text[1] - middle[1] == pytest.approx(middle[3] - text[3], abs=6)
 
 
 def test_lines_are_drawn_in_the_corner_and_in_the_middle(canvas):

@@ -35,6 +35,29 @@ def test_initial_settings_are_exact_until_something_is_changed():
     assert panel.settings().display == asked.display
 
 
+def test_what_was_not_changed_stays_when_something_else_is():
+    asked = FrameSettings(fov_a=12.4, fov_b=11.2, spp=3, acuity_model="fov-gs", rate=1, scale=0.5)
+    panel = Panel(asked, None, 4)
+    assert panel.target.value() == 15
+    panel.spp.setValue(2)
+    # Sliders know whole numbers only.
+    assert panel.settings() == replace(asked, fov_a=12.0, fov_b=11.0, spp=2, layers=(1, 4))
+
+
+def test_controls_reach_as_far_as_frames_are_useful():
+    panel = Panel(INITIAL, None, 4)
+    for control, low, high in (
+        (panel.fov_a, 0, 75),
+        (panel.spp, 1, 16),
+        (panel.coarsest, 1, 4),
+        (panel.rate, 0, 3),
+        (panel.scale, 25, 100),
+        (panel.target, 1, 120),
+    ):
+        assert (control.minimum(), control.maximum()) == (low, high)
+        assert panel.isAncestorOf(control)
+
+
 def test_initial_layers_are_kept():
     panel = Panel(replace(INITIAL, layers=(2, 3)), None, 4)
     assert (panel.coarsest.value(), panel.finest.value()) == (2, 3)

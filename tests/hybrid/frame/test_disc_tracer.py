@@ -104,6 +104,19 @@ def test_samples_go_where_samples_and_splats_disagree(scene, renderer, tracer):
         assert (even.count == even.count[0]).all()
 
 
+@pytest.mark.parametrize(("spp", "everywhere"), [(4, 2), (8, 2), (16, 4)])
+def test_a_quarter_of_the_samples_and_two_at_least_are_traced_everywhere(
+    scene, renderer, tracer, spp, everywhere
+):
+    asked = request(scene, COVERING, 64, spp, 0)
+    underlay = wrong_right_half(renderer, asked.region, FrameSettings(fovea="fused", camera=asked.camera))
+    count = DiscTracer(tracer, history=False).trace(asked, underlay).count
+    assert count.sum() == spp * 64 * 64
+    # Where the splats are right, these are all.
+    assert count.min() == everywhere
+    assert (count == everywhere).mean() > 0.2
+
+
 def test_adaptive_samples_are_unbiased(scene, renderer, tracer):
     """Where samples go depends on the first ones only, so that the mean over runs is that of even samples."""
     asked = request(scene, COVERING, 64, 8, 0)

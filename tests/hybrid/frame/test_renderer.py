@@ -79,6 +79,15 @@ def test_the_same_seed_gives_the_same_frame_and_another_one_another(renderer):
     first, again, other = (renderer.frame(RAW, seed).composite for seed in (3, 3, 4))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
+    assert np.array_equal(renderer.frame(RAW).composite, renderer.frame(RAW, seed=0).composite)
+
+
+def test_splats_are_rendered_under_the_disc_only_if_they_are_fused_with_it(renderer):
+    settings = sized(RAW, renderer, 64, 64)
+    region = settings.foveation.region(64, 64)
+    for mode in FoveaMode:
+        underlay = renderer.underlay(settings.camera, replace(settings, fovea=mode), region)
+        assert (underlay is not None) == (mode is FoveaMode.FUSED)
 
 
 def test_the_frame_says_how_it_was_made(renderer):

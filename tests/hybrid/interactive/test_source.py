@@ -68,12 +68,14 @@ def test_each_frame_has_samples_of_its_own(source):
     assert not np.array_equal(first, second)
 
 
-def test_what_is_forgotten_has_no_history(source):
+def test_after_forgetting_a_frame_begins_anew(source):
     asked = request(source)
     source.show(asked, False)
-    source.show(asked, False)
+    before = source.show(asked, False).frame
     source.forget()
-    assert source.show(asked, True).spp == 1
+    after = source.show(asked, True)
+    assert after.spp == 1
+    assert after.frame.periphery is not before.periphery
 
 
 def test_a_frame_with_enough_samples_is_finished(source, monkeypatch):

@@ -64,3 +64,21 @@ def test_the_frame_may_have_any_size():
     camera = walker.camera(200, 96)
     assert (camera.width, camera.height) == (200, 96)
     assert camera.vertical_fov == pytest.approx(HOME.vertical_fov)
+
+
+def test_the_camera_is_the_same_object_until_something_changes():
+    walker = Walker(HOME)
+    changes = (
+        lambda: walker.look(5, 0),
+        lambda: walker.walk(0, 0, 1),
+        walker.reset,
+    )
+    seen = [walker.camera(64, 48)]
+    for change in changes:
+        assert walker.camera(64, 48) is seen[-1]
+        change()
+        seen.append(walker.camera(64, 48))
+    assert len({camera.key for camera in seen}) == 3
+    assert seen[-1] == seen[0]
+    assert (walker.camera(64, 50).width, walker.camera(64, 50).height) == (64, 50)
+    assert (walker.camera(70, 50).width, walker.camera(70, 50).height) == (70, 50)

@@ -140,3 +140,10 @@ def test_the_legend_lies_below_the_picture():
     # At this size only the first layers fit beside each other.
     assert {(255, 255, 255), (230, 70, 40), (135, 90, 140)} <= colours
     assert (legend == 255).mean() > 0.4
+    # A box of 12 pixels per layer with its name beside it, and a line of text below.
+    dark = (legend < 100).all(axis=2)
+    assert (legend[6:19, 6:19] == (230, 70, 40)).all()
+    assert not dark[:20, :21].any()
+    assert dark[6:20, 21:40].any()
+    assert not dark[20:, :6].any()
+    assert dark[20:34, 6:20].any()

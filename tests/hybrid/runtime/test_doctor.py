@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import platform
 from importlib.metadata import PackageNotFoundError, version
 
+import drjit as dr
 import pytest
 
 from hybrid.runtime import doctor
@@ -18,6 +21,14 @@ def test_a_working_installation_has_facts_and_no_problem(backend):
     assert report.facts["why"] == backend.reason
     assert report.facts["kernel"] == "runs"
     assert report.facts["torch"] == version("torch")
+    assert report.facts["python"] == platform.python_version()
+    assert report.facts["cores"] == len(os.sched_getaffinity(0))
+    assert report.facts["threads"] == dr.thread_count()
+    # On CUDA there is no LLVM to name.
+    assert ("llvm" in report.facts) == (backend.llvm is not None)
+    if backend.llvm is not None:
+        assert report.facts["llvm"].endswith(f" ({backend.llvm.path})")
+        assert report.facts["llvm"].startswith(f"{dr.detail.llvm_version()[0]}.")
     assert f"numpy: {version('numpy')}" in report.lines()
 
 

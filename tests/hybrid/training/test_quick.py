@@ -11,9 +11,11 @@ from compose.base.errors import UserError
 from hybrid.store.cache import newest_forest, scene_folder, store_forest
 from hybrid.training import quick as module
 from hybrid.training.quick import QUICK_CAPTURE, QUICK_TRAINING, forest_for, make_quick_forest
+from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.scene.scene import Scene, load_scene
 from splat.io.forest_file import save_forest
 from splat.model.forest import Forest
+from splat.training.trainer import TrainingSettings
 from tests import small
 from tests.hybrid.forests import white_dot
 
@@ -84,6 +86,24 @@ def test_without_any_forest_one_is_made_and_stored(scene, forest, made, capsys):
     made.clear()
     forest_for(scene, None)
     assert not made
+
+
+def test_the_bars_of_the_caller_are_used(scene, made):
+    titles = []
+
+    @contextmanager
+    def noting(title):
+        titles.append(title)
+        yield lambda done, total: None
+
+    forest_for(scene, None, noting)
+    assert titles == ["capture (samples)", "train (steps)"]
+
+
+def test_quick_settings_take_minutes():
+    """40 x 16 + 4 x 64 samples per pixel of 256 x 256, and 900 steps."""
+    assert CaptureSettings(40, 4, 256, 256, 16, 64) == QUICK_CAPTURE
+    assert TrainingSettings(900, 30_000, 4, 2) == QUICK_TRAINING
 
 
 def test_quick_settings_have_the_seed_that_was_asked_for(scene, forest, made, tmp_path):
