@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("PySide6.QtWidgets", reason="the window needs Qt", exc_type=ImportError)
 
-from PySide6.QtWidgets import QDockWidget, QScrollArea
+from PySide6.QtWidgets import QApplication, QDockWidget, QScrollArea
 
 from hybrid.demo.dock import controls_dock
 from hybrid.demo.panel import Panel
@@ -26,6 +26,11 @@ def test_the_dock_is_as_wide_as_its_panel_and_may_be_lower(application):
     assert dock.height() < wanted.height()
     assert scrolled.verticalScrollBar().maximum() > 0
     assert panel.width() >= wanted.width()
+    assert not scrolled.horizontalScrollBar().isVisible()
+    dock.resize(dock.width(), 2 * wanted.height())
+    QApplication.processEvents()
+    # With more room than it needs, the panel fills it.
+    assert panel.height() > 1.5 * wanted.height()
     dock.hide()
 
 

@@ -12,7 +12,9 @@ from hybrid.interactive.files import unused_file
 
 def test_the_lowest_free_number_is_taken(tmp_path):
     assert unused_file(tmp_path, "room", ".png") == tmp_path / "room-001.png"
-    for number in (1, 2, 4):
+    (tmp_path / "room-001.png").touch()
+    assert unused_file(tmp_path, "room", ".png") == tmp_path / "room-002.png"
+    for number in (2, 4):
         (tmp_path / f"room-00{number}.png").touch()
     assert unused_file(tmp_path, "room", ".png") == tmp_path / "room-003.png"
     assert unused_file(tmp_path, "room", ".csv") == tmp_path / "room-001.csv"

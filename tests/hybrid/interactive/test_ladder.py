@@ -48,14 +48,15 @@ def test_candidates_keep_acuity_model_display_and_share_of_the_band():
 class Timed:
     """In place of a source's `show`: frames that take 10 ms per percent of radius and 100 ms per sample.
 
-    The first two of each settings take ten times as long. Radiance is 0.4, and 0.5 where the gaze is in the
-    middle.
+    The first two of each settings take ten times as long. Radiance is 0.5 if the gaze is in the middle and
+    there is no history, else 0.4.
     """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch):
         self.now = 0.0
         self.gazes: dict[FrameSettings, list[Gaze]] = {}
         self.requests: list[Request] = []
+        self.history = True
         monkeypatch.setattr(time, "perf_counter", lambda: self.now)
 
     def show(self, request: Request, quick: bool) -> Any:
@@ -67,9 +68,13 @@ class Timed:
         self.now += slow * (0.01 * settings.fov_a + 0.1 * settings.spp)
         self.requests.append(request)
         camera, _ = settings.resolved(settings.camera)  # type: ignore[arg-type]
-        value = 0.5 if request.settings.gaze == Gaze() else 0.4
+        value = 0.4 if self.history or request.settings.gaze != Gaze() else 0.5
+        self.history = True
         composite = np.full((camera.height, camera.width, 3), value, dtype=np.float32)
         return SimpleNamespace(frame=SimpleNamespace(composite=composite))
+
+    def forget(self) -> None:
+        self.history = False
 
 
 @pytest.fixture
@@ -77,6 +82,7 @@ def timed(source, monkeypatch, own_home) -> Timed:
     """The source shows made-up frames; JOD is ten times their radiance, plus a hundredth per percent."""
     made = Timed(monkeypatch)
     monkeypatch.setattr(source, "show", made.show)
+    monkeypatch.setattr(source, "forget", made.forget)
 
     def reference(tracer: object, camera: Camera, spp: int, seed: int) -> SimpleNamespace:
         return SimpleNamespace(radiance=np.ones((camera.height, camera.width, 3), dtype=np.float32))
@@ -121,7 +127,11 @@ def test_a_ladder_is_measured_once_for_each_size_acuity_model_and_display(source
     said: list[tuple[str, int, int]] = []
     report = lambda *step: said.append(step)  # noqa: E731
     rungs = ladder_for(source, like(source), report)
-    assert [done for _, done, _ in said] == list(range(said[0][2] + 1))
+    # One step for each of the candidates, whose number is that of the steps before the last one.
+    assert [done for _, done, _ in said] == list(range(len(timed.gazes) + 2))
+    assert {total for _, _, total in said} == {len(timed.gazes) + 1}
+    # Nothing of all this is left in the next frame of the window.
+    assert not timed.history
     said.clear()
     again = ladder_for(source, like(source, rate=1), report)
     assert not said

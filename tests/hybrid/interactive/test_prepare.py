@@ -23,6 +23,15 @@ def test_a_scene_and_its_forest_become_a_source(made):
     assert source.layers == 2
 
 
+def test_the_backend_is_selected_before_the_scene_is_loaded(made, monkeypatch):
+    done: list[str] = []
+    load = prepare.load_scene
+    monkeypatch.setattr(prepare, "select_backend", done.append)
+    monkeypatch.setattr(prepare, "load_scene", lambda name: done.append(name) or load(name))
+    prepared("cornell", made / "box.forest", "llvm", False, silent)
+    assert done == ["llvm", "cornell"]
+
+
 def test_the_newest_forest_of_the_scene_is_used(made):
     store_forest(load_forest(made / "box.forest"), "box")
     source = prepared("cornell", None, "auto", False, silent)
