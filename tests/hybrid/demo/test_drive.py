@@ -109,7 +109,7 @@ def test_every_thread_ends_with_the_window(toured):
 
 
 def test_random_input_breaks_nothing(screen, made, tmp_path):
-    seen = driven("fuzz", screen, made, tmp_path, 8)
+    seen = driven("fuzz", screen, made, tmp_path, 5)
     assert seen["error"] is None
     assert not seen["running"]
 
