@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import warnings
 from functools import lru_cache
 from typing import Any
 
@@ -28,7 +31,7 @@ def jod(image: Image, reference: Image, display: Display, gaze: Gaze) -> float |
         10 for no difference, less for visible ones; None if the metric is not installed.
     """
     try:
-        import pyfvvdp  # noqa: F401
+        _pyfvvdp()
         import torch
     except ImportError:
         return None
@@ -45,9 +48,9 @@ def jod(image: Image, reference: Image, display: Display, gaze: Gaze) -> float |
 @lru_cache(maxsize=8)
 def _metric(width: int, height: int, display: Display) -> Any:
     """The metric for images of one size; constructing it takes as long as using it."""
-    import pyfvvdp
     import torch
 
+    pyfvvdp = _pyfvvdp()
     across = float(np.degrees(2 * np.arctan(width / 2 / display.focal)))
     return pyfvvdp.fvvdp(
         display_geometry=pyfvvdp.fvvdp_display_geometry((width, height), fov_horizontal=across),
@@ -58,3 +61,26 @@ def _metric(width: int, height: int, display: Display) -> Any:
         foveated=True,
         device=torch.device("cpu"),
     )
+
+
+def _pyfvvdp() -> Any:
+    """The package, also in a process that has imported pip.
+
+    Wheels that complete their installation when Python first starts (LLVM's does) import pip. Before
+    Python 3.12, setuptools then stops supplying `distutils` and fails on its own check; setuptools is
+    imported by torch's benchmarks, and those by pyfvvdp. Asking for the `distutils` of the standard
+    library skips the check.
+    """
+    if "pip" not in sys.modules or sys.version_info >= (3, 12) or "SETUPTOOLS_USE_DISTUTILS" in os.environ:
+        import pyfvvdp
+
+        return pyfvvdp
+    os.environ["SETUPTOOLS_USE_DISTUTILS"] = "stdlib"
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Reliance on distutils", UserWarning)
+            import pyfvvdp
+
+            return pyfvvdp
+    finally:
+        del os.environ["SETUPTOOLS_USE_DISTUTILS"]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -31,7 +33,8 @@ def noisy(image: np.ndarray, size: float) -> np.ndarray:
 class TestInstalled:
     @pytest.fixture(autouse=True)
     def metric(self):
-        pytest.importorskip("pyfvvdp", reason="FovVideoVDP is not installed")
+        if find_spec("pyfvvdp") is None:
+            pytest.skip("FovVideoVDP is not installed")
 
     def test_equal_images_have_10_and_more_noise_has_less(self, image):
         scores = [jod(noisy(image, size), image, DISPLAY, Gaze()) for size in (0, 0.05, 0.2, 0.6)]
@@ -57,6 +60,21 @@ class TestInstalled:
             for luminance in (200.0, 1.0)
         )
         assert dark > bright + 0.05
+
+    def test_works_in_the_first_process_of_an_environment(self):
+        """There pip is imported before anything else, by wheels that complete their installation."""
+        code = """
+import pip, os
+import numpy as np
+from compose.eye.display import Display
+from compose.eye.gaze import Gaze
+from hybrid.measure.metrics.fovvideovdp import jod
+image = np.full((48, 80, 3), 0.5, np.float32)
+print(jod(image, image, Display(80, 48, 40.0), Gaze()), os.environ.get("SETUPTOOLS_USE_DISTUTILS"))
+"""
+        ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        assert (ran.returncode, ran.stdout) == (0, "10.0 None\n"), ran.stderr
+        assert "distutils" not in ran.stderr
 
 
 def test_without_the_package_there_is_no_value(monkeypatch, image):
