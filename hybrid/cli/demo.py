@@ -62,7 +62,7 @@ def demo(
     latency: Annotated[
         float, typer.Option(help="Delay of the gaze in milliseconds.", min=0, rich_help_panel=VIEWER)
     ] = 0.0,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for pictures and gaze traces.")] = Path(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for screenshots and gaze traces.")] = Path(
         "."
     ),
     bench: Annotated[

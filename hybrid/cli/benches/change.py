@@ -35,7 +35,7 @@ def change(
     from hybrid.bench.change import bench_change
 
     _, captured, found = matching(scene, frames, forest)
-    with progress_bar("bench (pictures)") as bar:
+    with progress_bar("bench (frames)") as bar:
         rows = bench_change(partial(loaded_scene, scene), captured, found, spp, reference_spp, bar)
     print("change            method        PSNR    SSIM    FLIP")
     for row in rows:
