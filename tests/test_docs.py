@@ -57,3 +57,9 @@ def test_pages_use_options_that_exist(page):
         for option in re.findall(r"(?<![\w-])--[a-z][a-z-]+", command)
     }
     assert used - known == set()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_source_files_that_pages_name_exist(page):
+    named = re.findall(r"`((?:compose|pathtrace|splat|hybrid|tests|examples|scenes)/[\w/.]*)`", page.read_text())
+    assert [path for path in named if not (ROOT / path).exists()] == []
