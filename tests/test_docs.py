@@ -61,5 +61,7 @@ def test_pages_use_options_that_exist(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_source_files_that_pages_name_exist(page):
-    named = re.findall(r"`((?:compose|pathtrace|splat|hybrid|tests|examples|scenes)/[\w/.]*)`", page.read_text())
+    named = re.findall(
+        r"`((?:compose|pathtrace|splat|hybrid|tests|examples|scenes)/[\w/.]*)`", page.read_text()
+    )
     assert [path for path in named if not (ROOT / path).exists()] == []
