@@ -16,15 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
+from pathtrace.cache.cache import IrradianceCache
 from pathtrace.scene.scene import Scene
+from pathtrace.trace.cached_paths import PathSettings, path_radiance
 from pathtrace.trace.film import FilmPositions
 from pathtrace.trace.first_hit import AuxiliaryFeatures, auxiliary_features, first_hits, has_clear_surfaces
 from pathtrace.trace.lanes import Lanes
 from pathtrace.trace.rays import opaque_camera, ray_through
+from pathtrace.trace.sequences import Sequences
 
 # Lanes traced at once: bounds the memory that many samples of a large frame take.
 _MAX_LANES = 1 << 22
 RUSSIAN_ROULETTE_DEPTH = 5
+# Shadow rays at the first surface of paths that end in a cache.
+_SHADOW_RAYS = 2
 # With fewer samples, the noise of the auxiliary features shows in what they guide; each costs a twentieth of
 # a path.
 _MIN_AUXILIARY_SPP, _MAX_AUXILIARY_SPP = 4, 16
@@ -72,17 +77,25 @@ class Tracer:
         max_depth: path depth; the scene's own by default.
         roulette_depth: depth from which Russian roulette may end a path: with a smaller one, samples are
             quicker and noisier.
+        cache: irradiance of the scene, in which paths end (pathtrace.trace.cached_paths): quicker, with less
+            noise, but biased. Without it, the result is unbiased.
     """
 
     def __init__(
-        self, scene: Scene, max_depth: int | None = None, roulette_depth: int = RUSSIAN_ROULETTE_DEPTH
+        self,
+        scene: Scene,
+        max_depth: int | None = None,
+        roulette_depth: int = RUSSIAN_ROULETTE_DEPTH,
+        cache: IrradianceCache | None = None,
     ):
         self.scene = scene
         depth = max_depth or scene.max_depth
         self._path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": roulette_depth})
         self._clear = has_clear_surfaces(scene.mitsuba)
         # Frozen per tracer: the scene is part of the recording.
-        self._trace_radiance = dr.freeze(self._radiance)
+        self._cache = cache
+        self._settings = PathSettings(depth, roulette_depth, _SHADOW_RAYS)
+        self._trace_radiance = dr.freeze(self._radiance if cache is None else self._cached_radiance)
         self._trace_auxiliary = dr.freeze(self._auxiliary)
 
     def trace(
@@ -177,7 +190,11 @@ class Tracer:
         """Six (N,) arrays: sums of each position's radiance, then of its squares, in pass `number`."""
         # Seeds of different frames and passes must not overlap; numpy's seed sequence mixes them.
         state = dr.opaque(mi.UInt32, _mixed([seed, number]))
-        channels = self._trace_radiance(self.scene.mitsuba, state, *batch.rays())
+        if self._cache is None:
+            channels = self._trace_radiance(self.scene.mitsuba, state, *batch.rays())
+        else:
+            known = self._cache.arrays
+            channels = self._trace_radiance(self.scene.mitsuba, state, known, batch.sequences, *batch.rays())
         dr.eval(channels)
         return [batch.lanes.sums(c) for c in (*channels, *(dr.square(c) for c in channels))]
 
@@ -186,14 +203,25 @@ class Tracer:
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(state, dr.width(x))
         radiance, _, _ = self._path.sample(scene, sampler, ray_through(camera, x, y), active=active)
-        # A sample that is not finite counts as black: it would spoil its pixel's mean.
-        finite = dr.all(dr.isfinite(radiance))
-        radiance = dr.select(finite, radiance, 0)
-        # Without this evaluation, every later step would trace its own paths: three to four times the work.
-        sampler.schedule_state()
-        channels = [radiance.x, radiance.y, radiance.z]
-        dr.eval(channels)
-        return channels
+        return _evaluated(radiance, sampler)
+
+    def _cached_radiance(
+        self,
+        scene: Any,
+        state: Any,
+        cache: tuple[Any, ...],
+        sequences: Sequences,
+        x: Any,
+        y: Any,
+        active: Any,
+        *camera: Any,
+    ) -> list[Any]:
+        """Radiance of each lane by paths that end in the cache; frozen."""
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(state, dr.width(x))
+        ray = ray_through(camera, x, y)
+        radiance = path_radiance(scene, sampler, ray, active, self._settings, sequences, cache)
+        return _evaluated(radiance, sampler)
 
     def _auxiliary(self, scene: Any, x: Any, y: Any, active: Any, *camera: Any) -> AuxiliaryFeatures:
         """Auxiliary features of each lane; frozen."""
@@ -225,17 +253,34 @@ class _Batch:
         """The lanes that trace these samples."""
         return Lanes.of(self.positions.count, self.spp)
 
-    def rays(self) -> tuple[Any, ...]:
-        """Film coordinates x and y, mask and camera of all lanes, as the frozen functions take them."""
+    @cached_property
+    def sequences(self) -> Sequences:
+        """Where the samples of these lanes come from."""
         if isinstance(self.offset, int):
             offset = dr.opaque(mi.UInt32, self.offset)
         else:
             offset = mi.UInt32(self.offset.astype(np.uint32))
-        pattern = dr.opaque(mi.UInt32, _mixed(self.pattern))
-        x, y = self.lanes.sample_positions(self.positions, offset, pattern)
+        sequences = self.lanes.sequences(self.positions, offset, dr.opaque(mi.UInt32, _mixed(self.pattern)))
+        dr.eval(sequences)
+        return sequences
+
+    def rays(self) -> tuple[Any, ...]:
+        """Film coordinates x and y, mask and camera of all lanes, as the frozen functions take them."""
+        x, y = self.lanes.sample_positions(self.positions, self.sequences)
         active = self.lanes.active
         dr.eval(x, y, active)
         return x, y, active, *opaque_camera(self.camera)
+
+
+def _evaluated(radiance: Any, sampler: Any) -> list[Any]:
+    """Three channels of radiance, computed."""
+    # A sample that is not finite counts as black: it would spoil its pixel's mean.
+    radiance = dr.select(dr.all(dr.isfinite(radiance)), radiance, 0)
+    # Without this evaluation, every later step would trace its own paths: three to four times the work.
+    sampler.schedule_state()
+    channels = [radiance.x, radiance.y, radiance.z]
+    dr.eval(channels)
+    return channels
 
 
 def _mixed(entropy: int | list[int]) -> int:

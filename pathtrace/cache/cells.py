@@ -1,0 +1,149 @@
+"""Cells of surface: places of about one size and orientation, and the numbers that name them.
+
+The same names are found with NumPy, where a cache is filled, and with Dr.Jit, where paths look it up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+# Sides of the cells of each level, in units of the cells' scale.
+SIDES = (0.02, 0.08, 0.4)
+# Points that a cell of each level must have; a large cell needs more, for its light varies.
+_FEWEST = (8, 8, 16)
+# Normals have six main directions, so that the sides of a thin wall or of a corner are told apart.
+_ORIENTATIONS = 8
+
+
+@dataclass(frozen=True)
+class Points:
+    """N points on surfaces.
+
+    Attributes:
+        position: (N, 3) in world space.
+        normal: (N, 3) unit normals of the side that is lit.
+    """
+
+    position: NDArray[np.float32]
+    normal: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def take(self, chosen: NDArray[Any]) -> Points:
+        """Some of the points, by index or mask."""
+        return Points(self.position[chosen], self.normal[chosen])
+
+
+# Whether nothing lies between points, given by their indices (M,) each, and the side of their cell.
+Joined = Callable[[NDArray[np.int64], NDArray[np.int64], float], NDArray[np.bool_]]
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """The cells of all levels that are known, one level after the other.
+
+    Attributes:
+        origin: (3,) of the cells' grid, in world space.
+        scale: unit of the cells' sides, a typical distance in the scene.
+        keys: for each level, (C_l,) names of its cells, sorted.
+    """
+
+    origin: NDArray[np.float32]
+    scale: float
+    keys: tuple[NDArray[np.uint64], ...]
+
+    @staticmethod
+    def of(points: Points, origin: NDArray[np.float32], scale: float, joined: Joined) -> Cells:
+        """The cells in which enough points lie.
+
+        A cell that something divides, a thin wall for example, is left out: its mean would carry light from
+        one side to the other.
+
+        Args:
+            points: of the scene's surfaces.
+            origin, scale: as of the class.
+            joined: tells whether nothing lies between two points of a cell.
+        """
+        keys = []
+        for level, side in enumerate(SIDES):
+            key = _key(points, origin, scale, level)
+            unique, one, cell, count = np.unique(
+                key, return_index=True, return_inverse=True, return_counts=True
+            )
+            known = count >= _FEWEST[level]
+            asked = np.flatnonzero(known[cell])
+            known[cell[asked[~joined(asked, one[cell[asked]], side * scale)]]] = False
+            keys.append(unique[known])
+        return Cells(origin, scale, tuple(keys))
+
+    def __len__(self) -> int:
+        return sum(len(keys) for keys in self.keys)
+
+    @cached_property
+    def names(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+        """Two names of each cell: one to choose its place in a hash table, one to recognize it there."""
+        keys = np.concatenate(self.keys)
+        return (keys >> np.uint64(32)).astype(np.uint32), keys.astype(np.uint32)
+
+    def indices(self, points: Points) -> NDArray[np.int64]:
+        """(levels, N) index of the cell of each level that each point lies in; -1 where none is known."""
+        start, found = 0, []
+        for level, keys in enumerate(self.keys):
+            key = _key(points, self.origin, self.scale, level)
+            place = np.minimum(np.searchsorted(keys, key), max(len(keys) - 1, 0))
+            known = keys[place] == key if len(keys) else np.zeros(len(key), dtype=bool)
+            found.append(np.where(known, start + place, -1))
+            start += len(keys)
+        return np.stack(found)
+
+
+def _key(points: Points, origin: NDArray[np.float32], scale: float, level: int) -> NDArray[np.uint64]:
+    """(N,) both names of the cells that points lie in, as one number."""
+    local = (points.position - origin) / np.float32(scale)
+    first, second = _names(local, points.normal, level)
+    return first.astype(np.uint64) << np.uint64(32) | second
+
+
+def _names(
+    position: NDArray[np.float32], normal: NDArray[np.float32], level: int
+) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """Two names (N,) of the cells of a level; positions are in units of the scale, from the origin."""
+    x, y, z = np.floor(position / np.float32(SIDES[level])).astype(np.int64).astype(np.uint32).T
+    axis = np.abs(normal).argmax(axis=1)
+    orientation = 2 * axis + (normal[np.arange(len(normal)), axis] > 0)
+    kind = (orientation + _ORIENTATIONS * level).astype(np.uint32)
+    first, second = _mixed(x, y, z, kind, np.uint32), _mixed(z, x, y, kind + np.uint32(1), np.uint32)
+    # 0 marks an empty place in a table.
+    return first, second | np.uint32(1)
+
+
+def cell_names_jit(position: Any, normal: Any, level: int) -> tuple[Any, Any]:
+    """Two names of the cells of a level that N Mitsuba points lie in, from points and their normals."""
+    x, y, z = (mi.UInt32(mi.Int32(values)) for values in dr.floor(position / SIDES[level]))
+    size = dr.abs(normal)
+    # Ties go to the first axis, as in numpy.
+    last = dr.select(size.y >= size.z, mi.UInt32(1), mi.UInt32(2))
+    axis = dr.select((size.x >= size.y) & (size.x >= size.z), mi.UInt32(0), last)
+    along = dr.select(axis == 0, normal.x, dr.select(axis == 1, normal.y, normal.z))
+    kind = 2 * axis + dr.select(along > 0, mi.UInt32(1), mi.UInt32(0)) + _ORIENTATIONS * level
+    return _mixed(x, y, z, kind, mi.UInt32), _mixed(z, x, y, kind + 1, mi.UInt32) | 1
+
+
+def _mixed(x: Any, y: Any, z: Any, kind: Any, integer: Any) -> Any:
+    """32 bits in which neighbouring cells have nothing in common.
+
+    The products are those of Teschner et al. 2003, the rest is the finalizer of MurmurHash3 (Appleby).
+    """
+    bits = x * integer(73856093) ^ y * integer(19349663) ^ z * integer(83492791) ^ kind * integer(2654435769)
+    bits = (bits ^ (bits >> integer(16))) * integer(0x85EBCA6B)
+    bits = (bits ^ (bits >> integer(13))) * integer(0xC2B2AE35)
+    return bits ^ (bits >> integer(16))

@@ -1,0 +1,138 @@
+"""Fills a cache of irradiance: where paths from some views end, the light of the scene is sampled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.camera.camera import Camera
+from pathtrace.cache.cache import IrradianceCache
+from pathtrace.cache.cells import Cells, Points
+from pathtrace.cache.transport import Links, Transport
+from pathtrace.fill.gather import RAYS, Gathered, gather
+from pathtrace.scene.scene import Scene
+from pathtrace.scene.surfaces import Surfaces
+from pathtrace.trace.first_hit import first_hits
+from pathtrace.trace.rays import opaque_camera, ray_through
+
+# Points where paths of the views end, and points that are seen from those.
+POINTS = 1 << 17
+# Points of a cell are looked at from this height above the surface, in sides of the cell.
+_HEIGHT = 0.1
+
+
+def fill_cache(
+    scene: Scene,
+    cameras: Sequence[Camera],
+    seed: int = 0,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    points: int = POINTS,
+) -> IrradianceCache:
+    """A cache of the irradiance that paths from some views will ask for.
+
+    Args:
+        scene: the scene.
+        cameras: the views; at least one.
+        seed: same seed, same cache on the same machine.
+        progress: called with steps done and steps in all.
+        points: number of points to sample, each of two times.
+    """
+    random = np.random.default_rng(seed)
+    state = lambda: int(random.integers(1 << 32))  # noqa: E731
+    share = -(-points // len(cameras))
+    ends = _concatenated([_path_ends(scene.mitsuba, camera, share, state()) for camera in cameras])
+    progress(1, 4)
+    first = gather(scene.mitsuba, ends, state())
+    progress(2, 4)
+    # What is seen from there must be known as well, to know what it reflects.
+    seen = np.flatnonzero(first.valid)
+    others = first.hits.take(random.permutation(seen)[:points])
+    second = gather(scene.mitsuba, others, state())
+    progress(3, 4)
+    every = _concatenated([ends, others])
+    scale = _scale(scene, cameras[0])
+    joined = lambda one, other, side: _joined(scene.mitsuba, every, one, other, side)  # noqa: E731
+    cells = Cells.of(every, cameras[0].position.astype(np.float32), scale, joined)
+    of_points = cells.indices(every)
+    direct = _cell_means(np.concatenate([first.direct, second.direct]), of_points, len(cells))
+    transport = Transport.of(_links([first, second], cells), of_points, len(cells))
+    irradiance = transport.irradiance(direct, _segments(scene))
+    progress(4, 4)
+    return IrradianceCache(cells, irradiance)
+
+
+def _segments(scene: Scene) -> int:
+    """Segments that a path may take beyond the cache: one leads to the first surface, one from there."""
+    return max(1, scene.max_depth - 2) if scene.max_depth >= 0 else -1
+
+
+def _scale(scene: Scene, camera: Camera) -> float:
+    distance = Surfaces(scene).median_distance(camera)
+    return distance if np.isfinite(distance) else float(dr.max(scene.mitsuba.bbox().extents()))
+
+
+def _path_ends(scene: Any, camera: Camera, count: int, seed: int) -> Points:
+    """Where paths of a camera arrive after they were scattered once."""
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(dr.opaque(mi.UInt32, seed), count)
+    width, height = dr.opaque(mi.Float, camera.width), dr.opaque(mi.Float, camera.height)
+    ray = ray_through(opaque_camera(camera), sampler.next_1d() * width, sampler.next_1d() * height)
+    seen = first_hits(scene, ray, mi.Bool(True)).last
+    valid = seen.is_valid()
+    sample, weight = seen.bsdf().sample(mi.BSDFContext(), seen, sampler.next_1d(), sampler.next_2d(), valid)
+    valid &= dr.max(weight) > 0
+    hit = first_hits(scene, seen.spawn_ray(seen.to_world(sample.wo)), valid).last
+    valid &= hit.is_valid() & mi.has_flag(hit.bsdf().flags(), mi.BSDFFlags.Smooth)
+    position, normal = hit.p, mi.Vector3f(dr.select(hit.wi.z > 0, hit.n, -hit.n))
+    dr.eval(position, normal, valid)
+    return Points(position.numpy().T, normal.numpy().T).take(valid.numpy())
+
+
+def _links(parts: Sequence[Gathered], cells: Cells) -> Links:
+    """The rays whose hits lie in known cells, and those that left the scene."""
+    hits = cells.indices(_concatenated([part.hits for part in parts]))
+    # The smallest cell that is known.
+    cell = np.full(hits.shape[1], -1)
+    for level in reversed(hits):
+        cell = np.where(level >= 0, level, cell)
+    valid, bounces, reflectance = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("valid", "bounces", "reflectance")
+    )
+    # Rays that hit an unknown cell are left out, as if they had found what the others did.
+    kept = np.flatnonzero(~valid | (cell >= 0))
+    cell = np.where(valid, cell, -1)
+    return Links(kept // RAYS, cell[kept], bounces[kept], reflectance[kept])
+
+
+def _cell_means(values: NDArray[np.float32], cells: NDArray[np.int64], count: int) -> NDArray[np.float32]:
+    """(C, 3) means over cells of values (N, 3) at points whose cells (levels, N) are given."""
+    level, point = np.nonzero(cells >= 0)
+    cell = cells[level, point]
+    number = np.maximum(np.bincount(cell, minlength=count), 1)
+    sums = [np.bincount(cell, channel[point], count) for channel in values.T]
+    return (np.stack(sums, axis=1) / number[:, None]).astype(np.float32)
+
+
+def _concatenated(parts: Sequence[Points]) -> Points:
+    return Points(
+        np.concatenate([part.position for part in parts]), np.concatenate([part.normal for part in parts])
+    )
+
+
+def _joined(
+    scene: Any, points: Points, one: NDArray[np.int64], other: NDArray[np.int64], side: float
+) -> NDArray[np.bool_]:
+    """Whether nothing lies between points, seen from a little above their surfaces."""
+    if not len(one):
+        return np.ones(0, dtype=bool)
+    raised = points.position + np.float32(_HEIGHT * side) * points.normal
+    start, way = raised[one], raised[other] - raised[one]
+    ray = mi.Ray3f(mi.Point3f(start.T), mi.Vector3f(way.T), 1.0, 0.0, [])
+    blocked: NDArray[np.bool_] = scene.ray_test(ray, dr.squared_norm(ray.d) > 0).numpy()
+    return ~blocked
