@@ -21,6 +21,11 @@ SIDES = (0.02, 0.08, 0.4)
 _FEWEST = (8, 8, 16)
 # Normals have six main directions, so that the sides of a thin wall or of a corner are told apart.
 _ORIENTATIONS = 8
+# Of the two names of a cell: large odd numbers.
+_FACTORS = (
+    (0x9E3779B1, 0x85EBCA77, 0xC2B2AE3D, 0x27D4EB2F),
+    (0x165667B1, 0xD6E8FEB9, 0xA5CB9243, 0x7FEB352D),
+)
 
 
 @dataclass(frozen=True)
@@ -49,21 +54,23 @@ Joined = Callable[[NDArray[np.int64], NDArray[np.int64], float], NDArray[np.bool
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """The cells of all levels that are known, one level after the other.
+    """C cells of all levels, one level after the other.
 
     Attributes:
         origin: (3,) of the cells' grid, in world space.
         scale: unit of the cells' sides, a typical distance in the scene.
         keys: for each level, (C_l,) names of its cells, sorted.
+        counts: for each level, (C_l,) number of points in each cell.
     """
 
     origin: NDArray[np.float32]
     scale: float
     keys: tuple[NDArray[np.uint64], ...]
+    counts: tuple[NDArray[np.int64], ...]
 
     @staticmethod
     def of(points: Points, origin: NDArray[np.float32], scale: float, joined: Joined) -> Cells:
-        """The cells in which enough points lie.
+        """The cells in which points lie.
 
         A cell that something divides, a thin wall for example, is left out: its mean would carry light from
         one side to the other.
@@ -73,17 +80,42 @@ class Cells:
             origin, scale: as of the class.
             joined: tells whether nothing lies between two points of a cell.
         """
-        keys = []
+        keys, counts = [], []
         for level, side in enumerate(SIDES):
             key = _key(points, origin, scale, level)
             unique, one, cell, count = np.unique(
                 key, return_index=True, return_inverse=True, return_counts=True
             )
-            known = count >= _FEWEST[level]
-            asked = np.flatnonzero(known[cell])
-            known[cell[asked[~joined(asked, one[cell[asked]], side * scale)]]] = False
-            keys.append(unique[known])
-        return Cells(origin, scale, tuple(keys))
+            whole = np.ones(len(unique), dtype=bool)
+            whole[cell[~joined(np.arange(len(key)), one[cell], side * scale)]] = False
+            keys.append(unique[whole])
+            counts.append(count[whole])
+        return Cells(origin, scale, tuple(keys), tuple(counts))
+
+    @cached_property
+    def known(self) -> NDArray[np.bool_]:
+        """(C,) whether enough points lie in each cell to show its mean."""
+        enough = [count >= fewest for count, fewest in zip(self.counts, _FEWEST, strict=True)]
+        return np.concatenate(enough)
+
+    def best(self, points: Points) -> NDArray[np.int64]:
+        """(N,) index of the smallest known cell of each point, else of the smallest at all; -1 if there is none."""
+        best = np.full(len(points), -1)
+        indices = self.indices(points)
+        for wanted in (np.ones(len(self), dtype=bool), self.known):
+            for cell in reversed(indices):
+                best = np.where((cell >= 0) & wanted[cell], cell, best)
+        return best
+
+    def only_known(self) -> Cells:
+        """The cells that are known."""
+        ends = np.cumsum([len(keys) for keys in self.keys])[:-1]
+        chosen = np.split(self.known, ends)
+        keys, counts = (
+            tuple(values[kept] for values, kept in zip(levels, chosen, strict=True))
+            for levels in (self.keys, self.counts)
+        )
+        return Cells(self.origin, self.scale, keys, counts)
 
     def __len__(self) -> int:
         return sum(len(keys) for keys in self.keys)
@@ -121,7 +153,7 @@ def _names(
     axis = np.abs(normal).argmax(axis=1)
     orientation = 2 * axis + (normal[np.arange(len(normal)), axis] > 0)
     kind = (orientation + _ORIENTATIONS * level).astype(np.uint32)
-    first, second = _mixed(x, y, z, kind, np.uint32), _mixed(z, x, y, kind + np.uint32(1), np.uint32)
+    first, second = (_mixed(x, y, z, kind, factors, np.uint32) for factors in _FACTORS)
     # 0 marks an empty place in a table.
     return first, second | np.uint32(1)
 
@@ -135,15 +167,17 @@ def cell_names_jit(position: Any, normal: Any, level: int) -> tuple[Any, Any]:
     axis = dr.select((size.x >= size.y) & (size.x >= size.z), mi.UInt32(0), last)
     along = dr.select(axis == 0, normal.x, dr.select(axis == 1, normal.y, normal.z))
     kind = 2 * axis + dr.select(along > 0, mi.UInt32(1), mi.UInt32(0)) + _ORIENTATIONS * level
-    return _mixed(x, y, z, kind, mi.UInt32), _mixed(z, x, y, kind + 1, mi.UInt32) | 1
+    first, second = (_mixed(x, y, z, kind, factors, mi.UInt32) for factors in _FACTORS)
+    return first, second | 1
 
 
-def _mixed(x: Any, y: Any, z: Any, kind: Any, integer: Any) -> Any:
+def _mixed(x: Any, y: Any, z: Any, kind: Any, factors: tuple[int, ...], integer: Any) -> Any:
     """32 bits in which neighbouring cells have nothing in common.
 
-    The products are those of Teschner et al. 2003, the rest is the finalizer of MurmurHash3 (Appleby).
+    The sum of products gives cells near each other different numbers, which an exclusive or would not; the
+    rest is the finalizer of MurmurHash3 (Appleby).
     """
-    bits = x * integer(73856093) ^ y * integer(19349663) ^ z * integer(83492791) ^ kind * integer(2654435769)
+    bits = sum(part * integer(factor) for part, factor in zip((x, y, z, kind), factors, strict=True))
     bits = (bits ^ (bits >> integer(16))) * integer(0x85EBCA6B)
     bits = (bits ^ (bits >> integer(13))) * integer(0xC2B2AE35)
     return bits ^ (bits >> integer(16))

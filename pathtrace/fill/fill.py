@@ -20,10 +20,12 @@ from pathtrace.scene.surfaces import Surfaces
 from pathtrace.trace.first_hit import first_hits
 from pathtrace.trace.rays import opaque_camera, ray_through
 
-# Points where paths of the views end, and points that are seen from those.
+# Points of each generation.
 POINTS = 1 << 17
 # Points of a cell are looked at from this height above the surface, in sides of the cell.
 _HEIGHT = 0.1
+# Points where paths of the views end, points seen from those, and so on.
+_GENERATIONS = 3
 
 
 def fill_cache(
@@ -40,30 +42,45 @@ def fill_cache(
         cameras: the views; at least one.
         seed: same seed, same cache on the same machine.
         progress: called with steps done and steps in all.
-        points: number of points to sample, each of two times.
+        points: number of points of each generation.
     """
     random = np.random.default_rng(seed)
     state = lambda: int(random.integers(1 << 32))  # noqa: E731
+    total = _GENERATIONS + 1
+    origin, scale = cameras[0].position.astype(np.float32), _scale(scene, cameras[0])
     share = -(-points // len(cameras))
-    ends = _concatenated([_path_ends(scene.mitsuba, camera, share, state()) for camera in cameras])
-    progress(1, 4)
-    first = gather(scene.mitsuba, ends, state())
-    progress(2, 4)
-    # What is seen from there must be known as well, to know what it reflects.
-    seen = np.flatnonzero(first.valid)
-    others = first.hits.take(random.permutation(seen)[:points])
-    second = gather(scene.mitsuba, others, state())
-    progress(3, 4)
-    every = _concatenated([ends, others])
-    scale = _scale(scene, cameras[0])
+    parts = [_concatenated([_path_ends(scene.mitsuba, camera, share, state()) for camera in cameras])]
+    gathered: list[Gathered] = []
+    for generation in range(_GENERATIONS):
+        gathered.append(gather(scene.mitsuba, parts[-1], state()))
+        progress(generation + 1, total)
+        if generation + 1 < _GENERATIONS:
+            # What is seen from there must be known as well, to know what it reflects.
+            parts.append(_seen(gathered[-1], _concatenated(parts), origin, scale, points, random))
+    every = _concatenated(parts)
     joined = lambda one, other, side: _joined(scene.mitsuba, every, one, other, side)  # noqa: E731
-    cells = Cells.of(every, cameras[0].position.astype(np.float32), scale, joined)
+    cells = Cells.of(every, origin, scale, joined)
     of_points = cells.indices(every)
-    direct = _cell_means(np.concatenate([first.direct, second.direct]), of_points, len(cells))
-    transport = Transport.of(_links([first, second], cells), of_points, len(cells))
+    direct = _cell_means(np.concatenate([part.direct for part in gathered]), of_points, len(cells))
+    transport = Transport.of(_links(gathered, cells), of_points, len(cells))
     irradiance = transport.irradiance(direct, _segments(scene))
-    progress(4, 4)
-    return IrradianceCache(cells, irradiance)
+    progress(total, total)
+    return IrradianceCache(cells.only_known(), irradiance[:, cells.known])
+
+
+def _seen(
+    gathered: Gathered,
+    known: Points,
+    origin: NDArray[np.float32],
+    scale: float,
+    count: int,
+    random: np.random.Generator,
+) -> Points:
+    """Points that rays hit, first of all where none is known yet."""
+    hits = gathered.hits.take(random.permutation(np.flatnonzero(gathered.valid)))
+    nothing = lambda one, other, side: np.ones(len(one), dtype=bool)  # noqa: E731
+    new = Cells.of(known, origin, scale, nothing).best(hits) < 0
+    return hits.take(np.argsort(~new, kind="stable")[:count])
 
 
 def _segments(scene: Scene) -> int:
@@ -94,17 +111,13 @@ def _path_ends(scene: Any, camera: Camera, count: int, seed: int) -> Points:
 
 
 def _links(parts: Sequence[Gathered], cells: Cells) -> Links:
-    """The rays whose hits lie in known cells, and those that left the scene."""
-    hits = cells.indices(_concatenated([part.hits for part in parts]))
-    # The smallest cell that is known.
-    cell = np.full(hits.shape[1], -1)
-    for level in reversed(hits):
-        cell = np.where(level >= 0, level, cell)
+    """The rays whose hits lie in cells, and those that left the scene."""
+    cell = cells.best(_concatenated([part.hits for part in parts]))
     valid, bounces, reflectance = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("valid", "bounces", "reflectance")
     )
-    # Rays that hit an unknown cell are left out, as if they had found what the others did.
+    # Rays that hit no cell are left out, as if they had found what the others did.
     kept = np.flatnonzero(~valid | (cell >= 0))
     cell = np.where(valid, cell, -1)
     return Links(kept // RAYS, cell[kept], bounces[kept], reflectance[kept])
