@@ -99,7 +99,7 @@ class Cells:
         return np.concatenate(enough)
 
     def best(self, points: Points) -> NDArray[np.int64]:
-        """(N,) index of the smallest known cell of each point, else of the smallest at all; -1 if there is none."""
+        """(N,) index of each point's smallest known cell, else of its smallest at all; -1 without any."""
         best = np.full(len(points), -1)
         indices = self.indices(points)
         for wanted in (np.ones(len(self), dtype=bool), self.known):

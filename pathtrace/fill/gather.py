@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pathtrace.cache.cells import Points
+from pathtrace.cache.lobes import reflects_irradiance
 
 # Rays from each point, towards lights and towards other surfaces; a square, for they are stratified.
 _STRATA = 2
@@ -27,7 +28,7 @@ class Gathered:
         direct: (N, 3) irradiance from lights: sampled, and found through mirrors and glass.
         hits: the M points that rays hit.
         valid: (M,) whether a ray hit a surface that scatters light.
-        bounces: (M,) mirrors and glass surfaces on the way.
+        bounces: (M,) mirrors, glossy and glass surfaces on the way.
         reflectance: (M, 3) share of the irradiance of what was hit that arrives at the point.
     """
 
@@ -99,7 +100,7 @@ def _followed(scene: Any, sampler: Any, ray: Any) -> tuple[Any, ...]:
             context, hit, sampler.next_1d(active), sampler.next_2d(active), active
         )
         throughput = dr.select(active, throughput * weight, throughput)
-        passes = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta) & (dr.max(weight) > 0)
+        passes = ~reflects_irradiance(sample) & (dr.max(weight) > 0)
         valid |= active & ~passes
         side = dr.select(dr.dot(hit.n, ray.d) < 0, hit.n, -hit.n)
         active &= passes & (bounces < _MOST_BOUNCES)

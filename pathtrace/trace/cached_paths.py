@@ -13,11 +13,9 @@ import drjit as dr
 import mitsuba as mi
 
 from pathtrace.cache.cache import look_up
+from pathtrace.cache.lobes import reflects_irradiance
 from pathtrace.trace.sequences import LIGHT, SCATTERING, Sequences
 
-# A scattered direction of a higher density (per steradian) belongs to a lobe so narrow that what it reflects
-# is not a share of the irradiance.
-_WIDE_LOBE = 2.0
 _UNBOUNDED = 1 << 30
 # Share of paths that survive roulette at most.
 _SURVIVAL = 0.95
@@ -95,9 +93,8 @@ def path_radiance(
         sampled_specular = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
         lights = rough
         if dr.hint(cache is not None, mode="scalar"):
-            wide = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Diffuse) | (sample.pdf < _WIDE_LOBE)
             side = dr.select(facing < 0, hit.n, -hit.n)
-            asks = rough & scattered & ~sampled_specular & wide
+            asks = rough & scattered & reflects_irradiance(sample)
             left, jitter = depths - depth - 1, sampler.next_2d(active)
             known, irradiance = look_up(cache, hit.p, side, dr.square(spread), left, jitter, asks)
             radiance += dr.select(known, throughput * reflected * irradiance * dr.inv_pi, 0)
