@@ -18,11 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pathtrace.cache.cells import SIDES, Cells, cell_names_jit
-
-# Places in the table that are searched for a cell, from the one that its first name selects on.
-_PROBES = 4
-# Places in the table for each cell, at least.
-_ROOM = 3
+from pathtrace.cache.lights import LightChoice
+from pathtrace.cache.table import Table, find
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,28 +31,42 @@ class IrradianceCache:
     Attributes:
         cells: the cells.
         irradiance: (K, C, 3) linear; [n] is that of at most n + 1 segments, the last that of all.
+        lights: chances with which paths choose lights.
     """
 
     cells: Cells
     irradiance: NDArray[np.float32]
+    lights: LightChoice
 
     @property
     def bytes(self) -> int:
         """Memory that it takes."""
-        return 8 * len(self._table[0]) + self.irradiance.nbytes
+        return self._table.names.nbytes + self._table.indices.nbytes + self.irradiance.nbytes
 
     @cached_property
-    def _table(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-        return _table(*self.cells.names)
+    def _table(self) -> Table:
+        return Table.of(*self.cells.names)
 
-    @cached_property
-    def arrays(self) -> tuple[Any, ...]:
-        """The cache as Dr.Jit arrays for `look_up`."""
-        origin, scale = mi.Point3f(*self.cells.origin.tolist()), mi.Float(self.cells.scale)
+    def arrays(self, scene: Any) -> CacheArrays:
+        """The cache as Dr.Jit arrays, for the Mitsuba scene that it was filled for."""
         steps, cells = (mi.UInt32(size) for size in self.irradiance.shape[:2])
-        dr.make_opaque(origin, scale, steps, cells)
+        dr.make_opaque(steps, cells)
         channels = (mi.Float(self.irradiance[..., channel].ravel()) for channel in range(3))
-        return origin, scale, steps, cells, *(mi.UInt32(part) for part in self._table), *channels
+        known = self.cells.grid.arrays, self._table.arrays, steps, cells, *channels
+        return CacheArrays(known, self.lights.arrays(scene))
+
+
+@dataclass(frozen=True)
+class CacheArrays:
+    """An irradiance cache as Dr.Jit arrays.
+
+    Attributes:
+        irradiance: for `look_up`.
+        lights: for `Lights`.
+    """
+
+    irradiance: tuple[Any, ...]
+    lights: tuple[Any, ...]
 
 
 def look_up(
@@ -81,43 +92,16 @@ def look_up(
     Returns:
         Mask of the paths that got an answer, and their irradiance (Color3f, 0 elsewhere).
     """
-    origin, scale, steps, cells, names, indices, *channels = arrays
-    last = dr.width(names) - 1
+    (origin, scale), table, steps, cells, *channels = arrays
     frame = mi.Frame3f(normal)
     across = frame.s * (jitter.x - 0.5) + frame.t * (jitter.y - 0.5)
     local = (position - origin) / scale
     spread = area / dr.square(scale)
-    known, place = mi.Bool(False), mi.UInt32(0)
+    known, cell = mi.Bool(False), mi.UInt32(0)
     for level, side in enumerate(SIDES):
-        first, second = cell_names_jit(local + across * side, normal, level)
-        fits = active & (spread >= side * side)
-        for probe in range(_PROBES):
-            here = (first + probe) & last
-            asks = fits & ~known
-            found = asks & (dr.gather(mi.UInt32, names, here, asks) == second)
-            place = dr.select(found, here, place)
-            known |= found
-    cell = dr.gather(mi.UInt32, indices, place, known)
+        names = cell_names_jit(local + across * side, normal, level)
+        found, index = find(table, *names, active & ~known & (spread >= side * side))
+        cell = dr.select(found, index, cell)
+        known |= found
     cell += (dr.minimum(segments, steps) - 1) * cells
     return known, mi.Color3f(*(dr.gather(mi.Float, channel, cell, known) for channel in channels))
-
-
-def _table(
-    first: NDArray[np.uint32], second: NDArray[np.uint32]
-) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Hash table of cells with open addressing: (T,) second names and indices; T is a power of two."""
-    size = 1 << max(4, int(np.ceil(np.log2(_ROOM * len(first) + 1))))
-    while True:
-        names, indices = np.zeros(size, np.uint32), np.zeros(size, np.uint32)
-        waiting = np.arange(len(first))
-        for probe in range(_PROBES):
-            here = (first[waiting].astype(np.int64) + probe) & (size - 1)
-            # Of the cells that want the same place, the first gets it.
-            _, winner = np.unique(here, return_index=True)
-            winner = winner[names[here[winner]] == 0]
-            names[here[winner]] = second[waiting[winner]]
-            indices[here[winner]] = waiting[winner]
-            waiting = np.delete(waiting, winner)
-        if not len(waiting):
-            return names, indices
-        size *= 2

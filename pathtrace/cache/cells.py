@@ -48,6 +48,32 @@ class Points:
         return Points(self.position[chosen], self.normal[chosen])
 
 
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Where cells lie.
+
+    Attributes:
+        origin: (3,) in world space.
+        scale: unit of the cells' sides, a typical distance in the scene.
+    """
+
+    origin: NDArray[np.float32]
+    scale: float
+
+    def keys(self, points: Points, level: int) -> NDArray[np.uint64]:
+        """(N,) both names of the cells that points lie in, as one number."""
+        local = (points.position - self.origin) / np.float32(self.scale)
+        first, second = _names(local, points.normal, level)
+        return first.astype(np.uint64) << np.uint64(32) | second
+
+    @cached_property
+    def arrays(self) -> tuple[Any, Any]:
+        """Origin and scale as Dr.Jit values that are not part of a kernel."""
+        arrays = mi.Point3f(*self.origin.tolist()), mi.Float(self.scale)
+        dr.make_opaque(arrays)
+        return arrays
+
+
 # Whether nothing lies between points, given by their indices (M,) each, and the side of their cell.
 Joined = Callable[[NDArray[np.int64], NDArray[np.int64], float], NDArray[np.bool_]]
 
@@ -57,19 +83,17 @@ class Cells:
     """C cells of all levels, one level after the other.
 
     Attributes:
-        origin: (3,) of the cells' grid, in world space.
-        scale: unit of the cells' sides, a typical distance in the scene.
+        grid: where they lie.
         keys: for each level, (C_l,) names of its cells, sorted.
         counts: for each level, (C_l,) number of points in each cell.
     """
 
-    origin: NDArray[np.float32]
-    scale: float
+    grid: Grid
     keys: tuple[NDArray[np.uint64], ...]
     counts: tuple[NDArray[np.int64], ...]
 
     @staticmethod
-    def of(points: Points, origin: NDArray[np.float32], scale: float, joined: Joined) -> Cells:
+    def of(points: Points, grid: Grid, joined: Joined) -> Cells:
         """The cells in which points lie.
 
         A cell that something divides, a thin wall for example, is left out: its mean would carry light from
@@ -77,20 +101,20 @@ class Cells:
 
         Args:
             points: of the scene's surfaces.
-            origin, scale: as of the class.
+            grid: where the cells lie.
             joined: tells whether nothing lies between two points of a cell.
         """
         keys, counts = [], []
         for level, side in enumerate(SIDES):
-            key = _key(points, origin, scale, level)
+            key = grid.keys(points, level)
             unique, one, cell, count = np.unique(
                 key, return_index=True, return_inverse=True, return_counts=True
             )
             whole = np.ones(len(unique), dtype=bool)
-            whole[cell[~joined(np.arange(len(key)), one[cell], side * scale)]] = False
+            whole[cell[~joined(np.arange(len(key)), one[cell], side * grid.scale)]] = False
             keys.append(unique[whole])
             counts.append(count[whole])
-        return Cells(origin, scale, tuple(keys), tuple(counts))
+        return Cells(grid, tuple(keys), tuple(counts))
 
     @cached_property
     def known(self) -> NDArray[np.bool_]:
@@ -115,7 +139,7 @@ class Cells:
             tuple(values[kept] for values, kept in zip(levels, chosen, strict=True))
             for levels in (self.keys, self.counts)
         )
-        return Cells(self.origin, self.scale, keys, counts)
+        return Cells(self.grid, keys, counts)
 
     def __len__(self) -> int:
         return sum(len(keys) for keys in self.keys)
@@ -130,19 +154,12 @@ class Cells:
         """(levels, N) index of the cell of each level that each point lies in; -1 where none is known."""
         start, found = 0, []
         for level, keys in enumerate(self.keys):
-            key = _key(points, self.origin, self.scale, level)
+            key = self.grid.keys(points, level)
             place = np.minimum(np.searchsorted(keys, key), max(len(keys) - 1, 0))
             known = keys[place] == key if len(keys) else np.zeros(len(key), dtype=bool)
             found.append(np.where(known, start + place, -1))
             start += len(keys)
         return np.stack(found)
-
-
-def _key(points: Points, origin: NDArray[np.float32], scale: float, level: int) -> NDArray[np.uint64]:
-    """(N,) both names of the cells that points lie in, as one number."""
-    local = (points.position - origin) / np.float32(scale)
-    first, second = _names(local, points.normal, level)
-    return first.astype(np.uint64) << np.uint64(32) | second
 
 
 def _names(

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
 from pathtrace.cache.cache import IrradianceCache
-from pathtrace.cache.cells import Cells, Points
+from pathtrace.cache.cells import Cells, Grid, Points
+from pathtrace.cache.lights import LightChoice, LightSamples
 from pathtrace.cache.transport import Links, Transport
 from pathtrace.fill.gather import RAYS, Gathered, gather
 from pathtrace.scene.scene import Scene
@@ -47,8 +48,8 @@ def fill_cache(
     random = np.random.default_rng(seed)
     state = lambda: int(random.integers(1 << 32))  # noqa: E731
     total = _GENERATIONS + 1
-    origin, scale = cameras[0].position.astype(np.float32), _scale(scene, cameras[0])
-    share = -(-points // len(cameras))
+    grid = Grid(cameras[0].position.astype(np.float32), _scale(scene, cameras[0]))
+    share = -(-points // (2 * len(cameras)))
     parts = [_concatenated([_path_ends(scene.mitsuba, camera, share, state()) for camera in cameras])]
     gathered: list[Gathered] = []
     for generation in range(_GENERATIONS):
@@ -56,30 +57,33 @@ def fill_cache(
         progress(generation + 1, total)
         if generation + 1 < _GENERATIONS:
             # What is seen from there must be known as well, to know what it reflects.
-            parts.append(_seen(gathered[-1], _concatenated(parts), origin, scale, points, random))
+            parts.append(_seen(gathered[-1], _concatenated(parts), grid, points, random))
     every = _concatenated(parts)
     joined = lambda one, other, side: _joined(scene.mitsuba, every, one, other, side)  # noqa: E731
-    cells = Cells.of(every, origin, scale, joined)
+    cells = Cells.of(every, grid, joined)
     of_points = cells.indices(every)
-    direct = _cell_means(np.concatenate([part.direct for part in gathered]), of_points, len(cells))
+    sampled, reflected = (
+        np.concatenate([getattr(part, name) for part in gathered]) for name in ("direct", "reflected")
+    )
+    direct = _cell_means(sampled + _smoothed(reflected, of_points), of_points, len(cells))
     transport = Transport.of(_links(gathered, cells), of_points, len(cells))
     irradiance = transport.irradiance(direct, _segments(scene))
     progress(total, total)
-    return IrradianceCache(cells.only_known(), irradiance[:, cells.known])
+    lights = LightChoice.of(_light_samples(gathered), every, grid, len(scene.mitsuba.emitters()))
+    return IrradianceCache(cells.only_known(), irradiance[:, cells.known], lights)
 
 
 def _seen(
     gathered: Gathered,
     known: Points,
-    origin: NDArray[np.float32],
-    scale: float,
+    grid: Grid,
     count: int,
     random: np.random.Generator,
 ) -> Points:
     """Points that rays hit, first of all where none is known yet."""
     hits = gathered.hits.take(random.permutation(np.flatnonzero(gathered.valid)))
     nothing = lambda one, other, side: np.ones(len(one), dtype=bool)  # noqa: E731
-    new = Cells.of(known, origin, scale, nothing).best(hits) < 0
+    new = Cells.of(known, grid, nothing).best(hits) < 0
     return hits.take(np.argsort(~new, kind="stable")[:count])
 
 
@@ -94,7 +98,7 @@ def _scale(scene: Scene, camera: Camera) -> float:
 
 
 def _path_ends(scene: Any, camera: Camera, count: int, seed: int) -> Points:
-    """Where paths of a camera arrive after they were scattered once."""
+    """Where paths of a camera are scattered first, and where they arrive then."""
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(dr.opaque(mi.UInt32, seed), count)
     width, height = dr.opaque(mi.Float, camera.width), dr.opaque(mi.Float, camera.height)
@@ -105,9 +109,9 @@ def _path_ends(scene: Any, camera: Camera, count: int, seed: int) -> Points:
     valid &= dr.max(weight) > 0
     hit = first_hits(scene, seen.spawn_ray(seen.to_world(sample.wo)), valid).last
     valid &= hit.is_valid() & mi.has_flag(hit.bsdf().flags(), mi.BSDFFlags.Smooth)
-    position, normal = hit.p, mi.Vector3f(dr.select(hit.wi.z > 0, hit.n, -hit.n))
-    dr.eval(position, normal, valid)
-    return Points(position.numpy().T, normal.numpy().T).take(valid.numpy())
+    found = [(at.p, mi.Vector3f(dr.select(at.wi.z > 0, at.n, -at.n)), valid) for at in (seen, hit)]
+    dr.eval(found)
+    return _concatenated([Points(p.numpy().T, n.numpy().T).take(valid.numpy()) for p, n, valid in found])
 
 
 def _links(parts: Sequence[Gathered], cells: Cells) -> Links:
@@ -121,6 +125,31 @@ def _links(parts: Sequence[Gathered], cells: Cells) -> Links:
     kept = np.flatnonzero(~valid | (cell >= 0))
     cell = np.where(valid, cell, -1)
     return Links(kept // RAYS, cell[kept], bounces[kept], reflectance[kept])
+
+
+def _light_samples(parts: Sequence[Gathered]) -> LightSamples:
+    start, points = 0, []
+    for part in parts:
+        points.append(start + part.lights.point)
+        start += len(part.direct)
+    light, irradiance = (
+        np.concatenate([getattr(part.lights, name) for part in parts]) for name in ("light", "irradiance")
+    )
+    return LightSamples(np.concatenate(points), light, irradiance)
+
+
+def _smoothed(values: NDArray[np.float32], cells: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Values (N, 3) at points, each replaced by the mean over its largest cell.
+
+    Lights seen in mirrors and through glass are found rarely, and are very bright then: no small cell has
+    enough samples of them.
+    """
+    largest = cells.max(axis=0)  # the levels' indices ascend
+    alone = largest < 0
+    _, cell, count = np.unique(largest, return_inverse=True, return_counts=True)
+    sums = np.stack([np.bincount(cell, channel) for channel in values.T], axis=1)
+    means = (sums / count[:, None]).astype(np.float32)[cell]
+    return np.where(alone[:, None], values, means)
 
 
 def _cell_means(values: NDArray[np.float32], cells: NDArray[np.int64], count: int) -> NDArray[np.float32]:

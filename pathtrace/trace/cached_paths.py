@@ -12,7 +12,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from pathtrace.cache.cache import look_up
+from pathtrace.cache.cache import CacheArrays, look_up
+from pathtrace.cache.lights import Lights
 from pathtrace.cache.lobes import reflects_irradiance
 from pathtrace.trace.sequences import LIGHT, SCATTERING, Sequences
 
@@ -43,8 +44,8 @@ def path_radiance(
     ray: Any,
     active: Any,
     settings: PathSettings,
-    sequences: Sequences | None = None,
-    cache: tuple[Any, ...] | None = None,
+    sequences: Sequences,
+    cache: CacheArrays,
 ) -> Any:
     """Radiance along rays, as a path tracer with multiple importance sampling estimates it.
 
@@ -54,8 +55,8 @@ def path_radiance(
         ray: N Mitsuba rays.
         active: (N,) mask.
         settings: how paths are traced.
-        sequences: where the first surface's samples of lights and directions come from; random without.
-        cache: arrays of an irradiance cache, in which paths may end; without one, the result is unbiased.
+        sequences: where the first surface's samples of lights and directions come from.
+        cache: in which paths end; with one that knows no cell, the result is unbiased.
 
     Returns:
         N linear colours.
@@ -66,14 +67,15 @@ def path_radiance(
     # Of the vertex before: where it is, how its direction was sampled, and how many samples its light had.
     before, pdf = dr.zeros(mi.SurfaceInteraction3f), mi.Float(1)
     specular, light_samples = mi.Bool(True), mi.Float(1)
+    lights, row = Lights(scene, cache.lights), mi.UInt32(0)
     depth, scattered, spread = mi.UInt32(0), mi.Bool(False), mi.Float(0)
-    while dr.hint(active, exclude=[settings, sequences, cache]):
+    while dr.hint(active, exclude=[settings, sequences, cache, lights]):
         hit = scene.ray_intersect(ray, mi.RayFlags.All, depth == 0, active)
         # Light that the surface emits; sampling lights would have found it, too.
         emitter = hit.emitter(scene)
         found = mi.DirectionSample3f(scene, hit, before)
         shines = active & (emitter != None)  # noqa: E711
-        other_pdf = light_samples * scene.pdf_emitter_direction(before, found, shines & ~specular)
+        other_pdf = light_samples * lights.pdf(before, row, found, shines & ~specular)
         weight = dr.select(specular, 1, pdf / (pdf + other_pdf))
         radiance += dr.select(shines, throughput * weight * emitter.eval(hit, shines), 0)
         active &= hit.is_valid() & (depth + 1 < depths)
@@ -86,35 +88,33 @@ def path_radiance(
         first = rough & ~scattered
         # Scattering is sampled before direct light, since its weight is what a cached surface reflects.
         lobe, direction = sampler.next_1d(active), sampler.next_2d(active)
-        if dr.hint(sequences is not None, mode="scalar"):
-            even = mi.Point2f(*sequences.point(SCATTERING, sequences.number))
-            direction = dr.select(first, even, direction)
+        even = mi.Point2f(*sequences.point(SCATTERING, sequences.number))
+        direction = dr.select(first, even, direction)
         sample, reflected = bsdf.sample(context, hit, lobe, direction, active)
         sampled_specular = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
-        lights = rough
-        if dr.hint(cache is not None, mode="scalar"):
-            side = dr.select(facing < 0, hit.n, -hit.n)
-            asks = rough & scattered & reflects_irradiance(sample)
-            left, jitter = depths - depth - 1, sampler.next_2d(active)
-            known, irradiance = look_up(cache, hit.p, side, dr.square(spread), left, jitter, asks)
-            radiance += dr.select(known, throughput * reflected * irradiance * dr.inv_pi, 0)
-            active &= ~known
-            lights &= ~known
+        lit = rough
+        side = dr.select(facing < 0, hit.n, -hit.n)
+        asks = rough & scattered & reflects_irradiance(sample)
+        left, jitter = depths - depth - 1, sampler.next_2d(active)
+        known, irradiance = look_up(cache.irradiance, hit.p, side, dr.square(spread), left, jitter, asks)
+        radiance += dr.select(known, throughput * reflected * irradiance * dr.inv_pi, 0)
+        active &= ~known
+        lit &= ~known
+        row = lights.row(hit.p, side, lit)
         count = dr.select(first, mi.UInt32(settings.shadow_rays), 1)
         direct, number = mi.Color3f(0), mi.UInt32(0)
-        while dr.hint(lights & (number < count), exclude=[settings, sequences]):
-            point = sampler.next_2d(lights)
-            if dr.hint(sequences is not None, mode="scalar"):
-                index = sequences.number * settings.shadow_rays + number
-                point = dr.select(first, mi.Point2f(*sequences.point(LIGHT, index)), point)
-            light, emitted = scene.sample_emitter_direction(hit, point, True, lights)
-            seen = lights & (light.pdf > 0)
+        while dr.hint(lit & (number < count), exclude=[settings, sequences, lights]):
+            point = sampler.next_2d(lit)
+            index = sequences.number * settings.shadow_rays + number
+            point = dr.select(first, mi.Point2f(*sequences.point(LIGHT, index)), point)
+            light, emitted = lights.sample(hit, row, point, lit)
+            seen = lit & (light.pdf > 0)
             reflectance, scatter_pdf = bsdf.eval_pdf(context, hit, hit.to_local(light.d), seen)
             share = mi.Float(count) * light.pdf
             share = dr.select(light.delta, 1, share / (share + scatter_pdf))
             direct += dr.select(seen, reflectance * emitted * share, 0)
             number += 1
-        radiance += dr.select(lights, throughput * direct / mi.Float(count), 0)
+        radiance += dr.select(lit, throughput * direct / mi.Float(count), 0)
         throughput = dr.select(active, throughput * reflected, throughput)
         before, pdf, specular = hit, sample.pdf, sampled_specular
         light_samples = mi.Float(count)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
-from pathtrace.cache.cache import IrradianceCache
+from pathtrace.cache.cache import CacheArrays, IrradianceCache
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.cached_paths import PathSettings, path_radiance
 from pathtrace.trace.film import FilmPositions
@@ -93,7 +93,7 @@ class Tracer:
         self._path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": roulette_depth})
         self._clear = has_clear_surfaces(scene.mitsuba)
         # Frozen per tracer: the scene is part of the recording.
-        self._cache = cache
+        self._known = None if cache is None else cache.arrays(scene.mitsuba)
         self._settings = PathSettings(depth, roulette_depth, _SHADOW_RAYS)
         self._trace_radiance = dr.freeze(self._radiance if cache is None else self._cached_radiance)
         self._trace_auxiliary = dr.freeze(self._auxiliary)
@@ -190,11 +190,11 @@ class Tracer:
         """Six (N,) arrays: sums of each position's radiance, then of its squares, in pass `number`."""
         # Seeds of different frames and passes must not overlap; numpy's seed sequence mixes them.
         state = dr.opaque(mi.UInt32, _mixed([seed, number]))
-        if self._cache is None:
+        if self._known is None:
             channels = self._trace_radiance(self.scene.mitsuba, state, *batch.rays())
         else:
-            known = self._cache.arrays
-            channels = self._trace_radiance(self.scene.mitsuba, state, known, batch.sequences, *batch.rays())
+            sampled = batch.sequences, *batch.rays()
+            channels = self._trace_radiance(self.scene.mitsuba, state, self._known, *sampled)
         dr.eval(channels)
         return [batch.lanes.sums(c) for c in (*channels, *(dr.square(c) for c in channels))]
 
@@ -209,7 +209,7 @@ class Tracer:
         self,
         scene: Any,
         state: Any,
-        cache: tuple[Any, ...],
+        cache: CacheArrays,
         sequences: Sequences,
         x: Any,
         y: Any,

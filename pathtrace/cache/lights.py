@@ -1,0 +1,142 @@
+"""Choice of a light by what lights give to a place, instead of with equal chances.
+
+The chances are learnt, as those of Vévoda et al. 2018 are, from the light that the points of a cell got.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from pathtrace.cache.cells import Grid, Points, cell_names_jit
+from pathtrace.cache.table import Table, find
+
+# Level of the cells that have chances of their own, and samples of each light that such a cell has at least.
+_LEVEL = 2
+_FEWEST = 64
+# Share of all choices that is made with equal chances: no light may be missed.
+_EVEN = 0.2
+
+
+@dataclass(frozen=True)
+class LightSamples:
+    """Samples of direct light, M in all.
+
+    Attributes:
+        point: (M,) index of the point that each belongs to.
+        light: (M,) index of the light, each with the same chance.
+        irradiance: (M,) what came from it, in any unit.
+    """
+
+    point: NDArray[np.int64]
+    light: NDArray[np.int64]
+    irradiance: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class LightChoice:
+    """Chances of E lights in R cells.
+
+    Attributes:
+        grid: of the cells.
+        keys: (R,) names of the cells.
+        chances: (R + 1, E) for each cell, above 0, with sum 1; the last row is for all other places.
+    """
+
+    grid: Grid
+    keys: NDArray[np.uint64]
+    chances: NDArray[np.float32]
+
+    @staticmethod
+    def of(samples: LightSamples, points: Points, grid: Grid, lights: int) -> LightChoice:
+        """Chances by the samples in each cell.
+
+        Args:
+            samples: of direct light.
+            points: that these belong to.
+            grid: of the cells.
+            lights: E, number of lights.
+        """
+        key, cell = np.unique(grid.keys(points, _LEVEL), return_inverse=True)
+        place = cell[samples.point]
+        squares = np.bincount(
+            place * lights + samples.light, samples.irradiance.astype(float) ** 2, len(key) * lights
+        )
+        numbers = np.bincount(place, minlength=len(key))
+        kept = numbers >= _FEWEST * lights
+        squares = squares.reshape(len(key), lights)
+        # The chances with the least variance are as the root mean squares.
+        rows = np.sqrt(np.vstack([squares[kept], squares.sum(axis=0)]))
+        total = rows.sum(axis=1, keepdims=True)
+        learnt = np.divide(rows, total, out=np.full_like(rows, 1 / lights), where=total > 0)
+        return LightChoice(grid, key[kept], (_EVEN / lights + (1 - _EVEN) * learnt).astype(np.float32))
+
+    def arrays(self, scene: Any) -> tuple[Any, ...]:
+        """The choice as Dr.Jit arrays for `Lights`: grid, table, rows, chances, running sums, light numbers.
+
+        Args:
+            scene: the Mitsuba scene whose lights these are.
+        """
+        table = Table.of((self.keys >> np.uint64(32)).astype(np.uint32), self.keys.astype(np.uint32))
+        running = np.cumsum(self.chances, axis=1, dtype=np.float64)
+        running = (running / running[:, -1:]).astype(np.float32)
+        rows = mi.UInt32(len(self.keys))
+        dr.make_opaque(rows)
+        chances, sums = mi.Float(self.chances.ravel()), mi.Float(running.ravel())
+        return self.grid.arrays, table.arrays, rows, chances, sums, mi.UInt32(light_numbers(scene))
+
+
+def light_numbers(scene: Any) -> NDArray[np.uint32]:
+    """Index of each light in the scene, by the number by which kernels know it."""
+    registered = dr.reinterpret_array(mi.UInt32, scene.emitters_dr()).numpy()
+    numbers = np.zeros(int(registered.max()) + 1, dtype=np.uint32)
+    numbers[registered] = np.arange(len(registered))
+    return numbers
+
+
+class Lights:
+    """The lights of a scene inside a kernel, chosen by a `LightChoice`.
+
+    Args:
+        scene: a Mitsuba scene.
+        arrays: of the choice.
+    """
+
+    def __init__(self, scene: Any, arrays: tuple[Any, ...]):
+        self._scene = scene
+        self._grid, self._table, self._rows, self._chances, self._running, self._numbers = arrays
+        self._count = len(scene.emitters())
+        self._emitters = scene.emitters_dr()
+
+    def row(self, position: Any, side: Any, active: Any) -> Any:
+        """Row of chances at N surface points with normals of the lit side."""
+        origin, scale = self._grid
+        names = cell_names_jit((position - origin) / scale, side, _LEVEL)
+        known, cell = find(self._table, *names, active)
+        return dr.select(known, cell, self._rows)
+
+    def sample(self, hit: Any, row: Any, point: Any, active: Any) -> tuple[Any, Any]:
+        """As Mitsuba's `Scene.sample_emitter_direction`, with shadow rays: direction sample and radiance."""
+        start = row * self._count
+        above = lambda index: dr.gather(mi.Float, self._running, start + index, active) < point.x  # noqa: E731
+        number = dr.binary_search(0, self._count - 1, above)
+        chance = dr.gather(mi.Float, self._chances, start + number, active)
+        end = dr.gather(mi.Float, self._running, start + number, active)
+        inside = dr.clip(1 - (end - point.x) / chance, 0, dr.one_minus_epsilon(mi.Float))
+        emitter = dr.gather(mi.EmitterPtr, self._emitters, number, active)
+        light, emitted = emitter.sample_direction(hit, mi.Point2f(inside, point.y), active)
+        lit = active & (light.pdf > 0)
+        lit &= ~self._scene.ray_test(hit.spawn_ray_to(light.p), lit)
+        light.pdf = dr.select(lit, light.pdf * chance, 0)
+        return light, dr.select(lit, emitted / chance, 0)
+
+    def pdf(self, before: Any, row: Any, found: Any, active: Any) -> Any:
+        """As Mitsuba's `Scene.pdf_emitter_direction`."""
+        number = dr.gather(mi.UInt32, self._numbers, dr.reinterpret_array(mi.UInt32, found.emitter), active)
+        chance = dr.gather(mi.Float, self._chances, row * self._count + number, active)
+        return found.emitter.pdf_direction(before, found, active) * chance
