@@ -17,8 +17,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from pathtrace.cache.cells import SIDES, Cells, cell_names_jit
-from pathtrace.cache.lights import LightChoice
+from pathtrace.cache.cells import SIDES, Cells, Grid, Points, cell_names_jit
+from pathtrace.cache.lights import LightChoice, LightSamples
 from pathtrace.cache.table import Table, find
 
 
@@ -38,6 +38,15 @@ class IrradianceCache:
     irradiance: NDArray[np.float32]
     lights: LightChoice
 
+    @staticmethod
+    def empty(grid: Grid, lights: int) -> IrradianceCache:
+        """A cache that knows no cell, so that no path ends in it, of a scene with a number of lights."""
+        cells = Cells.of(Points.none(), grid, lambda one, other, side: np.ones(len(one), dtype=bool))
+        nothing = np.zeros(0, dtype=np.int64)
+        dark = LightSamples(nothing, nothing, np.zeros(0, dtype=np.float32))
+        choice = LightChoice.of(dark, Points.none(), grid, lights)
+        return IrradianceCache(cells, np.zeros((1, 0, 3), dtype=np.float32), choice)
+
     @property
     def bytes(self) -> int:
         """Memory that it takes."""
@@ -51,7 +60,8 @@ class IrradianceCache:
         """The cache as Dr.Jit arrays, for the Mitsuba scene that it was filled for."""
         steps, cells = (mi.UInt32(size) for size in self.irradiance.shape[:2])
         dr.make_opaque(steps, cells)
-        channels = (mi.Float(self.irradiance[..., channel].ravel()) for channel in range(3))
+        # One more value, since kernels cannot read from an empty array.
+        channels = (mi.Float(np.append(self.irradiance[..., channel], np.float32(0))) for channel in range(3))
         known = self.cells.grid.arrays, self._table.arrays, steps, cells, *channels
         return CacheArrays(known, self.lights.arrays(scene))
 

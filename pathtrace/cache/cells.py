@@ -40,6 +40,11 @@ class Points:
     position: NDArray[np.float32]
     normal: NDArray[np.float32]
 
+    @staticmethod
+    def none() -> Points:
+        """No points."""
+        return Points(np.zeros((0, 3), dtype=np.float32), np.zeros((0, 3), dtype=np.float32))
+
     def __len__(self) -> int:
         return len(self.position)
 
@@ -135,10 +140,8 @@ class Cells:
         """The cells that are known."""
         ends = np.cumsum([len(keys) for keys in self.keys])[:-1]
         chosen = np.split(self.known, ends)
-        keys, counts = (
-            tuple(values[kept] for values, kept in zip(levels, chosen, strict=True))
-            for levels in (self.keys, self.counts)
-        )
+        keys = tuple(values[kept] for values, kept in zip(self.keys, chosen, strict=True))
+        counts = tuple(values[kept] for values, kept in zip(self.counts, chosen, strict=True))
         return Cells(self.grid, keys, counts)
 
     def __len__(self) -> int:

@@ -51,13 +51,17 @@ def fill_cache(
     grid = Grid(cameras[0].position.astype(np.float32), _scale(scene, cameras[0]))
     share = -(-points // (2 * len(cameras)))
     parts = [_concatenated([_path_ends(scene.mitsuba, camera, share, state()) for camera in cameras])]
+    if not len(parts[0]):
+        return IrradianceCache.empty(grid, len(scene.mitsuba.emitters()))
     gathered: list[Gathered] = []
     for generation in range(_GENERATIONS):
         gathered.append(gather(scene.mitsuba, parts[-1], state()))
         progress(generation + 1, total)
-        if generation + 1 < _GENERATIONS:
-            # What is seen from there must be known as well, to know what it reflects.
-            parts.append(_seen(gathered[-1], _concatenated(parts), grid, points, random))
+        # What is seen from there must be known as well, to know what it reflects.
+        seen = _seen(gathered[-1], _concatenated(parts), grid, points, random)
+        if generation + 1 == _GENERATIONS or not len(seen):
+            break
+        parts.append(seen)
     every = _concatenated(parts)
     joined = lambda one, other, side: _joined(scene.mitsuba, every, one, other, side)  # noqa: E731
     cells = Cells.of(every, grid, joined)

@@ -19,6 +19,8 @@ FILM, LIGHT, SCATTERING = range(3)
 _PAIRS = 3
 # Keeps the scramblings of different pairs apart.
 _PAIR_STEP = 0x9E3779B9
+# Of the hash that scrambles each pair. Four leave a pattern where neighbouring positions differ in one word.
+_ROUNDS = (4, 8, 8)
 
 
 @cache
@@ -54,7 +56,7 @@ class Sequences:
         """Coordinates in 0..1 of each sequence's point of a number (N,), in one pair of dimensions."""
         restarts = number >> _LOG2_LENGTH
         one, other = self.scramble
-        shifts = mi.sample_tea_32(one, other + restarts + ((pair * _PAIR_STEP) & 0xFFFFFFFF))
+        shifts = mi.sample_tea_32(one, other + restarts + ((pair * _PAIR_STEP) & 0xFFFFFFFF), _ROUNDS[pair])
         index = number & ((1 << _LOG2_LENGTH) - 1)
         # 24 of the 32 bits: as many as a float in 0..1 holds without being rounded to 1.
         x, y = (

@@ -93,9 +93,10 @@ class Tracer:
         self._path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": roulette_depth})
         self._clear = has_clear_surfaces(scene.mitsuba)
         # Frozen per tracer: the scene is part of the recording.
-        self._known = None if cache is None else cache.arrays(scene.mitsuba)
+        # In a cache without cells, no path could end.
+        self._known = cache.arrays(scene.mitsuba) if cache is not None and len(cache.cells) else None
         self._settings = PathSettings(depth, roulette_depth, _SHADOW_RAYS)
-        self._trace_radiance = dr.freeze(self._radiance if cache is None else self._cached_radiance)
+        self._trace_radiance = dr.freeze(self._radiance if self._known is None else self._cached_radiance)
         self._trace_auxiliary = dr.freeze(self._auxiliary)
 
     def trace(

@@ -19,10 +19,15 @@ def row_of_boxes(row: float = 7) -> FilmPositions:
     return FilmPositions(mi.Float(np.arange(COUNT, dtype=np.float32)), mi.Float(np.full(COUNT, row)))
 
 
+def sample_positions(lanes: Lanes, boxes: FilmPositions, offset, pattern):
+    """Film coordinates of the lanes' samples."""
+    return lanes.sample_positions(boxes, lanes.sequences(boxes, offset, pattern))
+
+
 def samples(spp, offset=0, pattern: int = 1, row: float = 7) -> np.ndarray:
     """(COUNT, spp, 2) sample positions relative to their boxes."""
     lanes = Lanes.of(COUNT, spp)
-    x, y = lanes.sample_positions(row_of_boxes(row), mi.UInt32(offset), mi.UInt32(pattern))
+    x, y = sample_positions(lanes, row_of_boxes(row), mi.UInt32(offset), mi.UInt32(pattern))
     used = slice(0, lanes.count)
     index = lanes.index.numpy()[used]
     return np.stack([x.numpy()[used] - index, y.numpy()[used] - row], axis=-1).reshape(COUNT, -1, 2)
@@ -106,7 +111,7 @@ def test_a_boxs_samples_do_not_depend_on_the_other_boxes():
     pixels = np.array([17, 3, 400], dtype=np.float32)
     lanes = Lanes.of(3, 4)
     boxes = FilmPositions(mi.Float(pixels), mi.Float([7, 7, 7]))
-    x, _ = lanes.sample_positions(boxes, mi.UInt32(0), mi.UInt32(1))
+    x, _ = sample_positions(lanes, boxes, mi.UInt32(0), mi.UInt32(1))
     found = x.numpy()[:12].reshape(3, 4) - pixels[:, None]
     np.testing.assert_array_equal(found, samples(4)[pixels.astype(int), :, 0])
 
@@ -114,7 +119,7 @@ def test_a_boxs_samples_do_not_depend_on_the_other_boxes():
 def test_numbers_of_samples_may_differ():
     counts = small.rng().integers(0, 5, COUNT)
     lanes = Lanes.of(COUNT, counts)
-    x, _ = lanes.sample_positions(row_of_boxes(), mi.UInt32(0), mi.UInt32(1))
+    x, _ = sample_positions(lanes, row_of_boxes(), mi.UInt32(0), mi.UInt32(1))
     found = (x.numpy() - lanes.index.numpy())[: lanes.count]
     even = samples(4)[..., 0]
     np.testing.assert_array_equal(found, np.concatenate([even[i, :n] for i, n in enumerate(counts)]))
@@ -133,7 +138,7 @@ def test_samples_fill_boxes_of_any_size():
     width = small.rng().uniform(0.25, 3, COUNT).astype(np.float32)
     boxes = box_positions(left, np.full(COUNT, 2.0), width, np.full(COUNT, 0.5))
     lanes = Lanes.of(COUNT, 4)
-    x, y = lanes.sample_positions(boxes, mi.UInt32(0), mi.UInt32(1))
+    x, y = sample_positions(lanes, boxes, mi.UInt32(0), mi.UInt32(1))
     index = lanes.index.numpy()[: lanes.count]
     inside = (x.numpy()[: lanes.count] - left[index]) / width[index]
     # Far from 0, float32 is coarser than the quarters of narrow boxes are exact.

@@ -1,0 +1,101 @@
+"""Cells: the same names in NumPy and Dr.Jit, no two cells with one name, and none that something divides."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from pathtrace.cache.cells import SIDES, Cells, Grid, Points, cell_names_jit
+from tests import small
+
+pytestmark = pytest.mark.usefixtures("backend")
+GRID = Grid(np.zeros(3, dtype=np.float32), 1.0)
+
+
+def always(one, other, side) -> np.ndarray:
+    return np.ones(len(one), dtype=bool)
+
+
+def points(count: int, spread: float = 1.0) -> Points:
+    random = small.rng()
+    normal = random.normal(size=(count, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    position = random.uniform(-spread, spread, (count, 3))
+    return Points(position.astype(np.float32), normal.astype(np.float32))
+
+
+@pytest.mark.parametrize("level", range(len(SIDES)))
+def test_kernels_find_the_same_names(level):
+    some = points(5000, 30)
+    first, second = cell_names_jit(mi.Point3f(some.position.T), mi.Normal3f(some.normal.T), level)
+    keys = GRID.keys(some, level)
+    assert (first.numpy() == keys >> np.uint64(32)).all()
+    assert (second.numpy() == keys & np.uint64(0xFFFFFFFF)).all()
+
+
+def test_normals_along_axes_have_the_same_names_in_kernels():
+    normal = np.concatenate([np.eye(3), -np.eye(3), [[1, 1, 0], [0, 1, 1], [1, 0, 1]] / np.sqrt(2)])
+    some = Points(np.full((9, 3), 0.1, dtype=np.float32), normal.astype(np.float32))
+    first, second = cell_names_jit(mi.Point3f(some.position.T), mi.Normal3f(some.normal.T), 0)
+    keys = GRID.keys(some, 0)
+    assert (first.numpy() == keys >> np.uint64(32)).all()
+    assert (second.numpy() == keys & np.uint64(0xFFFFFFFF)).all()
+    assert len(np.unique(keys[:6])) == 6
+
+
+def test_cells_of_a_block_all_have_names_of_their_own():
+    """A hash of coordinates joined by exclusive or gives places on one wall the names of another."""
+    side = np.float32(SIDES[0])
+    index = np.stack(np.meshgrid(*[np.arange(-32, 32)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    position = ((index + 0.5) * side).astype(np.float32)
+    keys = [
+        GRID.keys(Points(position, np.tile(np.float32(normal), (len(position), 1))), 0)
+        for normal in np.concatenate([np.eye(3), -np.eye(3)])
+    ]
+    assert len(np.unique(np.concatenate(keys))) == 6 * 64**3
+
+
+def test_points_lie_in_the_cells_that_they_make():
+    some = points(300)
+    cells = Cells.of(some, GRID, always)
+    indices = cells.indices(some)
+    assert (indices >= 0).all()
+    for level in range(len(SIDES)):
+        _, count = np.unique(indices[level], return_counts=True)
+        assert sorted(count) == sorted(cells.counts[level])
+    assert (cells.indices(Points(some.position + 1000, some.normal)) == -1).all()
+
+
+def test_a_cell_that_something_divides_is_left_out():
+    floor = np.tile(np.float32([0, 1, 0]), (200, 1))
+    position = small.rng(3).uniform(0.001, SIDES[0] - 0.001, (200, 3)).astype(np.float32)
+    position[100:, 0] += np.float32(2 * SIDES[0])
+    wall = SIDES[0] / 2
+
+    def joined(one, other, side):
+        return (position[one, 0] < wall) == (position[other, 0] < wall)
+
+    cells = Cells.of(Points(position, floor), GRID, joined)
+    indices = cells.indices(Points(position, floor))
+    assert (indices[0, :100] == -1).all()
+    assert (indices[0, 100:] >= 0).all()
+    assert (indices[1:] == -1).all()
+
+
+def test_the_best_cell_is_the_smallest_with_enough_points():
+    normal = np.float32([[0, 1, 0]])
+    dense, rare = np.full((8, 3), 0.001, dtype=np.float32), np.full((1, 3), 0.03, dtype=np.float32)
+    some = Points(np.concatenate([dense, rare]), np.repeat(normal, 9, axis=0))
+    cells = Cells.of(some, GRID, always)
+    best, indices = cells.best(some), cells.indices(some)
+    assert (best[:8] == indices[0, :8]).all()
+    # One point is too few; the next level's cell has nine.
+    assert best[8] == indices[1, 8]
+    lonely = Points(np.full((1, 3), 5, dtype=np.float32), normal)
+    every = Cells.of(
+        Points(np.concatenate([some.position, lonely.position]), np.repeat(normal, 10, axis=0)), GRID, always
+    )
+    assert every.best(lonely) == every.indices(lonely)[0]
+    assert len(cells.only_known()) == 2
+    assert cells.only_known().known.all()

@@ -1,0 +1,91 @@
+"""Rays from points: closed forms of direct light, mirrors, and what is hit."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from pathtrace.cache.cells import Points
+from pathtrace.fill.gather import RAYS, gather
+from tests import small
+
+pytestmark = pytest.mark.usefixtures("backend")
+
+
+def floor_points(count: int) -> Points:
+    position = np.tile(np.float32([0, 0, 0]), (count, 1))
+    return Points(position, np.tile(np.float32([0, 1, 0]), (count, 1)))
+
+
+def test_in_a_closed_sphere_the_wall_gives_pi_times_its_emission():
+    scene = mi.load_dict(small.furnace(0.5))
+    direction = small.rng().normal(size=(2000, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    points = Points((2.999 * direction).astype(np.float32), (-direction).astype(np.float32))
+    found = gather(scene, points, 1)
+    error = found.direct.std() / np.sqrt(2000)
+    assert found.direct.mean() == pytest.approx(0.5 * np.pi, abs=4 * error)
+    assert (found.reflected == 0).all()
+    assert found.valid.all()
+    assert (found.bounces == 0).all()
+    np.testing.assert_allclose(found.reflectance, 0.5, rtol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(found.hits.position, axis=1), 3, rtol=1e-3)
+    inward = (found.hits.position * found.hits.normal).sum(axis=1)
+    assert (inward < 0).all()
+
+
+def lamp(radiance: float) -> dict:
+    place = mi.ScalarTransform4f().translate([0, -1, 0]).rotate([1, 0, 0], -90).scale(50)
+    emitter = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
+    return {"type": "rectangle", "to_world": place, "emitter": emitter}
+
+
+def ceiling(bsdf: dict) -> dict:
+    place = mi.ScalarTransform4f().translate([0, 1, 0]).rotate([1, 0, 0], 90).scale(50)
+    return {"type": "rectangle", "to_world": place, "bsdf": {"type": "twosided", "b": bsdf}}
+
+
+@pytest.mark.parametrize(
+    "bsdf",
+    [
+        {"type": "conductor", "specular_reflectance": 0.5},
+        {"type": "roughconductor", "alpha": 0.1, "specular_reflectance": 0.5},
+    ],
+)
+def test_light_seen_in_a_ceiling_of_metal_is_found(bsdf):
+    """Above the lamp's plane, all of the hemisphere is a mirror that shows the lamp."""
+    scene = mi.load_dict({"type": "scene", "lamp": lamp(2.0), "ceiling": ceiling(bsdf)})
+    count = 4000
+    found = gather(scene, floor_points(count), 2)
+    mean, error = found.reflected.mean(), found.reflected.mean(axis=1).std() / np.sqrt(count)
+    # The plane metal of the default constants reflects nearly all of its specular reflectance.
+    assert (found.direct == 0).all()
+    assert mean == pytest.approx(np.pi * 2.0 * 0.5, abs=0.15 * np.pi + 4 * error)
+    assert error < 0.1
+
+
+def test_rays_that_leave_the_scene_hit_nothing():
+    scene = mi.load_dict({"type": "scene", "lamp": lamp(2.0)})
+    found = gather(scene, floor_points(10), 3)
+    assert len(found.valid) == 10 * RAYS
+    assert not found.valid.any()
+    assert (found.reflectance == 0).all()
+
+
+def test_the_samples_of_lights_add_up_to_direct_light():
+    scene = mi.load_dict(small.corner())
+    points = Points(np.tile(np.float32([0, 0, 1.99]), (50, 1)), np.tile(np.float32([0, 0, -1]), (50, 1)))
+    found = gather(scene, points, 4)
+    sums = np.bincount(found.lights.point, found.lights.irradiance) / RAYS
+    np.testing.assert_allclose(sums, found.direct.mean(axis=1), rtol=1e-5)
+    assert (found.lights.light == 0).all()
+    assert sums.mean() > 0
+
+
+def test_the_same_seed_gives_the_same_rays():
+    scene = mi.load_dict(small.corner())
+    points = Points(np.tile(np.float32([0, 0, 1.99]), (50, 1)), np.tile(np.float32([0, 0, -1]), (50, 1)))
+    one, same, other = (gather(scene, points, seed) for seed in (4, 4, 5))
+    assert (one.hits.position == same.hits.position).all()
+    assert (one.hits.position != other.hits.position).any()

@@ -1,0 +1,116 @@
+"""Paths that end in a cache: unbiased without cells, close to the truth and less noisy with them."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from pathtrace.cache.cache import IrradianceCache
+from pathtrace.cache.cells import Grid
+from pathtrace.fill.fill import fill_cache
+from pathtrace.scene.scene import load_scene
+from pathtrace.trace.cached_paths import PathSettings, path_radiance
+from pathtrace.trace.film import frame_positions, interleaved
+from pathtrace.trace.rays import opaque_camera, ray_through
+from pathtrace.trace.sequences import Sequences, sobol_tables
+from pathtrace.trace.tracer import Tracer
+from tests import small
+
+pytestmark = pytest.mark.usefixtures("backend")
+
+MATERIALS = [
+    {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.6}},
+    {"type": "roughconductor", "alpha": 0.2},
+    {"type": "plastic"},
+    {"type": "roughplastic", "alpha": 0.3},
+    {"type": "dielectric"},
+    {"type": "mask", "opacity": 0.5, "nested": {"type": "diffuse"}},
+]
+
+
+def room(ball: dict) -> dict:
+    """The corner with a second lamp, a sky, and a ball of any material."""
+    scene = small.corner()
+    scene["ball"] = {**scene["ball"], "bsdf": ball}
+    scene["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": 0.1}}
+    scene["spot"] = {"type": "point", "position": [1, 1, 0], "intensity": {"type": "rgb", "value": 1.0}}
+    return scene
+
+
+def samples(scene, settings: PathSettings, cache: IrradianceCache, count: int, seed: int = 1) -> np.ndarray:
+    """(count, 3) radiance of as many paths, spread over the frame."""
+    camera = scene.camera
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed, count)
+    ray = ray_through(
+        opaque_camera(camera), sampler.next_1d() * camera.width, sampler.next_1d() * camera.height
+    )
+    lane = dr.arange(mi.UInt32, count)
+    sequences = Sequences(sobol_tables(), lane & 15, (lane >> 4, mi.UInt32(seed)))
+    known = cache.arrays(scene.mitsuba)
+    radiance = path_radiance(scene.mitsuba, sampler, ray, mi.Bool(True), settings, sequences, known)
+    channels = list(radiance)
+    sampler.schedule_state()
+    dr.eval(channels)
+    return np.stack([channel.numpy() for channel in channels], axis=1)
+
+
+def truth(scene, spp: int, depth: int) -> tuple[float, float]:
+    """Mean radiance of Mitsuba's own paths, and its standard error."""
+    tracer, camera = Tracer(scene, depth), scene.camera
+    means = [
+        interleaved(tracer.trace(camera, frame_positions(camera), spp, seed).radiance).mean()
+        for seed in range(8)
+    ]
+    return float(np.mean(means)), float(np.std(means) / np.sqrt(7))
+
+
+@pytest.mark.parametrize("ball", MATERIALS, ids=lambda ball: ball["type"])
+@pytest.mark.parametrize(("depth", "shadow_rays"), [(2, 3), (5, 1), (5, 3)])
+def test_without_cells_the_mean_is_that_of_mitsubas_paths(ball, depth, shadow_rays):
+    scene = load_scene(room(ball))
+    empty = IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), 3)
+    found = samples(scene, PathSettings(depth, 3, shadow_rays), empty, 1 << 17)
+    # Means over the 16 samples of a sequence are independent of each other.
+    groups = found.mean(axis=1).reshape(-1, 16).mean(axis=1)
+    mean, error = truth(scene, 128, depth)
+    assert found.mean() == pytest.approx(mean, abs=4.5 * np.hypot(error, groups.std() / np.sqrt(len(groups))))
+
+
+def test_depth_below_0_is_no_bound():
+    """In a furnace, radiance is 1 if no path is cut."""
+    scene = load_scene(small.furnace(0.8))
+    empty = IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), 1)
+    found = samples(scene, PathSettings(-1, 5, 1), empty, 1 << 14)
+    assert found.mean() == pytest.approx(1, abs=0.01)
+    cut = samples(scene, PathSettings(4, 5, 1), empty, 1 << 14)
+    assert cut.mean() == pytest.approx(1 - 0.8**4, abs=0.01)
+
+
+@pytest.mark.parametrize("ball", MATERIALS, ids=lambda ball: ball["type"])
+def test_with_a_cache_the_mean_hardly_changes_and_noise_falls(ball):
+    scene = load_scene(room(ball))
+    cache = fill_cache(scene, [scene.camera], points=1 << 15)
+    empty = IrradianceCache.empty(cache.cells.grid, 3)
+    settings = PathSettings(8, 5, 2)
+    cached, traced = (samples(scene, settings, each, 1 << 16) for each in (cache, empty))
+    mean, error = truth(scene, 64, 8)
+    assert cached.mean() == pytest.approx(mean, abs=0.015 * mean + 4 * error)
+    assert cached.var() < 1.05 * traced.var()
+
+
+@pytest.mark.parametrize("reflectance", [0.3, 0.8])
+def test_a_furnace_stays_at_its_radiance(reflectance):
+    scene = load_scene(small.furnace(reflectance), max_depth=6)
+    tracer = Tracer(scene, cache=fill_cache(scene, [scene.camera], points=1 << 14))
+    radiance = interleaved(tracer.trace(scene.camera, frame_positions(scene.camera), 16).radiance)
+    assert radiance.mean() == pytest.approx(1 - reflectance**6, rel=0.01)
+
+
+def test_more_shadow_rays_mean_less_noise():
+    scene = load_scene(room(MATERIALS[0]))
+    empty = IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), 3)
+    one, four = (samples(scene, PathSettings(2, 5, rays), empty, 1 << 15).var() for rays in (1, 4))
+    assert four < 0.6 * one
