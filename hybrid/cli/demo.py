@@ -18,6 +18,7 @@ from hybrid.cli.options import (
     ForestFile,
     FovA,
     FovB,
+    IntegratorName,
     Json,
     SceneName,
     Seed,
@@ -42,6 +43,7 @@ def demo(
     fov_b: FovB = INTERACTIVE.fov_b,
     spp: Spp = INTERACTIVE.spp,
     acuity_model: AcuityModelName = INTERACTIVE.acuity_model,
+    integrator: IntegratorName = INTERACTIVE.integrator.value,
     target: Annotated[
         float | None,
         typer.Option(
@@ -94,7 +96,15 @@ def demo(
     require_size(size, least=64)
     if load and (bench is None or load >= bench):
         raise UserError(f"--load {load}: must be shorter than --bench")
-    settings = FrameSettings(INTERACTIVE.gaze, fov_a, fov_b, spp, acuity_model=acuity_model, display=display)
+    settings = FrameSettings(
+        INTERACTIVE.gaze,
+        fov_a,
+        fov_b,
+        spp,
+        acuity_model=acuity_model,
+        display=display,
+        integrator=integrator,
+    )
     check_writable(out / "picture.png")
     trace = _trace(gaze_trace, simulate, settings, size, seed)
     from hybrid.demo.qt import require_window

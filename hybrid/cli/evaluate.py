@@ -17,6 +17,7 @@ from hybrid.cli.options import (
     FovA,
     FovB,
     Gaze,
+    IntegratorName,
     Json,
     SceneName,
     Seed,
@@ -54,6 +55,7 @@ def evaluate(
     fov_a: FovA = EVALUATION.fov_a,
     fov_b: FovB = EVALUATION.fov_b,
     spp: Spp = EVALUATION.spp,
+    integrator: IntegratorName = EVALUATION.integrator.value,
     reference_spp: Annotated[
         int,
         typer.Option(
@@ -78,7 +80,7 @@ def evaluate(
     """Compare hybrid frames with baselines at equal rays and at equal time; resumes if interrupted."""
     from hybrid.output.images import check_writable
 
-    frame = FrameSettings(gaze or EVALUATION.gaze, fov_a, fov_b, spp, display=display)
+    frame = FrameSettings(gaze or EVALUATION.gaze, fov_a, fov_b, spp, display=display, integrator=integrator)
     settings = EvaluationSettings(frame, *size, views, reference_spp, repeats, seed)
     check_writable(report / "index.html")
     select(backend)

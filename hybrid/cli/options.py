@@ -75,6 +75,14 @@ Fovea = Annotated[
         rich_help_panel=FRAME,
     ),
 ]
+IntegratorName = Annotated[
+    str,
+    typer.Option(
+        "--integrator",
+        help="path: unbiased; cached: paths end in known irradiance, with less noise but biased.",
+        rich_help_panel=FRAME,
+    ),
+]
 Size = Annotated[
     tuple[int, int] | None,
     typer.Option("--size", metavar="W H", help="Frame size; the scene's if left out.", rich_help_panel=FRAME),

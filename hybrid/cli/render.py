@@ -21,6 +21,7 @@ from hybrid.cli.options import (
     FovB,
     Fovea,
     Gaze,
+    IntegratorName,
     Json,
     Layers,
     MaxDepth,
@@ -70,6 +71,7 @@ def render(
     spp: Spp = DEFAULTS.spp,
     size: Size = None,
     fovea: Fovea = DEFAULTS.fovea.value,
+    integrator: IntegratorName = DEFAULTS.integrator.value,
     target_ms: Annotated[
         float | None,
         typer.Option(
@@ -97,7 +99,15 @@ def render(
 ) -> None:
     """Render one hybrid frame, as EXR with all AOVs or as PNG; or a video along a gaze trace."""
     settings = FrameSettings(
-        gaze or DEFAULTS.gaze, fov_a, fov_b, spp, fovea, acuity_model, layers, display=display
+        gaze or DEFAULTS.gaze,
+        fov_a,
+        fov_b,
+        spp,
+        fovea,
+        acuity_model,
+        layers,
+        display=display,
+        integrator=integrator,
     )
     _check_outputs(output, detail, gaze_trace is not None)
     trace = _loaded_trace(gaze_trace, gaze, fps)
@@ -236,6 +246,8 @@ def _facts(scene: Scene, settings: FrameSettings) -> dict[str, Any]:
         "fov_a": settings.fov_a,
         "fov_b": settings.fov_b,
         "fovea": settings.fovea.value,
+        "integrator": settings.integrator.value,
+        "unbiased": settings.is_unbiased,
         "acuity_model": settings.acuity_model,
         "pixels_per_degree": settings.display.pixels_per_degree,
     }

@@ -15,6 +15,7 @@ from hybrid.cli.options import (
     Backend,
     DisplayName,
     ForestFile,
+    IntegratorName,
     Json,
     Repeats,
     SceneName,
@@ -94,6 +95,7 @@ def sweep(
             rich_help_panel=VIEWER,
         ),
     ] = None,
+    integrator: IntegratorName = SWEEP.integrator.value,
     display: DisplayName = "desktop",
     repeats: Repeats = 15,
     warm_up: WarmUp = 2,
@@ -117,7 +119,7 @@ def sweep(
     given = dict(zip(_DEFAULTS, (fovea, size, fov_a, fov_b, spp, acuity_model, reference_spp), strict=True))
     values = _completed(over, given)
     named = {name: values[name] for name in ("fov_a", "fov_b", "spp", "fovea", "acuity_model")}
-    settings = FrameSettings(**named, display=display)
+    settings = FrameSettings(**named, display=display, integrator=integrator)
     if settings.fov_a == 0:
         raise UserError("--fov-a 0.0: there is no fovea to time")
     select(backend)

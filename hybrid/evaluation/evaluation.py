@@ -58,7 +58,9 @@ class Evaluation:
     ):
         self.scene, self.settings, self.folder = scene, settings, folder
         self.renderer = Renderer(scene, forest)
+        # References are unbiased; baselines trace as the hybrid frames do.
         self.tracer = self.renderer.tracer
+        self.baseline_tracer = self.renderer.tracer_of(settings.frame.integrator)
         self.splats = SplatsAlone(Periphery(device_arrays(), forest))
         self.flat = None if flat is None else SplatsAlone(Periphery(device_arrays(), flat))
         identity = measured_identity(
@@ -126,7 +128,9 @@ class Evaluation:
         ours = next(entry for entry in hybrid if entry.name == OURS)
         rays = ours.method.rays(views[0], gaze)
         tuning = Tuning.restored(self.journal.once("tuning", lambda: asdict(self._tuning(views, rays, work))))
-        baselines = baseline_entries(ours, self.tracer, tuning, views[0], gaze, self.costs, work.of("costs"))
+        baselines = baseline_entries(
+            ours, self.baseline_tracer, tuning, views[0], gaze, self.costs, work.of("costs")
+        )
         return [*hybrid, *splat_entries(self.splats, self.flat), *baselines]
 
     def _tuning(self, views: list[Camera], rays: float, work: WorkProgress) -> Tuning:
@@ -139,7 +143,7 @@ class Evaluation:
             reference(self.tracer, camera, settings.reference_spp, seed + number).radiance
             for number, camera in enumerate(small)
         ]
-        return tuned(self.tracer, small, truths, settings.frame.foveation, rays, work.of("tuning"))
+        return tuned(self.baseline_tracer, small, truths, settings.frame.foveation, rays, work.of("tuning"))
 
     def _method_row(self, entry: Entry, camera: Camera) -> dict[str, Any]:
         """An entry with its rays and settings."""

@@ -80,12 +80,15 @@ class Frame:
     def save(self, path: Path | str) -> None:
         """Writes the frame: .exr with all AOVs in linear radiance, or .png with the composite in sRGB.
 
+        The EXR file's header says how paths were traced (`integrator`), and whether the disc is `unbiased`.
+
         Raises:
             UserError: the file has another extension, or cannot be written.
         """
         path = Path(path)
         if path.suffix.lower() == ".exr":
-            write_exr(path, self.aovs())
+            facts = {"integrator": self.settings.integrator.value, "unbiased": str(self.settings.is_unbiased)}
+            write_exr(path, self.aovs(), facts)
         elif path.suffix.lower() == ".png":
             write_png(path, self.composite)
         else:

@@ -38,7 +38,7 @@ class LiveRenderer(Renderer):
 
     def frame(self, settings: FrameSettings = INTERACTIVE, seed: int = 0) -> Frame:
         """One frame, as from `Renderer.frame`; what depends on the camera alone is kept until it moves."""
-        clock = Clock()
+        maker, clock = self.fovea_of(settings), Clock()
         camera, settings = settings.resolved(self.scene.camera)
         disc = settings.foveation.region(camera.width, camera.height)
         detail = self.periphery.detail(camera, settings)
@@ -49,11 +49,9 @@ class LiveRenderer(Renderer):
         else:
             underlay = self.underlay(camera, settings, disc)
         clock.lap("underlay")
-        region, samples = self.fovea.trace(
-            settings.fovea, camera, disc, settings.spp, seed, underlay, quick=True
-        )
+        region, samples = maker.trace(settings.fovea, camera, disc, settings.spp, seed, underlay, quick=True)
         clock.lap("trace")
-        fovea = self.fovea.image(settings.fovea, region, samples, None, underlay, quick=True)
+        fovea = maker.image(settings.fovea, region, samples, None, underlay, quick=True)
         clock.lap("fovea")
         if still:
             drawn = self.periphery.draw_still(camera, settings, detail, disc)
@@ -82,10 +80,10 @@ class LiveRenderer(Renderer):
         return replace(frame, composite=composite, fovea=fovea, milliseconds=clock.milliseconds())
 
     def _refined_fovea(self, frame: Frame, spp: int, seed: int, quick: bool, clock: Clock) -> FoveaImage:
-        mode, region = frame.settings.fovea, frame.region
-        region, samples = self.fovea.trace(mode, frame.camera, region, spp, seed, frame.underlay, quick=True)
+        mode, region, maker = frame.settings.fovea, frame.region, self.fovea_of(frame.settings)
+        region, samples = maker.trace(mode, frame.camera, region, spp, seed, frame.underlay, quick=True)
         clock.lap("trace")
-        fovea = self.fovea.image(mode, region, samples, None, frame.underlay, quick)
+        fovea = maker.image(mode, region, samples, None, frame.underlay, quick)
         clock.lap("fovea")
         return fovea
 
@@ -95,5 +93,6 @@ class LiveRenderer(Renderer):
 
     def forget(self) -> None:
         """Drops everything that is known from earlier frames."""
-        self.fovea.disc.forget()
+        for fovea in self._foveas.values():
+            fovea.disc.forget()
         self._last_camera = None

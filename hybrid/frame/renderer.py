@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,7 @@ from compose.image.colour import Image
 from hybrid.frame.fovea import Fovea
 from hybrid.frame.frame import Frame
 from hybrid.frame.fusion import fusion_of
+from hybrid.frame.irradiance import cache_for, cache_of
 from hybrid.frame.periphery import Periphery
 from hybrid.frame.settings import DEFAULTS, FrameSettings
 from hybrid.frame.underlay import Underlay
@@ -21,6 +24,7 @@ from hybrid.runtime.device import device_arrays
 from hybrid.store.identity import require_scene
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.film import frame_positions
+from pathtrace.trace.integrator import Integrator
 from pathtrace.trace.tracer import RUSSIAN_ROULETTE_DEPTH, Tracer
 from splat.model.forest import Forest
 
@@ -56,7 +60,26 @@ class Renderer:
         self.scene = scene
         self.tracer = Tracer(scene, roulette_depth=roulette_depth)
         self.periphery = Periphery(device_arrays(), forest)
-        self.fovea = Fovea(self.tracer, fusion_of(forest), history)
+        self._forest, self._history, self._roulette_depth = forest, history, roulette_depth
+        self._foveas: dict[Integrator, Fovea] = {}
+
+    def tracer_of(self, integrator: Integrator) -> Tracer:
+        """The scene's tracer with an integrator; `tracer` is the unbiased one."""
+        return self.tracer if integrator is Integrator.PATH else self._cached_tracer
+
+    def fovea_of(self, settings: FrameSettings) -> Fovea:
+        """The fovea of frames with these settings; samples of different integrators are never mixed."""
+        integrator = settings.integrator
+        if integrator not in self._foveas:
+            fusion = fusion_of(self._forest)
+            self._foveas[integrator] = Fovea(self.tracer_of(integrator), fusion, self._history)
+        return self._foveas[integrator]
+
+    @cached_property
+    def _cached_tracer(self) -> Tracer:
+        """Ends paths in the forest's cache; without one, it is filled now."""
+        cache = cache_of(self._forest) or cache_for(self.scene)
+        return Tracer(self.scene, roulette_depth=self._roulette_depth, cache=cache)
 
     def frame(self, settings: FrameSettings = DEFAULTS, seed: int = 0) -> Frame:
         """Renders one frame.
@@ -68,7 +91,7 @@ class Renderer:
         Raises:
             UserError: the forest does not have the layers that the settings ask for.
         """
-        clock = Clock()
+        maker, clock = self.fovea_of(settings), Clock()
         camera, settings = settings.resolved(self.scene.camera)
         disc = settings.foveation.region(camera.width, camera.height)
         clock.lap("region")
@@ -79,9 +102,9 @@ class Renderer:
         clock.lap("splat")
         underlay = self.underlay(camera, settings, disc)
         clock.lap("underlay")
-        region, samples = self.fovea.trace(settings.fovea, camera, disc, settings.spp, seed, underlay)
+        region, samples = maker.trace(settings.fovea, camera, disc, settings.spp, seed, underlay)
         clock.lap("trace")
-        fovea = self.fovea.image(settings.fovea, region, samples, periphery, underlay)
+        fovea = maker.image(settings.fovea, region, samples, periphery, underlay)
         clock.lap("fovea")
         composite = blend(periphery, fovea.radiance, region)
         clock.lap("blend")
@@ -100,15 +123,16 @@ class Renderer:
         camera, settings = settings.resolved(self.scene.camera)
         disc = settings.foveation.region(camera.width, camera.height)
         underlay = self.underlay(camera, settings, disc)
-        region, samples = self.fovea.trace(settings.fovea, camera, disc, settings.spp, seed, underlay)
+        maker = self.fovea_of(settings)
+        region, samples = maker.trace(settings.fovea, camera, disc, settings.spp, seed, underlay)
         surroundings = np.zeros((region.height, region.width, 3), dtype=np.float32)
-        return self.fovea.image(settings.fovea, region, samples, surroundings, underlay).radiance
+        return maker.image(settings.fovea, region, samples, surroundings, underlay).radiance
 
     def paths(self, settings: FrameSettings) -> float:
         """Expected number of paths traced for a frame."""
         camera, settings = settings.resolved(self.scene.camera)
         disc = settings.foveation.region(camera.width, camera.height)
-        return self.fovea.paths(settings.fovea, disc, settings.spp)
+        return self.fovea_of(settings).paths(settings.fovea, disc, settings.spp)
 
     def splats(self, settings: FrameSettings = DEFAULTS) -> Image:
         """(H, W, 3) the finest allowed layer over the whole frame, including what a fovea would hide."""

@@ -14,6 +14,7 @@ from compose.eye.steps import COARSEST_RATE
 from compose.fovea.mode import FoveaMode
 from compose.fovea.region import Foveation
 from hybrid.frame.converted import Converted
+from pathtrace.trace.integrator import Integrator
 
 
 def _gaze(given: Gaze | tuple[float, float]) -> Gaze:
@@ -34,6 +35,14 @@ def _fovea_mode(given: FoveaMode | str) -> FoveaMode:
         raise UserError(f"fovea {given}: must be {', '.join(names[:-1])} or {names[-1]}") from error
 
 
+def _integrator(given: Integrator | str) -> Integrator:
+    try:
+        return Integrator(given)
+    except ValueError as error:
+        names = " or ".join(one.value for one in Integrator)
+        raise UserError(f"integrator {given}: must be {names}") from error
+
+
 def _display(given: Display | str) -> Display:
     return display_named(given) if isinstance(given, str) else given
 
@@ -42,8 +51,8 @@ def _display(given: Display | str) -> Display:
 class FrameSettings:
     """How one frame is made.
 
-    The constructor also accepts a pair (x, y) as the gaze, the name of a fovea mode, and as the display the
-    name of one or a JSON file.
+    The constructor also accepts a pair (x, y) as the gaze, the name of a fovea mode or an integrator, and a
+    display's name or JSON file.
 
     Attributes:
         gaze: where the viewer looks, in fractions of the frame.
@@ -57,6 +66,7 @@ class FrameSettings:
         scale: side of the rendered frame over side of the camera's frame, above 0 and at most 1.
         display: what the frame is shown on, around the display's centre.
         camera: the view; None for the scene's own.
+        integrator: how paths are traced.
 
     Raises:
         UserError: a value is out of range or unknown.
@@ -73,6 +83,7 @@ class FrameSettings:
     scale: float = 1.0
     display: Converted[Display | str, Display] = Converted(_display, DISPLAYS["desktop"])
     camera: Camera | None = None
+    integrator: Converted[Integrator | str, Integrator] = Converted(_integrator, Integrator.PATH)
 
     def __post_init__(self) -> None:
         acuity_model_named(self.acuity_model)
@@ -84,6 +95,11 @@ class FrameSettings:
             raise UserError(f"rate {self.rate}: must be a whole number from 0 to {COARSEST_RATE}")
         if not 0 < self.scale <= 1:
             raise UserError(f"scale {self.scale}: must be above 0 and at most 1")
+
+    @property
+    def is_unbiased(self) -> bool:
+        """Whether the disc's radiance is the truth on average: raw samples of an unbiased integrator."""
+        return self.fovea is FoveaMode.RAW and self.integrator.is_unbiased
 
     @property
     def foveation(self) -> Foveation:
@@ -125,6 +141,7 @@ class FrameSettings:
             "scale": self.scale,
             "display": asdict(self.display),
             "camera": None if self.camera is None else self.camera.key.hex(),
+            "integrator": self.integrator.value,
         }
 
 

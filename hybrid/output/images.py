@@ -47,7 +47,9 @@ def write_srgb(path: Path, image: NDArray[np.uint8]) -> None:
     write_whole(path, lambda part: PillowImage.fromarray(image).save(part, format="PNG"))
 
 
-def write_exr(path: Path, aovs: dict[str, NDArray[np.float32]]) -> None:
+def write_exr(
+    path: Path, aovs: dict[str, NDArray[np.float32]], attributes: dict[str, str] | None = None
+) -> None:
     """Writes AOVs to one EXR file: channels name.R, .G and .B for (H, W, 3), name.V for (H, W).
 
     Viewers that ignore layer names show the AOV whose name is empty.
@@ -55,6 +57,7 @@ def write_exr(path: Path, aovs: dict[str, NDArray[np.float32]]) -> None:
     Args:
         path: of the file.
         aovs: images by name, all of the same size.
+        attributes: further entries of the file's header.
 
     Raises:
         UserError: the file cannot be written.
@@ -65,7 +68,8 @@ def write_exr(path: Path, aovs: dict[str, NDArray[np.float32]]) -> None:
         planes = {"V": image} if image.ndim == 2 else {c: image[..., i] for i, c in enumerate("RGB")}
         for channel, plane in planes.items():
             channels[prefix + channel] = np.ascontiguousarray(plane, dtype=np.float32)
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    layout = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    header = {**layout, **(attributes or {})}
     write_whole(path, lambda part: OpenEXR.File(header, channels).write(str(part)))
 
 

@@ -65,7 +65,7 @@ class MeasuredStore:
             kind: name of what is measured, such as single frames or those of the window.
             scene, forest: what is rendered.
             size: width and height of the frame in pixels.
-            base: settings with the acuity model and the display.
+            base: settings with the acuity model, the integrator and the display.
         """
         width, height = size
         identity = measured_identity(
@@ -75,6 +75,7 @@ class MeasuredStore:
             width=width,
             height=height,
             acuity_model=base.acuity_model,
+            integrator=base.integrator.value,
             display=asdict(base.display),
         )
         name = f"measured-{kind}-{width}x{height}-{short_hash(identity)}.json"

@@ -43,7 +43,9 @@ def compare(
         `ceiling` (path-traced over disc); the settings; and `covered`, the mean fraction of the frame that
         the disc covers.
     """
-    full = FullTrace(renderer.tracer, settings.spp, settings.fovea is not FoveaMode.RAW)
+    full = FullTrace(
+        renderer.tracer_of(settings.integrator), settings.spp, settings.fovea is not FoveaMode.RAW
+    )
     frames = _Frames(renderer, camera, settings, full)
     reach = reach_for(settings.fov_a, camera)
     methods: dict[str, Callable[[Gaze, int], Any]] = {

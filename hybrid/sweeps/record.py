@@ -60,4 +60,4 @@ def applied(sweep: Sweep, base: Setting, effort: Effort) -> dict[str, Any]:
     for quantity, values in common.items():
         if quantity not in sweep.ignored:
             found |= values
-    return found | {"display": asdict(frame.display)}
+    return found | {"integrator": frame.integrator.value, "display": asdict(frame.display)}

@@ -100,7 +100,8 @@ def _full_traces(renderer: Renderer, settings: list[Setting]) -> dict[tuple[int,
     """The full path-traced frames to compare with, by samples per pixel and whether they are denoised."""
     wanted = [(setting.frame.spp, setting.is_denoised) for setting in settings]
     wanted += [(1, setting.is_denoised) for setting in settings if setting.over_one_spp]
-    return {(spp, denoised): FullTrace(renderer.tracer, spp, denoised) for spp, denoised in wanted}
+    tracer = renderer.tracer_of(settings[0].frame.integrator)
+    return {(spp, denoised): FullTrace(tracer, spp, denoised) for spp, denoised in wanted}
 
 
 def _times(

@@ -48,7 +48,7 @@ def render_video(
     """
     camera, _ = settings.resolved(renderer.scene.camera)
     count = max(1, round(trace.duration * fps))
-    disc = renderer.fovea.disc
+    disc = renderer.fovea_of(settings).disc
     frames = VideoFrames(path.with_name(path.name + ".frames"), identity)
     disc.restore_history(camera, frames.history())
     with interrupts_between_steps() as interrupted:

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import OpenEXR
 import pytest
 from PIL import Image
 
@@ -66,10 +67,27 @@ def test_the_frame_is_that_of_the_options(render, made, tmp_path):
         "fov_a": 30,
         "fov_b": 10,
         "fovea": "denoised",
+        "integrator": "path",
+        "unbiased": False,
         "acuity_model": "fov-gs",
         "nodes_drawn": frame.nodes_drawn,
         "pixels_excluded": 0,
     }
+
+
+def test_the_integrator_is_written_into_the_frame_and_its_facts(render, tmp_path):
+    out = tmp_path / "a.json"
+    found = {}
+    for integrator in ("path", "cached"):
+        options = ["--size", 40, 40, "--spp", 2, "--fovea", "raw", "--integrator", integrator]
+        assert render(*options, "-o", tmp_path / f"{integrator}.exr", "--json", out) == 0
+        row = json.loads(out.read_text())
+        header = OpenEXR.File(str(tmp_path / f"{integrator}.exr")).header()
+        unbiased = integrator == "path"
+        assert (row["integrator"], row["unbiased"]) == (integrator, unbiased)
+        assert (header["integrator"], header["unbiased"]) == (integrator, str(unbiased))
+        found[integrator] = read_exr(tmp_path / f"{integrator}.exr")["path-traced.G"]
+    assert (found["path"] != found["cached"]).any()
 
 
 def test_without_options_the_scenes_own_view_is_rendered(render, tmp_path, monkeypatch):
@@ -168,7 +186,7 @@ def test_everything_that_a_video_depends_on_is_part_of_its_identity(render, trac
     given = []
 
     def noting(path, renderer, settings, trace, fps, seed, identity, progress):
-        assert renderer.fovea.disc.has_history
+        assert renderer.fovea_of(settings).disc.has_history
         given.append((fps, seed, json.dumps(identity, sort_keys=True)))
         return []
 
@@ -183,6 +201,7 @@ def test_everything_that_a_video_depends_on_is_part_of_its_identity(render, trac
         ["--fov-a", 40],
         ["--fov-b", 1],
         ["--fovea", "raw"],
+        ["--integrator", "cached"],
         ["--layers", 1, 1],
         ["--acuity-model", "none"],
         ["--display", "hmd"],

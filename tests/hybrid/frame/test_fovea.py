@@ -65,8 +65,8 @@ def test_pixels_in_which_a_parent_is_left_out_are_counted(renderer):
     underlay = renderer.underlay(camera, settings, region)
     broken = underlay.radiance.copy()
     broken.reshape(-1, 3)[region.pixels[:7], 0] = np.nan
-    _, samples = renderer.fovea.trace(FoveaMode.FUSED, camera, region, 1, 0, underlay)
-    fovea = renderer.fovea.image(
+    _, samples = renderer.fovea_of(settings).trace(FoveaMode.FUSED, camera, region, 1, 0, underlay)
+    fovea = renderer.fovea_of(settings).image(
         FoveaMode.FUSED, region, samples, underlay=replace(underlay, radiance=broken)
     )
     assert fovea.excluded == 7
@@ -76,11 +76,13 @@ def test_pixels_in_which_a_parent_is_left_out_are_counted(renderer):
 def test_what_a_mode_requires_may_not_be_missing(renderer):
     settings = settings_of(renderer, "raw", 48, 48)
     region = settings.foveation.region(48, 48)
-    samples = renderer.fovea.disc.trace_each(settings.camera, region.pixels, np.ones(len(region.pixels)), 0)
+    samples = renderer.fovea_of(settings).disc.trace_each(
+        settings.camera, region.pixels, np.ones(len(region.pixels)), 0
+    )
     with pytest.raises(ValueError, match="a denoised fovea requires the radiance around the disc"):
-        renderer.fovea.image(FoveaMode.DENOISED, region, samples)
+        renderer.fovea_of(settings).image(FoveaMode.DENOISED, region, samples)
     with pytest.raises(ValueError, match="a fused fovea requires the splats under the disc"):
-        renderer.fovea.image(FoveaMode.FUSED, region, samples)
+        renderer.fovea_of(settings).image(FoveaMode.FUSED, region, samples)
 
 
 @pytest.mark.parametrize("mode", FoveaMode)

@@ -15,6 +15,7 @@ from compose.eye.gaze import Gaze, eccentricity
 from compose.fovea.mode import FoveaMode
 from compose.fovea.region import Foveation
 from hybrid.frame.settings import DEFAULTS, EVALUATION, INTERACTIVE, SWEEP, FrameSettings
+from pathtrace.trace.integrator import Integrator
 
 CAMERA = Camera(np.eye(4), 640, 480, 500.0, 500.0, 320.0, 240.0)
 # Each field with a value that is not its default.
@@ -30,6 +31,7 @@ OTHERS = {
     "scale": 0.5,
     "display": Display(1920, 1080, 55.0, 100.0),
     "camera": CAMERA,
+    "integrator": Integrator.CACHED,
 }
 
 
@@ -91,6 +93,7 @@ def test_a_display_may_be_named_or_described_in_a_file(tmp_path):
         ({"spp": 0}, "spp 0: must be a whole number of samples per pixel, 1 or more"),
         ({"spp": 1.5}, "spp 1.5: must be a whole number"),
         ({"fovea": "sharp"}, "fovea sharp: must be raw, denoised or fused"),
+        ({"integrator": "mlt"}, "integrator mlt: must be path or cached"),
         ({"fovea": None}, "fovea None: must be raw, denoised or fused"),
         ({"acuity_model": "blur"}, "acuity model blur"),
         ({"rate": -1}, "rate -1: must be a whole number from 0 to 4"),
@@ -190,3 +193,16 @@ def test_cameras_that_differ_in_one_number_differ_in_json():
     near = replace(CAMERA, fx=np.nextafter(CAMERA.fx, 501))
     assert FrameSettings(camera=near).as_json() != FrameSettings(camera=CAMERA).as_json()
     assert FrameSettings(camera=replace(CAMERA)).as_json() == FrameSettings(camera=CAMERA).as_json()
+
+
+@pytest.mark.parametrize(
+    ("fovea", "integrator", "unbiased"),
+    [
+        ("raw", "path", True),
+        ("raw", "cached", False),
+        ("denoised", "path", False),
+        ("fused", "cached", False),
+    ],
+)
+def test_only_raw_samples_of_the_path_integrator_are_unbiased(fovea, integrator, unbiased):
+    assert FrameSettings(fovea=fovea, integrator=integrator).is_unbiased is unbiased

@@ -68,6 +68,7 @@ def test_gaze_and_camera_are_those_of_the_use_not_of_the_measurement(forest, sto
         {"forest": white_dot((0, 0, 2))},
         {"size": (48, 64)},
         {"base": replace(BASE, acuity_model="none")},
+        {"base": replace(BASE, integrator="cached")},
         {"base": replace(BASE, display=Display(800, 600, 50, 100))},
     ],
 )

@@ -184,7 +184,14 @@ def test_what_applied_is_written_down_and_nothing_else(swept):
     found = swept(
         "radius", "--spp", 2, "--acuity-model", "none", "--display", "hmd", "--fov-a", 10, "--fov-b", 5
     )
-    assert found.keys() - CONTENT == {"fovea", "fov_b_of_fov_a", "spp", "acuity_model", "display"}
+    assert found.keys() - CONTENT == {
+        "fovea",
+        "fov_b_of_fov_a",
+        "spp",
+        "acuity_model",
+        "integrator",
+        "display",
+    }
     assert (found["spp"], found["acuity_model"], found["fov_b_of_fov_a"]) == (2, "none", 0.5)
     assert found["display"]["fov"] == 97.0
     assert len(found["forest"]) >= 16
