@@ -9,6 +9,7 @@ from hybrid.cli.benches.forest import forest
 from hybrid.cli.benches.fusion import fusion
 from hybrid.cli.benches.gaze import gaze
 from hybrid.cli.benches.held_out import held_out
+from hybrid.cli.benches.integrator import integrator
 from hybrid.cli.benches.motion import motion
 from hybrid.cli.benches.passes import passes
 from hybrid.cli.benches.periphery import periphery
@@ -17,6 +18,6 @@ from hybrid.cli.benches.seam import seam
 from hybrid.cli.benches.still import still
 
 bench_app = typer.Typer(no_args_is_help=True, help="Measure one part alone.")
-for command in (raster, periphery, gaze, forest, passes, fusion, change, motion, seam, still):
+for command in (raster, integrator, periphery, gaze, forest, passes, fusion, change, motion, seam, still):
     bench_app.command()(command)
 bench_app.command("held-out")(held_out)

@@ -1,0 +1,32 @@
+"""`hybrid bench integrator`."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from hybrid.cli.benches.integrator import integrator as command
+from tests.hybrid.command import run
+
+pytestmark = pytest.mark.usefixtures("backend", "own_home")
+
+
+def test_both_integrators_are_compared(monkeypatch, tmp_path, capsys):
+    out = tmp_path / "i.json"
+    options = ["--size", 32, 32, "--reference-spp", 64, "--repeats", 3, "--max-depth", 3, "--json", out]
+    assert run(monkeypatch, "bench", command.__name__, "cornell", *options) == 0
+    found = json.loads(out.read_text())
+    assert [row["integrator"] for row in found["rows"]] == ["path", "cached", "path", "cached"]
+    assert [row["integrator"] for row in found["bias"]] == ["path", "cached"]
+    assert found["scene"] == "cornell"
+    assert found["machine"]
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[0].startswith(f"cache: {found['cache']['cells']:,} cells")
+    assert [line.split()[:2] for line in shown[2:6]] == [
+        ["path", "1"],
+        ["cached", "1"],
+        ["path", "4"],
+        ["cached", "4"],
+    ]
+    assert [line.split()[0] for line in shown[7:]] == ["path", "cached"]
