@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
 from compose.image.colour import Image
-from hybrid.frame.irradiance import cache_for
+from hybrid.frame.irradiance import filled_cache
 from hybrid.measure.reference import REFERENCE_SEED
 from hybrid.measure.timing import percentiles
 from pathtrace.scene.scene import Scene
@@ -61,7 +61,7 @@ def bench_integrator(
         progress(done, total)
 
     start = time.perf_counter()
-    cache = cache_for(scene)
+    cache = filled_cache(scene)
     facts = {"seconds": time.perf_counter() - start, "cells": len(cache.cells), "bytes": cache.bytes}
     tracers = {Integrator.PATH: Tracer(scene), Integrator.CACHED: Tracer(scene, cache=cache)}
     truth = _converged(tracers[Integrator.PATH], camera, passes, REFERENCE_SEED, advance)

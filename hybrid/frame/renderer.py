@@ -15,7 +15,7 @@ from compose.image.colour import Image
 from hybrid.frame.fovea import Fovea
 from hybrid.frame.frame import Frame
 from hybrid.frame.fusion import fusion_of
-from hybrid.frame.irradiance import cache_for, cache_of
+from hybrid.frame.irradiance import cache_for
 from hybrid.frame.periphery import Periphery
 from hybrid.frame.settings import DEFAULTS, FrameSettings
 from hybrid.frame.underlay import Underlay
@@ -77,9 +77,8 @@ class Renderer:
 
     @cached_property
     def _cached_tracer(self) -> Tracer:
-        """Ends paths in the forest's cache; without one, it is filled now."""
-        cache = cache_of(self._forest) or cache_for(self.scene)
-        return Tracer(self.scene, roulette_depth=self._roulette_depth, cache=cache)
+        """Ends paths in the scene's cache, which is filled now if there is none."""
+        return Tracer(self.scene, roulette_depth=self._roulette_depth, cache=cache_for(self.scene))
 
     def frame(self, settings: FrameSettings = DEFAULTS, seed: int = 0) -> Frame:
         """Renders one frame.

@@ -1,104 +1,70 @@
-"""The irradiance cache of a forest: saved and restored whole, refused if damaged, used by frames."""
+"""Frames whose paths end in the scene's irradiance cache."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-import torch
 
-from compose.base.errors import UserError
-from compose.fusion.network import Fusion
-from hybrid.frame.fusion import attach_fusion, fusion_of
-from hybrid.frame.irradiance import attach_cache, cache_for, cache_of
+from hybrid.frame import irradiance
+from hybrid.frame.irradiance import cache_for
 from hybrid.frame.live import LiveRenderer
 from hybrid.frame.renderer import Renderer
 from hybrid.frame.settings import FrameSettings
-from pathtrace.cache.cache import IrradianceCache
+from hybrid.store.cache import scene_folder
 from pathtrace.trace.integrator import Integrator
-from splat.io.forest_file import load_forest, save_forest
 
-pytestmark = pytest.mark.usefixtures("backend")
-
-
-@pytest.fixture(scope="module")
-def cache(renderer) -> IrradianceCache:
-    return cache_for(renderer.scene)
+pytestmark = pytest.mark.usefixtures("backend", "own_home")
 
 
-def test_a_cache_is_the_same_after_a_file(renderer, cache, tmp_path):
-    forest = attach_cache(renderer.periphery.forest, cache)
-    save_forest(tmp_path / "a.forest", forest)
-    found = cache_of(load_forest(tmp_path / "a.forest"))
-    np.testing.assert_array_equal(found.irradiance, cache.irradiance)
-    np.testing.assert_array_equal(found.lights.chances, cache.lights.chances)
-    np.testing.assert_array_equal(found.lights.keys, cache.lights.keys)
-    for one, other in zip(
-        found.cells.keys + found.cells.counts, cache.cells.keys + cache.cells.counts, strict=True
-    ):
-        np.testing.assert_array_equal(one, other)
-    assert found.cells.grid.scale == cache.cells.grid.scale
-    np.testing.assert_array_equal(found.cells.grid.origin, cache.cells.grid.origin)
-
-
-def test_network_and_cache_of_a_forest_do_not_displace_each_other(forest, cache):
-    both = attach_fusion(attach_cache(attach_fusion(forest, Fusion()), cache), Fusion())
-    assert fusion_of(both) is not None
-    assert cache_of(both) is not None
-
-
-def test_a_forest_without_a_cache_has_none(renderer):
-    assert cache_of(renderer.periphery.forest) is None
-
-
-@pytest.mark.parametrize("damage", ["missing", "short", "infinite"])
-def test_a_damaged_cache_is_refused(renderer, cache, damage):
-    forest = attach_cache(renderer.periphery.forest, cache)
-    attached, name = dict(forest.attached), "irradiance.values"
-    if damage == "missing":
-        del attached["irradiance.keys.1"]
-    elif damage == "short":
-        attached[name] = attached[name][:, 1:]
-    else:
-        attached[name] = torch.full_like(attached[name], torch.inf)
-    with pytest.raises(UserError, match="irradiance cache is damaged; train the forest again"):
-        cache_of(replace(forest, attached=attached))
-
-
-def settings(renderer, **changes) -> FrameSettings:
-    camera = renderer.scene.camera.resized(48, 48)
+def settings(scene, **changes) -> FrameSettings:
+    camera = scene.camera.resized(48, 48)
     return FrameSettings(fov_a=60, fov_b=50, spp=8, fovea="raw", camera=camera, **changes)
 
 
-def test_cached_frames_are_close_to_unbiased_ones(renderer, cache):
-    forest = attach_cache(renderer.periphery.forest, cache)
-    own = Renderer(renderer.scene, forest)
-    frames = {
-        integrator: np.stack(
-            [own.frame(settings(renderer, integrator=integrator), seed).composite for seed in range(12)]
-        )
-        for integrator in Integrator
-    }
-    path, cached = frames[Integrator.PATH], frames[Integrator.CACHED]
+def test_a_scenes_cache_is_filled_once(scene, monkeypatch):
+    cache = cache_for(scene)
+    assert len(cache.cells) > 100
+    assert (scene_folder(scene.name, scene.hash) / "irradiance.safetensors").is_file()
+    monkeypatch.setattr(irradiance, "filled_cache", None)
+    np.testing.assert_array_equal(cache_for(scene).irradiance, cache.irradiance)
+
+
+def test_cached_frames_are_close_to_unbiased_ones(scene, forest):
+    renderer = Renderer(scene, forest)
+    path, cached = (
+        np.stack([renderer.frame(settings(scene, integrator=one), seed).composite for seed in range(12)])
+        for one in Integrator
+    )
     assert cached.mean() == pytest.approx(path.mean(), rel=0.02)
     # Not merely the same samples.
     assert (cached != path).any(axis=-1).mean() > 0.5
 
 
-def test_the_tracers_of_the_integrators_differ_and_are_kept(renderer, cache):
-    own = Renderer(renderer.scene, attach_cache(renderer.periphery.forest, cache))
-    assert own.tracer_of(Integrator.PATH) is own.tracer
-    cached = own.tracer_of(Integrator.CACHED)
-    assert cached is not own.tracer
-    assert own.tracer_of(Integrator.CACHED) is cached
+def test_frames_without_the_cached_integrator_fill_no_cache(scene, forest):
+    Renderer(scene, forest).frame(settings(scene))
+    assert not scene_folder(scene.name, scene.hash).exists()
 
 
-def test_histories_of_integrators_are_never_mixed(renderer, cache):
-    live = LiveRenderer(renderer.scene, attach_cache(renderer.periphery.forest, cache))
-    path, cached = (settings(renderer, integrator=integrator) for integrator in Integrator)
+def test_the_tracers_of_the_integrators_differ_and_are_kept(scene, forest):
+    renderer = Renderer(scene, forest)
+    assert renderer.tracer_of(Integrator.PATH) is renderer.tracer
+    cached = renderer.tracer_of(Integrator.CACHED)
+    assert cached is not renderer.tracer
+    assert renderer.tracer_of(Integrator.CACHED) is cached
+
+
+def test_histories_of_integrators_are_never_mixed(scene, forest):
+    live = LiveRenderer(scene, forest)
+    path, cached = (settings(scene, integrator=one) for one in Integrator)
     live.frame(path, 0)
-    counts = [
-        live.frame(one, seed).fovea.samples.count.mean() for seed, one in enumerate((path, cached, path), 1)
-    ]
-    assert counts == [16, 8, 24]
+    frames = [live.frame(one, seed) for seed, one in enumerate((path, cached, path), 1)]
+    assert [frame.fovea.samples.count.mean() for frame in frames] == [16, 8, 24]
+
+
+def test_forgetting_drops_the_samples_of_every_integrator(scene, forest):
+    live = LiveRenderer(scene, forest)
+    for one in Integrator:
+        live.frame(settings(scene, integrator=one), 0)
+    live.forget()
+    for one in Integrator:
+        assert live.frame(settings(scene, integrator=one), 1).fovea.samples.count.mean() == 8
