@@ -53,15 +53,16 @@ def fill_cache(
     parts = [_concatenated([_path_ends(scene.mitsuba, camera, share, state()) for camera in cameras])]
     if not len(parts[0]):
         return IrradianceCache.empty(grid, len(scene.mitsuba.emitters()))
-    gathered: list[Gathered] = []
-    for generation in range(_GENERATIONS):
-        gathered.append(gather(scene.mitsuba, parts[-1], state()))
-        progress(generation + 1, total)
+    gathered = [gather(scene.mitsuba, parts[0], state())]
+    progress(1, total)
+    for generation in range(1, _GENERATIONS):
         # What is seen from there must be known as well, to know what it reflects.
         seen = _seen(gathered[-1], _concatenated(parts), grid, points, random)
-        if generation + 1 == _GENERATIONS or not len(seen):
+        if not len(seen):
             break
         parts.append(seen)
+        gathered.append(gather(scene.mitsuba, seen, state()))
+        progress(generation + 1, total)
     every = _concatenated(parts)
     joined = lambda one, other, side: _joined(scene.mitsuba, every, one, other, side)  # noqa: E731
     cells = Cells.of(every, grid, joined)

@@ -61,9 +61,8 @@ def path_radiance(
     Returns:
         N linear colours.
     """
-    context, depths = mi.BSDFContext(), settings.max_depth if settings.max_depth >= 0 else _UNBOUNDED
-    radiance, throughput = mi.Color3f(0), mi.Color3f(1)
-    ray, active = mi.Ray3f(ray), mi.Bool(active)
+    depths = settings.max_depth if settings.max_depth >= 0 else _UNBOUNDED
+    radiance, throughput, ray, active = mi.Color3f(0), mi.Color3f(1), mi.Ray3f(ray), mi.Bool(active)
     # Of the vertex before: where it is, how its direction was sampled, and how many samples its light had.
     before, pdf = dr.zeros(mi.SurfaceInteraction3f), mi.Float(1)
     specular, light_samples = mi.Bool(True), mi.Float(1)
@@ -71,58 +70,97 @@ def path_radiance(
     depth, scattered, spread = mi.UInt32(0), mi.Bool(False), mi.Float(0)
     while dr.hint(active, exclude=[settings, sequences, cache, lights]):
         hit = scene.ray_intersect(ray, mi.RayFlags.All, depth == 0, active)
-        # Light that the surface emits; sampling lights would have found it, too.
-        emitter = hit.emitter(scene)
-        found = mi.DirectionSample3f(scene, hit, before)
-        shines = active & (emitter != None)  # noqa: E711
-        other_pdf = light_samples * lights.pdf(before, row, found, shines & ~specular)
-        weight = dr.select(specular, 1, pdf / (pdf + other_pdf))
-        radiance += dr.select(shines, throughput * weight * emitter.eval(hit, shines), 0)
+        emitted = _emitted(scene, lights, hit, before, row, pdf / light_samples, specular, active)
+        radiance += throughput * emitted
         active &= hit.is_valid() & (depth + 1 < depths)
-        # Spread of the path (Bekaert et al. 2003): what lies within it may be replaced by its mean.
-        facing = dr.dot(hit.n, ray.d)
-        step = dr.sqrt(dr.square(hit.t) / dr.maximum(pdf * dr.abs(facing), 1e-6))
-        spread += dr.select(specular, 0, step)
-        bsdf = hit.bsdf()
-        rough = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        spread += dr.select(specular, 0, _step(hit, ray, pdf))
+        side = dr.select(dr.dot(hit.n, ray.d) < 0, hit.n, -hit.n)
+        rough = active & mi.has_flag(hit.bsdf().flags(), mi.BSDFFlags.Smooth)
         first = rough & ~scattered
         # Scattering is sampled before direct light, since its weight is what a cached surface reflects.
-        lobe, direction = sampler.next_1d(active), sampler.next_2d(active)
-        even = mi.Point2f(*sequences.point(SCATTERING, sequences.number))
-        direction = dr.select(first, even, direction)
-        sample, reflected = bsdf.sample(context, hit, lobe, direction, active)
-        sampled_specular = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
-        lit = rough
-        side = dr.select(facing < 0, hit.n, -hit.n)
+        lobe, even = sampler.next_1d(active), mi.Point2f(*sequences.point(SCATTERING, sequences.number))
+        direction = dr.select(first, even, sampler.next_2d(active))
+        sample, reflected = hit.bsdf().sample(mi.BSDFContext(), hit, lobe, direction, active)
         asks = rough & scattered & reflects_irradiance(sample)
         left, jitter = depths - depth - 1, sampler.next_2d(active)
         known, irradiance = look_up(cache.irradiance, hit.p, side, dr.square(spread), left, jitter, asks)
         radiance += dr.select(known, throughput * reflected * irradiance * dr.inv_pi, 0)
         active &= ~known
-        lit &= ~known
+        lit = rough & ~known
         row = lights.row(hit.p, side, lit)
         count = dr.select(first, mi.UInt32(settings.shadow_rays), 1)
-        direct, number = mi.Color3f(0), mi.UInt32(0)
-        while dr.hint(lit & (number < count), exclude=[settings, sequences, lights]):
-            point = sampler.next_2d(lit)
-            index = sequences.number * settings.shadow_rays + number
-            point = dr.select(first, mi.Point2f(*sequences.point(LIGHT, index)), point)
-            light, emitted = lights.sample(hit, row, point, lit)
-            seen = lit & (light.pdf > 0)
-            reflectance, scatter_pdf = bsdf.eval_pdf(context, hit, hit.to_local(light.d), seen)
-            share = mi.Float(count) * light.pdf
-            share = dr.select(light.delta, 1, share / (share + scatter_pdf))
-            direct += dr.select(seen, reflectance * emitted * share, 0)
-            number += 1
-        radiance += dr.select(lit, throughput * direct / mi.Float(count), 0)
+        radiance += throughput * _direct(lights, sampler, sequences, hit, row, first, count, lit)
         throughput = dr.select(active, throughput * reflected, throughput)
-        before, pdf, specular = hit, sample.pdf, sampled_specular
-        light_samples = mi.Float(count)
+        before, pdf, light_samples = hit, sample.pdf, mi.Float(count)
+        specular = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
         ray = hit.spawn_ray(hit.to_world(sample.wo))
         scattered |= active & ~specular
         depth += 1
-        survival = dr.minimum(dr.max(throughput), _SURVIVAL)
-        plays = depth >= settings.roulette_depth
-        active &= (survival > 0) & (~plays | (sampler.next_1d(active) < survival))
-        throughput = dr.select(plays, throughput / survival, throughput)
+        throughput, active = _roulette(sampler, throughput, depth >= settings.roulette_depth, active)
     return radiance
+
+
+def _emitted(
+    scene: Any, lights: Lights, hit: Any, before: Any, row: Any, pdf: Any, specular: Any, active: Any
+) -> Any:
+    """Light that a surface or the sky emits, weighed against that which shadow rays found.
+
+    Args:
+        scene, lights: the scene and the choice of its lights.
+        hit, before: Mitsuba interactions, here and at the vertex before.
+        row: of the choice of lights at the vertex before.
+        pdf: density with which scattering chose the direction, over the number of shadow rays.
+        specular: (N,) mask of the paths for which no shadow ray could have found it.
+        active: (N,) mask.
+    """
+    emitter = hit.emitter(scene)
+    found = mi.DirectionSample3f(scene, hit, before)
+    shines = active & (emitter != None)  # noqa: E711
+    weight = pdf / (pdf + lights.pdf(before, row, found, shines & ~specular))
+    return dr.select(shines, dr.select(specular, 1, weight) * emitter.eval(hit, shines), 0)
+
+
+def _step(hit: Any, ray: Any, pdf: Any) -> Any:
+    """By how much the spread of paths grows that were scattered with a density and hit a surface.
+
+    What lies within the square of the spread may be replaced by its mean (Bekaert et al. 2003).
+    """
+    return dr.sqrt(dr.square(hit.t) / dr.maximum(pdf * dr.abs(dr.dot(hit.n, ray.d)), 1e-6))
+
+
+def _roulette(sampler: Any, throughput: Any, plays: Any, active: Any) -> tuple[Any, Any]:
+    """Throughput and mask of the paths that survive Russian roulette; only some of them play it."""
+    survival = dr.minimum(dr.max(throughput), _SURVIVAL)
+    survives = ~plays | (sampler.next_1d(active) < survival)
+    return dr.select(plays, throughput / survival, throughput), active & (survival > 0) & survives
+
+
+@dr.syntax
+def _direct(
+    lights: Lights,
+    sampler: Any,
+    sequences: Sequences,
+    hit: Any,
+    row: Any,
+    first: Any,
+    count: Any,
+    active: Any,
+) -> Any:
+    """Light that arrives from lights directly and is reflected, by `count` (N,) shadow rays each.
+
+    Where the surface is the `first` one that scatters light, the sequences say where these rays go.
+    """
+    context, bsdf = mi.BSDFContext(), hit.bsdf()
+    direct, number = mi.Color3f(0), mi.UInt32(0)
+    while dr.hint(active & (number < count), exclude=[sequences, lights]):
+        point = sampler.next_2d(active)
+        index = sequences.number * count + number
+        point = dr.select(first, mi.Point2f(*sequences.point(LIGHT, index)), point)
+        light, emitted = lights.sample(hit, row, point, active)
+        seen = active & (light.pdf > 0)
+        reflectance, scatter_pdf = bsdf.eval_pdf(context, hit, hit.to_local(light.d), seen)
+        share = mi.Float(count) * light.pdf
+        share = dr.select(light.delta, 1, share / (share + scatter_pdf))
+        direct += dr.select(seen, reflectance * emitted * share, 0)
+        number += 1
+    return direct / mi.Float(count)
