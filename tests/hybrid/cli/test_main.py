@@ -17,6 +17,7 @@ from hybrid.cli.benches.forest import forest
 from hybrid.cli.benches.fusion import fusion
 from hybrid.cli.benches.gaze import gaze
 from hybrid.cli.benches.held_out import held_out
+from hybrid.cli.benches.integrator import integrator
 from hybrid.cli.benches.motion import motion
 from hybrid.cli.benches.passes import passes
 from hybrid.cli.benches.periphery import periphery
@@ -52,6 +53,7 @@ COMMANDS = {
 }
 BENCHES = {
     "raster": raster,
+    "integrator": integrator,
     "periphery": periphery,
     "gaze": gaze,
     "forest": forest,
