@@ -60,7 +60,7 @@ class Renderer:
         self.scene = scene
         self.tracer = Tracer(scene, roulette_depth=roulette_depth)
         self.periphery = Periphery(device_arrays(), forest)
-        self._forest, self._history, self._roulette_depth = forest, history, roulette_depth
+        self._fusion, self._history, self._roulette_depth = fusion_of(forest), history, roulette_depth
         self._foveas: dict[Integrator, Fovea] = {}
 
     def tracer_of(self, integrator: Integrator) -> Tracer:
@@ -71,8 +71,7 @@ class Renderer:
         """The fovea of frames with these settings; samples of different integrators are never mixed."""
         integrator = settings.integrator
         if integrator not in self._foveas:
-            fusion = fusion_of(self._forest)
-            self._foveas[integrator] = Fovea(self.tracer_of(integrator), fusion, self._history)
+            self._foveas[integrator] = Fovea(self.tracer_of(integrator), self._fusion, self._history)
         return self._foveas[integrator]
 
     @cached_property

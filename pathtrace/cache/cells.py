@@ -150,8 +150,7 @@ class Cells:
     @cached_property
     def names(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
         """Two names of each cell: one to choose its place in a hash table, one to recognize it there."""
-        keys = np.concatenate(self.keys)
-        return (keys >> np.uint64(32)).astype(np.uint32), keys.astype(np.uint32)
+        return names_of(np.concatenate(self.keys))
 
     def indices(self, points: Points) -> NDArray[np.int64]:
         """(levels, N) index of the cell of each level that each point lies in; -1 where none is known."""
@@ -163,6 +162,11 @@ class Cells:
             found.append(np.where(known, start + place, -1))
             start += len(keys)
         return np.stack(found)
+
+
+def names_of(keys: NDArray[np.uint64]) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """The two names (N,) that keys of `Grid.keys` are made of."""
+    return (keys >> np.uint64(32)).astype(np.uint32), keys.astype(np.uint32)
 
 
 def _names(

@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from pathtrace.cache.cells import Grid, Points, cell_names_jit
+from pathtrace.cache.cells import Grid, Points, cell_names_jit, names_of
 from pathtrace.cache.table import Table, find
 
 # Level of the cells that have chances of their own, and samples of each light that such a cell has at least.
@@ -82,7 +82,7 @@ class LightChoice:
         Args:
             scene: the Mitsuba scene whose lights these are.
         """
-        table = Table.of((self.keys >> np.uint64(32)).astype(np.uint32), self.keys.astype(np.uint32))
+        table = Table.of(*names_of(self.keys))
         running = np.cumsum(self.chances, axis=1, dtype=np.float64)
         running = (running / running[:, -1:]).astype(np.float32)
         rows = mi.UInt32(len(self.keys))

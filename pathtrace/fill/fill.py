@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
 from pathtrace.cache.cache import IrradianceCache
-from pathtrace.cache.cells import Cells, Grid, Points
+from pathtrace.cache.cells import SIDES, Cells, Grid, Points
 from pathtrace.cache.lights import LightChoice, LightSamples
 from pathtrace.cache.transport import Links, Transport
 from pathtrace.fill.gather import RAYS, Gathered, gather
@@ -87,9 +87,10 @@ def _seen(
 ) -> Points:
     """Points that rays hit, first of all where none is known yet."""
     hits = gathered.hits.take(random.permutation(np.flatnonzero(gathered.valid)))
-    nothing = lambda one, other, side: np.ones(len(one), dtype=bool)  # noqa: E731
-    new = Cells.of(known, grid, nothing).best(hits) < 0
-    return hits.take(np.argsort(~new, kind="stable")[:count])
+    # The largest cells contain the others.
+    coarsest = len(SIDES) - 1
+    old = np.isin(grid.keys(hits, coarsest), grid.keys(known, coarsest))
+    return hits.take(np.argsort(old, kind="stable")[:count])
 
 
 def _segments(scene: Scene) -> int:

@@ -194,6 +194,8 @@ class Tracer:
         if self._known is None:
             channels = self._trace_radiance(self.scene.mitsuba, state, *batch.rays())
         else:
+            # Unbiased paths only need the film positions of it.
+            dr.eval(batch.sequences)
             sampled = batch.sequences, *batch.rays()
             channels = self._trace_radiance(self.scene.mitsuba, state, self._known, *sampled)
         dr.eval(channels)
@@ -261,9 +263,7 @@ class _Batch:
             offset = dr.opaque(mi.UInt32, self.offset)
         else:
             offset = mi.UInt32(self.offset.astype(np.uint32))
-        sequences = self.lanes.sequences(self.positions, offset, dr.opaque(mi.UInt32, _mixed(self.pattern)))
-        dr.eval(sequences)
-        return sequences
+        return self.lanes.sequences(self.positions, offset, dr.opaque(mi.UInt32, _mixed(self.pattern)))
 
     def rays(self) -> tuple[Any, ...]:
         """Film coordinates x and y, mask and camera of all lanes, as the frozen functions take them."""
