@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from compose.base.errors import UserError
+from hybrid.runtime.progress import Bars, no_bars, no_progress
 from hybrid.store.cache import scene_folder
 from hybrid.store.irradiance import stored_cache
 from pathtrace.cache.cache import IrradianceCache
@@ -15,18 +18,32 @@ from pathtrace.scene.surfaces import Surfaces
 _VIEWS = 8
 
 
-def cache_for(scene: Scene) -> IrradianceCache:
+def cache_for(scene: Scene, bars: Bars = no_bars) -> IrradianceCache:
     """The stored cache of a scene; if there is none, it is filled in seconds and stored.
+
+    Args:
+        scene: the scene.
+        bars: show the progress of filling it.
 
     Raises:
         UserError: the cache folder cannot be written.
     """
     file = scene_folder(scene.name, scene.hash) / "irradiance.safetensors"
-    return stored_cache(file, lambda: filled_cache(scene))
+
+    def filled() -> IrradianceCache:
+        with bars("irradiance (steps)") as bar:
+            return filled_cache(scene, bar)
+
+    return stored_cache(file, filled)
 
 
-def filled_cache(scene: Scene) -> IrradianceCache:
-    """A cache filled for views around the scene's own camera."""
+def filled_cache(scene: Scene, progress: Callable[[int, int], None] = no_progress) -> IrradianceCache:
+    """A cache filled for views around the scene's own camera.
+
+    Args:
+        scene: the scene.
+        progress: called with steps done and steps in total.
+    """
     camera = scene.camera
     try:
         views = choose_views(scene, Surfaces(scene), _VIEWS, camera.width, camera.height, 0)
@@ -34,4 +51,4 @@ def filled_cache(scene: Scene) -> IrradianceCache:
     except UserError:
         # There is no free space around the camera.
         cameras = [camera]
-    return fill_cache(scene, cameras)
+    return fill_cache(scene, cameras, progress=progress)

@@ -69,7 +69,7 @@ class Renderer:
 
     def fovea_of(self, settings: FrameSettings) -> Fovea:
         """The fovea of frames with these settings; samples of different integrators are never mixed."""
-        integrator = settings.integrator
+        integrator = settings.used_integrator
         if integrator not in self._foveas:
             self._foveas[integrator] = Fovea(self.tracer_of(integrator), self._fusion, self._history)
         return self._foveas[integrator]
