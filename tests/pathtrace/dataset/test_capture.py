@@ -19,7 +19,7 @@ from pathtrace.scene.scene import Scene, load_scene
 from tests import small
 
 SETTINGS = CaptureSettings(views=4, held_out=2, width=24, height=16, spp=2, held_out_spp=4)
-# Four views of 2 samples; two of 4 and an estimate of 1; four close-ups like those on a quarter of their size.
+# Four views of 2 samples; two of 4 and an estimate of 1; four close-ups of these on a quarter of their size.
 SAMPLES = 24 * 16 * (4 * 2 + 2 * 5) + 12 * 8 * 4 * 5
 
 
