@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
+from pathtrace.base.frozen import Frozen
 from pathtrace.cache.cache import CacheArrays, IrradianceCache
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.cached_paths import PathSettings, path_radiance
@@ -96,8 +97,8 @@ class Tracer:
         # In a cache without cells, no path could end.
         self._known = cache.arrays(scene.mitsuba) if cache is not None and len(cache.cells) else None
         self._settings = PathSettings(depth, roulette_depth, _SHADOW_RAYS)
-        self._trace_radiance = dr.freeze(self._radiance if self._known is None else self._cached_radiance)
-        self._trace_auxiliary = dr.freeze(self._auxiliary)
+        self._trace_radiance = Frozen(self._radiance if self._known is None else self._cached_radiance)
+        self._trace_auxiliary = Frozen(self._auxiliary)
 
     def trace(
         self,
