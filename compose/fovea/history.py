@@ -7,18 +7,18 @@ traced it: nothing is resampled twice, so that nothing blurs or drifts however l
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
-from compose.fovea.reprojection import EarlierView, Reprojected, reproject
+from compose.fovea.earlier import EarlierView, EarlierViews
+from compose.fovea.reprojection import Reprojected, reproject
 from compose.fovea.samples import Floats, Samples
 
-# Views that a moving camera remembers, and samples per pixel of each: old errors fade.
-_VIEWS = 16
+# Samples per pixel of an earlier view: old errors fade.
 _MOST_SAMPLES = 32.0
 # Most sample positions in a pixel over which its auxiliary features are averaged.
 _MOST_POSITIONS = 64
@@ -37,11 +37,14 @@ class History:
     """Samples of all pixels of a view, as far as any have been traced.
 
     It is valid for one world: make another history when the scene changes.
+
+    Args:
+        arrays: the backend's array types.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, arrays: Arrays):
         self._view: _View | None = None
-        self._earlier: deque[EarlierView] = deque(maxlen=_VIEWS)
+        self._earlier = EarlierViews(arrays)
         # What the earlier views contribute to the current one.
         self._past: Reprojected | None = None
 
@@ -53,9 +56,9 @@ class History:
         return {**known, "pattern": np.array([self._view.pattern])}
 
     @staticmethod
-    def restored(camera: Camera, state: dict[str, NDArray[np.generic]]) -> History:
+    def restored(arrays: Arrays, camera: Camera, state: dict[str, NDArray[np.generic]]) -> History:
         """A history of a camera's view from the `state` of another one."""
-        history = History()
+        history = History(arrays)
         history._view = _View.of(camera, int(state["pattern"][0]))  # type: ignore[call-overload]
         for key, name in _SAVED.items():
             getattr(history._view, name)[:] = state[key]
@@ -132,7 +135,7 @@ class History:
             self._past = None
             view = _View.of(camera, seed)
         elif view.camera != camera:
-            self._earlier.append(view.as_earlier())
+            self._earlier.add(view.as_earlier())
             self._past = reproject(self._earlier, camera, seen)
             view = _View.of(camera, seed)
         self._view = view

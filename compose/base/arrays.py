@@ -7,9 +7,13 @@ from types import ModuleType
 from typing import Any, Literal
 
 import drjit as dr
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 BackendName = Literal["llvm", "cuda"]
+# Bytes. Dr.Jit compiles other kernels for arrays that do not start at a multiple of it.
+_ALIGNMENT = 64
 
 
 class Arrays:
@@ -39,6 +43,17 @@ class Arrays:
         frame, the gaze or the camera.
         """
         return dr.opaque(self.plain.UInt, value)
+
+    def uploaded(self, kind: Any, values: NDArray[Any]) -> Any:
+        """Flat array of a kind, from a copy of numbers in host memory that have the kind's size.
+
+        The same kernels serve all such arrays; those that share numpy's memory may be aligned in any way.
+        """
+        memory = np.empty(values.nbytes + _ALIGNMENT, dtype=np.uint8)
+        start = -memory.ctypes.data % _ALIGNMENT
+        aligned = memory[start : start + values.nbytes].view(values.dtype)
+        aligned[:] = values.reshape(-1)
+        return kind(aligned)
 
     def from_torch(self, tensor: torch.Tensor) -> Any:
         """Differentiable flat Float of a tensor's elements; shares the memory of a contiguous tensor."""
