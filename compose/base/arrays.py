@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 BackendName = Literal["llvm", "cuda"]
 # Bytes. Dr.Jit compiles other kernels for arrays that do not start at a multiple of it.
 _ALIGNMENT = 64
+# From so many keys per bucket on, sorting by one large digit is quicker than by two small ones.
+_KEYS_PER_BUCKET = 4
 
 
 class Arrays:
@@ -81,8 +83,8 @@ class Arrays:
     def argsort(self, key: Any, bound: int) -> Any:
         """Indices that sort a UInt array stably: equal keys keep their order.
 
-        On the CPU this is a radix sort of one pass for bounds up to 2^14 and of two for bounds up to 2^22,
-        where `dr.argsort` takes three.
+        On the CPU this is a radix sort of one pass for bounds up to 2^14, or up to a quarter of the keys'
+        number, and of two for bounds up to 2^22, where `dr.argsort` takes three.
 
         Args:
             key: (N,) UInt, every element less than `bound`.
@@ -91,10 +93,12 @@ class Arrays:
         count = dr.width(key)
         if self.backend != "llvm" or not count:
             return dr.argsort(key)
-        order, shift = None, 0
-        while shift == 0 or bound > 1 << shift:
-            # The counters of 2^14 buckets fit the cache.
-            bits = 14 if bound <= 1 << 14 else 11
+        # The counters of 2^14 buckets fit the cache; those of more buckets are worth it if all are used.
+        if bound <= max(1 << 14, count // _KEYS_PER_BUCKET):
+            dr.eval(key)
+            return dr.detail.block_mkperm(key, count, bound)
+        order, shift, bits = None, 0, 11
+        while bound > 1 << shift:
             digit = (key if order is None else dr.gather(self.plain.UInt, key, order)) >> shift & (
                 1 << bits
             ) - 1

@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
+from compose.fovea.light import LIGHT
 from compose.fovea.samples import Floats
 
 # Views that are remembered.
 MOST_VIEWS = 16
-# Floats of a sample that tell where it is, and that tell what it shows; each are loaded as one packet.
-_PLACE, _LIGHT = 4, 8
+# Floats that tell where a sample is, loaded as one packet.
+_PLACE = 4
 # The last float of a place holds the view's number and the class of gloss.
 _GLOSS_BITS = 2
 # Samples for which there is room at first: a disc of a small frame.
@@ -28,14 +29,12 @@ class EarlierView:
     """What was traced from one camera, for N of its pixels.
 
     Attributes:
-        count: (N,) samples.
-        light: (N, 6) means of radiance and of its squares.
+        light: (N, 8) records (compose.fovea.light), at least one sample each.
         position: (N, 3) of what was hit, in the world.
         gloss: (N,) of what was hit.
         viewpoint: (3,) position of the camera.
     """
 
-    count: Floats
     light: Floats
     position: Floats
     gloss: NDArray[np.uint8]
@@ -95,7 +94,7 @@ class EarlierViews:
         if len(self._views) == MOST_VIEWS:
             _, dropped, _ = self._views.popleft()
             self._first = (self._first + dropped) % self._room
-        number, size, before = self._added % MOST_VIEWS, len(view.count), self.samples
+        number, size, before = self._added % MOST_VIEWS, len(view.light), self.samples
         self._views.append((number, size, view.viewpoint))
         self._added += 1
         if before + size > self._room:
@@ -110,8 +109,8 @@ class EarlierViews:
         return Places(position, tag & ((1 << _GLOSS_BITS) - 1), tag >> _GLOSS_BITS)
 
     def lights(self, index: Any) -> list[Any]:
-        """Eight Floats (M,) of the samples at an index: count, six sums of radiance and of its squares, 0."""
-        return list(self._packet(self._lights, _LIGHT, self._slot(index)))
+        """Eight Floats (M,): the light records of the samples at an index."""
+        return list(self._packet(self._lights, LIGHT, self._slot(index)))
 
     def _packet(self, table: Any, size: int, slot: Any) -> Any:
         return dr.gather(self.arrays.plain.ArrayXf, table, slot, shape=(size, dr.width(slot)))
@@ -123,7 +122,7 @@ class EarlierViews:
 
     def _empty(self) -> tuple[Any, Any]:
         Float = self.arrays.plain.Float
-        return dr.empty(Float, _PLACE * self._room), dr.empty(Float, _LIGHT * self._room)
+        return dr.empty(Float, _PLACE * self._room), dr.empty(Float, LIGHT * self._room)
 
     def _grow(self, samples: int, wanted: int) -> None:
         """Moves all samples to the start of a ring that has room for as many as wanted."""
@@ -133,7 +132,7 @@ class EarlierViews:
             slot = self._slot(index)
             places, lights = (
                 self._packet(self._places, _PLACE, slot),
-                self._packet(self._lights, _LIGHT, slot),
+                self._packet(self._lights, LIGHT, slot),
             )
             moved = places, lights, index
         self._first, self._room = 0, 1 << (wanted - 1).bit_length()
@@ -144,17 +143,13 @@ class EarlierViews:
     def _write(self, view: EarlierView, number: int, start: int) -> None:
         """Copies a view's samples to the device, from an index on."""
         plain, upload = self.arrays.plain, self.arrays.uploaded
-        size = len(view.count)
+        size = len(view.light)
         row = dr.arange(plain.UInt, size)
-        column = lambda table, width, i: dr.gather(plain.Float, table, row * width + i)  # noqa: E731
         position, light = upload(plain.Float, view.position), upload(plain.Float, view.light)
         tag = upload(plain.UInt, view.gloss.astype(np.uint32)) | self.arrays.number(number << _GLOSS_BITS)
-        count = upload(plain.Float, view.count)
-        self._scatter(
-            plain.ArrayXf([*(column(position, 3, i) for i in range(3)), plain.Float(tag)]),
-            plain.ArrayXf([count, *(column(light, 6, i) * count for i in range(6)), plain.Float(0)]),
-            self._slot(row + self.arrays.number(start)),
-        )
+        place = [dr.gather(plain.Float, position, row * 3 + i) for i in range(3)]
+        slot = self._slot(row + self.arrays.number(start))
+        self._scatter(plain.ArrayXf([*place, plain.Float(tag)]), self._packet(light, LIGHT, row), slot)
 
     def _scatter(self, places: Any, lights: Any, slot: Any) -> None:
         dr.scatter(self._places, places, slot, mode=dr.ReduceMode.Permute)

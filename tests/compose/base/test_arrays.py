@@ -63,9 +63,9 @@ def test_concatenation_keeps_the_order_and_skips_empty_parts(arrays):
     assert dr.width(arrays.concatenated([dr.zeros(UInt, 0)])) == 0
 
 
-# One pass of 14 bits up to 16384, two of 11 bits up to 2^22, three beyond.
+# One pass up to 16384 or a quarter of the count, two of 11 bits up to 2^22, three beyond.
 @pytest.mark.parametrize("bound", [1, 2, 5, 2047, 16384, 16385, 70_000, 1 << 22, (1 << 22) + 1, 1 << 26])
-@pytest.mark.parametrize("count", [1, 1000])
+@pytest.mark.parametrize("count", [1, 1000, 100_000])
 def test_sorting_is_stable(arrays, bound, count):
     keys = np.random.default_rng(bound).integers(0, bound, count, dtype=np.uint32)
     # Many equal keys, and the largest possible one.

@@ -43,13 +43,8 @@ def plain_reproject(views: Iterable[EarlierView], camera: Camera, new: Samples) 
     seen = arrivals.certain | (arrivals.distance <= front[arrivals.quarter] * (1 + _SAME_SURFACE))
     down, across = np.divmod(arrivals.quarter[seen], 2 * width)
     target = down // 2 * width + across // 2
-    count, sums = _summed(target, arrivals.count[seen], arrivals.light[seen], height * width)
-    return Reprojected(
-        surfaces.rows,
-        surfaces.columns,
-        count.reshape(height, width),
-        sums.reshape(height, width, 6),
-    )
+    light = _summed(target, arrivals.light[seen], height * width)
+    return Reprojected(surfaces.rows, surfaces.columns, light.reshape(height, width, -1))
 
 
 @dataclass(frozen=True)
@@ -60,14 +55,12 @@ class _Arrivals:
         quarter: (M,) index of the quarter of a pixel, row by row over (2 h, 2 w) quarters.
         distance: (M,) from the camera.
         certain: (M,) whether nothing can hide it.
-        count: (M,) samples.
-        light: (M, 6) means of radiance and of its squares.
+        light: (M, 8) records.
     """
 
     quarter: NDArray[np.int64]
     distance: NDArray[np.float64]
     certain: NDArray[np.bool_]
-    count: NDArray[np.float64]
     light: Floats
 
     @staticmethod
@@ -99,7 +92,6 @@ def _arrivals(view: EarlierView, camera: Camera, surfaces: _Surfaces) -> _Arriva
         quarter=down * 2 * width + across,
         distance=distance,
         certain=np.full(len(kept), certain),
-        count=view.count[kept].astype(np.float64),
         light=view.light[kept],
     )
 
@@ -157,13 +149,9 @@ def _extreme_of_nine(image: NDArray[np.float64], choose: np.ufunc) -> NDArray[np
     return choose(choose(across[:-2], across[1:-1]), across[2:])
 
 
-def _summed(
-    target: NDArray[np.int64], weight: NDArray[np.float64], values: Floats, size: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(size,) sums of weights (M,) and (size, C) sums of weighted values (M, C), by their target (M,)."""
-    count = np.bincount(target, weight, size).astype(np.float64)
-    sums = [np.bincount(target, weight * values[:, i], size) for i in range(values.shape[1])]
-    return count, np.stack(sums, axis=1).astype(np.float64)
+def _summed(target: NDArray[np.int64], values: Floats, size: int) -> NDArray[np.float64]:
+    """(size, C) sums of values (M, C) by their target (M,)."""
+    return np.stack([np.bincount(target, column, size) for column in values.T], axis=1)
 
 
 def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
