@@ -192,7 +192,8 @@ class _View:
         features = self.features.take(pixels, axis=0)
         first = features[:, _POSITIONS] == 0
         features[first, _HIT], features[first, _GLOSS] = seen.position[first], seen.gloss[first]
-        features[:, _AUXILIARY] += np.hstack([seen.albedo, seen.normal]) * positions
+        features[:, _AUXILIARY][:, 0:3] += seen.albedo * positions
+        features[:, _AUXILIARY][:, 3:6] += seen.normal * positions
         features[:, _POSITIONS] += positions
         self.features[pixels] = features
         self.known[pixels] = True
