@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
 from compose.fovea.mode import FoveaMode
@@ -17,7 +18,6 @@ from pathtrace.base.denoise import denoise
 from pathtrace.cache.cache import IrradianceCache
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.tracer import Tracer
-from splat.base.arrays import Arrays
 from splat.model.forest import Forest
 
 # Radius in percent of the height of a disc that covers any frame.
