@@ -125,6 +125,8 @@ def render(
     target.require_forest(loaded, forest)
     found = forest_for(loaded, forest)
     settings = target.applied(loaded, found, replace(settings, camera=view))
+    # Refused before anything is filled.
+    settings.layers_of(len(found.counts))
     fill_irradiance(loaded, settings)
     if trace is None:
         facts = _render_frame(output, detail, loaded, found, settings, seed)

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
-from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.eye.acuity import ACUITY_MODELS
 from compose.eye.detail import DetailMap, LayerRange, detail_map
@@ -52,11 +51,7 @@ class Periphery:
         Raises:
             UserError: the forest does not have those layers.
         """
-        count = len(self.forest.counts)
-        low, high = settings.layers or (1, count)
-        if not 1 <= low <= high <= count:
-            raise UserError(f"layers {low} {high}: this forest has layers 1 to {count}")
-        return low, high
+        return settings.layers_of(len(self.forest.counts))
 
     def detail(self, camera: Camera, settings: FrameSettings) -> DetailMap:
         """The detail that the viewer resolves in each part of a frame.

@@ -110,6 +110,17 @@ class FrameSettings:
         """Gaze and radii."""
         return Foveation(self.gaze, self.fov_a, self.fov_b)
 
+    def layers_of(self, count: int) -> tuple[int, int]:
+        """Coarsest and finest layer that may be drawn of a forest with a number of layers.
+
+        Raises:
+            UserError: the forest does not have those layers.
+        """
+        low, high = self.layers or (1, count)
+        if not 1 <= low <= high <= count:
+            raise UserError(f"layers {low} {high}: this forest has layers 1 to {count}")
+        return low, high
+
     def with_radius(self, fov_a: float) -> FrameSettings:
         """The same settings with another radius; fov_b keeps its ratio to fov_a."""
         share = self.fov_b / self.fov_a if self.fov_a > 0 else 0.0

@@ -24,30 +24,39 @@ def test_a_frame_set_is_written_and_described(monkeypatch, tmp_path, capsys):
     assert (len(frames.training), len(frames.held_out)) == (2, 1)
     row = json.loads(out.read_text())
     assert row.pop("seconds") > 0
-    assert row == {"scene": "cornell", "views": 2, "held_out": 1, "width": 20, "height": 16, "spp": 2}
+    assert row == {"scene": "cornell", "views": 2, "held_out": 1, "width": 20, "height": 16, "spp": 2} | {
+        "integrator": "cached"
+    }
     assert f"2 training views and 1 held-out views in {tmp_path / 'frames'}" in capsys.readouterr().out
 
 
 def test_every_option_reaches_the_settings(monkeypatch, tmp_path):
     given = []
 
-    def capture(scene, folder, settings, progress):
-        given.extend([scene.max_depth, folder, settings])
+    def capture(scene, folder, settings, progress, cache):
+        given.extend([scene.max_depth, folder, settings, cache])
         raise KeyboardInterrupt
 
     monkeypatch.setattr(module, "capture", capture)
     options = ["--views", 3, "--held-out", 2, "--size", 40, 30, "--spp", 5, "--held-out-spp", 6, "--seed", 7]
-    assert run(monkeypatch, "capture", "cornell", tmp_path / "f", *options, "--max-depth", 2) != 0
-    assert given == [2, tmp_path / "f", CaptureSettings(3, 2, 40, 30, 5, 6, 7)]
+    options += ["--max-depth", 2, "--integrator", "path"]
+    assert run(monkeypatch, "capture", "cornell", tmp_path / "f", *options) != 0
+    assert given == [2, tmp_path / "f", CaptureSettings(3, 2, 40, 30, 5, 6, 7), None]
 
 
 def test_the_defaults_are_those_of_the_settings(monkeypatch, tmp_path):
     given = []
 
-    def capture(scene, folder, settings, progress):
-        given.append(settings)
+    def capture(scene, folder, settings, progress, cache):
+        given.extend([settings, cache is not None])
         raise KeyboardInterrupt
 
     monkeypatch.setattr(module, "capture", capture)
     assert run(monkeypatch, command.capture.__name__, "cornell", tmp_path / "f") != 0
-    assert given == [CaptureSettings()]
+    assert given == [CaptureSettings(), True]
+
+
+def test_an_unknown_integrator_is_refused(monkeypatch, tmp_path, capsys):
+    assert run(monkeypatch, "capture", "cornell", tmp_path / "f", "--integrator", "mlt") == 2
+    assert "integrator mlt: must be path or cached" in capsys.readouterr().err
+    assert not (tmp_path / "f").exists()

@@ -34,7 +34,7 @@ def test_evaluation_json_has_all_settings_but_the_display():
         "fov_b": 10,
         "spp": 2,
         "acuity_model": "geisler-perry",
-        "integrator": "path",
+        "integrator": "cached",
         "width": 64,
         "height": 48,
         "views": 2,
