@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -56,11 +56,12 @@ class Evaluation:
         folder: Path,
         flat: Forest | None = None,
     ):
+        # All methods trace in the same way, raw foveas as well; only references are always unbiased.
+        integrator = settings.frame.used_integrator
+        settings = replace(settings, frame=replace(settings.frame, integrator=integrator))
         self.scene, self.settings, self.folder = scene, settings, folder
         self.renderer = Renderer(scene, forest)
-        # References are unbiased; baselines trace as the hybrid frames do.
-        self.tracer = self.renderer.tracer
-        self.baseline_tracer = self.renderer.tracer_of(settings.frame.used_integrator)
+        self.tracer, self.baseline_tracer = self.renderer.tracer, self.renderer.tracer_of(integrator)
         self.splats = SplatsAlone(Periphery(device_arrays(), forest))
         self.flat = None if flat is None else SplatsAlone(Periphery(device_arrays(), flat))
         identity = measured_identity(
