@@ -41,7 +41,7 @@ def opened(forest: Path, folder: Path) -> Window:
 
 
 def window_of(scene: str, forest: Path | None, folder: Path) -> Window:
-    thread = RenderThread(partial(prepared, scene, forest, "auto", True))
+    thread = RenderThread(partial(prepared, scene, forest, "auto", True, INTERACTIVE))
     return Window(thread, INTERACTIVE, None, SIZE, GazeInput(0.0, None), folder)
 
 
