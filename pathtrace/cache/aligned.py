@@ -10,14 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def aligned(values: NDArray[Any]) -> Any:
-    """Values as a flat Dr.Jit array in memory of Dr.Jit's own.
+def aligned(*arrays: NDArray[Any]) -> list[Any]:
+    """Values as flat Dr.Jit arrays in memory of Dr.Jit's own.
 
     An array that shares NumPy's memory lies anywhere, and kernels are compiled for where their arrays lie:
     with new values, a frozen function might be recorded again.
     """
-    shared = mi.Float(np.ascontiguousarray(values, dtype=np.float32).ravel())
-    own = dr.empty(mi.Float, len(shared))
-    dr.scatter(own, shared, dr.arange(mi.UInt32, len(shared)))
-    dr.eval(own)
-    return own
+    copies = []
+    for values in arrays:
+        shared = mi.Float(np.ascontiguousarray(values, dtype=np.float32).ravel())
+        own = dr.empty(mi.Float, len(shared))
+        dr.scatter(own, shared, dr.arange(mi.UInt32, len(shared)))
+        copies.append(own)
+    dr.eval(copies)
+    return copies

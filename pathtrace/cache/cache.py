@@ -67,17 +67,18 @@ class IrradianceCache:
         """The cache as Dr.Jit arrays, for the Mitsuba scene that it was filled for."""
         steps, cells = (mi.UInt32(size) for size in self.irradiance.shape[:2])
         dr.make_opaque(steps, cells)
-        known = self.cells.grid.arrays, self._table.arrays, steps, cells, *self._channels()
+        known = self.cells.grid.arrays, self._table.arrays, steps, cells, *aligned(*self._channels())
         return CacheArrays(known, self.lights.arrays(scene))
 
     def relit(self, arrays: CacheArrays) -> CacheArrays:
         """The arrays of this cache, given those of the same cells in other light."""
         known, lights = arrays.irradiance[:-3], arrays.lights[:-2]
-        return CacheArrays((*known, *self._channels()), (*lights, *self.lights.chance_arrays()))
+        *channels, chances, sums = aligned(*self._channels(), *self.lights.chance_arrays())
+        return CacheArrays((*known, *channels), (*lights, chances, sums))
 
-    def _channels(self) -> list[Any]:
+    def _channels(self) -> list[NDArray[np.float32]]:
         # One more value, since kernels cannot read from an empty array.
-        return [aligned(np.append(self.irradiance[..., channel], np.float32(0))) for channel in range(3)]
+        return [np.append(self.irradiance[..., channel], np.float32(0)) for channel in range(3)]
 
 
 @dataclass(frozen=True)

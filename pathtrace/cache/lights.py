@@ -95,13 +95,13 @@ class LightChoice:
         rows = mi.UInt32(len(self.keys))
         dr.make_opaque(rows)
         numbers = mi.UInt32(light_numbers(scene))
-        return self.grid.arrays, table.arrays, rows, numbers, *self.chance_arrays()
+        return self.grid.arrays, table.arrays, rows, numbers, *aligned(*self.chance_arrays())
 
-    def chance_arrays(self) -> tuple[Any, Any]:
-        """The last two of `arrays`: all that changes while a choice is learnt."""
+    def chance_arrays(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """The last two of `arrays`, not yet Dr.Jit's: all that changes while a choice is learnt."""
         running = np.cumsum(self.chances, axis=1, dtype=np.float64)
         running = (running / running[:, -1:]).astype(np.float32)
-        return aligned(self.chances), aligned(running)
+        return self.chances, running
 
 
 class LightLearning:

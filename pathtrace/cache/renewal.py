@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from pathtrace.cache.patches import sums_by
 
@@ -17,6 +18,8 @@ from pathtrace.cache.patches import sums_by
 _LEAST = 1e-3
 # New samples of a region that count as much as those of all regions.
 _TRUST = 8
+# Keeps the light of places that never had any above 0.
+_DARK = 1e-12
 
 
 class Renewal:
@@ -30,15 +33,14 @@ class Renewal:
 
     def __init__(self, sums: NDArray[Any], numbers: NDArray[np.int64], regions: NDArray[np.int64]):
         self._numbers, self._regions = numbers, regions
-        self._count = int(regions.max(initial=-1)) + 1
-        old = sums / np.maximum(numbers, 1)[:, None]
+        places = np.arange(len(numbers))
+        shape = int(regions.max(initial=-1)) + 1, len(numbers)
+        self._summing = sparse.csr_array((np.ones(len(numbers)), (regions, places)), shape)
         mean = sums.sum(axis=0) / max(numbers.sum(), 1)
         # Where nothing was lit, any new light is taken to be even.
-        self._old = old + np.maximum(_LEAST * mean, 1e-12)
-        self._typical = (
-            sums_by(regions, numbers[:, None] * self._old, self._count)
-            / np.maximum(np.bincount(regions, numbers, self._count), 1)[:, None]
-        )
+        self._old = sums / np.maximum(numbers, 1)[:, None] + np.maximum(_LEAST * mean, _DARK)
+        count = np.maximum(self._summing @ numbers, 1)
+        self._trust = _TRUST * (self._summing @ (numbers[:, None] * self._old)) / count[:, None] + _DARK
         self._new = np.zeros_like(self._old)
         self._renewed = np.zeros(len(numbers))
 
@@ -49,12 +51,10 @@ class Renewal:
 
     def sums(self) -> NDArray[np.float64]:
         """(A, 3) sums of the light of all samples of each place after the change."""
-        before = self._renewed[:, None] * self._old
-        found, expected = (sums_by(self._regions, part, self._count) for part in (self._new, before))
+        found, expected = self._summing @ self._new, self._summing @ (self._renewed[:, None] * self._old)
         total = expected.sum(axis=0)
         overall = np.divide(found.sum(axis=0), total, out=np.ones(3), where=total > 0)
-        trust = _TRUST * np.maximum(self._typical, 1e-12)
-        change = (found + trust * overall) / (expected + trust)
+        change = (found + self._trust * overall) / (expected + self._trust)
         waiting = (self._numbers - self._renewed)[:, None]
         return self._new + waiting * self._old * change[self._regions]
 

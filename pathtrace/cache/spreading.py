@@ -46,6 +46,6 @@ class Spreading:
         """Sets the light (C, 3) that the next steps pass on."""
         self._known[0] = direct
 
-    def irradiance(self, cells: NDArray[np.bool_]) -> NDArray[np.float32]:
-        """(K, c, 3) of some of the cells, as of `IrradianceCache`."""
-        return told_apart([light[cells] for light in self._known])
+    def irradiance(self, cells: NDArray[np.int64]) -> NDArray[np.float32]:
+        """(K, c, 3) of cells given by their indices, as of `IrradianceCache`."""
+        return told_apart([np.take(light, cells, axis=0) for light in self._known])

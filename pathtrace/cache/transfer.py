@@ -114,6 +114,15 @@ class Transfer:
         return self.transport.patches.regions[self.patch[self.rays.point]]
 
     @cached_property
+    def _shares(self) -> NDArray[np.float64]:
+        """(P, 1) share of the points of its region that each patch has."""
+        regions = self.transport.patches.regions
+        shares: NDArray[np.float64] = (
+            self.numbers / np.maximum(np.bincount(regions, self.numbers), 1)[regions]
+        )
+        return shares[:, None]
+
+    @cached_property
     def _averaging(self) -> Any:
         return self.transport.patches.averaging(self.numbers)
 
@@ -123,8 +132,6 @@ class Transfer:
         Lights seen in mirrors and through glass are found rarely, and are very bright then: no small cell has
         enough samples of them, so that each patch gets the mean of its region.
         """
-        regions = self.transport.patches.regions
-        share = self.numbers / np.maximum(np.bincount(regions, self.numbers), 1)[regions]
-        sums = (direct + share[:, None] * reflected[regions]).astype(np.float32)
-        irradiance: NDArray[np.float32] = self._averaging @ sums
+        shown = self._shares * reflected[self.transport.patches.regions]
+        irradiance: NDArray[np.float32] = self._averaging @ (direct + shown).astype(np.float32)
         return irradiance

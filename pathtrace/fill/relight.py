@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pathtrace.cache.cache import IrradianceCache
 from pathtrace.cache.renewal import Renewal
@@ -21,17 +22,18 @@ PARTS = 35
 
 
 class Relighting:
-    """The light of a cache, kept up to date with the lights of its scene.
+    """The light of a cache, kept up to date with the lights of its scene, which have just changed.
 
     Args:
         scene: that the cache was filled for.
-        cache: filled, with at least one cell.
+        cache: all of whose light is known, with at least one cell.
         seed: same seed, same light on the same machine.
     """
 
     def __init__(self, scene: Scene, cache: IrradianceCache, seed: int = 0):
         self._transfer, self._cache = cache.transfer, cache
         self._resampling = Resampling(scene.mitsuba, cache.transfer, PARTS, seed)
+        self._cells = np.flatnonzero(cache.transfer.known)
         self._most = segments_beyond_cache(scene)
         self._rows = cache.lights.rows(cache.transfer.points)
         regions = self._transfer.transport.patches.regions
@@ -39,18 +41,26 @@ class Relighting:
         count = len(self._transfer.reflected)
         rays = np.bincount(self._transfer.ray_regions, minlength=count)
         self._reflected = Renewal(self._transfer.reflected, rays, np.zeros(count, dtype=np.int64))
-        self.change()
+        self._begin()
 
     def change(self) -> None:
-        """Says that the lights changed: all that is known of them is old now."""
+        """Says that the lights changed again: all that is known of them is old now."""
         self._direct, self._reflected = self._direct.again(), self._reflected.again()
+        self._begin()
+
+    def _begin(self) -> None:
         self._learning = self._cache.lights.learning()
         self._spreading: Spreading | None = None
         self._done = 0
 
+    @property
+    def renewed(self) -> float:
+        """Share of the updates after the lights changed that were made."""
+        return self._done / (PARTS + self._spreading.steps) if self._spreading is not None else 0.0
+
     def update(self) -> IrradianceCache:
-        """The cache, with a further part of its light renewed; unchanged once all of it is."""
-        if self._spreading is not None and self._done == PARTS + self._spreading.steps:
+        """The cache, with a further part of its light renewed; as it was once all of it is."""
+        if self.renewed == 1:
             return self._cache
         # The part is sampled while light is passed on.
         part = self._resampling.next_part() if self._done < PARTS else None
@@ -59,12 +69,9 @@ class Relighting:
         if part is not None:
             self._add(part)
         self._done += 1
-        spreading = self._spread()
-        irradiance = spreading.irradiance(self._transfer.known)
-        renewed = self._done / (PARTS + spreading.steps)
-        self._cache = replace(
-            self._cache, irradiance=irradiance, lights=self._learning.choice(), renewed=renewed
-        )
+        irradiance = self._spread().irradiance(self._cells)
+        lights = self._learning.choice()
+        self._cache = replace(self._cache, irradiance=irradiance, lights=lights, renewed=self.renewed)
         return self._cache
 
     def _add(self, part: Part) -> None:
@@ -83,5 +90,5 @@ class Relighting:
                 self._spreading.restart()
         return self._spreading
 
-    def _light(self) -> np.ndarray:
+    def _light(self) -> NDArray[np.float32]:
         return self._transfer.of_cells(self._direct.sums(), self._reflected.sums())
