@@ -27,8 +27,8 @@ def cache_for(scene: Scene) -> IrradianceCache:
     return stored_cache(file, lambda: filled_cache(scene))
 
 
-def filled_cache(scene: Scene) -> IrradianceCache:
-    """A cache filled for views around the scene's own camera."""
+def filled_cache(scene: Scene, seed: int = 0) -> IrradianceCache:
+    """A cache filled for views around the scene's own camera; same seed, same cache."""
     camera = scene.camera
     try:
         views = choose_views(scene, Surfaces(scene), _VIEWS, camera.width, camera.height, 0)
@@ -36,7 +36,7 @@ def filled_cache(scene: Scene) -> IrradianceCache:
     except UserError:
         # There is no free space around the camera.
         cameras = [camera]
-    return fill_cache(scene, cameras)
+    return fill_cache(scene, cameras, seed)
 
 
 class CachedTracer:

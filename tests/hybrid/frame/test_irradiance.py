@@ -89,7 +89,7 @@ def set_colours(scene, name: str, value: float) -> None:
     """Sets all parameters whose names end in this."""
     parameters = mi.traverse(scene.mitsuba)
     for key in [key for key, _ in parameters if key.endswith(name)]:
-        parameters[key] = mi.Color3f(value)
+        parameters[key] = type(parameters[key])(value)
     parameters.update()
 
 
