@@ -7,29 +7,34 @@ traced it: nothing is resampled twice, so that nothing blurs or drifts however l
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
-from compose.fovea.reprojection import EarlierView, Reprojected, reproject
+from compose.fovea.earlier import EarlierView, EarlierViews
+from compose.fovea.light import LIGHT, light_of, means
+from compose.fovea.reprojection import Reprojected, reproject
 from compose.fovea.samples import Floats, Samples
 
-# Views that a moving camera remembers, and samples per pixel of each: old errors fade.
-_VIEWS = 16
+# Samples per pixel of an earlier view: old errors fade.
 _MOST_SAMPLES = 32.0
 # Most sample positions in a pixel over which its auxiliary features are averaged.
 _MOST_POSITIONS = 64
-# Attributes of a view by their keys in saved states; files of interrupted videos contain these keys.
-_SAVED = {
-    "count": "count",
-    "light": "light",
-    "places": "positions",
-    "guides": "auxiliary",
-    "position": "hit",
-    "gloss": "gloss",
+# What a view knows of a pixel, besides its light: the number of sample positions whose auxiliary features are
+# known, sums of their albedo and normal, and position and class of gloss of what one of them hits.
+_FEATURES = 11
+_POSITIONS, _AUXILIARY, _HIT, _GLOSS = 0, slice(1, 7), slice(7, 10), 10
+# Columns of a view's light and of its features by their keys in saved states; files of interrupted videos
+# contain these keys.
+_SAVED_LIGHT: dict[str, int | slice] = {"count": 0, "light": slice(1, 7)}
+_SAVED_FEATURES: dict[str, int | slice] = {
+    "places": _POSITIONS,
+    "guides": _AUXILIARY,
+    "position": _HIT,
+    "gloss": _GLOSS,
 }
 
 
@@ -37,28 +42,37 @@ class History:
     """Samples of all pixels of a view, as far as any have been traced.
 
     It is valid for one world: make another history when the scene changes.
+
+    Args:
+        arrays: the backend's array types.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, arrays: Arrays):
         self._view: _View | None = None
-        self._earlier: deque[EarlierView] = deque(maxlen=_VIEWS)
+        self._earlier = EarlierViews(arrays)
         # What the earlier views contribute to the current one.
         self._past: Reprojected | None = None
 
     def state(self) -> dict[str, NDArray[np.generic]]:
         """Arrays from which `restored` continues: those of the current view, without earlier views."""
-        if self._view is None:
+        view = self._view
+        if view is None:
             return {}
-        known = {key: getattr(self._view, name) for key, name in _SAVED.items()}
-        return {**known, "pattern": np.array([self._view.pattern])}
+        known = {key: view.light[:, column] for key, column in _SAVED_LIGHT.items()}
+        known |= {key: view.features[:, column] for key, column in _SAVED_FEATURES.items()}
+        known = {key: values.copy() for key, values in known.items()}
+        return {**known, "gloss": known["gloss"].astype(np.uint8), "pattern": np.array([view.pattern])}
 
     @staticmethod
-    def restored(camera: Camera, state: dict[str, NDArray[np.generic]]) -> History:
+    def restored(arrays: Arrays, camera: Camera, state: dict[str, NDArray[np.generic]]) -> History:
         """A history of a camera's view from the `state` of another one."""
-        history = History()
-        history._view = _View.of(camera, int(state["pattern"][0]))  # type: ignore[call-overload]
-        for key, name in _SAVED.items():
-            getattr(history._view, name)[:] = state[key]
+        history = History(arrays)
+        view = history._view = _View.of(camera, int(state["pattern"][0]))  # type: ignore[call-overload]
+        for key, column in _SAVED_LIGHT.items():
+            view.light[:, column] = state[key]
+        for key, column in _SAVED_FEATURES.items():
+            view.features[:, column] = state[key]
+        view.known[:] = (view.light[:, 0] > 0) | (view.features[:, _POSITIONS] > 0)
         return history
 
     def sampled(self, camera: Camera, pixels: NDArray[np.uint32], seed: int) -> tuple[NDArray[np.int64], int]:
@@ -70,7 +84,7 @@ class History:
         view = self._view_of(camera)
         if view is None:
             return np.zeros(len(pixels), dtype=np.int64), seed
-        return view.count[pixels].astype(np.int64), view.pattern
+        return view.light[pixels, 0].astype(np.int64), view.pattern
 
     def unseen(self, camera: Camera, pixels: NDArray[np.uint32], positions: int) -> NDArray[np.uint32]:
         """Those of some pixels whose auxiliary features should be traced (again).
@@ -80,8 +94,8 @@ class History:
         view = self._view_of(camera)
         if view is None:
             return pixels
-        wanted = np.clip(view.count[pixels], positions, _MOST_POSITIONS)
-        return pixels[view.positions[pixels] < wanted]
+        wanted = np.clip(view.light[pixels, 0], positions, _MOST_POSITIONS)
+        return pixels[view.features[pixels, _POSITIONS] < wanted]
 
     def recall(
         self, camera: Camera, pixels: NDArray[np.uint32], seen: Samples, positions: int, seed: int
@@ -96,23 +110,21 @@ class History:
             seed: of the samples to come.
         """
         view = self._entered(camera, seen, seed)
-        view.add_auxiliary(seen, positions)
-        auxiliary = view.auxiliary[pixels] / view.positions[pixels][:, None]  # (D, 6)
-        count, light = view.count[pixels], view.light[pixels]  # (D,), (D, 6)
+        view.add_features(seen, positions)
+        light, features = view.light.take(pixels, axis=0), view.features.take(pixels, axis=0)
         if self._past is not None:
-            index = pixels.astype(np.int64)
-            more, past = self._past.at(index // camera.width, index % camera.width)
-            count, light = count + more, light + past
-        light = light / np.maximum(count, np.float32(1e-6))[:, None]
+            light += self._past.at(*np.divmod(pixels, np.uint32(camera.width)))
+        count, radiance, squares = means(light)
+        auxiliary = features[:, _AUXILIARY] / features[:, [_POSITIONS]]
         return Samples(
             pixels=pixels,
             count=count,
-            radiance=light[:, 0:3],
-            squares=light[:, 3:6],
+            radiance=radiance,
+            squares=squares,
             albedo=auxiliary[:, 0:3],
             normal=auxiliary[:, 3:6],
-            position=view.hit[pixels],
-            gloss=view.gloss[pixels],
+            position=features[:, _HIT],
+            gloss=features[:, _GLOSS].astype(np.uint8),
         )
 
     def remember(self, new: Samples) -> None:
@@ -132,9 +144,9 @@ class History:
             self._past = None
             view = _View.of(camera, seed)
         elif view.camera != camera:
-            self._earlier.append(view.as_earlier())
+            self._earlier.add(view.as_earlier())
             self._past = reproject(self._earlier, camera, seen)
-            view = _View.of(camera, seed)
+            view.begin(camera, seed)
         self._view = view
         return view
 
@@ -146,60 +158,57 @@ class _View:
     Attributes:
         camera: the view.
         pattern: seed of the pattern of its samples.
-        count: (N,) samples.
-        light: (N, 6) sums of their radiance and of its squares.
-        positions: (N,) sample positions whose auxiliary features are known.
-        auxiliary: (N, 6) sums of their albedo and normal.
-        hit: (N, 3) in the world, where one of them appears to hit something.
-        gloss: (N,) of what it hits.
+        light: (N, 8) records (compose.fovea.light).
+        features: (N, 11) what is known besides; see above.
+        known: (N,) pixels of which anything is known.
     """
 
     camera: Camera
     pattern: int
-    count: Floats
     light: Floats
-    positions: Floats
-    auxiliary: Floats
-    hit: Floats
-    gloss: NDArray[np.uint8]
+    features: Floats
+    known: NDArray[np.bool_]
 
     @staticmethod
     def of(camera: Camera, pattern: int) -> _View:
         """A view from which nothing has been traced yet."""
         size = camera.width * camera.height
-        return _View(
-            camera,
-            pattern,
-            count=np.zeros(size, dtype=np.float32),
-            light=np.zeros((size, 6), dtype=np.float32),
-            positions=np.zeros(size, dtype=np.float32),
-            auxiliary=np.zeros((size, 6), dtype=np.float32),
-            hit=np.zeros((size, 3), dtype=np.float32),
-            gloss=np.zeros(size, dtype=np.uint8),
-        )
+        light, features = (np.zeros((size, width), dtype=np.float32) for width in (LIGHT, _FEATURES))
+        return _View(camera, pattern, light, features, np.zeros(size, dtype=bool))
 
-    def add_auxiliary(self, seen: Samples, positions: int) -> None:
+    def begin(self, camera: Camera, pattern: int) -> None:
+        """Becomes the view of another camera, from which nothing has been traced yet.
+
+        The memory stays: as much of it anew in each frame takes longer than all that is written to it.
+        """
+        pixels = np.flatnonzero(self.known)
+        self.light[pixels] = self.features[pixels] = 0
+        self.known[pixels] = False
+        self.camera, self.pattern = camera, pattern
+
+    def add_features(self, seen: Samples, positions: int) -> None:
         """Adds auxiliary features, which are traced anew for each camera: reprojected ones are less exact."""
         pixels = seen.pixels
-        first = self.positions[pixels] == 0
-        self.hit[pixels[first]], self.gloss[pixels[first]] = seen.position[first], seen.gloss[first]
-        self.auxiliary[pixels] += np.hstack([seen.albedo, seen.normal]) * positions
-        self.positions[pixels] += positions
+        features = self.features.take(pixels, axis=0)
+        first = features[:, _POSITIONS] == 0
+        features[first, _HIT], features[first, _GLOSS] = seen.position[first], seen.gloss[first]
+        features[:, _AUXILIARY][:, 0:3] += seen.albedo * positions
+        features[:, _AUXILIARY][:, 3:6] += seen.normal * positions
+        features[:, _POSITIONS] += positions
+        self.features[pixels] = features
+        self.known[pixels] = True
 
     def add_light(self, new: Samples) -> None:
         """Adds samples of radiance."""
-        pixels = new.pixels
-        self.light[pixels] += np.hstack([new.radiance, new.squares]) * new.count[:, None]
-        self.count[pixels] += new.count
+        self.light[new.pixels] = self.light.take(new.pixels, axis=0) + light_of(new)
+        self.known[new.pixels] = True
 
     def as_earlier(self) -> EarlierView:
         """The pixels that have samples."""
-        pixels = np.flatnonzero(self.count)
-        count = self.count[pixels]
+        pixels = np.flatnonzero(self.known)
+        pixels = pixels[self.light[pixels, 0] > 0]
+        light, features = self.light.take(pixels, axis=0), self.features.take(pixels, axis=0)
+        light *= np.minimum(_MOST_SAMPLES / light[:, :1], 1)
         return EarlierView(
-            np.minimum(count, _MOST_SAMPLES),
-            self.light[pixels] / count[:, None],
-            self.hit[pixels],
-            self.gloss[pixels],
-            self.camera.position,
+            light, features[:, _HIT], features[:, _GLOSS].astype(np.uint8), self.camera.position
         )

@@ -1,41 +1,34 @@
-"""Samples of earlier views, reprojected to where a camera sees them now."""
+"""Samples of earlier views, reprojected to where a camera sees them now.
+
+All views go through the same few kernels: each sample looks up the pixel in which it is visible, the samples
+are sorted by pixel, and each pixel adds up its own, oldest first. So the same samples give the same sums, bit
+by bit, on any number of threads.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
+from compose.fovea.earlier import EarlierViews, Places
+from compose.fovea.light import LIGHT
 from compose.fovea.samples import Floats, Samples
-from compose.image.gloss import DIFFUSE, SPECULAR
+from compose.fovea.surfaces import SAME_SURFACE, VisibleSurfaces
+from compose.image.gloss import DIFFUSE, GLOSSY
 
-# Relative difference of distances up to which two hits are taken for the same surface.
-_SAME_SURFACE = 0.005
-# Cosine of how far the direction of sight may turn until a surface shows something else, by class of gloss:
-# any angle, 8 degrees and 0.2 degrees.
-_LEAST_COSINE = np.cos(np.radians([180.0, 8.0, 0.2]))
-
-
-@dataclass(frozen=True)
-class EarlierView:
-    """What was traced from one camera, for N of its pixels.
-
-    Attributes:
-        count: (N,) samples.
-        light: (N, 6) means of radiance and of its squares.
-        position: (N, 3) of what was hit, in the world.
-        gloss: (N,) of what was hit.
-        viewpoint: (3,) position of the camera.
-    """
-
-    count: Floats
-    light: Floats
-    position: Floats
-    gloss: NDArray[np.uint8]
-    viewpoint: NDArray[np.float64]
+# Cosine of how far the direction of sight may turn until a surface shows something else: 8 degrees if it is
+# glossy, 0.2 degrees if it is specular. What is diffuse looks the same from everywhere.
+_GLOSSY_COSINE, _SPECULAR_COSINE = np.cos(np.radians([8.0, 0.2])).tolist()
+# Distance along each axis up to which two viewpoints are the same.
+_SAME_VIEWPOINT = 1e-6
+# As a distance, infinity.
+_FARTHEST = 0x7F800000
 
 
 @dataclass(frozen=True)
@@ -44,177 +37,187 @@ class Reprojected:
 
     Attributes:
         rows, columns: the rectangle.
-        count: (h, w) samples.
-        sums: (h, w, 6) of their radiance and of its squares.
+        light: (h, w, 8) records (compose.fovea.light).
     """
 
     rows: slice
     columns: slice
-    count: NDArray[np.float64]
-    sums: NDArray[np.float64]
+    light: Floats
 
-    def at(self, row: NDArray[np.int64], column: NDArray[np.int64]) -> tuple[Floats, Floats]:
-        """(D,) counts and (D, 6) sums of pixels of the frame; 0 outside the rectangle."""
-        count = np.zeros(len(row), dtype=np.float32)
-        sums = np.zeros((len(row), 6), dtype=np.float32)
+    def at(self, row: NDArray[np.uint32], column: NDArray[np.uint32]) -> Floats:
+        """(D, 8) records of pixels of the frame; 0 outside the rectangle."""
         inside = (row >= self.rows.start) & (row < self.rows.stop)
         inside &= (column >= self.columns.start) & (column < self.columns.stop)
-        local = row[inside] - self.rows.start, column[inside] - self.columns.start
-        count[inside], sums[inside] = self.count[local], self.sums[local]
-        return count, sums
+        index = (row[inside] - self.rows.start) * self.light.shape[1] + (column[inside] - self.columns.start)
+        found = self.light.reshape(-1, LIGHT).take(index, axis=0)
+        if len(found) == len(row):
+            return found
+        everywhere = np.zeros((len(row), LIGHT), dtype=np.float32)
+        everywhere[inside] = found
+        return everywhere
 
 
-def reproject(views: Iterable[EarlierView], camera: Camera, new: Samples) -> Reprojected | None:
+def reproject(views: EarlierViews, camera: Camera, new: Samples) -> Reprojected | None:
     """What earlier views contribute to a camera's view, without what no longer holds.
 
+    Positions and directions are computed in float64: a fifth of a degree decides about mirrors, and a sample
+    at the border of a pixel must not end up on its other side. Distances and sums are float32.
+
     Args:
-        views: the earlier views, at least one.
+        views: the earlier views.
         camera: the view.
         new: samples of it, which show the surfaces that are visible now.
 
     Returns:
-        Sums over the rectangle around the new samples; None if no earlier sample holds.
+        Sums over the rectangle around the new samples; None if there are no samples on either side.
     """
-    surfaces = _Surfaces.of(camera, new)
-    arrivals = _Arrivals.joined([_arrivals(view, camera, surfaces) for view in views])
-    if not len(arrivals.quarter):
+    if not views.samples or not len(new.pixels):
         return None
-    height, width = surfaces.nearest.shape
-    # Whatever lies behind something nearer in the same quarter of a pixel is hidden by it.
-    front = np.full(4 * height * width, np.inf)
-    np.minimum.at(front, arrivals.quarter, arrivals.distance)
-    seen = arrivals.certain | (arrivals.distance <= front[arrivals.quarter] * (1 + _SAME_SURFACE))
-    down, across = np.divmod(arrivals.quarter[seen], 2 * width)
-    target = down // 2 * width + across // 2
-    count, sums = _summed(target, arrivals.count[seen], arrivals.light[seen], height * width)
-    return Reprojected(
-        surfaces.rows,
-        surfaces.columns,
-        count.reshape(height, width),
-        sums.reshape(height, width, 6),
-    )
+    surfaces = VisibleSurfaces.of(views.arrays, camera, new)
+    height, width = surfaces.shape
+    light = _summed(views, _arrivals(views, camera, surfaces), height * width).numpy()
+    return Reprojected(surfaces.rows, surfaces.columns, light.reshape(height, width, LIGHT))
 
 
 @dataclass(frozen=True)
 class _Arrivals:
-    """M samples of earlier views that are visible in a rectangle of a frame.
+    """Where M samples of earlier views lie in a rectangle of P pixels, as Dr.Jit arrays.
 
     Attributes:
-        quarter: (M,) index of the quarter of a pixel, row by row over (2 h, 2 w) quarters.
-        distance: (M,) from the camera.
-        certain: (M,) whether nothing can hide it.
-        count: (M,) samples.
-        light: (M, 6) means of radiance and of its squares.
+        quarter: UInt (M,), quarter of a pixel: four times the pixel's index, plus 0 to 3; 4 P for a sample
+            that lies elsewhere, or on a surface that is not visible or looks different now.
+        distance: UInt (M,), bits of the distance from the camera as a Float, which rise with it.
+        certain: Bool (M,), whether nothing can hide the sample.
+        front: UInt (4 P + 1,), bits of the least distance in each quarter, those that lie elsewhere last.
     """
 
-    quarter: NDArray[np.int64]
-    distance: NDArray[np.float64]
-    certain: NDArray[np.bool_]
-    count: NDArray[np.float64]
-    light: Floats
-
-    @staticmethod
-    def joined(parts: list[_Arrivals]) -> _Arrivals:
-        return _Arrivals(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Arrivals)))
+    quarter: Any
+    distance: Any
+    certain: Any
+    front: Any
 
 
-def _arrivals(view: EarlierView, camera: Camera, surfaces: _Surfaces) -> _Arrivals:
-    """Samples of an earlier view in the rectangle of the visible surfaces, as far as they still hold."""
-    pixel, depth = camera.project(view.position.astype(np.float64))
-    height, width = surfaces.nearest.shape
-    # In quarters of pixels: two along each axis.
-    left, top = 2 * surfaces.columns.start, 2 * surfaces.rows.start
-    across, down = 2 * pixel[:, 0] - left, 2 * pixel[:, 1] - top
-    inside = (depth > 0) & (across >= 0) & (across < 2 * width) & (down >= 0) & (down < 2 * height)
-    kept = np.flatnonzero(inside)
-    across, down = across[kept].astype(np.int64), down[kept].astype(np.int64)
-    sight, gloss = view.position[kept] - camera.position, view.gloss[kept]
-    distance = _length(sight)
+def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) -> _Arrivals:
+    """Samples of earlier views in the rectangle of the visible surfaces."""
+    arrays, plain = views.arrays, views.arrays.plain
+    height, width = surfaces.shape
+    place = views.places(dr.arange(plain.UInt, views.samples))
+    sight = _relative(arrays, place, [dr.opaque(plain.Float64, side) for side in camera.position.tolist()])
+    across, down, inside = _quarters(arrays, sight, camera, surfaces)
+    pixel = (down >> 1) * arrays.number(width) + (across >> 1)
+    distance = dr.sqrt(plain.Float(_product(sight, sight)))
     # Whatever was visible from this very position still is.
-    certain = bool((np.abs(view.viewpoint - camera.position) < 1e-6).all())
-    if not certain:
-        same = surfaces.contain(down // 2, across // 2, distance, gloss)
-        shiny = np.flatnonzero(same & (gloss > DIFFUSE))
-        cosine = _cosine(view.position[kept[shiny]] - view.viewpoint, sight[shiny])
-        same[shiny] = cosine >= _LEAST_COSINE[gloss[shiny]]
-        kept, across, down, distance = kept[same], across[same], down[same], distance[same]
-    return _Arrivals(
-        quarter=down * 2 * width + across,
-        distance=distance,
-        certain=np.full(len(kept), certain),
-        count=view.count[kept].astype(np.float64),
-        light=view.light[kept],
-    )
+    certain, unchanged = _compared(views, place, sight, camera)
+    holds = inside & (certain | (surfaces.contain(pixel, distance, place.gloss, inside) & unchanged))
+    quarter = pixel << 2 | (down & 1) << 1 | across & 1
+    quarter = dr.select(holds, quarter, arrays.number(4 * height * width))
+    bits = dr.reinterpret_array(plain.UInt, distance)
+    # Reductions in kernels of their own take a third of the time.
+    dr.eval(quarter, bits, certain)
+    front = dr.full(plain.UInt, _FARTHEST, 4 * height * width + 1)
+    dr.scatter_reduce(dr.ReduceOp.Min, front, bits, quarter)
+    dr.eval(front)
+    return _Arrivals(quarter, bits, certain, front)
 
 
-@dataclass(frozen=True)
-class _Surfaces:
-    """The surfaces that new samples hit, around each pixel of the rectangle in which these lie.
+def _summed(views: EarlierViews, arrivals: _Arrivals, pixels: int) -> Any:
+    """Flat Float of the light records of all pixels."""
+    arrays, UInt, Float = views.arrays, views.arrays.plain.UInt, views.arrays.plain.Float
+    pixel, count = _visible(arrays, arrivals, pixels)
+    order = arrays.argsort(pixel, pixels + 1)
+    target = dr.arange(UInt, pixels)
+    start, count = (dr.gather(UInt, table, target) for table in (dr.prefix_sum(count), count))
+    end = start + count
 
-    Attributes:
-        rows, columns: the rectangle.
-        nearest, farthest: (h, w) distances of what is visible in a pixel and in the eight around it.
-        specular: (h, w) whether the pixel itself shows something that mirrors or refracts.
+    def add(i: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
+        more = views.lights(dr.gather(UInt, order, i))
+        return i + 1, [one + other for one, other in zip(sums, more, strict=True)]
+
+    # Built one by one: [Float(0)] * n would be a single accumulator n times.
+    nothing = [Float(0) for _ in range(LIGHT)]
+    _, sums = dr.while_loop((start, nothing), lambda i, sums: i < end, add, mode="symbolic")
+    # Evaluated before they are scattered: otherwise the scatter runs the loop again.
+    dr.eval(sums)
+    table = dr.empty(Float, LIGHT * pixels)
+    dr.scatter(table, arrays.plain.ArrayXf(sums), target, mode=dr.ReduceMode.Permute)
+    dr.eval(table)
+    return table
+
+
+def _visible(arrays: Arrays, arrivals: _Arrivals, pixels: int) -> tuple[Any, Any]:
+    """The pixel in which each sample is visible, or their number: UInt (M,); and samples in each of these."""
+    UInt, Float = arrays.plain.UInt, arrays.plain.Float
+    as_float = lambda bits: dr.reinterpret_array(Float, bits)  # noqa: E731
+    # Whatever lies behind something nearer in the same quarter of a pixel is hidden by it.
+    nearest = as_float(dr.gather(UInt, arrivals.front, arrivals.quarter))
+    seen = arrivals.certain | (as_float(arrivals.distance) <= nearest * (1 + SAME_SURFACE))
+    pixel = dr.select(seen, arrivals.quarter >> 2, arrays.number(pixels))
+    dr.eval(pixel)
+    count = dr.zeros(UInt, pixels + 1)
+    # Direct: pixels are many, so that threads rarely meet.
+    dr.scatter_reduce(dr.ReduceOp.Add, count, UInt(1), pixel, mode=dr.ReduceMode.Direct)
+    dr.eval(count)
+    return pixel, count
+
+
+def _relative(arrays: Arrays, place: Places, origin: list[Any]) -> list[Any]:
+    """Three Float64 (M,): vectors to places from origins, of width 1 or (M,)."""
+    return [arrays.plain.Float64(at) - start for at, start in zip(place.position, origin, strict=True)]
+
+
+def _quarters(
+    arrays: Arrays, sight: list[Any], camera: Camera, surfaces: VisibleSurfaces
+) -> tuple[Any, Any, Any]:
+    """Column and row among the quarters of the rectangle's pixels, and whether it holds the sample.
+
+    Args:
+        arrays: the backend's array types.
+        sight: three Float64 (M,), from the camera to the samples, in the world.
+        camera: the view.
+        surfaces: of the rectangle.
     """
-
-    rows: slice
-    columns: slice
-    nearest: NDArray[np.float64]
-    farthest: NDArray[np.float64]
-    specular: NDArray[np.bool_]
-
-    @staticmethod
-    def of(camera: Camera, new: Samples) -> _Surfaces:
-        """The surfaces that samples of a camera's view hit."""
-        row, column = np.divmod(new.pixels.astype(np.int64), camera.width)
-        rows = slice(int(row.min()), int(row.max()) + 1)
-        columns = slice(int(column.min()), int(column.max()) + 1)
-        row, column = row - rows.start, column - columns.start
-        shape = rows.stop - rows.start, columns.stop - columns.start
-        distance = _length(new.position - camera.position)
-        specular = np.zeros(shape, dtype=bool)
-        specular[row, column] = new.gloss == SPECULAR
-        padded = shape[0] + 2, shape[1] + 2
-        near, far = np.full(padded, np.inf), np.zeros(padded)
-        near[row + 1, column + 1] = far[row + 1, column + 1] = distance
-        nearest, farthest = _extreme_of_nine(near, np.minimum), _extreme_of_nine(far, np.maximum)
-        return _Surfaces(rows, columns, nearest, farthest, specular)
-
-    def contain(
-        self,
-        row: NDArray[np.int64],
-        column: NDArray[np.int64],
-        distance: NDArray[np.float64],
-        gloss: NDArray[np.uint8],
-    ) -> NDArray[np.bool_]:
-        """(M,) whether hits at distances in pixels, of classes of gloss, lie on these surfaces; (M,) each."""
-        same = distance >= self.nearest[row, column] * (1 - _SAME_SURFACE)
-        same &= distance <= self.farthest[row, column] * (1 + _SAME_SURFACE)
-        # Specular objects are thin in places, and what is visible beside them is far behind them.
-        return same & (~self.specular[row, column] | (gloss == SPECULAR))
+    plain = arrays.plain
+    number = lambda value: dr.opaque(plain.Float64, float(value))  # noqa: E731
+    x, y, depth = (
+        _product([number(entry) for entry in row], sight) for row in camera.world_to_camera[:3, :3]
+    )
+    inside = depth > 0
+    inverse, found = 1 / depth, []
+    for position, focal, middle, side in (
+        (x, camera.fx, camera.cx, surfaces.columns),
+        (y, camera.fy, camera.cy, surfaces.rows),
+    ):
+        quarter = 2 * (number(focal) * position * inverse + number(middle)) - number(2 * side.start)
+        inside &= (quarter >= 0) & (quarter < number(2 * (side.stop - side.start)))
+        found.append(quarter)
+    # Numbers that an integer does not hold are not converted.
+    across, down = (plain.UInt(dr.select(inside, quarter, 0)) for quarter in found)
+    return across, down, inside
 
 
-def _extreme_of_nine(image: NDArray[np.float64], choose: np.ufunc) -> NDArray[np.float64]:
-    """(h, w) least or greatest of each inner pixel of an image (h + 2, w + 2) and the eight around it."""
-    across = choose(choose(image[:, :-2], image[:, 1:-1]), image[:, 2:])
-    return choose(choose(across[:-2], across[1:-1]), across[2:])
+def _compared(views: EarlierViews, place: Places, sight: list[Any], camera: Camera) -> tuple[Any, Any]:
+    """Whether samples come from this very viewpoint, and whether their surface looks the same from here.
+
+    Args:
+        views: the earlier views.
+        place: of M samples.
+        sight: three Float64 (M,), from the camera to the samples, in the world.
+        camera: the view.
+    """
+    plain, viewpoints = views.arrays.plain, views.viewpoints()
+    same = (np.abs(viewpoints - camera.position) < _SAME_VIEWPOINT).all(axis=1)
+    table = views.arrays.uploaded(plain.Float64, np.column_stack([viewpoints, same]))
+    *origin, certain = dr.gather(plain.ArrayXf64, table, place.view, shape=(4, dr.width(place.view)))
+    before = _relative(views.arrays, place, origin)
+    # Compared by their squares, which takes no root; both cosines are positive.
+    product = _product(before, sight)
+    least = dr.select(place.gloss == GLOSSY, plain.Float64(_GLOSSY_COSINE**2), _SPECULAR_COSINE**2)
+    unturned = (product > 0) & (
+        product * product >= least * _product(before, before) * _product(sight, sight)
+    )
+    return certain > 0, (place.gloss == DIFFUSE) | unturned
 
 
-def _summed(
-    target: NDArray[np.int64], weight: NDArray[np.float64], values: Floats, size: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(size,) sums of weights (M,) and (size, C) sums of weighted values (M, C), by their target (M,)."""
-    count = np.bincount(target, weight, size).astype(np.float64)
-    sums = [np.bincount(target, weight * values[:, i], size) for i in range(values.shape[1])]
-    return count, np.stack(sums, axis=1).astype(np.float64)
-
-
-def _length(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N,) lengths of (N, 3) vectors; faster than numpy's norm along so short an axis."""
-    x, y, z = vectors.T
-    return np.sqrt(x * x + y * y + z * z)
-
-
-def _cosine(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N,) cosines of the angles between (N, 3) vectors."""
-    return np.einsum("ni,ni->n", one, other) / (_length(one) * _length(other))
+def _product(one: list[Any], other: list[Any]) -> Any:
+    """Scalar product of two vectors."""
+    return sum(a * b for a, b in zip(one, other, strict=True))

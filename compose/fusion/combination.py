@@ -2,10 +2,12 @@
 
 The parents err in different places: the traced radiance is noisy, denoising blurs and invents, splats lack
 detail and cannot follow changes. A small convolutional network, fitted to a scene, sees all of them and says
-per pixel what each is worth. Four things are built around it:
+per pixel what each is worth. Five things are built around it:
 
 - The splats are sharpened first: where the traced albedo varies within the size of a splat, so must the
   radiance. How much of that variation they lack is part of what the network says.
+- What the network says is mixed with the denoised samples and the splats in shares that were tried on views
+  which it had not seen; where it did not prove itself there, the better parent alone is shown.
 - Where there are many samples, they tell whether the denoised ones are nearer to the truth than the estimate
   of the network, which has never seen so many.
 - The result is drawn towards the traced radiance wherever the two differ by more than noise explains, in
@@ -26,6 +28,7 @@ from compose.fusion.features import features_of
 from compose.fusion.maps import as_batch, box_mean, enlarged, halved, luminance, padded_to_even, variance_of
 from compose.fusion.network import Fusion, mixture
 from compose.fusion.parents import PARENTS, Fused, Parents
+from compose.fusion.shares import shares_at
 from compose.image.colour import Image
 
 # Relative bias that no estimate but the traced radiance is trusted to stay below.
@@ -36,8 +39,6 @@ _TAILS = 20.0
 # than the network's estimate; and how strongly their noise speaks against that.
 _TELLING_COUNT = 32
 _CAUTION = 24.0
-# At fewer samples per pixel the better denoiser costs more than it is worth.
-QUICK_BELOW = 3.0
 _IMAGES = ("traced", "denoised", "splat", "albedo", "normal", "variance", "count")
 
 
@@ -73,11 +74,17 @@ def _first_estimate(
     traced, denoised, splat = three = [images[name] for name in PARENTS]
     if fusion is None:
         return statistical(traced, denoised, splat, images["variance"])
-    # The network knows the quicker denoiser from images with few samples.
-    count = images["count"].clamp(max=QUICK_BELOW) if parents.quick else images["count"]
-    enlargement = torch.tensor([float(parents.enlargement)])
-    features = features_of([*three, images["albedo"], images["normal"]], count, enlargement)
-    return mixture(fusion(features), three, features.texture)
+    shares = shares_at(fusion.shares, parents.quick, images["count"], parents.enlargement)
+    network, denoised_share, splat_share = shares.split(1, 1)  # (1, 1, H, W) each
+    radiance = denoised_share * denoised + splat_share * splat
+    weights = torch.cat([torch.zeros_like(network), denoised_share, splat_share], 1)
+    if not bool(network.any()):
+        return radiance, weights
+    enlargement, quick = (torch.tensor([float(value)]) for value in (parents.enlargement, parents.quick))
+    auxiliary = images["albedo"], images["normal"]
+    features = features_of([*three, *auxiliary], images["count"], enlargement, quick)
+    estimate, of_estimate = mixture(fusion(features), three, features.texture)
+    return radiance + network * estimate, weights + network * of_estimate
 
 
 def _as_image(batch: Tensor, height: int, width: int) -> Image:

@@ -53,6 +53,7 @@ class Features:
             "difference": 1,  # absolute, mean over colours
             "count": 1,  # logarithm of the number of samples
             "enlargement": 1,  # logarithm, the same everywhere
+            "quick": 1,  # 1 where the quicker denoiser was used
         }
     )
 
@@ -61,13 +62,13 @@ class Features:
     texture: list[Tensor]
 
 
-def features_of(images: Sequence[Tensor], count: Tensor, enlargement: Tensor) -> Features:
+def features_of(images: Sequence[Tensor], count: Tensor, enlargement: Tensor, quick: Tensor) -> Features:
     """What the network sees of the parents.
 
     Args:
         images: traced, denoised, splat, albedo, normal, each (N, 3, H, W), both sides even.
         count: (N, 1, H, W) samples.
-        enlargement: (N,) as of Parents.
+        enlargement, quick: (N,) as of Parents.
     """
     traced, denoised, splat, albedo, normal = images
     seen_denoised, seen_splat = perceived(denoised), perceived(splat)
@@ -75,8 +76,8 @@ def features_of(images: Sequence[Tensor], count: Tensor, enlargement: Tensor) ->
     difference = seen_denoised - seen_splat  # (N, 3, H, W)
     texture, coarse_texture = _texture(albedo)
     residual_moments = box_mean(halved(torch.cat([residual, residual**2], 1)))  # (N, 2, H / 2, W / 2)
-    constant = torch.log2(enlargement).clamp(-2, 4).view(-1, 1, 1, 1)
     coarse_albedo = halved(albedo)
+    everywhere = lambda values: values.view(-1, 1, 1, 1).expand(-1, 1, *coarse_albedo.shape[-2:])  # noqa: E731
     fine = {"splat": seen_splat, "difference": difference, "texture": texture[0], "residual": residual}
     coarse = {
         "albedo": coarse_albedo,
@@ -88,7 +89,8 @@ def features_of(images: Sequence[Tensor], count: Tensor, enlargement: Tensor) ->
         "residual_power": torch.log(residual_moments[:, 1:2] + 1e-5) / 4,
         "difference": halved(difference.abs().mean(1, keepdim=True)),
         "count": torch.log2(halved(count).clamp(1, 64)) / 3 - 1,
-        "enlargement": constant.expand(-1, 1, *coarse_albedo.shape[-2:]),
+        "enlargement": everywhere(torch.log2(enlargement).clamp(-2, 4)),
+        "quick": everywhere(quick),
     }
     return Features(Features.FINE.stacked(fine), Features.COARSE.stacked(coarse), texture)
 
@@ -100,6 +102,12 @@ def perceived(radiance: Tensor) -> Tensor:
     """
     low = torch.sqrt(radiance.clamp(0, 1) + 1e-3)
     return low + 2 * (torch.sqrt(torch.sqrt(radiance.clamp(min=1))) - 1)
+
+
+def perceived_slope(radiance: Tensor) -> Tensor:
+    """Derivative of `perceived` at radiance that is not negative."""
+    low = 0.5 / torch.sqrt(radiance + 1e-3)
+    return torch.where(radiance < 1, low, 0.5 * radiance.clamp(min=1) ** -0.75)
 
 
 def _texture(albedo: Tensor) -> tuple[list[Tensor], list[Tensor]]:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from compose.fusion.channels import Channels
-from compose.fusion.features import features_of, perceived
-from compose.fusion.maps import as_batch
-from compose.fusion.network import Fusion, mixture
-from compose.fusion.parents import PARENTS, Parents
+from compose.fusion.examples import STACK, Example, estimated
+from compose.fusion.features import perceived
+from compose.fusion.network import Fusion
+from compose.fusion.parents import Parents
 
 # Side of a training patch, and least side of an example, in pixels.
 LEAST_SIZE = _PATCH = 64
@@ -26,76 +24,57 @@ _RATE = 4e-3
 _CHANGED = 0.25
 _CHANGED_IN_NOISE = 0.05
 _TELLING = 4
-# What the network trains on, stacked in one tensor so that patches are cut from all of it at once.
-_STACK = Channels(
-    {"traced": 3, "denoised": 3, "splat": 3, "albedo": 3, "normal": 3, "reference": 3, "count": 1}
-)
 
 
-@dataclass(frozen=True)
-class Example:
-    """A view whose radiance is known.
-
-    Attributes:
-        parents: as a fovea would have them.
-        reference: (H, W, 3) converged radiance.
-    """
-
-    parents: Parents
-    reference: np.ndarray
-
-
-def fit(examples: Sequence[Example], seed: int, progress: Callable[[int, int], None]) -> Fusion:
-    """A fusion fitted to examples: it minimizes the mean logarithm of squared errors in perceived radiance.
+def fit(
+    examples: Sequence[Example],
+    seed: int,
+    progress: Callable[[int, int], None],
+    iterations: int = ITERATIONS,
+) -> Fusion:
+    """A network fitted to examples: it minimizes the mean logarithm of squared errors in perceived radiance.
 
     Args:
         examples: of several views, sample counts and enlargements.
-        seed: same seed, same fusion on the same machine.
+        seed: same seed, same network on the same machine.
         progress: called with steps done and steps in all.
+        iterations: number of steps.
 
     Raises:
         ValueError: there are no examples, or they are smaller than a patch.
     """
     if not examples:
         raise ValueError("there are no examples to fit the fusion to")
-    if min(*examples[0].reference.shape[:2]) < _PATCH:
+    if min(*examples[0].parents.traced.shape[:2]) < _PATCH:
         raise ValueError(f"fitting the fusion requires examples of at least {_PATCH} x {_PATCH} pixels")
     rng = np.random.default_rng(seed)
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         fusion = Fusion()
     optimizer = torch.optim.Adam(fusion.parameters(), lr=_RATE)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, _RATE, ITERATIONS)
-    stacks = [_stack(example) for example in examples]
-    for step in range(ITERATIONS):
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, _RATE, iterations)
+    stacks = [example.stack() for example in examples]
+    for step in range(iterations):
         picks = [int(rng.integers(len(examples))) for _ in range(_BATCH)]
         patches = torch.stack([_patch(stacks[pick], rng) for pick in picks])
-        enlargement = torch.tensor([float(examples[pick].parents.enlargement) for pick in picks])
-        loss = _loss(fusion, patches, enlargement)
+        loss = _loss(fusion, patches, [examples[pick].parents for pick in picks])
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(fusion.parameters(), 1.0)
         optimizer.step()
         schedule.step()
-        progress(step + 1, ITERATIONS)
+        progress(step + 1, iterations)
     return fusion.requires_grad_(False).eval()
 
 
-def _loss(fusion: Fusion, patches: Tensor, enlargement: Tensor) -> Tensor:
-    """Mean logarithm of the squared error of patches (N, _STACK.total, H, W)."""
-    images = _STACK.parts(patches)
-    parents = [images[name] for name in PARENTS]
-    features = features_of([*parents, images["albedo"], images["normal"]], images["count"], enlargement)
-    radiance, _ = mixture(fusion(features), parents, features.texture)
-    error = ((perceived(radiance) - perceived(images["reference"])) ** 2).mean((1, 2, 3))  # (N,)
+def _loss(fusion: Fusion, patches: Tensor, parents: Sequence[Parents]) -> Tensor:
+    """Mean logarithm of the squared error of patches (N, STACK.total, H, W) of examples with N parents.
+
+    The noise of the references adds the same to the error of any network: it makes patches count for less.
+    """
+    radiance = estimated(fusion, patches, parents)
+    error = ((perceived(radiance) - STACK.parts(patches)["target"]) ** 2).mean((1, 2, 3))  # (N,)
     return torch.log(error + 1e-6).mean()
-
-
-def _stack(example: Example) -> Tensor:
-    """(_STACK.total, H, W) of an example."""
-    names = (*PARENTS, "albedo", "normal", "count")
-    images = {**{name: getattr(example.parents, name) for name in names}, "reference": example.reference}
-    return _STACK.stacked({name: as_batch(image)[0] for name, image in images.items()})
 
 
 def _patch(stack: Tensor, rng: np.random.Generator) -> Tensor:
@@ -103,7 +82,7 @@ def _patch(stack: Tensor, rng: np.random.Generator) -> Tensor:
     height, width = stack.shape[-2:]
     top, left = rng.integers(height - _PATCH + 1), rng.integers(width - _PATCH + 1)
     patch = stack[:, top : top + _PATCH, left : left + _PATCH].clone()
-    images = _STACK.parts(patch)
+    images = STACK.parts(patch)
     telling = float(images["count"][0, 0, 0]) >= _TELLING
     if rng.random() < (_CHANGED if telling else _CHANGED_IN_NOISE):
         images["splat"][:] = _changed(images["splat"], rng)

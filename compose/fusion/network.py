@@ -11,6 +11,7 @@ from torch.nn import functional
 
 from compose.fusion.channels import Channels
 from compose.fusion.features import Features
+from compose.fusion.shares import all_of_network
 
 # torch keeps what it has compiled for images of each size, by default a thousand of them at 170 kB each, and
 # a disc near the edge of a frame has another size at every gaze. torch reads these limits at the first
@@ -36,9 +37,16 @@ class Fusion(torch.nn.Module):
     """The network: what each parent is worth, from what all of them show.
 
     It sees blocks of 2 x 2 pixels, and judges every pixel of them.
+
+    Attributes:
+        shares: of its estimate, of the denoised samples and of the splats in what is shown, as of
+            `compose.fusion.shares.all_of_network`.
+        gains: decibels by which that was better than the better parent on unseen views, for each cell.
     """
 
     WIDTH = 24  # channels of the hidden layers
+    shares: Tensor
+    gains: Tensor
 
     def __init__(self) -> None:
         super().__init__()
@@ -48,6 +56,9 @@ class Fusion(torch.nn.Module):
         torch.nn.init.zeros_(self.judge.weight)
         assert self.judge.bias is not None
         torch.nn.init.zeros_(self.judge.bias)
+        shares = all_of_network()
+        self.register_buffer("shares", shares)
+        self.register_buffer("gains", torch.zeros(shares.shape[:-1]))
 
     def forward(self, features: Features) -> Tensor:
         """(N, OUTPUTS.total, H, W)."""

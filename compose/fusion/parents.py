@@ -22,7 +22,7 @@ class Parents:
         albedo, normal: (H, W, 3) auxiliary features of the same samples.
         count: (H, W, 1) number of samples.
         enlargement: side of the pixels that the splats were trained on, in pixels of these images.
-        quick: whether the quicker denoiser was used, however many samples there are.
+        quick: whether the quicker denoiser was used.
 
     Raises:
         ValueError: the shapes do not match.

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from pathtrace.dataset.frames import FrameSet
     from pathtrace.dataset.settings import CaptureSettings
     from pathtrace.scene.scene import Scene
+    from pathtrace.trace.integrator import Integrator
     from splat.model.forest import Forest
     from splat.training.trainer import TrainingSettings
 
@@ -44,6 +45,8 @@ def capture(
     folder: Path | str,
     settings: CaptureSettings | None = None,
     progress: Progress = no_progress,
+    *,
+    integrator: Integrator | str = "cached",
 ) -> FrameSet:
     """Renders a frame set for training; resumes if interrupted.
 
@@ -52,15 +55,19 @@ def capture(
         folder: of the frame set; created if it does not exist.
         settings: what to capture; the defaults of CaptureSettings if None.
         progress: called with samples done and samples in total.
+        integrator: of training frames; held-out frames are always unbiased.
 
     Raises:
-        UserError: the folder holds another capture or cannot be written, or the scene leaves no room for
-            that many views.
+        UserError: the integrator is unknown, the folder holds another capture or cannot be written, or
+            the scene leaves no room for that many views.
     """
+    from hybrid.frame.irradiance import cache_for
     from pathtrace.dataset.capture import capture as run
     from pathtrace.dataset.settings import CaptureSettings
+    from pathtrace.trace.integrator import Integrator, integrator_named
 
-    return run(scene, Path(folder), settings or CaptureSettings(), progress)
+    cache = cache_for(scene) if integrator_named(integrator) is Integrator.CACHED else None
+    return run(scene, Path(folder), settings or CaptureSettings(), progress, cache)
 
 
 def load_frames(folder: Path | str) -> FrameSet:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
 from compose.fovea.mode import FoveaMode
@@ -14,9 +15,9 @@ from hybrid.frame.periphery import Periphery
 from hybrid.frame.settings import DEFAULTS
 from hybrid.frame.underlay import Underlay
 from pathtrace.base.denoise import denoise
+from pathtrace.cache.cache import IrradianceCache
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.tracer import Tracer
-from splat.base.arrays import Arrays
 from splat.model.forest import Forest
 
 # Radius in percent of the height of a disc that covers any frame.
@@ -34,41 +35,51 @@ class Candidates:
     Args:
         arrays: the rasterizer's array types.
         scene, forest: what is rendered.
+        cache: irradiance of the scene as it is, for the cached integrator, which foveas use by default.
+
+    Attributes:
+        tracer: unbiased.
     """
 
-    def __init__(self, arrays: Arrays, scene: Scene, forest: Forest):
+    def __init__(self, arrays: Arrays, scene: Scene, forest: Forest, cache: IrradianceCache):
         self.tracer = Tracer(scene)
         self._periphery = Periphery(arrays, forest)
-        self._fused = Fovea(self.tracer, fusion_of(forest))
-        self._statistical = Fovea(self.tracer, None)
+        cached = Tracer(scene, cache=cache)
+        self._fused, self._statistical = Fovea(cached, fusion_of(forest)), Fovea(cached, None)
+        self._unbiased = Fovea(self.tracer, None)
 
     def images(self, camera: Camera, spp: int, seed: int) -> dict[str, Image]:
         """(H, W, 3) radiance of a disc that covers the frame, by method.
 
         Returns:
-            splat; raw; denoised, by the better denoiser at all sample counts; mean, of splat and denoised;
-            statistical, fused without a network; `fused, even`, with as many samples in every pixel; and
-            fused, with adaptive samples as in frames.
+            splat; raw; denoised; `denoised, path`, from samples of the unbiased integrator; mean, of splat
+            and denoised; statistical, fused without a network; `fused, even`, with as many samples in every
+            pixel; and fused, with adaptive samples as in frames.
         """
         underlay = whole_underlay(self._periphery, camera)
         region = Foveation(Gaze(), _WHOLE, _WHOLE).region(camera.width, camera.height)
 
-        def traced(under: Underlay | None) -> Samples:
-            return self._fused.trace(FoveaMode.FUSED, camera, region, spp, seed, under)[1]
+        def traced(under: Underlay | None, fovea: Fovea) -> Samples:
+            return fovea.trace(FoveaMode.FUSED, camera, region, spp, seed, under)[1]
+
+        def denoised(samples: Samples) -> Image:
+            images = samples.radiance, samples.albedo, samples.normal
+            radiance, albedo, normal = (region.image_of(image) for image in images)
+            return denoise(radiance, albedo, normal)
 
         def fused(fovea: Fovea, samples: Samples) -> Image:
             made = fovea.image(FoveaMode.FUSED, region, samples, underlay.radiance, underlay)
             return region.image_of(made.radiance)
 
-        even = traced(None)
-        raw = region.image_of(even.radiance)
-        denoised = denoise(raw, region.image_of(even.albedo), region.image_of(even.normal))
+        even = traced(None, self._fused)
+        cleaned = denoised(even)
         return {
             "splat": underlay.radiance,
-            "raw": raw,
-            "denoised": denoised,
-            "mean": 0.5 * (denoised + underlay.radiance),
+            "raw": region.image_of(even.radiance),
+            "denoised": cleaned,
+            "denoised, path": denoised(traced(None, self._unbiased)),
+            "mean": 0.5 * (cleaned + underlay.radiance),
             "statistical": fused(self._statistical, even),
             "fused, even": fused(self._fused, even),
-            "fused": fused(self._fused, traced(underlay)),
+            "fused": fused(self._fused, traced(underlay, self._fused)),
         }

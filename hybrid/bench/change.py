@@ -9,6 +9,7 @@ from hybrid.bench.candidates import Candidates
 from hybrid.bench.metrics import image_metrics, means
 from hybrid.bench.scene_changes import CHANGES
 from hybrid.bench.views import crops, unfitted_views
+from hybrid.frame.irradiance import filled_cache
 from hybrid.measure.reference import REFERENCE_SEED, reference
 from hybrid.runtime.device import device_arrays
 from pathtrace.dataset.frames import FrameSet
@@ -42,7 +43,7 @@ def bench_change(
         for place, crop in enumerate(measured):
             scene = load()
             apply(scene, crop.camera)
-            candidates = Candidates(device_arrays(), scene, forest)
+            candidates = Candidates(device_arrays(), scene, forest, filled_cache(scene))
             truth = reference(candidates.tracer, crop.camera, reference_spp, REFERENCE_SEED).radiance
             for method, image in candidates.images(crop.camera, spp, 0).items():
                 found.setdefault((change, method), []).append(image_metrics(image, truth))

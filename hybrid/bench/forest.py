@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from compose.base.arrays import BackendName
 from compose.camera.camera import Camera, camera_from_pose
-from splat.base.arrays import BackendName
 from splat.io.forest_file import load_forest, save_forest
 from splat.model.building import build_forest
 from splat.model.forest import forest_of

@@ -12,6 +12,7 @@ import numpy as np
 from hybrid.bench.candidates import Candidates
 from hybrid.bench.metrics import image_metrics, means
 from hybrid.bench.views import crops, unfitted_views
+from hybrid.frame.irradiance import cache_for
 from hybrid.measure.reference import REFERENCE_SEED, reference
 from hybrid.runtime.device import device_arrays
 from pathtrace.dataset.frames import FrameSet
@@ -56,7 +57,7 @@ def bench_fusion(
     """
     found: dict[tuple[int, int, str], list[dict[str, float]]] = {}
     limits: dict[int, list[float]] = {}
-    candidates = Candidates(device_arrays(), scene, forest)
+    candidates = Candidates(device_arrays(), scene, forest, cache_for(scene))
     measured = list(crops(unfitted_views(frames), effort.scales, _CROP))
     for done, crop in enumerate(measured):
         truth = reference(candidates.tracer, crop.camera, effort.reference_spp, REFERENCE_SEED)

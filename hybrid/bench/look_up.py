@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from compose.camera.camera import Camera
+from pathtrace.base.frozen import Frozen
 from pathtrace.cache.cache import IrradianceCache, look_up
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.film import frame_positions
@@ -37,7 +38,7 @@ def look_up_ns(scene: Scene, camera: Camera, cache: IrradianceCache) -> float:
     points = hit.p, mi.Normal3f(dr.select(hit.wi.z > 0, hit.n, -hit.n)), valid
     dr.eval(points)
     known = cache.arrays(scene.mitsuba).irradiance
-    kernels = {asks: dr.freeze(_kernel(asks)) for asks in (False, True)}
+    kernels = {asks: Frozen(_kernel(asks)) for asks in (False, True)}
     times: dict[bool, list[float]] = {asks: [] for asks in kernels}
     for number in range(1 + _REPEATS):
         for asks, kernel in kernels.items():

@@ -23,6 +23,7 @@ from hybrid.bench.views import unfitted_views
 from hybrid.frame.disc_tracer import DiscRequest
 from hybrid.frame.fovea import Fovea
 from hybrid.frame.fusion import fusion_of
+from hybrid.frame.irradiance import cache_for
 from hybrid.frame.periphery import Periphery
 from hybrid.measure.metrics.psnr import psnr
 from hybrid.measure.reference import REFERENCE_SEED, reference
@@ -86,6 +87,7 @@ def bench_motion(
         Rows of means over the walks; fresh_psnr is that of the pixels without history, if there are any.
     """
     tracer, fusion = Tracer(scene), fusion_of(forest)
+    cached = Tracer(scene, cache=cache_for(scene))
     periphery = Periphery(device_arrays(), forest)
     found: dict[tuple[str, str], list[dict[str, float]]] = {}
     views = unfitted_views(frames)
@@ -95,7 +97,7 @@ def bench_motion(
         around = region.rectangle
         truth = _reference(tracer, camera, around, reference_spp)
         for mode in FoveaMode:
-            discs = _discs(tracer, periphery, fusion, mode, camera, region)
+            discs = _discs(cached, periphery, fusion, mode, camera, region)
             for method, disc in discs.radiance.items():
                 row = _measured(around, disc, truth, discs.fresh)
                 found.setdefault((mode.value, method), []).append(row)

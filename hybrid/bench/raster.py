@@ -9,9 +9,9 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from compose.base.arrays import Arrays
 from hybrid.measure.timing import percentiles
 from hybrid.runtime.device import device_arrays
-from splat.base.arrays import Arrays
 from splat.raster.binning import bin_splats
 from splat.raster.blending import rasterize
 from splat.raster.blocks import CHANNELS

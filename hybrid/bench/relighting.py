@@ -68,7 +68,7 @@ def bench_relighting(
             if number in _UPDATES:
                 measure(f"{number} updates", tracer)
         for seed in _FRESH:
-            measure(f"fresh {seed}", Tracer(scene, cache=filled_cache(scene, seed)))
+            measure(f"fresh {seed}", Tracer(scene, cache=filled_cache(scene, seed=seed)))
     return {"rows": rows, "update_ms": percentiles(milliseconds[1:])}
 
 

@@ -24,6 +24,7 @@ from hybrid.cli.options import (
     write_json,
 )
 from hybrid.runtime.progress import progress_bar
+from pathtrace.trace.integrator import Integrator, integrator_named
 
 
 def capture(
@@ -40,6 +41,13 @@ def capture(
     held_out_spp: Annotated[
         int, typer.Option(help="Samples per pixel of a held-out view.", rich_help_panel=MEASUREMENT)
     ] = 256,
+    integrator: Annotated[
+        str,
+        typer.Option(
+            help="Of training views: path, or cached (quicker). Held-out views are unbiased.",
+            rich_help_panel=FRAME,
+        ),
+    ] = Integrator.CACHED.value,
     max_depth: MaxDepth = None,
     seed: Seed = 0,
     backend: Backend = "auto",
@@ -47,14 +55,18 @@ def capture(
 ) -> None:
     """Render training frames; resumes if interrupted."""
     select(backend)
+    from hybrid.frame.irradiance import cache_for
     from pathtrace.dataset.capture import capture as run
     from pathtrace.dataset.settings import CaptureSettings
 
     with user_errors():
         settings = CaptureSettings(views, held_out, *size, spp, held_out_spp, seed)
+    is_cached = integrator_named(integrator) is Integrator.CACHED
     start = time.perf_counter()
+    loaded = loaded_scene(scene, max_depth)
+    cache = cache_for(loaded, progress_bar) if is_cached else None
     with progress_bar("capture (samples)") as bar:
-        found = run(loaded_scene(scene, max_depth), Path(frames), settings, bar)
+        found = run(loaded, Path(frames), settings, bar, cache)
     row = {
         "scene": found.scene_name,
         "views": len(found.training),
@@ -62,6 +74,7 @@ def capture(
         "width": size[0],
         "height": size[1],
         "spp": spp,
+        "integrator": found.integrator,
         "seconds": time.perf_counter() - start,
     }
     write_json(json_file, row)

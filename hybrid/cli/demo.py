@@ -43,7 +43,7 @@ def demo(
     fov_b: FovB = INTERACTIVE.fov_b,
     spp: Spp = INTERACTIVE.spp,
     acuity_model: AcuityModelName = INTERACTIVE.acuity_model,
-    integrator: IntegratorName = INTERACTIVE.integrator.value,
+    integrator: IntegratorName = None,
     target: Annotated[
         float | None,
         typer.Option(

@@ -22,6 +22,7 @@ from hybrid.cli.options import (
     SceneName,
     Seed,
     Spp,
+    fill_irradiance,
     loaded_scene,
     select,
     write_json,
@@ -55,7 +56,7 @@ def evaluate(
     fov_a: FovA = EVALUATION.fov_a,
     fov_b: FovB = EVALUATION.fov_b,
     spp: Spp = EVALUATION.spp,
-    integrator: IntegratorName = EVALUATION.integrator.value,
+    integrator: IntegratorName = None,
     reference_spp: Annotated[
         int,
         typer.Option(
@@ -97,6 +98,7 @@ def evaluate(
         require_scene(load_forest(baseline_forest), loaded.name, loaded.hash, baseline_forest)
     # Training shows bars of its own.
     trained = forest_for(loaded, forest)
+    fill_irradiance(loaded, frame)
     with progress_bar("evaluate") as bar:
         found = run(
             loaded,

@@ -16,9 +16,11 @@ import typer
 
 from compose.base.errors import UserError
 from compose.base.files import write_whole
+from hybrid.runtime.progress import progress_bar
 
 if TYPE_CHECKING:
     from compose.camera.camera import Camera
+    from hybrid.frame.settings import FrameSettings
     from pathtrace.dataset.frames import FrameSet
     from pathtrace.scene.scene import Scene
     from splat.model.forest import Forest
@@ -76,10 +78,11 @@ Fovea = Annotated[
     ),
 ]
 IntegratorName = Annotated[
-    str,
+    str | None,
     typer.Option(
         "--integrator",
-        help="path: unbiased; cached: paths end in known irradiance, with less noise but biased.",
+        help="path: unbiased; cached: paths end in known irradiance, with less noise but biased. "
+        "Default: path for a raw fovea, else cached.",
         rich_help_panel=FRAME,
     ),
 ]
@@ -163,6 +166,15 @@ def loaded_scene(source: str, max_depth: int | None = None) -> Scene:
     from pathtrace.scene.scene import load_scene
 
     return load_scene(source, max_depth)
+
+
+def fill_irradiance(scene: Scene, settings: FrameSettings) -> None:
+    """Fills the scene's irradiance cache if frames require it and there is none, with a progress bar."""
+    from hybrid.frame.irradiance import cache_for
+    from pathtrace.trace.integrator import Integrator
+
+    if settings.used_integrator is Integrator.CACHED:
+        cache_for(scene, progress_bar)
 
 
 def matching(scene: str, frames: Path, forest: Path) -> tuple[Scene, FrameSet, Forest]:

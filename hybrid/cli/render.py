@@ -29,6 +29,7 @@ from hybrid.cli.options import (
     Seed,
     Size,
     Spp,
+    fill_irradiance,
     loaded_scene,
     select,
     sized,
@@ -71,7 +72,7 @@ def render(
     spp: Spp = DEFAULTS.spp,
     size: Size = None,
     fovea: Fovea = DEFAULTS.fovea.value,
-    integrator: IntegratorName = DEFAULTS.integrator.value,
+    integrator: IntegratorName = None,
     target_ms: Annotated[
         float | None,
         typer.Option(
@@ -124,6 +125,7 @@ def render(
     target.require_forest(loaded, forest)
     found = forest_for(loaded, forest)
     settings = target.applied(loaded, found, replace(settings, camera=view))
+    fill_irradiance(loaded, settings)
     if trace is None:
         facts = _render_frame(output, detail, loaded, found, settings, seed)
     else:
@@ -246,7 +248,7 @@ def _facts(scene: Scene, settings: FrameSettings) -> dict[str, Any]:
         "fov_a": settings.fov_a,
         "fov_b": settings.fov_b,
         "fovea": settings.fovea.value,
-        "integrator": settings.integrator.value,
+        "integrator": settings.used_integrator.value,
         "unbiased": settings.is_unbiased,
         "acuity_model": settings.acuity_model,
         "pixels_per_degree": settings.display.pixels_per_degree,

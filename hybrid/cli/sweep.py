@@ -20,6 +20,7 @@ from hybrid.cli.options import (
     Repeats,
     SceneName,
     WarmUp,
+    fill_irradiance,
     loaded_scene,
     select,
     sized,
@@ -95,7 +96,7 @@ def sweep(
             rich_help_panel=VIEWER,
         ),
     ] = None,
-    integrator: IntegratorName = SWEEP.integrator.value,
+    integrator: IntegratorName = None,
     display: DisplayName = "desktop",
     repeats: Repeats = 15,
     warm_up: WarmUp = 2,
@@ -132,6 +133,7 @@ def sweep(
     if report is not None:
         _check_report(report, loaded.name)
     base = Setting(sized(loaded.camera, size), settings)
+    fill_irradiance(loaded, settings)
     effort = Effort(repeats, warm_up, values["reference_spp"])
     found = forest_for(loaded, forest)
 

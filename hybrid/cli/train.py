@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -28,6 +28,7 @@ def train(
     from hybrid.output.images import check_writable
     from hybrid.store.cache import store_forest
     from hybrid.training.forest import train as run
+    from hybrid.training.fusion import fusion_verdicts
     from hybrid.training.held_out import held_out_quality
     from pathtrace.dataset.frames import read_frame_set
     from splat.training.trainer import TrainingSettings
@@ -41,10 +42,22 @@ def train(
         trained = run(found, forest, settings, bar)
     seconds = time.perf_counter() - start
     store_forest(trained, forest.stem)
-    rows = held_out_quality(found, trained)
-    facts = {"scene": found.scene_name, "layers": rows, "trees": trained.counts[0]}
+    rows, verdicts = held_out_quality(found, trained), fusion_verdicts(trained)
+    facts = {"scene": found.scene_name, "layers": rows, "trees": trained.counts[0], "fusion": verdicts}
     write_json(json_file, {**facts, "iterations": iterations, "seconds": seconds})
     print(f"{sum(trained.counts):,} nodes in {trained.counts[0]:,} trees in {seconds:.0f} s")
     for row in rows:
         quality = f", held-out views {row['psnr']:.2f} dB, SSIM {row['ssim']:.4f}" if "psnr" in row else ""
         print(f"layer {row['layer']}: {row['nodes']:,} nodes{quality}")
+    _print_verdicts(verdicts)
+
+
+def _print_verdicts(rows: list[dict[str, Any]]) -> None:
+    """What single frames show at the splats' resolution, and by how much it beat both parents."""
+    for row in rows:
+        if row["enlargement"] == 1 and not row["quick"]:
+            alone = "splats" if row["splat"] == 1 else "denoised samples"
+            shown = f"{row['gain_db']:+.1f} dB over the better of denoised samples and splats"
+            if row["gain_db"] == 0:
+                shown = f"{alone} alone: the fusion did not prove better on unseen views"
+            print(f"fused fovea at {row['spp']} spp: {shown}")

@@ -69,7 +69,7 @@ def run_window(
     application = QApplication(sys.argv[:1])
     measures = options.bench is not None
     # Training would take minutes of a measurement that is expected to take seconds.
-    thread = RenderThread(partial(prepared, scene, forest, backend, not measures))
+    thread = RenderThread(partial(prepared, scene, forest, backend, not measures, settings))
     gaze = GazeInput(options.latency, trace)
     window = Window(thread, settings, options.target_fps, options.size, gaze, options.folder, measures)
     bench = None

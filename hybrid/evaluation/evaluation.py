@@ -60,7 +60,7 @@ class Evaluation:
         self.renderer = Renderer(scene, forest)
         # References are unbiased; baselines trace as the hybrid frames do.
         self.tracer = self.renderer.tracer
-        self.baseline_tracer = self.renderer.tracer_of(settings.frame.integrator)
+        self.baseline_tracer = self.renderer.tracer_of(settings.frame.used_integrator)
         self.splats = SplatsAlone(Periphery(device_arrays(), forest))
         self.flat = None if flat is None else SplatsAlone(Periphery(device_arrays(), flat))
         identity = measured_identity(

@@ -55,6 +55,6 @@ class EvaluationSettings:
             "fov_b": frame.fov_b,
             "spp": frame.spp,
             "acuity_model": frame.acuity_model,
-            "integrator": frame.integrator.value,
+            "integrator": frame.used_integrator.value,
             **{name: getattr(self, name) for name in names},
         }

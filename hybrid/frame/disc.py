@@ -9,7 +9,6 @@ import numpy as np
 from compose.fovea.rectangle import Rectangle
 from compose.fovea.region import FoveaRegion
 from compose.fovea.samples import Samples
-from compose.fusion.combination import QUICK_BELOW
 from compose.fusion.parents import Parents
 from compose.image.colour import Image
 from hybrid.frame.underlay import Underlay
@@ -23,7 +22,7 @@ def parents_of(region: FoveaRegion, samples: Samples, underlay: Underlay, quick:
         region: the disc.
         samples: of its pixels.
         underlay: of the same view.
-        quick: whether to use the quicker denoiser at any sample count.
+        quick: whether to use the quicker denoiser.
     """
     rectangle = region.rectangle
     splats = rectangle.crop(underlay.radiance)
@@ -74,25 +73,12 @@ class DiscImages:
             scattered(np.ones((*rectangle.shape, 1), dtype=np.float32), samples.count[:, None]),
         )
 
-    @property
-    def spp(self) -> float:
-        """Mean samples per pixel."""
-        return float(self.count.mean())
-
-    def denoised(self) -> Image:
-        """(h, w, 3) denoised radiance."""
-        return denoise(self.radiance, self.albedo, self.normal, is_quick(self.spp))
+    def denoised(self, quick: bool) -> Image:
+        """(h, w, 3) denoised radiance, by the quicker network if `quick`."""
+        return denoise(self.radiance, self.albedo, self.normal, quick)
 
 
-def denoised_for_fusion(images: DiscImages, quick: bool = False) -> Image:
-    """(h, w, 3) denoised radiance, as one parent of several.
-
-    At low sample counts the better denoiser costs more than it adds to the others.
-    """
-    denoiser = denoise_coarsely if quick or is_quick(images.spp) else denoise
+def denoised_for_fusion(images: DiscImages, quick: bool) -> Image:
+    """(h, w, 3) denoised radiance, as one parent of several; at half the resolution if `quick`."""
+    denoiser = denoise_coarsely if quick else denoise
     return denoiser(images.radiance, images.albedo, images.normal)
-
-
-def is_quick(spp: float) -> bool:
-    """Whether the quicker denoiser is the better choice at this many samples per pixel."""
-    return spp < QUICK_BELOW

@@ -16,6 +16,7 @@ from compose.fovea.region import FoveaRegion
 from compose.fovea.samples import Samples, merged
 from hybrid.frame.disc import parents_of
 from hybrid.frame.underlay import Underlay, underlay_of
+from hybrid.runtime.device import device_arrays
 from pathtrace.trace.film import interleaved, pixel_positions
 from pathtrace.trace.tracer import Tracer, auxiliary_spp
 
@@ -60,7 +61,7 @@ class DiscTracer:
 
     def __init__(self, tracer: Tracer, history: bool):
         self._tracer = tracer
-        self._history = History() if history else None
+        self._history = History(device_arrays()) if history else None
 
     @property
     def has_history(self) -> bool:
@@ -70,7 +71,7 @@ class DiscTracer:
     def forget(self) -> None:
         """Drops all samples of earlier frames."""
         if self._history is not None:
-            self._history = History()
+            self._history = History(device_arrays())
 
     def history_state(self) -> dict[str, NDArray[np.generic]]:
         """Arrays to save for `restore_history`; empty without a history."""
@@ -79,7 +80,7 @@ class DiscTracer:
     def restore_history(self, camera: Camera, state: dict[str, NDArray[np.generic]]) -> None:
         """Continues from the saved samples of a camera's view; does nothing if none were saved."""
         if state:
-            self._history = History.restored(camera, state)
+            self._history = History.restored(device_arrays(), camera, state)
 
     def trace(self, request: DiscRequest, underlay: Underlay | None = None, quick: bool = False) -> Samples:
         """Samples of the disc's pixels, merged with what is known of them.

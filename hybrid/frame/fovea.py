@@ -106,7 +106,7 @@ class Fovea:
             surroundings: (H, W, 3) radiance that fills the corners of the rectangle around the disc; required
                 for a denoised fovea only.
             underlay: the splats under the disc, in the same view; required for a fused fovea only.
-            quick: whether a fused fovea uses the quicker denoiser at any sample count.
+            quick: whether the quicker denoiser is used.
 
         Raises:
             ValueError: what the mode requires is missing.
@@ -118,7 +118,7 @@ class Fovea:
             if surroundings is None:
                 raise ValueError("a denoised fovea requires the radiance around the disc")
             images = DiscImages.of(samples, rectangle.crop(surroundings), rectangle)
-            denoised = rectangle.gathered(images.denoised())
+            denoised = rectangle.gathered(images.denoised(quick))
             return FoveaImage(denoised, samples, denoised)
         if underlay is None:
             raise ValueError("a fused fovea requires the splats under the disc")

@@ -87,7 +87,10 @@ class Frame:
         """
         path = Path(path)
         if path.suffix.lower() == ".exr":
-            facts = {"integrator": self.settings.integrator.value, "unbiased": str(self.settings.is_unbiased)}
+            facts = {
+                "integrator": self.settings.used_integrator.value,
+                "unbiased": str(self.settings.is_unbiased),
+            }
             write_exr(path, self.aovs(), facts)
         elif path.suffix.lower() == ".png":
             write_png(path, self.composite)

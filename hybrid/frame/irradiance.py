@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from compose.base.errors import UserError
+from hybrid.runtime.progress import Bars, no_bars, no_progress
 from hybrid.store.cache import scene_folder
 from hybrid.store.irradiance import stored_cache
 from pathtrace.cache.cache import IrradianceCache
@@ -17,18 +20,35 @@ from pathtrace.trace.tracer import Tracer
 _VIEWS = 8
 
 
-def cache_for(scene: Scene) -> IrradianceCache:
+def cache_for(scene: Scene, bars: Bars = no_bars) -> IrradianceCache:
     """The stored cache of a scene; if there is none, it is filled in seconds and stored.
+
+    Args:
+        scene: the scene.
+        bars: show the progress of filling it.
 
     Raises:
         UserError: the cache folder cannot be written.
     """
     file = scene_folder(scene.name, scene.hash) / "irradiance.safetensors"
-    return stored_cache(file, lambda: filled_cache(scene))
+
+    def filled() -> IrradianceCache:
+        with bars("irradiance (steps)") as bar:
+            return filled_cache(scene, bar)
+
+    return stored_cache(file, filled)
 
 
-def filled_cache(scene: Scene, seed: int = 0) -> IrradianceCache:
-    """A cache filled for views around the scene's own camera; same seed, same cache."""
+def filled_cache(
+    scene: Scene, progress: Callable[[int, int], None] = no_progress, seed: int = 0
+) -> IrradianceCache:
+    """A cache filled for views around the scene's own camera.
+
+    Args:
+        scene: the scene.
+        progress: called with steps done and steps in total.
+        seed: same seed, same cache on the same machine.
+    """
     camera = scene.camera
     try:
         views = choose_views(scene, Surfaces(scene), _VIEWS, camera.width, camera.height, 0)
@@ -36,7 +56,7 @@ def filled_cache(scene: Scene, seed: int = 0) -> IrradianceCache:
     except UserError:
         # There is no free space around the camera.
         cameras = [camera]
-    return fill_cache(scene, cameras, seed)
+    return fill_cache(scene, cameras, seed, progress)
 
 
 class CachedTracer:

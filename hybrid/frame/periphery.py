@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.arrays import Arrays
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.eye.acuity import ACUITY_MODELS
@@ -15,7 +16,6 @@ from compose.eye.steps import COARSEST_RATE
 from compose.fovea.region import FoveaRegion
 from compose.image.colour import Image
 from hybrid.frame.settings import FrameSettings
-from splat.base.arrays import Arrays
 from splat.lod.cached_images import CachedLayerImages
 from splat.lod.image import SplatImage
 from splat.lod.layer_images import LayerImage

@@ -69,7 +69,7 @@ class Renderer:
 
     def fovea_of(self, settings: FrameSettings) -> Fovea:
         """The fovea of frames with these settings; samples of different integrators are never mixed."""
-        integrator = settings.integrator
+        integrator = settings.used_integrator
         if integrator not in self._foveas:
             self._foveas[integrator] = Fovea(self.tracer_of(integrator), self._fusion, self._history)
         return self._foveas[integrator]
@@ -117,7 +117,7 @@ class Renderer:
 
     def _relight(self, settings: FrameSettings) -> None:
         """Renews a part of the light that is known, if paths end in it and it is old."""
-        if settings.integrator is Integrator.CACHED:
+        if settings.used_integrator is Integrator.CACHED:
             self._cached_tracer().update()
 
     def frame(self, settings: FrameSettings = DEFAULTS, seed: int = 0) -> Frame:

@@ -14,7 +14,7 @@ from compose.eye.steps import COARSEST_RATE
 from compose.fovea.mode import FoveaMode
 from compose.fovea.region import Foveation
 from hybrid.frame.converted import Converted
-from pathtrace.trace.integrator import Integrator
+from pathtrace.trace.integrator import Integrator, integrator_named
 
 
 def _gaze(given: Gaze | tuple[float, float]) -> Gaze:
@@ -35,12 +35,8 @@ def _fovea_mode(given: FoveaMode | str) -> FoveaMode:
         raise UserError(f"fovea {given}: must be {', '.join(names[:-1])} or {names[-1]}") from error
 
 
-def _integrator(given: Integrator | str) -> Integrator:
-    try:
-        return Integrator(given)
-    except ValueError as error:
-        names = " or ".join(one.value for one in Integrator)
-        raise UserError(f"integrator {given}: must be {names}") from error
+def _integrator(given: Integrator | str | None) -> Integrator | None:
+    return None if given is None else integrator_named(given)
 
 
 def _display(given: Display | str) -> Display:
@@ -66,7 +62,7 @@ class FrameSettings:
         scale: side of the rendered frame over side of the camera's frame, above 0 and at most 1.
         display: what the frame is shown on, around the display's centre.
         camera: the view; None for the scene's own.
-        integrator: how paths are traced.
+        integrator: how paths are traced; None for unbiased paths in a raw fovea and cached ones in others.
 
     Raises:
         UserError: a value is out of range or unknown.
@@ -83,7 +79,7 @@ class FrameSettings:
     scale: float = 1.0
     display: Converted[Display | str, Display] = Converted(_display, DISPLAYS["desktop"])
     camera: Camera | None = None
-    integrator: Converted[Integrator | str, Integrator] = Converted(_integrator, Integrator.PATH)
+    integrator: Converted[Integrator | str | None, Integrator | None] = Converted(_integrator, None)
 
     def __post_init__(self) -> None:
         acuity_model_named(self.acuity_model)
@@ -97,9 +93,17 @@ class FrameSettings:
             raise UserError(f"scale {self.scale}: must be above 0 and at most 1")
 
     @property
+    def used_integrator(self) -> Integrator:
+        """How paths are traced, also where the settings leave it open."""
+        if self.integrator is not None:
+            return self.integrator
+        # What is denoised or fused is biased anyway.
+        return Integrator.PATH if self.fovea is FoveaMode.RAW else Integrator.CACHED
+
+    @property
     def is_unbiased(self) -> bool:
         """Whether the disc's radiance is the truth on average: raw samples of an unbiased integrator."""
-        return self.fovea is FoveaMode.RAW and self.integrator.is_unbiased
+        return self.fovea is FoveaMode.RAW and self.used_integrator.is_unbiased
 
     @property
     def foveation(self) -> Foveation:
@@ -141,7 +145,7 @@ class FrameSettings:
             "scale": self.scale,
             "display": asdict(self.display),
             "camera": None if self.camera is None else self.camera.key.hex(),
-            "integrator": self.integrator.value,
+            "integrator": self.used_integrator.value,
         }
 
 

@@ -7,16 +7,21 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from compose.base.errors import UserError
+from hybrid.frame.irradiance import cache_for
 from hybrid.frame.live import LiveRenderer
+from hybrid.frame.settings import FrameSettings
 from hybrid.interactive.source import FrameSource
 from hybrid.runtime.progress import Bar, Report
 from hybrid.store.cache import newest_forest
 from hybrid.training.quick import forest_for
 from pathtrace.base.backend import select_backend
 from pathtrace.scene.scene import load_scene
+from pathtrace.trace.integrator import Integrator
 
 
-def prepared(scene: str, forest: Path | None, backend: str, trains: bool, report: Report) -> FrameSource:
+def prepared(
+    scene: str, forest: Path | None, backend: str, trains: bool, settings: FrameSettings, report: Report
+) -> FrameSource:
     """The source of a scene's frames.
 
     Args:
@@ -24,6 +29,7 @@ def prepared(scene: str, forest: Path | None, backend: str, trains: bool, report
         forest: forest file; None for the newest one of the scene.
         backend: auto, cuda or llvm.
         trains: whether to train a forest if there is none.
+        settings: of the first frame.
         report: called with the activity, steps done and steps in total.
 
     Raises:
@@ -39,4 +45,7 @@ def prepared(scene: str, forest: Path | None, backend: str, trains: bool, report
     loaded = load_scene(scene)
     if not trains and forest is None and newest_forest(loaded) is None:
         raise UserError(f"{scene}: there is no forest yet; run hybrid demo {scene} first, which trains one")
-    return FrameSource(LiveRenderer(loaded, forest_for(loaded, forest, bars)))
+    found = forest_for(loaded, forest, bars)
+    if settings.used_integrator is Integrator.CACHED:
+        cache_for(loaded, bars)
+    return FrameSource(LiveRenderer(loaded, found))

@@ -6,7 +6,6 @@ import math
 
 from compose.camera.camera import Camera
 from compose.image.colour import Image
-from hybrid.frame.disc import is_quick
 from hybrid.runtime.clock import Clock
 from pathtrace.trace.film import FilmPositions
 from pathtrace.trace.fractional import fractional_counts
@@ -44,6 +43,6 @@ def traced_image(
         return radiance
     spp_of_auxiliary = auxiliary_spp(math.ceil(spp))
     auxiliary = auxiliary_images(tracer, camera, positions, columns, spp_of_auxiliary, seed)
-    image = TracedImage(radiance, *auxiliary).denoised(is_quick(spp))
+    image = TracedImage(radiance, *auxiliary).denoised()
     clock.lap("denoise")
     return image

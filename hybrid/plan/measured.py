@@ -75,7 +75,7 @@ class MeasuredStore:
             width=width,
             height=height,
             acuity_model=base.acuity_model,
-            integrator=base.integrator.value,
+            integrator=None if base.integrator is None else base.integrator.value,
             display=asdict(base.display),
         )
         name = f"measured-{kind}-{width}x{height}-{short_hash(identity)}.json"

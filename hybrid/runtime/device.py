@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from splat.base.arrays import Arrays
+from compose.base.arrays import Arrays
 
 
 def device_arrays() -> Arrays:

@@ -38,6 +38,12 @@ Bars: TypeAlias = Callable[[str], AbstractContextManager[Bar]]
 
 
 @contextmanager
+def no_bars(title: str) -> Iterator[Bar]:
+    """Shows nothing."""
+    yield lambda done, total, step="": None
+
+
+@contextmanager
 def progress_bar(title: str) -> Iterator[Bar]:
     """A progress bar for one job, with the elapsed time and the time left."""
     columns = (

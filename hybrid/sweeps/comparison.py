@@ -44,7 +44,7 @@ def compare(
         the disc covers.
     """
     full = FullTrace(
-        renderer.tracer_of(settings.integrator), settings.spp, settings.fovea is not FoveaMode.RAW
+        renderer.tracer_of(settings.used_integrator), settings.spp, settings.fovea is not FoveaMode.RAW
     )
     frames = _Frames(renderer, camera, settings, full)
     reach = reach_for(settings.fov_a, camera)

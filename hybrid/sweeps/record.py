@@ -60,4 +60,6 @@ def applied(sweep: Sweep, base: Setting, effort: Effort) -> dict[str, Any]:
     for quantity, values in common.items():
         if quantity not in sweep.ignored:
             found |= values
-    return found | {"integrator": frame.integrator.value, "display": asdict(frame.display)}
+    varies = "fovea" in sweep.ignored and frame.integrator is None
+    integrator = "by fovea" if varies else frame.used_integrator.value
+    return found | {"integrator": integrator, "display": asdict(frame.display)}

@@ -98,10 +98,12 @@ def _group(
 
 def _full_traces(renderer: Renderer, settings: list[Setting]) -> dict[tuple[int, bool], FullTrace]:
     """The full path-traced frames to compare with, by samples per pixel and whether they are denoised."""
-    wanted = [(setting.frame.spp, setting.is_denoised) for setting in settings]
-    wanted += [(1, setting.is_denoised) for setting in settings if setting.over_one_spp]
-    tracer = renderer.tracer_of(settings[0].frame.integrator)
-    return {(spp, denoised): FullTrace(tracer, spp, denoised) for spp, denoised in wanted}
+    wanted = [(setting, setting.frame.spp) for setting in settings]
+    wanted += [(setting, 1) for setting in settings if setting.over_one_spp]
+    return {
+        (spp, one.is_denoised): FullTrace(renderer.tracer_of(one.frame.used_integrator), spp, one.is_denoised)
+        for one, spp in wanted
+    }
 
 
 def _times(

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import fields
+from dataclasses import fields, replace
+from itertools import product
+from typing import Any
 
 import numpy as np
+import torch
 from scipy.ndimage import gaussian_filter
 
-from compose.fusion.fitting import ITERATIONS, LEAST_SIZE, Example, fit
+from compose.fusion.examples import Example
+from compose.fusion.fitting import ITERATIONS, LEAST_SIZE, fit
 from compose.fusion.parents import Parents
+from compose.fusion.proof import TRIAL_ITERATIONS, prove, trials
+from compose.fusion.reference import Reference
+from compose.fusion.shares import COUNTS, ENLARGEMENTS, MIXED
 from compose.image.colour import Image
 from hybrid.frame.disc import DiscImages, denoised_for_fusion
-from hybrid.frame.fusion import attach_fusion
+from hybrid.frame.fusion import attach_fusion, fusion_of
 from hybrid.runtime.device import device_arrays
-from pathtrace.dataset.exr import read_estimate, read_frame
+from pathtrace.dataset.exr import read_estimate, read_frame, read_radiance
 from pathtrace.dataset.frames import FrameEntry, FrameSet
 from pathtrace.trace.image import TracedImage
 from splat.lod.renderer import ForestRenderer
@@ -24,48 +31,90 @@ from splat.model.forest import Forest
 # equal count.
 _MIXED = 2
 _PATCHES = 2.0, 12.0
+# Sides of an example in pixels, at most: of a larger view, each estimate shows another part.
+_MOST = 256
 
 
 def with_fusion(frames: FrameSet, forest: Forest, seed: int, progress: Callable[[int, int], None]) -> Forest:
-    """The forest with a fusion network fitted to it; unchanged if the frame set has no example.
+    """The forest with a fusion fitted to it and tried on unseen views; unchanged without any example.
 
     Args:
         frames: their estimates are the examples, if they are large enough.
         forest: trained on the same frame set.
-        seed: same seed, same network on the same machine.
+        seed: same seed, same fusion on the same machine.
         progress: called with steps done and steps in total.
     """
     examples = list(_examples(frames, forest, np.random.default_rng(seed)))
-    return attach_fusion(forest, fit(examples, seed, progress)) if examples else forest
+    if not examples:
+        return forest
+    total = ITERATIONS + TRIAL_ITERATIONS * trials(examples)
+    proof = prove(examples, seed, lambda done, _: progress(done, total))
+    fusion = fit(examples, seed, lambda done, _: progress(total - ITERATIONS + done, total))
+    fusion.shares.copy_(torch.from_numpy(proof.shares))
+    fusion.gains.copy_(torch.from_numpy(proof.gains))
+    return attach_fusion(forest, fusion)
 
 
 def fusion_steps(frames: FrameSet) -> int:
     """Number of steps that `with_fusion` takes."""
-    return ITERATIONS if any(entry.estimates for entry in _usable(frames)) else 0
+    views = {number for number, _ in _usable(frames)}
+    return (ITERATIONS if views else 0) + (2 * TRIAL_ITERATIONS if len(views) > 1 else 0)
 
 
-def _usable(frames: FrameSet) -> list[FrameEntry]:
-    """The views and close-ups that training has not seen and that are large enough for an example."""
+def fusion_verdicts(forest: Forest) -> list[dict[str, Any]]:
+    """What a fused fovea shows, one row per denoiser, sample count and enlargement; empty without a fusion.
+
+    Returns:
+        Rows of quick (whether the quicker denoiser is used), spp, enlargement, the shares of network,
+        denoised and splat, and gain_db over the better of the last two on unseen views; 0 where that one
+        alone is shown, because the network did not prove to be better.
+    """
+    fusion = fusion_of(forest)
+    if fusion is None:
+        return []
+    cells = product(enumerate((False, True)), enumerate(COUNTS), enumerate(ENLARGEMENTS))
     return [
-        entry
-        for entry in frames.held_out + frames.close_ups
-        if min(entry.camera.width, entry.camera.height) >= LEAST_SIZE
+        {
+            "quick": quick,
+            "spp": spp,
+            "enlargement": enlargement,
+            **dict(zip(MIXED, fusion.shares[i, j, k].tolist(), strict=True)),
+            "gain_db": float(fusion.gains[i, j, k]),
+        }
+        for (i, quick), (j, spp), (k, enlargement) in cells
     ]
 
 
+def _usable(frames: FrameSet) -> list[tuple[int, FrameEntry]]:
+    """Number and entry of the views that training has not seen and that are large enough for an example.
+
+    Close-ups have the number of the view that they are parts of: that at the same place.
+    """
+    entries = [entry for entry in frames.held_out + frames.close_ups if entry.halves]
+    numbers: dict[bytes, int] = {}
+    found = []
+    for entry in entries:
+        number = numbers.setdefault(entry.camera.camera_to_world.tobytes(), len(numbers))
+        if min(entry.camera.width, entry.camera.height) >= LEAST_SIZE:
+            found.append((number, entry))
+    return found
+
+
 def _examples(frames: FrameSet, forest: Forest, rng: np.random.Generator) -> Iterator[Example]:
-    """For each estimate of each view: the parents of a fovea, and the reference."""
+    """For each estimate of each view and both denoisers: the parents of a fovea, and the reference."""
     renderer = ForestRenderer(device_arrays(), forest)
     finest = len(forest.counts)
-    for entry in _usable(frames):
-        reference = read_frame(entry.file).radiance
+    for number, entry in _usable(frames):
+        one, other = (read_radiance(file) for file in entry.halves)
+        reference = Reference(read_frame(entry.file).radiance, (one, other))
         splat = np.array(renderer.render_layer(entry.camera, finest).image())
         enlargement = entry.camera.fy / forest.focal_of(finest)
         traced = [_images_of(read_estimate(file), spp) for spp, file in entry.estimates.items()]
         if len(traced) > 1:
             traced += [_mixed(traced, rng) for _ in range(_MIXED)]
-        for images in traced:
-            yield Example(_parents(images, splat, enlargement), reference)
+        for images, quick in product(traced, (False, True)):
+            parents = _parents(images, splat, enlargement, quick)
+            yield _part(Example(parents, reference, number), rng)
 
 
 def _images_of(estimate: TracedImage, spp: int) -> DiscImages:
@@ -73,11 +122,11 @@ def _images_of(estimate: TracedImage, spp: int) -> DiscImages:
     return DiscImages(estimate.radiance, estimate.albedo, estimate.normal, count)
 
 
-def _parents(images: DiscImages, splat: Image, enlargement: float) -> Parents:
-    denoised = denoised_for_fusion(images)
+def _parents(images: DiscImages, splat: Image, enlargement: float, quick: bool) -> Parents:
+    denoised = denoised_for_fusion(images, quick)
     unknown = np.full_like(denoised, np.inf)
     auxiliary = images.albedo, images.normal, images.count
-    return Parents(images.radiance, unknown, denoised, splat, *auxiliary, enlargement)
+    return Parents(images.radiance, unknown, denoised, splat, *auxiliary, enlargement, quick)
 
 
 def _mixed(traced: list[DiscImages], rng: np.random.Generator) -> DiscImages:
@@ -87,3 +136,20 @@ def _mixed(traced: list[DiscImages], rng: np.random.Generator) -> DiscImages:
     first = (noise > np.quantile(noise, rng.uniform(0.2, 0.8)))[..., None]
     mixed = (np.where(first, getattr(one, f.name), getattr(other, f.name)) for f in fields(DiscImages))
     return DiscImages(*mixed)
+
+
+def _part(example: Example, rng: np.random.Generator) -> Example:
+    """A random part of an example that is too large."""
+    height, width = example.parents.traced.shape[:2]
+    if max(height, width) <= _MOST:
+        return example
+    top, left = (int(rng.integers(max(side - _MOST, 0) + 1)) for side in (height, width))
+    box = np.s_[top : top + _MOST, left : left + _MOST]
+    parents, reference = example.parents, example.reference
+    images = ("traced", "variance", "denoised", "splat", "albedo", "normal", "count")
+    one, other = reference.halves
+    return replace(
+        example,
+        parents=replace(parents, **{name: getattr(parents, name)[box] for name in images}),
+        reference=Reference(reference.denoised[box], (one[box], other[box])),
+    )

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from hybrid.frame.irradiance import cache_for
 from hybrid.runtime.progress import Bars, console, progress_bar
 from hybrid.store.cache import newest_forest, scene_folder, store_forest
 from hybrid.store.identity import require_scene
@@ -69,8 +70,9 @@ def make_quick_forest(scene: Scene, folder: Path, seed: int, bars: Bars = progre
     """
     seconds = {}
     start = time.perf_counter()
+    cache = cache_for(scene, bars)
     with bars("capture (samples)") as bar:
-        frames = capture(scene, folder / f"frames-{seed}", replace(QUICK_CAPTURE, seed=seed), bar)
+        frames = capture(scene, folder / f"frames-{seed}", replace(QUICK_CAPTURE, seed=seed), bar, cache)
     seconds["capture"] = time.perf_counter() - start
     start = time.perf_counter()
     path = folder / f"quick-{seed}.safetensors"

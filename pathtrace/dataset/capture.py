@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from compose.camera.camera import Camera
 from compose.camera.serialization import camera_from_json
-from pathtrace.dataset.exr import write_estimate, write_frame
+from pathtrace.cache.cache import IrradianceCache
+from pathtrace.dataset.exr import write_estimate, write_frame, write_radiance
 from pathtrace.dataset.frames import FrameSet, read_frame_set
-from pathtrace.dataset.rendering import render_with_estimates
+from pathtrace.dataset.rendering import render_estimates, render_frame, render_with_halves
 from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.dataset.transforms import describe_capture, write_description
 from pathtrace.dataset.views import choose_views
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.surfaces import Surfaces
+from pathtrace.trace.integrator import Integrator
 from pathtrace.trace.tracer import Tracer
 
 # Keeps the seeds of different captures apart: far more than one capture has frames.
@@ -21,13 +26,18 @@ _CAPTURE_SEED_STEP = 100_003
 
 
 def capture(
-    scene: Scene, folder: Path, settings: CaptureSettings, progress: Callable[[int, int], None]
+    scene: Scene,
+    folder: Path,
+    settings: CaptureSettings,
+    progress: Callable[[int, int], None],
+    cache: IrradianceCache | None = None,
 ) -> FrameSet:
     """Captures a frame set of a scene to train on; resumes if it was interrupted.
 
     Views lie in free space around the scene's own camera, which is the first of them. The held-out ones are
     spaced evenly over the others. Two of three held-out views also have estimates, traced with fewer samples,
-    and close-ups at two and four times the resolution, to which the fusion is fitted.
+    two independent halves of their own samples, and close-ups at two and four times the resolution: what the
+    fusion is fitted to. Held-out frames are unbiased.
 
     The folder gets a `transforms.json` in the Nerfstudio / instant-ngp convention and one multi-channel
     OpenEXR file per frame, estimate and close-up. Files are written atomically, and frames that exist are not
@@ -38,6 +48,8 @@ def capture(
         folder: the folder of the frame set; created if it does not exist.
         settings: number, size and sample counts of the frames, and the seed.
         progress: called after each frame with the number of samples done and their total.
+        cache: irradiance of the scene in which the paths of training frames and estimates end; without it,
+            these are unbiased as well.
 
     Returns:
         The complete frame set.
@@ -54,25 +66,46 @@ def capture(
     """
     count = settings.views + settings.held_out
     views = choose_views(scene, Surfaces(scene), count, settings.width, settings.height, settings.seed)
-    document = describe_capture(scene, views, settings)
+    integrator = Integrator.PATH if cache is None else Integrator.CACHED
+    document = describe_capture(scene, views, settings, integrator)
     write_description(folder, document)
-    tracer = Tracer(scene)
+    tracers = _Tracers(Tracer(scene), Tracer(scene, cache=cache))
     entries = document["frames"] + document["close_ups"]
     cameras = [camera_from_json({**document, **entry}) for entry in entries]
-    samples = [
-        entry["samples"] * camera.width * camera.height
-        for entry, camera in zip(entries, cameras, strict=True)
-    ]
+    samples = [_samples(entry, camera) for entry, camera in zip(entries, cameras, strict=True)]
     for index, (entry, camera) in enumerate(zip(entries, cameras, strict=True)):
-        path = folder / entry["file_path"]
-        if not path.is_file():
+        if not (folder / entry["file_path"]).is_file():
             # Each frame has a seed of its own, so that a resumed capture ends with the same frames.
-            seed = settings.seed * _CAPTURE_SEED_STEP + index
-            files = {e["samples"]: folder / e["file_path"] for e in entry["estimates"]}
-            frame, estimates = render_with_estimates(tracer, camera, entry["samples"], seed, tuple(files))
-            for file, estimate in zip(files.values(), estimates, strict=True):
-                write_estimate(file, estimate)
-            # Last: a frame that exists has all its estimates.
-            write_frame(path, frame)
+            _write_entry(tracers, folder, entry, camera, settings.seed * _CAPTURE_SEED_STEP + index)
         progress(sum(samples[: index + 1]), sum(samples))
     return read_frame_set(folder)
+
+
+@dataclass(frozen=True)
+class _Tracers:
+    """The tracer of held-out frames, and that of everything else."""
+
+    unbiased: Tracer
+    others: Tracer
+
+
+def _samples(entry: dict[str, Any], camera: Camera) -> int:
+    """Samples of a view's frame and of its estimates."""
+    per_pixel = entry["samples"] + sum(estimate["samples"] for estimate in entry["estimates"])
+    return int(per_pixel * camera.width * camera.height)
+
+
+def _write_entry(tracers: _Tracers, folder: Path, entry: dict[str, Any], camera: Camera, seed: int) -> None:
+    """Renders and writes the files of one view; its frame last: if that exists, so do the others."""
+    files = {e["samples"]: folder / e["file_path"] for e in entry["estimates"]}
+    estimates = render_estimates(tracers.others, camera, tuple(files), seed)
+    for file, estimate in zip(files.values(), estimates, strict=True):
+        write_estimate(file, estimate)
+    if entry["halves"]:
+        frame, halves = render_with_halves(tracers.unbiased, camera, entry["samples"], seed)
+        for name, half in zip(entry["halves"], halves, strict=True):
+            write_radiance(folder / name, half)
+    else:
+        tracer = tracers.unbiased if entry["held_out"] else tracers.others
+        frame = render_frame(tracer, camera, entry["samples"], seed)
+    write_frame(folder / entry["file_path"], frame)

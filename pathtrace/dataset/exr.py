@@ -66,6 +66,15 @@ def write_estimate(path: Path, estimate: TracedImage) -> None:
     _write(path, _shading_channels(estimate))
 
 
+def write_radiance(path: Path, radiance: Image) -> None:
+    """Writes an (H, W, 3) image of linear radiance alone, atomically; channels R, G, B.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    _write(path, _split("", "RGB", radiance, np.float32))
+
+
 def read_frame(path: Path) -> CapturedFrame:
     """Reads what `write_frame` wrote.
 
@@ -93,6 +102,19 @@ def read_estimate(path: Path) -> TracedImage:
     channels = _read(path)
     try:
         return TracedImage(*_shading(channels))
+    except KeyError as error:
+        raise _unreadable(path, error) from error
+
+
+def read_radiance(path: Path) -> Image:
+    """Reads what `write_radiance` wrote.
+
+    Raises:
+        UserError: the file is missing, damaged, or has no radiance.
+    """
+    channels = _read(path)
+    try:
+        return _stacked(channels, "", "RGB")
     except KeyError as error:
         raise _unreadable(path, error) from error
 
@@ -126,10 +148,14 @@ def _shading_channels(image: CapturedFrame | TracedImage) -> dict[str, Any]:
 
 def _shading(channels: dict[str, Any]) -> tuple[Image, Image, Image]:
     """Radiance, albedo and normal, (H, W, 3) each."""
-    stack = lambda prefix, names: np.stack(  # noqa: E731
-        [channels[prefix + n] for n in names], axis=-1
-    ).astype(np.float32)
-    return stack("", "RGB"), stack("albedo.", "RGB"), stack("normal.", "XYZ")
+    images = ("", "RGB"), ("albedo.", "RGB"), ("normal.", "XYZ")
+    radiance, albedo, normal = (_stacked(channels, prefix, names) for prefix, names in images)
+    return radiance, albedo, normal
+
+
+def _stacked(channels: dict[str, Any], prefix: str, names: str) -> Image:
+    """An image (H, W, 3) from channels (H, W)."""
+    return np.stack([channels[prefix + n] for n in names], axis=-1).astype(np.float32)
 
 
 def _split(prefix: str, names: str, image: Image, dtype: Any) -> dict[str, Any]:

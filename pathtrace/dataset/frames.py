@@ -15,7 +15,7 @@ from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.camera.serialization import camera_from_json
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,7 @@ class FrameEntry:
         samples: samples per pixel.
         held_out: whether training must not see it.
         estimates: files of noisy estimates of the same view by their samples per pixel; may be empty.
+        halves: files of the radiance of two independent halves of the samples, if there are estimates.
     """
 
     camera: Camera
@@ -35,6 +36,7 @@ class FrameEntry:
     samples: int
     held_out: bool
     estimates: dict[int, Path]
+    halves: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,7 @@ class FrameSet:
         scene_name, scene_hash: the scene that the frames show.
         entries: the frames, training and held-out ones.
         close_ups: parts of held-out views at a multiple of their resolution.
+        integrator: name of the one that training frames and estimates were traced with.
     """
 
     folder: Path
@@ -55,6 +58,7 @@ class FrameSet:
     scene_hash: str
     entries: list[FrameEntry]
     close_ups: list[FrameEntry]
+    integrator: str
 
     @property
     def training(self) -> list[FrameEntry]:
@@ -89,15 +93,16 @@ def read_frame_set(folder: Path) -> FrameSet:
             for name in ("frames", "close_ups")
         )
         scene = document["scene"]["name"], document["scene"]["hash"]
+        integrator = str(document["integrator"])
     except (ValueError, KeyError, TypeError) as error:
         raise UserError(f"{path}: not the description of a frame set ({error!r})") from error
     _check_files(folder, entries + close_ups)
-    return FrameSet(folder, hashlib.sha256(text.encode()).hexdigest(), *scene, entries, close_ups)
+    return FrameSet(folder, hashlib.sha256(text.encode()).hexdigest(), *scene, entries, close_ups, integrator)
 
 
 def _check_files(folder: Path, entries: list[FrameEntry]) -> None:
     """Raises UserError if a file of the entries is missing."""
-    files = [file for entry in entries for file in (entry.file, *entry.estimates.values())]
+    files = [file for entry in entries for file in (entry.file, *entry.estimates.values(), *entry.halves)]
     missing = [file.name for file in files if not file.is_file()]
     if missing:
         raise UserError(
@@ -114,4 +119,5 @@ def _entry(folder: Path, frame: dict[str, Any]) -> FrameEntry:
         int(frame["samples"]),
         bool(frame["held_out"]),
         {int(e["samples"]): folder / e["file_path"] for e in frame["estimates"]},
+        tuple(folder / half for half in frame["halves"]),
     )

@@ -5,60 +5,70 @@ from __future__ import annotations
 import numpy as np
 
 from compose.camera.camera import Camera
+from compose.image.colour import Image
 from pathtrace.dataset.exr import CapturedFrame
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.image import TracedImage, trace_image
 from pathtrace.trace.tracer import Tracer
 
-# Between the seeds of the parts of one frame.
+# Between the seeds of the parts of one view: halves of its frame, then estimates.
 _PART_SEED_STEP = 1_000_033
+_HALVES = 2
 
 
 def render_frame(tracer: Tracer, camera: Camera, spp: int, seed: int) -> CapturedFrame:
     """A denoised frame with `spp` samples per pixel and its geometry; same seed, same frame."""
-    return render_with_estimates(tracer, camera, spp, seed, ())[0]
+    traced = trace_image(tracer, camera, frame_positions(camera), camera.width, spp, seed)
+    return _frame(tracer, camera, traced)
 
 
-def render_with_estimates(
-    tracer: Tracer, camera: Camera, spp: int, seed: int, estimate_spp: tuple[int, ...]
-) -> tuple[CapturedFrame, list[TracedImage]]:
-    """A denoised frame, and noisy estimates of it from disjoint parts of its samples.
+def render_with_halves(
+    tracer: Tracer, camera: Camera, spp: int, seed: int
+) -> tuple[CapturedFrame, tuple[Image, Image]]:
+    """A denoised frame, and the two independent halves of its samples.
+
+    The halves tell how noisy the frame was before denoising, without bias (Lehtinen et al. 2018).
 
     Args:
         tracer: traces the scene.
         camera: the view.
-        spp: samples per pixel of the frame.
-        seed: same seed, same frame and estimates.
-        estimate_spp: samples per pixel of each estimate; their sum must be less than `spp`.
+        spp: samples per pixel of the frame, at least 2.
+        seed: same seed, same frame and halves.
 
     Returns:
-        The frame, and one estimate per entry of `estimate_spp`.
+        The frame, and (H, W, 3) linear radiance of each half.
     """
-    positions = frame_positions(camera)
-    hits = tracer.hits(camera, positions)
-    shape = (camera.height, camera.width)
-    counts = (*estimate_spp, spp - sum(estimate_spp))
-    parts = [
+    positions, counts = frame_positions(camera), (spp - spp // 2, spp // 2)
+    one, other = (
         trace_image(tracer, camera, positions, camera.width, count, seed + number * _PART_SEED_STEP)
         for number, count in enumerate(counts)
+    )
+    share = np.float32(counts[1] / spp)
+    mean = lambda name: (1 - share) * getattr(one, name) + share * getattr(other, name)  # noqa: E731
+    traced = TracedImage(mean("radiance"), mean("albedo"), mean("normal"))
+    return _frame(tracer, camera, traced), (one.radiance, other.radiance)
+
+
+def render_estimates(tracer: Tracer, camera: Camera, counts: tuple[int, ...], seed: int) -> list[TracedImage]:
+    """Noisy estimates of a view, with `counts` samples per pixel each; independent of its frame's samples."""
+    return [
+        trace_image(
+            tracer, camera, frame_positions(camera), camera.width, count, seed + number * _PART_SEED_STEP
+        )
+        for number, count in enumerate(counts, start=_HALVES)
     ]
-    mean = _weighted_mean(parts, counts)
+
+
+def _frame(tracer: Tracer, camera: Camera, traced: TracedImage) -> CapturedFrame:
+    """The denoised frame of a traced image, with its geometry."""
+    hits = tracer.hits(camera, frame_positions(camera))
+    shape = (camera.height, camera.width)
     cosine = (camera.rays(camera.pixel_centres()) @ camera.camera_to_world[:3, 2]).astype(np.float32)
-    frame = CapturedFrame(
-        mean.denoised(),
-        mean.albedo,
-        mean.normal,
+    return CapturedFrame(
+        traced.denoised(),
+        traced.albedo,
+        traced.normal,
         (hits.distance * cosine).reshape(shape),
         hits.unfolded.reshape(shape),
         hits.shape.reshape(shape),
     )
-    return frame, parts[:-1]
-
-
-def _weighted_mean(parts: list[TracedImage], counts: tuple[int, ...]) -> TracedImage:
-    """Mean of images, weighted by their sample counts."""
-    weights = np.array(counts, dtype=np.float32) / sum(counts)
-    mean = lambda name: sum(  # noqa: E731
-        weight * getattr(part, name) for weight, part in zip(weights, parts, strict=True)
-    )
-    return TracedImage(mean("radiance"), mean("albedo"), mean("normal"))

@@ -14,11 +14,11 @@ class CaptureSettings:
         held_out: number of further views that training never sees; may be 0.
         width, height: frame size in pixels.
         spp: samples per pixel of a training view, which is denoised afterwards.
-        held_out_spp: samples per pixel of a held-out view, which is denoised as well.
+        held_out_spp: samples per pixel of a held-out view, which is denoised as well, at least 2.
         seed: same seed, same frames.
 
     Raises:
-        ValueError: a count or a size is not positive.
+        ValueError: a count or a size is not positive, or held-out views have a single sample per pixel.
     """
 
     views: int = 64
@@ -33,5 +33,7 @@ class CaptureSettings:
         for name in ("views", "width", "height", "spp", "held_out_spp"):
             if getattr(self, name) <= 0:
                 raise ValueError(f"{name.replace('_', '-')} is {getattr(self, name)}; must be positive")
+        if self.held_out_spp < 2:
+            raise ValueError("held-out-spp is 1; must be 2 or more, for two independent halves")
         if self.held_out < 0:
             raise ValueError(f"held-out is {self.held_out}; must not be negative")

@@ -20,6 +20,7 @@ from pathtrace.dataset.frames import FORMAT_VERSION
 from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.dataset.views import ViewSet
 from pathtrace.scene.scene import Scene
+from pathtrace.trace.integrator import Integrator
 
 # Samples per pixel of the estimates stored with some held-out views: what a fovea may be traced with.
 _ESTIMATE_SPP = (1, 2, 4, 16, 64)
@@ -27,8 +28,14 @@ _ESTIMATE_SPP = (1, 2, 4, 16, 64)
 _CLOSE_UP_FACTORS = (2, 4)
 
 
-def describe_capture(scene: Scene, views: ViewSet, settings: CaptureSettings) -> dict[str, Any]:
+def describe_capture(
+    scene: Scene, views: ViewSet, settings: CaptureSettings, integrator: Integrator
+) -> dict[str, Any]:
     """The content of transforms.json.
+
+    Args:
+        scene, views, settings: what is captured.
+        integrator: of training frames and estimates; held-out frames are always unbiased.
 
     Raises:
         UserError: more views are held out than may be.
@@ -59,6 +66,7 @@ def describe_capture(scene: Scene, views: ViewSet, settings: CaptureSettings) ->
         "format_version": FORMAT_VERSION,
         "scene": {"name": scene.name, "hash": scene.hash, "max_depth": scene.max_depth},
         "settings": asdict(settings),
+        "integrator": integrator.value,
         "frames": frames,
         # Not among the frames, all of which other programs would train on.
         "close_ups": close_ups,
@@ -100,6 +108,7 @@ def _entry(camera: Camera, path: str, spp: int, estimate_spp: list[int], held_ou
         "samples": spp,
         "held_out": held_out,
         "estimates": [{"samples": count, "file_path": f"{path}-{count}spp.exr"} for count in estimate_spp],
+        "halves": [f"{path}-half{number}.exr" for number in (1, 2)] if estimate_spp else [],
     }
 
 
@@ -111,7 +120,7 @@ def _close_up(camera: Camera, index: int, factor: int, spp: int, rng: np.random.
 
 
 def _estimate_spp(spp: int) -> list[int]:
-    """Samples per pixel of a view's estimates, which share at most half of the view's own."""
+    """Samples per pixel of a view's estimates, in all at most half of the view's own."""
     return [count for i, count in enumerate(_ESTIMATE_SPP) if 2 * sum(_ESTIMATE_SPP[: i + 1]) <= spp]
 
 

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from pathtrace.base.frozen import Frozen
 from pathtrace.cache.lights import LightSamples, light_numbers
 from pathtrace.cache.transfer import Transfer
 from pathtrace.fill.direct import RAYS, followed, lit, stratified, surface_at
@@ -71,7 +72,7 @@ class Resampling:
             mi.Point2f(np.append(transfer.rays.square, np.zeros((1, 2), np.float32), axis=0).T),
         )
         dr.eval(self._points, self._rays)
-        self._light, self._show = dr.freeze(self._of_points), dr.freeze(self._of_rays)
+        self._light, self._show = Frozen(self._of_points), Frozen(self._of_rays)
 
     def next_part(self) -> Part:
         """Samples of the part after the last one, under the lights as they are now."""

@@ -75,10 +75,18 @@ def first_hits(scene: Any, ray: Any, active: Any, bounces: int = _MAX_BOUNCES) -
     flags = mi.RayFlags.All | mi.RayFlags.dNSdUV if bounces else mi.RayFlags.All
     # Coherent rays: Embree follows those of neighbouring pixels together, four times as fast.
     surface = scene.ray_intersect(ray, flags, True, active)
-    valid = surface.is_valid()
-    last, alive = surface, active & valid
+    if not bounces:
+        return FirstHits(surface, surface, mi.Float(surface.t), mi.Color3f(1), mi.Bool(True))
+    return _followed(scene, surface, active & surface.is_valid(), flags, bounces)
+
+
+@dr.syntax
+def _followed(scene: Any, surface: Any, alive: Any, flags: int, bounces: int) -> FirstHits:
+    """Follows rays that hit a surface; `alive` (N,) is the mask of those, `flags` say what hits must know."""
+    last = mi.SurfaceInteraction3f(surface)
     unfolded, throughput, flat = mi.Float(surface.t), mi.Color3f(1), mi.Bool(True)
-    for _ in range(bounces):
+    bounce = mi.UInt32(0)
+    while dr.hint(alive & (bounce < bounces), exclude=[surface]):
         bsdf = last.bsdf()
         kinds = bsdf.flags()
         clear = alive & ~mi.has_flag(kinds, mi.BSDFFlags.Smooth)
@@ -92,6 +100,7 @@ def first_hits(scene: Any, ray: Any, active: Any, bounces: int = _MAX_BOUNCES) -
         alive = clear & onward.is_valid()
         unfolded = dr.select(alive, unfolded + onward.t, unfolded)
         last = dr.select(clear, onward, last)
+        bounce += 1
     return FirstHits(surface, last, unfolded, throughput, flat)
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from enum import Enum
 
+from compose.base.errors import UserError
+
 
 class Integrator(Enum):
     """How radiance is estimated.
@@ -20,3 +22,16 @@ class Integrator(Enum):
     def is_unbiased(self) -> bool:
         """Whether the mean over many samples is the truth."""
         return self is Integrator.PATH
+
+
+def integrator_named(given: Integrator | str) -> Integrator:
+    """The integrator of a name.
+
+    Raises:
+        UserError: there is none of that name.
+    """
+    try:
+        return Integrator(given)
+    except ValueError as error:
+        names = " or ".join(one.value for one in Integrator)
+        raise UserError(f"integrator {given}: must be {names}") from error

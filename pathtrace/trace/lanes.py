@@ -82,12 +82,28 @@ class Lanes:
         """For each lane, the value (one per position) of its position."""
         return dr.gather(type(values), values, self.index, self.active)
 
-    def sums(self, channel: Any) -> Any:
-        """(N,) sums of a channel, one value per lane, over each position's samples."""
-        channel = dr.gather(mi.Float, channel, dr.arange(mi.UInt32, self.count))
+    def sums(self, channels: list[Any]) -> list[Any]:
+        """(N,) sums of each channel, one value per lane, over each position's samples.
+
+        The same input gives the same bits, and no position's samples touch the sums of others.
+        """
+        # One kernel, even if the channels have not been computed yet.
+        dr.eval(channels)
         if isinstance(self.spp, int):
-            return channel if self.spp == 1 else dr.block_sum(channel, self.spp)
-        # Differences of a running sum also hold for positions without a sample in this pass.
-        before = np.concatenate([[0.0], np.cumsum(channel.numpy(), dtype=np.float64)])
-        first = self.first.numpy()
-        return mi.Float(before[first + self.spp] - before[first])
+            used = dr.arange(mi.UInt32, self.count)
+            channels = [dr.gather(mi.Float, channel, used) for channel in channels]
+            return channels if self.spp == 1 else [dr.block_sum(channel, self.spp) for channel in channels]
+        return _runs_summed(channels, self.first, self.first + mi.UInt32(self.spp))
+
+
+def _runs_summed(channels: list[Any], first: Any, end: Any) -> list[Any]:
+    """(N,) sums of each channel over N runs of lanes, from `first` up to `end`, in one kernel."""
+
+    def add(lane: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
+        values = (mi.Float64(dr.gather(mi.Float, channel, lane)) for channel in channels)
+        return lane + 1, [total + value for total, value in zip(sums, values, strict=True)]
+
+    # In float32, the sum of thousands of samples would lose the last ones' digits.
+    state = first, [mi.Float64(0) for _ in channels]
+    _, sums = dr.while_loop(state, lambda lane, sums: lane < end, add, mode="symbolic")
+    return [mi.Float(total) for total in sums]

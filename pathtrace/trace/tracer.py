@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
+from pathtrace.base.frozen import Frozen
 from pathtrace.cache.cache import CacheArrays, IrradianceCache
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.cached_paths import PathSettings, path_radiance
@@ -96,8 +97,8 @@ class Tracer:
         # In a cache without cells, no path could end.
         self._known = cache.arrays(scene.mitsuba) if cache is not None and len(cache.cells) else None
         self._settings = PathSettings(depth, roulette_depth, _SHADOW_RAYS)
-        self._trace_radiance = dr.freeze(self._radiance if self._known is None else self._cached_radiance)
-        self._trace_auxiliary = dr.freeze(self._auxiliary)
+        self._trace_radiance = Frozen(self._radiance if self._known is None else self._cached_radiance)
+        self._trace_auxiliary = Frozen(self._auxiliary)
 
     def relight(self, cache: IrradianceCache) -> None:
         """Lets paths end in other light of the cache that this tracer was made with."""
@@ -166,14 +167,11 @@ class Tracer:
         lanes = batch.lanes
         features = self._trace_auxiliary(self.scene.mitsuba, *batch.rays())
         dr.eval(features)
-        mean = lambda channel: lanes.sums(channel) / spp  # noqa: E731
-        first = lambda channel: dr.gather(mi.Float, channel, lanes.first)  # noqa: E731
-        result = AuxiliaryFeatures(
-            [mean(channel) for channel in features.albedo],
-            [mean(channel) for channel in features.normal],
-            [first(channel) for channel in features.position],
-            first(features.gloss),
+        means = [channel / spp for channel in lanes.sums([*features.albedo, *features.normal])]
+        *position, gloss = (
+            dr.gather(mi.Float, channel, lanes.first) for channel in (*features.position, features.gloss)
         )
+        result = AuxiliaryFeatures(means[:3], means[3:], position, gloss)
         dr.eval(result)
         return result
 
@@ -204,7 +202,7 @@ class Tracer:
             sampled = batch.sequences, *batch.rays()
             channels = self._trace_radiance(self.scene.mitsuba, state, self._known, *sampled)
         dr.eval(channels)
-        return [batch.lanes.sums(c) for c in (*channels, *(dr.square(c) for c in channels))]
+        return batch.lanes.sums([*channels, *(dr.square(channel) for channel in channels)])
 
     def _radiance(self, scene: Any, state: Any, x: Any, y: Any, active: Any, *camera: Any) -> list[Any]:
         """Radiance of each lane; frozen."""

@@ -10,8 +10,8 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
-from splat.base.arrays import Arrays
 from splat.lod.image import SplatImage
 from splat.lod.layer_images import AtlasEntry, Mask
 from splat.raster.blocks import PIXEL

@@ -9,8 +9,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
-from splat.base.arrays import Arrays
 from splat.model.forest import Forest
 from splat.model.gaussians import Gaussians
 from splat.raster.binning import depth_order

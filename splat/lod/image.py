@@ -9,8 +9,8 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
-from splat.base.arrays import Arrays
 from splat.raster.tiles import TileGrid
 
 

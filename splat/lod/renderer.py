@@ -19,8 +19,8 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
-from splat.base.arrays import Arrays
 from splat.lod.compositing import composite
 from splat.lod.footprints import ForestFootprints
 from splat.lod.image import SplatImage, black_image

@@ -8,7 +8,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from splat.base.arrays import Arrays
+from compose.base.arrays import Arrays
 from splat.lod.footprints import LayerFootprints
 from splat.raster.projection import PIXEL_FILTER
 from splat.raster.tiles import TILE

@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from splat.base.arrays import Arrays
+from compose.base.arrays import Arrays
 from splat.raster.projection import NEAR, Splats
 from splat.raster.records import RecordLayout, Records
 from splat.raster.tiles import TileGrid

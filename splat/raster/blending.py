@@ -15,7 +15,7 @@ from typing import Any
 
 import drjit as dr
 
-from splat.base.arrays import Arrays
+from compose.base.arrays import Arrays
 from splat.raster.binning import MINIMUM_ALPHA, Bins
 from splat.raster.blocks import CHANNELS, Blocks, blended_records, exp2
 from splat.raster.projection import Splats

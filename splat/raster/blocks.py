@@ -8,7 +8,7 @@ from typing import Any
 
 import drjit as dr
 
-from splat.base.arrays import Arrays
+from compose.base.arrays import Arrays
 from splat.raster.binning import Bins
 from splat.raster.projection import Splats
 from splat.raster.records import RecordLayout, Records

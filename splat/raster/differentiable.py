@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
+from compose.base.arrays import Arrays, BackendName
 from compose.camera.camera import Camera
-from splat.base.arrays import Arrays, BackendName
 from splat.model.gaussians import Gaussians
 from splat.raster.binning import bin_splats
 from splat.raster.blending import rasterize

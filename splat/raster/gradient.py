@@ -7,7 +7,7 @@ from typing import Any
 
 import drjit as dr
 
-from splat.base.arrays import Arrays
+from compose.base.arrays import Arrays
 from splat.raster.binning import MINIMUM_ALPHA, Bins
 from splat.raster.blending import MAXIMUM_ALPHA
 from splat.raster.blocks import Blocks, blended_records, exp2

@@ -12,8 +12,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
-from splat.base.arrays import Arrays
 from splat.raster.harmonics import perceptual_radiance, radiance_from_perceptual
 
 # Variance of the pixel filter in px^2 at the pixel grid (Mip-Splatting's screen-space filter).

@@ -15,7 +15,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from splat.base.arrays import Arrays
+from compose.base.arrays import Arrays
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from splat.base.arrays import Arrays
+from compose.base.arrays import Arrays
 from splat.model.gaussians import Gaussians
 from splat.model.layer import LABELS, NO_PARENT, Layer, concatenated_layers, static_layer
 from splat.raster.differentiable import render_differentiable

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from splat.base.arrays import Arrays
+from compose.base.arrays import Arrays
 from splat.model.building import build_forest
 from splat.model.layer import NO_PARENT, Layer, static_layer
 from splat.model.settling import settle

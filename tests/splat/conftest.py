@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-import splat  # noqa: F401  (before drjit: it points Dr.Jit to a usable LLVM)
+from compose.base.arrays import Arrays
+from tests.available import available_arrays
 
 
 @pytest.fixture(scope="session")
-def arrays():
+def arrays() -> Arrays:
     """CUDA if available, else LLVM."""
-    import drjit as dr
-
-    from splat.base.arrays import Arrays
-
-    return Arrays("cuda" if dr.has_backend(dr.JitBackend.CUDA) else "llvm")
+    return available_arrays()

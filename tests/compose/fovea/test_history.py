@@ -39,8 +39,8 @@ def again(number: int) -> Camera:
     return replace(camera(), fx=SIZE + number * 1e-9)
 
 
-def test_auxiliary_features_are_traced_until_they_are_good_enough():
-    history, view = History(), camera()
+def test_auxiliary_features_are_traced_until_they_are_good_enough(arrays):
+    history, view = History(arrays), camera()
     new = samples(wall(view), np.array([0.5, 0.4, 0.3]))
     assert (history.unseen(view, new.pixels, 8) == new.pixels).all()
     added(history, view, new)  # 4 sample positions
@@ -55,8 +55,8 @@ def test_auxiliary_features_are_traced_until_they_are_good_enough():
     assert (history.unseen(view, new.pixels, 8) == new.pixels).all()
 
 
-def test_64_sample_positions_are_enough_for_any_number_of_samples():
-    history, view = History(), camera()
+def test_64_sample_positions_are_enough_for_any_number_of_samples(arrays):
+    history, view = History(arrays), camera()
     new = samples(wall(view), np.ones(3), count=1000)
     history.recall(view, new.pixels, unlit(new), 63, 0)
     history.remember(new)
@@ -65,8 +65,8 @@ def test_64_sample_positions_are_enough_for_any_number_of_samples():
     assert not len(history.unseen(view, new.pixels, 8))
 
 
-def test_what_was_seen_before_is_known_without_looking_again():
-    history, view = History(), camera()
+def test_what_was_seen_before_is_known_without_looking_again(arrays):
+    history, view = History(arrays), camera()
     new = samples(wall(view), np.array([0.5, 0.4, 0.3]), GLOSSY)
     added(history, view, new)
     known = history.recall(view, new.pixels, part(new, slice(0, 0)), 4, 0)
@@ -77,9 +77,9 @@ def test_what_was_seen_before_is_known_without_looking_again():
     np.testing.assert_allclose(known.normal, new.normal)
 
 
-def test_auxiliary_features_are_means_over_sample_positions():
+def test_auxiliary_features_are_means_over_sample_positions(arrays):
     """4 positions of 0.2 and 12 of 0.6: 0.5; what they hit is what the first ones hit."""
-    history, view = History(), camera()
+    history, view = History(arrays), camera()
     first = samples(wall(view), np.full(3, 0.2), GLOSSY)
     second = samples(wall(view, 1.0), np.full(3, 0.6), SPECULAR)
     history.recall(view, first.pixels, first, 4, 0)
@@ -91,8 +91,8 @@ def test_auxiliary_features_are_means_over_sample_positions():
     assert (known.count == 0).all()
 
 
-def test_further_samples_continue_the_pattern_of_the_first_ones():
-    history, view = History(), camera()
+def test_further_samples_continue_the_pattern_of_the_first_ones(arrays):
+    history, view = History(arrays), camera()
     new = samples(wall(view), np.ones(3), count=3)
     counts, seed = history.sampled(view, new.pixels, 5)
     assert seed == 5
@@ -108,8 +108,8 @@ def test_further_samples_continue_the_pattern_of_the_first_ones():
     assert (counts == 0).all()
 
 
-def test_a_still_camera_adds_up_exactly():
-    history, view, rng = History(), camera(), small.rng()
+def test_a_still_camera_adds_up_exactly(arrays):
+    history, view, rng = History(arrays), camera(), small.rng()
     draws = rng.uniform(0, 2, (7, SIZE * SIZE, 3)).astype(np.float32)
     for draw in draws:
         kept = added(history, view, samples(wall(view), draw))
@@ -118,8 +118,8 @@ def test_a_still_camera_adds_up_exactly():
     np.testing.assert_allclose(kept.variance(), draws.var(axis=0, ddof=1) / 7, rtol=1e-3, atol=1e-5)
 
 
-def test_a_moving_gaze_keeps_what_it_has_seen():
-    history, view = History(), camera()
+def test_a_moving_gaze_keeps_what_it_has_seen(arrays):
+    history, view = History(arrays), camera()
     everything = samples(wall(view), np.ones(3))
     added(history, view, part(everything, slice(0, ALL // 2)))
     kept = added(history, view, part(everything, slice(ALL // 4, ALL)))
@@ -128,9 +128,9 @@ def test_a_moving_gaze_keeps_what_it_has_seen():
     assert (kept.count[both:] == 1).all()
 
 
-def test_earlier_views_count_as_32_samples_per_pixel_at_most():
+def test_earlier_views_count_as_32_samples_per_pixel_at_most(arrays):
     """A thousand black samples from one camera and two white ones from the next: 2 of 34."""
-    history = History()
+    history = History(arrays)
     place = wall(camera())
     added(history, again(0), samples(place, np.zeros(3), count=1000))
     kept = added(history, again(1), samples(place, np.ones(3), count=2))
@@ -139,15 +139,15 @@ def test_earlier_views_count_as_32_samples_per_pixel_at_most():
     np.testing.assert_allclose(kept.radiance.reshape(SIZE, SIZE, 3)[4:-4, 4:-4], 2 / 34, rtol=1e-5)
 
 
-def test_sixteen_earlier_views_are_remembered():
-    history = History()
+def test_sixteen_earlier_views_are_remembered(arrays):
+    history = History(arrays)
     place = wall(camera())
     counts = [added(history, again(n), samples(place, np.ones(3))).count[ALL // 2 + 24] for n in range(20)]
     assert counts == [min(n, 16) + 1 for n in range(20)]
 
 
-def test_another_frame_size_starts_anew():
-    history, view = History(), camera()
+def test_another_frame_size_starts_anew(arrays):
+    history, view = History(arrays), camera()
     place = wall(view)
     added(history, again(0), samples(place, np.ones(3)))
     added(history, again(1), samples(place, np.ones(3)))
@@ -157,14 +157,14 @@ def test_another_frame_size_starts_anew():
     assert (added(history, again(2), samples(place, np.ones(3))).count == 1).all()
 
 
-def test_a_saved_history_continues_the_view():
-    history, view = History(), camera()
+def test_a_saved_history_continues_the_view(arrays):
+    history, view = History(arrays), camera()
     assert history.state() == {}
     first = part(samples(wall(view), np.array([0.1, 0.2, 0.3]), GLOSSY, count=3), slice(0, 500))
     added(history, view, first, seed=9)
     state = {name: values.copy() for name, values in history.state().items()}
     assert set(state) == {"count", "light", "places", "guides", "position", "gloss", "pattern"}
-    restored = History.restored(view, state)
+    restored = History.restored(arrays, view, state)
     second = samples(wall(view), np.array([0.5, 0.5, 0.9]))
     for wanted in (4, 8):
         found = restored.unseen(view, second.pixels, wanted)
@@ -177,10 +177,10 @@ def test_a_saved_history_continues_the_view():
 
 
 @pytest.mark.parametrize("moved", [camera(x=0.31), camera(turn=3.7)], ids=["walk", "turn"])
-def test_samples_move_to_where_their_hit_points_are_visible(moved):
+def test_samples_move_to_where_their_hit_points_are_visible(arrays, moved):
     """A wall painted with a slow wave: what arrives is what is there, to within half a pixel."""
     paint = lambda place: 1 + np.sin(np.outer(place[:, 0], [2.0, 1.5, 1.0]))  # noqa: E731
-    history, before = History(), camera()
+    history, before = History(arrays), camera()
     added(history, before, samples(wall(before), paint(wall(before)), count=8))
     there = wall(moved)
     kept = added(history, moved, samples(there, paint(there)))
@@ -190,10 +190,10 @@ def test_samples_move_to_where_their_hit_points_are_visible(moved):
     assert np.abs(kept.radiance - paint(there))[inside].max() < 2 * pixel * 0.75
 
 
-def test_many_small_steps_do_not_blur():
+def test_many_small_steps_do_not_blur(arrays):
     """A checkerboard after forty steps of a third of a pixel: still black and white inside its squares."""
     paint = lambda place: ((np.floor(place[:, :1]) + np.floor(place[:, 1:2])) % 2) * np.ones(3)  # noqa: E731
-    history = History()
+    history = History(arrays)
     for step in range(40):
         view = camera(x=step * 4 / SIZE / 3)
         there = wall(view)
@@ -203,9 +203,9 @@ def test_many_small_steps_do_not_blur():
     assert np.abs(kept.radiance - paint(there))[inside].max() < 0.05
 
 
-def test_a_surface_that_was_hidden_starts_anew():
+def test_a_surface_that_was_hidden_starts_anew(arrays):
     """A panel in front of a wall: when the camera steps aside, no sample of the panel is left on the wall."""
-    history = History()
+    history = History(arrays)
 
     def seen(view: Camera) -> tuple[np.ndarray, np.ndarray]:
         near = wall(view, -2.0)
@@ -240,8 +240,8 @@ def _outline(mask: np.ndarray) -> np.ndarray:
     ("gloss", "walk", "kept_share"),
     [(SPECULAR, 0.2, 0), (GLOSSY, 0.8, 0), (GLOSSY, 0.1, 1), (DIFFUSE, 0.2, 1)],
 )
-def test_reflections_are_forgotten_when_seen_from_elsewhere(gloss, walk, kept_share):
-    history, before, after = History(), camera(), camera(x=walk)
+def test_reflections_are_forgotten_when_seen_from_elsewhere(arrays, gloss, walk, kept_share):
+    history, before, after = History(arrays), camera(), camera(x=walk)
     added(history, before, samples(wall(before), np.ones(3), gloss))
     kept = added(history, after, samples(wall(after), np.ones(3), gloss))
     middle = (kept.count > 1).reshape(SIZE, SIZE)[16:32, 16:32]
@@ -249,8 +249,8 @@ def test_reflections_are_forgotten_when_seen_from_elsewhere(gloss, walk, kept_sh
     assert kept_share or not middle.any()
 
 
-def test_a_mirror_seen_from_the_same_place_is_kept():
-    history, before, after = History(), camera(), camera(turn=2.0)
+def test_a_mirror_seen_from_the_same_place_is_kept(arrays):
+    history, before, after = History(arrays), camera(), camera(turn=2.0)
     added(history, before, samples(wall(before), np.ones(3), SPECULAR))
     kept = added(history, after, samples(wall(after), np.ones(3), SPECULAR))
     assert (kept.count > 1).mean() > 0.7

@@ -7,7 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from compose.fovea.reprojection import EarlierView, Reprojected, reproject
+from compose.camera.camera import Camera
+from compose.fovea.earlier import EarlierView, EarlierViews
+from compose.fovea.light import LIGHT
+from compose.fovea.reprojection import Reprojected, reproject
 from compose.fovea.samples import Samples
 from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
 from tests.compose.fovea.views import SIZE, camera, samples, wall
@@ -22,11 +25,12 @@ ELSEWHERE = np.array([0.05, 0.0, -4.0])
 def earlier(
     points: list[list[float]], viewpoint: np.ndarray = ELSEWHERE, gloss: int = DIFFUSE, count: float = 2.0
 ) -> EarlierView:
-    """Samples of points; the light of number n is n, n + 1, ... n + 5."""
+    """Samples of points; the mean light of number n is n, n + 1, ... n + 5."""
     size = len(points)
-    light = np.arange(size, dtype=np.float32)[:, None] + np.arange(6, dtype=np.float32)
+    light = np.zeros((size, LIGHT), dtype=np.float32)
+    light[:, 0] = count
+    light[:, 1:7] = count * (np.arange(size)[:, None] + np.arange(6))
     return EarlierView(
-        np.full(size, count, dtype=np.float32),
         light,
         np.array(points, dtype=np.float32),
         np.full(size, gloss, dtype=np.uint8),
@@ -34,22 +38,35 @@ def earlier(
     )
 
 
+@pytest.fixture
+def seen_again(arrays):
+    """Reprojects a list of earlier views."""
+
+    def run(views: list[EarlierView], view: Camera, new: Samples) -> Reprojected | None:
+        known = EarlierViews(arrays)
+        for earlier_view in views:
+            known.add(earlier_view)
+        return reproject(known, view, new)
+
+    return run
+
+
 def count_at(found: Reprojected | None, row: int, column: int) -> float:
     if found is None:
         return 0.0
-    return float(found.at(np.array([row]), np.array([column]))[0][0])
+    return float(found.at(np.array([row]), np.array([column]))[0, 0])
 
 
-def test_a_sample_goes_to_the_pixel_in_which_its_point_is_visible():
+def test_a_sample_goes_to_the_pixel_in_which_its_point_is_visible(seen_again):
     """World x and image x agree, world y is down: 2.5 and 1.5 pixels off the middle at column and row 24."""
-    found = reproject([earlier([[2.5 * PIXEL, 1.5 * PIXEL, 0]])], VIEW, WALL)
+    found = seen_again([earlier([[2.5 * PIXEL, 1.5 * PIXEL, 0]])], VIEW, WALL)
     assert found is not None
-    count, sums = found.at(np.array([25, 25, 24]), np.array([26, 25, 26]))
-    assert count.tolist() == [2, 0, 0]
+    light = found.at(np.array([25, 25, 24]), np.array([26, 25, 26]))
+    assert light[:, 0].tolist() == [2, 0, 0]
     # Twice the light 0, 1, ... 5.
-    np.testing.assert_allclose(sums[0], [0, 2, 4, 6, 8, 10])
-    assert count.dtype == sums.dtype == np.float32
-    assert found.count.sum() == 2
+    np.testing.assert_allclose(light[0, 1:7], [0, 2, 4, 6, 8, 10])
+    assert light.dtype == np.float32
+    assert found.light[..., 0].sum() == 2
 
 
 @pytest.mark.parametrize(
@@ -61,19 +78,19 @@ def test_a_sample_goes_to_the_pixel_in_which_its_point_is_visible():
         ([0.1, -0.1, -3.5], 14, 33),
     ],
 )
-def test_points_at_the_edges_and_close_to_the_camera_are_visible(point, row, column):
-    found = reproject([earlier([point], VIEW.position)], VIEW, WALL)
+def test_points_at_the_edges_and_close_to_the_camera_are_visible(point, row, column, seen_again):
+    found = seen_again([earlier([point], VIEW.position)], VIEW, WALL)
     assert count_at(found, row, column) == 2
 
 
-def test_samples_of_several_views_add_up_in_a_pixel():
+def test_samples_of_several_views_add_up_in_a_pixel(seen_again):
     inside = [[2.3 * PIXEL, 1.5 * PIXEL, 0], [2.7 * PIXEL, 1.5 * PIXEL, 0]]
-    found = reproject([earlier(inside), earlier(inside[:1], VIEW.position, count=5)], VIEW, WALL)
+    found = seen_again([earlier(inside), earlier(inside[:1], VIEW.position, count=5)], VIEW, WALL)
     assert found is not None
-    count, sums = found.at(np.array([25]), np.array([26]))
-    assert count[0] == 2 + 2 + 5
+    light = found.at(np.array([25]), np.array([26]))[0]
+    assert light[0] == 2 + 2 + 5
     # Twice 0, twice 1 and five times 0 for the first of six.
-    np.testing.assert_allclose(sums[0], [2, 11, 20, 29, 38, 47])
+    np.testing.assert_allclose(light[1:7], [2, 11, 20, 29, 38, 47])
 
 
 @pytest.mark.parametrize(
@@ -86,11 +103,11 @@ def test_samples_of_several_views_add_up_in_a_pixel():
         [0.0, -2.001, 0.0],
     ],
 )
-def test_points_out_of_view_are_dropped(point):
-    assert reproject([earlier([point], VIEW.position)], VIEW, WALL) is None
+def test_points_out_of_view_are_dropped(point, seen_again):
+    assert not seen_again([earlier([point], VIEW.position)], VIEW, WALL).light.any()
 
 
-def test_only_the_rectangle_around_the_new_samples_counts():
+def test_only_the_rectangle_around_the_new_samples_counts(seen_again):
     """Rows 20 to 22 and columns 30 to 33; outside it, nothing is known."""
     pixels = np.array([20 * SIZE + 30, 21 * SIZE + 33, 22 * SIZE + 31], dtype=np.uint32)
     index = pixels.astype(int)
@@ -99,24 +116,23 @@ def test_only_the_rectangle_around_the_new_samples_counts():
         [(c + 0.5 - 24) * PIXEL, (r + 0.5 - 24) * PIXEL, 0]
         for r, c in ((20, 30), (22, 33), (23, 31), (21, 29))
     ]
-    found = reproject([earlier(points, VIEW.position)], VIEW, new)
+    found = seen_again([earlier(points, VIEW.position)], VIEW, new)
     assert found is not None
     assert (found.rows, found.columns) == (slice(20, 23), slice(30, 34))
-    assert found.count.shape == (3, 4)
-    assert found.sums.shape == (3, 4, 6)
+    assert found.light.shape == (3, 4, LIGHT)
     rows, columns = np.array([20, 22, 23, 21, 19]), np.array([30, 33, 31, 29, 30])
-    assert found.at(rows, columns)[0].tolist() == [2, 2, 0, 0, 0]
-    assert found.at(np.array([20]), np.array([34]))[0].tolist() == [0]
+    assert found.at(rows, columns)[:, 0].tolist() == [2, 2, 0, 0, 0]
+    assert found.at(np.array([20]), np.array([34]))[:, 0].tolist() == [0]
 
 
 # Limits are half a percent beyond the nearest and farthest of nine pixels, at 4.0004 and 4.0039.
 @pytest.mark.parametrize(("depth", "kept"), [(4.020, True), (3.982, True), (4.027, False), (3.978, False)])
-def test_a_point_that_is_not_on_the_visible_surface_is_dropped(depth, kept):
+def test_a_point_that_is_not_on_the_visible_surface_is_dropped(depth, kept, seen_again):
     """Within half a percent of its distance it is."""
     point = [0.5 * PIXEL, 0.5 * PIXEL, depth - 4]
-    assert (count_at(reproject([earlier([point])], VIEW, WALL), 24, 24) > 0) == kept
+    assert (count_at(seen_again([earlier([point])], VIEW, WALL), 24, 24) > 0) == kept
     # From this very position whatever was visible still is.
-    assert count_at(reproject([earlier([point], VIEW.position)], VIEW, WALL), 24, 24) == 2
+    assert count_at(seen_again([earlier([point], VIEW.position)], VIEW, WALL), 24, 24) == 2
 
 
 @pytest.mark.parametrize(
@@ -129,27 +145,29 @@ def test_a_point_that_is_not_on_the_visible_surface_is_dropped(depth, kept):
         (SPECULAR, 0.21, False),
     ],
 )
-def test_glossy_surfaces_hold_as_long_as_the_direction_of_sight_hardly_turns(gloss, degrees, kept):
+def test_glossy_surfaces_hold_as_long_as_the_direction_of_sight_hardly_turns(
+    gloss, degrees, kept, seen_again
+):
     new = replace(WALL, gloss=np.full_like(WALL.gloss, gloss))
     # Seen from around the point in the middle, 4 in front of the camera: from its side, and from below.
     turn = np.radians(degrees)
     for x, y in ((1, 0), (0, 1)):
         viewpoint = np.array([4 * x * np.sin(turn), 4 * y * np.sin(turn), -4 * np.cos(turn)])
-        found = reproject([earlier([[0.001, 0.001, 0]], viewpoint, gloss)], VIEW, new)
+        found = seen_again([earlier([[0.001, 0.001, 0]], viewpoint, gloss)], VIEW, new)
         assert (count_at(found, 24, 24) > 0) == kept
 
 
-def test_nothing_else_lands_where_something_specular_is_visible():
+def test_nothing_else_lands_where_something_specular_is_visible(seen_again):
     gloss = WALL.gloss.copy()
     gloss[24 * SIZE + 24] = SPECULAR
     new = replace(WALL, gloss=gloss)
     points = [[0.5 * PIXEL, 0.5 * PIXEL, 0], [1.5 * PIXEL, 0.5 * PIXEL, 0]]
-    found = reproject([earlier(points)], VIEW, new)
+    found = seen_again([earlier(points)], VIEW, new)
     assert count_at(found, 24, 24) == 0
     assert count_at(found, 24, 25) == 2
 
 
-def test_a_nearer_sample_hides_those_behind_it_in_its_quarter_of_a_pixel():
+def test_a_nearer_sample_hides_those_behind_it_in_its_quarter_of_a_pixel(seen_again):
     """A bar at z = -1 in front of column 24 of the wall: both may be visible there."""
     position = WALL.position.copy().reshape(SIZE, SIZE, 3)
     position[:, 24] = wall(VIEW, -1.0).reshape(SIZE, SIZE, 3)[:, 24]
@@ -161,17 +179,17 @@ def test_a_nearer_sample_hides_those_behind_it_in_its_quarter_of_a_pixel():
     ]  # upper left quarter of pixel (24, 24), at 3/4 of the distance
     behind = [0.25 * PIXEL, 0.25 * PIXEL, 0.0]  # the same quarter
     beside = [0.75 * PIXEL, 0.25 * PIXEL, 0.0]  # upper right quarter
-    assert count_at(reproject([earlier([behind])], VIEW, new), 24, 24) == 2
-    assert count_at(reproject([earlier([near, behind])], VIEW, new), 24, 24) == 2
-    assert count_at(reproject([earlier([near, beside])], VIEW, new), 24, 24) == 4
+    assert count_at(seen_again([earlier([behind])], VIEW, new), 24, 24) == 2
+    assert count_at(seen_again([earlier([near, behind])], VIEW, new), 24, 24) == 2
+    assert count_at(seen_again([earlier([near, beside])], VIEW, new), 24, 24) == 4
     # Nothing hides what was visible from this very position.
     both = [earlier([near]), earlier([behind], VIEW.position)]
-    assert count_at(reproject(both, VIEW, new), 24, 24) == 4
+    assert count_at(seen_again(both, VIEW, new), 24, 24) == 4
 
 
 @pytest.mark.parametrize("depth", [-1.0, 1.0], ids=["nearer", "farther"])
 @pytest.mark.parametrize("vertical", [True, False])
-def test_neighbouring_pixels_tell_which_distances_are_visible(depth, vertical):
+def test_neighbouring_pixels_tell_which_distances_are_visible(depth, vertical, seen_again):
     """A point at the distance of a bar, or of a slit's ground, holds up to one pixel beside it."""
     position, other = (wall(VIEW, z).reshape(SIZE, SIZE, 3) for z in (0.0, depth))
     bar = np.s_[:, 24] if vertical else np.s_[24]
@@ -182,10 +200,10 @@ def test_neighbouring_pixels_tell_which_distances_are_visible(depth, vertical):
         across, along = (beside + 0.5) * scale, 0.5 * scale
         point = [across, along, depth] if vertical else [along, across, depth]
         at = (24, 24 + beside) if vertical else (24 + beside, 24)
-        assert (count_at(reproject([earlier([point])], VIEW, new), *at) > 0) == kept
+        assert (count_at(seen_again([earlier([point])], VIEW, new), *at) > 0) == kept
 
 
-def test_a_glossy_point_must_lie_on_the_visible_surface_as_well():
+def test_a_glossy_point_must_lie_on_the_visible_surface_as_well(seen_again):
     new = replace(WALL, gloss=np.full_like(WALL.gloss, GLOSSY))
     behind = [0.5 * PIXEL, 0.5 * PIXEL, 1.0]
-    assert reproject([earlier([behind], gloss=GLOSSY)], VIEW, new) is None
+    assert not seen_again([earlier([behind], gloss=GLOSSY)], VIEW, new).light.any()

@@ -6,9 +6,10 @@ import numpy as np
 import torch
 from scipy.ndimage import gaussian_filter
 
-from compose.fusion.fitting import Example
+from compose.fusion.examples import Example
 from compose.fusion.network import Fusion
 from compose.fusion.parents import Parents
+from compose.fusion.reference import Reference
 from tests import small
 
 
@@ -31,7 +32,12 @@ def example(seed: int, spp: int, size: int = 96) -> Example:
         count=np.full((size, size, 1), spp, dtype=np.float32),
         enlargement=2.0,
     )
-    return Example(parents, truth)
+    return Example(parents, Reference(truth, (truth, truth)), seed)
+
+
+def radiance_of(given: Example) -> np.ndarray:
+    """(H, W, 3) radiance that an example was made from."""
+    return given.reference.denoised
 
 
 def blurred(image: np.ndarray, sigma: float) -> np.ndarray:

@@ -18,7 +18,7 @@ def seen(parents: Parents, count: float | None = None, enlargement: float = 1.0)
     names = ("traced", "denoised", "splat", "albedo", "normal")
     images = [as_batch(getattr(parents, name)) for name in names]
     counts = as_batch(parents.count) if count is None else torch.full((1, 1, SIZE, SIZE), count)
-    return features_of(images, counts, torch.tensor([enlargement]))
+    return features_of(images, counts, torch.tensor([enlargement]), torch.tensor([0.0]))
 
 
 def flat(**values: float) -> Parents:
@@ -54,14 +54,15 @@ def test_networks_in_files_depend_on_the_order_of_channels():
         ("difference", 1),
         ("count", 1),
         ("enlargement", 1),
+        ("quick", 1),
     ]
-    assert (Features.FINE.total, Features.COARSE.total) == (10, 21)
+    assert (Features.FINE.total, Features.COARSE.total) == (10, 22)
 
 
 def test_shapes():
     features = seen(example(10, 1).parents)
     assert features.fine.shape == (1, 10, SIZE, SIZE)
-    assert features.coarse.shape == (1, 21, SIZE // 2, SIZE // 2)
+    assert features.coarse.shape == (1, 22, SIZE // 2, SIZE // 2)
     assert [tuple(t.shape) for t in features.texture] == [(1, 3, SIZE, SIZE)] * 3
 
 
@@ -70,7 +71,7 @@ def test_features_are_finite_at_the_extremes(scale):
     given = example(10, 1).parents
     images = [as_batch(i) for i in (given.traced * scale, given.denoised * scale)]
     images += [as_batch(i) for i in (given.splat, given.albedo, given.normal)]
-    features = features_of(images, torch.ones(1, 1, SIZE, SIZE), torch.tensor([1.0]))
+    features = features_of(images, torch.ones(1, 1, SIZE, SIZE), torch.tensor([1.0]), torch.tensor([1.0]))
     assert features.fine.isfinite().all()
     assert features.coarse.isfinite().all()
 

@@ -11,10 +11,12 @@ import torch
 
 from compose.fusion import fitting
 from compose.fusion.combination import fuse
-from compose.fusion.fitting import LEAST_SIZE, Example, fit
+from compose.fusion.examples import STACK, Example
+from compose.fusion.fitting import LEAST_SIZE, fit
 from compose.fusion.network import Fusion
 from compose.fusion.parents import Parents
-from tests.compose.fusion.examples import cropped, error, example
+from compose.fusion.reference import Reference
+from tests.compose.fusion.examples import cropped, error, example, radiance_of
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -27,9 +29,7 @@ def one_thread() -> Iterator[None]:
 
 
 def fit_quickly(examples: Sequence[Example], iterations: int, seed: int = 0) -> Fusion:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fitting, "ITERATIONS", iterations)
-        return fit(examples, seed, lambda done, total: None)
+    return fit(examples, seed, lambda done, total: None, iterations)
 
 
 @pytest.fixture(scope="module")
@@ -41,8 +41,8 @@ def fitted(one_thread) -> Fusion:
 def test_fused_is_better_than_the_better_parent(fitted, spp):
     given = example(11, spp)
     fused = fuse(given.parents, fitted)
-    best = min(error(getattr(given.parents, name), given.reference) for name in ("splat", "denoised"))
-    assert error(fused.radiance, given.reference) < best - 6
+    best = min(error(getattr(given.parents, name), radiance_of(given)) for name in ("splat", "denoised"))
+    assert error(fused.radiance, radiance_of(given)) < best - 6
 
 
 def test_splats_of_another_world_are_noticed(fitted):
@@ -50,7 +50,7 @@ def test_splats_of_another_world_are_noticed(fitted):
     given = example(12, 16)
     moved = replace(given.parents, splat=np.roll(given.parents.splat, 20, axis=0))
     fused = fuse(moved, fitted)
-    assert error(fused.radiance, given.reference) < error(given.parents.denoised, given.reference) + 0.2
+    assert error(fused.radiance, radiance_of(given)) < error(given.parents.denoised, radiance_of(given)) + 0.2
 
 
 def test_a_fitted_network_does_not_train_further(fitted):
@@ -72,10 +72,9 @@ def test_fitting_leaves_the_random_numbers_of_others_alone():
     assert torch.equal(torch.rand(4), expected)
 
 
-def test_progress_is_reported_after_each_step(monkeypatch):
-    monkeypatch.setattr(fitting, "ITERATIONS", 3)
+def test_progress_is_reported_after_each_step():
     calls = []
-    fit([example(0, 4)], 0, lambda done, total: calls.append((done, total)))
+    fit([example(0, 4)], 0, lambda done, total: calls.append((done, total)), 3)
     assert calls == [(1, 3), (2, 3), (3, 3)]
 
 
@@ -84,18 +83,20 @@ def test_without_examples_there_is_nothing_to_fit_to():
         fit([], 0, lambda done, total: None)
 
 
+def part(given: Example, height: int, width: int) -> Example:
+    right = radiance_of(given)[:height, :width]
+    return Example(cropped(given.parents, height, width), Reference(right, (right, right)), 0)
+
+
 @pytest.mark.parametrize(("height", "width"), [(LEAST_SIZE - 1, 80), (80, LEAST_SIZE - 1)])
 def test_examples_smaller_than_a_patch_are_refused(height, width):
     given = example(0, 4)
-    small = Example(cropped(given.parents, height, width), given.reference[:height, :width])
     with pytest.raises(ValueError, match="at least 64 x 64"):
-        fit([small], 0, lambda done, total: None)
+        fit([part(given, height, width)], 0, lambda done, total: None)
 
 
 def test_an_example_of_one_patch_is_large_enough():
-    given = example(0, 4)
-    least = Example(cropped(given.parents, LEAST_SIZE, LEAST_SIZE), given.reference[:LEAST_SIZE, :LEAST_SIZE])
-    fit_quickly([least], 1)
+    fit_quickly([part(example(0, 4), LEAST_SIZE, LEAST_SIZE)], 1)
 
 
 def coordinates(count: float, size: int = 80) -> Example:
@@ -103,20 +104,20 @@ def coordinates(count: float, size: int = 80) -> Example:
     row, column = np.mgrid[0:size, 0:size].astype(np.float32)
     image = np.stack([column, row, np.ones_like(row)], axis=2)
     parents = Parents(*[image] * 6, np.full((size, size, 1), count, np.float32), 1.0)
-    return Example(parents, image)
+    return Example(parents, Reference(image, (image, image)), 0)
 
 
 def patches(count: float, number: int) -> list[dict[str, torch.Tensor]]:
     rng = np.random.default_rng(0)
-    stack = fitting._stack(coordinates(count))
-    return [fitting._STACK.parts(fitting._patch(stack, rng)) for _ in range(number)]
+    stack = coordinates(count).stack()
+    return [STACK.parts(fitting._patch(stack, rng)) for _ in range(number)]
 
 
 def test_all_images_of_a_patch_come_from_the_same_place():
     firsts, turned, mirrored = set(), 0, 0
     for patch in patches(4, 200):
         assert patch["count"].shape == (1, 64, 64)
-        for name in ("denoised", "albedo", "normal", "reference"):
+        for name in ("denoised", "albedo", "normal"):
             assert torch.equal(patch[name], patch["traced"])
         column, row, _ = patch["traced"]
         is_turned = bool(row[0, 0] != row[0, 1])

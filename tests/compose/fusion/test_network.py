@@ -16,7 +16,7 @@ from tests.compose.fusion.examples import random_fusion
 def features(height: int = 8, width: int = 12) -> Features:
     generator = torch.Generator().manual_seed(0)
     draw = lambda channels, h, w: torch.rand(1, channels, h, w, generator=generator)  # noqa: E731
-    return Features(draw(10, height, width), draw(21, height // 2, width // 2), [draw(3, height, width)] * 3)
+    return Features(draw(10, height, width), draw(22, height // 2, width // 2), [draw(3, height, width)] * 3)
 
 
 def test_networks_in_files_depend_on_names_and_shapes():
@@ -24,10 +24,12 @@ def test_networks_in_files_depend_on_names_and_shapes():
     assert shapes == {
         "reduce.weight": (24, 10, 2, 2),
         "reduce.bias": (24,),
-        "relate.weight": (24, 45, 3, 3),
+        "relate.weight": (24, 46, 3, 3),
         "relate.bias": (24,),
         "judge.weight": (36, 24, 3, 3),
         "judge.bias": (36,),
+        "shares": (2, 5, 3, 3),
+        "gains": (2, 5, 3),
     }
     assert list(OUTPUTS.widths.items()) == [("weights", 3), ("texture_gains", 3), ("colour_gains", 3)]
 

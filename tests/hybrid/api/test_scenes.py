@@ -62,9 +62,14 @@ def test_progress_and_settings_may_be_left_out(backend, monkeypatch, tmp_path):
     given = []
     monkeypatch.setattr("pathtrace.dataset.capture.capture", lambda *arguments: given.append(arguments))
     monkeypatch.setattr("hybrid.training.forest.train", lambda *arguments: given.append(arguments))
+    monkeypatch.setattr("hybrid.frame.irradiance.cache_for", lambda scene: f"cache of {scene}")
     scenes.capture("scene", tmp_path / "frames")
     scenes.train("frames", tmp_path / "a.forest")
-    captured, trained = given
+    scenes.capture("scene", tmp_path / "frames", integrator="path")
+    captured, trained, unbiased = given
+    assert (captured[4], unbiased[4]) == ("cache of scene", None)
+    with pytest.raises(hybrid.UserError, match="integrator mlt"):
+        scenes.capture("scene", tmp_path / "frames", integrator="mlt")
     assert captured[:3] == ("scene", tmp_path / "frames", hybrid.CaptureSettings())
     assert trained[:3] == ("frames", tmp_path / "a.forest", None)
     for progress in (captured[3], trained[3]):

@@ -11,6 +11,7 @@ from hybrid.bench.change import bench_change
 from hybrid.bench.fusion import FusionEffort, bench_fusion
 from hybrid.frame.periphery import Periphery
 from pathtrace.dataset.frames import read_frame_set
+from pathtrace.fill.fill import fill_cache
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 
@@ -18,10 +19,12 @@ from splat.io.forest_file import load_forest
 def test_candidates_cover_the_frame(made: Path, arrays):
     scene, forest = load_scene("cornell"), load_forest(made / "box.forest")
     camera = scene.camera.resized(32, 24)
-    images = Candidates(arrays, scene, forest).images(camera, 1, 0)
+    cache = fill_cache(scene, [camera], points=4096)
+    images = Candidates(arrays, scene, forest, cache).images(camera, 1, 0)
     assert {image.shape for image in images.values()} == {(24, 32, 3)}
     underlay = whole_underlay(Periphery(arrays, forest), camera)
     np.testing.assert_array_equal(images["splat"], underlay.radiance)
+    assert not np.array_equal(images["denoised"], images["denoised, path"])
     np.testing.assert_allclose(images["mean"], (images["denoised"] + images["splat"]) / 2, atol=1e-6)
 
 

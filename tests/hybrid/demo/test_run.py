@@ -39,8 +39,10 @@ def source(monkeypatch, backend) -> Source:
     """What is prepared; with a short warm-up."""
     source = Source()
 
-    def prepared(scene: str, forest: Path, backend: str, trains: bool, report: object) -> Source:
-        assert (scene, forest, backend, trains) == ("box", FOREST, "auto", False)
+    def prepared(
+        scene: str, forest: Path, backend: str, trains: bool, settings: object, report: object
+    ) -> Source:
+        assert (scene, forest, backend, trains, settings) == ("box", FOREST, "auto", False, INTERACTIVE)
         return source
 
     monkeypatch.setattr(run, "prepared", prepared)

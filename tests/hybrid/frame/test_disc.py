@@ -10,7 +10,7 @@ from compose.eye.gaze import Gaze
 from compose.fovea.region import Foveation
 from compose.fovea.samples import Samples
 from hybrid.frame import disc
-from hybrid.frame.disc import DiscImages, denoised_for_fusion, is_quick, parents_of
+from hybrid.frame.disc import DiscImages, denoised_for_fusion, parents_of
 from hybrid.frame.underlay import Underlay
 from tests import small
 
@@ -68,22 +68,13 @@ def test_samples_lie_at_their_pixels_and_the_surroundings_fill_the_corners():
         assert (image[~inside] == filled).all()
 
 
-def test_the_sample_count_is_the_mean_over_the_rectangle():
-    triple = np.zeros((2, 2, 3), dtype=np.float32)
-    count = np.array([[[1], [2]], [[3], [6]]], dtype=np.float32)
-    assert DiscImages(triple, triple, triple, count).spp == 3
-
-
-@pytest.mark.parametrize(("spp", "quick"), [(1, True), (2.9, True), (3, False), (64, False)])
-def test_below_three_samples_per_pixel_the_quicker_denoiser_is_used(spp, quick, denoisers):
-    assert is_quick(spp) == quick
+@pytest.mark.parametrize(("quick", "used"), [(True, ["fine, quick", "coarse"]), (False, ["fine", "fine"])])
+def test_a_quicker_denoiser_is_used_only_if_asked_for(quick, used, denoisers):
     image = np.ones((4, 4, 3), dtype=np.float32)
-    images = DiscImages(image, 2 * image, 3 * image, np.full((4, 4, 1), spp, dtype=np.float32))
-    assert (images.denoised() == 6).all()
-    assert (denoised_for_fusion(images) == 6).all()
-    assert denoisers == (["fine, quick", "coarse"] if quick else ["fine", "fine"])
-    denoised_for_fusion(images, quick=True)
-    assert denoisers[-1] == "coarse"
+    images = DiscImages(image, 2 * image, 3 * image, np.ones((4, 4, 1), dtype=np.float32))
+    assert (images.denoised(quick) == 6).all()
+    assert (denoised_for_fusion(images, quick) == 6).all()
+    assert denoisers == used
 
 
 def test_all_parents_are_crops_of_one_rectangle(denoisers):

@@ -78,7 +78,7 @@ def test_forgetting_drops_the_samples_of_every_integrator(scene, forest):
 @pytest.fixture
 def lamp(monkeypatch):
     """A scene of its own, whose cache is filled quickly; and what sets the radiance of its lamp."""
-    quick = lambda scene: fill_cache(scene, [scene.camera], points=1 << 13)  # noqa: E731
+    quick = lambda scene, *_: fill_cache(scene, [scene.camera], points=1 << 13)  # noqa: E731
     for module in (irradiance, renderer_module):
         monkeypatch.setattr(module, "filled_cache", quick)
     scene = load_scene(small.corner())

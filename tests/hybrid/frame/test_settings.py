@@ -31,7 +31,7 @@ OTHERS = {
     "scale": 0.5,
     "display": Display(1920, 1080, 55.0, 100.0),
     "camera": CAMERA,
-    "integrator": Integrator.CACHED,
+    "integrator": Integrator.PATH,
 }
 
 
@@ -199,10 +199,26 @@ def test_cameras_that_differ_in_one_number_differ_in_json():
     ("fovea", "integrator", "unbiased"),
     [
         ("raw", "path", True),
+        ("raw", None, True),
         ("raw", "cached", False),
         ("denoised", "path", False),
-        ("fused", "cached", False),
+        ("fused", None, False),
     ],
 )
 def test_only_raw_samples_of_the_path_integrator_are_unbiased(fovea, integrator, unbiased):
     assert FrameSettings(fovea=fovea, integrator=integrator).is_unbiased is unbiased
+
+
+@pytest.mark.parametrize(
+    ("fovea", "given", "used"),
+    [
+        ("raw", None, "path"),
+        ("denoised", None, "cached"),
+        ("fused", None, "cached"),
+        ("fused", "path", "path"),
+    ],
+)
+def test_paths_end_early_in_foveas_that_are_biased_anyway(fovea, given, used):
+    settings = FrameSettings(fovea=fovea, integrator=given)
+    assert settings.used_integrator is Integrator(used)
+    assert settings.as_json()["integrator"] == used

@@ -11,15 +11,16 @@ import pytest
 
 from compose.base.errors import UserError
 from pathtrace.dataset.capture import capture
-from pathtrace.dataset.exr import read_estimate, read_frame
+from pathtrace.dataset.exr import read_estimate, read_frame, read_radiance
 from pathtrace.dataset.frames import FrameSet, read_frame_set
 from pathtrace.dataset.settings import CaptureSettings
+from pathtrace.fill.fill import fill_cache
 from pathtrace.scene.scene import Scene, load_scene
 from tests import small
 
 SETTINGS = CaptureSettings(views=4, held_out=2, width=24, height=16, spp=2, held_out_spp=4)
-# Four views of 2 samples, two of 4, and four close-ups of 4 on a quarter of the pixels each.
-SAMPLES = 24 * 16 * (4 * 2 + 2 * 4) + 12 * 8 * 4 * 4
+# Four views of 2 samples; two of 4 and an estimate of 1; four close-ups of these on a quarter of their size.
+SAMPLES = 24 * 16 * (4 * 2 + 2 * 5) + 12 * 8 * 4 * 5
 
 
 @pytest.fixture(scope="module")
@@ -56,14 +57,17 @@ def test_a_capture_is_a_complete_frame_set(scene, whole):
     assert [entry.samples for entry in frames.training] == [2] * 4
     assert [entry.samples for entry in frames.held_out] == [4] * 2
     assert len(frames.close_ups) == 4
-    # 6 frames, 4 close-ups, one estimate of the held-out views and close-ups, and the description.
-    assert len(contents(frames.folder)) == 6 + 4 + 2 + 4 + 1
+    # 6 frames, 4 close-ups; an estimate and two halves of each held-out view and close-up; the description.
+    assert len(contents(frames.folder)) == 6 + 4 + 3 * (2 + 4) + 1
     for entry in frames.entries + frames.close_ups:
         frame = read_frame(entry.file)
         assert frame.radiance.shape == (entry.camera.height, entry.camera.width, 3)
         assert np.isfinite(frame.radiance).all()
         for file in entry.estimates.values():
             assert read_estimate(file).radiance.shape == frame.radiance.shape
+        for file in entry.halves:
+            assert read_radiance(file).shape == frame.radiance.shape
+    assert frames.integrator == "path"
     assert frames == read_frame_set(frames.folder)
 
 
@@ -84,6 +88,19 @@ def test_every_frame_has_noise_of_its_own(whole):
     one, two = (read_estimate(entry.estimates[1]).radiance.mean(axis=2).ravel() for entry in frames.held_out)
     truth = [read_frame(entry.file).radiance.mean(axis=2).ravel() for entry in frames.held_out]
     assert abs(np.corrcoef(one - truth[0], two - truth[1])[0, 1]) < 0.3
+
+
+def test_paths_of_training_frames_and_estimates_end_in_a_cache_if_there_is_one(scene, whole, tmp_path):
+    """Held-out frames do not: they are unbiased with and without."""
+    cache = fill_cache(scene, [scene.camera], points=4096)
+    frames = capture(scene, tmp_path, SETTINGS, lambda done, total: None, cache)
+    assert frames.integrator == "cached"
+    pairs = zip(whole[0].entries + whole[0].close_ups, frames.entries + frames.close_ups, strict=True)
+    for one, other in pairs:
+        equal = np.array_equal(read_frame(one.file).radiance, read_frame(other.file).radiance)
+        assert equal == one.held_out
+        for a, b in zip(one.estimates.values(), other.estimates.values(), strict=True):
+            assert not np.array_equal(read_estimate(a).radiance, read_estimate(b).radiance)
 
 
 def test_an_interrupted_capture_ends_with_the_same_files(scene, whole, tmp_path):

@@ -22,6 +22,7 @@ def entry(name: str, held_out: bool = False, estimates: tuple[int, ...] = (), **
         "samples": 8,
         "held_out": held_out,
         "estimates": [{"samples": n, "file_path": f"frames/{name}-{n}.exr"} for n in estimates],
+        "halves": [f"frames/{name}-half{number}.exr" for number in (1, 2)] if estimates else [],
         **intrinsics,
     }
 
@@ -37,6 +38,7 @@ def document() -> dict:
         "cy": 12.0,
         "format_version": FORMAT_VERSION,
         "scene": {"name": "attic", "hash": "abc"},
+        "integrator": "cached",
         "frames": [entry("0"), entry("1", held_out=True, estimates=(1, 4)), entry("2")],
         "close_ups": [entry("1-closer2", held_out=True, w=16, h=12, fl_x=60.0, fl_y=62.0)],
     }
@@ -48,6 +50,8 @@ def written(folder: Path, document: dict) -> Path:
     for frame in document.get("frames", []) + document.get("close_ups", []):
         for file in (frame, *frame["estimates"]):
             (folder / file["file_path"]).touch()
+        for half in frame["halves"]:
+            (folder / half).touch()
     (folder / "transforms.json").write_text(json.dumps(document))
     return folder
 
@@ -59,7 +63,9 @@ def test_a_frame_set_is_what_its_document_says(tmp_path, document):
     assert [e.file for e in frames.training] == [tmp_path / "frames/0.exr", tmp_path / "frames/2.exr"]
     (held_out,) = frames.held_out
     assert held_out.estimates == {1: tmp_path / "frames/1-1.exr", 4: tmp_path / "frames/1-4.exr"}
+    assert held_out.halves == (tmp_path / "frames/1-half1.exr", tmp_path / "frames/1-half2.exr")
     assert (held_out.samples, held_out.held_out) == (8, True)
+    assert frames.integrator == "cached"
     assert (held_out.camera.width, held_out.camera.fx) == (32, 30.0)
     (close_up,) = frames.close_ups
     assert (close_up.camera.width, close_up.camera.height, close_up.camera.fy) == (16, 12, 62.0)
@@ -67,18 +73,18 @@ def test_a_frame_set_is_what_its_document_says(tmp_path, document):
     assert close_up.camera.cx == 16.0
 
 
-@pytest.mark.parametrize("name", ["0", "1-4", "1-closer2"])
+@pytest.mark.parametrize("name", ["0", "1-4", "1-half2", "1-closer2"])
 def test_every_missing_file_is_noticed(tmp_path, document, name):
     written(tmp_path, document)
     (tmp_path / "frames" / f"{name}.exr").unlink()
-    with pytest.raises(UserError, match=rf"1 of 6 files are missing \({name}\.exr first\).*resume"):
+    with pytest.raises(UserError, match=rf"1 of 8 files are missing \({name}\.exr first\).*resume"):
         read_frame_set(tmp_path)
 
 
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        ({"format_version": FORMAT_VERSION + 1}, "format version 3, this program reads 2; capture"),
+        ({"format_version": FORMAT_VERSION + 1}, "format version 4, this program reads 3; capture"),
         ({"frames": None}, "not the description of a frame set"),
         ({"scene": {"name": "attic"}}, "not the description of a frame set"),
         ({"w": "wide"}, "not the description of a frame set"),

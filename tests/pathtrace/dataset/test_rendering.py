@@ -1,4 +1,4 @@
-"""Rendered frames: geometry that can be computed by hand, and estimates from disjoint samples."""
+"""Rendered frames: geometry that can be computed by hand, halves, and estimates from other samples."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pathtrace.base.denoise import denoise
-from pathtrace.dataset.rendering import render_frame, render_with_estimates
+from pathtrace.dataset.rendering import render_estimates, render_frame, render_with_halves
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.tracer import Tracer
 from tests import small
@@ -22,8 +22,8 @@ def view(backend):
 
 @pytest.fixture(scope="module")
 def rendered(view):
-    """A frame of 16 samples per pixel, with estimates of 2 and 5."""
-    return render_with_estimates(*view, spp=16, seed=7, estimate_spp=(2, 5))
+    """A frame of 5 samples per pixel, and its halves."""
+    return render_with_halves(*view, spp=5, seed=7)
 
 
 def test_depth_is_along_the_view_axis(view, rendered):
@@ -55,11 +55,12 @@ def test_sky_is_infinitely_far_away(view):
     assert np.isposinf(frame.unfolded[sky]).all()
 
 
-def test_estimates_are_noisy_and_independent(backend):
+def test_halves_and_estimates_are_noisy_and_independent(backend):
     """In a closed sphere, where radiance is the same everywhere: errors of 4, 4 and 8 samples."""
     scene = load_scene(small.furnace())
-    _, estimates = render_with_estimates(Tracer(scene), scene.camera, 17, 7, (4, 4, 8))
-    one, other, more = (part.radiance[..., 0].ravel() for part in estimates)
+    _, halves = render_with_halves(Tracer(scene), scene.camera, 8, 7)
+    (estimate,) = render_estimates(Tracer(scene), scene.camera, (8,), 7)
+    one, other, more = (part[..., 0].ravel() for part in (*halves, estimate.radiance))
     # 1024 pixels: the ratio of two variances, and a correlation, are known to about 10 and 3 %.
     assert one.var() / more.var() == pytest.approx(2, rel=0.4)
     assert other.var() / more.var() == pytest.approx(2, rel=0.4)
@@ -67,30 +68,29 @@ def test_estimates_are_noisy_and_independent(backend):
         assert abs(np.corrcoef(a, b)[0, 1]) < 4 / np.sqrt(len(a))
 
 
-def test_frames_with_neighbouring_seeds_share_no_estimates(view):
-    _, parts = render_with_estimates(*view, 5, 7, (2, 2))
+def test_views_with_neighbouring_seeds_share_no_samples(view):
+    parts = [part.radiance for part in render_estimates(*view, (2, 2), 7)]
+    parts += render_with_halves(*view, 4, 7)[1]
+    assert len({part.tobytes() for part in parts}) == 4
     for seed in (6, 8):
-        _, others = render_with_estimates(*view, 5, seed, (2, 2))
-        for part in parts:
-            assert not any(np.array_equal(part.radiance, other.radiance) for other in others)
+        others = [part.radiance for part in render_estimates(*view, (2, 2), seed)]
+        others += render_with_halves(*view, 4, seed)[1]
+        assert not {part.tobytes() for part in parts} & {part.tobytes() for part in others}
 
 
-def test_a_frame_is_the_denoised_mean_of_all_its_samples(view, rendered):
-    """As such, it is that of estimates and rest weighted by their samples: 2, 5 and 9 of 16."""
-    tracer, camera = view
-    frame, estimates = rendered
-    # The third part as an estimate of its own; what is left of 17 then is another sample.
-    _, parts = render_with_estimates(tracer, camera, 17, 7, (2, 5, 9))
-    for found, part in zip(estimates, parts[:2], strict=True):
-        np.testing.assert_array_equal(found.radiance, part.radiance)
-    names = ("radiance", "albedo", "normal")
-    mean = {
-        name: np.average([getattr(part, name) for part in parts], axis=0, weights=[2, 5, 9]) for name in names
-    }
-    np.testing.assert_allclose(frame.albedo, mean["albedo"], atol=1e-6)
-    np.testing.assert_allclose(frame.normal, mean["normal"], atol=1e-6)
-    expected = denoise(*(mean[name].astype(np.float32) for name in names))
-    np.testing.assert_allclose(frame.radiance, expected, rtol=1e-3, atol=1e-4)
+def test_an_estimate_has_as_many_samples_as_it_says(backend):
+    """The noise of two samples has four times the variance of that of eight."""
+    scene = load_scene(small.furnace())
+    few, many = (e.radiance.var() for e in render_estimates(Tracer(scene), scene.camera, (2, 8), 7))
+    assert few / many == pytest.approx(4, rel=0.4)
+
+
+def test_a_frame_is_the_denoised_mean_of_its_halves(view, rendered):
+    """Of five samples, one half has three."""
+    frame, (one, other) = rendered
+    assert np.abs(one - other).mean() > 0
+    expected = denoise(0.6 * one + 0.4 * other, frame.albedo, frame.normal)
+    np.testing.assert_allclose(frame.radiance, expected, rtol=1e-3, atol=1e-3)
 
 
 def test_the_same_seed_gives_the_same_frame(view):

@@ -15,6 +15,7 @@ from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.dataset.transforms import describe_capture, write_description
 from pathtrace.dataset.views import ViewSet
 from pathtrace.scene.scene import Scene
+from pathtrace.trace.integrator import Integrator
 
 SETTINGS = CaptureSettings(views=6, held_out=4, width=32, height=24, spp=2, held_out_spp=16, seed=5)
 
@@ -31,17 +32,18 @@ VIEWS = ViewSet([camera(x) for x in (0, 0.1)], [camera(x) for x in np.linspace(0
 def described(**changes) -> dict:
     settings = CaptureSettings(**{**SETTINGS.__dict__, **changes})
     scene = Scene("attic", "abc", None, camera(0), max_depth=6)
-    return describe_capture(scene, VIEWS, settings)
+    return describe_capture(scene, VIEWS, settings, Integrator.CACHED)
 
 
 def test_the_document_names_scene_settings_and_intrinsics():
     document = described()
     assert document["scene"] == {"name": "attic", "hash": "abc", "max_depth": 6}
     assert document["settings"]["held_out_spp"] == 16
+    assert document["integrator"] == "cached"
     assert document["camera_model"] == "OPENCV"
     intrinsics = {name: document[name] for name in ("w", "h", "fl_x", "fl_y", "cx", "cy")}
     assert intrinsics == {"w": 32, "h": 24, "fl_x": 30.0, "fl_y": 31.0, "cx": 16.5, "cy": 12.0}
-    assert document["format_version"] == 2
+    assert document["format_version"] == 3
     assert json.loads(json.dumps(document)) == document
 
 
@@ -61,12 +63,12 @@ def test_two_of_three_held_out_views_have_estimates_and_close_ups():
         f"frames/000{index}-closer{factor}.exr" for index in (3, 5, 9) for factor in (2, 4)
     ]
     assert all(entry["held_out"] and entry["samples"] == 16 for entry in document["close_ups"])
+    assert [i for i, frame in enumerate(document["frames"]) if frame["halves"]] == [3, 5, 9]
 
 
 @pytest.mark.parametrize(
     ("spp", "estimates"),
     [
-        (1, []),
         (2, [1]),
         (5, [1]),
         (6, [1, 2]),
@@ -81,6 +83,7 @@ def test_estimates_take_half_of_the_samples_at_most(spp, estimates):
         assert [e["samples"] for e in entry["estimates"]] == estimates
         stem = entry["file_path"].removesuffix(".exr")
         assert [e["file_path"] for e in entry["estimates"]] == [f"{stem}-{n}spp.exr" for n in estimates]
+        assert entry["halves"] == [f"{stem}-half1.exr", f"{stem}-half2.exr"]
 
 
 def test_close_ups_are_parts_of_their_views():

@@ -49,6 +49,64 @@ def test_lanes_of_different_counts():
     assert lanes.first.numpy()[[0, 2, 3]].tolist() == [0, 2, 3]
 
 
+def noise(lanes: Lanes, channels: int = 6) -> list[np.ndarray]:
+    """Channels of values of very different size, one per lane, padding included."""
+    return list(np.exp(small.rng().normal(0, 4, (channels, len(lanes.active)))).astype(np.float32))
+
+
+def summed(lanes: Lanes, channels: list[np.ndarray]) -> np.ndarray:
+    """(C, N) sums of channels."""
+    return np.stack([total.numpy() for total in lanes.sums([mi.Float(channel) for channel in channels])])
+
+
+def expected_sums(spp: np.ndarray, channels: list[np.ndarray]) -> np.ndarray:
+    """(C, N) sums in float64."""
+    ends = np.cumsum(spp)
+    runs = list(zip(ends - spp, ends, strict=True))
+    return np.array([[channel[a:b].sum(dtype=np.float64) for a, b in runs] for channel in channels])
+
+
+@pytest.mark.parametrize("spp", [1, 2, 7, 16])
+def test_sums_of_equal_counts(spp):
+    lanes = Lanes.of(COUNT, spp)
+    values = noise(lanes)
+    expected = expected_sums(np.full(COUNT, spp), values)
+    np.testing.assert_allclose(summed(lanes, values), expected, rtol=1e-6)
+
+
+def test_sums_of_different_counts():
+    """As exact as float32 can be; positions without a sample have the sum 0, the first and last ones too."""
+    counts = small.rng().integers(0, 70, COUNT)
+    counts[[0, 1, 20, 21, -1]] = 0
+    lanes = Lanes.of(COUNT, counts)
+    values = noise(lanes)
+    found = summed(lanes, values)
+    np.testing.assert_allclose(found, expected_sums(counts, values), rtol=1e-7)
+    assert (found[:, counts == 0] == 0).all()
+    np.testing.assert_array_equal(found, summed(lanes, values))
+    # However many channels there are.
+    np.testing.assert_array_equal(found[2:3], summed(lanes, values[2:3]))
+
+
+def test_the_sum_of_one_very_large_count_beside_small_ones():
+    """In float32, small samples would be lost beside the large sum of those before them."""
+    counts = small.rng().integers(0, 3, COUNT)
+    counts[100] = 1 << 17
+    lanes = Lanes.of(COUNT, counts)
+    values = [np.full(len(lanes.active), value, dtype=np.float32) for value in (0.1, 3.3)]
+    np.testing.assert_allclose(summed(lanes, values), expected_sums(counts, values), rtol=1e-7)
+
+
+@pytest.mark.parametrize("value", [np.inf, 3e38])
+def test_a_positions_samples_do_not_touch_other_sums(value):
+    """The square of a very bright sample is infinite; and beside it, other samples would vanish."""
+    counts = np.array([2, 3, 0, 2])
+    lanes = Lanes.of(4, counts)
+    values = np.ones(len(lanes.active), dtype=np.float32)
+    values[3] = value
+    assert summed(lanes, [values]).tolist() == [[2, np.float32(value), 0, 2]]
+
+
 @pytest.mark.parametrize(("positions", "spp", "width"), [(3, 2, 4096), (4096, 1, 4096), (4097, 1, 8192)])
 def test_lanes_are_padded_with_inactive_ones(positions, spp, width):
     """A frozen function is not recorded again as long as the width stays a multiple of 4096."""
@@ -61,9 +119,9 @@ def test_lanes_are_padded_with_inactive_ones(positions, spp, width):
 
 def test_sums_are_over_each_positions_samples():
     channel = mi.Float(np.concatenate([[1, 2, 4, 8, 16, 32], np.full(4090, 1000.0)]))
-    assert Lanes.of(3, 2).sums(channel).numpy().tolist() == [3, 12, 48]
-    assert Lanes.of(6, 1).sums(channel).numpy().tolist() == [1, 2, 4, 8, 16, 32]
-    assert Lanes.of(5, np.array([2, 0, 1, 3, 0])).sums(channel).numpy().tolist() == [3, 0, 4, 56, 0]
+    assert Lanes.of(3, 2).sums([channel])[0].numpy().tolist() == [3, 12, 48]
+    assert Lanes.of(6, 1).sums([channel])[0].numpy().tolist() == [1, 2, 4, 8, 16, 32]
+    assert Lanes.of(5, np.array([2, 0, 1, 3, 0])).sums([channel])[0].numpy().tolist() == [3, 0, 4, 56, 0]
 
 
 @pytest.mark.parametrize("spp", [2, 4, 16])

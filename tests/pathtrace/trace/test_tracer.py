@@ -10,6 +10,7 @@ from scipy import stats
 
 from compose.camera.axes import mitsuba_from_opencv
 from compose.camera.camera import Camera
+from pathtrace.fill.fill import fill_cache
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.film import FilmPositions, box_positions, frame_positions, interleaved, pixel_positions
 from pathtrace.trace.tracer import Tracer, auxiliary_spp
@@ -245,9 +246,11 @@ def test_seeds_repeat_and_differ():
     assert not np.array_equal(first, other)
 
 
-def test_a_moving_gaze_or_camera_records_nothing_again():
+@pytest.mark.parametrize("cached", [False, True])
+def test_a_moving_gaze_or_camera_records_nothing_again(cached):
     scene = load_scene(small.corner())
-    tracer, camera = Tracer(scene), scene.camera
+    camera = scene.camera
+    tracer = Tracer(scene, cache=fill_cache(scene, [camera], points=1 << 13) if cached else None)
 
     def frame(step: int) -> None:
         moved = pixel_positions(dr.arange(mi.UInt32, 700 - 13 * step) + step, camera.width)

@@ -11,7 +11,7 @@ pytestmark = pytest.mark.usefixtures("backend", "own_home")
 
 def test_there_is_a_row_per_scale_count_and_method(bench_fovea, capsys):
     rows = bench_fovea(command.__name__, "--spp", 1, "--spp", 4, "--seeds", 1)
-    methods = ["splat", "raw", "denoised", "mean", "statistical", "fused, even", "fused"]
+    methods = ["splat", "raw", "denoised", "denoised, path", "mean", "statistical", "fused, even", "fused"]
     keys = [(row["scale"], row["spp"], row["method"]) for row in rows]
     assert keys == [(scale, spp, method) for scale in (1, 2) for spp in (1, 4) for method in methods]
     by_key = dict(zip(keys, rows, strict=True))

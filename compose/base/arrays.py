@@ -7,9 +7,15 @@ from types import ModuleType
 from typing import Any, Literal
 
 import drjit as dr
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 BackendName = Literal["llvm", "cuda"]
+# Bytes. Dr.Jit compiles other kernels for arrays that do not start at a multiple of it.
+_ALIGNMENT = 64
+# From so many keys per bucket on, sorting by one large digit is quicker than by two small ones.
+_KEYS_PER_BUCKET = 4
 
 
 class Arrays:
@@ -40,6 +46,17 @@ class Arrays:
         """
         return dr.opaque(self.plain.UInt, value)
 
+    def uploaded(self, kind: Any, values: NDArray[Any]) -> Any:
+        """Flat array of a kind, from a copy of numbers in host memory that have the kind's size.
+
+        The same kernels serve all such arrays; those that share numpy's memory may be aligned in any way.
+        """
+        memory = np.empty(values.nbytes + _ALIGNMENT, dtype=np.uint8)
+        start = -memory.ctypes.data % _ALIGNMENT
+        aligned = memory[start : start + values.nbytes].view(values.dtype)
+        aligned[:] = values.reshape(-1)
+        return kind(aligned)
+
     def from_torch(self, tensor: torch.Tensor) -> Any:
         """Differentiable flat Float of a tensor's elements; shares the memory of a contiguous tensor."""
         return self.ad.Float(tensor.detach().reshape(-1).contiguous())
@@ -66,8 +83,8 @@ class Arrays:
     def argsort(self, key: Any, bound: int) -> Any:
         """Indices that sort a UInt array stably: equal keys keep their order.
 
-        On the CPU this is a radix sort of one pass for bounds up to 2^14 and of two for bounds up to 2^22,
-        where `dr.argsort` takes three.
+        On the CPU this is a radix sort of one pass for bounds up to 2^14, or up to a quarter of the keys'
+        number, and of two for bounds up to 2^22, where `dr.argsort` takes three.
 
         Args:
             key: (N,) UInt, every element less than `bound`.
@@ -76,10 +93,12 @@ class Arrays:
         count = dr.width(key)
         if self.backend != "llvm" or not count:
             return dr.argsort(key)
-        order, shift = None, 0
-        while shift == 0 or bound > 1 << shift:
-            # The counters of 2^14 buckets fit the cache.
-            bits = 14 if bound <= 1 << 14 else 11
+        # The counters of 2^14 buckets fit the cache; those of more buckets are worth it if all are used.
+        if bound <= max(1 << 14, count // _KEYS_PER_BUCKET):
+            dr.eval(key)
+            return dr.detail.block_mkperm(key, count, bound)
+        order, shift, bits = None, 0, 11
+        while bound > 1 << shift:
             digit = (key if order is None else dr.gather(self.plain.UInt, key, order)) >> shift & (
                 1 << bits
             ) - 1

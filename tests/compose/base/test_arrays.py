@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from splat.base.arrays import Arrays
+from compose.base.arrays import Arrays
 
 
 def test_a_number_is_read_from_memory(arrays):
@@ -23,6 +23,18 @@ def test_backends_have_their_own_types():
     assert dr.backend_v(gpu.plain.Float) == dr.JitBackend.CUDA
     assert dr.is_diff_v(cpu.ad.Float)
     assert not dr.is_diff_v(cpu.plain.Float)
+
+
+@pytest.mark.parametrize("start", range(5))
+def test_uploaded_numbers_are_copies_at_aligned_addresses(arrays, start):
+    numbers = np.arange(40, dtype=np.float32)[start:]
+    array = arrays.uploaded(arrays.plain.Float, numbers.reshape(-1, 1))
+    wanted = numbers.tolist()
+    numbers[:] = 0
+    assert array.numpy().tolist() == wanted
+    # On a GPU, numpy sees a copy.
+    assert arrays.backend == "cuda" or array.numpy().ctypes.data % 64 == 0
+    assert dr.width(arrays.uploaded(arrays.plain.UInt, np.zeros(0, dtype=np.uint32))) == 0
 
 
 def test_tensors_go_there_and_back(arrays):
@@ -51,9 +63,9 @@ def test_concatenation_keeps_the_order_and_skips_empty_parts(arrays):
     assert dr.width(arrays.concatenated([dr.zeros(UInt, 0)])) == 0
 
 
-# One pass of 14 bits up to 16384, two of 11 bits up to 2^22, three beyond.
+# One pass up to 16384 or a quarter of the count, two of 11 bits up to 2^22, three beyond.
 @pytest.mark.parametrize("bound", [1, 2, 5, 2047, 16384, 16385, 70_000, 1 << 22, (1 << 22) + 1, 1 << 26])
-@pytest.mark.parametrize("count", [1, 1000])
+@pytest.mark.parametrize("count", [1, 1000, 100_000])
 def test_sorting_is_stable(arrays, bound, count):
     keys = np.random.default_rng(bound).integers(0, bound, count, dtype=np.uint32)
     # Many equal keys, and the largest possible one.

@@ -1,0 +1,157 @@
+"""The views from which samples were traced before, in device memory."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.arrays import Arrays
+from compose.fovea.light import LIGHT
+from compose.fovea.samples import Floats
+
+# Views that are remembered.
+MOST_VIEWS = 16
+# Floats that tell where a sample is, loaded as one packet.
+_PLACE = 4
+# The last float of a place holds the view's number and the class of gloss.
+_GLOSS_BITS = 2
+# Samples for which there is room at first: a disc of a small frame.
+_LEAST_ROOM = 1 << 12
+
+
+@dataclass(frozen=True)
+class EarlierView:
+    """What was traced from one camera, for N of its pixels.
+
+    Attributes:
+        light: (N, 8) records (compose.fovea.light), at least one sample each.
+        position: (N, 3) of what was hit, in the world.
+        gloss: (N,) of what was hit.
+        viewpoint: (3,) position of the camera.
+    """
+
+    light: Floats
+    position: Floats
+    gloss: NDArray[np.uint8]
+    viewpoint: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where M samples of earlier views are, as Dr.Jit arrays of width M.
+
+    Attributes:
+        position: three Floats, in the world.
+        gloss: UInt, class of gloss of what was hit.
+        view: UInt, number of the view, less than MOST_VIEWS.
+    """
+
+    position: list[Any]
+    gloss: Any
+    view: Any
+
+
+class EarlierViews:
+    """The samples of the last MOST_VIEWS views, one view after another in a ring.
+
+    A view is copied to the device when it is added; after that nothing moves unless the ring must grow.
+
+    Args:
+        arrays: the backend's array types.
+    """
+
+    def __init__(self, arrays: Arrays):
+        self.arrays = arrays
+        self.clear()
+
+    def clear(self) -> None:
+        """Forgets all views."""
+        # For each view its number, how many samples it has, and where it was seen from.
+        self._views: deque[tuple[int, int, NDArray[np.float64]]] = deque()
+        self._added = self._first = 0
+        self._room = _LEAST_ROOM
+        self._places, self._lights = self._empty()
+
+    @property
+    def samples(self) -> int:
+        """Number of samples of all views."""
+        return sum(count for _, count, _ in self._views)
+
+    def viewpoints(self) -> NDArray[np.float64]:
+        """(MOST_VIEWS, 3) positions of the cameras by number of their view; far away where there is none."""
+        found = np.full((MOST_VIEWS, 3), np.inf)
+        for number, _, viewpoint in self._views:
+            found[number] = viewpoint
+        return found
+
+    def add(self, view: EarlierView) -> None:
+        """Adds a view; the oldest one makes room for it if there are MOST_VIEWS."""
+        if len(self._views) == MOST_VIEWS:
+            _, dropped, _ = self._views.popleft()
+            self._first = (self._first + dropped) % self._room
+        number, size, before = self._added % MOST_VIEWS, len(view.light), self.samples
+        self._views.append((number, size, view.viewpoint))
+        self._added += 1
+        if before + size > self._room:
+            self._grow(before, before + size)
+        if size:
+            self._write(view, number, before)
+
+    def places(self, index: Any) -> Places:
+        """Where the samples at an index (M,) are; the oldest view's first sample has index 0."""
+        *position, tag = self._packet(self._places, _PLACE, self._slot(index))
+        tag = self.arrays.plain.UInt(tag)
+        return Places(position, tag & ((1 << _GLOSS_BITS) - 1), tag >> _GLOSS_BITS)
+
+    def lights(self, index: Any) -> list[Any]:
+        """Eight Floats (M,): the light records of the samples at an index."""
+        return list(self._packet(self._lights, LIGHT, self._slot(index)))
+
+    def _packet(self, table: Any, size: int, slot: Any) -> Any:
+        return dr.gather(self.arrays.plain.ArrayXf, table, slot, shape=(size, dr.width(slot)))
+
+    def _slot(self, index: Any) -> Any:
+        """Where in the ring the samples at an index are."""
+        # Its size is a power of two.
+        return index + self.arrays.number(self._first) & self.arrays.number(self._room - 1)
+
+    def _empty(self) -> tuple[Any, Any]:
+        Float = self.arrays.plain.Float
+        return dr.empty(Float, _PLACE * self._room), dr.empty(Float, LIGHT * self._room)
+
+    def _grow(self, samples: int, wanted: int) -> None:
+        """Moves all samples to the start of a ring that has room for as many as wanted."""
+        moved: tuple[Any, ...] = ()
+        if samples:
+            index = dr.arange(self.arrays.plain.UInt, samples)
+            slot = self._slot(index)
+            places, lights = (
+                self._packet(self._places, _PLACE, slot),
+                self._packet(self._lights, LIGHT, slot),
+            )
+            moved = places, lights, index
+        self._first, self._room = 0, 1 << (wanted - 1).bit_length()
+        self._places, self._lights = self._empty()
+        if moved:
+            self._scatter(*moved)
+
+    def _write(self, view: EarlierView, number: int, start: int) -> None:
+        """Copies a view's samples to the device, from an index on."""
+        plain, upload = self.arrays.plain, self.arrays.uploaded
+        size = len(view.light)
+        row = dr.arange(plain.UInt, size)
+        position, light = upload(plain.Float, view.position), upload(plain.Float, view.light)
+        tag = upload(plain.UInt, view.gloss.astype(np.uint32)) | self.arrays.number(number << _GLOSS_BITS)
+        place = [dr.gather(plain.Float, position, row * 3 + i) for i in range(3)]
+        slot = self._slot(row + self.arrays.number(start))
+        self._scatter(plain.ArrayXf([*place, plain.Float(tag)]), self._packet(light, LIGHT, row), slot)
+
+    def _scatter(self, places: Any, lights: Any, slot: Any) -> None:
+        dr.scatter(self._places, places, slot, mode=dr.ReduceMode.Permute)
+        dr.scatter(self._lights, lights, slot, mode=dr.ReduceMode.Permute)
+        dr.eval(self._places, self._lights)

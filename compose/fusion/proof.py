@@ -1,0 +1,169 @@
+"""What a fusion is worth on views that it has not seen.
+
+Two trial networks are each fitted to one half of the views and tried on the other. For each cell of sample
+count, enlargement and denoiser, the mixture of network, denoised samples and splats with the least error is
+kept (stacking: Wolpert 1992, Breiman 1996) if it beats the better parent there by more than chance; if it
+does not, that parent alone is shown.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from compose.fusion.examples import STACK, Example, estimated
+from compose.fusion.features import perceived
+from compose.fusion.fitting import fit
+from compose.fusion.network import Fusion
+from compose.fusion.shares import COUNTS, ENLARGEMENTS, MIXED, Cell
+
+# Steps of a trial network: enough to tell what the final one will be worth, at less than half of its time.
+TRIAL_ITERATIONS = 500
+# Trials are compared in blocks of this many pixels, each relative to the better parent's error there: views
+# and parts of views in which all errors are large must not decide alone.
+_BLOCK = 64
+# Least such error, relative to the mean over all blocks: noise may leave next to nothing, or less.
+_LEAST_ERROR = 0.25
+# Shares are searched for in steps of 1 / _STEPS.
+_STEPS = 20
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What is shown in each cell.
+
+    Attributes:
+        shares: (2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)) of network, denoised samples and splats.
+        gains: (2, len(COUNTS), len(ENLARGEMENTS)) decibels by which the mixture was better than the better
+            parent on unseen views; 0 where that parent alone is shown.
+    """
+
+    shares: NDArray[np.float32]
+    gains: NDArray[np.float32]
+
+
+# Errors of one view in one cell: (B, M, M) products of the errors of what is mixed, mean over each block.
+_Errors = NDArray[np.float64]
+
+
+def trials(examples: Sequence[Example]) -> int:
+    """Number of trial networks that `prove` fits; none if there is only one view to learn from and to try."""
+    return 2 if len({example.view for example in examples}) > 1 else 0
+
+
+def prove(examples: Sequence[Example], seed: int, progress: Callable[[int, int], None]) -> Proof:
+    """Finds what to show in each cell.
+
+    Args:
+        examples: those that the final network is fitted to.
+        seed: of the trial networks.
+        progress: called with steps done and steps in total.
+    """
+    views = sorted({example.view for example in examples})
+    halves = set(views[::2]), set(views[1::2])
+    total = TRIAL_ITERATIONS * trials(examples)
+    cells: dict[Cell, dict[int, list[_Errors]]] = defaultdict(lambda: defaultdict(list))
+    for number, tried in enumerate(halves):
+        learnt = [example for example in examples if example.view not in tried]
+        if not learnt or not tried:
+            continue
+        advance = partial(_advance, progress, TRIAL_ITERATIONS * number, total)
+        trial = fit(learnt, seed, advance, TRIAL_ITERATIONS)
+        for example in examples:
+            if example.view in tried:
+                cells[_cell(example)][example.view].append(_errors(trial, example))
+    if not cells:
+        # A single view: nothing is known about the network, but which parent is better.
+        for example in examples:
+            cells[_cell(example)][example.view].append(_errors(Fusion(), example))
+    return _proof({cell: {view: np.concatenate(e) for view, e in of.items()} for cell, of in cells.items()})
+
+
+def _advance(progress: Callable[[int, int], None], before: int, total: int, done: int, of: int) -> None:
+    """Reports the progress of one trial as that of all."""
+    progress(before + done, total)
+
+
+def _cell(example: Example) -> Cell:
+    parents = example.parents
+    return Cell.of(parents.quick, float(np.exp(np.log(parents.count).mean())), parents.enlargement)
+
+
+def _errors(fusion: Fusion, example: Example) -> _Errors:
+    """(B, M, M) unbiased products of errors in perceived radiance, mean over each block of an example."""
+    stack = example.stack()[None]
+    images = STACK.parts(stack)
+    with torch.inference_mode():
+        height, width = (side - side % 2 for side in stack.shape[-2:])
+        stack = stack[..., :height, :width]
+        images = STACK.parts(stack)
+        mixed = estimated(fusion, stack, [example.parents]), images["denoised"], images["splat"]
+        errors = torch.cat([perceived(image.clamp(min=0)) - images["target"] for image in mixed])
+        products = torch.einsum("ichw,jchw->ijhw", errors, errors) / 3
+        products = products - (images["noise"] ** 2).mean(1)
+    rows, columns = (np.arange(0, max(side - _BLOCK // 2, 1), _BLOCK) for side in (height, width))
+    sums = np.add.reduceat(products.double().numpy(), rows, axis=2)
+    sums = np.add.reduceat(sums, columns, axis=3)
+    areas = np.outer(np.diff([*rows, height]), np.diff([*columns, width]))
+    return np.ascontiguousarray((sums / areas).reshape(len(MIXED), len(MIXED), -1).transpose(2, 0, 1))
+
+
+def _proof(cells: dict[Cell, dict[int, _Errors]]) -> Proof:
+    """What to show in all cells; those in which nothing was tried get what the nearest one has."""
+    found = {cell: _tried(of_views) for cell, of_views in cells.items()}
+    shape = 2, len(COUNTS), len(ENLARGEMENTS)
+    shares, gains = np.zeros((*shape, len(MIXED)), np.float32), np.zeros(shape, np.float32)
+    for index in np.ndindex(shape):
+        shares[index], gains[index] = found[min(found, key=lambda cell: _distance(cell.index, index))]
+    return Proof(shares, gains)
+
+
+def _distance(one: Sequence[int], other: Sequence[int]) -> tuple[int, ...]:
+    """Orders cells by how far they are: the denoiser matters least, the enlargement most."""
+    quick, count, enlargement = (abs(a - b) for a, b in zip(one, other, strict=True))
+    return enlargement, count, quick
+
+
+def _tried(of_views: dict[int, _Errors]) -> tuple[NDArray[np.float64], float]:
+    """Shares in one cell, and their gain over the better parent in decibels."""
+    scaled = _relative(of_views)
+    mean = np.concatenate(list(scaled.values())).mean(axis=0)  # (M, M)
+    parent = int(np.argmin([mean[1, 1], mean[2, 2]])) + 1
+    alone = np.eye(len(MIXED))[parent]
+    if len(scaled) < 2:
+        return alone, 0.0
+    # Each view is judged by shares that the other ones have chosen.
+    gains = []
+    for view, errors in scaled.items():
+        others = np.concatenate([one for name, one in scaled.items() if name != view])
+        chosen = _best(others.mean(axis=0))
+        gains.append((errors[:, parent, parent] - _squared(errors, chosen)).mean())
+    if np.mean(gains) <= np.std(gains, ddof=1) / np.sqrt(len(gains)):
+        return alone, 0.0
+    least = max(mean[parent, parent] - np.mean(gains), 1e-3 * mean[parent, parent])
+    return _best(mean), float(10 * np.log10(mean[parent, parent] / least))
+
+
+def _relative(of_views: dict[int, _Errors]) -> dict[int, _Errors]:
+    """Errors (B, M, M) of each view over the better parent's in each block."""
+    better = {view: np.minimum(e[:, 1, 1], e[:, 2, 2]) for view, e in of_views.items()}
+    floor = max(_LEAST_ERROR * float(np.concatenate(list(better.values())).mean()), 1e-9)
+    return {view: e / np.maximum(better[view], floor)[:, None, None] for view, e in of_views.items()}
+
+
+def _best(mean: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(M,) shares with the least squared error, by mean products of errors (M, M)."""
+    steps = range(_STEPS + 1)
+    grid = np.array([(a, b, _STEPS - a - b) for a in steps for b in steps if a + b <= _STEPS]) / _STEPS
+    return grid[np.argmin(_squared(mean, grid))]
+
+
+def _squared(products: NDArray[np.float64], shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Squared errors of mixtures: of one in (B, M, M) blocks, or of (S, M) in one."""
+    return np.asarray(np.einsum("...i,...ij,...j->...", shares, products, shares))

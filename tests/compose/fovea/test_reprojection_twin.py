@@ -1,0 +1,221 @@
+"""Reprojection against its plain twin: random scenes and extreme ones."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import drjit as dr
+import numpy as np
+import pytest
+
+from compose.camera.camera import Camera, camera_from_pose, look_at
+from compose.fovea.earlier import MOST_VIEWS, EarlierView, EarlierViews
+from compose.fovea.light import LIGHT
+from compose.fovea.reprojection import Reprojected, reproject
+from compose.fovea.samples import Samples
+from tests import small
+from tests.compose.fovea.plain_reprojection import plain_reproject
+
+WIDTH, HEIGHT = 64, 40
+
+
+def eye(
+    rng: np.random.Generator, step: float = 0.1, size: tuple[int, int] = (WIDTH, HEIGHT), fov: float = 60
+) -> Camera:
+    """A camera near (0, 0, -3), looking towards somewhere near the origin; the field of view is vertical."""
+    position, target = np.array([0, 0, -3.0]) + rng.normal(0, step, 3), rng.normal(0, step, 3)
+    width, height = size
+    focal = 0.5 * height / np.tan(np.radians(fov / 2))
+    pose = look_at(position, target, np.array([0, -1.0, 0]))
+    return camera_from_pose(pose, width, height, focal, focal, width / 2, height / 2)
+
+
+def ground(view: Camera, pixels: np.ndarray, rng: np.random.Generator, sky: float = 0.1) -> np.ndarray:
+    """(D, 3) points that pixels show: steps of a wall, with holes through which the sky shows."""
+    centre = np.stack([pixels % view.width, pixels // view.width], axis=1) + rng.random((len(pixels), 2))
+    rays = view.rays(centre)
+    flat = view.position - rays * (view.position[2] / np.where(np.abs(rays[:, 2:]) < 1e-3, 1e-3, rays[:, 2:]))
+    depth = np.where(np.sin(4 * flat[:, 0]) * np.sin(5 * flat[:, 1]) > 0.2, -1.0, 0.5)
+    point = view.position + rays * ((depth - view.position[2]) / np.maximum(rays[:, 2], 1e-2))[:, None]
+    return np.where((rng.random(len(pixels)) < sky)[:, None], view.position + rays * 1e5, point)
+
+
+def gloss_of(position: np.ndarray) -> np.ndarray:
+    """(D,) class of gloss, in patches of the world."""
+    return (np.floor(position[:, 0] * 3).astype(np.int64) % 3).astype(np.uint8)
+
+
+def disc(view: Camera, rng: np.random.Generator, radius: float, middle: tuple[float, float]) -> Samples:
+    """New samples of a disc around a middle, radius and middle relative to the frame."""
+    row, column = np.divmod(np.arange(view.width * view.height), view.width)
+    away = np.hypot(column + 0.5 - middle[0] * view.width, row + 0.5 - middle[1] * view.height)
+    pixels = np.flatnonzero(away < radius * view.height).astype(np.uint32)
+    position = ground(view, pixels.astype(np.int64), rng).astype(np.float32)
+    dark = np.zeros((len(pixels), 3), dtype=np.float32)
+    return Samples(pixels, dark[:, 0], dark, dark, dark, dark, position, gloss_of(position))
+
+
+def remembered(
+    view: Camera, rng: np.random.Generator, radius: float = 0.6, middle: tuple[float, float] = (0.5, 0.5)
+) -> EarlierView:
+    """What was traced of a disc."""
+    new = disc(view, rng, radius, middle)
+    count = rng.integers(1, 33, len(new.pixels)).astype(np.float32)
+    light = rng.lognormal(0, 2, (len(count), LIGHT)) * count[:, None]
+    light[:, 0], light[:, -1] = count, 0
+    return EarlierView(light.astype(np.float32), new.position, new.gloss, view.position)
+
+
+def both(arrays, views: list[EarlierView], view: Camera, new: Samples) -> tuple[Reprojected, Reprojected]:
+    """What the kernels and the plain twin find."""
+    known = EarlierViews(arrays)
+    for earlier in views:
+        known.add(earlier)
+    found, expected = reproject(known, view, new), plain_reproject(views, view, new)
+    assert found is not None
+    if expected is None:
+        expected = replace(found, light=np.zeros_like(found.light))
+    assert (found.rows, found.columns) == (expected.rows, expected.columns)
+    return found, expected
+
+
+def assert_equal(found: Reprojected, expected: Reprojected) -> None:
+    """Counts are whole numbers, exact; sums are float32."""
+    np.testing.assert_array_equal(found.light[..., 0], expected.light[..., 0])
+    np.testing.assert_allclose(found.light, expected.light, rtol=2e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("views", [1, 2, 5, MOST_VIEWS])
+@pytest.mark.parametrize("step", [0.0, 0.002, 0.1], ids=["still", "creep", "walk"])
+def test_random_scenes(arrays, views, step):
+    rng = small.rng(views)
+    path = [eye(rng, step) for _ in range(views + 1)]
+    new = disc(path[-1], rng, 0.5, (0.5, 0.5))
+    found, expected = both(arrays, [remembered(view, rng) for view in path[:-1]], path[-1], new)
+    assert expected.light.sum() > 0
+    assert_equal(found, expected)
+
+
+@pytest.mark.parametrize(
+    ("size", "fov"), [((64, 40), 175.0), ((64, 40), 1.0), ((7, 90), 60.0), ((90, 7), 60.0), ((1, 1), 60.0)]
+)
+def test_extreme_fields_of_view_and_frames(arrays, size, fov):
+    rng = small.rng()
+    path = [eye(rng, 0.05, size, fov) for _ in range(5)]
+    new = disc(path[-1], rng, 10, (0.5, 0.5))
+    assert len(new.pixels) == size[0] * size[1]
+    assert_equal(*both(arrays, [remembered(view, rng, 10) for view in path[:-1]], path[-1], new))
+
+
+@pytest.mark.parametrize("middle", [(0, 0), (1, 1), (0.0, 0.5), (0.5, 1.2)])
+def test_a_disc_that_the_edge_of_the_frame_cuts(arrays, middle):
+    rng = small.rng()
+    path = [eye(rng, 0.02) for _ in range(4)]
+    views = [remembered(view, rng, 0.5, middle) for view in path[:-1]]
+    assert_equal(*both(arrays, views, path[-1], disc(path[-1], rng, 0.4, middle)))
+
+
+def test_discs_that_do_not_overlap(arrays):
+    rng, view = small.rng(), eye(small.rng())
+    earlier = remembered(view, rng, 0.2, (0.1, 0.2))
+    found, expected = both(arrays, [earlier], view, disc(view, rng, 0.2, (0.9, 0.8)))
+    assert_equal(found, expected)
+    assert not found.light.any()
+
+
+def test_views_without_samples(arrays):
+    rng = small.rng()
+    path = [eye(rng) for _ in range(3)]
+    full = [remembered(view, rng) for view in path[:-1]]
+    none = remembered(path[0], rng, 0.0)
+    assert len(none.light) == 0
+    new = disc(path[-1], rng, 0.5, (0.5, 0.5))
+    assert_equal(*both(arrays, [none, full[0], none, full[1], none], path[-1], new))
+    known = EarlierViews(arrays)
+    assert reproject(known, path[-1], new) is None
+    known.add(none)
+    assert reproject(known, path[-1], new) is None
+    known.add(full[0])
+    nothing = Samples(*(getattr(new, field.name)[:0] for field in fields(Samples)))
+    assert reproject(known, path[-1], nothing) is None
+
+
+def test_points_behind_and_at_the_camera_and_beyond_all_numbers(arrays):
+    rng, view = small.rng(), eye(small.rng(), 0.0)
+    new = disc(view, rng, 0.5, (0.5, 0.5))
+    point = np.concatenate(
+        [
+            rng.normal((0, 0, -6), 1, (200, 3)),  # behind
+            np.repeat(view.position[None], 3, axis=0),  # at the camera
+            view.position + np.array([[0, 0, 1e-30], [0, 1e-30, 0], [1e-6, 0, 1e-6]]),
+            [[1e30, 0, 1], [0, -1e30, 1], [0, 0, 1e30], [np.inf, 0, 1], [np.nan, 0, 0]],
+            rng.normal(0, 1e5, (200, 3)),
+        ]
+    ).astype(np.float32)
+    for viewpoint in (view.position, view.position + 0.1):
+        size = len(point)
+        light = rng.random((size, LIGHT)).astype(np.float32)
+        light[:, 0] = 1
+        earlier = EarlierView(light, point, gloss_of(np.zeros((size, 3))), viewpoint)
+        with np.errstate(all="ignore"):
+            found, expected = both(arrays, [earlier], view, new)
+        assert_equal(found, expected)
+
+
+def test_points_on_the_borders_of_quarters(arrays):
+    """A camera whose numbers are powers of two, and points at whole quarters: exact in any arithmetic."""
+    pose = np.eye(4)
+    pose[2, 3] = -4
+    view = camera_from_pose(pose, 32, 16, 16, 16, 16, 8)
+    every = np.arange(32 * 16, dtype=np.int64)
+    centre = view.rays(view.pixel_centres())
+    position = (view.position + centre * (4 / centre[:, 2:])).astype(np.float32)
+    dark = np.zeros((len(every), 3), dtype=np.float32)
+    gloss = np.zeros(len(every), dtype=np.uint8)
+    new = Samples(every.astype(np.uint32), dark[:, 0], dark, dark, dark, dark, position, gloss)
+    x, y = np.meshgrid(np.arange(-4, 4.125, 0.125), np.arange(-2, 2.125, 0.125))
+    point = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1).astype(np.float32)
+    light = np.ones((len(point), LIGHT), dtype=np.float32)
+    earlier = EarlierView(light, point, np.zeros(len(point), dtype=np.uint8), view.position)
+    found, expected = both(arrays, [earlier], view, new)
+    assert_equal(found, expected)
+    # Four quarters per pixel, each with the point in its upper left corner.
+    assert (found.light[..., 0] == 4).all()
+
+
+def walked(arrays, seed: int) -> list[Reprojected]:
+    """What a long walk reprojects; the discs differ in size, so that the ring wraps around and grows."""
+    rng, known, found = small.rng(seed), EarlierViews(arrays), []
+    for step in range(40):
+        view = eye(rng, 0.02)
+        known.add(remembered(view, rng, 0.1 + 0.9 * (step % 7 == 6)))
+        now = eye(rng, 0.02)
+        found.append(reproject(known, now, disc(now, rng, 0.5, (0.5, 0.5))))
+    return found
+
+
+def test_only_the_last_views_count_however_long_the_walk(arrays):
+    rng, known, last = small.rng(), EarlierViews(arrays), []
+    for step in range(40):
+        view = eye(rng, 0.02)
+        last = [*last, remembered(view, rng, 0.1 + 0.9 * (step % 7 == 6))][-MOST_VIEWS:]
+        known.add(last[-1])
+        assert known.samples == sum(len(view.light) for view in last)
+        now = eye(rng, 0.02)
+        new = disc(now, rng, 0.5, (0.5, 0.5))
+        assert_equal(reproject(known, now, new), plain_reproject(last, now, new))
+
+
+def test_the_same_samples_give_the_same_sums_bit_by_bit(arrays):
+    for one, other in zip(walked(arrays, 3), walked(arrays, 3), strict=True):
+        np.testing.assert_array_equal(one.light, other.light)
+
+
+def test_no_kernel_is_compiled_when_camera_gaze_or_sizes_change(arrays):
+    walked(arrays, 0)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        walked(arrays, 1)
+        kernels = [entry for entry in dr.kernel_history() if entry["type"] == dr.KernelType.JIT]
+    assert kernels
+    assert all(entry["cache_hit"] for entry in kernels)
