@@ -49,6 +49,7 @@ class LiveRenderer(Renderer):
         else:
             underlay = self.underlay(camera, settings, disc)
         clock.lap("underlay")
+        self._relight(settings)
         region, samples = maker.trace(settings.fovea, camera, disc, settings.spp, seed, underlay, quick=True)
         clock.lap("trace")
         fovea = maker.image(settings.fovea, region, samples, None, underlay, quick=True)
@@ -81,6 +82,7 @@ class LiveRenderer(Renderer):
 
     def _refined_fovea(self, frame: Frame, spp: int, seed: int, quick: bool, clock: Clock) -> FoveaImage:
         mode, region, maker = frame.settings.fovea, frame.region, self.fovea_of(frame.settings)
+        self._relight(frame.settings)
         region, samples = maker.trace(mode, frame.camera, region, spp, seed, frame.underlay, quick=True)
         clock.lap("trace")
         fovea = maker.image(mode, region, samples, None, frame.underlay, quick)
@@ -93,6 +95,5 @@ class LiveRenderer(Renderer):
 
     def forget(self) -> None:
         """Drops everything that is known from earlier frames."""
-        for fovea in self._foveas.values():
-            fovea.disc.forget()
+        super().forget()
         self._last_camera = None

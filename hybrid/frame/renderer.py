@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,7 +13,7 @@ from compose.image.colour import Image
 from hybrid.frame.fovea import Fovea
 from hybrid.frame.frame import Frame
 from hybrid.frame.fusion import fusion_of
-from hybrid.frame.irradiance import cache_for
+from hybrid.frame.irradiance import CachedTracer, cache_for, filled_cache
 from hybrid.frame.periphery import Periphery
 from hybrid.frame.settings import DEFAULTS, FrameSettings
 from hybrid.frame.underlay import Underlay
@@ -62,10 +60,12 @@ class Renderer:
         self.periphery = Periphery(device_arrays(), forest)
         self._fusion, self._history, self._roulette_depth = fusion_of(forest), history, roulette_depth
         self._foveas: dict[Integrator, Fovea] = {}
+        self._cached: CachedTracer | None = None
+        self._as_loaded = True
 
     def tracer_of(self, integrator: Integrator) -> Tracer:
         """The scene's tracer with an integrator; `tracer` is the unbiased one."""
-        return self.tracer if integrator is Integrator.PATH else self._cached_tracer
+        return self.tracer if integrator is Integrator.PATH else self._cached_tracer().tracer
 
     def fovea_of(self, settings: FrameSettings) -> Fovea:
         """The fovea of frames with these settings; samples of different integrators are never mixed."""
@@ -74,10 +74,51 @@ class Renderer:
             self._foveas[integrator] = Fovea(self.tracer_of(integrator), self._fusion, self._history)
         return self._foveas[integrator]
 
-    @cached_property
-    def _cached_tracer(self) -> Tracer:
+    def lights_changed(self) -> None:
+        """Says that lights of `scene.mitsuba` changed: brightness or colour, not shape or number.
+
+        Samples of earlier frames are dropped. With the cached integrator, each of the following frames renews
+        a part of the light that is known, until all of it is (`light_renewed`); the first one follows the
+        change roughly. The splats stay as they were trained.
+        """
+        self._as_loaded = False
+        if self._cached is not None:
+            self._cached.lights_changed()
+        self.forget()
+
+    def surfaces_changed(self) -> None:
+        """Says that geometry or materials of `scene.mitsuba` changed.
+
+        Samples of earlier frames are dropped, and the next frame of the cached integrator waits until its
+        cache is filled anew.
+        """
+        self._as_loaded = False
+        self.tracer, self._cached = Tracer(self.scene, roulette_depth=self._roulette_depth), None
+        self.forget()
+        self._foveas.clear()
+
+    @property
+    def light_renewed(self) -> float:
+        """Share, 0 to 1, of the light in the cache that is known as it is after the last change of lights."""
+        return 1.0 if self._cached is None else self._cached.renewed
+
+    def forget(self) -> None:
+        """Drops the samples of earlier frames."""
+        for fovea in self._foveas.values():
+            fovea.disc.forget()
+
+    def _cached_tracer(self) -> CachedTracer:
         """Ends paths in the scene's cache, which is filled now if there is none."""
-        return Tracer(self.scene, roulette_depth=self._roulette_depth, cache=cache_for(self.scene))
+        if self._cached is None:
+            # The stored cache is that of the scene as it was loaded.
+            cache = cache_for(self.scene) if self._as_loaded else filled_cache(self.scene)
+            self._cached = CachedTracer(self.scene, cache, self._roulette_depth)
+        return self._cached
+
+    def _relight(self, settings: FrameSettings) -> None:
+        """Renews a part of the light that is known, if paths end in it and it is old."""
+        if settings.used_integrator is Integrator.CACHED:
+            self._cached_tracer().update()
 
     def frame(self, settings: FrameSettings = DEFAULTS, seed: int = 0) -> Frame:
         """Renders one frame.
@@ -100,6 +141,7 @@ class Renderer:
         clock.lap("splat")
         underlay = self.underlay(camera, settings, disc)
         clock.lap("underlay")
+        self._relight(settings)
         region, samples = maker.trace(settings.fovea, camera, disc, settings.spp, seed, underlay)
         clock.lap("trace")
         fovea = maker.image(settings.fovea, region, samples, periphery, underlay)
@@ -122,6 +164,7 @@ class Renderer:
         disc = settings.foveation.region(camera.width, camera.height)
         underlay = self.underlay(camera, settings, disc)
         maker = self.fovea_of(settings)
+        self._relight(settings)
         region, samples = maker.trace(settings.fovea, camera, disc, settings.spp, seed, underlay)
         surroundings = np.zeros((region.height, region.width, 3), dtype=np.float32)
         return maker.image(settings.fovea, region, samples, surroundings, underlay).radiance

@@ -12,8 +12,11 @@ from safetensors.numpy import load_file, save_file
 
 from compose.base.files import write_whole
 from pathtrace.cache.cache import IrradianceCache
-from pathtrace.cache.cells import SIDES, Cells, Grid
+from pathtrace.cache.cells import SIDES, Cells, Grid, Points
 from pathtrace.cache.lights import LightChoice
+from pathtrace.cache.patches import Patches
+from pathtrace.cache.transfer import Rays, Transfer
+from pathtrace.cache.transport import Transport
 
 
 def stored_cache(path: Path, fill: Callable[[], IrradianceCache]) -> IrradianceCache:
@@ -37,12 +40,26 @@ def stored_cache(path: Path, fill: Callable[[], IrradianceCache]) -> IrradianceC
 def _arrays(cache: IrradianceCache) -> dict[str, NDArray[np.generic]]:
     """A cache as arrays by name."""
     cells, lights = cache.cells, cache.lights
+    transfer, transport = cache.transfer, cache.transfer.transport
     arrays: dict[str, NDArray[np.generic]] = {
         "origin": cells.grid.origin,
         "scale": np.array([cells.grid.scale]),
         "irradiance": cache.irradiance,
         "lights.keys": lights.keys,
         "lights.chances": lights.chances,
+        "points.position": transfer.points.position,
+        "points.normal": transfer.points.normal,
+        "points.patch": transfer.patch,
+        "rays.point": transfer.rays.point,
+        "rays.square": transfer.rays.square,
+        "direct": transfer.direct,
+        "reflected": transfer.reflected,
+        "known": transfer.known,
+        "patches.cells": transport.patches.cells,
+        "patches.rays": transport.rays,
+        "links.starts": transport.starts,
+        "links.cells": transport.cells,
+        "links.reflectance": transport.reflectance,
     }
     for level, (keys, counts) in enumerate(zip(cells.keys, cells.counts, strict=True)):
         arrays |= {f"keys.{level}": keys, f"counts.{level}": counts}
@@ -59,8 +76,36 @@ def _cache(arrays: dict[str, NDArray[np.generic]]) -> IrradianceCache:
     levels = range(len(SIDES))
     keys = tuple(arrays[f"keys.{level}"].astype(np.uint64) for level in levels)
     cells = Cells(grid, keys, tuple(arrays[f"counts.{level}"].astype(np.int64) for level in levels))
-    irradiance = arrays["irradiance"].astype(np.float32)
+    irradiance, transfer = arrays["irradiance"].astype(np.float32), _transfer(arrays)
     if irradiance.shape[1:] != (len(cells), 3) or not np.isfinite(irradiance).all():
         raise ValueError("irradiance does not match the cells")
+    if transfer.known.sum() != len(cells):
+        raise ValueError("transfer does not match the cells")
     names, chances = arrays["lights.keys"].astype(np.uint64), arrays["lights.chances"].astype(np.float32)
-    return IrradianceCache(cells, irradiance, LightChoice(grid, names, chances))
+    return IrradianceCache(cells, irradiance, LightChoice(grid, names, chances), transfer)
+
+
+def _transfer(arrays: dict[str, NDArray[np.generic]]) -> Transfer:
+    """The transfer of `_arrays`.
+
+    Raises:
+        KeyError, ValueError: something is missing, or sizes do not match.
+    """
+    single = lambda name: arrays[name].astype(np.float32)  # noqa: E731
+    whole = lambda name: arrays[name].astype(np.int32)  # noqa: E731
+    known = arrays["known"].astype(bool)
+    patches = Patches(whole("patches.cells"), len(known))
+    links = whole("links.cells"), single("links.reflectance")
+    transport = Transport(patches, whole("patches.rays"), whole("links.starts"), *links)
+    points, rays = Points(single("points.position"), single("points.normal")), whole("rays.point")
+    transfer = Transfer(
+        points,
+        whole("points.patch"),
+        Rays(rays, single("rays.square")),
+        single("direct"),
+        single("reflected"),
+        transport,
+        known,
+    )
+    transfer.check()
+    return transfer

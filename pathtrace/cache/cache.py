@@ -17,9 +17,11 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from pathtrace.cache.aligned import aligned
 from pathtrace.cache.cells import SIDES, Cells, Grid, Points, cell_names_jit
 from pathtrace.cache.lights import LightChoice, LightSamples
 from pathtrace.cache.table import Table, find
+from pathtrace.cache.transfer import Transfer
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +34,16 @@ class IrradianceCache:
         cells: the cells.
         irradiance: (K, C, 3) linear; [n] is that of at most n + 1 segments, the last that of all.
         lights: chances with which paths choose lights.
+        transfer: what it takes to follow lights that change.
+        renewed: share of the work that was done to follow their last change; below 1, some of the light is
+            an estimate from the light before.
     """
 
     cells: Cells
     irradiance: NDArray[np.float32]
     lights: LightChoice
+    transfer: Transfer
+    renewed: float = 1.0
 
     @staticmethod
     def empty(grid: Grid, lights: int) -> IrradianceCache:
@@ -45,11 +52,11 @@ class IrradianceCache:
         nothing = np.zeros(0, dtype=np.int64)
         dark = LightSamples(nothing, nothing, np.zeros(0, dtype=np.float32))
         choice = LightChoice.of(dark, Points.none(), grid, lights)
-        return IrradianceCache(cells, np.zeros((1, 0, 3), dtype=np.float32), choice)
+        return IrradianceCache(cells, np.zeros((1, 0, 3), dtype=np.float32), choice, Transfer.none())
 
     @property
     def bytes(self) -> int:
-        """Memory that it takes."""
+        """Memory that paths read from; `transfer` takes more."""
         return self._table.names.nbytes + self._table.indices.nbytes + self.irradiance.nbytes
 
     @cached_property
@@ -60,10 +67,18 @@ class IrradianceCache:
         """The cache as Dr.Jit arrays, for the Mitsuba scene that it was filled for."""
         steps, cells = (mi.UInt32(size) for size in self.irradiance.shape[:2])
         dr.make_opaque(steps, cells)
-        # One more value, since kernels cannot read from an empty array.
-        channels = (mi.Float(np.append(self.irradiance[..., channel], np.float32(0))) for channel in range(3))
-        known = self.cells.grid.arrays, self._table.arrays, steps, cells, *channels
+        known = self.cells.grid.arrays, self._table.arrays, steps, cells, *aligned(*self._channels())
         return CacheArrays(known, self.lights.arrays(scene))
+
+    def relit(self, arrays: CacheArrays) -> CacheArrays:
+        """The arrays of this cache, given those of the same cells in other light."""
+        known, lights = arrays.irradiance[:-3], arrays.lights[:-2]
+        *channels, chances, sums = aligned(*self._channels(), *self.lights.chance_arrays())
+        return CacheArrays((*known, *channels), (*lights, chances, sums))
+
+    def _channels(self) -> list[NDArray[np.float32]]:
+        # One more value, since kernels cannot read from an empty array.
+        return [np.append(self.irradiance[..., channel], np.float32(0)) for channel in range(3)]
 
 
 @dataclass(frozen=True)

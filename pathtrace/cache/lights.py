@@ -5,7 +5,7 @@ The chances are learnt, as those of Vévoda et al. 2018 are, from the light that
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -13,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from pathtrace.cache.aligned import aligned
 from pathtrace.cache.cells import Grid, Points, cell_names_jit, names_of
 from pathtrace.cache.table import Table, find
 
@@ -70,25 +71,78 @@ class LightChoice:
         numbers = np.bincount(place, minlength=len(key))
         kept = numbers >= _FEWEST * lights
         squares = squares.reshape(len(key), lights)
-        # The chances with the least variance are as the root mean squares.
-        rows = np.sqrt(np.vstack([squares[kept], squares.sum(axis=0)]))
-        total = rows.sum(axis=1, keepdims=True)
-        learnt = np.divide(rows, total, out=np.full_like(rows, 1 / lights), where=total > 0)
-        return LightChoice(grid, key[kept], (_EVEN / lights + (1 - _EVEN) * learnt).astype(np.float32))
+        chances = _chances(np.vstack([squares[kept], squares.sum(axis=0)]))
+        return LightChoice(grid, key[kept], chances.astype(np.float32))
+
+    def rows(self, points: Points) -> NDArray[np.int64]:
+        """(N,) row of the chances at each point."""
+        key = self.grid.keys(points, _LEVEL)
+        row = np.searchsorted(self.keys, key)
+        known = np.append(self.keys, np.uint64(0))[row] == key
+        return np.where(known, row, len(self.keys))
+
+    def learning(self) -> LightLearning:
+        """What new samples, of changed lights, will make of the choice."""
+        return LightLearning(self)
 
     def arrays(self, scene: Any) -> tuple[Any, ...]:
-        """The choice as Dr.Jit arrays for `Lights`: grid, table, rows, chances, running sums, light numbers.
+        """The choice as Dr.Jit arrays for `Lights`: grid, table, rows, light numbers, chances, running sums.
 
         Args:
             scene: the Mitsuba scene whose lights these are.
         """
         table = Table.of(*names_of(self.keys))
-        running = np.cumsum(self.chances, axis=1, dtype=np.float64)
-        running = (running / running[:, -1:]).astype(np.float32)
         rows = mi.UInt32(len(self.keys))
         dr.make_opaque(rows)
-        chances, sums = mi.Float(self.chances.ravel()), mi.Float(running.ravel())
-        return self.grid.arrays, table.arrays, rows, chances, sums, mi.UInt32(light_numbers(scene))
+        numbers = mi.UInt32(light_numbers(scene))
+        return self.grid.arrays, table.arrays, rows, numbers, *aligned(*self.chance_arrays())
+
+    def chance_arrays(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """The last two of `arrays`, not yet Dr.Jit's: all that changes while a choice is learnt."""
+        running = np.cumsum(self.chances, axis=1, dtype=np.float64)
+        running = (running / running[:, -1:]).astype(np.float32)
+        return self.chances, running
+
+
+class LightLearning:
+    """A choice that new samples replace little by little.
+
+    Args:
+        before: the choice before the lights changed.
+    """
+
+    def __init__(self, before: LightChoice):
+        self._before = before
+        self._squares: NDArray[np.float64] = np.zeros_like(before.chances, dtype=float)
+        self._numbers = np.zeros(len(before.chances), dtype=np.int64)
+
+    def add(self, samples: LightSamples, rows: NDArray[np.int64]) -> None:
+        """Adds samples, given the row of the chances at each of the points that they belong to."""
+        count, lights = self._squares.shape
+        row = rows[samples.point]
+        weights = samples.irradiance.astype(float) ** 2
+        squares = np.bincount(row * lights + samples.light, weights, count * lights).reshape(count, lights)
+        numbers = np.bincount(row, minlength=count)
+        # The last row is for all places.
+        squares[-1], numbers[-1] = squares.sum(axis=0), numbers.sum()
+        self._squares += squares
+        self._numbers += numbers
+
+    def choice(self) -> LightChoice:
+        """The choice now; all new in the cells that have as many new samples as a cell must have."""
+        learnt = np.minimum(self._numbers / (_FEWEST * self._squares.shape[1]), 1)[:, None]
+        chances = learnt * _chances(self._squares) + (1 - learnt) * self._before.chances
+        return replace(self._before, chances=chances.astype(np.float32))
+
+
+def _chances(squares: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Chances (R, E) from sums of squared samples."""
+    lights = squares.shape[1]
+    # The chances with the least variance are as the root mean squares.
+    rows = np.sqrt(squares)
+    total = rows.sum(axis=1, keepdims=True)
+    learnt = np.divide(rows, total, out=np.full_like(rows, 1 / lights), where=total > 0)
+    return _EVEN / lights + (1 - _EVEN) * learnt
 
 
 def light_numbers(scene: Any) -> NDArray[np.uint32]:
@@ -109,7 +163,7 @@ class Lights:
 
     def __init__(self, scene: Any, arrays: tuple[Any, ...]):
         self._scene = scene
-        self._grid, self._table, self._rows, self._chances, self._running, self._numbers = arrays
+        self._grid, self._table, self._rows, self._numbers, self._chances, self._running = arrays
         self._count = len(scene.emitters())
         self._emitters = scene.emitters_dr()
 

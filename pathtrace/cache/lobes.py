@@ -17,3 +17,12 @@ def reflects_irradiance(sample: Any) -> Any:
         sample: N Mitsuba BSDF samples.
     """
     return mi.has_flag(sample.sampled_type, mi.BSDFFlags.Diffuse)
+
+
+def shows_lights(flags: Any) -> Any:
+    """Whether surfaces have lobes that show what is in some directions: the others reflect irradiance only.
+
+    Args:
+        flags: N sets of Mitsuba BSDF flags.
+    """
+    return (flags & (mi.BSDFFlags.All & ~mi.BSDFFlags.Diffuse)) != 0

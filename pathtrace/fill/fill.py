@@ -14,8 +14,12 @@ from compose.camera.camera import Camera
 from pathtrace.cache.cache import IrradianceCache
 from pathtrace.cache.cells import SIDES, Cells, Grid, Points
 from pathtrace.cache.lights import LightChoice, LightSamples
+from pathtrace.cache.patches import Patches, sums_by
+from pathtrace.cache.transfer import Rays, Transfer
 from pathtrace.cache.transport import Links, Transport
-from pathtrace.fill.gather import RAYS, Gathered, gather
+from pathtrace.fill.direct import RAYS
+from pathtrace.fill.gather import Gathered, gather
+from pathtrace.fill.segments import segments_beyond_cache
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.surfaces import Surfaces
 from pathtrace.trace.first_hit import first_hits
@@ -66,16 +70,30 @@ def fill_cache(
     every = _concatenated(parts)
     joined = lambda one, other, side: _joined(scene.mitsuba, every, one, other, side)  # noqa: E731
     cells = Cells.of(every, grid, joined)
-    of_points = cells.indices(every)
-    sampled, reflected = (
-        np.concatenate([getattr(part, name) for part in gathered]) for name in ("direct", "reflected")
-    )
-    direct = _cell_means(sampled + _smoothed(reflected, of_points), of_points, len(cells))
-    transport = Transport.of(_links(gathered, cells), of_points, len(cells))
-    irradiance = transport.irradiance(direct, _segments(scene))
+    transfer = _transfer(gathered, every, cells, random)
+    direct = transfer.of_cells(transfer.direct, transfer.reflected)
+    irradiance = transfer.transport.irradiance(direct, segments_beyond_cache(scene))
     progress(total, total)
     lights = LightChoice.of(_light_samples(gathered), every, grid, len(scene.mitsuba.emitters()))
-    return IrradianceCache(cells.only_known(), irradiance[:, cells.known], lights)
+    return IrradianceCache(cells.only_known(), irradiance[:, cells.known], lights, transfer)
+
+
+def _transfer(
+    gathered: Sequence[Gathered], points: Points, cells: Cells, random: np.random.Generator
+) -> Transfer:
+    """What rays from points found, summed over patches; the points in another order."""
+    patches, patch = Patches.of(cells.indices(points), len(cells))
+    transport = Transport.of(_links(gathered, cells), patches, patch)
+    direct = sums_by(patch, _joint(gathered, "direct"), len(patches))
+    region = patches.regions[patch]
+    reflected = sums_by(region, _joint(gathered, "reflected"), int(patches.regions.max()) + 1)
+    order = random.permutation(len(points)).astype(np.int32)
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order), dtype=np.int32)
+    shiny = random.permutation(np.flatnonzero(_joint(gathered, "shiny")))
+    rays = Rays(place[shiny // RAYS], _joint(gathered, "square")[shiny])
+    light = direct.astype(np.float32), reflected.astype(np.float32)
+    return Transfer(points.take(order), patch[order], rays, *light, transport, cells.known)
 
 
 def _seen(
@@ -91,11 +109,6 @@ def _seen(
     coarsest = len(SIDES) - 1
     old = np.isin(grid.keys(hits, coarsest), grid.keys(known, coarsest))
     return hits.take(np.argsort(old, kind="stable")[:count])
-
-
-def _segments(scene: Scene) -> int:
-    """Segments that a path may take beyond the cache: one leads to the first surface, one from there."""
-    return max(1, scene.max_depth - 2) if scene.max_depth >= 0 else -1
 
 
 def _scale(scene: Scene, camera: Camera) -> float:
@@ -123,10 +136,7 @@ def _path_ends(scene: Any, camera: Camera, count: int, seed: int) -> Points:
 def _links(parts: Sequence[Gathered], cells: Cells) -> Links:
     """The rays whose hits lie in cells, and those that left the scene."""
     cell = cells.best(_concatenated([part.hits for part in parts]))
-    valid, bounces, reflectance = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("valid", "bounces", "reflectance")
-    )
+    valid, bounces, reflectance = (_joint(parts, name) for name in ("valid", "bounces", "reflectance"))
     # Rays that hit no cell are left out, as if they had found what the others did.
     kept = np.flatnonzero(~valid | (cell >= 0))
     cell = np.where(valid, cell, -1)
@@ -144,27 +154,9 @@ def _light_samples(parts: Sequence[Gathered]) -> LightSamples:
     return LightSamples(np.concatenate(points), light, irradiance)
 
 
-def _smoothed(values: NDArray[np.float32], cells: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Values (N, 3) at points, each replaced by the mean over its largest cell.
-
-    Lights seen in mirrors and through glass are found rarely, and are very bright then: no small cell has
-    enough samples of them.
-    """
-    largest = cells.max(axis=0)  # the levels' indices ascend
-    alone = largest < 0
-    _, cell, count = np.unique(largest, return_inverse=True, return_counts=True)
-    sums = np.stack([np.bincount(cell, channel) for channel in values.T], axis=1)
-    means = (sums / count[:, None]).astype(np.float32)[cell]
-    return np.where(alone[:, None], values, means)
-
-
-def _cell_means(values: NDArray[np.float32], cells: NDArray[np.int64], count: int) -> NDArray[np.float32]:
-    """(C, 3) means over cells of values (N, 3) at points whose cells (levels, N) are given."""
-    level, point = np.nonzero(cells >= 0)
-    cell = cells[level, point]
-    number = np.maximum(np.bincount(cell, minlength=count), 1)
-    sums = [np.bincount(cell, channel[point], count) for channel in values.T]
-    return (np.stack(sums, axis=1) / number[:, None]).astype(np.float32)
+def _joint(parts: Sequence[Gathered], name: str) -> NDArray[Any]:
+    """Values of all parts, one after the other."""
+    return np.concatenate([getattr(part, name) for part in parts])
 
 
 def _concatenated(parts: Sequence[Points]) -> Points:

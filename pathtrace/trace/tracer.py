@@ -100,6 +100,11 @@ class Tracer:
         self._trace_radiance = Frozen(self._radiance if self._known is None else self._cached_radiance)
         self._trace_auxiliary = Frozen(self._auxiliary)
 
+    def relight(self, cache: IrradianceCache) -> None:
+        """Lets paths end in other light of the cache that this tracer was made with."""
+        if self._known is not None:
+            self._known = cache.relit(self._known)
+
     def trace(
         self,
         camera: Camera,

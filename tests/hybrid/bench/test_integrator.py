@@ -2,33 +2,13 @@
 
 from __future__ import annotations
 
+import mitsuba as mi
 import numpy as np
 import pytest
 
-from hybrid.bench.integrator import BLOCK, bench_integrator, relative_errors
+from hybrid.bench.integrator import bench_integrator
 from pathtrace.scene.scene import load_scene
 from tests import small
-
-
-def test_errors_are_those_of_mean_and_blocks():
-    truth = np.ones((2 * BLOCK + 5, 3 * BLOCK, 3))
-    image = truth.copy()
-    image[:BLOCK, BLOCK : 2 * BLOCK] *= 1.5
-    image[-5:, :BLOCK] *= 0.25
-    found = relative_errors(image, truth)
-    area = (0.5 * BLOCK**2 - 0.75 * 5 * BLOCK) / truth[..., 0].size
-    assert found["mean"] == pytest.approx(area)
-    assert found["worst_block"] == pytest.approx(0.75)
-    assert found["p95_block"] < 0.75
-
-
-def test_black_blocks_have_no_relative_error():
-    truth = np.zeros((BLOCK, 2 * BLOCK, 3))
-    assert relative_errors(truth, truth) == {"mean": 0.0, "worst_block": 0.0, "p95_block": 0.0}
-    truth[:, :BLOCK] = 2
-    image = truth.copy()
-    image[:, BLOCK:] = 1
-    assert relative_errors(image, truth)["worst_block"] == 0
 
 
 def test_a_room_is_traced_with_less_noise_and_little_bias(backend):
@@ -51,6 +31,17 @@ def test_a_room_is_traced_with_less_noise_and_little_bias(backend):
         assert row["p95_block"] <= row["worst_block"] < 0.05
     assert found["cache"]["cells"] > 100
     assert found["cache"]["bytes"] < 200 << 20
+    assert found["cache"]["transfer_bytes"] < 200 << 20
+    assert 0 < found["cache"]["look_up_ns"] < 1e5
+    bias = {row["cache"]: row["squared_bias"] for row in found["relighting"]["rows"]}
+    assert list(bias) == [
+        "stale",
+        *(f"{n} updates" for n in (1, 5, 15, 35)),
+        *(f"fresh {n}" for n in (1, 2, 3)),
+    ]
+    assert bias["1 updates"] < 0.1 * bias["stale"]
+    assert bias["35 updates"] < 2 * max(bias[f"fresh {n}"] for n in (1, 2, 3))
+    assert found["relighting"]["update_ms"]["p50"] > 0
     assert steps[-1][0] == steps[-1][1]
 
 
@@ -59,3 +50,12 @@ def test_a_black_view_has_no_error(backend):
     found = bench_integrator(scene, scene.camera, 16, 3, lambda done, total: None)
     assert all(row["squared_error"] == 0 for row in found["rows"])
     assert all(row["mean"] == 0 for row in found["bias"])
+
+
+def test_a_lamp_that_was_dimmed_is_put_back(backend):
+    scene = load_scene(small.corner())
+    strength = lambda: [value for key, value in mi.traverse(scene.mitsuba) if key.endswith("radiance.value")]  # noqa: E731
+    before = np.array(strength()[0])
+    found = bench_integrator(scene, scene.camera, 16, 1, lambda done, total: None)
+    assert len(found["relighting"]["rows"]) == 8
+    np.testing.assert_array_equal(strength()[0], before)

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import mitsuba as mi
 import numpy as np
 import pytest
 
 from hybrid.frame import irradiance
+from hybrid.frame import renderer as renderer_module
 from hybrid.frame.irradiance import cache_for
 from hybrid.frame.live import LiveRenderer
 from hybrid.frame.renderer import Renderer
 from hybrid.frame.settings import FrameSettings
 from hybrid.store.cache import scene_folder
+from pathtrace.fill.fill import fill_cache
+from pathtrace.scene.scene import load_scene
 from pathtrace.trace.integrator import Integrator
+from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
 
@@ -68,3 +73,99 @@ def test_forgetting_drops_the_samples_of_every_integrator(scene, forest):
     live.forget()
     for one in Integrator:
         assert live.frame(settings(scene, integrator=one), 1).fovea.samples.count.mean() == 8
+
+
+@pytest.fixture
+def lamp(monkeypatch):
+    """A scene of its own, whose cache is filled quickly; and what sets the radiance of its lamp."""
+    quick = lambda scene, *_: fill_cache(scene, [scene.camera], points=1 << 13)  # noqa: E731
+    for module in (irradiance, renderer_module):
+        monkeypatch.setattr(module, "filled_cache", quick)
+    scene = load_scene(small.corner())
+    return scene, lambda radiance: set_colours(scene, "emitter.radiance.value", radiance)
+
+
+def set_colours(scene, name: str, value: float) -> None:
+    """Sets all parameters whose names end in this."""
+    parameters = mi.traverse(scene.mitsuba)
+    for key in [key for key, _ in parameters if key.endswith(name)]:
+        parameters[key] = type(parameters[key])(value)
+    parameters.update()
+
+
+def mean(renderer, scene, integrator: Integrator = Integrator.CACHED) -> float:
+    """Mean radiance of several frames."""
+    chosen = settings(scene, integrator=integrator)
+    return float(np.mean([renderer.frame(chosen, seed).fovea.radiance.mean() for seed in range(6)]))
+
+
+def test_frames_follow_a_lamp_that_is_dimmed_and_stay_biased(lamp, forest):
+    scene, set_lamp = lamp
+    renderer = Renderer(scene, forest)
+    before = mean(renderer, scene)
+    assert renderer.light_renewed == 1
+    set_lamp(6.0)
+    renderer.lights_changed()
+    assert renderer.light_renewed == 0
+    frame = renderer.frame(settings(scene, integrator=Integrator.CACHED))
+    assert 0 < renderer.light_renewed < 0.1
+    assert not frame.settings.is_unbiased
+    assert mean(renderer, scene) == pytest.approx(0.5 * before, rel=0.03)
+    while renderer.light_renewed < 1:
+        renderer.frame(settings(scene, integrator=Integrator.CACHED))
+    assert mean(renderer, scene) == pytest.approx(0.5 * before, rel=0.03)
+
+
+def test_unbiased_frames_renew_no_light(lamp, forest):
+    scene, set_lamp = lamp
+    renderer = Renderer(scene, forest)
+    renderer.tracer_of(Integrator.CACHED)
+    set_lamp(6.0)
+    renderer.lights_changed()
+    renderer.frame(settings(scene))
+    assert renderer.light_renewed == 0
+
+
+def test_the_stored_cache_stays_that_of_the_scene_as_it_was_loaded(lamp, forest):
+    scene, set_lamp = lamp
+    file = scene_folder(scene.name, scene.hash) / "irradiance.safetensors"
+    early = Renderer(scene, forest)
+    set_lamp(6.0)
+    early.lights_changed()
+    dim = mean(early, scene)
+    assert not file.exists()
+    set_lamp(12.0)
+    late = Renderer(scene, forest)
+    assert mean(late, scene) == pytest.approx(2 * dim, rel=0.05)
+    stored = file.read_bytes()
+    set_lamp(6.0)
+    late.lights_changed()
+    assert mean(late, scene) == pytest.approx(dim, rel=0.05)
+    assert file.read_bytes() == stored
+
+
+def test_changed_surfaces_fill_the_cache_again_at_the_next_frame(lamp, forest):
+    scene, _ = lamp
+    renderer = Renderer(scene, forest)
+    before, tracer = mean(renderer, scene), renderer.tracer_of(Integrator.CACHED)
+    set_colours(scene, "reflectance.value", 0.1)
+    renderer.surfaces_changed()
+    after = mean(renderer, scene)
+    assert after < 0.7 * before
+    assert after == pytest.approx(mean(renderer, scene, Integrator.PATH), rel=0.03)
+    assert renderer.tracer_of(Integrator.CACHED) is not tracer
+
+
+def test_old_samples_of_the_fovea_are_dropped_when_lights_change(lamp, forest):
+    scene, set_lamp = lamp
+    live = LiveRenderer(scene, forest)
+    for one in Integrator:
+        live.frame(settings(scene, integrator=one), 0)
+    set_lamp(6.0)
+    live.lights_changed()
+    for one in Integrator:
+        frame = live.frame(settings(scene, integrator=one), 1)
+        assert frame.fovea.samples.count.mean() == 8
+    renewed = live.light_renewed
+    live.refined(frame, 1, 2, quick=True)
+    assert live.light_renewed > renewed > 0

@@ -9,6 +9,7 @@ from safetensors.numpy import load_file, save_file
 from compose.base.errors import UserError
 from hybrid.store.irradiance import stored_cache
 from pathtrace.cache.cache import IrradianceCache
+from pathtrace.cache.transfer import Transfer
 from pathtrace.fill.fill import fill_cache
 from pathtrace.scene.scene import load_scene
 from tests import small
@@ -24,12 +25,24 @@ def never() -> IrradianceCache:
     raise AssertionError("filled again")
 
 
+def parts(transfer: Transfer) -> list[np.ndarray]:
+    points, rays, transport = transfer.points, transfer.rays, transfer.transport
+    return [
+        *(points.position, points.normal, transfer.patch, rays.point, rays.square),
+        *(transfer.direct, transfer.reflected, transfer.known),
+        *(transport.patches.cells, transport.rays, transport.starts, transport.cells, transport.reflectance),
+    ]
+
+
 def assert_same(one: IrradianceCache, other: IrradianceCache) -> None:
     np.testing.assert_array_equal(one.irradiance, other.irradiance)
     np.testing.assert_array_equal(one.lights.keys, other.lights.keys)
     np.testing.assert_array_equal(one.lights.chances, other.lights.chances)
     np.testing.assert_array_equal(one.cells.grid.origin, other.cells.grid.origin)
     assert one.cells.grid.scale == other.cells.grid.scale
+    for mine, yours in zip(parts(one.transfer), parts(other.transfer), strict=True):
+        np.testing.assert_array_equal(mine, yours)
+        assert mine.dtype == yours.dtype
     ours, theirs = ((*cells.keys, *cells.counts) for cells in (one.cells, other.cells))
     for mine, yours in zip(ours, theirs, strict=True):
         np.testing.assert_array_equal(mine, yours)
@@ -42,7 +55,7 @@ def test_a_cache_is_filled_once_and_is_the_same_after_a_file(cache, tmp_path):
     assert_same(stored_cache(file, never), cache)
 
 
-@pytest.mark.parametrize("damage", ["truncated", "missing", "short", "infinite"])
+@pytest.mark.parametrize("damage", ["truncated", "missing", "short", "infinite", "links", "known"])
 def test_a_damaged_file_is_replaced(cache, tmp_path, damage):
     file = tmp_path / "a.safetensors"
     stored_cache(file, lambda: cache)
@@ -52,6 +65,10 @@ def test_a_damaged_file_is_replaced(cache, tmp_path, damage):
     else:
         if damage == "missing":
             del arrays["keys.1"]
+        elif damage == "links":
+            arrays["links.cells"] = np.ascontiguousarray(arrays["links.cells"][1:])
+        elif damage == "known":
+            arrays["known"] = np.zeros_like(arrays["known"])
         elif damage == "short":
             arrays["irradiance"] = np.ascontiguousarray(arrays["irradiance"][:, 1:])
         else:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 
 from pathtrace.cache.cache import IrradianceCache, look_up
 from pathtrace.cache.cells import SIDES, Cells, Grid, Points
+from pathtrace.cache.transfer import Transfer
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")
@@ -29,6 +32,7 @@ def floor(backend) -> IrradianceCache:
         cells,
         np.repeat(values[..., None], 3, axis=2).astype(np.float32),
         IrradianceCache.empty(grid, 1).lights,
+        Transfer.none(),
     )
 
 
@@ -86,7 +90,7 @@ def test_larger_cells_answer_where_no_small_one_is_known(floor):
         (floor.cells.keys[0][:0], *floor.cells.keys[1:]),
         (floor.cells.counts[0][:0], *floor.cells.counts[1:]),
     )
-    cache = IrradianceCache(sparse, floor.irradiance[:, len(floor.cells.keys[0]) :], floor.lights)
+    cache = replace(floor, cells=sparse, irradiance=floor.irradiance[:, len(floor.cells.keys[0]) :])
     points = queries()
     for level in (1, 2):
         known, irradiance = asked(cache, points, 1.01 * (SIDES[level] * SCALE) ** 2)

@@ -56,6 +56,29 @@ def test_chances_follow_what_lights_give_and_miss_none():
     assert learnt[0] == pytest.approx(3 * learnt[1], rel=1e-4)
 
 
+def test_rows_are_those_of_the_cells_and_the_last_elsewhere():
+    points = Points(np.stack([FAR, NEAR, NEAR, NEAR]), np.stack([UP, UP, -UP, UP]))
+    np.testing.assert_array_equal(choice().rows(points), [1, 0, 1, 0])
+
+
+def test_new_samples_replace_a_choice_little_by_little():
+    before = choice()
+    learning = before.learning()
+    np.testing.assert_array_equal(learning.choice().chances, before.chances)
+    seen = []
+    for _ in range(4):
+        light = np.arange(128) % 4
+        irradiance = np.where(light == 3, 2.0, 0.0).astype(np.float32)
+        learning.add(LightSamples(np.arange(128) % 2, light, irradiance), np.array([0, 0]))
+        seen.append(learning.choice().chances)
+        np.testing.assert_allclose(seen[-1].sum(axis=1), 1, rtol=1e-5)
+    # 256 samples are enough for a cell; all samples count for the other places.
+    assert before.chances[0, 3] < seen[0][0, 3] < seen[1][0, 3]
+    np.testing.assert_allclose(seen[1][0], [0.05, 0.05, 0.05, 0.85], rtol=1e-5)
+    np.testing.assert_allclose(seen[3], seen[1], rtol=1e-5)
+    np.testing.assert_array_equal(learning.choice().keys, before.keys)
+
+
 def test_few_samples_or_no_light_give_equal_or_common_chances():
     few = LightSamples(np.zeros(20, dtype=int), np.zeros(20, dtype=int), np.ones(20, dtype=np.float32))
     points = Points(NEAR[None], UP[None])

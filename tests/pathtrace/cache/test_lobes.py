@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from pathtrace.cache.lobes import reflects_irradiance
+from pathtrace.cache.lobes import reflects_irradiance, shows_lights
 
 pytestmark = pytest.mark.usefixtures("backend")
 
@@ -37,3 +37,11 @@ def test_only_diffuse_lobes_do(bsdf, share):
         assert 0.1 < found < 0.99
     else:
         assert found == share
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("diffuse", False), ("conductor", True), ("dielectric", True), ("roughplastic", True)],
+)
+def test_all_but_diffuse_surfaces_may_show_lights(name, expected):
+    assert shows_lights(mi.load_dict({"type": name}).flags()) is expected

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pathtrace.cache.patches import Patches
 from pathtrace.cache.transport import Links, Transport
 from tests import small
 
@@ -43,7 +44,7 @@ def twin(links: Links, cells: np.ndarray, direct: np.ndarray, segments: int) -> 
 def test_light_is_passed_on_as_ray_by_ray():
     links, cells = random_links()
     direct = small.rng(1).uniform(0, 2, (CELLS, 3)).astype(np.float32)
-    found = Transport.of(links, cells, CELLS).irradiance(direct, 3)
+    found = Transport.of(links, *Patches.of(cells, CELLS)).irradiance(direct, 3)
     assert found.shape == (3, CELLS, 3)
     for segments in (1, 2, 3):
         np.testing.assert_allclose(found[segments - 1], twin(links, cells, direct, segments), rtol=1e-5)
@@ -54,7 +55,8 @@ def test_a_cell_that_sees_itself_is_a_geometric_series(most, steps):
     links = Links(
         np.zeros(4, dtype=int), np.zeros(4, dtype=int), np.zeros(4, dtype=int), np.full((4, 3), 0.5)
     )
-    found = Transport.of(links, np.zeros((1, 1), dtype=int), 1).irradiance(np.ones((1, 3), np.float32), most)
+    transport = Transport.of(links, *Patches.of(np.zeros((1, 1), dtype=int), 1))
+    found = transport.irradiance(np.ones((1, 3), np.float32), most)
     assert found.shape == (steps, 1, 3)
     assert found[0, 0, 0] == pytest.approx(1)
     last = most if most > 0 else 50

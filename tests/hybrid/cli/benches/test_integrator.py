@@ -23,10 +23,22 @@ def test_both_integrators_are_compared(monkeypatch, tmp_path, capsys):
     assert found["machine"]
     shown = capsys.readouterr().out.splitlines()
     assert shown[0].startswith(f"cache: {found['cache']['cells']:,} cells")
-    assert [line.split()[:2] for line in shown[2:6]] == [
+    assert "ns per look-up" in shown[1]
+    assert [line.split()[:2] for line in shown[3:7]] == [
         ["path", "1"],
         ["cached", "1"],
         ["path", "4"],
         ["cached", "4"],
     ]
-    assert [line.split()[0] for line in shown[7:]] == ["path", "cached"]
+    assert [line.split()[0] for line in shown[8:10]] == ["path", "cached"]
+    assert "per update" in shown[10]
+    assert [line.split()[0] for line in shown[12:]] == [
+        "stale",
+        "1",
+        "5",
+        "15",
+        "35",
+        "fresh",
+        "fresh",
+        "fresh",
+    ]

@@ -1,0 +1,124 @@
+"""Light from lights at points on surfaces: directly, and by way of mirrors, glossy surfaces and glass.
+
+A cache is filled with it, and follows lights that change by sampling it anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from pathtrace.cache.lobes import reflects_irradiance, shows_lights
+
+# Samples from each point, towards lights and towards other surfaces; a square, for they are stratified.
+_STRATA = 2
+RAYS = _STRATA**2
+# Mirrors and glass surfaces that a ray passes at most.
+_MOST_BOUNCES = 6
+
+
+@dataclass(frozen=True)
+class Followed:
+    """What M rays found that were followed through mirrors, glossy surfaces and glass.
+
+    Attributes:
+        radiance: of the lights on the way, but for one that was hit first.
+        hit: the last surface.
+        side: normal of its lit side.
+        valid: whether it reflects irradiance.
+        shiny: whether the first surface may show lights.
+        bounces: number of surfaces before the last one.
+        reflectance: that of the last one times theirs; 0 where it is not valid.
+    """
+
+    radiance: Any
+    hit: Any
+    side: Any
+    valid: Any
+    shiny: Any
+    bounces: Any
+    reflectance: Any
+
+
+def surface_at(position: Any, normal: Any) -> Any:
+    """Mitsuba interactions at points with unit normals of the lit side."""
+    at = dr.zeros(mi.SurfaceInteraction3f, dr.width(position))
+    at.p, at.n, at.t = position, mi.Normal3f(normal), mi.Float(1)
+    at.sh_frame = mi.Frame3f(at.n)
+    return at
+
+
+def stratified(sampler: Any, lane: Any) -> Any:
+    """Random points in the unit square, spread evenly over each RAYS lanes."""
+    row, column = (lane % RAYS) // _STRATA, lane % _STRATA
+    return mi.Point2f((column + sampler.next_1d()) / _STRATA, (row + sampler.next_1d()) / _STRATA)
+
+
+def lit(scene: Any, at: Any, square: Any, active: Any) -> tuple[Any, Any]:
+    """Irradiance at points by one shadow ray each, and the numbers by which kernels know the lights.
+
+    Args:
+        scene: a Mitsuba scene.
+        at: from `surface_at`.
+        square: where on the lights, each light with the same chance.
+        active: mask of the points.
+    """
+    light, emitted = scene.sample_emitter_direction(at, square, True, active)
+    cosine = dr.maximum(dr.dot(light.d, at.n), 0)
+    irradiance = _finite(dr.select(active & (light.pdf > 0), emitted * cosine, 0))
+    return irradiance, dr.reinterpret_array(mi.UInt32, light.emitter)
+
+
+def followed(scene: Any, sampler: Any, at: Any, square: Any, active: Any) -> Followed:
+    """Rays from points, in directions that a square stands for, cosine-weighted around the normal."""
+    ray = at.spawn_ray(at.to_world(mi.warp.square_to_cosine_hemisphere(square)))
+    radiance, *found = _followed(scene, sampler, ray, mi.Bool(active))
+    return Followed(_finite(radiance), *found)
+
+
+def _finite(light: Any) -> Any:
+    """Light, black where it is not finite: it would spoil its cell's mean."""
+    return dr.select(dr.all(dr.isfinite(light)), light, 0)
+
+
+@dr.syntax
+def _followed(scene: Any, sampler: Any, ray: Any, active: Any) -> tuple[Any, ...]:
+    """The attributes of `Followed`, in their order."""
+    context = mi.BSDFContext()
+    hit, side = dr.zeros(mi.SurfaceInteraction3f), mi.Normal3f(0)
+    throughput, radiance = mi.Color3f(1), mi.Color3f(0)
+    valid, shiny, bounces = mi.Bool(False), mi.Bool(False), mi.UInt32(0)
+    before, pdf, specular = dr.zeros(mi.SurfaceInteraction3f), mi.Float(1), mi.Bool(True)
+    while active:
+        hit = scene.ray_intersect(ray, active)
+        emitter = hit.emitter(scene)
+        # What is seen directly was sampled as a light.
+        shines = active & (bounces > 0) & (emitter != None)  # noqa: E711
+        found = mi.DirectionSample3f(scene, hit, before)
+        other = scene.pdf_emitter_direction(before, found, shines & ~specular)
+        weight = dr.select(specular, 1, pdf / (pdf + other))
+        radiance += dr.select(shines, throughput * weight * emitter.eval(hit, shines), 0)
+        active &= hit.is_valid()
+        bsdf = hit.bsdf()
+        shiny |= active & (bounces == 0) & shows_lights(bsdf.flags())
+        lobe, direction = sampler.next_1d(active), sampler.next_2d(active)
+        sample, reflected = bsdf.sample(context, hit, lobe, direction, active)
+        passes = active & ~reflects_irradiance(sample) & (dr.max(reflected) > 0)
+        valid |= active & ~passes
+        side = dr.select(dr.dot(hit.n, ray.d) < 0, hit.n, -hit.n)
+        specular = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+        # Small lights are hardly ever found in a glossy surface by chance.
+        glossy = passes & ~specular
+        light, emitted = scene.sample_emitter_direction(hit, sampler.next_2d(glossy), True, glossy)
+        value, scatter_pdf = bsdf.eval_pdf(context, hit, hit.to_local(light.d), glossy)
+        share = dr.select(light.delta, 1, light.pdf / (light.pdf + scatter_pdf))
+        radiance += dr.select(glossy & (light.pdf > 0), throughput * value * emitted * share, 0)
+        throughput = dr.select(active, throughput * reflected, throughput)
+        before, pdf = hit, sample.pdf
+        active = passes & (bounces < _MOST_BOUNCES)
+        ray = dr.select(active, hit.spawn_ray(hit.to_world(sample.wo)), ray)
+        bounces = dr.select(active, bounces + 1, bounces)
+    return radiance, hit, side, valid, shiny, bounces, dr.select(valid, throughput, 0)
