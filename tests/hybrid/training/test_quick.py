@@ -37,7 +37,13 @@ def made(monkeypatch, forest):
     """Notes captures and trainings in place of doing them."""
     notes = []
 
-    def capture(scene, folder, settings, progress):
+    def cache_for(scene, bars):
+        with bars("irradiance (steps)") as bar:
+            bar(5, 6)
+        return "cache"
+
+    def capture(scene, folder, settings, progress, cache):
+        assert cache == "cache"
         progress(1, 2)
         notes.append(("capture", folder, settings))
         return "frames"
@@ -47,6 +53,7 @@ def made(monkeypatch, forest):
         notes.append(("train", path, settings, frames))
         return forest
 
+    monkeypatch.setattr(module, "cache_for", cache_for)
     monkeypatch.setattr(module, "capture", capture)
     monkeypatch.setattr(module, "train", train)
     return notes
@@ -97,7 +104,7 @@ def test_the_bars_of_the_caller_are_used(scene, made):
         yield lambda done, total: None
 
     forest_for(scene, None, noting)
-    assert titles == ["capture (samples)", "train (steps)"]
+    assert titles == ["irradiance (steps)", "capture (samples)", "train (steps)"]
 
 
 def test_quick_settings_take_minutes():
@@ -121,5 +128,5 @@ def test_quick_settings_have_the_seed_that_was_asked_for(scene, forest, made, tm
     capture, train = made
     assert capture == ("capture", tmp_path / "frames-7", replace(QUICK_CAPTURE, seed=7))
     assert train == ("train", tmp_path / "quick-7.safetensors", replace(QUICK_TRAINING, seed=7), "frames")
-    assert bars == [("capture (samples)", 1, 2), ("train (steps)", 3, 4)]
+    assert bars == [("irradiance (steps)", 5, 6), ("capture (samples)", 1, 2), ("train (steps)", 3, 4)]
     assert newest_forest(scene).name == "quick-7.safetensors"
