@@ -57,26 +57,47 @@ def stratified(sampler: Any, lane: Any) -> Any:
     return mi.Point2f((column + sampler.next_1d()) / _STRATA, (row + sampler.next_1d()) / _STRATA)
 
 
-def lit(scene: Any, at: Any, square: Any, active: Any) -> tuple[Any, Any]:
-    """Irradiance at points by one shadow ray each, and the numbers by which kernels know the lights.
+def lit(scene: Any, at: Any, square: Any, other: Any, active: Any) -> tuple[Any, Any, Any]:
+    """Irradiance at points from lights, by one shadow ray each and one ray that may hit a light.
+
+    A lamp that touches a point is hardly ever sampled where it does, and then outshines all others; rays in
+    any direction find it there. The two are weighed against each other (Veach and Guibas 1995).
 
     Args:
         scene: a Mitsuba scene.
         at: from `surface_at`.
         square: where on the lights, each light with the same chance.
+        other: where the other ray's direction lies, cosine-weighted around the normal.
         active: mask of the points.
+
+    Returns:
+        The irradiance, the part of it by shadow rays, and the numbers by which kernels know their lights.
     """
     light, emitted = scene.sample_emitter_direction(at, square, True, active)
     cosine = dr.maximum(dr.dot(light.d, at.n), 0)
-    irradiance = _finite(dr.select(active & (light.pdf > 0), emitted * cosine, 0))
-    return irradiance, dr.reinterpret_array(mi.UInt32, light.emitter)
+    share = dr.select(light.delta, 1, light.pdf / (light.pdf + cosine * dr.inv_pi))
+    sampled = _finite(dr.select(active & (light.pdf > 0), emitted * cosine * share, 0))
+    registered = dr.reinterpret_array(mi.UInt32, light.emitter)
+    if all(mi.has_flag(one.flags(), mi.EmitterFlags.Delta) for one in scene.emitters()):
+        # No ray hits such a light.
+        return sampled, sampled, registered
+    hit = scene.ray_intersect(_ray(at, other), active)
+    emitter, found = hit.emitter(scene), mi.DirectionSample3f(scene, hit, at)
+    shines = active & (emitter != None)  # noqa: E711
+    pdf = dr.maximum(dr.dot(found.d, at.n), 0) * dr.inv_pi
+    share = pdf / (pdf + scene.pdf_emitter_direction(at, found, shines))
+    hits = _finite(dr.select(shines, dr.pi * share * emitter.eval(hit, shines), 0))
+    return sampled + hits, sampled, registered
 
 
 def followed(scene: Any, sampler: Any, at: Any, square: Any, active: Any) -> Followed:
     """Rays from points, in directions that a square stands for, cosine-weighted around the normal."""
-    ray = at.spawn_ray(at.to_world(mi.warp.square_to_cosine_hemisphere(square)))
-    radiance, *found = _followed(scene, sampler, ray, mi.Bool(active))
+    radiance, *found = _followed(scene, sampler, _ray(at, square), mi.Bool(active))
     return Followed(_finite(radiance), *found)
+
+
+def _ray(at: Any, square: Any) -> Any:
+    return at.spawn_ray(at.to_world(mi.warp.square_to_cosine_hemisphere(square)))
 
 
 def _finite(light: Any) -> Any:

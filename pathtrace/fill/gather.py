@@ -20,9 +20,9 @@ class Gathered:
     """What RAYS rays from each of N points found; M = N * RAYS.
 
     Attributes:
-        direct: (N, 3) irradiance from lights, by shadow rays.
+        direct: (N, 3) irradiance from lights.
         reflected: (N, 3) irradiance from lights that is seen in mirrors, glossy surfaces and glass.
-        lights: the samples of lights.
+        lights: the samples of lights, by shadow rays.
         hits: the M points that rays hit.
         valid: (M,) whether a ray hit a surface that scatters light.
         shiny: (M,) whether the surface that it hit first may show lights.
@@ -58,10 +58,10 @@ def gather(scene: Any, points: Points, seed: int) -> Gathered:
     at = surface_at(
         dr.gather(mi.Point3f, position, lane // RAYS), dr.gather(mi.Normal3f, normal, lane // RAYS)
     )
-    direct, registered = lit(scene, at, stratified(sampler, lane), mi.Bool(True))
-    sampled = dr.mean(direct)
-    square = stratified(sampler, lane)
-    found = followed(scene, sampler, at, square, mi.Bool(True))
+    square, active = stratified(sampler, lane), mi.Bool(True)
+    direct, by_shadow_rays, registered = lit(scene, at, stratified(sampler, lane), square, active)
+    sampled = dr.mean(by_shadow_rays)
+    found = followed(scene, sampler, at, square, active)
     position, side = found.hit.p, mi.Vector3f(found.side)
     sums = [*direct, *(dr.pi * found.radiance)]
     flags = found.valid, found.shiny, found.bounces, found.reflectance

@@ -101,8 +101,9 @@ class Resampling:
         at = surface_at(
             dr.gather(mi.Point3f, position, point, active), dr.gather(mi.Normal3f, normal, point, active)
         )
-        irradiance, registered = lit(scene, at, stratified(sampler, lane), active)
-        samples = [*irradiance, dr.mean(irradiance), registered]
+        squares = stratified(sampler, lane), stratified(sampler, lane)
+        irradiance, by_shadow_rays, registered = lit(scene, at, *squares, active)
+        samples = [*irradiance, dr.mean(by_shadow_rays), registered]
         dr.eval(samples)
         means = [dr.block_sum(channel, RAYS) / RAYS for channel in samples[:3]]
         dr.eval(means)

@@ -73,14 +73,26 @@ def test_rays_that_leave_the_scene_hit_nothing():
     assert (found.reflectance == 0).all()
 
 
-def test_the_samples_of_lights_add_up_to_direct_light():
-    scene = mi.load_dict(small.corner())
+def test_the_samples_of_a_light_that_no_ray_hits_add_up_to_direct_light():
+    lamp = {"type": "point", "position": [0, 0, 0], "intensity": {"type": "rgb", "value": 3.0}}
+    scene = mi.load_dict({**small.corner(), "lamp": lamp})
     points = Points(np.tile(np.float32([0, 0, 1.99]), (50, 1)), np.tile(np.float32([0, 0, -1]), (50, 1)))
     found = gather(scene, points, 4)
     sums = np.bincount(found.lights.point, found.lights.irradiance) / RAYS
     np.testing.assert_allclose(sums, found.direct.mean(axis=1), rtol=1e-5)
     assert (found.lights.light == 0).all()
-    assert sums.mean() > 0
+    assert sums.mean() == pytest.approx(3.0 / 1.99**2, rel=1e-4)
+
+
+def test_a_lamp_that_touches_the_points_gives_pi_times_its_radiance_without_outliers():
+    place = mi.ScalarTransform4f().translate([0, 1e-3, 0]).rotate([1, 0, 0], 90)
+    emitter = {"type": "area", "radiance": {"type": "rgb", "value": 2.0}}
+    scene = mi.load_dict(
+        {"type": "scene", "lamp": {"type": "rectangle", "to_world": place, "emitter": emitter}}
+    )
+    found = gather(scene, floor_points(2000), 5)
+    assert found.direct.mean() == pytest.approx(2 * np.pi, rel=0.01)
+    assert found.direct.max() < 3 * np.pi
 
 
 def test_the_same_seed_gives_the_same_rays():
