@@ -24,6 +24,10 @@ _RATE = 4e-3
 _CHANGED = 0.25
 _CHANGED_IN_NOISE = 0.05
 _TELLING = 4
+# Least squared error that a patch is thought to have: relative to the reference's noise, which hides smaller
+# ones, and as one that nobody sees; else black patches would outweigh all others.
+_CERTAINTY = 0.05
+_INVISIBLE = 1e-5
 
 
 def fit(
@@ -68,13 +72,15 @@ def fit(
 
 
 def _loss(fusion: Fusion, patches: Tensor, parents: Sequence[Parents]) -> Tensor:
-    """Mean logarithm of the squared error of patches (N, STACK.total, H, W) of examples with N parents.
+    """Mean squared error of patches (N, STACK.total, H, W), each relative to what it is now.
 
-    The noise of the references adds the same to the error of any network: it makes patches count for less.
+    Its gradient is that of the logarithm of the error without the reference's noise.
     """
-    radiance = estimated(fusion, patches, parents)
-    error = ((perceived(radiance) - STACK.parts(patches)["target"]) ** 2).mean((1, 2, 3))  # (N,)
-    return torch.log(error + 1e-6).mean()
+    images = STACK.parts(patches)
+    error = ((perceived(estimated(fusion, patches, parents)) - images["target"]) ** 2).mean((1, 2, 3))  # (N,)
+    noise = (images["noise"] ** 2).mean((1, 2, 3))
+    without = torch.maximum(error.detach() - noise, _CERTAINTY * noise) + _INVISIBLE
+    return (error / without).mean()
 
 
 def _patch(stack: Tensor, rng: np.random.Generator) -> Tensor:

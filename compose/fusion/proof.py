@@ -28,8 +28,9 @@ TRIAL_ITERATIONS = 500
 # Trials are compared in blocks of this many pixels, each relative to the better parent's error there: views
 # and parts of views in which all errors are large must not decide alone.
 _BLOCK = 64
-# Least such error, relative to the mean over all blocks: noise may leave next to nothing, or less.
-_LEAST_ERROR = 0.25
+# Least such error, relative to the squared difference of the parents in the block, and to its mean over all
+# blocks: the noise of the reference, which that difference does not have, may leave nothing, or less.
+_LEAST_ERROR, _LEAST_OF_ALL = 0.25, 0.05
 # Shares are searched for in steps of 1 / _STEPS.
 _STEPS = 20
 
@@ -152,9 +153,14 @@ def _tried(of_views: dict[int, _Errors]) -> tuple[NDArray[np.float64], float]:
 
 def _relative(of_views: dict[int, _Errors]) -> dict[int, _Errors]:
     """Errors (B, M, M) of each view over the better parent's in each block."""
-    better = {view: np.minimum(e[:, 1, 1], e[:, 2, 2]) for view, e in of_views.items()}
-    floor = max(_LEAST_ERROR * float(np.concatenate(list(better.values())).mean()), 1e-9)
-    return {view: e / np.maximum(better[view], floor)[:, None, None] for view, e in of_views.items()}
+    apart = {view: e[:, 1, 1] + e[:, 2, 2] - 2 * e[:, 1, 2] for view, e in of_views.items()}
+    floor = max(_LEAST_OF_ALL * float(np.concatenate(list(apart.values())).mean()), 1e-9)
+    found = {}
+    for view, e in of_views.items():
+        better = np.minimum(e[:, 1, 1], e[:, 2, 2])
+        scale = np.maximum(np.maximum(better, _LEAST_ERROR * apart[view]), floor)
+        found[view] = e / scale[:, None, None]
+    return found
 
 
 def _best(mean: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -6,14 +6,17 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from compose.fusion.features import perceived, perceived_slope
 from compose.fusion.maps import as_batch
 from compose.image.colour import Image
 
 # Most that one pixel's noise may count for, in perceived radiance: a single path of a rare kind must not
-# outweigh a whole patch.
+# outweigh a whole patch. What exceeds it is spread over a window of this many pixels, since the light that
+# few paths find would otherwise be missing.
 _MOST_NOISE = 1.0
+_WINDOW = 33
 
 
 @dataclass(frozen=True)
@@ -37,8 +40,14 @@ class Reference:
         """
         base = as_batch(self.denoised)[0].clamp(min=0)
         seen, slope = perceived(base), perceived_slope(base)
-        one, other = (
-            seen + (slope * (as_batch(half)[0] - base)).clamp(-_MOST_NOISE, _MOST_NOISE)
-            for half in self.halves
-        )
+        one, other = (seen + _tamed(slope * (as_batch(half)[0] - base)) for half in self.halves)
         return torch.lerp(one, other, 0.5), (one - other) / 2
+
+
+def _tamed(noise: Tensor) -> Tensor:
+    """Noise (3, H, W) without large values, but with the same local mean."""
+    kept = noise.clamp(-_MOST_NOISE, _MOST_NOISE)
+    excess = (noise - kept)[None]
+    if not bool(excess.any()):
+        return kept
+    return kept + functional.avg_pool2d(excess, _WINDOW, 1, _WINDOW // 2, count_include_pad=False)[0]

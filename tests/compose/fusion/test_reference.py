@@ -32,13 +32,18 @@ def test_squared_errors_are_those_against_the_truth_whatever_the_noise(spread):
     assert float(with_noise.mean() - expected.mean()) > 4 * standard_error
 
 
-def test_a_single_bright_path_counts_for_no_more_than_a_pixel():
-    truth = np.full((8, 8, 3), 0.5, dtype=np.float32)
+def test_a_single_bright_path_is_spread_over_its_neighbourhood():
+    """Nothing of its light is lost, and nothing reaches further than half a window."""
+    truth = np.full((101, 101, 3), 0.5, dtype=np.float32)
     bright = truth.copy()
-    bright[3, 4] = 1e6
-    target, noise = Reference(truth, (bright, truth)).targets()
-    assert float((target - perceived(torch.tensor(0.5))).abs().max()) == pytest.approx(0.5)
-    assert float(noise.abs().max()) == pytest.approx(0.5)
+    bright[50, 50] = 1000
+    target, _ = Reference(truth, (bright, truth)).targets()
+    change = target - perceived(torch.tensor(0.5))
+    expected = float(perceived_slope(torch.tensor(0.5))) * 999.5 / 2
+    assert float(change[0].sum()) == pytest.approx(expected, rel=1e-3)
+    assert float(change.max()) < 1
+    rows, columns = torch.nonzero(change[0].abs() > 1e-5, as_tuple=True)
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (34, 66, 34, 66)
 
 
 def test_noise_free_halves_leave_no_noise():
