@@ -15,7 +15,7 @@ from compose.image.colour import Image
 from hybrid.frame.disc import DiscImages, parents_of
 from hybrid.frame.disc_tracer import DiscRequest, DiscTracer
 from hybrid.frame.underlay import Underlay
-from hybrid.runtime.threads import torch_alone
+from hybrid.runtime.threads import torch_working_on
 from pathtrace.trace.tracer import Tracer
 
 
@@ -123,7 +123,7 @@ class Fovea:
         if underlay is None:
             raise ValueError("a fused fovea requires the splats under the disc")
         parents = parents_of(region, samples, underlay, quick)
-        with torch_alone():
+        with torch_working_on(parents.count.size):
             fused = fuse(parents, self._fusion)
         radiance, denoised, weights = (
             rectangle.gathered(image) for image in (fused.radiance, parents.denoised, fused.weights)
