@@ -39,6 +39,8 @@ _TAILS = 20.0
 # than the network's estimate; and how strongly their noise speaks against that.
 _TELLING_COUNT = 32
 _CAUTION = 24.0
+# Splats to which the network gives less weight than this show a scene that has changed since their training.
+_TRUSTED = 0.2
 _IMAGES = ("traced", "denoised", "splat", "albedo", "normal", "variance", "count")
 
 
@@ -76,15 +78,18 @@ def _first_estimate(
         return statistical(traced, denoised, splat, images["variance"])
     shares = shares_at(fusion.shares, parents.quick, images["count"], parents.enlargement)
     network, denoised_share, splat_share = shares.split(1, 1)  # (1, 1, H, W) each
-    radiance = denoised_share * denoised + splat_share * splat
-    weights = torch.cat([torch.zeros_like(network), denoised_share, splat_share], 1)
-    if not bool(network.any()):
-        return radiance, weights
+    if not bool((network + splat_share).any()):
+        return denoised, torch.cat([network, denoised_share, splat_share], 1)
     enlargement, quick = (torch.tensor([float(value)]) for value in (parents.enlargement, parents.quick))
     auxiliary = images["albedo"], images["normal"]
     features = features_of([*three, *auxiliary], images["count"], enlargement, quick)
     estimate, of_estimate = mixture(fusion(features), three, features.texture)
-    return radiance + network * estimate, weights + network * of_estimate
+    # What the network sees to be of another world is not shown beside its estimate either.
+    doubted = splat_share * (1 - of_estimate[:, 2:3] / _TRUSTED).clamp(min=0)
+    network, splat_share = network + doubted, splat_share - doubted
+    radiance = network * estimate + denoised_share * denoised + splat_share * splat
+    weights = torch.cat([torch.zeros_like(network), denoised_share, splat_share], 1)
+    return radiance, weights + network * of_estimate
 
 
 def _as_image(batch: Tensor, height: int, width: int) -> Image:

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from compose.fusion.combination import fuse, regressed, statistical, trust
+from compose.fusion.network import Fusion
 from compose.fusion.parents import Parents
 from tests.compose.fusion.examples import cropped, error, example, radiance_of, random_fusion
 
@@ -100,7 +101,7 @@ def test_a_parent_that_a_fusion_shows_alone_is_shown(index, name):
     """Of unknown variance, so that the samples cannot object."""
     given = example(2, 2).parents
     given = replace(given, variance=np.full_like(given.variance, np.inf))
-    fusion = random_fusion()
+    fusion = Fusion()
     fusion.shares[:] = torch.eye(3)[index]
     fused = fuse(given, fusion)
     np.testing.assert_allclose(fused.radiance, getattr(given, name), rtol=1e-5)
@@ -110,7 +111,7 @@ def test_a_parent_that_a_fusion_shows_alone_is_shown(index, name):
 def test_shares_mix_the_network_with_both_parents():
     given = example(2, 2).parents
     given = replace(given, variance=np.full_like(given.variance, np.inf))
-    network, mixed = random_fusion(), random_fusion()
+    network, mixed = Fusion(), Fusion()
     mixed.shares[:] = torch.tensor([0.5, 0.2, 0.3])
     alone, fused = fuse(given, network), fuse(given, mixed)
     expected = 0.5 * alone.radiance + 0.2 * given.denoised + 0.3 * given.splat

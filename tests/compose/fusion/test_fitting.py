@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -51,6 +52,19 @@ def test_splats_of_another_world_are_noticed(fitted):
     moved = replace(given.parents, splat=np.roll(given.parents.splat, 20, axis=0))
     fused = fuse(moved, fitted)
     assert error(fused.radiance, radiance_of(given)) < error(given.parents.denoised, radiance_of(given)) + 0.2
+
+
+def test_a_share_of_the_splats_does_not_bring_another_world_back(fitted):
+    """No worse than the network alone by more than 0.5 dB; the plain mixture would be, by far."""
+    given = example(12, 16)
+    unknown = np.full_like(given.parents.variance, np.inf)
+    moved = replace(given.parents, splat=np.roll(given.parents.splat, 20, axis=0), variance=unknown)
+    sharing = deepcopy(fitted)
+    sharing.shares[:] = torch.tensor([0.5, 0.0, 0.5])
+    alone, shared = (fuse(moved, fusion).radiance for fusion in (fitted, sharing))
+    right = radiance_of(given)
+    assert error(shared, right) < error(alone, right) + 0.5
+    assert error(0.5 * (alone + moved.splat), right) > error(alone, right) + 5
 
 
 def test_a_fitted_network_does_not_train_further(fitted):
