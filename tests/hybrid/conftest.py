@@ -2,9 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import partial
+
 import pytest
 
+from hybrid.frame import irradiance
+from pathtrace.fill.fill import fill_cache
 from tests.hybrid.command import TINY_CAPTURE, TINY_TRAINING, run
+
+
+@pytest.fixture(scope="session", autouse=True)
+def small_caches() -> Iterator[None]:
+    """Caches of few points, which suffice for small scenes: many tests have a cache folder of their own."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setattr(irradiance, "fill_cache", partial(fill_cache, points=1 << 13))
+        yield
 
 
 @pytest.fixture

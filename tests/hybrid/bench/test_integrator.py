@@ -7,11 +7,15 @@ import numpy as np
 import pytest
 
 from hybrid.bench.integrator import bench_integrator
+from hybrid.frame import irradiance
+from pathtrace.fill.fill import fill_cache
 from pathtrace.scene.scene import load_scene
 from tests import small
 
 
-def test_a_room_is_traced_with_less_noise_and_little_bias(backend):
+def test_a_room_is_traced_with_less_noise_and_little_bias(backend, monkeypatch):
+    # As many points as in use.
+    monkeypatch.setattr(irradiance, "fill_cache", fill_cache)
     scene = load_scene("room")
     steps = []
     found = bench_integrator(
