@@ -24,9 +24,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from compose.fusion.features import features_of
+from compose.fusion.estimate import estimated
 from compose.fusion.maps import as_batch, box_mean, enlarged, halved, luminance, padded_to_even, variance_of
-from compose.fusion.network import Fusion, mixture
+from compose.fusion.network import Fusion
 from compose.fusion.parents import PARENTS, Fused, Parents
 from compose.fusion.shares import shares_at
 from compose.image.colour import Image
@@ -73,17 +73,14 @@ def _first_estimate(
     images: Mapping[str, Tensor], parents: Parents, fusion: Fusion | None
 ) -> tuple[Tensor, Tensor]:
     """Radiance and weights (1, 3, H, W) by the network, or without one by statistics."""
-    traced, denoised, splat = three = [images[name] for name in PARENTS]
+    traced, denoised, splat = (images[name] for name in PARENTS)
     if fusion is None:
         return statistical(traced, denoised, splat, images["variance"])
     shares = shares_at(fusion.shares, parents.quick, images["count"], parents.enlargement)
     network, denoised_share, splat_share = shares.split(1, 1)  # (1, 1, H, W) each
     if not bool((network + splat_share).any()):
         return denoised, torch.cat([network, denoised_share, splat_share], 1)
-    enlargement, quick = (torch.tensor([float(value)]) for value in (parents.enlargement, parents.quick))
-    auxiliary = images["albedo"], images["normal"]
-    features = features_of([*three, *auxiliary], images["count"], enlargement, quick)
-    estimate, of_estimate = mixture(fusion(features), three, features.texture)
+    estimate, of_estimate = estimated(fusion, images, [parents])
     # What the network sees to be of another world is not shown beside its estimate either.
     doubted = splat_share * (1 - of_estimate[:, 2:3] / _TRUSTED).clamp(min=0)
     network, splat_share = network + doubted, splat_share - doubted

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
 from compose.fusion.channels import Channels
-from compose.fusion.features import features_of
 from compose.fusion.maps import as_batch
-from compose.fusion.network import Fusion, mixture
 from compose.fusion.parents import PARENTS, Parents
 from compose.fusion.reference import Reference
 
@@ -42,20 +38,3 @@ class Example:
         images = {name: as_batch(getattr(self.parents, name))[0] for name in names}
         target, noise = self.reference.targets()
         return STACK.stacked({**images, "target": target, "noise": noise})
-
-
-def estimated(fusion: Fusion, stacks: Tensor, parents: Sequence[Parents]) -> Tensor:
-    """Radiance (N, 3, H, W) by the network.
-
-    Args:
-        fusion: the network.
-        stacks: (N, STACK.total, H, W) parts of examples.
-        parents: of these N examples, for what is the same in all of their pixels.
-    """
-    images = STACK.parts(stacks)
-    three = [images[name] for name in PARENTS]
-    enlargement = torch.tensor([float(one.enlargement) for one in parents])
-    quick = torch.tensor([float(one.quick) for one in parents])
-    auxiliary = images["albedo"], images["normal"]
-    features = features_of([*three, *auxiliary], images["count"], enlargement, quick)
-    return mixture(fusion(features), three, features.texture)[0]

@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from compose.fusion.examples import STACK, Example, estimated
+from compose.fusion.estimate import estimated
+from compose.fusion.examples import STACK, Example
 from compose.fusion.features import perceived
 from compose.fusion.network import Fusion
 from compose.fusion.parents import Parents
@@ -77,7 +78,8 @@ def _loss(fusion: Fusion, patches: Tensor, parents: Sequence[Parents]) -> Tensor
     Its gradient is that of the logarithm of the error without the reference's noise.
     """
     images = STACK.parts(patches)
-    error = ((perceived(estimated(fusion, patches, parents)) - images["target"]) ** 2).mean((1, 2, 3))  # (N,)
+    radiance, _ = estimated(fusion, images, parents)
+    error = ((perceived(radiance) - images["target"]) ** 2).mean((1, 2, 3))  # (N,)
     noise = (images["noise"] ** 2).mean((1, 2, 3))
     without = torch.maximum(error.detach() - noise, _CERTAINTY * noise) + _INVISIBLE
     return (error / without).mean()

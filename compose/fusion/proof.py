@@ -17,7 +17,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from compose.fusion.examples import STACK, Example, estimated
+from compose.fusion.estimate import estimated
+from compose.fusion.examples import STACK, Example
 from compose.fusion.features import perceived
 from compose.fusion.fitting import fit
 from compose.fusion.network import Fusion
@@ -53,9 +54,9 @@ class Proof:
 _Errors = NDArray[np.float64]
 
 
-def trials(examples: Sequence[Example]) -> int:
-    """Number of trial networks that `prove` fits; none if there is only one view to learn from and to try."""
-    return 2 if len({example.view for example in examples}) > 1 else 0
+def trials(views: int) -> int:
+    """Number of trial networks for a number of views; none if there is only one to learn from and to try."""
+    return 2 if views > 1 else 0
 
 
 def prove(examples: Sequence[Example], seed: int, progress: Callable[[int, int], None]) -> Proof:
@@ -68,7 +69,7 @@ def prove(examples: Sequence[Example], seed: int, progress: Callable[[int, int],
     """
     views = sorted({example.view for example in examples})
     halves = set(views[::2]), set(views[1::2])
-    total = TRIAL_ITERATIONS * trials(examples)
+    total = TRIAL_ITERATIONS * trials(len(views))
     cells: dict[Cell, dict[int, list[_Errors]]] = defaultdict(lambda: defaultdict(list))
     for number, tried in enumerate(halves):
         learnt = [example for example in examples if example.view not in tried]
@@ -99,12 +100,10 @@ def _cell(example: Example) -> Cell:
 def _errors(fusion: Fusion, example: Example) -> _Errors:
     """(B, M, M) unbiased products of errors in perceived radiance, mean over each block of an example."""
     stack = example.stack()[None]
-    images = STACK.parts(stack)
     with torch.inference_mode():
         height, width = (side - side % 2 for side in stack.shape[-2:])
-        stack = stack[..., :height, :width]
-        images = STACK.parts(stack)
-        mixed = estimated(fusion, stack, [example.parents]), images["denoised"], images["splat"]
+        images = STACK.parts(stack[..., :height, :width])
+        mixed = estimated(fusion, images, [example.parents])[0], images["denoised"], images["splat"]
         errors = torch.cat([perceived(image.clamp(min=0)) - images["target"] for image in mixed])
         products = torch.einsum("ichw,jchw->ijhw", errors, errors) / 3
         products = products - (images["noise"] ** 2).mean(1)

@@ -47,7 +47,7 @@ def with_fusion(frames: FrameSet, forest: Forest, seed: int, progress: Callable[
     examples = list(_examples(frames, forest, np.random.default_rng(seed)))
     if not examples:
         return forest
-    total = ITERATIONS + TRIAL_ITERATIONS * trials(examples)
+    total = fusion_steps(frames)
     proof = prove(examples, seed, lambda done, _: progress(done, total))
     fusion = fit(examples, seed, lambda done, _: progress(total - ITERATIONS + done, total))
     fusion.shares.copy_(torch.from_numpy(proof.shares))
@@ -58,7 +58,7 @@ def with_fusion(frames: FrameSet, forest: Forest, seed: int, progress: Callable[
 def fusion_steps(frames: FrameSet) -> int:
     """Number of steps that `with_fusion` takes."""
     views = {number for number, _ in _usable(frames)}
-    return (ITERATIONS if views else 0) + (2 * TRIAL_ITERATIONS if len(views) > 1 else 0)
+    return ITERATIONS + TRIAL_ITERATIONS * trials(len(views)) if views else 0
 
 
 def fusion_verdicts(forest: Forest) -> list[dict[str, Any]]:

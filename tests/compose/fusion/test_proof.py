@@ -36,8 +36,8 @@ def useless(monkeypatch) -> list[int]:
         progress(iterations, iterations)
         return Fusion()
 
-    def noise(fusion, stacks, parents) -> torch.Tensor:
-        return torch.rand(len(stacks), 3, *stacks.shape[-2:], generator=torch.Generator().manual_seed(0))
+    def noise(fusion, images, parents) -> tuple[torch.Tensor, None]:
+        return torch.rand(images["splat"].shape, generator=torch.Generator().manual_seed(0)), None
 
     monkeypatch.setattr(module, "fit", fit)
     monkeypatch.setattr(module, "estimated", noise)
@@ -95,7 +95,7 @@ def test_every_view_is_tried_by_a_network_that_has_not_seen_it(useless):
 
 def test_one_view_alone_proves_nothing(useless):
     one = [with_parents(0, 0.05, 0.05), with_parents(0, 0.05, 0.05, 4)]
-    assert trials(one) == 0
+    assert trials(1) == 0
     found = prove(one, 0, ignore)
     assert not useless
     assert (found.gains == 0).all()
