@@ -260,7 +260,7 @@ def test_a_moving_gaze_or_camera_is_not_recorded_frame_by_frame(cached):
 
     for step in range(12):
         frame(step)
-    # Kernels depend on where arrays begin in memory, which may differ once.
+    # Once more at most: a replay is sometimes refused, for a reason that is not known yet.
     assert tracer._trace_radiance.n_recordings <= 2
     assert tracer._trace_auxiliary.n_recordings <= 2
 
