@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import gc
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from pathtrace.base.backend import Backend, select_backend
+from pathtrace.base.collector import collector_paused
 
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared"
 
@@ -21,6 +24,14 @@ def arrays(backend):
     from hybrid.runtime.device import device_arrays
 
     return device_arrays()
+
+
+@pytest.fixture
+def only_scenes_in_use() -> Iterator[None]:
+    """No scene is freed meanwhile: each one in memory is part of what a frozen function was recorded with."""
+    gc.collect()
+    with collector_paused():
+        yield
 
 
 def real_file(relative: str) -> Path:

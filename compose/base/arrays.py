@@ -46,17 +46,6 @@ class Arrays:
         """
         return dr.opaque(self.plain.UInt, value)
 
-    def uploaded(self, kind: Any, values: NDArray[Any]) -> Any:
-        """Flat array of a kind, from a copy of numbers in host memory that have the kind's size.
-
-        The same kernels serve all such arrays; those that share numpy's memory may be aligned in any way.
-        """
-        memory = np.empty(values.nbytes + _ALIGNMENT, dtype=np.uint8)
-        start = -memory.ctypes.data % _ALIGNMENT
-        aligned = memory[start : start + values.nbytes].view(values.dtype)
-        aligned[:] = values.reshape(-1)
-        return kind(aligned)
-
     def from_torch(self, tensor: torch.Tensor) -> Any:
         """Differentiable flat Float of a tensor's elements; shares the memory of a contiguous tensor."""
         return self.ad.Float(tensor.detach().reshape(-1).contiguous())
@@ -107,3 +96,15 @@ class Arrays:
             order = step if order is None else dr.gather(self.plain.UInt, order, step)
             shift += bits
         return order
+
+
+def uploaded(kind: Any, values: NDArray[Any]) -> Any:
+    """Flat array of a kind, from a copy of numbers in host memory that have the kind's size.
+
+    The same kernels serve all such arrays; those that share numpy's memory may be aligned in any way.
+    """
+    memory = np.empty(values.nbytes + _ALIGNMENT, dtype=np.uint8)
+    start = -memory.ctypes.data % _ALIGNMENT
+    aligned = memory[start : start + values.nbytes].view(values.dtype)
+    aligned[:] = values.reshape(-1)
+    return kind(aligned)

@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.arrays import Arrays
+from compose.base.arrays import Arrays, uploaded
 from compose.fovea.light import LIGHT
 from compose.fovea.samples import Floats
 
@@ -142,11 +142,11 @@ class EarlierViews:
 
     def _write(self, view: EarlierView, number: int, start: int) -> None:
         """Copies a view's samples to the device, from an index on."""
-        plain, upload = self.arrays.plain, self.arrays.uploaded
+        plain = self.arrays.plain
         size = len(view.light)
         row = dr.arange(plain.UInt, size)
-        position, light = upload(plain.Float, view.position), upload(plain.Float, view.light)
-        tag = upload(plain.UInt, view.gloss.astype(np.uint32)) | self.arrays.number(number << _GLOSS_BITS)
+        position, light = uploaded(plain.Float, view.position), uploaded(plain.Float, view.light)
+        tag = uploaded(plain.UInt, view.gloss.astype(np.uint32)) | self.arrays.number(number << _GLOSS_BITS)
         place = [dr.gather(plain.Float, position, row * 3 + i) for i in range(3)]
         slot = self._slot(row + self.arrays.number(start))
         self._scatter(plain.ArrayXf([*place, plain.Float(tag)]), self._packet(light, LIGHT, row), slot)

@@ -14,7 +14,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.arrays import Arrays
+from compose.base.arrays import Arrays, uploaded
 from compose.camera.camera import Camera
 from compose.fovea.earlier import EarlierViews, Places
 from compose.fovea.light import LIGHT
@@ -206,7 +206,7 @@ def _compared(views: EarlierViews, place: Places, sight: list[Any], camera: Came
     """
     plain, viewpoints = views.arrays.plain, views.viewpoints()
     same = (np.abs(viewpoints - camera.position) < _SAME_VIEWPOINT).all(axis=1)
-    table = views.arrays.uploaded(plain.Float64, np.column_stack([viewpoints, same]))
+    table = uploaded(plain.Float64, np.column_stack([viewpoints, same]))
     *origin, certain = dr.gather(plain.ArrayXf64, table, place.view, shape=(4, dr.width(place.view)))
     before = _relative(views.arrays, place, origin)
     # Compared by their squares, which takes no root; both cosines are positive.

@@ -8,7 +8,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from compose.base.arrays import Arrays
+from compose.base.arrays import Arrays, uploaded
 from compose.camera.camera import Camera
 from compose.fovea.samples import Samples
 from compose.image.gloss import SPECULAR
@@ -72,16 +72,16 @@ class VisibleSurfaces:
 
 def _sampled(arrays: Arrays, camera: Camera, new: Samples, target: Any, size: int) -> Any:
     """Flat Float of `size` pixels: distance of what a sample hits, or -1; and 1 if that is specular."""
-    plain, upload = arrays.plain, arrays.uploaded
+    plain = arrays.plain
     index = dr.arange(plain.UInt, len(new.pixels))
-    position = upload(plain.Float, new.position)
+    position = uploaded(plain.Float, new.position)
     eye = [dr.opaque(plain.Float64, value) for value in camera.position.tolist()]
     sight = [plain.Float64(dr.gather(plain.Float, position, index * 3 + i)) - eye[i] for i in range(3)]
     distance = plain.Float(dr.sqrt(sum(side * side for side in sight)))
-    specular = dr.select(upload(plain.UInt, new.gloss.astype(np.uint32)) == SPECULAR, plain.Float(1), 0)
+    specular = dr.select(uploaded(plain.UInt, new.gloss.astype(np.uint32)) == SPECULAR, plain.Float(1), 0)
     table = dr.full(plain.Float, -1, _SAMPLED * size)
     values = plain.ArrayXf([distance, specular])
-    dr.scatter(table, values, upload(plain.UInt, target), mode=dr.ReduceMode.Permute)
+    dr.scatter(table, values, uploaded(plain.UInt, target), mode=dr.ReduceMode.Permute)
     dr.eval(table)
     return table
 

@@ -19,7 +19,8 @@ class Frozen:
     one for the interpreter's, for ever. So dataclasses pass as plain tuples. And a garbage collection that
     frees a Mitsuba scene during a recording aborts the process. So there is none meanwhile.
 
-    What the function takes from elsewhere than its arguments is part of the recording for good.
+    What the function takes from elsewhere than its arguments is part of the recording for good. Of scenes,
+    everything in memory is: if another one is loaded or freed, the function is recorded once more.
 
     Args:
         function: takes and returns Dr.Jit arrays, Mitsuba's types, and dataclasses, tuples, lists and dicts

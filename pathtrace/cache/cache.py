@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from pathtrace.cache.aligned import aligned
+from compose.base.arrays import uploaded
 from pathtrace.cache.cells import SIDES, Cells, Grid, Points, cell_names_jit
 from pathtrace.cache.lights import LightChoice, LightSamples
 from pathtrace.cache.table import Table, find
@@ -67,18 +67,19 @@ class IrradianceCache:
         """The cache as Dr.Jit arrays, for the Mitsuba scene that it was filled for."""
         steps, cells = (mi.UInt32(size) for size in self.irradiance.shape[:2])
         dr.make_opaque(steps, cells)
-        known = self.cells.grid.arrays, self._table.arrays, steps, cells, *aligned(*self._channels())
+        known = self.cells.grid.arrays, self._table.arrays, steps, cells, *self._channels()
         return CacheArrays(known, self.lights.arrays(scene))
 
     def relit(self, arrays: CacheArrays) -> CacheArrays:
         """The arrays of this cache, given those of the same cells in other light."""
         known, lights = arrays.irradiance[:-3], arrays.lights[:-2]
-        *channels, chances, sums = aligned(*self._channels(), *self.lights.chance_arrays())
-        return CacheArrays((*known, *channels), (*lights, chances, sums))
+        return CacheArrays((*known, *self._channels()), (*lights, *self.lights.chance_arrays()))
 
-    def _channels(self) -> list[NDArray[np.float32]]:
+    def _channels(self) -> list[Any]:
+        """Irradiance of each channel; all that changes with the light."""
         # One more value, since kernels cannot read from an empty array.
-        return [np.append(self.irradiance[..., channel], np.float32(0)) for channel in range(3)]
+        channels = (np.append(self.irradiance[..., channel], np.float32(0)) for channel in range(3))
+        return [uploaded(mi.Float, values) for values in channels]
 
 
 @dataclass(frozen=True)

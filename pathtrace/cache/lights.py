@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from pathtrace.cache.aligned import aligned
+from compose.base.arrays import uploaded
 from pathtrace.cache.cells import Grid, Points, cell_names_jit, names_of
 from pathtrace.cache.table import Table, find
 
@@ -37,6 +37,18 @@ class LightSamples:
     point: NDArray[np.int64]
     light: NDArray[np.int64]
     irradiance: NDArray[np.float32]
+
+    def sums(self, places: NDArray[np.int64], count: int, lights: int) -> tuple[NDArray[Any], NDArray[Any]]:
+        """For each of R = `count` places: sums of squares by light (R, E), and numbers of samples (R,).
+
+        Args:
+            places: (M,) index of each sample's place.
+            count: number of places.
+            lights: E, number of lights.
+        """
+        weights = self.irradiance.astype(float) ** 2
+        squares = np.bincount(places * lights + self.light, weights=weights, minlength=count * lights)
+        return squares.reshape(count, lights), np.bincount(places, minlength=count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +77,8 @@ class LightChoice:
         """
         key, cell = np.unique(grid.keys(points, _LEVEL), return_inverse=True)
         place = cell[samples.point]
-        squares = np.bincount(
-            place * lights + samples.light, samples.irradiance.astype(float) ** 2, len(key) * lights
-        )
-        numbers = np.bincount(place, minlength=len(key))
+        squares, numbers = samples.sums(place, len(key), lights)
         kept = numbers >= _FEWEST * lights
-        squares = squares.reshape(len(key), lights)
         chances = _chances(np.vstack([squares[kept], squares.sum(axis=0)]))
         return LightChoice(grid, key[kept], chances.astype(np.float32))
 
@@ -95,13 +103,13 @@ class LightChoice:
         rows = mi.UInt32(len(self.keys))
         dr.make_opaque(rows)
         numbers = mi.UInt32(light_numbers(scene))
-        return self.grid.arrays, table.arrays, rows, numbers, *aligned(*self.chance_arrays())
+        return self.grid.arrays, table.arrays, rows, numbers, *self.chance_arrays()
 
-    def chance_arrays(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """The last two of `arrays`, not yet Dr.Jit's: all that changes while a choice is learnt."""
+    def chance_arrays(self) -> tuple[Any, Any]:
+        """The last two of `arrays`: all that changes while a choice is learnt."""
         running = np.cumsum(self.chances, axis=1, dtype=np.float64)
         running = (running / running[:, -1:]).astype(np.float32)
-        return self.chances, running
+        return uploaded(mi.Float, self.chances), uploaded(mi.Float, running)
 
 
 class LightLearning:
@@ -119,10 +127,7 @@ class LightLearning:
     def add(self, samples: LightSamples, rows: NDArray[np.int64]) -> None:
         """Adds samples, given the row of the chances at each of the points that they belong to."""
         count, lights = self._squares.shape
-        row = rows[samples.point]
-        weights = samples.irradiance.astype(float) ** 2
-        squares = np.bincount(row * lights + samples.light, weights, count * lights).reshape(count, lights)
-        numbers = np.bincount(row, minlength=count)
+        squares, numbers = samples.sums(rows[samples.point], count, lights)
         # The last row is for all places.
         squares[-1], numbers[-1] = squares.sum(axis=0), numbers.sum()
         self._squares += squares

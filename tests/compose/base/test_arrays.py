@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from compose.base.arrays import Arrays
+from compose.base.arrays import Arrays, uploaded
 
 
 def test_a_number_is_read_from_memory(arrays):
@@ -28,13 +28,13 @@ def test_backends_have_their_own_types():
 @pytest.mark.parametrize("start", range(5))
 def test_uploaded_numbers_are_copies_at_aligned_addresses(arrays, start):
     numbers = np.arange(40, dtype=np.float32)[start:]
-    array = arrays.uploaded(arrays.plain.Float, numbers.reshape(-1, 1))
+    array = uploaded(arrays.plain.Float, numbers.reshape(-1, 1))
     wanted = numbers.tolist()
     numbers[:] = 0
     assert array.numpy().tolist() == wanted
     # On a GPU, numpy sees a copy.
     assert arrays.backend == "cuda" or array.numpy().ctypes.data % 64 == 0
-    assert dr.width(arrays.uploaded(arrays.plain.UInt, np.zeros(0, dtype=np.uint32))) == 0
+    assert dr.width(uploaded(arrays.plain.UInt, np.zeros(0, dtype=np.uint32))) == 0
 
 
 def test_tensors_go_there_and_back(arrays):

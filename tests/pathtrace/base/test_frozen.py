@@ -107,6 +107,20 @@ def test_scenes_and_interactions_pass_as_they_are():
     assert frozen.n_recordings == drjits_own.n_recordings == 2
 
 
+def test_other_scenes_in_memory_are_part_of_a_recording(only_scenes_in_use):
+    scene = mi.load_dict(small.corner())
+    frozen = Frozen(lambda scene, x: scene.ray_intersect(mi.Ray3f(0, mi.Vector3f(x, 0, 1))).t)
+    x = dr.linspace(mi.Float, 0, 0.3, 64)
+    dr.eval(x)
+    expected = frozen(scene, x)
+    other = mi.load_dict(small.corner())
+    assert_alike(frozen(scene, x), expected)
+    assert frozen.n_recordings == 2
+    del other
+    assert_alike(frozen(scene, x), expected)
+    assert frozen.n_recordings == 2
+
+
 def test_the_collector_runs_after_an_error():
     def failing(value: Any) -> Any:
         assert not gc.isenabled()
