@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,3 +49,24 @@ def merged(one: Samples, other: Samples) -> Samples:
     share = (other.count / np.maximum(count, 1e-6))[:, None]
     mean = lambda name: getattr(one, name) * (1 - share) + getattr(other, name) * share  # noqa: E731
     return replace(one, count=count, radiance=mean("radiance"), squares=mean("squares"))
+
+
+def averaged_features(one: Samples, other: Samples, share: Floats) -> Samples:
+    """The first samples, with albedo and normal averaged over both; `share` (D,) is the other's."""
+    part = share[:, None]
+    mean = lambda name: getattr(one, name) * (1 - part) + getattr(other, name) * part  # noqa: E731
+    return replace(one, albedo=mean("albedo"), normal=mean("normal"))
+
+
+def taken(samples: Samples, chosen: NDArray[np.int64]) -> Samples:
+    """Some of the pixels, by their indices among the D."""
+    return Samples(*(getattr(samples, field.name)[chosen] for field in fields(Samples)))
+
+
+def put(samples: Samples, chosen: NDArray[np.int64], part: Samples) -> Samples:
+    """The samples with others in place of some pixels, by their indices among the D."""
+    replaced = {}
+    for field in fields(Samples):
+        replaced[field.name] = getattr(samples, field.name).copy()
+        replaced[field.name][chosen] = getattr(part, field.name)
+    return Samples(**replaced)

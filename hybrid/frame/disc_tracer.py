@@ -13,12 +13,13 @@ from compose.camera.camera import Camera
 from compose.fovea.adaptive import allotted, disagreement
 from compose.fovea.history import History
 from compose.fovea.region import FoveaRegion
-from compose.fovea.samples import Samples, merged
+from compose.fovea.samples import Samples, averaged_features, merged, put, taken
 from hybrid.frame.disc import parents_of
 from hybrid.frame.underlay import Underlay, underlay_of
 from hybrid.runtime.device import device_arrays
 from pathtrace.trace.film import interleaved, pixel_positions
-from pathtrace.trace.tracer import Tracer, auxiliary_spp
+from pathtrace.trace.first_hit import AuxiliaryFeatures
+from pathtrace.trace.tracer import Traced, Tracer, auxiliary_spp, features_along
 
 # From this many samples per pixel on, a share of them is traced everywhere; it shows where the others are
 # needed.
@@ -97,8 +98,12 @@ class DiscTracer:
         """
         if not len(request.region.pixels):
             return _dark(request.region.pixels)
-        known = self.known(request, quick)
         adaptive = underlay is not None and request.spp >= _ADAPTIVE_FROM and not quick
+        if self._history is None and request.auxiliary and not adaptive:
+            return self._with_features(request)
+        if self._history is None and adaptive and features_along(request.spp):
+            return self._adaptive_with_features(request, underlay_of(request.camera, underlay))
+        known = self.known(request, quick)
         if not adaptive and self._history is None:
             return self._without_history(request.camera, known, request.spp, request.seed)
         sequence = self._sequence(request.camera, request.region.pixels, request.seed)
@@ -141,19 +146,37 @@ class DiscTracer:
         self, request: DiscRequest, known: Samples, sequence: _Sequence, underlay: Underlay
     ) -> Samples:
         """New samples: a few everywhere, the others where these disagree with the splats."""
-        camera, region, seed = request.camera, request.region, request.seed
-        even = np.ones(len(region.pixels), dtype=np.float32)
-        total = request.spp * len(region.pixels)
-        first = max(_FEWEST_FIRST, int(_FIRST_SHARE * request.spp)) * len(region.pixels)
-        counts = allotted(even, self._have(region, known), first, seed)
-        new = self._traced(camera, _without_light(known), counts, seed, sequence)
-        parents = parents_of(region, merged(known, new), underlay)
-        differs = disagreement(parents.denoised, parents.splat)
-        worth = region.rectangle.gathered(differs[..., None])[:, 0]
-        # The second samples must not repeat the random numbers of the first ones.
-        seed += _SECOND_STREAM
-        counts = allotted(worth, self._have(region, known) + new.count, total - first, seed)
-        return self._traced(camera, new, counts, seed, sequence)
+        even = np.ones(len(request.region.pixels), dtype=np.float32)
+        have = self._have(request.region, known)
+        counts = allotted(even, have, _first_spp(request.spp) * len(even), request.seed)
+        new = self._traced(request.camera, _without_light(known), counts, request.seed, sequence)
+        counts = _second_counts(request, merged(known, new), have + new.count, underlay)
+        return self._traced(request.camera, new, counts, request.seed + _SECOND_STREAM, sequence)
+
+    def _adaptive_with_features(self, request: DiscRequest, underlay: Underlay) -> Samples:
+        """As `_adaptive`, without a history; auxiliary features are those of the samples."""
+        camera, pixels, seed = request.camera, request.region.pixels, request.seed
+        spp = _first_spp(request.spp)
+        first = self._with_features(request, spp)
+        counts = _second_counts(request, first, first.count, underlay)
+        chosen = np.flatnonzero(counts)
+        counts = counts[chosen]
+        positions = pixel_positions(mi.UInt32(pixels[chosen]), camera.width)
+        traced = self._tracer.trace(
+            camera, positions, _one_for_all(counts), seed + _SECOND_STREAM, spp, seed, features=True
+        )
+        assert traced.features is not None
+        second = _showing(_sampled(pixels[chosen], counts, traced), traced.features)
+        share = second.count / (auxiliary_spp(spp) + second.count)
+        part = averaged_features(taken(first, chosen), second, share)
+        return put(first, chosen, merged(part, second))
+
+    def _with_features(self, request: DiscRequest, spp: int | None = None) -> Samples:
+        """Samples with their auxiliary features, `spp` instead of the request's in each pixel."""
+        pixels, camera, spp = request.region.pixels, request.camera, spp or request.spp
+        positions = pixel_positions(mi.UInt32(pixels), camera.width)
+        traced, features = self._tracer.trace_with_features(camera, positions, spp, request.seed)
+        return _showing(_sampled(pixels, spp, traced), features)
 
     def _filled(self, request: DiscRequest, known: Samples, sequence: _Sequence) -> Samples:
         """New samples, more of them where fewer are known."""
@@ -175,33 +198,25 @@ class DiscTracer:
             return _dark(pixels)
         positions = pixel_positions(mi.UInt32(pixels), camera.width)
         seen = self._tracer.auxiliary(camera, positions, spp, sequence.pattern, sequence.taken)
-        return replace(
-            _dark(pixels),
-            albedo=interleaved(seen.albedo),
-            normal=interleaved(seen.normal),
-            position=interleaved(seen.position),
-            gloss=seen.gloss.numpy().astype(np.uint8),
-        )
+        return _showing(_dark(pixels), seen)
 
     def _without_history(
         self, camera: Camera, known: Samples, spp: int | NDArray[np.int64], seed: int
     ) -> Samples:
         """Pixels whose radiance is unknown, with `spp` samples each."""
         positions = pixel_positions(mi.UInt32(known.pixels), camera.width)
-        traced = self._tracer.trace(camera, positions, spp, seed)
-        count = np.full(len(known.pixels), spp, dtype=np.float32)
-        radiance, squares = interleaved(traced.radiance), interleaved(traced.squares)
-        return replace(known, count=count, radiance=radiance, squares=squares)
+        sampled = _sampled(known.pixels, spp, self._tracer.trace(camera, positions, spp, seed))
+        return merged(known, sampled)
 
     def _traced(
         self, camera: Camera, known: Samples, counts: NDArray[np.int64], seed: int, sequence: _Sequence
     ) -> Samples:
         """The pixels with `counts` further samples each, placed in the gaps between earlier ones."""
         chosen = np.flatnonzero(counts)
-        taken = (sequence.taken + known.count.astype(np.int64))[chosen]
+        drawn = (sequence.taken + known.count.astype(np.int64))[chosen]
         counts = counts[chosen]
         positions = pixel_positions(mi.UInt32(known.pixels[chosen]), camera.width)
-        numbers = _one_for_all(counts), seed, _one_for_all(taken)
+        numbers = _one_for_all(counts), seed, _one_for_all(drawn)
         traced = self._tracer.trace(camera, positions, *numbers, sequence.pattern)
         count, radiance, squares = map(np.zeros_like, (known.count, known.radiance, known.squares))
         count[chosen] = counts
@@ -238,6 +253,31 @@ class _Sequence:
     pattern: int
 
 
+def _first_spp(spp: int) -> int:
+    """Samples per pixel that are traced everywhere before the others go where they help most."""
+    return max(_FEWEST_FIRST, int(_FIRST_SHARE * spp))
+
+
+def _second_counts(
+    request: DiscRequest, known: Samples, have: NDArray[np.float32], underlay: Underlay
+) -> NDArray[np.int64]:
+    """(D,) samples that go where what is known disagrees with the splats.
+
+    Args:
+        request: of all samples.
+        known: of the disc's pixels.
+        have: (D,) samples around each pixel.
+        underlay: the splats.
+    """
+    region = request.region
+    parents = parents_of(region, known, underlay)
+    differs = disagreement(parents.denoised, parents.splat)
+    worth = region.rectangle.gathered(differs[..., None])[:, 0]
+    left = (request.spp - _first_spp(request.spp)) * len(region.pixels)
+    # The second samples must not repeat the random numbers of the first ones.
+    return allotted(worth, have, left, request.seed + _SECOND_STREAM)
+
+
 def _one_for_all(numbers: NDArray[np.int64]) -> int | NDArray[np.int64]:
     """A single number if all are equal, which saves the tracer an array."""
     return int(numbers[0]) if (numbers == numbers[0]).all() else numbers
@@ -253,3 +293,24 @@ def _dark(pixels: NDArray[np.uint32]) -> Samples:
     """Pixels about which nothing is known."""
     triple, gloss = np.zeros((len(pixels), 3), dtype=np.float32), np.zeros(len(pixels), dtype=np.uint8)
     return Samples(pixels, triple[:, 0], triple, triple, triple, triple, triple, gloss)
+
+
+def _sampled(pixels: NDArray[np.uint32], counts: int | NDArray[np.int64], traced: Traced) -> Samples:
+    """What was traced of (D,) pixels, `counts` samples in each."""
+    return replace(
+        _dark(pixels),
+        count=np.full(len(pixels), counts, dtype=np.float32),
+        radiance=interleaved(traced.radiance),
+        squares=interleaved(traced.squares),
+    )
+
+
+def _showing(samples: Samples, seen: AuxiliaryFeatures) -> Samples:
+    """The samples with auxiliary features of the same pixels."""
+    return replace(
+        samples,
+        albedo=interleaved(seen.albedo),
+        normal=interleaved(seen.normal),
+        position=interleaved(seen.position),
+        gloss=seen.gloss.numpy().astype(np.uint8),
+    )

@@ -9,7 +9,7 @@ from compose.image.colour import Image
 from hybrid.runtime.clock import Clock
 from pathtrace.trace.film import FilmPositions
 from pathtrace.trace.fractional import fractional_counts
-from pathtrace.trace.image import TracedImage, auxiliary_images, radiance_image
+from pathtrace.trace.image import TracedImage, auxiliary_images, radiance_image, trace_image
 from pathtrace.trace.tracer import Tracer, auxiliary_spp
 
 
@@ -37,12 +37,18 @@ def traced_image(
     """
     clock = clock or Clock()
     counts = fractional_counts(spp, positions.count, seed)
-    radiance = radiance_image(tracer, camera, positions, columns, counts, seed)
-    clock.lap("trace")
     if not denoised:
+        radiance = radiance_image(tracer, camera, positions, columns, counts, seed)
+        clock.lap("trace")
         return radiance
-    spp_of_auxiliary = auxiliary_spp(math.ceil(spp))
-    auxiliary = auxiliary_images(tracer, camera, positions, columns, spp_of_auxiliary, seed)
-    image = TracedImage(radiance, *auxiliary).denoised()
+    if isinstance(counts, int):
+        traced = trace_image(tracer, camera, positions, columns, counts, seed)
+    else:
+        radiance = radiance_image(tracer, camera, positions, columns, counts, seed)
+        spp_of_auxiliary = auxiliary_spp(math.ceil(spp))
+        auxiliary = auxiliary_images(tracer, camera, positions, columns, spp_of_auxiliary, seed)
+        traced = TracedImage(radiance, *auxiliary)
+    clock.lap("trace")
+    image = traced.denoised()
     clock.lap("denoise")
     return image

@@ -128,7 +128,7 @@ def _followed(scene: Any, sampler: Any, ray: Any, active: Any) -> tuple[Any, ...
         lobe, direction = sampler.next_1d(active), sampler.next_2d(active)
         sample, reflected = bsdf.sample(context, hit, lobe, direction, active)
         passes = active & ~reflects_irradiance(sample) & (dr.max(reflected) > 0)
-        valid |= active & ~passes
+        valid |= active & ~passes & (dr.max(reflected) > 0)
         side = dr.select(dr.dot(hit.n, ray.d) < 0, hit.n, -hit.n)
         specular = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
         # Small lights are hardly ever found in a glossy surface by chance.

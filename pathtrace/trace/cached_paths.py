@@ -42,6 +42,7 @@ def path_radiance(
     scene: Any,
     sampler: Any,
     ray: Any,
+    surface: Any,
     active: Any,
     settings: PathSettings,
     sequences: Sequences,
@@ -53,6 +54,7 @@ def path_radiance(
         scene: a Mitsuba scene.
         sampler: random numbers.
         ray: N Mitsuba rays.
+        surface: Mitsuba interactions with what they hit first.
         active: (N,) mask.
         settings: how paths are traced.
         sequences: where the first surface's samples of lights and directions come from.
@@ -63,13 +65,13 @@ def path_radiance(
     """
     depths = settings.max_depth if settings.max_depth >= 0 else _UNBOUNDED
     radiance, throughput, ray, active = mi.Color3f(0), mi.Color3f(1), mi.Ray3f(ray), mi.Bool(active)
+    hit = mi.SurfaceInteraction3f(surface)
     # Of the vertex before: where it is, how its direction was sampled, and how many samples its light had.
     before, pdf = dr.zeros(mi.SurfaceInteraction3f), mi.Float(1)
     specular, light_samples = mi.Bool(True), mi.Float(1)
     lights, row = Lights(scene, cache.lights), mi.UInt32(0)
     depth, scattered, spread = mi.UInt32(0), mi.Bool(False), mi.Float(0)
     while dr.hint(active, exclude=[settings, sequences, cache, lights]):
-        hit = scene.ray_intersect(ray, mi.RayFlags.All, depth == 0, active)
         emitted = _emitted(scene, lights, hit, before, row, pdf / light_samples, specular, active)
         radiance += throughput * emitted
         active &= hit.is_valid() & (depth + 1 < depths)
@@ -97,6 +99,7 @@ def path_radiance(
         scattered |= active & ~specular
         depth += 1
         throughput, active = _roulette(sampler, throughput, depth >= settings.roulette_depth, active)
+        hit = scene.ray_intersect(ray, mi.RayFlags.All, False, active)
     return radiance
 
 

@@ -57,6 +57,14 @@ class AuxiliaryFeatures:
     position: list[Any]
     gloss: Any
 
+    def averaged(self, other: AuxiliaryFeatures, share: float) -> AuxiliaryFeatures:
+        """These features, with albedo and normal averaged over those of other samples with a share."""
+        albedo, normal = (
+            [dr.lerp(a, b, share) for a, b in zip(getattr(self, name), getattr(other, name), strict=True)]
+            for name in ("albedo", "normal")
+        )
+        return AuxiliaryFeatures(albedo, normal, self.position, self.gloss)
+
 
 def has_clear_surfaces(scene: Any) -> bool:
     """Whether a Mitsuba scene has mirrors or clear glass."""
@@ -104,18 +112,26 @@ def _followed(scene: Any, surface: Any, alive: Any, flags: int, bounces: int) ->
     return FirstHits(surface, last, unfolded, throughput, flat)
 
 
-def auxiliary_features(scene: Any, ray: Any, active: Any, clear: bool) -> AuxiliaryFeatures:
+def auxiliary_hits(scene: Any, ray: Any, active: Any, clear: bool) -> FirstHits:
+    """First hits as far as `auxiliary_features` requires them.
+
+    Args:
+        scene, ray, active: as of `first_hits`.
+        clear: whether the scene has mirrors or clear glass.
+    """
+    return first_hits(scene, ray, active, _AUXILIARY_BOUNCES if clear else 0)
+
+
+def auxiliary_features(hits: FirstHits, ray: Any, active: Any) -> AuxiliaryFeatures:
     """Auxiliary features of what rays see, without antialiasing.
 
     Behind mirrors and clear glass, albedo and normal are those of what they show: denoising needs them there.
 
     Args:
-        scene: a Mitsuba scene.
+        hits: of these rays.
         ray: N Mitsuba rays.
-        active: (N,) mask of the rays to follow.
-        clear: whether the scene has mirrors or clear glass.
+        active: (N,) mask of the rays that were followed.
     """
-    hits = first_hits(scene, ray, active, _AUXILIARY_BOUNCES if clear else 0)
     hit, last = active & hits.surface.is_valid(), hits.last
     shown = active & last.is_valid()
     albedo = hits.throughput * last.bsdf(ray).eval_diffuse_reflectance(last, shown)

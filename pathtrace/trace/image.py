@@ -12,7 +12,7 @@ from compose.camera.camera import Camera
 from compose.image.colour import Image
 from pathtrace.base.denoise import denoise
 from pathtrace.trace.film import FilmPositions, interleaved
-from pathtrace.trace.tracer import Tracer, auxiliary_spp
+from pathtrace.trace.tracer import Tracer
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,9 @@ def trace_image(
         spp: samples per pixel.
         seed: same seed, same image.
     """
-    radiance = radiance_image(tracer, camera, positions, columns, spp, seed)
-    albedo, normal = auxiliary_images(tracer, camera, positions, columns, auxiliary_spp(spp), seed)
-    return TracedImage(radiance, albedo, normal)
+    traced, features = tracer.trace_with_features(camera, positions, spp, seed)
+    channels = traced.radiance, features.albedo, features.normal
+    return TracedImage(*(_image(image, columns) for image in channels))
 
 
 def radiance_image(

@@ -21,7 +21,14 @@ from pathtrace.cache.cache import CacheArrays, IrradianceCache
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.cached_paths import PathSettings, path_radiance
 from pathtrace.trace.film import FilmPositions
-from pathtrace.trace.first_hit import AuxiliaryFeatures, auxiliary_features, first_hits, has_clear_surfaces
+from pathtrace.trace.first_hit import (
+    AuxiliaryFeatures,
+    FirstHits,
+    auxiliary_features,
+    auxiliary_hits,
+    first_hits,
+    has_clear_surfaces,
+)
 from pathtrace.trace.lanes import Lanes
 from pathtrace.trace.rays import opaque_camera, ray_through
 from pathtrace.trace.sequences import Sequences
@@ -43,10 +50,12 @@ class Traced:
     Attributes:
         radiance: three (N,) Dr.Jit floats, linear, unbounded.
         squares: three (N,) Dr.Jit floats, mean of the samples' squared radiance.
+        features: auxiliary features at the same sample positions; None if they were not asked for.
     """
 
     radiance: list[Any]
     squares: list[Any]
+    features: AuxiliaryFeatures | None = None
 
 
 @dataclass(frozen=True)
@@ -68,6 +77,14 @@ class Hits:
 def auxiliary_spp(spp: int) -> int:
     """Samples per pixel of auxiliary features that go with `spp` samples of radiance, 4 to 16."""
     return min(max(spp, _MIN_AUXILIARY_SPP), _MAX_AUXILIARY_SPP)
+
+
+def features_along(spp: int) -> bool:
+    """Whether radiance of `spp` samples per pixel is traced with the auxiliary features of each.
+
+    Of more samples than features require, some are traced apart.
+    """
+    return spp <= _MAX_AUXILIARY_SPP
 
 
 class Tracer:
@@ -113,6 +130,7 @@ class Tracer:
         seed: int = 0,
         offset: int | NDArray[np.int64] = 0,
         pattern: int | None = None,
+        features: bool = False,
     ) -> Traced:
         """Mean radiance at each position over samples spread evenly over its box.
 
@@ -124,25 +142,45 @@ class Tracer:
             offset: samples already drawn from each position's sequence, one number for all or (N,); with the
                 same pattern, new samples fill the gaps between those.
             pattern: seed of the sample positions within the boxes; by default `seed`.
+            features: whether to return the auxiliary features of what the samples hit first as well, as
+                `auxiliary` does, at less than its cost.
         """
         pattern = seed if pattern is None else pattern
         most = int(np.max(spp))
         lanes = positions.count * spp if isinstance(spp, int) else int(spp.sum())
         passes = min(most, -(-lanes // _MAX_LANES))
         sums: list[Any] = []
+        first: list[Any] = []
         done = spp * 0
         for number in range(passes):
             # Shares as even as whole numbers can be; in the first pass, every position has a sample.
             share = (spp * (number + 1) + passes - 1) // passes - done
             batch = _Batch(camera, positions, share, offset + done, pattern)
-            channels = self._sums(batch, seed, number)
+            channels, seen = self._sums(batch, seed, number, features)
             sums = [a + b for a, b in zip(sums, channels, strict=True)] if sums else channels
+            first = first or seen
             done = done + share
-            dr.eval(sums)
+            dr.eval(sums, first)
         samples = spp if isinstance(spp, int) else mi.Float(spp)
         means = [channel / samples for channel in sums]
         dr.eval(means)
-        return Traced(means[:3], means[3:])
+        found = AuxiliaryFeatures(means[6:9], means[9:], first[:3], first[3]) if features else None
+        return Traced(means[:3], means[3:6], found)
+
+    def trace_with_features(
+        self, camera: Camera, positions: FilmPositions, spp: int, seed: int
+    ) -> tuple[Traced, AuxiliaryFeatures]:
+        """As `trace`, and auxiliary features over as many sample positions as go with `spp` samples."""
+        wanted = auxiliary_spp(spp)
+        traced = self.trace(camera, positions, spp, seed, features=features_along(spp))
+        if traced.features is None:
+            return traced, self.auxiliary(camera, positions, wanted, seed)
+        if spp == wanted:
+            return traced, traced.features
+        more = self.auxiliary(camera, positions, wanted - spp, seed, spp)
+        features = traced.features.averaged(more, (wanted - spp) / wanted)
+        dr.eval(features)
+        return traced, features
 
     def auxiliary(
         self,
@@ -190,29 +228,42 @@ class Tracer:
         index = np.array([registry.get(int(pointer), -1) for pointer in pointers], dtype=np.int32)
         return Hits(distance.numpy(), unfolded.numpy(), index[inverse])
 
-    def _sums(self, batch: _Batch, seed: int, number: int) -> list[Any]:
-        """Six (N,) arrays: sums of each position's radiance, then of its squares, in pass `number`."""
+    def _sums(self, batch: _Batch, seed: int, number: int, features: bool) -> tuple[list[Any], list[Any]]:
+        """What each position's samples of pass `number` add up to, and what the first of them shows.
+
+        Returns:
+            (N,) arrays each: sums of radiance and of its squares, and with `features` of albedo and normal;
+            with `features`, position and gloss.
+        """
         # Seeds of different frames and passes must not overlap; numpy's seed sequence mixes them.
         state = dr.opaque(mi.UInt32, _mixed([seed, number]))
         if self._known is None:
-            channels = self._trace_radiance(self.scene.mitsuba, state, *batch.rays())
+            channels = self._trace_radiance(features, self.scene.mitsuba, state, *batch.rays())
         else:
             # Unbiased paths only need the film positions of it.
             dr.eval(batch.sequences)
             sampled = batch.sequences, *batch.rays()
-            channels = self._trace_radiance(self.scene.mitsuba, state, self._known, *sampled)
+            channels = self._trace_radiance(features, self.scene.mitsuba, state, self._known, *sampled)
         dr.eval(channels)
-        return batch.lanes.sums([*channels, *(dr.square(channel) for channel in channels)])
+        radiance, means, first = channels[:3], channels[3:9], channels[9:]
+        lanes = batch.lanes
+        sums = lanes.sums([*radiance, *(dr.square(channel) for channel in radiance), *means])
+        return sums, [dr.gather(mi.Float, channel, lanes.first) for channel in first]
 
-    def _radiance(self, scene: Any, state: Any, x: Any, y: Any, active: Any, *camera: Any) -> list[Any]:
-        """Radiance of each lane; frozen."""
+    def _radiance(
+        self, features: bool, scene: Any, state: Any, x: Any, y: Any, active: Any, *camera: Any
+    ) -> list[Any]:
+        """Radiance of each lane, and what it sees first; frozen."""
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(state, dr.width(x))
-        radiance, _, _ = self._path.sample(scene, sampler, ray_through(camera, x, y), active=active)
-        return _evaluated(radiance, sampler)
+        ray = ray_through(camera, x, y)
+        radiance, _, _ = self._path.sample(scene, sampler, ray, active=active)
+        seen = auxiliary_hits(scene, ray, active, self._clear) if features else None
+        return _evaluated(radiance, sampler, seen, ray, active)
 
     def _cached_radiance(
         self,
+        features: bool,
         scene: Any,
         state: Any,
         cache: CacheArrays,
@@ -222,16 +273,18 @@ class Tracer:
         active: Any,
         *camera: Any,
     ) -> list[Any]:
-        """Radiance of each lane by paths that end in the cache; frozen."""
+        """Radiance of each lane by paths that end in the cache, and what it sees first; frozen."""
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(state, dr.width(x))
         ray = ray_through(camera, x, y)
-        radiance = path_radiance(scene, sampler, ray, active, self._settings, sequences, cache)
-        return _evaluated(radiance, sampler)
+        seen = auxiliary_hits(scene, ray, active, self._clear and features)
+        paths = scene, sampler, ray, seen.surface, active, self._settings, sequences, cache
+        return _evaluated(path_radiance(*paths), sampler, seen if features else None, ray, active)
 
     def _auxiliary(self, scene: Any, x: Any, y: Any, active: Any, *camera: Any) -> AuxiliaryFeatures:
         """Auxiliary features of each lane; frozen."""
-        features = auxiliary_features(scene, ray_through(camera, x, y), active, self._clear)
+        ray = ray_through(camera, x, y)
+        features = auxiliary_features(auxiliary_hits(scene, ray, active, self._clear), ray, active)
         dr.eval(features)
         return features
 
@@ -276,13 +329,16 @@ class _Batch:
         return x, y, active, *opaque_camera(self.camera)
 
 
-def _evaluated(radiance: Any, sampler: Any) -> list[Any]:
-    """Three channels of radiance, computed."""
+def _evaluated(radiance: Any, sampler: Any, seen: FirstHits | None, ray: Any, active: Any) -> list[Any]:
+    """Three channels of radiance and, of what was seen, albedo, normal, position and gloss; computed."""
     # A sample that is not finite counts as black: it would spoil its pixel's mean.
     radiance = dr.select(dr.all(dr.isfinite(radiance)), radiance, 0)
     # Without this evaluation, every later step would trace its own paths: three to four times the work.
     sampler.schedule_state()
     channels = [radiance.x, radiance.y, radiance.z]
+    if seen is not None:
+        features = auxiliary_features(seen, ray, active)
+        channels += [*features.albedo, *features.normal, *features.position, features.gloss]
     dr.eval(channels)
     return channels
 

@@ -9,8 +9,19 @@ from pathlib import Path
 
 import pytest
 
+from compose.base.threads import let_waiting_threads_sleep
+
 ROOT = Path(__file__).resolve().parents[3]
 _VARIABLES = ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY")
+CASES = pytest.mark.parametrize(
+    ("environment", "expected"),
+    [
+        ({}, "1000"),
+        ({"GOMP_SPINCOUNT": "7"}, "7"),
+        ({"OMP_WAIT_POLICY": "active"}, "None"),
+        ({"GOMP_SPINCOUNT": "7", "OMP_WAIT_POLICY": "passive"}, "7"),
+    ],
+)
 
 
 def output(script: str, **environment: str) -> str:
@@ -23,15 +34,21 @@ def output(script: str, **environment: str) -> str:
     return done.stdout.strip()
 
 
-@pytest.mark.parametrize(
-    ("environment", "expected"),
-    [
-        ({}, "1000"),
-        ({"GOMP_SPINCOUNT": "7"}, "7"),
-        ({"OMP_WAIT_POLICY": "active"}, "None"),
-        ({"GOMP_SPINCOUNT": "7", "OMP_WAIT_POLICY": "passive"}, "7"),
-    ],
-)
+@CASES
+def test_one_setting_is_made_unless_the_user_made_it(environment, expected, monkeypatch):
+    for name in _VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    before = dict(os.environ)
+    let_waiting_threads_sleep()
+    after = dict(os.environ)
+    assert str(after.pop("GOMP_SPINCOUNT", None)) == expected
+    before.pop("GOMP_SPINCOUNT", None)
+    assert after == before
+
+
+@CASES
 def test_the_users_own_setting_wins(environment, expected):
     assert output("import compose, os; print(os.environ.get('GOMP_SPINCOUNT'))", **environment) == expected
 

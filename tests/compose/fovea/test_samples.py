@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from compose.fovea.samples import Samples, merged
+from compose.fovea.samples import Samples, averaged_features, merged, put, taken
 from tests import small
 
 SIZE = 200
@@ -71,3 +71,24 @@ def test_pixels_without_samples_take_what_the_other_has():
     assert merged(dark, other).radiance is other.radiance
     assert merged(dark, other).squares is other.squares
     assert merged(dark, other).count is other.count
+
+
+def test_features_are_averaged_by_the_others_share():
+    one, other = of_draws(np.ones((2, 3, 3), np.float32)), of_draws(np.ones((6, 3, 3), np.float32))
+    found = averaged_features(one, other, np.array([0, 0.25, 1], np.float32))
+    for name in ("albedo", "normal"):
+        np.testing.assert_allclose(getattr(found, name)[:, 0], [2, 3, 6])
+    assert found.position is one.position
+    assert found.radiance is one.radiance
+
+
+def test_some_pixels_are_taken_out_and_put_back():
+    one, other = of_draws(np.ones((2, 5, 3), np.float32)), of_draws(np.full((6, 5, 3), 2, np.float32))
+    chosen = np.array([4, 1])
+    part = taken(other, chosen)
+    assert part.pixels.tolist() == [4, 1]
+    whole = put(one, chosen, part)
+    assert whole.count.tolist() == [2, 6, 2, 2, 6]
+    assert whole.gloss.tolist() == [2, 6, 2, 2, 6]
+    assert whole.pixels.tolist() == one.pixels.tolist()
+    assert one.count.tolist() == [2] * 5

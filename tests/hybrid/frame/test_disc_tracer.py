@@ -11,6 +11,7 @@ from compose.eye.gaze import Gaze
 from compose.fovea.region import FoveaRegion, Foveation
 from hybrid.frame.disc_tracer import DiscRequest, DiscTracer
 from hybrid.frame.settings import FrameSettings
+from pathtrace.trace.film import frame_positions, interleaved
 from pathtrace.trace.tracer import Tracer
 
 COVERING = Foveation(Gaze(), 500, 500)
@@ -115,6 +116,21 @@ def test_a_quarter_of_the_samples_and_two_at_least_are_traced_everywhere(
     # Where the splats are right, these are all.
     assert count.min() == everywhere
     assert (count == everywhere).mean() > 0.2
+
+
+@pytest.mark.parametrize("spp", [1, 3, 4, 8, 64])
+@pytest.mark.parametrize("adaptive", [False, True])
+def test_auxiliary_features_are_means_over_4_samples_or_more(scene, renderer, tracer, spp, adaptive):
+    asked = request(scene, COVERING, 32, spp, 5)
+    settings = FrameSettings(fovea="fused", camera=asked.camera)
+    underlay = renderer.underlay(asked.camera, settings, asked.region) if adaptive else None
+    found = DiscTracer(tracer, history=False).trace(asked, underlay)
+    everywhere = frame_positions(asked.camera)
+    truth = interleaved(tracer.auxiliary(asked.camera, everywhere, 1024, 1).albedo)
+    four = interleaved(tracer.auxiliary(asked.camera, everywhere, 4, 5).albedo)
+    errors = (np.abs(albedo - truth).mean() for albedo in (found.albedo, four))
+    assert next(errors) <= 1.02 * next(errors)
+    assert (np.linalg.norm(found.position, axis=1) > 0).all()
 
 
 def test_adaptive_samples_are_unbiased(scene, renderer, tracer):

@@ -12,7 +12,7 @@ import pytest
 from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.film import frame_positions
-from pathtrace.trace.first_hit import auxiliary_features, first_hits, has_clear_surfaces
+from pathtrace.trace.first_hit import auxiliary_features, auxiliary_hits, first_hits, has_clear_surfaces
 from pathtrace.trace.tracer import Tracer
 from tests import small
 
@@ -133,7 +133,7 @@ def test_as_many_bounces_as_asked_for(bounces):
     assert default.unfolded[0] == pytest.approx(2 + 3 * 8, rel=OFFSET)
     # Auxiliary features follow four bounces, if there is anything to follow.
     for clear, z in ((True, -1 + 2 + 12), (False, 1)):
-        found = auxiliary_features(scene, ray, mi.Bool(True), clear)
+        found = auxiliary_features(auxiliary_hits(scene, ray, mi.Bool(True), clear), ray, mi.Bool(True))
         assert found.position[2][0] == pytest.approx(z, rel=OFFSET)
 
 
@@ -243,7 +243,8 @@ def test_sky_in_a_curved_mirror_lies_on_it():
 def test_inactive_rays_see_the_sky():
     scene = mi.load_dict(looking_at(wall(1, 180)))
     ray = mi.RayDifferential3f([0, 0, -1], mi.Vector3f([0, 0], [0, 0], [1, 1]))
-    found = auxiliary_features(scene, ray, mi.Bool([True, False]), True)
+    active = mi.Bool([True, False])
+    found = auxiliary_features(auxiliary_hits(scene, ray, active, True), ray, active)
     np.testing.assert_allclose(found.albedo[0].numpy(), [0.7, 0], atol=1e-6)
     np.testing.assert_allclose(found.normal[2].numpy(), [-1, 0], atol=1e-6)
     np.testing.assert_allclose(found.position[2].numpy(), [1, 1e5], rtol=1e-4)

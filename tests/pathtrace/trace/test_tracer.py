@@ -144,6 +144,33 @@ def test_auxiliary_positions_are_those_of_the_first_sample(square):
     assert found.gloss.numpy().tolist() == [0] * 256
 
 
+@pytest.mark.parametrize("cached", [False, True])
+@pytest.mark.parametrize("one_pass", [False, True])
+def test_features_that_come_along_are_those_of_the_same_samples(cached, one_pass, monkeypatch):
+    scene = load_scene(small.corner())
+    camera, positions = scene.camera, frame_positions(scene.camera)
+    if not one_pass:
+        monkeypatch.setattr("pathtrace.trace.tracer._MAX_LANES", positions.count)
+    tracer = Tracer(scene, cache=fill_cache(scene, [camera], points=1 << 13) if cached else None)
+    with_them = tracer.trace(camera, positions, 3, seed=2, offset=5, features=True)
+    without = tracer.trace(camera, positions, 3, seed=2, offset=5)
+    assert without.features is None
+    found, expected = with_them.features, tracer.auxiliary(camera, positions, 3, pattern=2, offset=5)
+    for name in ("radiance", "squares"):
+        a, b = (interleaved(getattr(traced, name)) for traced in (with_them, without))
+        np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5)
+    for name in ("albedo", "normal", "position"):
+        a, b = (interleaved(getattr(features, name)) for features in (found, expected))
+        np.testing.assert_allclose(a, b, atol=1e-5)
+    assert (found.gloss.numpy() == expected.gloss.numpy()).all()
+    # Each position's features are means over as many samples as it has.
+    counts = 1 + np.arange(positions.count) % 2
+    uneven = interleaved(tracer.trace(camera, positions, counts, 2, 5, features=True).features.albedo)
+    for spp in (1, 2):
+        even = interleaved(tracer.auxiliary(camera, positions, spp, 2, 5).albedo)
+        np.testing.assert_allclose(uneven[counts == spp], even[counts == spp], atol=1e-6)
+
+
 @pytest.mark.parametrize(("spp", "expected"), [(1, 4), (4, 4), (5, 5), (16, 16), (17, 16), (1024, 16)])
 def test_auxiliary_features_take_4_to_16_samples(spp, expected):
     assert auxiliary_spp(spp) == expected
