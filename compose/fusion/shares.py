@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from torch import Tensor
@@ -66,18 +67,28 @@ def shares_at(shares: Tensor, quick: bool, count: Tensor, enlargement: float) ->
         count: (N, 1, H, W) samples.
         enlargement: side of the splats' pixels in pixels of the image.
     """
-    by_count = _between(shares[int(quick)].transpose(0, 1), ENLARGEMENTS, enlargement)  # (COUNTS, MIXED)
-    last = round(_STEPS * math.log2(COUNTS[-1]))
-    table = torch.stack([_between(by_count, COUNTS, 2 ** (step / _STEPS)) for step in range(last + 1)])
+    by_count = _weights(ENLARGEMENTS, enlargement) @ shares[int(quick)]  # (COUNTS, MIXED)
+    table = _steps() @ by_count
+    last = len(table) - 1
     step = (_STEPS * torch.log2(count[:, 0].clamp(min=1))).round().clamp(max=last).long()  # (N, H, W)
     return table[step].permute(0, 3, 1, 2).contiguous()
 
 
-def _between(values: Tensor, knots: tuple[int, ...], at: float) -> Tensor:
-    """Values (len(knots), ...) interpolated over the logarithm of their knots; constant beyond the ends."""
+@cache
+def _steps() -> Tensor:
+    """(steps, len(COUNTS)) weights of the cells at each step of the sample count."""
+    last = round(_STEPS * math.log2(COUNTS[-1]))
+    return torch.stack([_weights(COUNTS, 2 ** (step / _STEPS)) for step in range(last + 1)])
+
+
+def _weights(knots: tuple[int, ...], at: float) -> Tensor:
+    """(len(knots),) weights that interpolate over the logarithm of knots; constant beyond the ends."""
+    weights = torch.zeros(len(knots))
     at = min(max(at, knots[0]), knots[-1])
     upper = next(index for index, knot in enumerate(knots) if knot >= at)
-    if upper == 0:
-        return values[0]
-    way = math.log(at / knots[upper - 1]) / math.log(knots[upper] / knots[upper - 1])
-    return torch.lerp(values[upper - 1], values[upper], way)
+    way = 1.0
+    if upper > 0:
+        way = math.log(at / knots[upper - 1]) / math.log(knots[upper] / knots[upper - 1])
+        weights[upper - 1] = 1 - way
+    weights[upper] = way
+    return weights
