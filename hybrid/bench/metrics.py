@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
+from compose.eye.display import DISPLAYS
+from compose.eye.gaze import Gaze
 from compose.image.colour import Image
 from hybrid.measure.metrics.flip import flip
+from hybrid.measure.metrics.fovvideovdp import jod
 from hybrid.measure.metrics.similarity import quality
 
 
 def image_metrics(image: Image, truth: Image) -> dict[str, float]:
-    """PSNR, SSIM and, if installed, FLIP of (H, W, 3) linear radiance."""
-    found = quality(image, truth)
-    error = flip(image, truth)
-    return found if error is None else {**found, "flip": error}
+    """PSNR, SSIM and, if installed, FLIP and FovVideoVDP's JOD of (H, W, 3) linear radiance.
+
+    For JOD, each pixel is one of a desktop monitor, and the gaze rests on the image's centre.
+    """
+    optional = {"flip": flip(image, truth), "jod": jod(image, truth, DISPLAYS["desktop"], Gaze())}
+    return {**quality(image, truth), **{name: value for name, value in optional.items() if value is not None}}
 
 
 def means(rows: list[dict[str, float]]) -> dict[str, float]:

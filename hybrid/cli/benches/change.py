@@ -37,7 +37,7 @@ def change(
     _, captured, found = matching(scene, frames, forest)
     with progress_bar("bench (frames)") as bar:
         rows = bench_change(partial(loaded_scene, scene), captured, found, spp, reference_spp, bar)
-    print("change            method        PSNR    SSIM    FLIP")
+    print("change            method        PSNR    SSIM    FLIP    JOD")
     for row in rows:
         print(f"{row['change']:<16}  {row['method']:<11} {metrics(row)}")
     write_json(json_file, rows)

@@ -46,7 +46,7 @@ def fusion(
     loaded, captured, found = matching(scene, frames, forest)
     with progress_bar("bench (crops)") as bar:
         rows = bench_fusion(loaded, captured, found, effort, bar)
-    print("scale   spp  method           PSNR    SSIM    FLIP   reference")
+    print("scale   spp  method           PSNR    SSIM    FLIP    JOD   reference")
     for row in rows:
         cells = f"{row['scale']:>4}x {row['spp']:>5}  {row['method']:<14} {metrics(row)}"
         print(f"{cells}  {row['reference_psnr']:>6.1f} dB")

@@ -32,7 +32,7 @@ def motion(
     loaded, captured, found = matching(scene, frames, forest)
     with progress_bar("bench (walks)") as bar:
         rows = bench_motion(loaded, captured, found, reference_spp, bar)
-    print("fovea     method                  PSNR    SSIM    FLIP   pixels without history")
+    print("fovea     method                  PSNR    SSIM    FLIP    JOD   pixels without history")
     for row in rows:
         fresh = f"{row['fresh_psnr']:.2f} dB" if "fresh_psnr" in row else "-"
         print(f"{row['mode']:<9} {row['method']:<21} {metrics(row)}  {fresh:>9}")

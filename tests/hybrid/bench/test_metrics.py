@@ -19,3 +19,4 @@ def test_a_worse_image_is_worse_by_every_metric():
     assert near["psnr"] > far["psnr"]
     assert near["ssim"] > far["ssim"]
     assert near.get("flip", 0.0) <= far.get("flip", 0.0)
+    assert near.get("jod", 10.0) >= far.get("jod", 0.0)
