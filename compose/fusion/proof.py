@@ -32,6 +32,9 @@ _BLOCK = 64
 # Least such error, relative to the squared difference of the parents in the block, and to its mean over all
 # blocks: the noise of the reference, which that difference does not have, may leave nothing, or less.
 _LEAST_ERROR, _LEAST_OF_ALL = 0.25, 0.05
+# Share of the better parent's error that a mixture is thought to leave at least, when its gain is stated in
+# decibels: the noise of the references hides what is left beyond that.
+_LEAST_LEFT = 0.1
 # Shares are searched for in steps of 1 / _STEPS.
 _STEPS = 20
 
@@ -146,7 +149,7 @@ def _tried(of_views: dict[int, _Errors]) -> tuple[NDArray[np.float64], float]:
         gains.append((errors[:, parent, parent] - _squared(errors, chosen)).mean())
     if np.mean(gains) <= np.std(gains, ddof=1) / np.sqrt(len(gains)):
         return alone, 0.0
-    least = max(mean[parent, parent] - np.mean(gains), 1e-3 * mean[parent, parent])
+    least = max(mean[parent, parent] - np.mean(gains), _LEAST_LEFT * mean[parent, parent])
     return _best(mean), float(10 * np.log10(mean[parent, parent] / least))
 
 

@@ -17,7 +17,8 @@ from compose.fusion.fitting import LEAST_SIZE, fit
 from compose.fusion.network import Fusion
 from compose.fusion.parents import Parents
 from compose.fusion.reference import Reference
-from tests.compose.fusion.examples import cropped, error, example, radiance_of
+from tests import small
+from tests.compose.fusion.examples import blurred, cropped, error, example, radiance_of
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -65,6 +66,24 @@ def test_a_share_of_the_splats_does_not_bring_another_world_back(fitted):
     right = radiance_of(given)
     assert error(shared, right) < error(alone, right) + 0.5
     assert error(0.5 * (alone + moved.splat), right) > error(alone, right) + 5
+
+
+def flawed(seed: int) -> Example:
+    """Denoised samples with blotches, and splats with as much noise that has no large waves."""
+    given, rng = example(seed, 2), small.rng(100 + seed)
+    truth, size = radiance_of(given), 96
+    blotches = blurred(rng.normal(size=(size, size, 3)).astype(np.float32), 3)
+    noise = rng.normal(size=(size, size, 3)).astype(np.float32)
+    noise -= blurred(noise, 1)
+    parts = {"denoised": blotches, "splat": noise}
+    flaws = {name: truth * np.exp(0.1 * image / image.std()) for name, image in parts.items()}
+    return replace(given, parents=replace(given.parents, **flaws))
+
+
+def test_blotches_count_more_than_as_much_noise_in_single_pixels():
+    fusion = fit_quickly([flawed(seed) for seed in range(3)], 200)
+    weights = fuse(flawed(7).parents, fusion).weights.mean(axis=(0, 1))
+    assert weights[2] > 1.3 * weights[1]
 
 
 def test_a_fitted_network_does_not_train_further(fitted):
