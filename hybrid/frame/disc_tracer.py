@@ -98,24 +98,20 @@ class DiscTracer:
         """
         if not len(request.region.pixels):
             return _dark(request.region.pixels)
-        adaptive = underlay is not None and request.spp >= _ADAPTIVE_FROM and not quick
-        if self._history is None and request.auxiliary and not adaptive:
-            return self._with_features(request)
-        if self._history is None and adaptive and features_along(request.spp):
-            return self._adaptive_with_features(request, underlay_of(request.camera, underlay))
+        if quick or request.spp < _ADAPTIVE_FROM:
+            underlay = None
+        checked = None if underlay is None else underlay_of(request.camera, underlay)
+        if self._history is None:
+            return self._alone(request, checked)
         known = self.known(request, quick)
-        if not adaptive and self._history is None:
-            return self._without_history(request.camera, known, request.spp, request.seed)
         sequence = self._sequence(request.camera, request.region.pixels, request.seed)
-        if adaptive:
-            new = self._adaptive(request, known, sequence, underlay_of(request.camera, underlay))
+        if checked is not None:
+            new = self._adaptive(request, known, sequence, checked)
         elif quick:
-            counts = np.full(len(known.pixels), request.spp, dtype=np.int64)
-            new = self._traced(request.camera, _without_light(known), counts, request.seed, sequence)
+            new = self._traced(request.camera, _without_light(known), _even(request), request.seed, sequence)
         else:
             new = self._filled(request, known, sequence)
-        if self._history is not None:
-            self._history.remember(new)
+        self._history.remember(new)
         return merged(known, new)
 
     def trace_each(
@@ -124,7 +120,8 @@ class DiscTracer:
         """Samples of (D,) pixels, `counts` (D,) in each, at least 1; earlier frames are ignored."""
         if not len(pixels):
             return _dark(pixels)
-        return self._without_history(camera, _dark(pixels), _one_for_all(counts), seed)
+        spp, positions = _one_for_all(counts), pixel_positions(mi.UInt32(pixels), camera.width)
+        return _sampled(pixels, spp, self._tracer.trace(camera, positions, spp, seed))
 
     def known(self, request: DiscRequest, quick: bool = False) -> Samples:
         """What is known of the disc before any radiance is traced: auxiliary features and the history."""
@@ -141,6 +138,17 @@ class DiscTracer:
         spp = auxiliary_spp(request.spp) if quick else wanted
         seen = self._seen(camera, unseen, spp, self._sequence(camera, unseen, request.seed))
         return self._history.recall(camera, pixels, seen, spp, request.seed)
+
+    def _alone(self, request: DiscRequest, underlay: Underlay | None) -> Samples:
+        """Samples without a history; with the splats under the disc, they go where they help most."""
+        if not request.auxiliary:
+            return self.trace_each(request.camera, request.region.pixels, _even(request), request.seed)
+        if underlay is None:
+            return self._with_features(request)
+        if features_along(request.spp):
+            return self._adaptive_with_features(request, underlay)
+        known = self.known(request)
+        return merged(known, self._adaptive(request, known, _Sequence(0, request.seed), underlay))
 
     def _adaptive(
         self, request: DiscRequest, known: Samples, sequence: _Sequence, underlay: Underlay
@@ -200,14 +208,6 @@ class DiscTracer:
         seen = self._tracer.auxiliary(camera, positions, spp, sequence.pattern, sequence.taken)
         return _showing(_dark(pixels), seen)
 
-    def _without_history(
-        self, camera: Camera, known: Samples, spp: int | NDArray[np.int64], seed: int
-    ) -> Samples:
-        """Pixels whose radiance is unknown, with `spp` samples each."""
-        positions = pixel_positions(mi.UInt32(known.pixels), camera.width)
-        sampled = _sampled(known.pixels, spp, self._tracer.trace(camera, positions, spp, seed))
-        return merged(known, sampled)
-
     def _traced(
         self, camera: Camera, known: Samples, counts: NDArray[np.int64], seed: int, sequence: _Sequence
     ) -> Samples:
@@ -251,6 +251,11 @@ class _Sequence:
 
     taken: int | NDArray[np.int64]
     pattern: int
+
+
+def _even(request: DiscRequest) -> NDArray[np.int64]:
+    """(D,) the same number of samples for each pixel."""
+    return np.full(len(request.region.pixels), request.spp, dtype=np.int64)
 
 
 def _first_spp(spp: int) -> int:
