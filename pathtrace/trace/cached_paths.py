@@ -48,20 +48,16 @@ def path_radiance(
     sequences: Sequences,
     cache: CacheArrays,
 ) -> Any:
-    """Radiance along rays, as a path tracer with multiple importance sampling estimates it.
+    """N linear colours: radiance along rays, as multiple importance sampling estimates it.
 
     Args:
         scene: a Mitsuba scene.
         sampler: random numbers.
-        ray: N Mitsuba rays.
-        surface: Mitsuba interactions with what they hit first.
+        ray, surface: N Mitsuba rays, and interactions with what they hit first.
         active: (N,) mask.
         settings: how paths are traced.
         sequences: where the first surface's samples of lights and directions come from.
         cache: in which paths end; with one that knows no cell, the result is unbiased.
-
-    Returns:
-        N linear colours.
     """
     depths = settings.max_depth if settings.max_depth >= 0 else _UNBOUNDED
     radiance, throughput, ray, active = mi.Color3f(0), mi.Color3f(1), mi.Ray3f(ray), mi.Bool(active)
