@@ -42,11 +42,19 @@ class TestInstalled:
         assert scores == sorted(scores, reverse=True)
         assert scores[1] - scores[3] > 0.5
 
-    @pytest.mark.parametrize(("x", "columns"), [(0.15, np.s_[:, :48]), (0.85, np.s_[:, -48:])])
-    def test_a_defect_at_the_gaze_is_worse_than_one_elsewhere(self, image, x, columns):
+    @pytest.mark.parametrize(
+        ("x", "y", "part"),
+        [
+            (0.15, 0.5, np.s_[:, :48]),
+            (0.85, 0.5, np.s_[:, -48:]),
+            (0.5, 0.1, np.s_[:20]),
+            (0.5, 0.9, np.s_[-20:]),
+        ],
+    )
+    def test_a_defect_at_the_gaze_is_worse_than_one_elsewhere(self, image, x, y, part):
         defect = image.copy()
-        defect[columns] = noisy(image, 0.4)[columns]
-        at, away = (jod(defect, image, DISPLAY, Gaze(gaze, 0.5)) for gaze in (x, 1 - x))
+        defect[part] = noisy(image, 0.4)[part]
+        at, away = (jod(defect, image, DISPLAY, gaze) for gaze in (Gaze(x, y), Gaze(1 - x, 1 - y)))
         assert at < away - 0.05
 
     def test_fine_noise_is_less_visible_from_farther_away(self, image):
