@@ -264,6 +264,12 @@ def test_a_diffuse_wall_ends_the_way_and_reflects_towards_the_point(turned):
     np.testing.assert_allclose(found.side.numpy().T, [[0, -1, 0]] * COUNT, atol=1e-5)
 
 
+def test_a_black_wall_ends_the_way_and_reflects_nothing():
+    black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
+    found = sent(scene(wall=square(1.0, 100.0, bsdf=black), sky=sky()), narrow())
+    check(found, radiance=0, bounces=0, reflectance=None)
+
+
 def test_lights_are_found_by_way_of_mirrors_only():
     """What is seen directly was sampled as a light."""
     lamp, ceiling = square(-1.0, 50.0, 2.0, DIFFUSE["b"]), square(1.0, 50.0, bsdf=MIRROR)
