@@ -275,7 +275,8 @@ def _second_counts(
         underlay: the splats.
     """
     region = request.region
-    parents = parents_of(region, known, underlay)
+    # Where samples go needs no fine detail: the quicker denoiser takes a fifth of the time.
+    parents = parents_of(region, known, underlay, quick=True)
     differs = disagreement(parents.denoised, parents.splat)
     worth = region.rectangle.gathered(differs[..., None])[:, 0]
     left = (request.spp - _first_spp(request.spp)) * len(region.pixels)
