@@ -50,4 +50,8 @@ def _tamed(noise: Tensor) -> Tensor:
     excess = (noise - kept)[None]
     if not bool(excess.any()):
         return kept
-    return kept + functional.avg_pool2d(excess, _WINDOW, 1, _WINDOW // 2, count_include_pad=False)[0]
+    # A row's mean and then a column's is the mean of the window, at a fraction of the time.
+    for window in ((_WINDOW, 1), (1, _WINDOW)):
+        padding = window[0] // 2, window[1] // 2
+        excess = functional.avg_pool2d(excess, window, 1, padding, count_include_pad=False)
+    return kept + excess[0]
