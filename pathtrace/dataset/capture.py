@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +36,7 @@ def capture(
     Views lie in free space around the scene's own camera, which is the first of them. The held-out ones are
     spaced evenly over the others. Two of three held-out views also have estimates, traced with fewer samples,
     two independent halves of their own samples, and close-ups at two and four times the resolution: what the
-    fusion is fitted to. Held-out frames are unbiased.
+    fusion is fitted to. Held-out frames are unbiased; close-ups, which measure nothing else, need not be.
 
     The folder gets a `transforms.json` in the Nerfstudio / instant-ngp convention and one multi-channel
     OpenEXR file per frame, estimate and close-up. Files are written atomically, and frames that exist are not
@@ -48,8 +47,8 @@ def capture(
         folder: the folder of the frame set; created if it does not exist.
         settings: number, size and sample counts of the frames, and the seed.
         progress: called after each frame with the number of samples done and their total.
-        cache: irradiance of the scene in which the paths of training frames and estimates end; without it,
-            these are unbiased as well.
+        cache: irradiance of the scene in which the paths of training frames, estimates and close-ups end;
+            without it, these are unbiased as well.
 
     Returns:
         The complete frame set.
@@ -69,24 +68,19 @@ def capture(
     integrator = Integrator.PATH if cache is None else Integrator.CACHED
     document = describe_capture(scene, views, settings, integrator)
     write_description(folder, document)
-    tracers = _Tracers(Tracer(scene), Tracer(scene, cache=cache))
+    unbiased, quick = Tracer(scene), Tracer(scene, cache=cache)
     entries = document["frames"] + document["close_ups"]
     cameras = [camera_from_json({**document, **entry}) for entry in entries]
     samples = [_samples(entry, camera) for entry, camera in zip(entries, cameras, strict=True)]
+    measured = [entry["held_out"] for entry in document["frames"]] + [False] * len(document["close_ups"])
     for index, (entry, camera) in enumerate(zip(entries, cameras, strict=True)):
         if not (folder / entry["file_path"]).is_file():
             # Each frame has a seed of its own, so that a resumed capture ends with the same frames.
-            _write_entry(tracers, folder, entry, camera, settings.seed * _CAPTURE_SEED_STEP + index)
+            seed = settings.seed * _CAPTURE_SEED_STEP + index
+            _write_estimates(quick, folder, entry, camera, seed)
+            _write_frame(unbiased if measured[index] else quick, folder, entry, camera, seed)
         progress(sum(samples[: index + 1]), sum(samples))
     return read_frame_set(folder)
-
-
-@dataclass(frozen=True)
-class _Tracers:
-    """The tracer of held-out frames, and that of everything else."""
-
-    unbiased: Tracer
-    others: Tracer
 
 
 def _samples(entry: dict[str, Any], camera: Camera) -> int:
@@ -95,17 +89,20 @@ def _samples(entry: dict[str, Any], camera: Camera) -> int:
     return int(per_pixel * camera.width * camera.height)
 
 
-def _write_entry(tracers: _Tracers, folder: Path, entry: dict[str, Any], camera: Camera, seed: int) -> None:
-    """Renders and writes the files of one view; its frame last: if that exists, so do the others."""
+def _write_estimates(tracer: Tracer, folder: Path, entry: dict[str, Any], camera: Camera, seed: int) -> None:
+    """Renders and writes the estimates of one view, if it has any."""
     files = {e["samples"]: folder / e["file_path"] for e in entry["estimates"]}
-    estimates = render_estimates(tracers.others, camera, tuple(files), seed)
+    estimates = render_estimates(tracer, camera, tuple(files), seed)
     for file, estimate in zip(files.values(), estimates, strict=True):
         write_estimate(file, estimate)
+
+
+def _write_frame(tracer: Tracer, folder: Path, entry: dict[str, Any], camera: Camera, seed: int) -> None:
+    """Renders and writes one view, after its halves: if the frame exists, so does all that belongs to it."""
     if entry["halves"]:
-        frame, halves = render_with_halves(tracers.unbiased, camera, entry["samples"], seed)
+        frame, halves = render_with_halves(tracer, camera, entry["samples"], seed)
         for name, half in zip(entry["halves"], halves, strict=True):
             write_radiance(folder / name, half)
     else:
-        tracer = tracers.unbiased if entry["held_out"] else tracers.others
         frame = render_frame(tracer, camera, entry["samples"], seed)
     write_frame(folder / entry["file_path"], frame)

@@ -90,15 +90,17 @@ def test_every_frame_has_noise_of_its_own(whole):
     assert abs(np.corrcoef(one - truth[0], two - truth[1])[0, 1]) < 0.3
 
 
-def test_paths_of_training_frames_and_estimates_end_in_a_cache_if_there_is_one(scene, whole, tmp_path):
-    """Held-out frames do not: they are unbiased with and without."""
+def test_paths_of_all_but_held_out_frames_end_in_a_cache_if_there_is_one(scene, whole, tmp_path):
+    """Held-out frames and their halves are unbiased with and without."""
     cache = fill_cache(scene, [scene.camera], points=4096)
     frames = capture(scene, tmp_path, SETTINGS, lambda done, total: None, cache)
     assert frames.integrator == "cached"
     pairs = zip(whole[0].entries + whole[0].close_ups, frames.entries + frames.close_ups, strict=True)
     for one, other in pairs:
-        equal = np.array_equal(read_frame(one.file).radiance, read_frame(other.file).radiance)
-        assert equal == one.held_out
+        unbiased = any(one is entry for entry in whole[0].held_out)
+        assert unbiased == np.array_equal(read_frame(one.file).radiance, read_frame(other.file).radiance)
+        for a, b in zip(one.halves, other.halves, strict=True):
+            assert unbiased == np.array_equal(read_radiance(a), read_radiance(b))
         for a, b in zip(one.estimates.values(), other.estimates.values(), strict=True):
             assert not np.array_equal(read_estimate(a).radiance, read_estimate(b).radiance)
 
