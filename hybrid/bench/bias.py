@@ -55,6 +55,18 @@ def converged(
     return total / passes
 
 
+def advancing(progress: Callable[[int, int], None], total: int) -> Callable[[int], None]:
+    """A function that is called with samples per pixel as they are done, and reports their sum and total."""
+    done = 0
+
+    def advance(samples: int) -> None:
+        nonlocal done
+        done += samples
+        progress(done, total)
+
+    return advance
+
+
 def frame_of(tracer: Tracer, camera: Camera, spp: int, seed: int) -> Image:
     """(H, W, 3) a raw frame."""
     return radiance_image(tracer, camera, frame_positions(camera), camera.width, spp, seed)

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
-from hybrid.bench.bias import PASS, converged, frame_of, relative_errors
+from hybrid.bench.bias import PASS, advancing, converged, frame_of, relative_errors
 from hybrid.bench.look_up import look_up_ns
-from hybrid.bench.relighting import IMAGES, bench_relighting
 from hybrid.frame.irradiance import filled_cache
 from hybrid.measure.reference import REFERENCE_SEED
 from hybrid.measure.timing import percentiles
@@ -46,18 +45,10 @@ def bench_integrator(
         count: squared_error per pixel and channel, ms, efficiency (1 / (squared error x time)) over that of
         `path`; `bias`, one row per integrator: of the mean, and of the worst and the 95th percentile of
         blocks of 32 x 32 pixels, as fractions. That of `path` is due to noise alone, and so are the others'
-        where they are no larger;
-        `relighting`, as from `bench_relighting`.
+        where they are no larger.
     """
     passes = -(-reference_spp // PASS)
-    total = (3 + IMAGES) * passes * PASS + 2 * sum(_SPP) * (repeats + _WARM_UP)
-    done = 0
-
-    def advance(samples: int) -> None:
-        nonlocal done
-        done += samples
-        progress(done, total)
-
+    advance = advancing(progress, 3 * passes * PASS + 2 * sum(_SPP) * (repeats + _WARM_UP))
     start = time.perf_counter()
     cache = filled_cache(scene)
     facts = {"seconds": time.perf_counter() - start, "cells": len(cache.cells), "bytes": cache.bytes}
@@ -69,8 +60,7 @@ def bench_integrator(
     for integrator, tracer in tracers.items():
         found = converged(tracer, camera, passes, REFERENCE_SEED + passes, advance)
         bias.append({"integrator": integrator.value, **relative_errors(found, truth)})
-    relighting = bench_relighting(scene, camera, cache, passes, advance)
-    return {"cache": facts, "rows": rows, "bias": bias, "relighting": relighting}
+    return {"cache": facts, "rows": rows, "bias": bias}
 
 
 def _rows(

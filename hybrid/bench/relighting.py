@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
-from hybrid.bench.bias import block_errors, converged
+from hybrid.bench.bias import PASS, advancing, block_errors, converged
 from hybrid.frame.irradiance import filled_cache
 from hybrid.measure.reference import REFERENCE_SEED
 from hybrid.measure.timing import percentiles
@@ -26,21 +26,25 @@ _UPDATES = (1, 5, 15, PARTS)
 # Seeds of the caches filled anew.
 _FRESH = (1, 2, 3)
 # Images of many samples that are made.
-IMAGES = 2 + len(_UPDATES) + len(_FRESH)
+_IMAGES = 2 + len(_UPDATES) + len(_FRESH)
 # Parameters of lights that scale what they send.
 _STRENGTHS = ("radiance.value", "irradiance.value", "intensity.value", "scale")
 
 
 def bench_relighting(
-    scene: Scene, camera: Camera, cache: IrradianceCache, passes: int, advance: Callable[[int], None]
+    scene: Scene,
+    camera: Camera,
+    cache: IrradianceCache,
+    reference_spp: int,
+    progress: Callable[[int, int], None],
 ) -> dict[str, Any]:
     """Dims the strongest light of a scene by half, and puts it back afterwards.
 
     Args:
         scene, camera: what is rendered.
         cache: of the scene as it is.
-        passes: passes of samples in each image that bias is measured in.
-        advance: called with samples per pixel done.
+        reference_spp: samples per pixel of the images that bias is measured in.
+        progress: called with samples per pixel done and in total.
 
     Returns:
         `rows`: for each state of the cache (stale, 1, 5, 15 and 35 updates after the change, and filled anew
@@ -48,6 +52,8 @@ def bench_relighting(
         unbiased image; `update_ms`, of the updates after the first one. Both are empty if the light has no
         parameter that scales it.
     """
+    passes = -(-reference_spp // PASS)
+    advance = advancing(progress, _IMAGES * passes * PASS)
     rows: list[dict[str, Any]] = []
     milliseconds: list[float] = []
     with _dimmed(scene, int(cache.lights.chances[-1].argmax())) as is_dimmed:

@@ -14,10 +14,14 @@ from hybrid.cli.benches.motion import motion
 from hybrid.cli.benches.passes import passes
 from hybrid.cli.benches.periphery import periphery
 from hybrid.cli.benches.raster import raster
+from hybrid.cli.benches.relighting import relighting
 from hybrid.cli.benches.seam import seam
 from hybrid.cli.benches.still import still
 
 bench_app = typer.Typer(no_args_is_help=True, help="Measure one part alone.")
-for command in (raster, integrator, periphery, gaze, forest, passes, fusion, change, motion, seam, still):
+for command in (
+    *(raster, integrator, relighting, periphery, gaze, forest),
+    *(passes, fusion, change, motion, seam, still),
+):
     bench_app.command()(command)
 bench_app.command("held-out")(held_out)

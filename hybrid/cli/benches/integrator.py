@@ -27,7 +27,7 @@ def integrator(
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
-    """Compare error, time and bias of both integrators on raw frames; let a cache follow a dimmed lamp."""
+    """Compare error, time and bias of both integrators on raw frames."""
     select(backend)
     from hybrid.bench.integrator import bench_integrator
     from hybrid.runtime.machine import machine
@@ -50,10 +50,4 @@ def integrator(
         print(
             f"{row['integrator']:<22}{row['mean']:>+9.2%}{row['worst_block']:>13.1%}{row['p95_block']:>22.1%}"
         )
-    relighting = found["relighting"]
-    if relighting["rows"]:
-        print(f"strongest light dimmed by half; {relighting['update_ms']['p50']:.1f} ms per update")
-        print("cache         squared relative bias")
-    for row in relighting["rows"]:
-        print(f"{row['cache']:<14}{row['squared_bias']:.3g}")
     write_json(json_file, {**found, "scene": loaded.name, "machine": machine()})

@@ -11,7 +11,8 @@ import pytest
 
 from hybrid.bench import relighting
 from hybrid.bench.bias import PASS
-from hybrid.bench.relighting import IMAGES, bench_relighting
+from hybrid.bench.relighting import bench_relighting
+from hybrid.frame import irradiance
 from pathtrace.cache.cache import IrradianceCache
 from pathtrace.cache.cells import Grid
 from pathtrace.fill.fill import fill_cache
@@ -44,19 +45,19 @@ def furnace(backend) -> tuple[Scene, IrradianceCache]:
 
 
 @pytest.fixture(scope="module")
-def run(furnace) -> tuple[dict[str, Any], list[int], list[float]]:
-    """What the bench finds; samples per pixel as they are done, and the wall's emission meanwhile."""
+def run(furnace) -> tuple[dict[str, Any], list[tuple[int, int]], list[float]]:
+    """What the bench finds; the progress that it reports, and the wall's emission meanwhile."""
     scene, cache = furnace
-    samples, emission = [], []
+    reported, emission = [], []
 
-    def advance(done: int) -> None:
-        samples.append(done)
+    def progress(done: int, total: int) -> None:
+        reported.append((done, total))
         emission.append(emitted(scene))
 
     with pytest.MonkeyPatch.context() as monkeypatch:
         monkeypatch.setattr(relighting, "time", Clock())
-        found = bench_relighting(scene, scene.camera, cache, 2, advance)
-    return found, samples, emission
+        found = bench_relighting(scene, scene.camera, cache, 2 * PASS - 1, progress)
+    return found, reported, emission
 
 
 def emitted(scene: Scene) -> float:
@@ -95,9 +96,11 @@ def test_the_first_update_is_not_timed(run):
 
 
 def test_it_tells_how_many_samples_are_done_while_the_lamp_is_dimmed(run, furnace):
-    _, samples, emission = run
-    assert samples == [PASS] * 2 * IMAGES
-    assert emission == [0.25] * 2 * IMAGES
+    _, reported, emission = run
+    # An unbiased image and one for each state, in two passes.
+    passes = 2 * (1 + len(STATES))
+    assert reported == [(number * PASS, passes * PASS) for number in range(1, passes + 1)]
+    assert emission == [0.25] * passes
     assert emitted(furnace[0]) == 0.5
 
 
@@ -175,7 +178,7 @@ def test_the_strongest_light_alone_is_halved_and_put_back_even_if_the_bench_is_s
     for number in range(count):
         with pytest.raises(StoppedError):
             bench_relighting(
-                scene, scene.camera, favouring(furnace[1], number, count), 1, lambda samples: None
+                scene, scene.camera, favouring(furnace[1], number, count), 1, lambda done, total: None
             )
         assert changed(before, strengths(scene)) == []
     assert [int(key.split()[0]) for key in halved] == list(range(count))
@@ -184,7 +187,8 @@ def test_the_strongest_light_alone_is_halved_and_put_back_even_if_the_bench_is_s
 def untouched(scene: Scene, cache: IrradianceCache) -> dict[str, Any]:
     """What the bench finds where it makes no image."""
     before = strengths(scene)
-    found = bench_relighting(scene, scene.camera, cache, 1, lambda samples: pytest.fail("an image was made"))
+    image_made = lambda done, total: pytest.fail("an image was made")  # noqa: E731
+    found = bench_relighting(scene, scene.camera, cache, 1, image_made)
     assert changed(before, strengths(scene)) == []
     return found
 
@@ -197,3 +201,16 @@ def test_a_light_that_nothing_scales_is_not_measured(furnace):
 def test_a_cache_without_cells_is_not_measured(furnace):
     nothing = IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), 1)
     assert untouched(furnace[0], nothing) == {"rows": [], "update_ms": {}}
+
+
+def test_a_cache_follows_a_dimmed_lamp_of_a_room(backend, monkeypatch):
+    # As many points as in use.
+    monkeypatch.setattr(irradiance, "fill_cache", fill_cache)
+    scene = load_scene("room")
+    camera, cache = scene.camera.resized(64, 64), irradiance.filled_cache(scene)
+    found = bench_relighting(scene, camera, cache, 128, lambda done, total: None)
+    bias = {row["cache"]: row["squared_bias"] for row in found["rows"]}
+    assert list(bias) == STATES
+    assert bias["1 updates"] < 0.1 * bias["stale"]
+    assert bias["35 updates"] < 2 * max(bias[f"fresh {n}"] for n in (1, 2, 3))
+    assert found["update_ms"]["p50"] > 0

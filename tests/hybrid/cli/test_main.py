@@ -22,6 +22,7 @@ from hybrid.cli.benches.motion import motion
 from hybrid.cli.benches.passes import passes
 from hybrid.cli.benches.periphery import periphery
 from hybrid.cli.benches.raster import raster
+from hybrid.cli.benches.relighting import relighting
 from hybrid.cli.benches.seam import seam
 from hybrid.cli.benches.still import still
 from hybrid.cli.capture import capture
@@ -54,6 +55,7 @@ COMMANDS = {
 BENCHES = {
     "raster": raster,
     "integrator": integrator,
+    "relighting": relighting,
     "periphery": periphery,
     "gaze": gaze,
     "forest": forest,

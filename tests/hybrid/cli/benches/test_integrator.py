@@ -31,14 +31,3 @@ def test_both_integrators_are_compared(monkeypatch, tmp_path, capsys):
         ["cached", "4"],
     ]
     assert [line.split()[0] for line in shown[8:10]] == ["path", "cached"]
-    assert "per update" in shown[10]
-    assert [line.split()[0] for line in shown[12:]] == [
-        "stale",
-        "1",
-        "5",
-        "15",
-        "35",
-        "fresh",
-        "fresh",
-        "fresh",
-    ]
