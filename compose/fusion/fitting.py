@@ -29,7 +29,7 @@ _TELLING = 4
 # Least squared error that a patch is thought to have: relative to the reference's noise, which hides smaller
 # ones, and as one that nobody sees; else black patches would outweigh all others.
 _CERTAINTY = 0.05
-_INVISIBLE = 1e-5
+INVISIBLE = 1e-5
 # Errors count as they are and as means over squares of this many pixels: at arm's length from a monitor, the
 # eye sees waves of about eight pixels best, and blotches more easily than as much noise in single pixels.
 _SIDES = 1, 4
@@ -89,7 +89,7 @@ def _loss(fusion: Fusion, patches: Tensor, parents: Sequence[Parents]) -> Tensor
         error, unknown = (
             (functional.avg_pool2d(image, side) ** 2).mean((1, 2, 3)) for image in (difference, noise)
         )  # (N,) each
-        without = torch.maximum(error.detach() - unknown, _CERTAINTY * unknown) + _INVISIBLE
+        without = torch.maximum(error.detach() - unknown, _CERTAINTY * unknown) + INVISIBLE
         parts.append((error / without).mean())
     return torch.stack(parts).mean()
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from compose.fusion.estimate import estimated
 from compose.fusion.examples import STACK, Example
 from compose.fusion.features import perceived
-from compose.fusion.fitting import fit
+from compose.fusion.fitting import INVISIBLE, fit
 from compose.fusion.network import Fusion
 from compose.fusion.shares import COUNTS, ENLARGEMENTS, MIXED, Cell
 
@@ -45,8 +45,8 @@ class Proof:
 
     Attributes:
         shares: (2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)) of network, denoised samples and splats.
-        gains: (2, len(COUNTS), len(ENLARGEMENTS)) decibels by which the mixture was better than the better
-            parent on unseen views; 0 where that parent alone is shown.
+        gains: (2, len(COUNTS), len(ENLARGEMENTS)) decibels by which the squared error of the mixture was below
+            the better parent's on unseen views; 0 where that parent alone is shown.
     """
 
     shares: NDArray[np.float32]
@@ -142,15 +142,24 @@ def _tried(of_views: dict[int, _Errors]) -> tuple[NDArray[np.float64], float]:
     if len(scaled) < 2:
         return alone, 0.0
     # Each view is judged by shares that the other ones have chosen.
-    gains = []
+    gains, left = [], []
     for view, errors in scaled.items():
         others = np.concatenate([one for name, one in scaled.items() if name != view])
         chosen = _best(others.mean(axis=0))
         gains.append((errors[:, parent, parent] - _squared(errors, chosen)).mean())
+        left.append(_squared(of_views[view], chosen))
     if np.mean(gains) <= np.std(gains, ddof=1) / np.sqrt(len(gains)):
         return alone, 0.0
-    least = max(mean[parent, parent] - np.mean(gains), _LEAST_LEFT * mean[parent, parent])
-    return _best(mean), float(10 * np.log10(mean[parent, parent] / least))
+    return _best(mean), _decibels(np.concatenate(list(of_views.values())), np.concatenate(left))
+
+
+def _decibels(errors: _Errors, left: NDArray[np.float64]) -> float:
+    """How much less than the better parent's error (B, M, M) is left (B,).
+
+    Relative errors decide what is shown, but noise biases them, and hardly these.
+    """
+    parent = max(float(errors.mean(axis=0).diagonal()[1:].min()), 0) + INVISIBLE
+    return float(10 * np.log10(parent / max(float(left.mean()) + INVISIBLE, _LEAST_LEFT * parent)))
 
 
 def _relative(of_views: dict[int, _Errors]) -> dict[int, _Errors]:

@@ -58,6 +58,6 @@ def _print_verdicts(rows: list[dict[str, Any]]) -> None:
         if row["enlargement"] == 1 and not row["quick"]:
             alone = "splats" if row["splat"] == 1 else "denoised samples"
             shown = f"{row['gain_db']:+.1f} dB over the better of denoised samples and splats"
-            if row["gain_db"] == 0:
+            if 1 in (row["splat"], row["denoised"]):
                 shown = f"{alone} alone: the fusion did not prove better on unseen views"
             print(f"fused fovea at {row['spp']} spp: {shown}")

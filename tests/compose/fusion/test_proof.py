@@ -111,19 +111,28 @@ def test_conditions_that_were_not_tried_get_the_nearest_verdict(useless):
     assert (found.shares[:, 3:, :, 1] == 1).all()
 
 
+def with_noisy_reference(given: Example, seed: int) -> Example:
+    """The example with a reference whose halves have ten times the parents' error."""
+    rng, right = np.random.default_rng(seed), radiance_of(given)
+    halves = tuple(
+        np.float32(right + 0.3 * rng.normal(size=right.shape)).astype(np.float32) for _ in range(2)
+    )
+    reference = replace(given.reference, denoised=blurred(right, 0.5), halves=halves)
+    return replace(given, reference=reference)
+
+
 def test_noise_of_the_references_does_not_favour_the_noisier_parent(useless):
     """The same noise in reference and parent would; independent noise leaves the better one."""
-    views = []
-    for seed in range(4):
-        given = with_parents(seed, 0.02, 0.1)
-        rng, right = np.random.default_rng(100 + seed), radiance_of(given)
-        halves = tuple(
-            np.float32(right + 0.3 * rng.normal(size=right.shape)).astype(np.float32) for _ in range(2)
-        )
-        reference = replace(given.reference, denoised=blurred(right, 0.5), halves=halves)
-        views.append(replace(given, reference=reference))
+    views = [with_noisy_reference(with_parents(seed, 0.02, 0.1), 100 + seed) for seed in range(4)]
     found = prove(views, 0, ignore)
     assert (found.shares[..., 1] > 0.8).all()
+
+
+def test_noise_of_the_references_does_not_raise_the_stated_gain(useless):
+    """The mean of two independent parents has half their squared error, whoever measures it."""
+    views = [with_noisy_reference(with_parents(seed, 0.05, 0.05), 100 + seed) for seed in range(12)]
+    found = prove(views, 0, ignore)
+    assert found.gains == pytest.approx(np.full((2, 5, 3), 3.0), abs=1.0)
 
 
 def test_progress_runs_over_both_trials(useless):
