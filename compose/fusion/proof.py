@@ -45,8 +45,8 @@ class Proof:
 
     Attributes:
         shares: (2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)) of network, denoised samples and splats.
-        gains: (2, len(COUNTS), len(ENLARGEMENTS)) decibels by which the squared error of the mixture was below
-            the better parent's on unseen views; 0 where that parent alone is shown.
+        gains: (2, len(COUNTS), len(ENLARGEMENTS)) decibels by which the mixture's squared error was below the
+            better parent's on unseen views; 0 where that parent alone is shown.
     """
 
     shares: NDArray[np.float32]
