@@ -72,13 +72,14 @@ def capture(
     entries = document["frames"] + document["close_ups"]
     cameras = [camera_from_json({**document, **entry}) for entry in entries]
     samples = [_samples(entry, camera) for entry, camera in zip(entries, cameras, strict=True)]
-    measured = [entry["held_out"] for entry in document["frames"]] + [False] * len(document["close_ups"])
+    tracers = [unbiased if entry["held_out"] else quick for entry in document["frames"]]
+    tracers += [quick] * len(document["close_ups"])
     for index, (entry, camera) in enumerate(zip(entries, cameras, strict=True)):
         if not (folder / entry["file_path"]).is_file():
             # Each frame has a seed of its own, so that a resumed capture ends with the same frames.
             seed = settings.seed * _CAPTURE_SEED_STEP + index
             _write_estimates(quick, folder, entry, camera, seed)
-            _write_frame(unbiased if measured[index] else quick, folder, entry, camera, seed)
+            _write_frame(tracers[index], folder, entry, camera, seed)
         progress(sum(samples[: index + 1]), sum(samples))
     return read_frame_set(folder)
 

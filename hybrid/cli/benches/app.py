@@ -20,8 +20,18 @@ from hybrid.cli.benches.still import still
 
 bench_app = typer.Typer(no_args_is_help=True, help="Measure one part alone.")
 for command in (
-    *(raster, integrator, relighting, periphery, gaze, forest),
-    *(passes, fusion, change, motion, seam, still),
+    raster,
+    integrator,
+    relighting,
+    periphery,
+    gaze,
+    forest,
+    passes,
+    fusion,
+    change,
+    motion,
+    seam,
+    still,
 ):
     bench_app.command()(command)
 bench_app.command("held-out")(held_out)

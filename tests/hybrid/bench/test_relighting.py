@@ -214,3 +214,13 @@ def test_a_cache_follows_a_dimmed_lamp_of_a_room(backend, monkeypatch):
     assert bias["1 updates"] < 0.1 * bias["stale"]
     assert bias["35 updates"] < 2 * max(bias[f"fresh {n}"] for n in (1, 2, 3))
     assert found["update_ms"]["p50"] > 0
+
+
+def test_a_lamp_that_was_dimmed_is_put_back(backend):
+    scene = load_scene(small.corner())
+    strength = lambda: [value for key, value in mi.traverse(scene.mitsuba) if key.endswith("radiance.value")]  # noqa: E731
+    before = np.array(strength()[0])
+    cache = fill_cache(scene, [scene.camera], points=4096)
+    found = bench_relighting(scene, scene.camera, cache, 16, lambda done, total: None)
+    assert len(found["rows"]) == 8
+    np.testing.assert_array_equal(strength()[0], before)
