@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import os
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -21,10 +23,18 @@ def offscreen() -> dict[str, str]:
 
 
 @pytest.fixture(scope="session")
-def application(offscreen) -> Any:
-    """Qt in this process."""
+def only_application(offscreen) -> Any:
+    """Qt in this process; it can be started once."""
     from PySide6.QtWidgets import QApplication
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("QT_QPA_PLATFORM", offscreen["QT_QPA_PLATFORM"])
         return QApplication.instance() or QApplication([])
+
+
+@pytest.fixture
+def application(only_application) -> Iterator[Any]:
+    """Qt in this process, without windows of other tests."""
+    yield only_application
+    # Windows refer to themselves. If the collector found them on a render thread, Qt would crash.
+    gc.collect()
