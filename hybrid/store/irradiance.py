@@ -52,8 +52,10 @@ def _arrays(cache: IrradianceCache) -> dict[str, NDArray[np.generic]]:
         "points.patch": transfer.patch,
         "rays.point": transfer.rays.point,
         "rays.square": transfer.rays.square,
+        "rays.weight": transfer.rays.weight,
         "direct": transfer.direct,
         "reflected": transfer.reflected,
+        "passed": transfer.passed,
         "known": transfer.known,
         "patches.cells": transport.patches.cells,
         "patches.rays": transport.rays,
@@ -101,9 +103,10 @@ def _transfer(arrays: dict[str, NDArray[np.generic]]) -> Transfer:
     transfer = Transfer(
         points,
         whole("points.patch"),
-        Rays(rays, single("rays.square")),
+        Rays(rays, single("rays.square"), single("rays.weight")),
         single("direct"),
         single("reflected"),
+        single("passed"),
         transport,
         known,
     )

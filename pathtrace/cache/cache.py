@@ -125,9 +125,11 @@ def look_up(
     spread = area / dr.square(scale)
     known, cell = mi.Bool(False), mi.UInt32(0)
     for level, side in enumerate(SIDES):
-        names = cell_names_jit(local + across * side, normal, level)
-        found, index = find(table, *names, active & ~known & (spread >= side * side))
-        cell = dr.select(found, index, cell)
-        known |= found
+        asks = active & (spread >= side * side)
+        # Where the neighbour is not known, the cell itself is nearer than a larger one of both.
+        for place in (local + across * side, local):
+            found, index = find(table, *cell_names_jit(place, normal, level), asks & ~known)
+            cell = dr.select(found, index, cell)
+            known |= found
     cell += (dr.minimum(segments, steps) - 1) * cells
     return known, mi.Color3f(*(dr.gather(mi.Float, channel, cell, known) for channel in channels))

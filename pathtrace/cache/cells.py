@@ -5,7 +5,7 @@ The same names are found with NumPy, where a cache is filled, and with Dr.Jit, w
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -51,6 +51,13 @@ class Points:
     def take(self, chosen: NDArray[Any]) -> Points:
         """Some of the points, by index or mask."""
         return Points(self.position[chosen], self.normal[chosen])
+
+
+def joined_points(parts: Sequence[Points]) -> Points:
+    """The points of all parts, one part after the other."""
+    return Points(
+        np.concatenate([part.position for part in parts]), np.concatenate([part.normal for part in parts])
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,14 +134,16 @@ class Cells:
         enough = [count >= fewest for count, fewest in zip(self.counts, _FEWEST, strict=True)]
         return np.concatenate(enough)
 
-    def best(self, points: Points) -> NDArray[np.int64]:
-        """(N,) index of each point's smallest known cell, else of its smallest at all; -1 without any."""
-        best = np.full(len(points), -1)
-        indices = self.indices(points)
-        for wanted in (np.ones(len(self), dtype=bool), self.known):
-            for cell in reversed(indices):
-                best = np.where((cell >= 0) & wanted[cell], cell, best)
-        return best
+    def smallest(self, points: Points) -> NDArray[np.int64]:
+        """(N,) index of the smallest cell that each point lies in, whether enough is known of it or not.
+
+        Larger cells reach past edges behind which it may be much brighter. That few points are noisy does not
+        matter where very many are averaged.
+        """
+        smallest = np.full(len(points), -1)
+        for cell in reversed(self.indices(points)):
+            smallest = np.where(cell >= 0, cell, smallest)
+        return smallest
 
     def only_known(self) -> Cells:
         """The cells that are known."""

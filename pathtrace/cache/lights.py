@@ -180,7 +180,7 @@ class Lights:
         return dr.select(known, cell, self._rows)
 
     def sample(self, hit: Any, row: Any, point: Any, active: Any) -> tuple[Any, Any]:
-        """As Mitsuba's `Scene.sample_emitter_direction`, with shadow rays: direction sample and radiance."""
+        """As Mitsuba's `Scene.sample_emitter_direction`, without shadows: direction sample and radiance."""
         start = row * self._count
         above = lambda index: dr.gather(mi.Float, self._running, start + index, active) < point.x  # noqa: E731
         number = dr.binary_search(0, self._count - 1, above)
@@ -190,9 +190,12 @@ class Lights:
         emitter = dr.gather(mi.EmitterPtr, self._emitters, number, active)
         light, emitted = emitter.sample_direction(hit, mi.Point2f(inside, point.y), active)
         lit = active & (light.pdf > 0)
-        lit &= ~self._scene.ray_test(hit.spawn_ray_to(light.p), lit)
         light.pdf = dr.select(lit, light.pdf * chance, 0)
         return light, dr.select(lit, emitted / chance, 0)
+
+    def visible(self, hit: Any, light: Any, active: Any) -> Any:
+        """Mask of the sampled places on lights that nothing hides, by shadow rays."""
+        return active & ~self._scene.ray_test(hit.spawn_ray_to(light.p), active)
 
     def pdf(self, before: Any, row: Any, found: Any, active: Any) -> Any:
         """As Mitsuba's `Scene.pdf_emitter_direction`."""

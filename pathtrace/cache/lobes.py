@@ -4,19 +4,30 @@ from __future__ import annotations
 
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 
+# Density below which directions are not sampled.
+_SMALLEST = 1e-20
 
-def reflects_irradiance(sample: Any) -> Any:
-    """Whether the lobe that N sampled directions belong to reflects a share of the irradiance.
 
-    Mirrors, glass and glossy lobes reflect what is in some directions instead: a path has to go on to it.
-    Treating wide glossy lobes as diffuse was 3 % too bright beside a floor of rough metal.
+def irradiance_share(flags: Any, wi: Any, wo: Any, pdf: Any) -> Any:
+    """Share, 0 to 1, of the light scattered between N pairs of directions that irradiance stands for.
+
+    A cache gives that share, a path or shadow ray the rest. Both may then sample all of the surface's lobes,
+    in any way: a light is counted once in total. The share is 1 where directions are as dense as those of a
+    diffuse surface, falls towards the peaks of glossy lobes, and is 0 for mirrors and glass. Treating wide
+    glossy lobes as diffuse was 3 % too bright beside a floor of rough metal.
 
     Args:
-        sample: N Mitsuba BSDF samples.
+        flags: N sets of Mitsuba BSDF flags.
+        wi, wo: directions in the surface's frame.
+        pdf: density with which the surface samples `wo`; 0 for the only direction of a mirror.
     """
-    return mi.has_flag(sample.sampled_type, mi.BSDFFlags.Diffuse)
+    diffuse = mi.has_flag(flags, mi.BSDFFlags.Diffuse) & (wi.z * wo.z > 0)
+    even = dr.abs(wo.z) * dr.inv_pi
+    share = dr.square(dr.minimum(even / dr.maximum(pdf, _SMALLEST), 1))
+    return dr.select(diffuse & (pdf > 0), dr.select(shows_lights(flags), share, 1), 0)
 
 
 def shows_lights(flags: Any) -> Any:

@@ -16,13 +16,13 @@ class Spreading:
 
     Args:
         transport: between the cells.
-        direct: (C, 3) irradiance that comes from lights directly.
+        sent: (S, C, 3) irradiance that comes from lights, as for `Transport.irradiance`.
         most: number of segments that count, as for `Transport.irradiance`.
     """
 
-    def __init__(self, transport: Transport, direct: NDArray[np.float32], most: int):
-        self._transport, self._next = transport, 1
-        self._known = transport.every(direct, most)
+    def __init__(self, transport: Transport, sent: NDArray[np.float32], most: int):
+        self._transport, self._next, self._sent = transport, 1, sent
+        self._known = transport.every(sent, most)
         self._share = -(-(len(self._known) - 1) // _STEPS)
 
     @property
@@ -39,12 +39,12 @@ class Spreading:
         for _ in range(self._share):
             self._next = self._next if self._next < len(self._known) else 1
             received = self._transport.received(self._known[: self._next])
-            self._known[self._next] = self._known[0] + received
+            self._known[self._next] = self._sent[min(self._next, len(self._sent) - 1)] + received
             self._next += 1
 
-    def light(self, direct: NDArray[np.float32]) -> None:
-        """Sets the light (C, 3) that the next steps pass on."""
-        self._known[0] = direct
+    def light(self, sent: NDArray[np.float32]) -> None:
+        """Sets the light (S, C, 3) that the next steps pass on."""
+        self._sent, self._known[0] = sent, sent[0]
 
     def irradiance(self, cells: NDArray[np.int64]) -> NDArray[np.float32]:
         """(K, c, 3) of cells given by their indices, as of `IrradianceCache`."""

@@ -20,15 +20,18 @@ class Rays:
     Attributes:
         point: (M,) int32 index of the point that each starts at.
         square: (M, 2) where its direction lies, in 0..1, cosine-weighted around the normal.
+        weight: (M,) of what it finds: the irradiance that arrives in this way for each unit of radiance.
     """
 
     point: NDArray[np.int32]
     square: NDArray[np.float32]
+    weight: NDArray[np.float32]
 
     @staticmethod
     def none() -> Rays:
         """No rays."""
-        return Rays(np.zeros(0, dtype=np.int32), np.zeros((0, 2), dtype=np.float32))
+        nothing = np.zeros(0, dtype=np.float32)
+        return Rays(nothing.astype(np.int32), np.zeros((0, 2), dtype=np.float32), nothing)
 
     def __len__(self) -> int:
         return len(self.point)
@@ -45,6 +48,7 @@ class Transfer:
         direct: (P, 3) sums over each patch's points of the irradiance from lights.
         reflected: (R, 3) sums over each region's rays of the irradiance from lights seen in mirrors, glossy
             surfaces and glass.
+        passed: (B, R) share of it that met at most 1, 2, ... such surfaces on its way; 1 in the last row.
         transport: of light between all C cells.
         known: (C,) mask of the cells that the cache answers from.
     """
@@ -54,6 +58,7 @@ class Transfer:
     rays: Rays
     direct: NDArray[np.float32]
     reflected: NDArray[np.float32]
+    passed: NDArray[np.float32]
     transport: Transport
     known: NDArray[np.bool_]
 
@@ -62,14 +67,16 @@ class Transfer:
         """That of a cache without cells."""
         dark, transport = np.zeros((0, 3), dtype=np.float32), Transport.none()
         nothing = np.zeros(0, dtype=np.int32), np.zeros(0, dtype=bool)
-        return Transfer(Points.none(), nothing[0], Rays.none(), dark, dark, transport, nothing[1])
+        passed = np.ones((1, 0), dtype=np.float32)
+        return Transfer(Points.none(), nothing[0], Rays.none(), dark, dark, passed, transport, nothing[1])
 
     @property
     def bytes(self) -> int:
         """Memory that it takes."""
         arrays = (
-            *(self.points.position, self.points.normal, self.patch, self.rays.point, self.rays.square),
-            *(self.direct, self.reflected, self.known),
+            *(self.points.position, self.points.normal, self.patch),
+            *(self.rays.point, self.rays.square, self.rays.weight),
+            *(self.direct, self.reflected, self.passed, self.known),
         )
         return self.transport.bytes + sum(array.nbytes for array in arrays)
 
@@ -81,8 +88,10 @@ class Transfer:
             (self.points.position, (len(self.patch), 3)),
             (self.points.normal, (len(self.patch), 3)),
             (self.rays.square, (len(self.rays), 2)),
+            (self.rays.weight, (len(self.rays),)),
             (self.direct, (count, 3)),
             (self.reflected, (regions, 3)),
+            (self.passed, (len(self.passed), regions)),
             (transport.rays, (count,)),
             (transport.reflectance, (3, len(transport.cells))),
         )
@@ -96,6 +105,7 @@ class Transfer:
         whole = len(sizes) % max(count, 1) == 0 and transport.starts[-1] == len(transport.cells)
         if not (
             whole
+            and len(self.passed)
             and (sizes >= 0).all()
             and all(array.shape == shape for array, shape in shapes)
             and all(((index >= 0) & (index < end)).all() for index, end in indices)
@@ -127,11 +137,18 @@ class Transfer:
         return self.transport.patches.averaging(self.numbers)
 
     def of_cells(self, direct: NDArray[Any], reflected: NDArray[Any]) -> NDArray[np.float32]:
-        """(C, 3) irradiance of cells from lights, from sums like `direct` and `reflected`.
+        """(B + 1, C, 3) irradiance of cells from lights, from sums like `direct` and `reflected`.
+
+        The first is that of direct light, the next ones that of at most 1, 2, ... surfaces on the way.
 
         Lights seen in mirrors and through glass are found rarely, and are very bright then: no small cell has
         enough samples of them, so that each patch gets the mean of its region.
         """
-        shown = self._shares * reflected[self.transport.patches.regions]
-        irradiance: NDArray[np.float32] = self._averaging @ (direct + shown).astype(np.float32)
-        return irradiance
+        regions = self.transport.patches.regions
+        shown = self._shares * reflected[regions]
+        rows = [direct, *(direct + passed[regions, None] * shown for passed in self.passed)]
+        return np.stack([self._averaging @ row.astype(np.float32) for row in rows])
+
+    def irradiance(self, most: int) -> NDArray[np.float32]:
+        """(K, C, 3) irradiance of cells, as of `IrradianceCache`; `most` as for `Transport.irradiance`."""
+        return self.transport.irradiance(self.of_cells(self.direct, self.reflected), most)

@@ -119,30 +119,31 @@ class Transport:
             known: irradiance (C, 3) of at most 1, 2, ... segments.
         """
         sums = np.zeros((len(self.patches), 3), dtype=np.float32)
-        for channels, sent in zip(self._matrices, reversed(known), strict=False):
+        for channels, light in zip(self._matrices, reversed(known), strict=False):
             for channel, matrix in enumerate(channels):
-                sums[:, channel] += matrix @ np.ascontiguousarray(sent[:, channel])
+                sums[:, channel] += matrix @ np.ascontiguousarray(light[:, channel])
         received: NDArray[np.float32] = self._averaging @ sums
         return received
 
-    def every(self, direct: NDArray[np.float32], most: int) -> list[NDArray[np.float32]]:
-        """Irradiance (C, 3) of at most 1, 2, ... segments from a light; `direct` and `most` as below."""
-        known = [direct]
-        for _ in range(1, most if most > 0 else _UNBOUNDED):
-            known.append(direct + self.received(known))
+    def every(self, sent: NDArray[np.float32], most: int) -> list[NDArray[np.float32]]:
+        """Irradiance (C, 3) of at most 1, 2, ... segments from a light; `sent` and `most` as below."""
+        known = [sent[0]]
+        for segments in range(1, most if most > 0 else _UNBOUNDED):
+            known.append(sent[min(segments, len(sent) - 1)] + self.received(known))
         return known
 
-    def irradiance(self, direct: NDArray[np.float32], most: int) -> NDArray[np.float32]:
+    def irradiance(self, sent: NDArray[np.float32], most: int) -> NDArray[np.float32]:
         """Irradiance by the number of segments from a light at most.
 
         Args:
-            direct: (C, 3) irradiance that comes from lights directly.
+            sent: (S, C, 3) irradiance that comes from lights without other cells between; [n] is that of at
+                most n + 1 segments, the last that of all.
             most: number of segments at most, at least 1; below 0 for no bound.
 
         Returns:
             (K, C, 3) as of `IrradianceCache`.
         """
-        return told_apart(self.every(direct, most))
+        return told_apart(self.every(sent, most))
 
 
 def told_apart(known: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:

@@ -11,11 +11,11 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from pathtrace.cache.lobes import reflects_irradiance, shows_lights
+from pathtrace.cache.lobes import irradiance_share, shows_lights
 
-# Samples from each point, towards lights and towards other surfaces; a square, for they are stratified.
+# Samples of lights from each point; a square, for they are stratified.
 _STRATA = 2
-RAYS = _STRATA**2
+SAMPLES = _STRATA**2
 # Mirrors and glass surfaces that a ray passes at most.
 _MOST_BOUNCES = 6
 
@@ -26,6 +26,8 @@ class Followed:
 
     Attributes:
         radiance: of the lights on the way, but for one that was hit first.
+        passed: number of surfaces on the way to these lights; of several ways one by chance, more likely the
+            one that brought more.
         hit: the last surface.
         side: normal of its lit side.
         valid: whether it reflects irradiance.
@@ -35,6 +37,7 @@ class Followed:
     """
 
     radiance: Any
+    passed: Any
     hit: Any
     side: Any
     valid: Any
@@ -52,8 +55,8 @@ def surface_at(position: Any, normal: Any) -> Any:
 
 
 def stratified(sampler: Any, lane: Any) -> Any:
-    """Random points in the unit square, spread evenly over each RAYS lanes."""
-    row, column = (lane % RAYS) // _STRATA, lane % _STRATA
+    """Random points in the unit square, spread evenly over each SAMPLES lanes."""
+    row, column = (lane % SAMPLES) // _STRATA, lane % _STRATA
     return mi.Point2f((column + sampler.next_1d()) / _STRATA, (row + sampler.next_1d()) / _STRATA)
 
 
@@ -105,10 +108,15 @@ def _finite(light: Any) -> Any:
     return dr.select(dr.all(dr.isfinite(light)), light, 0)
 
 
+def _chosen(sampler: Any, part: Any, total: Any) -> Any:
+    """Mask of the lanes in which a part of a sum is chosen in proportion to its size."""
+    return sampler.next_1d() * dr.mean(total) < dr.mean(part)
+
+
 @dr.syntax
 def _followed(scene: Any, sampler: Any, ray: Any, active: Any) -> tuple[Any, ...]:
     """The attributes of `Followed`, in their order."""
-    context = mi.BSDFContext()
+    context, passed = mi.BSDFContext(), mi.UInt32(1)
     hit, side = dr.zeros(mi.SurfaceInteraction3f), mi.Normal3f(0)
     throughput, radiance = mi.Color3f(1), mi.Color3f(0)
     valid, shiny, bounces = mi.Bool(False), mi.Bool(False), mi.UInt32(0)
@@ -121,25 +129,36 @@ def _followed(scene: Any, sampler: Any, ray: Any, active: Any) -> tuple[Any, ...
         found = mi.DirectionSample3f(scene, hit, before)
         other = scene.pdf_emitter_direction(before, found, shines & ~specular)
         weight = dr.select(specular, 1, pdf / (pdf + other))
-        radiance += dr.select(shines, throughput * weight * emitter.eval(hit, shines), 0)
+        brought = dr.select(shines, throughput * weight * emitter.eval(hit, shines), 0)
+        radiance += brought
+        passed = dr.select(_chosen(sampler, brought, radiance), bounces, passed)
         active &= hit.is_valid()
         bsdf = hit.bsdf()
         shiny |= active & (bounces == 0) & shows_lights(bsdf.flags())
         lobe, direction = sampler.next_1d(active), sampler.next_2d(active)
         sample, reflected = bsdf.sample(context, hit, lobe, direction, active)
-        passes = active & ~reflects_irradiance(sample) & (dr.max(reflected) > 0)
-        valid |= active & ~passes & (dr.max(reflected) > 0)
-        side = dr.select(dr.dot(hit.n, ray.d) < 0, hit.n, -hit.n)
         specular = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+        density = dr.select(specular, 0, sample.pdf)
+        ends = sampler.next_1d(active) < irradiance_share(bsdf.flags(), hit.wi, sample.wo, density)
+        reflects = active & (dr.max(reflected) > 0)
+        passes = reflects & ~ends
+        valid |= reflects & ends
+        side = dr.select(dr.dot(hit.n, ray.d) < 0, hit.n, -hit.n)
         # Small lights are hardly ever found in a glossy surface by chance.
-        glossy = passes & ~specular
-        light, emitted = scene.sample_emitter_direction(hit, sampler.next_2d(glossy), True, glossy)
+        glossy = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) & shows_lights(bsdf.flags())
+        light, emitted = scene.sample_emitter_direction(hit, sampler.next_2d(glossy), False, glossy)
         value, scatter_pdf = bsdf.eval_pdf(context, hit, hit.to_local(light.d), glossy)
         share = dr.select(light.delta, 1, light.pdf / (light.pdf + scatter_pdf))
-        radiance += dr.select(glossy & (light.pdf > 0), throughput * value * emitted * share, 0)
+        # What is reflected as irradiance is not seen.
+        share *= 1 - irradiance_share(bsdf.flags(), hit.wi, hit.to_local(light.d), scatter_pdf)
+        seen = glossy & (light.pdf > 0) & (share > 0)
+        seen &= ~scene.ray_test(hit.spawn_ray_to(light.p), seen)
+        brought = dr.select(seen, throughput * value * emitted * share, 0)
+        radiance += brought
+        passed = dr.select(_chosen(sampler, brought, radiance), bounces + 1, passed)
         throughput = dr.select(active, throughput * reflected, throughput)
         before, pdf = hit, sample.pdf
         active = passes & (bounces < _MOST_BOUNCES)
         ray = dr.select(active, hit.spawn_ray(hit.to_world(sample.wo)), ray)
         bounces = dr.select(active, bounces + 1, bounces)
-    return radiance, hit, side, valid, shiny, bounces, dr.select(valid, throughput, 0)
+    return radiance, passed, hit, side, valid, shiny, bounces, dr.select(valid, throughput, 0)

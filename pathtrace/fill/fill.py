@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -12,13 +14,14 @@ from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
 from pathtrace.cache.cache import IrradianceCache
-from pathtrace.cache.cells import SIDES, Cells, Grid, Points
-from pathtrace.cache.lights import LightChoice, LightSamples
+from pathtrace.cache.cells import SIDES, Cells, Grid, Points, joined_points
+from pathtrace.cache.lights import LightChoice
 from pathtrace.cache.patches import Patches, sums_by
 from pathtrace.cache.transfer import Rays, Transfer
-from pathtrace.cache.transport import Links, Transport
-from pathtrace.fill.direct import RAYS
-from pathtrace.fill.gather import Gathered, gather
+from pathtrace.cache.transport import Transport
+from pathtrace.fill.gather import Direct, Seen, gather_direct, gather_seen
+from pathtrace.fill.guide import Guide, even_squares
+from pathtrace.fill.links import cells_hit, links_of
 from pathtrace.fill.segments import segments_beyond_cache
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.surfaces import Surfaces
@@ -27,6 +30,8 @@ from pathtrace.trace.rays import opaque_camera, ray_through
 
 # Points of each generation.
 POINTS = 1 << 17
+# Rays from each point in even directions, and as many that are guided by what these bring.
+_RAYS = 2
 # Points of a cell are looked at from this height above the surface, in sides of the cell.
 _HEIGHT = 0.1
 # Points where paths of the views end, points seen from those, and so on.
@@ -50,65 +55,131 @@ def fill_cache(
         points: number of points of each generation.
     """
     random = np.random.default_rng(seed)
-    state = lambda: int(random.integers(1 << 32))  # noqa: E731
-    total = _GENERATIONS + 1
+    total = _GENERATIONS + 2
     grid = Grid(cameras[0].position.astype(np.float32), _scale(scene, cameras[0]))
     share = -(-points // (2 * len(cameras)))
-    parts = [_concatenated([_path_ends(scene.mitsuba, camera, share, state()) for camera in cameras])]
+    ends = [_path_ends(scene.mitsuba, camera, share, _state(random)) for camera in cameras]
+    parts = [joined_points(ends)]
     if not len(parts[0]):
         return IrradianceCache.empty(grid, len(scene.mitsuba.emitters()))
-    gathered = [gather(scene.mitsuba, parts[0], state())]
+    seen = [_seen_evenly(scene.mitsuba, parts[0], random)]
     progress(1, total)
     for generation in range(1, _GENERATIONS):
         # What is seen from there must be known as well, to know what it reflects.
-        seen = _seen(gathered[-1], _concatenated(parts), grid, points, random)
-        if not len(seen):
+        further = _unknown(seen[-1], joined_points(parts), grid, points, random)
+        if not len(further):
             break
-        parts.append(seen)
-        gathered.append(gather(scene.mitsuba, seen, state()))
+        parts.append(further)
+        seen.append(_seen_evenly(scene.mitsuba, further, random))
         progress(generation + 1, total)
-    every = _concatenated(parts)
-    joined = lambda one, other, side: _joined(scene.mitsuba, every, one, other, side)  # noqa: E731
-    cells = Cells.of(every, grid, joined)
-    transfer = _transfer(gathered, every, cells, random)
-    direct = transfer.of_cells(transfer.direct, transfer.reflected)
-    irradiance = transfer.transport.irradiance(direct, segments_beyond_cache(scene))
+    every = joined_points(parts)
+    cells = Cells.of(every, grid, lambda one, other, side: _joined(scene.mitsuba, every, one, other, side))
+    places = _Places.of(every, cells, gather_direct(scene.mitsuba, every, _state(random)))
+    progress(total - 1, total)
+    most = segments_beyond_cache(scene)
+    even = replace(Seen.joined(seen), point=np.repeat(np.arange(len(every)), _RAYS))
+    transfer = _guided(scene.mitsuba, places, even, most, random)
+    irradiance = transfer.irradiance(most)
     progress(total, total)
-    lights = LightChoice.of(_light_samples(gathered), every, grid, len(scene.mitsuba.emitters()))
-    return IrradianceCache(cells.only_known(), irradiance[:, cells.known], lights, transfer)
+    lights = LightChoice.of(places.direct.samples, every, grid, len(scene.mitsuba.emitters()))
+    return IrradianceCache(
+        cells.only_known(), irradiance[:, cells.known], lights, _shuffled(transfer, random)
+    )
 
 
-def _transfer(
-    gathered: Sequence[Gathered], points: Points, cells: Cells, random: np.random.Generator
-) -> Transfer:
-    """What rays from points found, summed over patches; the points in another order."""
-    patches, patch = Patches.of(cells.indices(points), len(cells))
-    transport = Transport.of(_links(gathered, cells), patches, patch)
-    direct = sums_by(patch, _joint(gathered, "direct"), len(patches))
-    region = patches.regions[patch]
-    reflected = sums_by(region, _joint(gathered, "reflected"), int(patches.regions.max()) + 1)
-    order = random.permutation(len(points)).astype(np.int32)
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order), dtype=np.int32)
-    shiny = random.permutation(np.flatnonzero(_joint(gathered, "shiny")))
-    rays = Rays(place[shiny // RAYS], _joint(gathered, "square")[shiny])
-    light = direct.astype(np.float32), reflected.astype(np.float32)
-    return Transfer(points.take(order), patch[order], rays, *light, transport, cells.known)
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """N points, the cells and patches that they lie in, and the light of lights there."""
+
+    points: Points
+    cells: Cells
+    patches: Patches
+    patch: NDArray[np.int32]
+    direct: Direct
+
+    @staticmethod
+    def of(points: Points, cells: Cells, direct: Direct) -> _Places:
+        patches, patch = Patches.of(cells.indices(points), len(cells))
+        return _Places(points, cells, patches, patch, direct)
+
+    @cached_property
+    def regions(self) -> NDArray[np.int64]:
+        """(N,) region of each point."""
+        return self.patches.regions[self.patch]
+
+    def transfer(self, seen: Seen, hit: NDArray[np.int64], weight: NDArray[np.float32]) -> Transfer:
+        """What rays from the points found, summed over patches, given the cells that they hit."""
+        transport = Transport.of(links_of(seen, hit, weight), self.patches, self.patch)
+        direct = sums_by(self.patch, self.direct.irradiance, len(self.patches))
+        # Of each ray, the light that a point gets is pi times that, over the number of the point's rays.
+        arriving = (np.pi * len(self.points) / len(seen.point) * weight).astype(np.float32)
+        region = self.regions[seen.point]
+        count = int(self.regions.max()) + 1
+        shown = arriving[:, None] * seen.radiance
+        reflected = sums_by(region, shown, count)
+        shiny = np.flatnonzero(seen.shiny)
+        rays = Rays(seen.point[shiny].astype(np.int32), seen.square[shiny], arriving[shiny])
+        light = direct.astype(np.float32), reflected.astype(np.float32)
+        passed = _passed(region, seen.passed, shown.mean(axis=1), count)
+        return Transfer(self.points, self.patch, rays, *light, passed, transport, self.cells.known)
 
 
-def _seen(
-    gathered: Gathered,
+def _passed(
+    region: NDArray[np.int64], passed: NDArray[np.int64], light: NDArray[np.float32], count: int
+) -> NDArray[np.float32]:
+    """(B, count) share of the light (M,) of each region's rays that met at most 1, 2, ... surfaces."""
+    most = int(passed.max(initial=1))
+    sums = np.bincount((passed - 1) * count + region, light, most * count).reshape(most, count).cumsum(axis=0)
+    return np.divide(sums, sums[-1], out=np.ones_like(sums), where=sums[-1] > 0).astype(np.float32)
+
+
+def _seen_evenly(scene: Any, points: Points, random: np.random.Generator) -> Seen:
+    """What is seen from points in even directions."""
+    square = even_squares(len(points), _RAYS, random)
+    return gather_seen(scene, points, np.repeat(np.arange(len(points)), _RAYS), square, _state(random))
+
+
+def _guided(scene: Any, places: _Places, even: Seen, most: int, random: np.random.Generator) -> Transfer:
+    """The transfer by rays in even directions and by as many that follow where these found light."""
+    points, cells = places.points, places.cells
+    hit = cells_hit(even, points, cells)
+    known = places.transfer(even, hit, np.ones(len(hit), dtype=np.float32)).irradiance(most)[-1]
+    found = np.where(hit[:, None] >= 0, known[hit] * even.reflectance, 0) + np.pi * even.radiance
+    brought, region = found.mean(axis=1), places.regions[even.point]
+    guide = Guide.of(region, even.square, brought)
+    further = gather_seen(scene, points, even.point, guide.squares(region, random), _state(random))
+    weights = guide.weights(region, even.square, brought), guide.weights(region, further.square)
+    hits = hit, cells_hit(further, points, cells)
+    return places.transfer(Seen.joined([even, further]), np.concatenate(hits), np.concatenate(weights))
+
+
+def _shuffled(transfer: Transfer, random: np.random.Generator) -> Transfer:
+    """A transfer with its points and rays in random order, so that any part of them stands for all."""
+    points, rays = (random.permutation(len(some)) for some in (transfer.points, transfer.rays))
+    place = np.empty(len(points), dtype=np.int32)
+    place[points] = np.arange(len(points), dtype=np.int32)
+    moved = Rays(place[transfer.rays.point[rays]], transfer.rays.square[rays], transfer.rays.weight[rays])
+    return replace(transfer, points=transfer.points.take(points), patch=transfer.patch[points], rays=moved)
+
+
+def _unknown(
+    seen: Seen,
     known: Points,
     grid: Grid,
     count: int,
     random: np.random.Generator,
 ) -> Points:
     """Points that rays hit, first of all where none is known yet."""
-    hits = gathered.hits.take(random.permutation(np.flatnonzero(gathered.valid)))
+    hits = seen.hits.take(random.permutation(np.flatnonzero(seen.valid)))
     # The largest cells contain the others.
     coarsest = len(SIDES) - 1
     old = np.isin(grid.keys(hits, coarsest), grid.keys(known, coarsest))
     return hits.take(np.argsort(old, kind="stable")[:count])
+
+
+def _state(random: np.random.Generator) -> int:
+    """A seed for kernels."""
+    return int(random.integers(1 << 32))
 
 
 def _scale(scene: Scene, camera: Camera) -> float:
@@ -130,39 +201,7 @@ def _path_ends(scene: Any, camera: Camera, count: int, seed: int) -> Points:
     valid &= hit.is_valid() & mi.has_flag(hit.bsdf().flags(), mi.BSDFFlags.Smooth)
     found = [(at.p, mi.Vector3f(dr.select(at.wi.z > 0, at.n, -at.n)), valid) for at in (seen, hit)]
     dr.eval(found)
-    return _concatenated([Points(p.numpy().T, n.numpy().T).take(valid.numpy()) for p, n, valid in found])
-
-
-def _links(parts: Sequence[Gathered], cells: Cells) -> Links:
-    """The rays whose hits lie in cells, and those that left the scene."""
-    cell = cells.best(_concatenated([part.hits for part in parts]))
-    valid, bounces, reflectance = (_joint(parts, name) for name in ("valid", "bounces", "reflectance"))
-    # Rays that hit no cell are left out, as if they had found what the others did.
-    kept = np.flatnonzero(~valid | (cell >= 0))
-    cell = np.where(valid, cell, -1)
-    return Links(kept // RAYS, cell[kept], bounces[kept], reflectance[kept])
-
-
-def _light_samples(parts: Sequence[Gathered]) -> LightSamples:
-    start, points = 0, []
-    for part in parts:
-        points.append(start + part.lights.point)
-        start += len(part.direct)
-    light, irradiance = (
-        np.concatenate([getattr(part.lights, name) for part in parts]) for name in ("light", "irradiance")
-    )
-    return LightSamples(np.concatenate(points), light, irradiance)
-
-
-def _joint(parts: Sequence[Gathered], name: str) -> NDArray[Any]:
-    """Values of all parts, one after the other."""
-    return np.concatenate([getattr(part, name) for part in parts])
-
-
-def _concatenated(parts: Sequence[Points]) -> Points:
-    return Points(
-        np.concatenate([part.position for part in parts]), np.concatenate([part.normal for part in parts])
-    )
+    return joined_points([Points(p.numpy().T, n.numpy().T).take(valid.numpy()) for p, n, valid in found])
 
 
 def _joined(

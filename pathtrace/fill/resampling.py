@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pathtrace.base.frozen import Frozen
 from pathtrace.cache.lights import LightSamples, light_numbers
 from pathtrace.cache.transfer import Transfer
-from pathtrace.fill.direct import RAYS, followed, lit, stratified, surface_at
+from pathtrace.fill.direct import SAMPLES, followed, lit, stratified, surface_at
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,9 @@ class Part:
 
     def lights(self) -> LightSamples:
         """The samples of lights; their points are numbered from the first of the part on."""
-        count = RAYS * (self.points.stop - self.points.start)
+        count = SAMPLES * (self.points.stop - self.points.start)
         irradiance, registered = (values.numpy()[:count] for values in self.sampled[3:])
-        return LightSamples(np.arange(count) // RAYS, self.numbers[registered], irradiance)
+        return LightSamples(np.arange(count) // SAMPLES, self.numbers[registered], irradiance)
 
 
 class Resampling:
@@ -70,6 +70,7 @@ class Resampling:
         self._rays = (
             mi.UInt32(np.append(transfer.rays.point, np.int32(0)).astype(np.uint32)),
             mi.Point2f(np.append(transfer.rays.square, np.zeros((1, 2), np.float32), axis=0).T),
+            mi.Float(np.append(transfer.rays.weight, np.float32(0))),
         )
         dr.eval(self._points, self._rays)
         self._light, self._show = Frozen(self._of_points), Frozen(self._of_rays)
@@ -93,10 +94,10 @@ class Resampling:
 
     def _of_points(self, scene: Any, state: Any, first: Any, position: Any, normal: Any) -> tuple[Any, ...]:
         """Direct light at points, its samples and their lights; frozen."""
-        lane = dr.arange(mi.UInt32, self._sizes[0] * RAYS)
+        lane = dr.arange(mi.UInt32, self._sizes[0] * SAMPLES)
         sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(state, self._sizes[0] * RAYS)
-        point = first + lane // RAYS
+        sampler.seed(state, self._sizes[0] * SAMPLES)
+        point = first + lane // SAMPLES
         active = point < self._counts[0]
         at = surface_at(
             dr.gather(mi.Point3f, position, point, active), dr.gather(mi.Normal3f, normal, point, active)
@@ -105,14 +106,15 @@ class Resampling:
         irradiance, by_shadow_rays, registered = lit(scene, at, *squares, active)
         samples = [*irradiance, dr.mean(by_shadow_rays), registered]
         dr.eval(samples)
-        means = [dr.block_sum(channel, RAYS) / RAYS for channel in samples[:3]]
+        means = [dr.block_sum(channel, SAMPLES) / SAMPLES for channel in samples[:3]]
         dr.eval(means)
         return *means, *samples[3:]
 
     def _of_rays(
-        self, scene: Any, state: Any, first: Any, position: Any, normal: Any, point: Any, square: Any
+        self, scene: Any, state: Any, first: Any, position: Any, normal: Any, *rays: Any
     ) -> tuple[Any, ...]:
         """Light of lights that rays find; frozen."""
+        point, square, weight = rays
         ray = first + dr.arange(mi.UInt32, self._sizes[1])
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(state, self._sizes[1])
@@ -122,7 +124,8 @@ class Resampling:
             dr.gather(mi.Point3f, position, start, active), dr.gather(mi.Normal3f, normal, start, active)
         )
         found = followed(scene, sampler, at, dr.gather(mi.Point2f, square, ray, active), active)
-        shown = tuple(dr.select(active, dr.pi / RAYS * channel, 0) for channel in found.radiance)
+        counts = dr.gather(mi.Float, weight, ray, active)
+        shown = tuple(dr.select(active, counts * channel, 0) for channel in found.radiance)
         dr.eval(shown)
         return shown
 

@@ -14,7 +14,7 @@ import mitsuba as mi
 
 from pathtrace.cache.cache import CacheArrays, look_up
 from pathtrace.cache.lights import Lights
-from pathtrace.cache.lobes import reflects_irradiance
+from pathtrace.cache.lobes import irradiance_share, shows_lights
 from pathtrace.trace.sequences import LIGHT, SCATTERING, Sequences
 
 _UNBOUNDED = 1 << 30
@@ -76,18 +76,22 @@ def path_radiance(
         rough = active & mi.has_flag(hit.bsdf().flags(), mi.BSDFFlags.Smooth)
         first = rough & ~scattered
         # Scattering is sampled before direct light, since its weight is what a cached surface reflects.
-        lobe, even = sampler.next_1d(active), mi.Point2f(*sequences.point(SCATTERING, sequences.number))
+        flags, lobe = hit.bsdf().flags(), sampler.next_1d(active)
+        even = mi.Point2f(*sequences.point(SCATTERING, sequences.number))
         direction = dr.select(first, even, sampler.next_2d(active))
         sample, reflected = hit.bsdf().sample(mi.BSDFContext(), hit, lobe, direction, active)
-        asks = rough & scattered & reflects_irradiance(sample)
+        asks = rough & scattered & mi.has_flag(flags, mi.BSDFFlags.Diffuse)
         left, jitter = depths - depth - 1, sampler.next_2d(active)
         known, irradiance = look_up(cache.irradiance, hit.p, side, dr.square(spread), left, jitter, asks)
-        radiance += dr.select(known, throughput * reflected * irradiance * dr.inv_pi, 0)
-        active &= ~known
-        lit = rough & ~known
+        density = dr.select(mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta), 0, sample.pdf)
+        share = dr.select(known, irradiance_share(flags, hit.wi, sample.wo, density), 0)
+        radiance += throughput * reflected * share * irradiance * dr.inv_pi
+        # What the cache does not stand for goes on, or is found by shadow rays.
+        lit = rough & (~known | shows_lights(flags))
         row = lights.row(hit.p, side, lit)
         count = dr.select(first, mi.UInt32(settings.shadow_rays), 1)
-        radiance += throughput * _direct(lights, sampler, sequences, hit, row, first, count, lit)
+        radiance += throughput * _direct(lights, sampler, sequences, hit, row, first, count, known, lit)
+        active &= sampler.next_1d(active) >= share
         throughput = dr.select(active, throughput * reflected, throughput)
         before, pdf, light_samples = hit, sample.pdf, mi.Float(count)
         specular = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
@@ -143,11 +147,13 @@ def _direct(
     row: Any,
     first: Any,
     count: Any,
+    known: Any,
     active: Any,
 ) -> Any:
     """Light that arrives from lights directly and is reflected, by `count` (N,) shadow rays each.
 
-    Where the surface is the `first` one that scatters light, the sequences say where these rays go.
+    Where the surface is the `first` one that scatters light, the sequences say where these rays go. Where
+    its irradiance is `known`, what that stands for is left out.
     """
     context, bsdf = mi.BSDFContext(), hit.bsdf()
     direct, number = mi.Color3f(0), mi.UInt32(0)
@@ -160,6 +166,9 @@ def _direct(
         reflectance, scatter_pdf = bsdf.eval_pdf(context, hit, hit.to_local(light.d), seen)
         share = mi.Float(count) * light.pdf
         share = dr.select(light.delta, 1, share / (share + scatter_pdf))
+        cached = irradiance_share(bsdf.flags(), hit.wi, hit.to_local(light.d), scatter_pdf)
+        share *= dr.select(known, 1 - cached, 1)
+        seen = lights.visible(hit, light, seen & (share > 0))
         direct += dr.select(seen, reflectance * emitted * share, 0)
         number += 1
     return direct / mi.Float(count)

@@ -29,7 +29,8 @@ def parts(transfer: Transfer) -> list[np.ndarray]:
     points, rays, transport = transfer.points, transfer.rays, transfer.transport
     return [
         *(points.position, points.normal, transfer.patch, rays.point, rays.square),
-        *(transfer.direct, transfer.reflected, transfer.known),
+        rays.weight,
+        *(transfer.direct, transfer.reflected, transfer.passed, transfer.known),
         *(transport.patches.cells, transport.rays, transport.starts, transport.cells, transport.reflectance),
     ]
 

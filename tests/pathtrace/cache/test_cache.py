@@ -60,7 +60,7 @@ def queries(count: int = 500) -> Points:
 def test_the_smallest_cells_answer(floor):
     points = queries()
     known, irradiance = asked(floor, points, 1e6)
-    cell = floor.cells.best(points)
+    cell = floor.cells.smallest(points)
     assert known.all()
     assert (irradiance == (1001 + cell)[:, None]).all()
 
@@ -69,7 +69,7 @@ def test_the_smallest_cells_answer(floor):
 def test_fewer_segments_left_give_the_light_of_fewer(floor, segments):
     points = queries()
     _, irradiance = asked(floor, points, 1e6, segments)
-    assert (irradiance[:, 0] == 1 + floor.cells.best(points) + 1000 * min(segments, 3)).all()
+    assert (irradiance[:, 0] == 1 + floor.cells.smallest(points) + 1000 * min(segments, 3)).all()
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])
@@ -111,7 +111,7 @@ def test_jitter_reaches_half_a_cell_to_each_side(floor):
     side = SIDES[0] * SCALE
     middle = Points(np.float32([[10.5 * side, 0.003, 10.5 * side]]), np.float32([[0, 1, 0]]))
     there = lambda x, y: Points(middle.position + np.float32([x * side, 0, y * side]), middle.normal)  # noqa: E731
-    around = {int(floor.cells.best(there(x, y))[0]) for x in (-0.4, 0.4) for y in (-0.4, 0.4)}
+    around = {int(floor.cells.smallest(there(x, y))[0]) for x in (-0.4, 0.4) for y in (-0.4, 0.4)}
     assert len(around) == 1
     reached = {
         round(float(asked(floor, middle, 1e6, jitter=(x, y))[1][0, 0])) - 1001

@@ -83,19 +83,21 @@ def test_a_cell_that_something_divides_is_left_out():
     assert (indices[1:] == -1).all()
 
 
-def test_the_best_cell_is_the_smallest_with_enough_points():
+def test_the_smallest_cell_is_found_however_few_points_it_has():
     normal = np.float32([[0, 1, 0]])
     dense, rare = np.full((8, 3), 0.001, dtype=np.float32), np.full((1, 3), 0.03, dtype=np.float32)
     some = Points(np.concatenate([dense, rare]), np.repeat(normal, 9, axis=0))
     cells = Cells.of(some, GRID, always)
-    best, indices = cells.best(some), cells.indices(some)
-    assert (best[:8] == indices[0, :8]).all()
-    # One point is too few; the next level's cell has nine.
-    assert best[8] == indices[1, 8]
+    np.testing.assert_array_equal(cells.smallest(some), cells.indices(some)[0])
     lonely = Points(np.full((1, 3), 5, dtype=np.float32), normal)
     every = Cells.of(
         Points(np.concatenate([some.position, lonely.position]), np.repeat(normal, 10, axis=0)), GRID, always
     )
-    assert every.best(lonely) == every.indices(lonely)[0]
+    assert every.smallest(lonely) == every.indices(lonely)[0]
+    # A cell of the next level contains another point, in a small cell that has none.
+    near = Points(np.full((1, 3), 0.05, dtype=np.float32), normal)
+    assert cells.indices(near)[0] == -1
+    assert cells.smallest(near) == cells.indices(near)[1] >= 0
+    assert every.smallest(Points(np.full((1, 3), -9, dtype=np.float32), normal)) == -1
     assert len(cells.only_known()) == 2
     assert cells.only_known().known.all()

@@ -117,7 +117,12 @@ def test_light_is_that_of_mitsubas_choice_and_densities_agree():
     scene, count = mi.load_dict(lit_floor()), 1 << 16
     lights = Lights(scene, choice().arrays(scene))
     row = mi.UInt32(0)
-    own, light = irradiance(lambda at, point: lights.sample(at, row, point, mi.Bool(True)), scene, count)
+
+    def shadowed(at, point):
+        light, emitted = lights.sample(at, row, point, mi.Bool(True))
+        return light, dr.select(lights.visible(at, light, light.pdf > 0), emitted, 0)
+
+    own, light = irradiance(shadowed, scene, count)
     other, _ = irradiance(lambda at, point: scene.sample_emitter_direction(at, point, True), scene, count)
     error = float(np.sqrt(own.var() / count + other.var() / count))
     assert own.mean() == pytest.approx(other.mean(), abs=4 * error)

@@ -26,7 +26,8 @@ def transport() -> Transport:
 
 
 def light(seed: int) -> np.ndarray:
-    return small.rng(seed).uniform(0, 2, (CELLS, 3)).astype(np.float32)
+    """Direct light, and more that comes by way of a mirror."""
+    return small.rng(seed).uniform(0, 2, (2, CELLS, 3)).astype(np.float32).cumsum(axis=0)
 
 
 @pytest.mark.parametrize(("most", "steps"), [(1, 0), (2, 1), (4, 3), (8, 7), (20, 7), (-1, 8)])

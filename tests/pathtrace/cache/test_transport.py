@@ -25,7 +25,7 @@ def random_links() -> tuple[Links, np.ndarray]:
     return links, np.stack([random.integers(-1, 4, POINTS), random.integers(-1, 3, POINTS) + 4 * 1])
 
 
-def twin(links: Links, cells: np.ndarray, direct: np.ndarray, segments: int) -> np.ndarray:
+def twin(links: Links, cells: np.ndarray, light: np.ndarray, segments: int) -> np.ndarray:
     """Light of at most a number of segments, ray by ray."""
     if segments < 1:
         return np.zeros((CELLS, 3))
@@ -37,17 +37,19 @@ def twin(links: Links, cells: np.ndarray, direct: np.ndarray, segments: int) -> 
             if cell >= 0:
                 rays[cell] += 1
                 if hit >= 0:
-                    sums[cell] += reflectance * twin(links, cells, direct, segments - 1 - bounces)[hit]
-    return direct + sums / np.maximum(rays, 1)[:, None]
+                    sums[cell] += reflectance * twin(links, cells, light, segments - 1 - bounces)[hit]
+    return light[min(segments, len(light)) - 1] + sums / np.maximum(rays, 1)[:, None]
 
 
-def test_light_is_passed_on_as_ray_by_ray():
+@pytest.mark.parametrize("kinds", [1, 2, 4])
+def test_light_is_passed_on_as_ray_by_ray(kinds):
+    """Lights send some light directly, some by way of one mirror, and so on."""
     links, cells = random_links()
-    direct = small.rng(1).uniform(0, 2, (CELLS, 3)).astype(np.float32)
-    found = Transport.of(links, *Patches.of(cells, CELLS)).irradiance(direct, 3)
+    light = small.rng(1).uniform(0, 2, (kinds, CELLS, 3)).astype(np.float32).cumsum(axis=0)
+    found = Transport.of(links, *Patches.of(cells, CELLS)).irradiance(light, 3)
     assert found.shape == (3, CELLS, 3)
     for segments in (1, 2, 3):
-        np.testing.assert_allclose(found[segments - 1], twin(links, cells, direct, segments), rtol=1e-5)
+        np.testing.assert_allclose(found[segments - 1], twin(links, cells, light, segments), rtol=1e-5)
 
 
 @pytest.mark.parametrize(("most", "steps"), [(1, 1), (8, 8), (20, 8), (-1, 8)])
@@ -56,7 +58,7 @@ def test_a_cell_that_sees_itself_is_a_geometric_series(most, steps):
         np.zeros(4, dtype=int), np.zeros(4, dtype=int), np.zeros(4, dtype=int), np.full((4, 3), 0.5)
     )
     transport = Transport.of(links, *Patches.of(np.zeros((1, 1), dtype=int), 1))
-    found = transport.irradiance(np.ones((1, 3), np.float32), most)
+    found = transport.irradiance(np.ones((1, 1, 3), np.float32), most)
     assert found.shape == (steps, 1, 3)
     assert found[0, 0, 0] == pytest.approx(1)
     last = most if most > 0 else 50

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pathtrace.cache.lights import light_numbers
-from pathtrace.fill.direct import RAYS, Followed, followed, lit, stratified, surface_at
+from pathtrace.fill.direct import SAMPLES, Followed, followed, lit, stratified, surface_at
 
 pytestmark = pytest.mark.usefixtures("backend")
 COUNT = 40000
@@ -90,13 +90,13 @@ def lambert(corners: np.ndarray, normal: np.ndarray) -> float:
 
 
 def test_each_group_of_lanes_has_one_point_in_each_quarter_of_the_square():
-    lanes = 20000 * RAYS
+    lanes = 20000 * SAMPLES
     found = stratified(random(1, lanes), dr.arange(mi.UInt32, lanes)).numpy().T
     quarter, inside = np.divmod(2 * found, 1)
     name = quarter[:, 0] + 2 * quarter[:, 1]
-    assert (np.sort(name.reshape(-1, RAYS), axis=1) == np.arange(RAYS)).all()
+    assert (np.sort(name.reshape(-1, SAMPLES), axis=1) == np.arange(SAMPLES)).all()
     # Inside of each, points are uniform: mean and variance of both axes, and no correlation.
-    for number in range(RAYS):
+    for number in range(SAMPLES):
         chosen = inside[name == number]
         np.testing.assert_allclose(chosen.mean(axis=0), 0.5, atol=4 * np.sqrt(1 / 12 / len(chosen)))
         np.testing.assert_allclose(np.cov(chosen.T), np.eye(2) / 12, atol=0.004)

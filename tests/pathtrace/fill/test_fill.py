@@ -107,3 +107,51 @@ def test_no_light_leaks_through_a_wall_of_a_centimetre():
     ]
     assert seen[1] > 0.1
     assert seen[0] < 0.01 * seen[1]
+
+
+def room_with_floor(bsdf: dict) -> dict:
+    """A closed room of 4 x 3 x 4 m under a small lamp, with a floor of some material."""
+    down = mi.ScalarTransform4f().translate([0, 2.9, 0]).rotate([1, 0, 0], 90).scale(0.2)
+    flat = mi.ScalarTransform4f().translate([0, 0.01, 0]).rotate([1, 0, 0], -90).scale(2)
+    look = mi.ScalarTransform4f().look_at(origin=[1.7, 1.5, 1.7], target=[-0.5, 1, -0.6], up=[0, 1, 0])
+    return {
+        "type": "scene",
+        "sensor": {**small.sensor(32, 32, 75.0), "to_world": look},
+        "shell": box([-2, 0, -2], [2, 3, 2]),
+        "floor": {"type": "rectangle", "to_world": flat, "bsdf": {"type": "twosided", "b": bsdf}},
+        "lamp": {
+            "type": "rectangle",
+            "to_world": down,
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 30.0}},
+        },
+    }
+
+
+@pytest.mark.parametrize("depth", [3, 8])
+@pytest.mark.parametrize(
+    "bsdf",
+    [
+        {"type": "roughconductor", "alpha": 0.3, "specular_reflectance": 0.6},
+        {"type": "roughplastic", "alpha": 0.2},
+        {"type": "principled", "roughness": 0.4, "specular": 0.8, "metallic": 0.4},
+    ],
+    ids=lambda bsdf: bsdf["type"],
+)
+def test_glossy_floors_do_not_make_a_room_brighter(bsdf, depth):
+    """Their lobes were once counted twice, and light by way of metal as if it had come directly."""
+    scene = load_scene(room_with_floor(bsdf), max_depth=depth)
+    cache = fill_cache(scene, [scene.camera], points=1 << 16)
+    spp = 512
+    means, errors = [], []
+    for tracer in (Tracer(scene), Tracer(scene, cache=cache)):
+        frames = [
+            interleaved(
+                tracer.trace(scene.camera, frame_positions(scene.camera), spp // 8, seed=seed).radiance
+            )
+            for seed in range(8)
+        ]
+        values = np.array([frame.mean() for frame in frames])
+        means.append(values.mean())
+        errors.append(values.std(ddof=1) / np.sqrt(len(values)))
+    assert np.hypot(*errors) < 0.004 * means[0]
+    assert means[1] == pytest.approx(means[0], rel=0.01)

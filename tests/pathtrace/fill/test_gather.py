@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mitsuba as mi
 import numpy as np
 import pytest
 
 from pathtrace.cache.cells import Points
-from pathtrace.fill.gather import RAYS, gather
+from pathtrace.fill.direct import SAMPLES
+from pathtrace.fill.gather import Direct, Seen, gather_direct, gather_seen
+from pathtrace.fill.guide import even_squares
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")
@@ -18,15 +22,25 @@ def floor_points(count: int) -> Points:
     return Points(position, np.tile(np.float32([0, 1, 0]), (count, 1)))
 
 
+RAYS = 4
+
+
+def gather(scene: Any, points: Points, seed: int) -> tuple[Direct, Seen]:
+    """Light of lights at points, and what RAYS rays from each see in even directions."""
+    square = even_squares(len(points), RAYS, np.random.default_rng(seed))
+    point = np.repeat(np.arange(len(points)), RAYS)
+    return gather_direct(scene, points, seed), gather_seen(scene, points, point, square, seed + 1)
+
+
 def test_in_a_closed_sphere_the_wall_gives_pi_times_its_emission():
     scene = mi.load_dict(small.furnace(0.5))
     direction = small.rng().normal(size=(2000, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     points = Points((2.999 * direction).astype(np.float32), (-direction).astype(np.float32))
-    found = gather(scene, points, 1)
-    error = found.direct.std() / np.sqrt(2000)
-    assert found.direct.mean() == pytest.approx(0.5 * np.pi, abs=4 * error)
-    assert (found.reflected == 0).all()
+    direct, found = gather(scene, points, 1)
+    error = direct.irradiance.std() / np.sqrt(2000)
+    assert direct.irradiance.mean() == pytest.approx(0.5 * np.pi, abs=4 * error)
+    assert (found.radiance == 0).all()
     assert found.valid.all()
     assert (found.bounces == 0).all()
     np.testing.assert_allclose(found.reflectance, 0.5, rtol=1e-5)
@@ -57,17 +71,19 @@ def test_light_seen_in_a_ceiling_of_metal_is_found(bsdf):
     """Above the lamp's plane, all of the hemisphere is a mirror that shows the lamp."""
     scene = mi.load_dict({"type": "scene", "lamp": lamp(2.0), "ceiling": ceiling(bsdf)})
     count = 4000
-    found = gather(scene, floor_points(count), 2)
-    mean, error = found.reflected.mean(), found.reflected.mean(axis=1).std() / np.sqrt(count)
+    direct, found = gather(scene, floor_points(count), 2)
+    reflected = np.pi * found.radiance.mean(axis=1).reshape(count, RAYS).mean(axis=1)
+    mean, error = reflected.mean(), reflected.std() / np.sqrt(count)
     # The plane metal of the default constants reflects nearly all of its specular reflectance.
-    assert (found.direct == 0).all()
+    assert (direct.irradiance == 0).all()
+    assert (found.passed == 1).all()
     assert mean == pytest.approx(np.pi * 2.0 * 0.5, abs=0.15 * np.pi + 4 * error)
     assert error < 0.1
 
 
 def test_rays_that_leave_the_scene_hit_nothing():
     scene = mi.load_dict({"type": "scene", "lamp": lamp(2.0)})
-    found = gather(scene, floor_points(10), 3)
+    _, found = gather(scene, floor_points(10), 3)
     assert len(found.valid) == 10 * RAYS
     assert not found.valid.any()
     assert (found.reflectance == 0).all()
@@ -77,10 +93,10 @@ def test_the_samples_of_a_light_that_no_ray_hits_add_up_to_direct_light():
     lamp = {"type": "point", "position": [0, 0, 0], "intensity": {"type": "rgb", "value": 3.0}}
     scene = mi.load_dict({**small.corner(), "lamp": lamp})
     points = Points(np.tile(np.float32([0, 0, 1.99]), (50, 1)), np.tile(np.float32([0, 0, -1]), (50, 1)))
-    found = gather(scene, points, 4)
-    sums = np.bincount(found.lights.point, found.lights.irradiance) / RAYS
-    np.testing.assert_allclose(sums, found.direct.mean(axis=1), rtol=1e-5)
-    assert (found.lights.light == 0).all()
+    found = gather_direct(scene, points, 4)
+    sums = np.bincount(found.samples.point, found.samples.irradiance) / SAMPLES
+    np.testing.assert_allclose(sums, found.irradiance.mean(axis=1), rtol=1e-5)
+    assert (found.samples.light == 0).all()
     assert sums.mean() == pytest.approx(3.0 / 1.99**2, rel=1e-4)
 
 
@@ -90,14 +106,14 @@ def test_a_lamp_that_touches_the_points_gives_pi_times_its_radiance_without_outl
     scene = mi.load_dict(
         {"type": "scene", "lamp": {"type": "rectangle", "to_world": place, "emitter": emitter}}
     )
-    found = gather(scene, floor_points(2000), 5)
-    assert found.direct.mean() == pytest.approx(2 * np.pi, rel=0.01)
-    assert found.direct.max() < 3 * np.pi
+    irradiance = gather_direct(scene, floor_points(2000), 5).irradiance
+    assert irradiance.mean() == pytest.approx(2 * np.pi, rel=0.01)
+    assert irradiance.max() < 3 * np.pi
 
 
 def test_the_same_seed_gives_the_same_rays():
     scene = mi.load_dict(small.corner())
     points = Points(np.tile(np.float32([0, 0, 1.99]), (50, 1)), np.tile(np.float32([0, 0, -1]), (50, 1)))
-    one, same, other = (gather(scene, points, seed) for seed in (4, 4, 5))
+    one, same, other = (gather(scene, points, seed)[1] for seed in (4, 4, 5))
     assert (one.hits.position == same.hits.position).all()
     assert (one.hits.position != other.hits.position).any()

@@ -19,7 +19,7 @@ REFLECTANCE = 0.5
 
 
 def filled(scene: Scene, seed: int = 0) -> IrradianceCache:
-    return fill_cache(scene, [scene.camera], seed, points=1 << 13)
+    return fill_cache(scene, [scene.camera], seed, points=1 << 15)
 
 
 def emit(scene: Scene, radiance: float, name: str = "emitter.radiance.value") -> None:

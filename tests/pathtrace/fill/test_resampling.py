@@ -11,7 +11,7 @@ import pytest
 
 from pathtrace.cache.cells import Points
 from pathtrace.cache.transfer import Rays, Transfer
-from pathtrace.fill.direct import RAYS
+from pathtrace.fill.direct import SAMPLES
 from pathtrace.fill.resampling import Part, Resampling
 from tests import small
 
@@ -35,7 +35,8 @@ def floor(count: int, seed: int = 0) -> Points:
 
 def any_rays(count: int, points: int) -> Rays:
     random = small.rng(9)
-    return Rays(random.integers(0, points, count).astype(np.int32), random.random((count, 2), np.float32))
+    start, square = random.integers(0, points, count).astype(np.int32), random.random((count, 2), np.float32)
+    return Rays(start, square, random.random(count, np.float32))
 
 
 def horizontal(x: float, y: float, half: float, **parts: Any) -> dict[str, Any]:
@@ -85,8 +86,8 @@ def test_in_each_round_every_point_and_ray_has_one_turn(points, rays, parts):
         for part in found:
             here = part.points.stop - part.points.start
             lights = part.lights()
-            np.testing.assert_array_equal(lights.point, np.repeat(np.arange(here), RAYS))
-            assert len(lights.light) == len(lights.irradiance) == here * RAYS
+            np.testing.assert_array_equal(lights.point, np.repeat(np.arange(here), SAMPLES))
+            assert len(lights.light) == len(lights.irradiance) == here * SAMPLES
 
 
 def test_each_point_gets_its_own_light():
@@ -116,10 +117,10 @@ def test_samples_belong_to_the_lights_that_they_name():
         np.testing.assert_allclose(lights.irradiance, expected, rtol=1e-4)
         # The mean over a point's samples is its direct light.
         sums = np.bincount(lights.point, lights.irradiance)
-        np.testing.assert_allclose(part.direct(), np.stack([sums / RAYS] * 3, axis=1), rtol=1e-4)
+        np.testing.assert_allclose(part.direct(), np.stack([sums / SAMPLES] * 3, axis=1), rtol=1e-4)
         chosen.append(lights.light)
     # Strata make it more even than chance.
-    assert abs(np.concatenate(chosen).mean() - 0.5) < 4 * 0.5 / np.sqrt(2000 * RAYS)
+    assert abs(np.concatenate(chosen).mean() - 0.5) < 4 * 0.5 / np.sqrt(2000 * SAMPLES)
 
 
 def test_the_number_of_a_light_is_its_index_in_the_scene_among_shapes_and_lights_of_other_kinds():
@@ -179,10 +180,10 @@ def test_each_ray_finds_the_light_in_its_own_mirror():
     # A direction along the normal, or 0.8 of the way to the horizon.
     ahead = random.random(count) < 0.5
     square = np.where(ahead[:, None], np.float32([0.5, 0.5]), np.float32([0.9, 0.5]))
-    transfer = transfer_of(Points(position, np.tile(UP, (len(x), 1))), Rays(start, square))
+    weight = random.random(count, np.float32)
+    transfer = transfer_of(Points(position, np.tile(UP, (len(x), 1))), Rays(start, square, weight))
     reflectance = np.select([x[start] < 0, x[start] > 0], [0.25, 0.75], np.where(ahead, 1.0, 0.0))
-    # Each is one of RAYS rays that stand for pi times the radiance that comes from everywhere.
-    expected = np.pi / RAYS * reflectance[:, None] * [2, 4, 8]
+    expected = (weight * reflectance)[:, None] * [2, 4, 8]
     assert len(np.unique(expected)) > 6
     resampling = Resampling(mirrors(), transfer, 4, seed=0)
     for number in range(9):
