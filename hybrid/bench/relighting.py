@@ -22,7 +22,7 @@ from pathtrace.scene.scene import Scene
 from pathtrace.trace.tracer import Tracer
 
 # Updates after which the cache is looked at.
-_UPDATES = (1, 5, 10, PARTS)
+_UPDATES = (1, 4, 8, PARTS)
 # Seeds of the caches filled anew.
 _FRESH = (1, 2, 3)
 # Images of many samples that are made.
@@ -47,7 +47,7 @@ def bench_relighting(
         progress: called with samples per pixel done and in total.
 
     Returns:
-        `rows`: for each state of the cache (stale, 1, 5, 10 and 18 updates after the change, and filled anew
+        `rows`: for each state of the cache (stale, 1, 4, 8 and 12 updates after the change, and filled anew
         with three seeds) the mean of the squared relative errors of blocks of 32 x 32 pixels, against an
         unbiased image; `update_ms`, of the updates after the first one. Both are empty if the light has no
         parameter that scales it.

@@ -18,7 +18,7 @@ from pathtrace.fill.segments import segments_beyond_cache
 from pathtrace.scene.scene import Scene
 
 # Updates in which all points and rays are sampled anew.
-PARTS = 18
+PARTS = 12
 
 
 class Relighting:

@@ -20,7 +20,7 @@ from pathtrace.fill.relight import PARTS
 from pathtrace.scene.scene import Scene, load_scene
 from tests import small
 
-STATES = ["stale", "1 updates", "5 updates", "10 updates", "18 updates", "fresh 1", "fresh 2", "fresh 3"]
+STATES = ["stale", "1 updates", "4 updates", "8 updates", "12 updates", "fresh 1", "fresh 2", "fresh 3"]
 
 
 class Clock:
@@ -32,7 +32,7 @@ class Clock:
     def perf_counter(self) -> float:
         update, ends = divmod(self._readings, 2)
         if ends:
-            self._now += 1000.0 if update == 0 else 0.008 if update % 17 == 0 else 0.002
+            self._now += 1000.0 if update == 0 else 0.008 if update % 11 == 0 else 0.002
         self._readings += 1
         return self._now
 
@@ -89,10 +89,10 @@ def test_a_cache_that_follows_is_as_good_as_one_filled_anew(run):
 
 
 def test_the_first_update_is_not_timed(run):
-    """Of the 17 others, one takes longer: the percentile lies 0.2 of the way from the others to it."""
+    """Of the 11 others, one takes longer: the percentile lies halfway from the others to it."""
     found, _, _ = run
-    assert PARTS == 18
-    assert found["update_ms"] == pytest.approx({"p50": 2, "p95": 2 + 0.2 * 6})
+    assert PARTS == 12
+    assert found["update_ms"] == pytest.approx({"p50": 2, "p95": 2 + 0.5 * 6})
 
 
 def test_it_tells_how_many_samples_are_done_while_the_lamp_is_dimmed(run, furnace):
@@ -212,7 +212,7 @@ def test_a_cache_follows_a_dimmed_lamp_of_a_room(backend, monkeypatch):
     bias = {row["cache"]: row["squared_bias"] for row in found["rows"]}
     assert list(bias) == STATES
     assert bias["1 updates"] < 0.1 * bias["stale"]
-    assert bias["18 updates"] < 2 * max(bias[f"fresh {n}"] for n in (1, 2, 3))
+    assert bias["12 updates"] < 2 * max(bias[f"fresh {n}"] for n in (1, 2, 3))
     assert found["update_ms"]["p50"] > 0
 
 
