@@ -85,7 +85,7 @@ def path_radiance(
         known, irradiance = look_up(cache.irradiance, hit.p, side, dr.square(spread), left, jitter, asks)
         density = dr.select(mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta), 0, sample.pdf)
         share = dr.select(known, irradiance_share(flags, hit.wi, sample.wo, density), 0)
-        radiance += throughput * reflected * share * irradiance * dr.inv_pi
+        radiance += dr.select(share > 0, throughput * reflected * share * irradiance * dr.inv_pi, 0)
         # What the cache does not stand for goes on, or is found by shadow rays.
         lit = rough & (~known | shows_lights(flags))
         row = lights.row(hit.p, side, lit)
