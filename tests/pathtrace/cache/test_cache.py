@@ -136,3 +136,24 @@ def test_memory_counts_the_table_and_the_values(floor):
 def test_an_empty_cache_answers_nobody():
     points = queries(10)
     assert not asked(IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), 3), points, 1e6)[0].any()
+
+
+def test_a_cell_answers_for_a_neighbour_that_is_not_known(floor):
+    """Rather than a larger cell, which reaches further."""
+    side, up = SIDES[0] * SCALE, np.float32([[0, 1, 0]])
+    inside = Points(np.float32([[10.9 * side, 0.003, 10.5 * side]]), up)
+    beside = Points(np.float32([[11.1 * side, 0.003, 10.5 * side]]), up)
+    own, other = (int(floor.cells.smallest(points)[0]) for points in (inside, beside))
+    assert own != other
+    keys, counts = floor.cells.keys, floor.cells.counts
+    cells = Cells(
+        floor.cells.grid, (np.delete(keys[0], other), *keys[1:]), (np.delete(counts[0], other), *counts[1:])
+    )
+    cache = replace(floor, cells=cells, irradiance=np.delete(floor.irradiance, other, axis=1))
+    reached = {
+        round(float(asked(cache, inside, 1e6, jitter=(x, y))[1][0, 0])) - 1001
+        for x in (0.01, 0.5, 0.99)
+        for y in (0.3, 0.5, 0.7)
+    }
+    assert own in reached
+    assert reached <= set(range(len(keys[0])))
