@@ -39,7 +39,7 @@ def cells_hit(seen: Seen, points: Points, cells: Cells) -> NDArray[np.int64]:
     scale = np.float32(cells.grid.scale)
     place = lambda some: np.hstack([some.position / scale, np.float32(_TURNED) * some.normal])  # noqa: E731
     tree = KDTree(place(candidates.take(own >= 0)), balanced_tree=False, compact_nodes=False)
-    _, nearest = tree.query(place(seen.hits.take(lost)), workers=-1)
+    _, nearest = tree.query(place(seen.hits.take(lost)))
     hit[lost] = own[own >= 0][nearest]
     return hit
 

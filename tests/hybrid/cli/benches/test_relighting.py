@@ -22,7 +22,7 @@ def test_a_cache_follows_a_dimmed_lamp(monkeypatch, tmp_path, capsys):
     options = ["--size", 32, 32, "--reference-spp", 64, "--max-depth", 3, "--json", out]
     assert run(monkeypatch, "bench", command.__name__, "cornell", *options) == 0
     found = json.loads(out.read_text())
-    states = ["stale", "1 updates", "5 updates", "15 updates", "35 updates", "fresh 1", "fresh 2", "fresh 3"]
+    states = ["stale", "1 updates", "4 updates", "8 updates", "12 updates", "fresh 1", "fresh 2", "fresh 3"]
     assert [row["cache"] for row in found["rows"]] == states
     assert found["scene"] == "cornell"
     assert found["machine"]
