@@ -30,6 +30,12 @@ def irradiance_share(flags: Any, wi: Any, wo: Any, pdf: Any) -> Any:
     return dr.select(diffuse & (pdf > 0), dr.select(shows_lights(flags), share, 1), 0)
 
 
+def sampled_share(flags: Any, wi: Any, sample: Any) -> Any:
+    """`irradiance_share` of N sampled directions, given as Mitsuba BSDF samples."""
+    delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+    return irradiance_share(flags, wi, sample.wo, dr.select(delta, 0, sample.pdf))
+
+
 def shows_lights(flags: Any) -> Any:
     """Whether surfaces have lobes that show what is in some directions: the others reflect irradiance only.
 

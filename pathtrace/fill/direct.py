@@ -11,7 +11,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from pathtrace.cache.lobes import irradiance_share, shows_lights
+from pathtrace.cache.lobes import irradiance_share, sampled_share, shows_lights
 
 # Samples of lights from each point; a square, for they are stratified.
 _STRATA = 2
@@ -134,23 +134,23 @@ def _followed(scene: Any, sampler: Any, ray: Any, active: Any) -> tuple[Any, ...
         passed = dr.select(_chosen(sampler, brought, radiance), bounces, passed)
         active &= hit.is_valid()
         bsdf = hit.bsdf()
-        shiny |= active & (bounces == 0) & shows_lights(bsdf.flags())
+        flags = bsdf.flags()
+        shiny |= active & (bounces == 0) & shows_lights(flags)
         lobe, direction = sampler.next_1d(active), sampler.next_2d(active)
         sample, reflected = bsdf.sample(context, hit, lobe, direction, active)
         specular = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
-        density = dr.select(specular, 0, sample.pdf)
-        ends = sampler.next_1d(active) < irradiance_share(bsdf.flags(), hit.wi, sample.wo, density)
+        ends = sampler.next_1d(active) < sampled_share(flags, hit.wi, sample)
         reflects = active & (dr.max(reflected) > 0)
         passes = reflects & ~ends
         valid |= reflects & ends
         side = dr.select(dr.dot(hit.n, ray.d) < 0, hit.n, -hit.n)
         # Small lights are hardly ever found in a glossy surface by chance.
-        glossy = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) & shows_lights(bsdf.flags())
+        glossy = active & mi.has_flag(flags, mi.BSDFFlags.Smooth) & shows_lights(flags)
         light, emitted = scene.sample_emitter_direction(hit, sampler.next_2d(glossy), False, glossy)
         value, scatter_pdf = bsdf.eval_pdf(context, hit, hit.to_local(light.d), glossy)
         share = dr.select(light.delta, 1, light.pdf / (light.pdf + scatter_pdf))
         # What is reflected as irradiance is not seen.
-        share *= 1 - irradiance_share(bsdf.flags(), hit.wi, hit.to_local(light.d), scatter_pdf)
+        share *= 1 - irradiance_share(flags, hit.wi, hit.to_local(light.d), scatter_pdf)
         seen = glossy & (light.pdf > 0) & (share > 0)
         seen &= ~scene.ray_test(hit.spawn_ray_to(light.p), seen)
         brought = dr.select(seen, throughput * value * emitted * share, 0)

@@ -14,7 +14,7 @@ import mitsuba as mi
 
 from pathtrace.cache.cache import CacheArrays, look_up
 from pathtrace.cache.lights import Lights
-from pathtrace.cache.lobes import irradiance_share, shows_lights
+from pathtrace.cache.lobes import irradiance_share, sampled_share, shows_lights
 from pathtrace.trace.sequences import LIGHT, SCATTERING, Sequences
 
 _UNBOUNDED = 1 << 30
@@ -73,18 +73,17 @@ def path_radiance(
         active &= hit.is_valid() & (depth + 1 < depths)
         spread += dr.select(specular, 0, _step(hit, ray, pdf))
         side = dr.select(dr.dot(hit.n, ray.d) < 0, hit.n, -hit.n)
-        rough = active & mi.has_flag(hit.bsdf().flags(), mi.BSDFFlags.Smooth)
+        flags = hit.bsdf().flags()
+        rough = active & mi.has_flag(flags, mi.BSDFFlags.Smooth)
         first = rough & ~scattered
         # Scattering is sampled before direct light, since its weight is what a cached surface reflects.
-        flags, lobe = hit.bsdf().flags(), sampler.next_1d(active)
-        even = mi.Point2f(*sequences.point(SCATTERING, sequences.number))
+        lobe, even = sampler.next_1d(active), mi.Point2f(*sequences.point(SCATTERING, sequences.number))
         direction = dr.select(first, even, sampler.next_2d(active))
         sample, reflected = hit.bsdf().sample(mi.BSDFContext(), hit, lobe, direction, active)
         asks = rough & scattered & mi.has_flag(flags, mi.BSDFFlags.Diffuse)
         left, jitter = depths - depth - 1, sampler.next_2d(active)
         known, irradiance = look_up(cache.irradiance, hit.p, side, dr.square(spread), left, jitter, asks)
-        density = dr.select(mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta), 0, sample.pdf)
-        share = dr.select(known, irradiance_share(flags, hit.wi, sample.wo, density), 0)
+        share = dr.select(known, sampled_share(flags, hit.wi, sample), 0)
         radiance += dr.select(share > 0, throughput * reflected * share * irradiance * dr.inv_pi, 0)
         # What the cache does not stand for goes on, or is found by shadow rays.
         lit = rough & (~known | shows_lights(flags))
@@ -156,6 +155,7 @@ def _direct(
     its irradiance is `known`, what that stands for is left out.
     """
     context, bsdf = mi.BSDFContext(), hit.bsdf()
+    flags = bsdf.flags()
     direct, number = mi.Color3f(0), mi.UInt32(0)
     while dr.hint(active & (number < count), exclude=[sequences, lights]):
         point = sampler.next_2d(active)
@@ -166,7 +166,7 @@ def _direct(
         reflectance, scatter_pdf = bsdf.eval_pdf(context, hit, hit.to_local(light.d), seen)
         share = mi.Float(count) * light.pdf
         share = dr.select(light.delta, 1, share / (share + scatter_pdf))
-        cached = irradiance_share(bsdf.flags(), hit.wi, hit.to_local(light.d), scatter_pdf)
+        cached = irradiance_share(flags, hit.wi, hit.to_local(light.d), scatter_pdf)
         share *= dr.select(known, 1 - cached, 1)
         seen = lights.visible(hit, light, seen & (share > 0))
         direct += dr.select(seen, reflectance * emitted * share, 0)

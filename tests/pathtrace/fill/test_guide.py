@@ -72,7 +72,7 @@ def estimates(seed: int) -> np.ndarray:
 
 
 def test_means_stay_what_they_are_and_noise_falls():
-    """Were rays weighed by what they brought themselves, a quarter of the light would be missing."""
+    """Were rays weighed by what they brought themselves, a tenth of the light would be missing."""
     found = np.concatenate([estimates(seed) for seed in range(100)])
     error = found.std() / np.sqrt(len(found))
     assert error < 0.01
