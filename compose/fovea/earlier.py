@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
-from compose.fovea.light import LIGHT
+from compose.fovea.record import RECORD
 from compose.fovea.samples import Floats
 
 # Views that are remembered.
@@ -29,13 +29,13 @@ class EarlierView:
     """What was traced from one camera, for N of its pixels.
 
     Attributes:
-        light: (N, 8) records (compose.fovea.light), at least one sample each.
+        records: (N, 16) (compose.fovea.record), at least one sample each.
         position: (N, 3) of what was hit, in the world.
         gloss: (N,) of what was hit.
         viewpoint: (3,) position of the camera.
     """
 
-    light: Floats
+    records: Floats
     position: Floats
     gloss: NDArray[np.uint8]
     viewpoint: NDArray[np.float64]
@@ -75,7 +75,7 @@ class EarlierViews:
         self._views: deque[tuple[int, int, NDArray[np.float64]]] = deque()
         self._added = self._first = 0
         self._room = _LEAST_ROOM
-        self._places, self._lights = self._empty()
+        self._places, self._records = self._empty()
 
     @property
     def samples(self) -> int:
@@ -94,7 +94,7 @@ class EarlierViews:
         if len(self._views) == MOST_VIEWS:
             _, dropped, _ = self._views.popleft()
             self._first = (self._first + dropped) % self._room
-        number, size, before = self._added % MOST_VIEWS, len(view.light), self.samples
+        number, size, before = self._added % MOST_VIEWS, len(view.records), self.samples
         self._views.append((number, size, view.viewpoint))
         self._added += 1
         if before + size > self._room:
@@ -108,9 +108,9 @@ class EarlierViews:
         tag = self.arrays.plain.UInt(tag)
         return Places(position, tag & ((1 << _GLOSS_BITS) - 1), tag >> _GLOSS_BITS)
 
-    def lights(self, index: Any) -> list[Any]:
-        """Eight Floats (M,): the light records of the samples at an index."""
-        return list(self._packet(self._lights, LIGHT, self._slot(index)))
+    def records(self, index: Any) -> list[Any]:
+        """Sixteen Floats (M,): the records of the samples at an index."""
+        return list(self._packet(self._records, RECORD, self._slot(index)))
 
     def _packet(self, table: Any, size: int, slot: Any) -> Any:
         return dr.gather(self.arrays.plain.ArrayXf, table, slot, shape=(size, dr.width(slot)))
@@ -122,7 +122,7 @@ class EarlierViews:
 
     def _empty(self) -> tuple[Any, Any]:
         Float = self.arrays.plain.Float
-        return dr.empty(Float, _PLACE * self._room), dr.empty(Float, LIGHT * self._room)
+        return dr.empty(Float, _PLACE * self._room), dr.empty(Float, RECORD * self._room)
 
     def _grow(self, samples: int, wanted: int) -> None:
         """Moves all samples to the start of a ring that has room for as many as wanted."""
@@ -130,28 +130,28 @@ class EarlierViews:
         if samples:
             index = dr.arange(self.arrays.plain.UInt, samples)
             slot = self._slot(index)
-            places, lights = (
+            places, records = (
                 self._packet(self._places, _PLACE, slot),
-                self._packet(self._lights, LIGHT, slot),
+                self._packet(self._records, RECORD, slot),
             )
-            moved = places, lights, index
+            moved = places, records, index
         self._first, self._room = 0, 1 << (wanted - 1).bit_length()
-        self._places, self._lights = self._empty()
+        self._places, self._records = self._empty()
         if moved:
             self._scatter(*moved)
 
     def _write(self, view: EarlierView, number: int, start: int) -> None:
         """Copies a view's samples to the device, from an index on."""
         plain = self.arrays.plain
-        size = len(view.light)
+        size = len(view.records)
         row = dr.arange(plain.UInt, size)
-        position, light = uploaded(plain.Float, view.position), uploaded(plain.Float, view.light)
+        position, records = uploaded(plain.Float, view.position), uploaded(plain.Float, view.records)
         tag = uploaded(plain.UInt, view.gloss.astype(np.uint32)) | self.arrays.number(number << _GLOSS_BITS)
         place = [dr.gather(plain.Float, position, row * 3 + i) for i in range(3)]
         slot = self._slot(row + self.arrays.number(start))
-        self._scatter(plain.ArrayXf([*place, plain.Float(tag)]), self._packet(light, LIGHT, row), slot)
+        self._scatter(plain.ArrayXf([*place, plain.Float(tag)]), self._packet(records, RECORD, row), slot)
 
-    def _scatter(self, places: Any, lights: Any, slot: Any) -> None:
+    def _scatter(self, places: Any, records: Any, slot: Any) -> None:
         dr.scatter(self._places, places, slot, mode=dr.ReduceMode.Permute)
-        dr.scatter(self._lights, lights, slot, mode=dr.ReduceMode.Permute)
-        dr.eval(self._places, self._lights)
+        dr.scatter(self._records, records, slot, mode=dr.ReduceMode.Permute)
+        dr.eval(self._places, self._records)

@@ -15,27 +15,38 @@ from numpy.typing import NDArray
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from compose.fovea.earlier import EarlierView, EarlierViews
-from compose.fovea.light import LIGHT, light_of, means
+from compose.fovea.record import (
+    ALBEDO,
+    COUNT,
+    NORMAL,
+    POSITIONS,
+    RADIANCE,
+    RECORD,
+    SQUARES,
+    add_features,
+    add_light,
+    limit,
+    means,
+)
 from compose.fovea.reprojection import Reprojected, reproject
 from compose.fovea.samples import Floats, Samples
 
-# Samples per pixel of an earlier view: old errors fade.
+# Samples, and sample positions of auxiliary features, per pixel of an earlier view: old errors fade.
 _MOST_SAMPLES = 32.0
 # Most sample positions in a pixel over which its auxiliary features are averaged.
 _MOST_POSITIONS = 64
-# What a view knows of a pixel, besides its light: the number of sample positions whose auxiliary features are
-# known, sums of their albedo and normal, and position and class of gloss of what one of them hits.
-_FEATURES = 11
-_POSITIONS, _AUXILIARY, _HIT, _GLOSS = 0, slice(1, 7), slice(7, 10), 10
-# Columns of a view's light and of its features by their keys in saved states; files of interrupted videos
-# contain these keys.
-_SAVED_LIGHT: dict[str, int | slice] = {"count": 0, "light": slice(1, 7)}
-_SAVED_FEATURES: dict[str, int | slice] = {
-    "places": _POSITIONS,
-    "guides": _AUXILIARY,
-    "position": _HIT,
-    "gloss": _GLOSS,
+# What a view knows of a pixel besides what adds up: position and class of gloss of what its first sample hit.
+_HIT = 4
+_POINT, _GLOSS = slice(0, 3), 3
+# Columns of a view's records and hits by their keys in saved states; files of interrupted videos contain
+# these keys.
+_SAVED_RECORDS: dict[str, int | slice] = {
+    "count": COUNT,
+    "light": slice(RADIANCE.start, SQUARES.stop),
+    "places": POSITIONS,
+    "guides": slice(ALBEDO.start, NORMAL.stop),
 }
+_SAVED_HITS: dict[str, int | slice] = {"position": _POINT, "gloss": _GLOSS}
 
 
 class History:
@@ -58,8 +69,8 @@ class History:
         view = self._view
         if view is None:
             return {}
-        known = {key: view.light[:, column] for key, column in _SAVED_LIGHT.items()}
-        known |= {key: view.features[:, column] for key, column in _SAVED_FEATURES.items()}
+        known = {key: view.records[:, column] for key, column in _SAVED_RECORDS.items()}
+        known |= {key: view.hits[:, column] for key, column in _SAVED_HITS.items()}
         known = {key: values.copy() for key, values in known.items()}
         return {**known, "gloss": known["gloss"].astype(np.uint8), "pattern": np.array([view.pattern])}
 
@@ -68,11 +79,11 @@ class History:
         """A history of a camera's view from the `state` of another one."""
         history = History(arrays)
         view = history._view = _View.of(camera, int(state["pattern"][0]))  # type: ignore[call-overload]
-        for key, column in _SAVED_LIGHT.items():
-            view.light[:, column] = state[key]
-        for key, column in _SAVED_FEATURES.items():
-            view.features[:, column] = state[key]
-        view.known[:] = (view.light[:, 0] > 0) | (view.features[:, _POSITIONS] > 0)
+        for key, column in _SAVED_RECORDS.items():
+            view.records[:, column] = state[key]
+        for key, column in _SAVED_HITS.items():
+            view.hits[:, column] = state[key]
+        view.known[:] = (view.records[:, COUNT] > 0) | (view.records[:, POSITIONS] > 0)
         return history
 
     def sampled(self, camera: Camera, pixels: NDArray[np.uint32], seed: int) -> tuple[NDArray[np.int64], int]:
@@ -84,7 +95,7 @@ class History:
         view = self._view_of(camera)
         if view is None:
             return np.zeros(len(pixels), dtype=np.int64), seed
-        return view.light[pixels, 0].astype(np.int64), view.pattern
+        return view.records[pixels, COUNT].astype(np.int64), view.pattern
 
     def unseen(self, camera: Camera, pixels: NDArray[np.uint32], positions: int) -> NDArray[np.uint32]:
         """Those of some pixels whose auxiliary features should be traced (again).
@@ -94,43 +105,47 @@ class History:
         view = self._view_of(camera)
         if view is None:
             return pixels
-        wanted = np.clip(view.light[pixels, 0], positions, _MOST_POSITIONS)
-        return pixels[view.features[pixels, _POSITIONS] < wanted]
+        known = self._records(view, pixels)
+        wanted = np.clip(known[:, COUNT], positions, _MOST_POSITIONS)
+        # Half a position: numbers of earlier views, which are scaled, are rounded.
+        lacking = known[:, POSITIONS] < wanted - 0.5
+        # What earlier views show is not where this one's samples hit.
+        return pixels[lacking | (view.records[pixels, POSITIONS] == 0)]
 
-    def recall(
-        self, camera: Camera, pixels: NDArray[np.uint32], seen: Samples, positions: int, seed: int
-    ) -> Samples:
-        """What is known of pixels, and makes the camera's view the current one.
+    def see(self, camera: Camera, seen: Samples, positions: int, seed: int) -> None:
+        """Makes the camera's view the current one, and adds auxiliary features of it.
 
         Args:
             camera: the view.
-            pixels: (D,) row-major indices.
-            seen: newly traced auxiliary features, without light, of those pixels that are `unseen`.
+            seen: newly traced auxiliary features, whose light does not count, of pixels that are `unseen`.
             positions: number of sample positions of which these features are means.
             seed: of the samples to come.
         """
-        view = self._entered(camera, seen, seed)
-        view.add_features(seen, positions)
-        light, features = view.light.take(pixels, axis=0), view.features.take(pixels, axis=0)
-        if self._past is not None:
-            light += self._past.at(*np.divmod(pixels, np.uint32(camera.width)))
-        count, radiance, squares = means(light)
-        auxiliary = features[:, _AUXILIARY] / features[:, [_POSITIONS]]
-        return Samples(
-            pixels=pixels,
-            count=count,
-            radiance=radiance,
-            squares=squares,
-            albedo=auxiliary[:, 0:3],
-            normal=auxiliary[:, 3:6],
-            position=features[:, _HIT],
-            gloss=features[:, _GLOSS].astype(np.uint8),
-        )
+        self._view = self._entered(camera, seen, seed)
+        self._view.add_features(seen, positions)
+
+    def recall(self, pixels: NDArray[np.uint32]) -> Samples:
+        """What is known of pixels (D,) of the current view, all of which have been seen."""
+        view = self._current()
+        count, radiance, squares, albedo, normal = means(self._records(view, pixels))
+        hits = view.hits.take(pixels, axis=0)
+        gloss = hits[:, _GLOSS].astype(np.uint8)
+        return Samples(pixels, count, radiance, squares, albedo, normal, hits[:, _POINT], gloss)
 
     def remember(self, new: Samples) -> None:
-        """Adds samples of the view that was recalled last."""
-        assert self._view is not None, "nothing was recalled"
-        self._view.add_light(new)
+        """Adds samples of the current view."""
+        self._current().add_light(new)
+
+    def _current(self) -> _View:
+        assert self._view is not None, "nothing was seen"
+        return self._view
+
+    def _records(self, view: _View, pixels: NDArray[np.uint32]) -> Floats:
+        """(D, 16) records of pixels of the current view, what earlier views contribute to them included."""
+        records = view.records.take(pixels, axis=0)
+        if self._past is not None:
+            records += self._past.at(*np.divmod(pixels, np.uint32(view.camera.width)))
+        return records
 
     def _view_of(self, camera: Camera) -> _View | None:
         """The current view if it is this camera's."""
@@ -147,7 +162,6 @@ class History:
             self._earlier.add(view.as_earlier())
             self._past = reproject(self._earlier, camera, seen)
             view.begin(camera, seed)
-        self._view = view
         return view
 
 
@@ -158,23 +172,23 @@ class _View:
     Attributes:
         camera: the view.
         pattern: seed of the pattern of its samples.
-        light: (N, 8) records (compose.fovea.light).
-        features: (N, 11) what is known besides; see above.
+        records: (N, 16) (compose.fovea.record).
+        hits: (N, 4) position and class of gloss of what the first sample hit.
         known: (N,) pixels of which anything is known.
     """
 
     camera: Camera
     pattern: int
-    light: Floats
-    features: Floats
+    records: Floats
+    hits: Floats
     known: NDArray[np.bool_]
 
     @staticmethod
     def of(camera: Camera, pattern: int) -> _View:
         """A view from which nothing has been traced yet."""
         size = camera.width * camera.height
-        light, features = (np.zeros((size, width), dtype=np.float32) for width in (LIGHT, _FEATURES))
-        return _View(camera, pattern, light, features, np.zeros(size, dtype=bool))
+        records, hits = (np.zeros((size, width), dtype=np.float32) for width in (RECORD, _HIT))
+        return _View(camera, pattern, records, hits, np.zeros(size, dtype=bool))
 
     def begin(self, camera: Camera, pattern: int) -> None:
         """Becomes the view of another camera, from which nothing has been traced yet.
@@ -182,33 +196,31 @@ class _View:
         The memory stays: as much of it anew in each frame takes longer than all that is written to it.
         """
         pixels = np.flatnonzero(self.known)
-        self.light[pixels] = self.features[pixels] = 0
+        self.records[pixels] = self.hits[pixels] = 0
         self.known[pixels] = False
         self.camera, self.pattern = camera, pattern
 
     def add_features(self, seen: Samples, positions: int) -> None:
-        """Adds auxiliary features, which are traced anew for each camera: reprojected ones are less exact."""
+        """Adds auxiliary features."""
         pixels = seen.pixels
-        features = self.features.take(pixels, axis=0)
-        first = features[:, _POSITIONS] == 0
-        features[first, _HIT], features[first, _GLOSS] = seen.position[first], seen.gloss[first]
-        features[:, _AUXILIARY][:, 0:3] += seen.albedo * positions
-        features[:, _AUXILIARY][:, 3:6] += seen.normal * positions
-        features[:, _POSITIONS] += positions
-        self.features[pixels] = features
+        records = self.records.take(pixels, axis=0)
+        first = np.flatnonzero(records[:, POSITIONS] == 0)
+        self.hits[pixels[first]] = np.column_stack([seen.position[first], seen.gloss[first]])
+        add_features(records, seen, positions)
+        self.records[pixels] = records
         self.known[pixels] = True
 
     def add_light(self, new: Samples) -> None:
         """Adds samples of radiance."""
-        self.light[new.pixels] = self.light.take(new.pixels, axis=0) + light_of(new)
+        records = self.records.take(new.pixels, axis=0)
+        add_light(records, new)
+        self.records[new.pixels] = records
         self.known[new.pixels] = True
 
     def as_earlier(self) -> EarlierView:
         """The pixels that have samples."""
         pixels = np.flatnonzero(self.known)
-        pixels = pixels[self.light[pixels, 0] > 0]
-        light, features = self.light.take(pixels, axis=0), self.features.take(pixels, axis=0)
-        light *= np.minimum(_MOST_SAMPLES / light[:, :1], 1)
-        return EarlierView(
-            light, features[:, _HIT], features[:, _GLOSS].astype(np.uint8), self.camera.position
-        )
+        pixels = pixels[self.records[pixels, COUNT] > 0]
+        records, hits = self.records.take(pixels, axis=0), self.hits.take(pixels, axis=0)
+        limit(records, _MOST_SAMPLES)
+        return EarlierView(records, hits[:, _POINT], hits[:, _GLOSS].astype(np.uint8), self.camera.position)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from compose.base.arrays import Arrays, uploaded
 from compose.camera.camera import Camera
 from compose.fovea.earlier import EarlierViews, Places
-from compose.fovea.light import LIGHT
+from compose.fovea.record import RECORD
 from compose.fovea.samples import Floats, Samples
 from compose.fovea.surfaces import SAME_SURFACE, VisibleSurfaces
 from compose.image.gloss import DIFFUSE, GLOSSY
@@ -37,22 +37,24 @@ class Reprojected:
 
     Attributes:
         rows, columns: the rectangle.
-        light: (h, w, 8) records (compose.fovea.light).
+        records: (h, w, 16) (compose.fovea.record).
     """
 
     rows: slice
     columns: slice
-    light: Floats
+    records: Floats
 
     def at(self, row: NDArray[np.uint32], column: NDArray[np.uint32]) -> Floats:
-        """(D, 8) records of pixels of the frame; 0 outside the rectangle."""
+        """(D, 16) records of pixels of the frame; 0 outside the rectangle."""
         inside = (row >= self.rows.start) & (row < self.rows.stop)
         inside &= (column >= self.columns.start) & (column < self.columns.stop)
-        index = (row[inside] - self.rows.start) * self.light.shape[1] + (column[inside] - self.columns.start)
-        found = self.light.reshape(-1, LIGHT).take(index, axis=0)
+        index = (row[inside] - self.rows.start) * self.records.shape[1] + (
+            column[inside] - self.columns.start
+        )
+        found = self.records.reshape(-1, RECORD).take(index, axis=0)
         if len(found) == len(row):
             return found
-        everywhere = np.zeros((len(row), LIGHT), dtype=np.float32)
+        everywhere = np.zeros((len(row), RECORD), dtype=np.float32)
         everywhere[inside] = found
         return everywhere
 
@@ -75,8 +77,8 @@ def reproject(views: EarlierViews, camera: Camera, new: Samples) -> Reprojected 
         return None
     surfaces = VisibleSurfaces.of(views.arrays, camera, new)
     height, width = surfaces.shape
-    light = _summed(views, _arrivals(views, camera, surfaces), height * width).numpy()
-    return Reprojected(surfaces.rows, surfaces.columns, light.reshape(height, width, LIGHT))
+    records = _summed(views, _arrivals(views, camera, surfaces), height * width).numpy()
+    return Reprojected(surfaces.rows, surfaces.columns, records.reshape(height, width, RECORD))
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,7 @@ def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) ->
 
 
 def _summed(views: EarlierViews, arrivals: _Arrivals, pixels: int) -> Any:
-    """Flat Float of the light records of all pixels."""
+    """Flat Float of the records of all pixels."""
     arrays, UInt, Float = views.arrays, views.arrays.plain.UInt, views.arrays.plain.Float
     pixel, count = _visible(arrays, arrivals, pixels)
     order = arrays.argsort(pixel, pixels + 1)
@@ -130,15 +132,15 @@ def _summed(views: EarlierViews, arrivals: _Arrivals, pixels: int) -> Any:
     end = start + count
 
     def add(i: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
-        more = views.lights(dr.gather(UInt, order, i))
+        more = views.records(dr.gather(UInt, order, i))
         return i + 1, [one + other for one, other in zip(sums, more, strict=True)]
 
     # Built one by one: [Float(0)] * n would be a single accumulator n times.
-    nothing = [Float(0) for _ in range(LIGHT)]
+    nothing = [Float(0) for _ in range(RECORD)]
     _, sums = dr.while_loop((start, nothing), lambda i, sums: i < end, add, mode="symbolic")
     # Evaluated before they are scattered: otherwise the scatter runs the loop again.
     dr.eval(sums)
-    table = dr.empty(Float, LIGHT * pixels)
+    table = dr.empty(Float, RECORD * pixels)
     dr.scatter(table, arrays.plain.ArrayXf(sums), target, mode=dr.ReduceMode.Permute)
     dr.eval(table)
     return table

@@ -90,8 +90,9 @@ class DiscTracer:
             request: which samples.
             underlay: the splats under the disc; with them, samples go where they help most. Without them, and
                 at low sample counts, all pixels get the same number.
-            quick: whether all pixels get the same number in any case: deciding takes an eighth of the time
-                of tracing a disc at one sample per pixel.
+            quick: whether all pixels get the same number in any case, and auxiliary features are those of
+                the samples wherever a few samples are known: deciding takes an eighth of the time of tracing
+                a disc at one sample per pixel, and features of their own as long as a path.
 
         Raises:
             ValueError: the underlay, if it is used, belongs to another camera.
@@ -103,7 +104,9 @@ class DiscTracer:
         checked = None if underlay is None else underlay_of(request.camera, underlay)
         if self._history is None:
             return self._alone(request, checked)
-        known = self.known(request, quick)
+        if quick and features_along(request.spp):
+            return self._quickly(request, self._history)
+        known = self.known(request)
         sequence = self._sequence(request.camera, request.region.pixels, request.seed)
         if checked is not None:
             new = self._adaptive(request, known, sequence, checked)
@@ -123,21 +126,38 @@ class DiscTracer:
         spp, positions = _one_for_all(counts), pixel_positions(mi.UInt32(pixels), camera.width)
         return _sampled(pixels, spp, self._tracer.trace(camera, positions, spp, seed))
 
-    def known(self, request: DiscRequest, quick: bool = False) -> Samples:
+    def known(self, request: DiscRequest) -> Samples:
         """What is known of the disc before any radiance is traced: auxiliary features and the history."""
-        camera, pixels = request.camera, request.region.pixels
+        camera, pixels, seed = request.camera, request.region.pixels, request.seed
+        spp = auxiliary_spp(request.spp)
         if self._history is None:
-            if not request.auxiliary:
-                return _dark(pixels)
-            sequence = self._sequence(camera, pixels, request.seed)
-            return self._seen(camera, pixels, auxiliary_spp(request.spp), sequence)
-        wanted = max(auxiliary_spp(request.spp), _AUXILIARY_SPP_WITH_HISTORY)
-        unseen = self._history.unseen(camera, pixels, wanted)
-        # After a saccade all pixels need auxiliary features at once; a quick frame leaves half of them to the
-        # next one.
-        spp = auxiliary_spp(request.spp) if quick else wanted
-        seen = self._seen(camera, unseen, spp, self._sequence(camera, unseen, request.seed))
-        return self._history.recall(camera, pixels, seen, spp, request.seed)
+            return self._seen(camera, pixels, spp, self._sequence(camera, pixels, seed))
+        spp = max(spp, _AUXILIARY_SPP_WITH_HISTORY)
+        self._see(request, spp, spp, self._history)
+        return self._history.recall(pixels)
+
+    def _quickly(self, request: DiscRequest, history: History) -> Samples:
+        """As many new samples for each pixel, whose auxiliary features are added to the known ones.
+
+        After a saccade and where something appears, a few sample positions more than those are seen at once.
+        """
+        camera, pixels, spp, seed = request.camera, request.region.pixels, request.spp, request.seed
+        drawn, pattern = history.sampled(camera, pixels, seed)
+        positions = pixel_positions(mi.UInt32(pixels), camera.width)
+        traced = self._tracer.trace(camera, positions, spp, seed, _one_for_all(drawn), pattern, features=True)
+        assert traced.features is not None
+        new = _showing(_sampled(pixels, spp, traced), traced.features)
+        history.see(camera, new, spp, seed)
+        history.remember(new)
+        self._see(request, auxiliary_spp(spp), max(auxiliary_spp(spp) - spp, 1), history)
+        return history.recall(pixels)
+
+    def _see(self, request: DiscRequest, wanted: int, spp: int, history: History) -> None:
+        """Adds auxiliary features where they are means over fewer than `wanted` sample positions."""
+        camera, seed = request.camera, request.seed
+        unseen = history.unseen(camera, request.region.pixels, wanted)
+        seen = self._seen(camera, unseen, spp, self._sequence(camera, unseen, seed))
+        history.see(camera, seen, spp, seed)
 
     def _alone(self, request: DiscRequest, underlay: Underlay | None) -> Samples:
         """Samples without a history; with the splats under the disc, they go where they help most."""

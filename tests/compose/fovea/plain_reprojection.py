@@ -43,8 +43,8 @@ def plain_reproject(views: Iterable[EarlierView], camera: Camera, new: Samples) 
     seen = arrivals.certain | (arrivals.distance <= front[arrivals.quarter] * (1 + _SAME_SURFACE))
     down, across = np.divmod(arrivals.quarter[seen], 2 * width)
     target = down // 2 * width + across // 2
-    light = _summed(target, arrivals.light[seen], height * width)
-    return Reprojected(surfaces.rows, surfaces.columns, light.reshape(height, width, -1))
+    records = _summed(target, arrivals.records[seen], height * width)
+    return Reprojected(surfaces.rows, surfaces.columns, records.reshape(height, width, -1))
 
 
 @dataclass(frozen=True)
@@ -55,13 +55,13 @@ class _Arrivals:
         quarter: (M,) index of the quarter of a pixel, row by row over (2 h, 2 w) quarters.
         distance: (M,) from the camera.
         certain: (M,) whether nothing can hide it.
-        light: (M, 8) records.
+        records: (M, 16) (compose.fovea.record).
     """
 
     quarter: NDArray[np.int64]
     distance: NDArray[np.float64]
     certain: NDArray[np.bool_]
-    light: Floats
+    records: Floats
 
     @staticmethod
     def joined(parts: list[_Arrivals]) -> _Arrivals:
@@ -92,7 +92,7 @@ def _arrivals(view: EarlierView, camera: Camera, surfaces: _Surfaces) -> _Arriva
         quarter=down * 2 * width + across,
         distance=distance,
         certain=np.full(len(kept), certain),
-        light=view.light[kept],
+        records=view.records[kept],
     )
 
 

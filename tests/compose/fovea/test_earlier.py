@@ -6,15 +6,15 @@ import drjit as dr
 import numpy as np
 
 from compose.fovea.earlier import MOST_VIEWS, EarlierView, EarlierViews
-from compose.fovea.light import LIGHT
+from compose.fovea.record import RECORD
 
 
 def view(number: int, size: int) -> EarlierView:
     """Samples that tell which view they belong to, and which one of it they are."""
     at = np.stack([np.full(size, number), np.arange(size), np.zeros(size)], axis=1)
-    light = np.arange(size * LIGHT).reshape(size, LIGHT) + 1000 * number
+    records = np.arange(size * RECORD).reshape(size, RECORD) + 1000 * number
     gloss = (np.arange(size) % 3).astype(np.uint8)
-    return EarlierView(light.astype(np.float32), at.astype(np.float32), gloss, np.full(3, float(number)))
+    return EarlierView(records.astype(np.float32), at.astype(np.float32), gloss, np.full(3, float(number)))
 
 
 def test_samples_stand_in_the_order_in_which_they_came(arrays):
@@ -24,12 +24,12 @@ def test_samples_stand_in_the_order_in_which_they_came(arrays):
         known.add(view(number, 1 + number * 37 % 900))
         expected = [view(n, 1 + n * 37 % 900) for n in range(max(0, number - MOST_VIEWS + 1), number + 1)]
         index = dr.arange(arrays.plain.UInt, known.samples)
-        place, light = known.places(index), known.lights(index)
+        place, records = known.places(index), known.records(index)
         position = np.stack([side.numpy() for side in place.position], axis=1)
         np.testing.assert_array_equal(position, np.concatenate([v.position for v in expected]))
         np.testing.assert_array_equal(place.gloss.numpy(), np.concatenate([v.gloss for v in expected]))
-        stored = np.stack([column.numpy() for column in light], axis=1)
-        np.testing.assert_array_equal(stored, np.concatenate([v.light for v in expected]))
+        stored = np.stack([column.numpy() for column in records], axis=1)
+        np.testing.assert_array_equal(stored, np.concatenate([v.records for v in expected]))
         # The number of a view leads to its viewpoint.
         np.testing.assert_array_equal(known.viewpoints()[place.view.numpy()][:, 0], position[:, 0])
 

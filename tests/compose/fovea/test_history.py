@@ -19,9 +19,17 @@ ALL = SIZE * SIZE
 
 def added(history: History, view: Camera, new: Samples, seed: int = 0) -> Samples:
     """All that is known of the new samples' pixels after a frame."""
-    known = history.recall(view, new.pixels, unlit(new), 4, seed)
+    known = seen(history, view, new.pixels, unlit(new), 4, seed)
     history.remember(new)
     return merged(known, new)
+
+
+def seen(
+    history: History, view: Camera, pixels: np.ndarray, new: Samples, positions: int, seed: int = 0
+) -> Samples:
+    """All that is known of some pixels after new auxiliary features were added."""
+    history.see(view, new, positions, seed)
+    return history.recall(pixels)
 
 
 def unlit(new: Samples) -> Samples:
@@ -47,7 +55,7 @@ def test_auxiliary_features_are_traced_until_they_are_good_enough(arrays):
     assert (history.unseen(view, new.pixels, 8) == new.pixels).all()
     assert not len(history.unseen(view, new.pixels, 4))
     half = part(new, slice(0, ALL // 2))
-    history.recall(view, half.pixels, half, 4, 0)
+    seen(history, view, half.pixels, half, 4)
     assert (history.unseen(view, new.pixels, 8) == new.pixels[ALL // 2 :]).all()
     assert (history.unseen(camera(0.1), new.pixels, 8) == new.pixels).all()
     # They must not fall behind the samples.
@@ -58,10 +66,10 @@ def test_auxiliary_features_are_traced_until_they_are_good_enough(arrays):
 def test_64_sample_positions_are_enough_for_any_number_of_samples(arrays):
     history, view = History(arrays), camera()
     new = samples(wall(view), np.ones(3), count=1000)
-    history.recall(view, new.pixels, unlit(new), 63, 0)
+    seen(history, view, new.pixels, unlit(new), 63)
     history.remember(new)
     assert len(history.unseen(view, new.pixels, 8)) == ALL
-    history.recall(view, new.pixels, unlit(new), 1, 0)
+    seen(history, view, new.pixels, unlit(new), 1)
     assert not len(history.unseen(view, new.pixels, 8))
 
 
@@ -69,7 +77,7 @@ def test_what_was_seen_before_is_known_without_looking_again(arrays):
     history, view = History(arrays), camera()
     new = samples(wall(view), np.array([0.5, 0.4, 0.3]), GLOSSY)
     added(history, view, new)
-    known = history.recall(view, new.pixels, part(new, slice(0, 0)), 4, 0)
+    known = seen(history, view, new.pixels, part(new, slice(0, 0)), 4)
     assert (known.position == new.position).all()
     assert (known.gloss == GLOSSY).all()
     assert (known.count == 1).all()
@@ -82,8 +90,8 @@ def test_auxiliary_features_are_means_over_sample_positions(arrays):
     history, view = History(arrays), camera()
     first = samples(wall(view), np.full(3, 0.2), GLOSSY)
     second = samples(wall(view, 1.0), np.full(3, 0.6), SPECULAR)
-    history.recall(view, first.pixels, first, 4, 0)
-    known = history.recall(view, first.pixels, second, 12, 0)
+    seen(history, view, first.pixels, first, 4)
+    known = seen(history, view, first.pixels, second, 12)
     np.testing.assert_allclose(known.albedo, 0.5, rtol=1e-6)
     np.testing.assert_allclose(known.normal, 0.5, rtol=1e-6)
     assert (known.position == first.position).all()
@@ -188,6 +196,25 @@ def test_samples_move_to_where_their_hit_points_are_visible(arrays, moved):
     assert inside.mean() > 0.5
     pixel = 4 / SIZE
     assert np.abs(kept.radiance - paint(there))[inside].max() < 2 * pixel * 0.75
+
+
+def test_auxiliary_features_move_with_the_samples(arrays):
+    """Albedo is the mean of a view's and of that which the view before it brings, by sample positions."""
+    history, before, after = History(arrays), camera(), camera(x=0.31)
+    added(history, before, samples(wall(before), np.full(3, 0.2)))  # 4 sample positions
+    there = samples(wall(after), np.full(3, 0.8))
+    known = seen(history, after, there.pixels, unlit(there), 1)
+    once = known.count == 1
+    assert once.mean() > 0.5
+    np.testing.assert_allclose(known.albedo[once], (4 * 0.2 + 0.8) / 5, rtol=1e-5)
+    new = known.count == 0
+    np.testing.assert_allclose(known.albedo[new], 0.8, rtol=1e-6)
+    # Where they are enough, no more are traced; but what this view does not show yet must be seen.
+    assert set(history.unseen(after, there.pixels, 4)) == set(there.pixels[new])
+    history = History(arrays)
+    added(history, before, samples(wall(before), np.full(3, 0.2)))
+    history.see(after, unlit(part(there, slice(0, 1000))), 4, 0)
+    assert set(there.pixels[1000:]) <= set(history.unseen(after, there.pixels, 4))
 
 
 def test_many_small_steps_do_not_blur(arrays):

@@ -9,7 +9,7 @@ import pytest
 
 from compose.camera.camera import Camera
 from compose.fovea.earlier import EarlierView, EarlierViews
-from compose.fovea.light import LIGHT
+from compose.fovea.record import RECORD
 from compose.fovea.reprojection import Reprojected, reproject
 from compose.fovea.samples import Samples
 from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
@@ -27,11 +27,11 @@ def earlier(
 ) -> EarlierView:
     """Samples of points; the mean light of number n is n, n + 1, ... n + 5."""
     size = len(points)
-    light = np.zeros((size, LIGHT), dtype=np.float32)
-    light[:, 0] = count
-    light[:, 1:7] = count * (np.arange(size)[:, None] + np.arange(6))
+    records = np.zeros((size, RECORD), dtype=np.float32)
+    records[:, 0] = count
+    records[:, 1:7] = count * (np.arange(size)[:, None] + np.arange(6))
     return EarlierView(
-        light,
+        records,
         np.array(points, dtype=np.float32),
         np.full(size, gloss, dtype=np.uint8),
         viewpoint,
@@ -61,12 +61,12 @@ def test_a_sample_goes_to_the_pixel_in_which_its_point_is_visible(seen_again):
     """World x and image x agree, world y is down: 2.5 and 1.5 pixels off the middle at column and row 24."""
     found = seen_again([earlier([[2.5 * PIXEL, 1.5 * PIXEL, 0]])], VIEW, WALL)
     assert found is not None
-    light = found.at(np.array([25, 25, 24]), np.array([26, 25, 26]))
-    assert light[:, 0].tolist() == [2, 0, 0]
+    records = found.at(np.array([25, 25, 24]), np.array([26, 25, 26]))
+    assert records[:, 0].tolist() == [2, 0, 0]
     # Twice the light 0, 1, ... 5.
-    np.testing.assert_allclose(light[0, 1:7], [0, 2, 4, 6, 8, 10])
-    assert light.dtype == np.float32
-    assert found.light[..., 0].sum() == 2
+    np.testing.assert_allclose(records[0, 1:7], [0, 2, 4, 6, 8, 10])
+    assert records.dtype == np.float32
+    assert found.records[..., 0].sum() == 2
 
 
 @pytest.mark.parametrize(
@@ -87,10 +87,10 @@ def test_samples_of_several_views_add_up_in_a_pixel(seen_again):
     inside = [[2.3 * PIXEL, 1.5 * PIXEL, 0], [2.7 * PIXEL, 1.5 * PIXEL, 0]]
     found = seen_again([earlier(inside), earlier(inside[:1], VIEW.position, count=5)], VIEW, WALL)
     assert found is not None
-    light = found.at(np.array([25]), np.array([26]))[0]
-    assert light[0] == 2 + 2 + 5
+    records = found.at(np.array([25]), np.array([26]))[0]
+    assert records[0] == 2 + 2 + 5
     # Twice 0, twice 1 and five times 0 for the first of six.
-    np.testing.assert_allclose(light[1:7], [2, 11, 20, 29, 38, 47])
+    np.testing.assert_allclose(records[1:7], [2, 11, 20, 29, 38, 47])
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_samples_of_several_views_add_up_in_a_pixel(seen_again):
     ],
 )
 def test_points_out_of_view_are_dropped(point, seen_again):
-    assert not seen_again([earlier([point], VIEW.position)], VIEW, WALL).light.any()
+    assert not seen_again([earlier([point], VIEW.position)], VIEW, WALL).records.any()
 
 
 def test_only_the_rectangle_around_the_new_samples_counts(seen_again):
@@ -119,7 +119,7 @@ def test_only_the_rectangle_around_the_new_samples_counts(seen_again):
     found = seen_again([earlier(points, VIEW.position)], VIEW, new)
     assert found is not None
     assert (found.rows, found.columns) == (slice(20, 23), slice(30, 34))
-    assert found.light.shape == (3, 4, LIGHT)
+    assert found.records.shape == (3, 4, RECORD)
     rows, columns = np.array([20, 22, 23, 21, 19]), np.array([30, 33, 31, 29, 30])
     assert found.at(rows, columns)[:, 0].tolist() == [2, 2, 0, 0, 0]
     assert found.at(np.array([20]), np.array([34]))[:, 0].tolist() == [0]
@@ -206,4 +206,4 @@ def test_neighbouring_pixels_tell_which_distances_are_visible(depth, vertical, s
 def test_a_glossy_point_must_lie_on_the_visible_surface_as_well(seen_again):
     new = replace(WALL, gloss=np.full_like(WALL.gloss, GLOSSY))
     behind = [0.5 * PIXEL, 0.5 * PIXEL, 1.0]
-    assert not seen_again([earlier([behind], gloss=GLOSSY)], VIEW, new).light.any()
+    assert not seen_again([earlier([behind], gloss=GLOSSY)], VIEW, new).records.any()

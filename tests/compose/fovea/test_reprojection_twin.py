@@ -10,7 +10,7 @@ import pytest
 
 from compose.camera.camera import Camera, camera_from_pose, look_at
 from compose.fovea.earlier import MOST_VIEWS, EarlierView, EarlierViews
-from compose.fovea.light import LIGHT
+from compose.fovea.record import RECORD
 from compose.fovea.reprojection import Reprojected, reproject
 from compose.fovea.samples import Samples
 from tests import small
@@ -61,9 +61,9 @@ def remembered(
     """What was traced of a disc."""
     new = disc(view, rng, radius, middle)
     count = rng.integers(1, 33, len(new.pixels)).astype(np.float32)
-    light = rng.lognormal(0, 2, (len(count), LIGHT)) * count[:, None]
-    light[:, 0], light[:, -1] = count, 0
-    return EarlierView(light.astype(np.float32), new.position, new.gloss, view.position)
+    records = rng.lognormal(0, 2, (len(count), RECORD)) * count[:, None]
+    records[:, 0], records[:, -1] = count, 0
+    return EarlierView(records.astype(np.float32), new.position, new.gloss, view.position)
 
 
 def both(arrays, views: list[EarlierView], view: Camera, new: Samples) -> tuple[Reprojected, Reprojected]:
@@ -74,15 +74,15 @@ def both(arrays, views: list[EarlierView], view: Camera, new: Samples) -> tuple[
     found, expected = reproject(known, view, new), plain_reproject(views, view, new)
     assert found is not None
     if expected is None:
-        expected = replace(found, light=np.zeros_like(found.light))
+        expected = replace(found, records=np.zeros_like(found.records))
     assert (found.rows, found.columns) == (expected.rows, expected.columns)
     return found, expected
 
 
 def assert_equal(found: Reprojected, expected: Reprojected) -> None:
     """Counts are whole numbers, exact; sums are float32."""
-    np.testing.assert_array_equal(found.light[..., 0], expected.light[..., 0])
-    np.testing.assert_allclose(found.light, expected.light, rtol=2e-6, atol=1e-9)
+    np.testing.assert_array_equal(found.records[..., 0], expected.records[..., 0])
+    np.testing.assert_allclose(found.records, expected.records, rtol=2e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("views", [1, 2, 5, MOST_VIEWS])
@@ -92,7 +92,7 @@ def test_random_scenes(arrays, views, step):
     path = [eye(rng, step) for _ in range(views + 1)]
     new = disc(path[-1], rng, 0.5, (0.5, 0.5))
     found, expected = both(arrays, [remembered(view, rng) for view in path[:-1]], path[-1], new)
-    assert expected.light.sum() > 0
+    assert expected.records.sum() > 0
     assert_equal(found, expected)
 
 
@@ -120,7 +120,7 @@ def test_discs_that_do_not_overlap(arrays):
     earlier = remembered(view, rng, 0.2, (0.1, 0.2))
     found, expected = both(arrays, [earlier], view, disc(view, rng, 0.2, (0.9, 0.8)))
     assert_equal(found, expected)
-    assert not found.light.any()
+    assert not found.records.any()
 
 
 def test_views_without_samples(arrays):
@@ -128,7 +128,7 @@ def test_views_without_samples(arrays):
     path = [eye(rng) for _ in range(3)]
     full = [remembered(view, rng) for view in path[:-1]]
     none = remembered(path[0], rng, 0.0)
-    assert len(none.light) == 0
+    assert len(none.records) == 0
     new = disc(path[-1], rng, 0.5, (0.5, 0.5))
     assert_equal(*both(arrays, [none, full[0], none, full[1], none], path[-1], new))
     known = EarlierViews(arrays)
@@ -154,9 +154,9 @@ def test_points_behind_and_at_the_camera_and_beyond_all_numbers(arrays):
     ).astype(np.float32)
     for viewpoint in (view.position, view.position + 0.1):
         size = len(point)
-        light = rng.random((size, LIGHT)).astype(np.float32)
-        light[:, 0] = 1
-        earlier = EarlierView(light, point, gloss_of(np.zeros((size, 3))), viewpoint)
+        records = rng.random((size, RECORD)).astype(np.float32)
+        records[:, 0] = 1
+        earlier = EarlierView(records, point, gloss_of(np.zeros((size, 3))), viewpoint)
         with np.errstate(all="ignore"):
             found, expected = both(arrays, [earlier], view, new)
         assert_equal(found, expected)
@@ -175,12 +175,12 @@ def test_points_on_the_borders_of_quarters(arrays):
     new = Samples(every.astype(np.uint32), dark[:, 0], dark, dark, dark, dark, position, gloss)
     x, y = np.meshgrid(np.arange(-4, 4.125, 0.125), np.arange(-2, 2.125, 0.125))
     point = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1).astype(np.float32)
-    light = np.ones((len(point), LIGHT), dtype=np.float32)
-    earlier = EarlierView(light, point, np.zeros(len(point), dtype=np.uint8), view.position)
+    records = np.ones((len(point), RECORD), dtype=np.float32)
+    earlier = EarlierView(records, point, np.zeros(len(point), dtype=np.uint8), view.position)
     found, expected = both(arrays, [earlier], view, new)
     assert_equal(found, expected)
     # Four quarters per pixel, each with the point in its upper left corner.
-    assert (found.light[..., 0] == 4).all()
+    assert (found.records[..., 0] == 4).all()
 
 
 def walked(arrays, seed: int) -> list[Reprojected]:
@@ -200,7 +200,7 @@ def test_only_the_last_views_count_however_long_the_walk(arrays):
         view = eye(rng, 0.02)
         last = [*last, remembered(view, rng, 0.1 + 0.9 * (step % 7 == 6))][-MOST_VIEWS:]
         known.add(last[-1])
-        assert known.samples == sum(len(view.light) for view in last)
+        assert known.samples == sum(len(view.records) for view in last)
         now = eye(rng, 0.02)
         new = disc(now, rng, 0.5, (0.5, 0.5))
         assert_equal(reproject(known, now, new), plain_reproject(last, now, new))
@@ -208,7 +208,7 @@ def test_only_the_last_views_count_however_long_the_walk(arrays):
 
 def test_the_same_samples_give_the_same_sums_bit_by_bit(arrays):
     for one, other in zip(walked(arrays, 3), walked(arrays, 3), strict=True):
-        np.testing.assert_array_equal(one.light, other.light)
+        np.testing.assert_array_equal(one.records, other.records)
 
 
 def test_no_kernel_is_compiled_when_camera_gaze_or_sizes_change(arrays):

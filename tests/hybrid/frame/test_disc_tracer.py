@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import mitsuba as mi
 import numpy as np
 import pytest
 
@@ -11,7 +12,7 @@ from compose.eye.gaze import Gaze
 from compose.fovea.region import FoveaRegion, Foveation
 from hybrid.frame.disc_tracer import DiscRequest, DiscTracer
 from hybrid.frame.settings import FrameSettings
-from pathtrace.trace.film import frame_positions, interleaved
+from pathtrace.trace.film import frame_positions, interleaved, pixel_positions
 from pathtrace.trace.tracer import Tracer
 
 COVERING = Foveation(Gaze(), 500, 500)
@@ -180,6 +181,25 @@ def test_with_a_history_samples_of_a_still_view_add_up(scene, tracer, quick):
     assert all((new >= -1e-3).all() for new in added)
     disc.forget()
     assert (disc.trace(request(scene, DISC, 32, 2, 9)).count == 2).all()
+
+
+def test_quick_samples_bring_their_own_auxiliary_features(scene, tracer):
+    """The first ones are completed to the four sample positions of a single frame; later ones add up."""
+    disc, asked = DiscTracer(tracer, history=True), request(scene, DISC, 32, 1, 5)
+    positions = pixel_positions(mi.UInt32(asked.region.pixels), 32)
+    for frame, spp in ((0, 4), (1, 5), (2, 6)):
+        found = disc.trace(replace(asked, seed=5 + frame), quick=True)
+        assert (found.count == frame + 1).all()
+        if frame == 0:
+            expected = tracer.auxiliary(asked.camera, positions, spp, 5)
+            np.testing.assert_allclose(found.albedo, interleaved(expected.albedo), atol=1e-6)
+            np.testing.assert_allclose(found.normal, interleaved(expected.normal), atol=1e-6)
+            first = found
+        else:
+            # The position stays; of a mean of features, one sample more changes its share at most.
+            assert (found.position == first.position).all()
+            assert np.abs(found.normal - first.normal).max() <= 2 * (spp - 4) / spp + 1e-6
+            assert np.median(np.abs(found.albedo - first.albedo)) < 1e-6
 
 
 def test_samples_of_a_still_view_fill_the_gaps_between_earlier_ones(scene, tracer):
