@@ -41,9 +41,9 @@ class LiveRenderer(Renderer):
         maker, clock = self.fovea_of(settings), Clock()
         camera, settings = settings.resolved(self.scene.camera)
         disc = settings.foveation.region(camera.width, camera.height)
-        detail = self.periphery.detail(camera, settings)
-        clock.lap("region")
         still, self._last_camera = camera == self._last_camera, camera
+        detail = self.periphery.detail(camera, settings, moving=not still)
+        clock.lap("region")
         if still:
             underlay: Underlay | None = self._still_underlay(camera, settings, detail)
         else:

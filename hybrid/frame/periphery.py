@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from compose.eye.acuity import ACUITY_MODELS
 from compose.eye.detail import DetailMap, LayerRange, detail_map
-from compose.eye.lattice import CELL, at_corners
-from compose.eye.saliency import saliency
+from compose.eye.lattice import CELL
 from compose.eye.steps import COARSEST_RATE
 from compose.fovea.region import FoveaRegion
 from compose.image.colour import Image
+from hybrid.frame.saliency import ViewSaliency
 from hybrid.frame.settings import FrameSettings
 from splat.lod.cached_images import CachedLayerImages
 from splat.lod.image import SplatImage
@@ -22,8 +21,6 @@ from splat.lod.renderer import ForestRenderer, finest_frequency
 from splat.model.forest import Forest
 from splat.raster.tiles import TILE
 
-# Side in pixels of the coarse image in which saliency is computed.
-_COARSE = 64
 # The detail map's cells are the rasterizer's tiles.
 assert CELL == TILE
 
@@ -41,7 +38,7 @@ class Periphery:
     def __init__(self, arrays: Arrays, forest: Forest):
         self.forest = forest
         self._renderer = ForestRenderer(arrays, forest)
-        self._saliency: tuple[Camera, NDArray[np.float32]] | None = None
+        self._saliency = ViewSaliency(self._renderer, forest)
         # What the layers of the last still view were drawn for; their images; the finest one as a whole.
         self._kept: tuple[tuple[object, ...], CachedLayerImages, Image] | None = None
 
@@ -53,8 +50,13 @@ class Periphery:
         """
         return settings.layers_of(len(self.forest.counts))
 
-    def detail(self, camera: Camera, settings: FrameSettings) -> DetailMap:
+    def detail(self, camera: Camera, settings: FrameSettings, moving: bool = False) -> DetailMap:
         """The detail that the viewer resolves in each part of a frame.
+
+        Args:
+            camera: the view.
+            settings: of the frame.
+            moving: whether the saliency of an earlier view will do that shows nearly the same.
 
         Raises:
             UserError: the forest does not have the layers that the settings ask for.
@@ -75,7 +77,7 @@ class Periphery:
             ACUITY_MODELS[settings.acuity_model],
             settings.fov_b,
             layers,
-            None if unlimited else self.saliency(camera),
+            None if unlimited else self._saliency.of(camera, moving),
         )
 
     def _finest_rate(self, camera: Camera, settings: FrameSettings, layer: int) -> int:
@@ -83,17 +85,6 @@ class Periphery:
         pixel = camera.fy / self.forest.focal_of(layer)
         samples = 1 if ACUITY_MODELS[settings.acuity_model].relative else 2
         return int(np.clip(np.floor(np.log2(pixel / samples)), 0, COARSEST_RATE))
-
-    def saliency(self, camera: Camera) -> NDArray[np.float32]:
-        """(rows + 1, columns + 1) saliency in 0..1 at the corners of the detail map's cells.
-
-        It is computed from layer 1, drawn coarsely.
-        """
-        if self._saliency is None or self._saliency[0] != camera:
-            rate = max(0, round(np.log2(max(camera.width, camera.height) / _COARSE)))
-            coarse = self._renderer.render_layer(camera, 1, rate).image()
-            self._saliency = camera, at_corners(saliency(coarse), camera.width, camera.height)
-        return self._saliency[1]
 
     def draw(self, camera: Camera, detail: DetailMap, region: FoveaRegion) -> SplatImage:
         """The part of a frame that the fovea leaves visible, drawn with the required detail."""

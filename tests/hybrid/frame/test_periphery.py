@@ -12,6 +12,7 @@ from compose.eye.lattice import CELL
 from compose.fovea.region import FoveaRegion
 from hybrid.frame import periphery as module
 from hybrid.frame.periphery import Periphery
+from hybrid.frame.saliency import ViewSaliency
 from hybrid.frame.settings import FrameSettings
 from hybrid.measure.metrics.psnr import psnr
 from splat.lod.renderer import ForestRenderer
@@ -71,8 +72,8 @@ def test_no_layer_below_the_coarsest_one_is_drawn(periphery, camera):
 
 
 def test_detail_falls_with_the_angle_from_the_gaze(periphery, camera, monkeypatch):
-    rows, columns = periphery.saliency(camera).shape
-    monkeypatch.setattr(periphery, "saliency", lambda _: np.zeros((rows, columns), dtype=np.float32))
+    lattice = np.zeros((HEIGHT // CELL + 1, WIDTH // CELL + 1), dtype=np.float32)
+    monkeypatch.setattr(ViewSaliency, "of", lambda *_: lattice)
     detail = periphery.detail(camera, PAST)
     # The eye is 1844 pixels away from a desktop: arctan(812.3 / 1844) - arctan(62.5 / 1844).
     assert detail.eccentricity[0, 0] == pytest.approx(21.83, abs=0.01)
@@ -99,21 +100,11 @@ def test_no_rate_is_finer_than_what_the_layer_was_trained_on(periphery, scene, m
     assert periphery.detail(large, asked).steps[0].rate == 3
 
 
-def test_saliency_is_computed_once_per_camera(periphery, camera):
-    found = periphery.saliency(camera)
-    assert found.shape == (HEIGHT // CELL + 1, WIDTH // CELL + 1)
-    assert 0 <= found.min() < found.max() <= 1
-    assert periphery.saliency(replace(camera)) is found
-    other = periphery.saliency(replace(camera, fx=camera.fx * 0.5))
-    assert not np.array_equal(other, found)
-
-
 def test_saliency_adds_detail_where_an_acuity_model_uses_it(periphery, camera, monkeypatch):
-    rows, columns = periphery.saliency(camera).shape
     cutoffs = []
     for value in (0.0, 1.0):
-        lattice = np.full((rows, columns), value, dtype=np.float32)
-        monkeypatch.setattr(periphery, "saliency", lambda _, lattice=lattice: lattice)
+        lattice = np.full((HEIGHT // CELL + 1, WIDTH // CELL + 1), value, dtype=np.float32)
+        monkeypatch.setattr(ViewSaliency, "of", lambda *_, lattice=lattice: lattice)
         cutoffs.append(periphery.detail(camera, PAST).cutoff)
     assert (cutoffs[1] >= cutoffs[0]).all()
     assert cutoffs[1][-1, -1] > cutoffs[0][-1, -1]

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from hybrid.frame import periphery
+from hybrid.frame import saliency
 from hybrid.methods import path_traced
 from hybrid.sweeps import catalogue, fpc
 from hybrid.sweeps import run as run_module
@@ -63,7 +63,7 @@ def test_radius_has_a_row_per_size_and_radius_and_tells_where_it_breaks_even(swe
 def test_every_timed_frame_pays_for_what_its_camera_shows(swept, monkeypatch):
     """Rows share renderers, which keep what depends on the camera alone: saliency, for one."""
     features, cameras = [], set()
-    look, trace = periphery.saliency, path_traced.traced_image
+    look, trace = saliency.saliency, path_traced.traced_image
 
     def counted(image):
         features.append(image.shape)
@@ -73,7 +73,7 @@ def test_every_timed_frame_pays_for_what_its_camera_shows(swept, monkeypatch):
         cameras.add(camera.key)
         return trace(tracer, camera, *rest)
 
-    monkeypatch.setattr(periphery, "saliency", counted)
+    monkeypatch.setattr(saliency, "saliency", counted)
     monkeypatch.setattr(path_traced, "traced_image", traced)
     rows = swept("radius")["rows"]
     assert len(features) == len(rows) * (3 + 1)
