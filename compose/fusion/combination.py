@@ -26,7 +26,7 @@ from torch import Tensor
 
 from compose.fusion.estimate import estimated
 from compose.fusion.maps import as_batch, box_mean, enlarged, halved, luminance, padded_to_even, variance_of
-from compose.fusion.network import Fusion
+from compose.fusion.network import TELLING, Fusion
 from compose.fusion.parents import PARENTS, Fused, Parents
 from compose.fusion.shares import shares_at
 from compose.image.colour import Image
@@ -81,8 +81,10 @@ def _first_estimate(
     if not bool((network + splat_share).any()):
         return denoised, torch.cat([network, denoised_share, splat_share], 1)
     estimate, of_estimate = estimated(fusion, images, [parents])
-    # What the network sees to be of another world is not shown beside its estimate either.
-    doubted = splat_share * (1 - of_estimate[:, 2:3] / _TRUSTED).clamp(min=0)
+    # What the network sees to be of another world is not shown beside its estimate either; among few samples
+    # it sees such a world where there is noise.
+    telling = ((images["count"] - 1) / (TELLING - 1)).clamp(0, 1)
+    doubted = splat_share * telling * (1 - of_estimate[:, 2:3] / _TRUSTED).clamp(min=0)
     network, splat_share = network + doubted, splat_share - doubted
     radiance = network * estimate + denoised_share * denoised + splat_share * splat
     weights = torch.cat([torch.zeros_like(network), denoised_share, splat_share], 1)

@@ -16,18 +16,22 @@ from functools import partial
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
 
 from compose.fusion.estimate import estimated
 from compose.fusion.examples import STACK, Example
 from compose.fusion.features import perceived
-from compose.fusion.fitting import INVISIBLE, fit
+from compose.fusion.fitting import INVISIBLE, SIDES, fit
 from compose.fusion.network import Fusion
 from compose.fusion.shares import COUNTS, ENLARGEMENTS, MIXED, Cell
 
 # Steps of a trial network: enough to tell what the final one will be worth, at less than half of its time.
 TRIAL_ITERATIONS = 500
 # Trials are compared in blocks of this many pixels, each relative to the better parent's error there: views
-# and parts of views in which all errors are large must not decide alone.
+# and parts of views in which all errors are large must not decide alone. As in fitting, errors count as they
+# are and as means over small squares: by single pixels alone, noise would be preferred to blur where the eye
+# prefers blur.
 _BLOCK = 64
 # Least such error, relative to the squared difference of the parents in the block, and to its mean over all
 # blocks: the noise of the reference, which that difference does not have, may leave nothing, or less.
@@ -53,7 +57,8 @@ class Proof:
     gains: NDArray[np.float32]
 
 
-# Errors of one view in one cell: (B, M, M) products of the errors of what is mixed, mean over each block.
+# Errors of one view in one cell: (S, B, M, M) products of the errors of what is mixed, of means over squares
+# of each of S SIDES, mean over each block.
 _Errors = NDArray[np.float64]
 
 
@@ -87,7 +92,9 @@ def prove(examples: Sequence[Example], seed: int, progress: Callable[[int, int],
         # A single view: nothing is known about the network, but which parent is better.
         for example in examples:
             cells[_cell(example)][example.view].append(_errors(Fusion(), example))
-    return _proof({cell: {view: np.concatenate(e) for view, e in of.items()} for cell, of in cells.items()})
+    return _proof(
+        {cell: {view: np.concatenate(e, axis=1) for view, e in of.items()} for cell, of in cells.items()}
+    )
 
 
 def _advance(progress: Callable[[int, int], None], before: int, total: int, done: int, of: int) -> None:
@@ -101,16 +108,23 @@ def _cell(example: Example) -> Cell:
 
 
 def _errors(fusion: Fusion, example: Example) -> _Errors:
-    """(B, M, M) unbiased products of errors in perceived radiance, mean over each block of an example."""
+    """(S, B, M, M) unbiased products of errors in perceived radiance, mean over each block of an example."""
     stack = example.stack()[None]
     with torch.inference_mode():
-        height, width = (side - side % 2 for side in stack.shape[-2:])
+        height, width = (side - side % max(SIDES) for side in stack.shape[-2:])
         images = STACK.parts(stack[..., :height, :width])
         mixed = estimated(fusion, images, [example.parents])[0], images["denoised"], images["splat"]
         errors = torch.cat([perceived(image.clamp(min=0)) - images["target"] for image in mixed])
-        products = torch.einsum("ichw,jchw->ijhw", errors, errors) / 3
-        products = products - (images["noise"] ** 2).mean(1)
-    rows, columns = (np.arange(0, max(side - _BLOCK // 2, 1), _BLOCK) for side in (height, width))
+        return np.stack([_products(errors, images["noise"], side) for side in SIDES])
+
+
+def _products(errors: Tensor, noise: Tensor, side: int) -> NDArray[np.float64]:
+    """(B, M, M) products of the means of errors (M, 3, H, W) over squares, without noise (1, 3, H, W)."""
+    errors, noise = (functional.avg_pool2d(image, side) for image in (errors, noise))
+    products = torch.einsum("ichw,jchw->ijhw", errors, errors) / 3 - (noise**2).mean(1)
+    height, width = products.shape[-2:]
+    block = _BLOCK // side
+    rows, columns = (np.arange(0, max(length - block // 2, 1), block) for length in (height, width))
     sums = np.add.reduceat(products.double().numpy(), rows, axis=2)
     sums = np.add.reduceat(sums, columns, axis=3)
     areas = np.outer(np.diff([*rows, height]), np.diff([*columns, width]))
@@ -147,13 +161,14 @@ def _tried(of_views: dict[int, _Errors]) -> tuple[NDArray[np.float64], float]:
         others = np.concatenate([one for name, one in scaled.items() if name != view])
         chosen = _best(others.mean(axis=0))
         gains.append((errors[:, parent, parent] - _squared(errors, chosen)).mean())
-        left.append(_squared(of_views[view], chosen))
+        left.append(_squared(of_views[view][0], chosen))
     if np.mean(gains) <= np.std(gains, ddof=1) / np.sqrt(len(gains)):
         return alone, 0.0
-    return _best(mean), _decibels(np.concatenate(list(of_views.values())), np.concatenate(left))
+    single = np.concatenate([errors[0] for errors in of_views.values()])
+    return _best(mean), _decibels(single, np.concatenate(left))
 
 
-def _decibels(errors: _Errors, left: NDArray[np.float64]) -> float:
+def _decibels(errors: NDArray[np.float64], left: NDArray[np.float64]) -> float:
     """How much less than the better parent's error (B, M, M) is left (B,).
 
     Relative errors decide what is shown, but noise biases them, and hardly these.
@@ -162,15 +177,15 @@ def _decibels(errors: _Errors, left: NDArray[np.float64]) -> float:
     return float(10 * np.log10(parent / max(float(left.mean()) + INVISIBLE, _LEAST_LEFT * parent)))
 
 
-def _relative(of_views: dict[int, _Errors]) -> dict[int, _Errors]:
-    """Errors (B, M, M) of each view over the better parent's in each block."""
-    apart = {view: e[:, 1, 1] + e[:, 2, 2] - 2 * e[:, 1, 2] for view, e in of_views.items()}
-    floor = max(_LEAST_OF_ALL * float(np.concatenate(list(apart.values())).mean()), 1e-9)
+def _relative(of_views: dict[int, _Errors]) -> dict[int, NDArray[np.float64]]:
+    """Errors (S * B, M, M) of each view over the better parent's in each block."""
+    apart = {view: e[..., 1, 1] + e[..., 2, 2] - 2 * e[..., 1, 2] for view, e in of_views.items()}  # (S, B)
+    floor = _LEAST_OF_ALL * np.concatenate(list(apart.values()), axis=1).mean(axis=1, keepdims=True)
     found = {}
     for view, e in of_views.items():
-        better = np.minimum(e[:, 1, 1], e[:, 2, 2])
-        scale = np.maximum(np.maximum(better, _LEAST_ERROR * apart[view]), floor)
-        found[view] = e / scale[:, None, None]
+        better = np.minimum(e[..., 1, 1], e[..., 2, 2])
+        scale = np.maximum(np.maximum(better, _LEAST_ERROR * apart[view]), np.maximum(floor, 1e-9))
+        found[view] = (e / scale[..., None, None]).reshape(-1, len(MIXED), len(MIXED))
     return found
 
 
