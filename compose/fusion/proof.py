@@ -1,9 +1,10 @@
 """What a fusion is worth on views that it has not seen.
 
 Two trial networks are each fitted to one half of the views and tried on the other. For each cell of sample
-count, enlargement and denoiser, the mixture of network, denoised samples and splats with the least error is
-kept (stacking: Wolpert 1992, Breiman 1996) if it beats the better parent there by more than chance; if it
-does not, that parent alone is shown.
+count, enlargement and denoiser, a mixture of network, denoised samples and splats is kept (stacking: Wolpert
+1992, Breiman 1996) if it beats the better parent there by more than chance; if it does not, that parent alone
+is shown. A few views overrate what fits them best: of all mixtures that they cannot tell from the one with
+the least error, it is the one with most of the better parent (one-standard-error rule: Breiman et al. 1984).
 """
 
 from __future__ import annotations
@@ -158,14 +159,13 @@ def _tried(of_views: dict[int, _Errors]) -> tuple[NDArray[np.float64], float]:
     # Each view is judged by shares that the other ones have chosen.
     gains, left = [], []
     for view, errors in scaled.items():
-        others = np.concatenate([one for name, one in scaled.items() if name != view])
-        chosen = _best(others.mean(axis=0))
+        chosen = _chosen([one for name, one in scaled.items() if name != view], parent)
         gains.append((errors[:, parent, parent] - _squared(errors, chosen)).mean())
         left.append(_squared(of_views[view][0], chosen))
     if np.mean(gains) <= np.std(gains, ddof=1) / np.sqrt(len(gains)):
         return alone, 0.0
     single = np.concatenate([errors[0] for errors in of_views.values()])
-    return _best(mean), _decibels(single, np.concatenate(left))
+    return _chosen(list(scaled.values()), parent), _decibels(single, np.concatenate(left))
 
 
 def _decibels(errors: NDArray[np.float64], left: NDArray[np.float64]) -> float:
@@ -189,11 +189,17 @@ def _relative(of_views: dict[int, _Errors]) -> dict[int, NDArray[np.float64]]:
     return found
 
 
-def _best(mean: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(M,) shares with the least squared error, by mean products of errors (M, M)."""
+def _chosen(views: Sequence[NDArray[np.float64]], parent: int) -> NDArray[np.float64]:
+    """(M,) shares with the most of a parent among those that are as good as the best, by errors (B, M, M)."""
     steps = range(_STEPS + 1)
     grid = np.array([(a, b, _STEPS - a - b) for a in steps for b in steps if a + b <= _STEPS]) / _STEPS
-    return grid[np.argmin(_squared(mean, grid))]
+    errors = np.stack([_squared(view.mean(axis=0), grid) for view in views])  # (V, S)
+    worse = errors - errors[:, [int(np.argmin(errors.mean(axis=0)))]]
+    doubt = worse.std(axis=0, ddof=1) / np.sqrt(len(views)) if len(views) > 1 else 0.0
+    candidates = np.flatnonzero(worse.mean(axis=0) <= doubt)
+    most = grid[candidates, parent].max()
+    candidates = candidates[grid[candidates, parent] == most]
+    return grid[candidates[np.argmin(errors.mean(axis=0)[candidates])]]
 
 
 def _squared(products: NDArray[np.float64], shares: NDArray[np.float64]) -> NDArray[np.float64]:

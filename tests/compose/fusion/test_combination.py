@@ -119,6 +119,28 @@ def test_shares_mix_the_network_with_both_parents():
     np.testing.assert_allclose(fused.weights, 0.5 * alone.weights + [0, 0.2, 0.3], atol=1e-5)
 
 
+@pytest.mark.parametrize(("count", "telling"), [(1, 0.0), (2, 1 / 3), (4, 1.0), (16, 1.0)])
+def test_splats_of_another_world_give_way_as_soon_as_samples_can_tell(count, telling):
+    """The network gives no weight to the splats; half of what is shown would be splats nevertheless."""
+    given = example(3, 4).parents
+    sure = Fusion().requires_grad_(False)
+    assert sure.judge.bias is not None
+    # Weights of traced, denoised and splat in each of the four pixels of a block.
+    sure.judge.bias[:12] = torch.tensor([-30.0, 0.0, -30.0]).repeat_interleave(4)
+    sure.shares[:] = torch.tensor([0.5, 0.0, 0.5])
+    known = replace(
+        given,
+        count=np.full_like(given.count, count),
+        # Nothing that the samples say later changes this.
+        variance=np.full_like(given.variance, np.inf),
+    )
+    kept = 0.5 * (1 - telling)
+    expected = kept * given.splat + (1 - kept) * given.denoised
+    fused = fuse(known, sure)
+    np.testing.assert_allclose(fused.radiance, expected, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(fused.weights[..., 2], kept, atol=1e-5)
+
+
 def test_the_network_knows_the_enlargement():
     given = example(2, 16).parents
     small, large = (fuse(replace(given, enlargement=side), random_fusion()) for side in (1.0, 4.0))

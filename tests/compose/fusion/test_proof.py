@@ -70,6 +70,21 @@ def test_of_parents_that_cannot_be_improved_the_better_one_is_shown_alone(useles
     assert (found.gains == 0).all()
 
 
+@pytest.mark.parametrize(("sides", "splat"), [((1,), 0.4), ((1, 4), 0.8)])
+def test_blotches_count_more_than_noise_of_the_same_size(useless, monkeypatch, sides, splat):
+    """By pixels the blotched samples are better; their means over squares are four times as wrong."""
+    monkeypatch.setattr(module, "SIDES", sides)
+
+    def blotched(seed: int) -> Example:
+        given, rng = with_parents(seed, 0, 0.06), np.random.default_rng(seed + 10)
+        blotches = np.kron(rng.normal(size=(SIZE // 4, SIZE // 4, 3)), np.ones((4, 4, 1)))
+        wrong = np.abs(radiance_of(given) + 0.05 * blotches).astype(np.float32)
+        return replace(given, parents=replace(given.parents, denoised=wrong))
+
+    found = prove([blotched(seed) for seed in range(4)], 0, ignore)
+    np.testing.assert_allclose(found.shares[..., 2], splat, atol=0.1)
+
+
 def test_a_mixture_that_helps_one_view_only_is_not_shown(useless):
     """Three views say that the denoised samples are best, one that the splats are."""
     views = [with_parents(seed, 0.03, 0.3) for seed in range(3)] + [with_parents(3, 0.3, 0.03)]
@@ -85,6 +100,17 @@ def test_a_fitted_network_that_is_better_gets_its_share(monkeypatch):
     torch.set_num_threads(threads)
     assert found.shares[0, 2, 1, 0] > 0.5
     assert found.gains[0, 2, 1] > 3
+
+
+def test_views_that_disagree_choose_more_of_the_better_parent(useless):
+    """Denoised samples are better by as much on average, but only half of the views say so."""
+    sizes = [(0.045, 0.06), (0.05, 0.045)]
+    whole = [np.sqrt(np.mean(np.square(side))) for side in zip(*sizes, strict=True)]
+    alike = [with_parents(seed, *whole) for seed in range(4)]
+    unlike = [with_parents(seed, *sizes[seed % 2]) for seed in range(4)]
+    sure, cautious = (prove(views, 0, ignore).shares[0, 1, 0, 1] for views in (alike, unlike))
+    assert sure == pytest.approx(0.55, abs=0.03)
+    assert cautious >= sure + 0.08
 
 
 def test_every_view_is_tried_by_a_network_that_has_not_seen_it(useless):
