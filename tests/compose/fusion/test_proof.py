@@ -36,8 +36,9 @@ def useless(monkeypatch) -> list[int]:
         progress(iterations, iterations)
         return Fusion()
 
-    def noise(fusion, images, parents) -> tuple[torch.Tensor, None]:
-        return torch.rand(images["splat"].shape, generator=torch.Generator().manual_seed(0)), None
+    def noise(fusion, images, parents) -> tuple[torch.Tensor, torch.Tensor]:
+        image = torch.rand(images["splat"].shape, generator=torch.Generator().manual_seed(0))
+        return image, torch.ones_like(image)
 
     monkeypatch.setattr(module, "fit", fit)
     monkeypatch.setattr(module, "estimated", noise)
@@ -59,14 +60,17 @@ def test_a_useless_network_gets_no_share(useless):
 def test_independent_parents_of_equal_quality_are_averaged(useless):
     """Their mean has half the squared error: 3 dB."""
     found = prove([with_parents(seed, 0.05, 0.05) for seed in range(4)], 0, ignore)
-    np.testing.assert_allclose(found.shares[..., 1:], 0.5, atol=0.1)
+    np.testing.assert_allclose(found.shares[..., 1], 0.5, atol=0.1)
+    assert (found.shares[..., [0, 3]] == 0).all()
     assert found.gains == pytest.approx(np.full((2, 5, 3), 3.0), abs=0.5)
 
 
-@pytest.mark.parametrize(("denoised", "splat", "better"), [(0.02, 0.4, 1), (0.4, 0.02, 2)])
+@pytest.mark.parametrize(("denoised", "splat", "better"), [(0.02, 0.4, 1), (0.4, 0.02, 3)])
 def test_of_parents_that_cannot_be_improved_the_better_one_is_shown_alone(useless, denoised, splat, better):
     found = prove([with_parents(seed, denoised, splat) for seed in range(4)], 0, ignore)
-    np.testing.assert_array_equal(found.shares, np.broadcast_to(np.eye(3)[better], (2, 5, 3, 3)))
+    np.testing.assert_array_equal(found.shares[:, :2], np.broadcast_to(np.eye(4)[better], (2, 2, 3, 4)))
+    # Many samples can tell that the world has changed: splats give way then.
+    np.testing.assert_array_equal(found.shares[:, 2:, ..., min(better, 2)], 1)
     assert (found.gains == 0).all()
 
 
@@ -133,7 +137,7 @@ def test_conditions_that_were_not_tried_get_the_nearest_verdict(useless):
     few = [with_parents(seed, 0.3, 0.02, 1) for seed in range(3)]
     many = [with_parents(seed, 0.02, 0.3, 16) for seed in range(3)]
     found = prove(few + many, 0, ignore)
-    assert (found.shares[:, :2, :, 2] == 1).all()
+    assert (found.shares[:, :2, :, 3] == 1).all()
     assert (found.shares[:, 3:, :, 1] == 1).all()
 
 
