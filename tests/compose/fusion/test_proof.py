@@ -89,6 +89,34 @@ def test_blotches_count_more_than_noise_of_the_same_size(useless, monkeypatch, s
     np.testing.assert_allclose(found.shares[..., 2], splat, atol=0.1)
 
 
+@pytest.mark.parametrize("right", [False, True], ids=["wrong", "right"])
+def test_doubts_about_splats_are_tried_where_samples_cannot_tell(useless, monkeypatch, right):
+    """The network doubts all splats and shows noise, or doubts and repairs the half of them that is wrong."""
+
+    def doubting(fusion, images, parents) -> tuple[torch.Tensor, torch.Tensor]:
+        noise = torch.rand(images["splat"].shape, generator=torch.Generator().manual_seed(0))
+        half = torch.ones_like(noise)
+        half[:, :, : SIZE // 2] = 0
+        if not right:
+            return noise, torch.zeros_like(noise)
+        return torch.lerp(images["denoised"], noise, half), half
+
+    def half_wrong(seed: int) -> Example:
+        given = with_parents(seed, 0.05, 0.05)
+        if not right:
+            return given
+        splat = given.parents.splat.copy()
+        splat[: SIZE // 2] += 0.5
+        return replace(given, parents=replace(given.parents, splat=splat))
+
+    monkeypatch.setattr(module, "estimated", doubting)
+    shares = prove([half_wrong(seed) for seed in range(4)], 0, ignore).shares
+    doubted, plain = shares[0, 1, 0, 2:]
+    assert (doubted > 0.3 and plain == 0) if right else (plain > 0.4 and doubted == 0)
+    # Enough samples can tell, and the world of these views never changes.
+    assert (shares[:, 2:, :, 3] == 0).all()
+
+
 def test_a_mixture_that_helps_one_view_only_is_not_shown(useless):
     """Three views say that the denoised samples are best, one that the splats are."""
     views = [with_parents(seed, 0.03, 0.3) for seed in range(3)] + [with_parents(3, 0.3, 0.03)]
