@@ -24,7 +24,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from compose.fusion.estimate import doubt, estimated
+from compose.fusion.estimate import estimated
 from compose.fusion.maps import as_batch, box_mean, enlarged, halved, luminance, padded_to_even, variance_of
 from compose.fusion.network import Fusion
 from compose.fusion.parents import PARENTS, Fused, Parents
@@ -39,6 +39,8 @@ _TAILS = 20.0
 # than the network's estimate; and how strongly their noise speaks against that.
 _TELLING_COUNT = 32
 _CAUTION = 24.0
+# Splats to which the network gives less weight than this show a scene that has changed since their training.
+_TRUSTED = 0.2
 _IMAGES = ("traced", "denoised", "splat", "albedo", "normal", "variance", "count")
 
 
@@ -75,13 +77,13 @@ def _first_estimate(
     if fusion is None:
         return statistical(traced, denoised, splat, images["variance"])
     shares = shares_at(fusion.shares, parents.quick, images["count"], parents.enlargement)
-    network, denoised_share, splat_share, plain_share = shares.split(1, 1)  # (1, 1, H, W) each
-    if bool((denoised_share == 1).all()):
+    network, denoised_share, splat_share = shares.split(1, 1)  # (1, 1, H, W) each
+    if not bool((network + splat_share).any()):
         return denoised, torch.cat([network, denoised_share, splat_share], 1)
     estimate, of_estimate = estimated(fusion, images, [parents])
     # What the network sees to be of another world is not shown beside its estimate either.
-    doubted = splat_share * doubt(of_estimate)
-    network, splat_share = network + doubted, splat_share - doubted + plain_share
+    doubted = splat_share * (1 - of_estimate[:, 2:3] / _TRUSTED).clamp(min=0)
+    network, splat_share = network + doubted, splat_share - doubted
     radiance = network * estimate + denoised_share * denoised + splat_share * splat
     weights = torch.cat([torch.zeros_like(network), denoised_share, splat_share], 1)
     return radiance, weights + network * of_estimate

@@ -11,9 +11,6 @@ from compose.fusion.features import features_of
 from compose.fusion.network import Fusion, mixture
 from compose.fusion.parents import PARENTS, Parents
 
-# Splats to which the network gives less weight than this show a scene that has changed since their training.
-_TRUSTED = 0.2
-
 
 def estimated(
     fusion: Fusion, images: Mapping[str, Tensor], parents: Sequence[Parents]
@@ -32,8 +29,3 @@ def estimated(
     auxiliary = images["albedo"], images["normal"]
     features = features_of([*three, *auxiliary], images["count"], enlargement, quick)
     return mixture(fusion(features), three, features.texture)
-
-
-def doubt(weights: Tensor) -> Tensor:
-    """(N, 1, H, W) whether splats show another world, 0..1, by the network's weights (N, 3, H, W)."""
-    return (1 - weights[:, PARENTS.index("splat"), None] / _TRUSTED).clamp(min=0)

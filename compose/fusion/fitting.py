@@ -12,7 +12,7 @@ from torch.nn import functional
 from compose.fusion.estimate import estimated
 from compose.fusion.examples import STACK, Example
 from compose.fusion.features import perceived
-from compose.fusion.network import TELLING, Fusion
+from compose.fusion.network import Fusion
 from compose.fusion.parents import Parents
 
 # Side of a training patch, and least side of an example, in pixels.
@@ -21,17 +21,18 @@ ITERATIONS = 1200
 _BATCH = 6
 _RATE = 4e-3
 # Share of patches whose splats are made wrong, so that the network learns to notice a world that has changed.
-# Fewer samples than TELLING cannot tell a change from noise; learning to see changes in them would make it
+# Fewer samples than _TELLING cannot tell a change from noise; learning to see changes in them would make it
 # see some everywhere.
 _CHANGED = 0.25
 _CHANGED_IN_NOISE = 0.05
+_TELLING = 4
 # Least squared error that a patch is thought to have: relative to the reference's noise, which hides smaller
 # ones, and as one that nobody sees; else black patches would outweigh all others.
 _CERTAINTY = 0.05
 INVISIBLE = 1e-5
 # Errors count as they are and as means over squares of this many pixels: at arm's length from a monitor, the
 # eye sees waves of about eight pixels best, and blotches more easily than as much noise in single pixels.
-SIDES = 1, 4
+_SIDES = 1, 4
 
 
 def fit(
@@ -84,7 +85,7 @@ def _loss(fusion: Fusion, patches: Tensor, parents: Sequence[Parents]) -> Tensor
     radiance, _ = estimated(fusion, images, parents)
     difference, noise = perceived(radiance) - images["target"], images["noise"]
     parts = []
-    for side in SIDES:
+    for side in _SIDES:
         error, unknown = (
             (functional.avg_pool2d(image, side) ** 2).mean((1, 2, 3)) for image in (difference, noise)
         )  # (N,) each
@@ -99,7 +100,7 @@ def _patch(stack: Tensor, rng: np.random.Generator) -> Tensor:
     top, left = rng.integers(height - _PATCH + 1), rng.integers(width - _PATCH + 1)
     patch = stack[:, top : top + _PATCH, left : left + _PATCH].clone()
     images = STACK.parts(patch)
-    telling = float(images["count"][0, 0, 0]) >= TELLING
+    telling = float(images["count"][0, 0, 0]) >= _TELLING
     if rng.random() < (_CHANGED if telling else _CHANGED_IN_NOISE):
         images["splat"][:] = _changed(images["splat"], rng)
     if rng.random() < 0.5:

@@ -27,8 +27,6 @@ OUTPUTS = Channels(
         "colour_gains": 3,  # correction of the splats' red, green and blue, before tanh
     }
 )
-# Samples per pixel from which on they can tell a world that has changed from noise.
-TELLING = 4
 # Before fitting, the noisy samples count for little.
 _WEIGHT_OFFSET = (-2.0, 0.0, 0.0)
 _MOST_COLOUR_GAIN = 0.5

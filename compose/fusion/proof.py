@@ -1,10 +1,9 @@
 """What a fusion is worth on views that it has not seen.
 
 Two trial networks are each fitted to one half of the views and tried on the other. For each cell of sample
-count, enlargement and denoiser, a mixture of network, denoised samples and splats is kept (stacking: Wolpert
-1992, Breiman 1996) if it beats the better parent there by more than chance; if it does not, that parent alone
-is shown. A few views overrate what fits them best: of all mixtures that they cannot tell from the one with
-the least error, it is the one with most of the better parent (one-standard-error rule: Breiman et al. 1984).
+count, enlargement and denoiser, the mixture of network, denoised samples and splats with the least error is
+kept (stacking: Wolpert 1992, Breiman 1996) if it beats the better parent there by more than chance; if it
+does not, that parent alone is shown.
 """
 
 from __future__ import annotations
@@ -12,28 +11,23 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
-from itertools import product
+from functools import partial
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
-from torch.nn import functional
 
-from compose.fusion.estimate import doubt, estimated
+from compose.fusion.estimate import estimated
 from compose.fusion.examples import STACK, Example
 from compose.fusion.features import perceived
-from compose.fusion.fitting import INVISIBLE, SIDES, fit
-from compose.fusion.network import TELLING, Fusion
+from compose.fusion.fitting import INVISIBLE, fit
+from compose.fusion.network import Fusion
 from compose.fusion.shares import COUNTS, ENLARGEMENTS, MIXED, Cell
 
 # Steps of a trial network: enough to tell what the final one will be worth, at less than half of its time.
 TRIAL_ITERATIONS = 500
 # Trials are compared in blocks of this many pixels, each relative to the better parent's error there: views
-# and parts of views in which all errors are large must not decide alone. As in fitting, errors count as they
-# are and as means over small squares: by single pixels alone, noise would be preferred to blur where the eye
-# prefers blur.
+# and parts of views in which all errors are large must not decide alone.
 _BLOCK = 64
 # Least such error, relative to the squared difference of the parents in the block, and to its mean over all
 # blocks: the noise of the reference, which that difference does not have, may leave nothing, or less.
@@ -43,9 +37,6 @@ _LEAST_ERROR, _LEAST_OF_ALL = 0.25, 0.05
 _LEAST_LEFT = 0.1
 # Shares are searched for in steps of 1 / _STEPS.
 _STEPS = 20
-# The parents among what is mixed.
-_DENOISED, _SPLAT, _PLAIN = (MIXED.index(name) for name in ("denoised", "splat", "plain_splat"))
-_PARENTS = [_DENOISED, _PLAIN]
 
 
 @dataclass(frozen=True)
@@ -53,7 +44,7 @@ class Proof:
     """What is shown in each cell.
 
     Attributes:
-        shares: (2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)).
+        shares: (2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)) of network, denoised samples and splats.
         gains: (2, len(COUNTS), len(ENLARGEMENTS)) decibels by which the mixture's squared error was below the
             better parent's on unseen views; 0 where that parent alone is shown.
     """
@@ -62,8 +53,7 @@ class Proof:
     gains: NDArray[np.float32]
 
 
-# Errors of one view in one cell: (S, B, M, M) products of the errors of what is mixed, of means over squares
-# of each of S SIDES, mean over each block.
+# Errors of one view in one cell: (B, M, M) products of the errors of what is mixed, mean over each block.
 _Errors = NDArray[np.float64]
 
 
@@ -97,9 +87,7 @@ def prove(examples: Sequence[Example], seed: int, progress: Callable[[int, int],
         # A single view: nothing is known about the network, but which parent is better.
         for example in examples:
             cells[_cell(example)][example.view].append(_errors(Fusion(), example))
-    return _proof(
-        {cell: {view: np.concatenate(e, axis=1) for view, e in of.items()} for cell, of in cells.items()}
-    )
+    return _proof({cell: {view: np.concatenate(e) for view, e in of.items()} for cell, of in cells.items()})
 
 
 def _advance(progress: Callable[[int, int], None], before: int, total: int, done: int, of: int) -> None:
@@ -113,25 +101,16 @@ def _cell(example: Example) -> Cell:
 
 
 def _errors(fusion: Fusion, example: Example) -> _Errors:
-    """(S, B, M, M) unbiased products of errors in perceived radiance, mean over each block of an example."""
+    """(B, M, M) unbiased products of errors in perceived radiance, mean over each block of an example."""
     stack = example.stack()[None]
     with torch.inference_mode():
-        height, width = (side - side % max(SIDES) for side in stack.shape[-2:])
+        height, width = (side - side % 2 for side in stack.shape[-2:])
         images = STACK.parts(stack[..., :height, :width])
-        denoised, splat = images["denoised"], images["splat"]
-        estimate, weights = estimated(fusion, images, [example.parents])
-        mixed = estimate, denoised, torch.lerp(splat, estimate, doubt(weights)), splat
+        mixed = estimated(fusion, images, [example.parents])[0], images["denoised"], images["splat"]
         errors = torch.cat([perceived(image.clamp(min=0)) - images["target"] for image in mixed])
-        return np.stack([_products(errors, images["noise"], side) for side in SIDES])
-
-
-def _products(errors: Tensor, noise: Tensor, side: int) -> NDArray[np.float64]:
-    """(B, M, M) products of the means of errors (M, 3, H, W) over squares, without noise (1, 3, H, W)."""
-    errors, noise = (functional.avg_pool2d(image, side) for image in (errors, noise))
-    products = torch.einsum("ichw,jchw->ijhw", errors, errors) / 3 - (noise**2).mean(1)
-    height, width = products.shape[-2:]
-    block = _BLOCK // side
-    rows, columns = (np.arange(0, max(length - block // 2, 1), block) for length in (height, width))
+        products = torch.einsum("ichw,jchw->ijhw", errors, errors) / 3
+        products = products - (images["noise"] ** 2).mean(1)
+    rows, columns = (np.arange(0, max(side - _BLOCK // 2, 1), _BLOCK) for side in (height, width))
     sums = np.add.reduceat(products.double().numpy(), rows, axis=2)
     sums = np.add.reduceat(sums, columns, axis=3)
     areas = np.outer(np.diff([*rows, height]), np.diff([*columns, width]))
@@ -140,14 +119,11 @@ def _products(errors: Tensor, noise: Tensor, side: int) -> NDArray[np.float64]:
 
 def _proof(cells: dict[Cell, dict[int, _Errors]]) -> Proof:
     """What to show in all cells; those in which nothing was tried get what the nearest one has."""
-    found = {cell: _tried(of_views, COUNTS[cell.count] >= TELLING) for cell, of_views in cells.items()}
+    found = {cell: _tried(of_views) for cell, of_views in cells.items()}
     shape = 2, len(COUNTS), len(ENLARGEMENTS)
     shares, gains = np.zeros((*shape, len(MIXED)), np.float32), np.zeros(shape, np.float32)
     for index in np.ndindex(shape):
         shares[index], gains[index] = found[min(found, key=lambda cell: _distance(cell.index, index))]
-        if COUNTS[index[1]] >= TELLING:
-            shares[index][_SPLAT] += shares[index][_PLAIN]
-            shares[index][_PLAIN] = 0
     return Proof(shares, gains)
 
 
@@ -157,79 +133,52 @@ def _distance(one: Sequence[int], other: Sequence[int]) -> tuple[int, ...]:
     return enlargement, count, quick
 
 
-def _tried(of_views: dict[int, _Errors], telling: bool) -> tuple[NDArray[np.float64], float]:
-    """Shares in one cell, and their gain over the better parent in decibels.
-
-    Args:
-        of_views: errors by view.
-        telling: whether there are enough samples to see that the world has changed. Views on which that never
-            happens do not show what doubts about splats are worth, so that none may be left out then.
-    """
+def _tried(of_views: dict[int, _Errors]) -> tuple[NDArray[np.float64], float]:
+    """Shares in one cell, and their gain over the better parent in decibels."""
     scaled = _relative(of_views)
     mean = np.concatenate(list(scaled.values())).mean(axis=0)  # (M, M)
-    parent = min(_PARENTS, key=lambda index: float(mean[index, index]))
+    parent = int(np.argmin([mean[1, 1], mean[2, 2]])) + 1
     alone = np.eye(len(MIXED))[parent]
     if len(scaled) < 2:
         return alone, 0.0
     # Each view is judged by shares that the other ones have chosen.
     gains, left = [], []
     for view, errors in scaled.items():
-        chosen = _chosen([one for name, one in scaled.items() if name != view], parent, telling)
+        others = np.concatenate([one for name, one in scaled.items() if name != view])
+        chosen = _best(others.mean(axis=0))
         gains.append((errors[:, parent, parent] - _squared(errors, chosen)).mean())
-        left.append(_squared(of_views[view][0], chosen))
+        left.append(_squared(of_views[view], chosen))
     if np.mean(gains) <= np.std(gains, ddof=1) / np.sqrt(len(gains)):
         return alone, 0.0
-    single = np.concatenate([errors[0] for errors in of_views.values()])
-    return _chosen(list(scaled.values()), parent, telling), _decibels(single, np.concatenate(left))
+    return _best(mean), _decibels(np.concatenate(list(of_views.values())), np.concatenate(left))
 
 
-def _decibels(errors: NDArray[np.float64], left: NDArray[np.float64]) -> float:
+def _decibels(errors: _Errors, left: NDArray[np.float64]) -> float:
     """How much less than the better parent's error (B, M, M) is left (B,).
 
     Relative errors decide what is shown, but noise biases them, and hardly these.
     """
-    parent = max(float(errors.mean(axis=0).diagonal()[_PARENTS].min()), 0) + INVISIBLE
+    parent = max(float(errors.mean(axis=0).diagonal()[1:].min()), 0) + INVISIBLE
     return float(10 * np.log10(parent / max(float(left.mean()) + INVISIBLE, _LEAST_LEFT * parent)))
 
 
-def _relative(of_views: dict[int, _Errors]) -> dict[int, NDArray[np.float64]]:
-    """Errors (S * B, M, M) of each view over the better parent's in each block."""
-    one, other = _PARENTS
-    # (S, B)
-    apart = {v: e[..., one, one] + e[..., other, other] - 2 * e[..., one, other] for v, e in of_views.items()}
-    floor = _LEAST_OF_ALL * np.concatenate(list(apart.values()), axis=1).mean(axis=1, keepdims=True)
+def _relative(of_views: dict[int, _Errors]) -> dict[int, _Errors]:
+    """Errors (B, M, M) of each view over the better parent's in each block."""
+    apart = {view: e[:, 1, 1] + e[:, 2, 2] - 2 * e[:, 1, 2] for view, e in of_views.items()}
+    floor = max(_LEAST_OF_ALL * float(np.concatenate(list(apart.values())).mean()), 1e-9)
     found = {}
     for view, e in of_views.items():
-        better = np.minimum(e[..., one, one], e[..., other, other])
-        scale = np.maximum(np.maximum(better, _LEAST_ERROR * apart[view]), np.maximum(floor, 1e-9))
-        found[view] = (e / scale[..., None, None]).reshape(-1, len(MIXED), len(MIXED))
+        better = np.minimum(e[:, 1, 1], e[:, 2, 2])
+        scale = np.maximum(np.maximum(better, _LEAST_ERROR * apart[view]), floor)
+        found[view] = e / scale[:, None, None]
     return found
 
 
-def _chosen(views: Sequence[NDArray[np.float64]], parent: int, telling: bool) -> NDArray[np.float64]:
-    """(M,) shares with the most of a parent among those that are as good as the best, by errors (B, M, M)."""
-    grid = _grid()
-    if telling:
-        grid = grid[grid[:, _PLAIN] == 0]
-    of_parent = grid[:, _DENOISED] if parent == _DENOISED else grid[:, _SPLAT] + grid[:, _PLAIN]
-    # Of two that are equal, splats give way to doubts.
-    errors = (
-        np.stack([_squared(view.mean(axis=0), grid) for view in views]) + 1e-9 * grid[:, _PLAIN]
-    )  # (V, S)
-    worse = errors - errors[:, [int(np.argmin(errors.mean(axis=0)))]]
-    doubtful = worse.std(axis=0, ddof=1) / np.sqrt(len(views)) if len(views) > 1 else 0.0
-    candidates = np.flatnonzero(worse.mean(axis=0) <= doubtful)
-    most = of_parent[candidates].max()
-    candidates = candidates[of_parent[candidates] > most - 0.5 / _STEPS]
-    return np.asarray(grid[candidates[np.argmin(errors.mean(axis=0)[candidates])]])
-
-
-@cache
-def _grid() -> NDArray[np.float64]:
-    """(S, M) all shares in steps of 1 / _STEPS."""
+def _best(mean: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(M,) shares with the least squared error, by mean products of errors (M, M)."""
     steps = range(_STEPS + 1)
-    firsts = [parts for parts in product(steps, repeat=len(MIXED) - 1) if sum(parts) <= _STEPS]
-    return np.array([(*parts, _STEPS - sum(parts)) for parts in firsts]) / _STEPS
+    grid = np.array([(a, b, _STEPS - a - b) for a in steps for b in steps if a + b <= _STEPS]) / _STEPS
+    return grid[np.argmin(_squared(mean, grid))]
 
 
 def _squared(products: NDArray[np.float64], shares: NDArray[np.float64]) -> NDArray[np.float64]:

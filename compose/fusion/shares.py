@@ -17,9 +17,8 @@ from torch import Tensor
 # Cells: samples per pixel, and sides of the splats' pixels in pixels of the image.
 COUNTS = (1, 2, 4, 16, 64)
 ENLARGEMENTS = (1, 2, 4)
-# What is mixed, in the order of the shares. "splat" gives way to the network's estimate where the network
-# sees another world, "plain_splat" never does.
-MIXED = ("network", "denoised", "splat", "plain_splat")
+# What is mixed, in the order of the shares.
+MIXED = ("network", "denoised", "splat")
 # Shares are looked up in steps of this fraction of a doubling of the sample count.
 _STEPS = 8
 

@@ -56,8 +56,8 @@ def _print_verdicts(rows: list[dict[str, Any]]) -> None:
     """What single frames show at the splats' resolution, and by how much it beat both parents."""
     for row in rows:
         if row["enlargement"] == 1 and not row["quick"]:
-            alone = "denoised samples" if row["denoised"] == 1 else "splats"
+            alone = "splats" if row["splat"] == 1 else "denoised samples"
             shown = f"{row['gain_db']:+.1f} dB over the better of denoised samples and splats"
-            if 1 in (row["splat"], row["plain_splat"], row["denoised"]):
+            if 1 in (row["splat"], row["denoised"]):
                 shown = f"{alone} alone: the fusion did not prove better on unseen views"
             print(f"fused fovea at {row['spp']} spp: {shown}")

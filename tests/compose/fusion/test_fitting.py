@@ -61,7 +61,7 @@ def test_a_share_of_the_splats_does_not_bring_another_world_back(fitted):
     unknown = np.full_like(given.parents.variance, np.inf)
     moved = replace(given.parents, splat=np.roll(given.parents.splat, 20, axis=0), variance=unknown)
     sharing = deepcopy(fitted)
-    sharing.shares[:] = torch.tensor([0.5, 0.0, 0.5, 0.0])
+    sharing.shares[:] = torch.tensor([0.5, 0.0, 0.5])
     alone, shared = (fuse(moved, fusion).radiance for fusion in (fitted, sharing))
     right = radiance_of(given)
     assert error(shared, right) < error(alone, right) + 0.5

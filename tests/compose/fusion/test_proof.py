@@ -36,9 +36,8 @@ def useless(monkeypatch) -> list[int]:
         progress(iterations, iterations)
         return Fusion()
 
-    def noise(fusion, images, parents) -> tuple[torch.Tensor, torch.Tensor]:
-        image = torch.rand(images["splat"].shape, generator=torch.Generator().manual_seed(0))
-        return image, torch.ones_like(image)
+    def noise(fusion, images, parents) -> tuple[torch.Tensor, None]:
+        return torch.rand(images["splat"].shape, generator=torch.Generator().manual_seed(0)), None
 
     monkeypatch.setattr(module, "fit", fit)
     monkeypatch.setattr(module, "estimated", noise)
@@ -60,61 +59,15 @@ def test_a_useless_network_gets_no_share(useless):
 def test_independent_parents_of_equal_quality_are_averaged(useless):
     """Their mean has half the squared error: 3 dB."""
     found = prove([with_parents(seed, 0.05, 0.05) for seed in range(4)], 0, ignore)
-    np.testing.assert_allclose(found.shares[..., 1], 0.5, atol=0.1)
-    assert (found.shares[..., [0, 3]] == 0).all()
+    np.testing.assert_allclose(found.shares[..., 1:], 0.5, atol=0.1)
     assert found.gains == pytest.approx(np.full((2, 5, 3), 3.0), abs=0.5)
 
 
-@pytest.mark.parametrize(("denoised", "splat", "better"), [(0.02, 0.4, 1), (0.4, 0.02, 3)])
+@pytest.mark.parametrize(("denoised", "splat", "better"), [(0.02, 0.4, 1), (0.4, 0.02, 2)])
 def test_of_parents_that_cannot_be_improved_the_better_one_is_shown_alone(useless, denoised, splat, better):
     found = prove([with_parents(seed, denoised, splat) for seed in range(4)], 0, ignore)
-    np.testing.assert_array_equal(found.shares[:, :2], np.broadcast_to(np.eye(4)[better], (2, 2, 3, 4)))
-    # Many samples can tell that the world has changed: splats give way then.
-    np.testing.assert_array_equal(found.shares[:, 2:, ..., min(better, 2)], 1)
+    np.testing.assert_array_equal(found.shares, np.broadcast_to(np.eye(3)[better], (2, 5, 3, 3)))
     assert (found.gains == 0).all()
-
-
-@pytest.mark.parametrize(("sides", "splat"), [((1,), 0.4), ((1, 4), 0.8)])
-def test_blotches_count_more_than_noise_of_the_same_size(useless, monkeypatch, sides, splat):
-    """By pixels the blotched samples are better; their means over squares are four times as wrong."""
-    monkeypatch.setattr(module, "SIDES", sides)
-
-    def blotched(seed: int) -> Example:
-        given, rng = with_parents(seed, 0, 0.06), np.random.default_rng(seed + 10)
-        blotches = np.kron(rng.normal(size=(SIZE // 4, SIZE // 4, 3)), np.ones((4, 4, 1)))
-        wrong = np.abs(radiance_of(given) + 0.05 * blotches).astype(np.float32)
-        return replace(given, parents=replace(given.parents, denoised=wrong))
-
-    found = prove([blotched(seed) for seed in range(4)], 0, ignore)
-    np.testing.assert_allclose(found.shares[..., 2], splat, atol=0.1)
-
-
-@pytest.mark.parametrize("right", [False, True], ids=["wrong", "right"])
-def test_doubts_about_splats_are_tried_where_samples_cannot_tell(useless, monkeypatch, right):
-    """The network doubts all splats and shows noise, or doubts and repairs the half of them that is wrong."""
-
-    def doubting(fusion, images, parents) -> tuple[torch.Tensor, torch.Tensor]:
-        noise = torch.rand(images["splat"].shape, generator=torch.Generator().manual_seed(0))
-        half = torch.ones_like(noise)
-        half[:, :, : SIZE // 2] = 0
-        if not right:
-            return noise, torch.zeros_like(noise)
-        return torch.lerp(images["denoised"], noise, half), half
-
-    def half_wrong(seed: int) -> Example:
-        given = with_parents(seed, 0.05, 0.05)
-        if not right:
-            return given
-        splat = given.parents.splat.copy()
-        splat[: SIZE // 2] += 0.5
-        return replace(given, parents=replace(given.parents, splat=splat))
-
-    monkeypatch.setattr(module, "estimated", doubting)
-    shares = prove([half_wrong(seed) for seed in range(4)], 0, ignore).shares
-    doubted, plain = shares[0, 1, 0, 2:]
-    assert (doubted > 0.3 and plain == 0) if right else (plain > 0.4 and doubted == 0)
-    # Enough samples can tell, and the world of these views never changes.
-    assert (shares[:, 2:, :, 3] == 0).all()
 
 
 def test_a_mixture_that_helps_one_view_only_is_not_shown(useless):
@@ -132,17 +85,6 @@ def test_a_fitted_network_that_is_better_gets_its_share(monkeypatch):
     torch.set_num_threads(threads)
     assert found.shares[0, 2, 1, 0] > 0.5
     assert found.gains[0, 2, 1] > 3
-
-
-def test_views_that_disagree_choose_more_of_the_better_parent(useless):
-    """Denoised samples are better by as much on average, but only half of the views say so."""
-    sizes = [(0.045, 0.06), (0.05, 0.045)]
-    whole = [np.sqrt(np.mean(np.square(side))) for side in zip(*sizes, strict=True)]
-    alike = [with_parents(seed, *whole) for seed in range(4)]
-    unlike = [with_parents(seed, *sizes[seed % 2]) for seed in range(4)]
-    sure, cautious = (prove(views, 0, ignore).shares[0, 1, 0, 1] for views in (alike, unlike))
-    assert sure == pytest.approx(0.55, abs=0.03)
-    assert cautious >= sure + 0.08
 
 
 def test_every_view_is_tried_by_a_network_that_has_not_seen_it(useless):
@@ -165,7 +107,7 @@ def test_conditions_that_were_not_tried_get_the_nearest_verdict(useless):
     few = [with_parents(seed, 0.3, 0.02, 1) for seed in range(3)]
     many = [with_parents(seed, 0.02, 0.3, 16) for seed in range(3)]
     found = prove(few + many, 0, ignore)
-    assert (found.shares[:, :2, :, 3] == 1).all()
+    assert (found.shares[:, :2, :, 2] == 1).all()
     assert (found.shares[:, 3:, :, 1] == 1).all()
 
 

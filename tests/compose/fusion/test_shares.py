@@ -24,7 +24,7 @@ def at(quick: bool, count: float, enlargement: float) -> float:
 
 def test_before_anything_is_tried_all_is_the_network():
     shares = all_of_network()
-    assert shares.shape == (2, 5, 3, 4)
+    assert shares.shape == (2, 5, 3, 3)
     assert (shares.sum(-1) == 1).all()
     assert (shares[..., 0] == 1).all()
 
@@ -47,7 +47,7 @@ def test_between_cells_shares_are_interpolated_and_beyond_them_constant(count, e
 def test_each_pixel_has_the_shares_of_its_count():
     count = torch.tensor([[1.0, 2.0], [4.0, 64.0]])[None, None]
     found = shares_at(numbered(), False, count, 1.0)
-    assert found.shape == (1, 4, 2, 2)
+    assert found.shape == (1, 3, 2, 2)
     torch.testing.assert_close(found[0, 1], torch.tensor([[0.0, 10.0], [20.0, 40.0]]))
 
 

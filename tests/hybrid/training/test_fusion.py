@@ -182,10 +182,9 @@ def test_large_views_are_learnt_from_in_parts(large, examples):
 def test_verdicts_say_what_is_shown(forest):
     assert fusion_verdicts(forest) == []
     fusion = Fusion()
-    fusion.shares[1, 2, 0] = torch.tensor([0.25, 0.25, 0.5, 0.0])
+    fusion.shares[1, 2, 0] = torch.tensor([0.25, 0.25, 0.5])
     fusion.gains[1, 2, 0] = 1.5
     rows = fusion_verdicts(attach_fusion(forest, fusion))
     assert len(rows) == 30
     (row,) = (row for row in rows if row["quick"] and row["spp"] == 4 and row["enlargement"] == 1)
     assert (row["network"], row["denoised"], row["splat"], row["gain_db"]) == (0.25, 0.25, 0.5, 1.5)
-    assert row["plain_splat"] == 0
