@@ -117,7 +117,7 @@ class History:
 
         Args:
             camera: the view.
-            seen: newly traced auxiliary features, whose light does not count, of pixels that are `unseen`.
+            seen: some pixels with newly traced auxiliary features; their light does not count.
             positions: number of sample positions of which these features are means.
             seed: of the samples to come.
         """

@@ -137,7 +137,7 @@ class DiscTracer:
         return self._history.recall(pixels)
 
     def _quickly(self, request: DiscRequest, history: History) -> Samples:
-        """As many new samples for each pixel, whose auxiliary features are added to the known ones.
+        """The same number of new samples for every pixel; their auxiliary features join the known ones.
 
         After a saccade and where something appears, a few sample positions more than those are seen at once.
         """
