@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from compose.camera import turning
 from compose.camera.camera import Camera
 from compose.eye.lattice import CELL
 from hybrid.frame.saliency import ViewSaliency
@@ -27,11 +28,9 @@ def camera(scene) -> Camera:
 
 def turned(camera: Camera, pixels: float) -> Camera:
     """A camera that sees the middle of a view a number of pixels aside."""
-    angle = np.arctan(pixels / camera.fx)
-    turn = np.eye(4)
-    turn[0, 0] = turn[2, 2] = np.cos(angle)
-    turn[0, 2], turn[2, 0] = np.sin(angle), -np.sin(angle)
-    return replace(camera, world_to_camera=turn @ camera.world_to_camera)
+    pose = camera.camera_to_world.copy()
+    pose[:3, :3] = turning.turned(pose[:3, :3], float(np.degrees(np.arctan(pixels / camera.fx))), 0)
+    return replace(camera, world_to_camera=np.linalg.inv(pose))
 
 
 def test_it_is_computed_once_per_camera(saliency, camera):
