@@ -40,7 +40,6 @@ _TAILS = 20.0
 _TELLING_COUNT = 32
 _CAUTION = 24.0
 # Splats to which the network gives less weight than this show a scene that has changed since their training.
-# Cubed, so that they have given way before the network lets go of them entirely.
 _TRUSTED = 0.2
 _IMAGES = ("traced", "denoised", "splat", "albedo", "normal", "variance", "count")
 
@@ -82,7 +81,8 @@ def _first_estimate(
     if not bool((network + splat_share).any()):
         return denoised, torch.cat([network, denoised_share, splat_share], 1)
     estimate, of_estimate = estimated(fusion, images, [parents])
-    # What the network sees to be of another world is not shown beside its estimate either.
+    # What the network sees to be of another world is not shown beside its estimate either. Cubed, so that the
+    # splats have mostly given way before the network lets go of them entirely.
     doubted = splat_share * (1 - (of_estimate[:, 2:3] / _TRUSTED).clamp(max=1) ** 3)
     network, splat_share = network + doubted, splat_share - doubted
     radiance = network * estimate + denoised_share * denoised + splat_share * splat
