@@ -8,8 +8,17 @@ from pathlib import Path
 
 import pytest
 
+from compose.base.arrays import Arrays
 from pathtrace.base.backend import Backend, select_backend
 from pathtrace.base.collector import collector_paused
+from tests.available import available_backends
+from tests.extremes import (  # noqa: F401  (hooks and a fixture of pytest)
+    got,
+    pytest_addoption,
+    pytest_configure,
+    pytest_runtest_makereport,
+    pytest_sessionfinish,
+)
 
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared"
 
@@ -24,6 +33,12 @@ def arrays(backend):
     from hybrid.runtime.device import device_arrays
 
     return device_arrays()
+
+
+@pytest.fixture(scope="session", params=available_backends())
+def each_arrays(request) -> Arrays:
+    """The array types of each backend present, one after the other."""
+    return Arrays(request.param)
 
 
 @pytest.fixture
