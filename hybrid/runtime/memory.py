@@ -1,8 +1,9 @@
-"""Returns unused memory to the operating system."""
+"""Memory of the process: how much it has, and how unused memory returns to the operating system."""
 
 from __future__ import annotations
 
 import ctypes
+import os
 
 import drjit as dr
 
@@ -17,3 +18,9 @@ def release_memory() -> None:
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(0)
+
+
+def resident_memory() -> int:
+    """Bytes of the process that are in memory now (Linux)."""
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")

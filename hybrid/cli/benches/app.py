@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from hybrid.cli.benches.change import change
+from hybrid.cli.benches.endurance import endurance
 from hybrid.cli.benches.forest import forest
 from hybrid.cli.benches.fusion import fusion
 from hybrid.cli.benches.gaze import gaze
@@ -32,6 +33,7 @@ for command in (
     motion,
     seam,
     still,
+    endurance,
 ):
     bench_app.command()(command)
 bench_app.command("held-out")(held_out)

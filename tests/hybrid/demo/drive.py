@@ -23,6 +23,7 @@ from hybrid.frame.settings import INTERACTIVE
 from hybrid.interactive.gaze_input import GazeInput
 from hybrid.interactive.prepare import prepared
 from hybrid.interactive.request import View
+from hybrid.runtime.memory import resident_memory
 from hybrid.training import quick
 from pathtrace.dataset.settings import CaptureSettings
 from splat.io.forest_file import load_forest
@@ -195,7 +196,7 @@ def fuzz(forest: Path, folder: Path, seconds: float = 20.0) -> dict[str, object]
     while (passed := time.monotonic() - start) < seconds:
         random_step(window, chance)
         if not memory or passed > memory[-1][0] + 1:
-            memory.append((passed, resident()))
+            memory.append((passed, resident_memory() / 2**20))
         pause(chance.choice((0.005, 0.01, 0.05, 0.2)))
     return ended(window, {"memory": memory})
 
@@ -231,12 +232,6 @@ def random_step(window: Window, chance: random.Random) -> None:
         window.resize(chance.randrange(400, 700), chance.randrange(250, 450))
     else:
         panel.controlled.setChecked(not panel.controlled.isChecked())
-
-
-def resident() -> float:
-    """Memory of this process, in MiB."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * 4096 / 2**20
 
 
 def ended(window: Window, seen: dict[str, object]) -> dict[str, object]:
