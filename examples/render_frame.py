@@ -24,7 +24,7 @@ def main() -> None:
     folder: Path = arguments.folder
     capture, training = hybrid.CaptureSettings(), hybrid.TrainingSettings()
     if arguments.quick:
-        capture = hybrid.CaptureSettings(views=6, held_out=3, width=64, height=64, spp=4, held_out_spp=8)
+        capture = hybrid.CaptureSettings(views=6, held_out=0, width=64, height=64, spp=4)
         training = hybrid.TrainingSettings(iterations=60, gaussians=2_000, layers=2, degree=1)
 
     scene = hybrid.load_scene(arguments.scene)

@@ -14,9 +14,17 @@ pytestmark = pytest.mark.usefixtures("backend")
 
 
 def points(pair: int, count: int, one: int = 3, other: int = 5, start: int = 0) -> np.ndarray:
+    """(2, count) points of one sequence, from a number on."""
     number = dr.arange(mi.UInt32, count) + start
     sequences = Sequences(sobol_tables(), number, (mi.UInt32(one), mi.UInt32(other)))
     x, y = sequences.point(pair, number)
+    return np.stack([x.numpy(), y.numpy()])
+
+
+def first_points(pair: int, count: int) -> np.ndarray:
+    """(2, count) first points of as many sequences."""
+    sequences = Sequences(sobol_tables(), mi.UInt32(0), (dr.arange(mi.UInt32, count), mi.UInt32(7)))
+    x, y = sequences.point(pair, dr.zeros(mi.UInt32, count))
     return np.stack([x.numpy(), y.numpy()])
 
 
@@ -29,7 +37,7 @@ def test_each_of_n_strata_has_one_of_n_points(pair):
 
 @pytest.mark.parametrize("pair", [FILM, LIGHT, SCATTERING])
 def test_scrambled_points_are_uniform(pair):
-    first = np.concatenate([points(pair, 1, one, 7) for one in range(2000)], axis=1)
+    first = first_points(pair, 2000)
     for values in first:
         assert stats.kstest(values, "uniform").pvalue > 1e-3
 
@@ -48,8 +56,8 @@ def test_pairs_scramblings_and_restarts_differ():
 
 
 def test_film_and_lights_are_not_related():
-    film = np.concatenate([points(FILM, 1, one, 7) for one in range(2000)], axis=1)
-    light = np.concatenate([points(LIGHT, 1, one, 7) for one in range(2000)], axis=1)
+    film = first_points(FILM, 2000)
+    light = first_points(LIGHT, 2000)
     for one in film:
         for other in light:
             assert abs(stats.pearsonr(one, other).statistic) < 0.1
