@@ -1,9 +1,13 @@
-"""Measures the time and quality of the window's frames, from coarse to fine, once per machine."""
+"""Measures the time and quality of the window's frames, from coarse to fine, once per machine.
+
+Times are those of the scene's own view, quality is judged on views that training has not seen.
+"""
 
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from PIL import Image as Pillow
@@ -20,8 +24,11 @@ from hybrid.measure.reference import REFERENCE_SEED, reference
 from hybrid.measure.timing import gaze_path
 from hybrid.plan.measured import MeasuredSettings, MeasuredStore, front_of
 from hybrid.runtime.progress import Report
+from pathtrace.dataset.views import unseen_views
 
 _REFERENCE_SPP = 16
+# Views on which quality is judged; training has seen none of them.
+_VIEWS = 3
 # Timed frames, and frames before them that are not timed.
 _TIMED, _WARM_UP = 5, 2
 _RADII = (5.0, 8.0, 11.0, 15.0, 20.0, 25.0, 30.0)
@@ -80,12 +87,12 @@ def _measured(
     """All candidates with their time and quality."""
     wanted = candidates(base, source.layers)
     report(_ACTIVITY, 0, len(wanted) + 1)
-    truth = reference(source.renderer.tracer, camera, _REFERENCE_SPP, REFERENCE_SEED).radiance
+    judged = _judged_views(source, camera)
     measured = []
     for number, settings in enumerate(wanted):
         report(_ACTIVITY, number + 1, len(wanted) + 1)
         milliseconds = _median_time(source, settings)
-        quality = _quality(source, settings, camera, truth)
+        quality = float(np.mean([_quality(source, settings, view) for view in judged]))
         measured.append(MeasuredSettings(settings, milliseconds, quality))
     report(_ACTIVITY, len(wanted) + 1, len(wanted) + 1)
     source.forget()
@@ -102,22 +109,34 @@ def _median_time(source: FrameSource, settings: FrameSettings) -> float:
     return float(np.median(times[_WARM_UP:]))
 
 
-def _quality(source: FrameSource, settings: FrameSettings, camera: Camera, truth: Image) -> float:
-    """Quality of a first frame, without any history, to a viewer who looks at the gaze of the settings.
+@dataclass(frozen=True)
+class _JudgedView:
+    """A view at the window's resolution, and its radiance (H, W, 3)."""
+
+    camera: Camera
+    truth: Image
+
+
+def _judged_views(source: FrameSource, camera: Camera) -> list[_JudgedView]:
+    """Views that training has not seen, with their references."""
+    views = unseen_views(source.renderer.scene, _VIEWS, camera.width, camera.height)
+    trace = partial(reference, source.renderer.tracer)
+    return [
+        _JudgedView(view, trace(view, _REFERENCE_SPP, REFERENCE_SEED + number).radiance)
+        for number, view in enumerate(views)
+    ]
+
+
+def _quality(source: FrameSource, settings: FrameSettings, view: _JudgedView) -> float:
+    """Quality of a view's first frame, without any history, to a viewer who looks at the settings' gaze.
 
     In JOD, or SSIM where FovVideoVDP is not installed.
-
-    Args:
-        source: of frames.
-        settings: of the frame.
-        camera: the window's.
-        truth: (H, W, 3) radiance of the camera's view.
     """
     source.forget()
-    shown = source.show(Request(settings), quick=True)
-    composite = _enlarged(shown.frame.composite, camera)
-    found = jod(composite, truth, settings.display, settings.gaze)
-    return ssim(composite, truth) if found is None else found
+    shown = source.show(Request(replace(settings, camera=view.camera)), quick=True)
+    composite = _enlarged(shown.frame.composite, view.camera)
+    found = jod(composite, view.truth, settings.display, settings.gaze)
+    return ssim(composite, view.truth) if found is None else found
 
 
 def _enlarged(image: Image, camera: Camera) -> Image:

@@ -61,13 +61,14 @@ class Timed:
 
     def show(self, request: Request, quick: bool) -> Any:
         assert quick
-        settings = replace(request.settings, gaze=Gaze())
+        settings = replace(request.settings, gaze=Gaze(), camera=None)
         seen = self.gazes.setdefault(settings, [])
         seen.append(request.settings.gaze)
         slow = 10 if len(seen) <= 2 else 1
         self.now += slow * (0.01 * settings.fov_a + 0.1 * settings.spp)
         self.requests.append(request)
-        camera, _ = settings.resolved(settings.camera)  # type: ignore[arg-type]
+        assert request.settings.camera is not None
+        camera, _ = request.settings.resolved(request.settings.camera)
         value = 0.4 if self.history or request.settings.gaze != Gaze() else 0.5
         self.history = True
         composite = np.full((camera.height, camera.width, 3), value, dtype=np.float32)
@@ -110,9 +111,19 @@ def test_times_are_medians_without_warm_up_and_quality_is_that_of_a_centred_gaze
         assert one.milliseconds == pytest.approx(10 * one.settings.fov_a + 100)
         assert one.quality == pytest.approx(5 + 0.01 * one.settings.fov_a)
     for gazes in timed.gazes.values():
-        assert len(gazes) == 8
-        assert gazes[-1] == Gaze()
+        assert len(gazes) == 10
+        assert gazes[7:] == 3 * [Gaze()]
         assert len(set(gazes[:7])) == 7
+
+
+def test_quality_is_judged_on_several_views_that_are_not_the_scenes_own(source, timed):
+    own = source.camera.resized(96, 64)
+    ladder_for(source, like(source), lambda *step: None)
+    for first in range(0, len(timed.requests), 10):
+        cameras = [request.settings.camera for request in timed.requests[first : first + 10]]
+        assert all(camera == own for camera in cameras[:7])
+        assert own not in cameras[7:]
+        assert len(set(cameras[7:])) == 3
 
 
 def test_where_there_is_no_jod_it_is_ssim(source, timed, monkeypatch):
