@@ -32,9 +32,9 @@ def random_splats(arrays: Arrays, count: int, width: int, height: int, rng: np.r
     opacity, colour = rng.uniform(0.05, 0.99, count), rng.uniform(0, 1, (3, count))
     depth = rng.uniform(1, 10, count)
     cosine, sine, (a, b) = np.cos(turn), np.sin(turn), 1 / sd**2
-    # Entries of the inverse covariance.
-    xx, yy = cosine**2 * a + sine**2 * b, sine**2 * a + cosine**2 * b
-    values = (x, y, xx, cosine * sine * (a - b), yy, opacity, *colour, depth)
+    # Entries of the inverse covariance, whose determinant is a b.
+    xx, xy = cosine**2 * a + sine**2 * b, cosine * sine * (a - b)
+    values = (x, y, xx, xy / xx, a * b / xx, opacity, *colour, depth)
     splats = Splats(*(arrays.plain.Float(v.astype(np.float32)) for v in values))
     dr.eval(splats.__dict__)
     return splats

@@ -21,7 +21,7 @@ from splat.raster.records import RecordLayout, Records, concatenated_records
 _REACH = 3.33
 # The fields of `Footprints`. One float is spare.
 _FOOTPRINT = RecordLayout(
-    (8, 4), x=1, y=1, xx=1, xy=1, yy=1, determinant=1, opacity=1, red=1, green=1, blue=1, depth=1
+    (8, 4), x=1, y=1, xx=1, xy=1, yy=1, conditional=1, opacity=1, red=1, green=1, blue=1, depth=1
 )
 # Floats per load of a node's parameters.
 _NODE_LOAD = 8

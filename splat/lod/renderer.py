@@ -183,9 +183,9 @@ def _in_samples(splats: Splats, scale: Any, offset: Any) -> Splats:
     return Splats(
         splats.x * scale,
         dr.fma(splats.y, scale, offset),
-        splats.xx * square,
-        splats.xy * square,
-        splats.yy * square,
+        splats.x_precision * square,
+        splats.shear,
+        splats.y_precision * square,
         *(splats.opacity, splats.red, splats.green, splats.blue, splats.depth),
     )
 

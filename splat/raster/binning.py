@@ -21,7 +21,8 @@ _DEPTH_BITS = 22
 MINIMUM_ALPHA = 1 / 255
 # A splat's ellipse and its box of tiles: its first column plus 2^16 times its first row, and its number of
 # columns. Nothing is spare.
-_BOX = RecordLayout((8,), ("corner", "across"), x=1, y=1, xx=1, xy=1, yy=1, opacity=1, corner=1, across=1)
+_ELLIPSE = "x", "y", "x_precision", "shear", "y_precision", "opacity"
+_BOX = RecordLayout((8,), ("corner", "across"), **dict.fromkeys(_ELLIPSE, 1), corner=1, across=1)
 # A splat and its first pair. Nothing is spare.
 _RUN = RecordLayout((2,), ("splat", "first"), splat=1, first=1)
 
@@ -135,17 +136,19 @@ def _boxes(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> _Bo
     Int, UInt = arrays.plain.Int, arrays.plain.UInt
     # exp(-q / 2) opacity = 1/255 is the ellipse q = 2 ln(255 opacity); the covariance's diagonal bounds it.
     level = 2 * dr.log(dr.maximum(splats.opacity * (1 / MINIMUM_ALPHA), 1))
-    inverse = dr.rcp(splats.xx * splats.yy - splats.xy * splats.xy)
-    reach_x = dr.sqrt(level * splats.yy * inverse)
-    reach_y = dr.sqrt(level * splats.xx * inverse)
+    yy = dr.rcp(splats.y_precision)
+    reach_x = dr.sqrt(level * dr.fma(dr.square(splats.shear), yy, dr.rcp(splats.x_precision)))
+    reach_y = dr.sqrt(level * yy)
     seen = splats.opacity > MINIMUM_ALPHA
     in_tiles = lambda value, low, high: dr.clip(value * (1 / side), low, high)  # noqa: E731
     x0 = Int(dr.floor(in_tiles(splats.x - reach_x, 0, bounds.columns)))
     y0 = Int(dr.floor(in_tiles(splats.y - reach_y, bounds.top, bounds.bottom)))
     x1 = Int(dr.ceil(in_tiles(splats.x + reach_x, 0, bounds.columns)))
     y1 = Int(dr.ceil(in_tiles(splats.y + reach_y, bounds.top, bounds.bottom)))
-    # NaN compares false with everything, so that such a splat touches no tile.
-    seen &= (x1 > x0) & (y1 > y0) & dr.isfinite(reach_x + reach_y + splats.x + splats.y)
+    # One number that is none, or infinite, and the splat touches no tile: not even a weight of 0 would keep
+    # it from a pixel there.
+    numbers = reach_x + reach_y + splats.x + splats.y + splats.red + splats.green + splats.blue
+    seen &= (x1 > x0) & (y1 > y0) & dr.isfinite(numbers)
     across, down = dr.select(seen, UInt(x1 - x0), 0), dr.select(seen, UInt(y1 - y0), 0)
     boxes = _Boxes(UInt(x0), UInt(y0), across, down)
     # Together with the splats, if those are not evaluated yet: this makes one kernel of both.
@@ -178,7 +181,7 @@ def _runs(arrays: Arrays, splats: Splats, boxes: _Boxes, order: Any) -> _Runs:
     UInt = arrays.plain.UInt
     count = dr.gather(UInt, boxes.across, order) * dr.gather(UInt, boxes.down, order)
     first = dr.prefix_sum(count)
-    ellipse = {name: getattr(splats, name) for name in ("x", "y", "xx", "xy", "yy", "opacity")}
+    ellipse = {name: getattr(splats, name) for name in _ELLIPSE}
     box_records = _BOX.pack(arrays, **ellipse, corner=boxes.left | boxes.top << 16, across=boxes.across)
     run_records = _RUN.pack(arrays, splat=order, first=first)
     pairs = dr.sum(count)
@@ -222,9 +225,17 @@ def _reaches(arrays: Arrays, splat: SimpleNamespace, tile_x: Any, tile_y: Any, s
     left, top = Float(tile_x * side) + 0.5 - splat.x, Float(tile_y * side) + 0.5 - splat.y
     right, bottom = left + (side - 1), top + (side - 1)
     near_x, near_y = dr.clip(0, left, right), dr.clip(0, top, bottom)
-    along_y = dr.clip(-splat.xy * near_x / splat.yy, top, bottom)
-    along_x = dr.clip(-splat.xy * near_y / splat.xx, left, right)
-    quadratic = lambda u, v: splat.xx * u * u + 2 * splat.xy * u * v + splat.yy * v * v  # noqa: E731
+    # Where the Gaussian is largest on a column, and on a row.
+    # The least denominator keeps a round splat of extreme proportions, 0 / 0, from becoming NaN.
+    ratio = splat.y_precision / splat.x_precision
+    slope = -splat.shear / dr.maximum(dr.fma(splat.shear, splat.shear, ratio), 1e-37)
+    along_y = dr.clip(slope * near_x, top, bottom)
+    along_x = dr.clip(-splat.shear * near_y, left, right)
+
+    def quadratic(u: Any, v: Any) -> Any:
+        t = dr.fma(splat.shear, v, u)
+        return splat.x_precision * t * t + splat.y_precision * v * v
+
     nearest = dr.minimum(quadratic(near_x, along_y), quadratic(along_x, near_y))
     # Slack for rounding: what is kept in excess here, the rasterizer tests pixel by pixel.
     return nearest <= 2 * dr.log(splat.opacity * (1 / MINIMUM_ALPHA)) + 1e-3

@@ -43,7 +43,7 @@ def rasterize(arrays: Arrays, splats: Splats, bins: Bins) -> Any:
         splat = records.at(i)
         radiance = splat.red, splat.green, splat.blue
         transmittance, colour = list(transmittance), list(colour)
-        for pixel, power in enumerate(block.log2_alphas(splat)):
+        for pixel, (power, _, _) in enumerate(block.log2_alphas(splat)):
             alpha = dr.minimum(exp2(arrays, power), MAXIMUM_ALPHA)
             alpha = dr.select(alpha >= MINIMUM_ALPHA, alpha, 0)
             weight = alpha * transmittance[pixel]

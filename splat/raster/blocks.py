@@ -20,10 +20,10 @@ MINIMUM_TRANSMITTANCE = 1e-4
 # A pixel of the image buffer. Nothing is spare.
 PIXEL = RecordLayout((4,), red=1, green=1, blue=1, opacity=1)
 CHANNELS = 4
-# A splat as the tiles read it: centre, log2 of its alpha at (dx, dy) from there as the polynomial
-# xx dx^2 + xy dx dy + yy dy^2 + constant, and radiance. One float is spare.
-_BLENDED = RecordLayout((8, 2), x=1, y=1, xx=1, xy=1, yy=1, constant=1, red=1, green=1, blue=1)
-_LOG2_E = 1.4426950408889634
+# A splat as the tiles read it: centre, log2 of its alpha at (dx, dy) from there as constant - u^2 - v^2 with
+# u = u_x dx + u_y dy and v = v_y dy, and radiance. One float is spare.
+_BLENDED = RecordLayout((8, 2), x=1, y=1, u_x=1, u_y=1, v_y=1, constant=1, red=1, green=1, blue=1)
+LOG2_E = 1.4426950408889634
 # Floats of an image that a lane reads or writes at once: two pixels.
 _CHUNK = 2 * CHANNELS
 # Minimax polynomial of 2^f on -0.5..0.5, relative error 7.5e-8.
@@ -69,23 +69,22 @@ class Blocks:
             most = dr.maximum(most, value)
         return (i < self.last) & (most > MINIMUM_TRANSMITTANCE)
 
-    def offset(self, pixel: int, splat: SimpleNamespace) -> tuple[Any, Any]:
-        """Vector from a splat's centre to the centre of one of the block's pixels."""
-        dx = self.centre_x + float(pixel % self.side) - splat.x
-        return dx, self.centre_y + float(pixel // self.side) - splat.y
+    def log2_alphas(self, splat: SimpleNamespace) -> list[tuple[Any, Any, Any]]:
+        """For each pixel of the block, row by row, log2 of a splat's alpha, not yet clamped, and its u and v.
 
-    def log2_alphas(self, splat: SimpleNamespace) -> list[Any]:
-        """log2 of a splat's alpha, not yet clamped, at each pixel of the block, row by row."""
-        across = [self.offset(column, splat)[0] for column in range(self.side)]
-        across_xx = [splat.xx * dx for dx in across]
-        powers = []
+        Whatever the size of the splat, u and v are less than 3 where it is visible.
+        """
+        columns = [splat.u_x * (self.centre_x + float(k) - splat.x) for k in range(self.side)]
+        found = []
         for row in range(self.side):
             # What the pixels of a row have in common.
-            dy = self.offset(row * self.side, splat)[1]
-            base = dr.fma(splat.yy * dy, dy, splat.constant)
-            slope = splat.xy * dy
-            powers += [dr.fma(across[c], across_xx[c] + slope, base) for c in range(self.side)]
-        return powers
+            dy = self.centre_y + float(row) - splat.y
+            v, shift = splat.v_y * dy, splat.u_y * dy
+            base = dr.fma(-v, v, splat.constant)
+            for column in columns:
+                u = column + shift
+                found.append((dr.fma(-u, u, base), u, v))
+        return found
 
     def chunks(self, width: int) -> list[tuple[Any, int]]:
         """The block's pixels by twos: position in an image in units of two pixels, and number of the first.
@@ -112,14 +111,15 @@ class Blocks:
 def blended_records(arrays: Arrays, splats: Splats, bins: Bins) -> Records:
     """The splats' numbers, one record per pair, in the order in which the tiles read them."""
     UInt = arrays.plain.UInt
+    # Powers of two cost less than powers of e, and the opacity joins the exponent as its logarithm.
+    u_x = dr.sqrt(splats.x_precision * (0.5 * LOG2_E))
     records = _BLENDED.pack(
         arrays,
         x=splats.x,
         y=splats.y,
-        # Powers of two cost less than powers of e, and the opacity joins the exponent as its logarithm.
-        xx=splats.xx * (-0.5 * _LOG2_E),
-        xy=splats.xy * -_LOG2_E,
-        yy=splats.yy * (-0.5 * _LOG2_E),
+        u_x=u_x,
+        u_y=u_x * splats.shear,
+        v_y=dr.sqrt(splats.y_precision * (0.5 * LOG2_E)),
         constant=dr.log2(dr.maximum(splats.opacity, 1e-12)),
         red=splats.red,
         green=splats.green,

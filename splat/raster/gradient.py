@@ -10,7 +10,7 @@ import drjit as dr
 from compose.base.arrays import Arrays
 from splat.raster.binning import MINIMUM_ALPHA, Bins
 from splat.raster.blending import MAXIMUM_ALPHA
-from splat.raster.blocks import Blocks, blended_records, exp2
+from splat.raster.blocks import LOG2_E, Blocks, blended_records, exp2
 from splat.raster.projection import Splats
 
 # Sums per splat: the six moments and the three channels of `_Sums`.
@@ -86,13 +86,13 @@ def _block_sums(
             that from behind it.
 
     Returns:
-        Sums of dL/dpower times 1, dx, dy, dx^2, dx dy, dy^2, where power = ln alpha, and of dL/dcolour times
-        the weight of the pixel, three channels.
+        Sums of dL/dpower times 1, u, v, u^2, u v, v^2, where power = ln alpha and u and v are those of
+        `Blocks.log2_alphas`, and of dL/dcolour times the weight of the pixel, three channels.
     """
     radiance = splat.red, splat.green, splat.blue
     moments = [arrays.plain.Float(0) for _ in range(6)]
     colours = [arrays.plain.Float(0) for _ in range(3)]
-    for pixel, power in enumerate(block.log2_alphas(splat)):
+    for pixel, (power, u, v) in enumerate(block.log2_alphas(splat)):
         unclamped = exp2(arrays, power)
         alpha = dr.minimum(unclamped, MAXIMUM_ALPHA)
         seen = alpha >= MINIMUM_ALPHA
@@ -104,20 +104,20 @@ def _block_sums(
         by_alpha = dr.fma(transmittance[pixel], own, -behind[pixel] * dr.rcp(1 - alpha))
         by_power = dr.select(seen & (unclamped < MAXIMUM_ALPHA), by_alpha * alpha, 0)
         transmittance[pixel] = transmittance[pixel] - weight
-        _add_moments(moments, by_power, *block.offset(pixel, splat))
+        _add_moments(moments, by_power, u, v)
         for c in range(3):
             colours[c] = dr.fma(weight, here[c], colours[c])
     return moments + colours
 
 
-def _add_moments(moments: list[Any], by_power: Any, dx: Any, dy: Any) -> None:
-    """Adds by_power times 1, dx, dy, dx^2, dx dy, dy^2."""
-    along_x, along_y = by_power * dx, by_power * dy
-    for k, term in enumerate((by_power, along_x, along_y)):
+def _add_moments(moments: list[Any], by_power: Any, u: Any, v: Any) -> None:
+    """Adds by_power times 1, u, v, u^2, u v, v^2."""
+    along_u, along_v = by_power * u, by_power * v
+    for k, term in enumerate((by_power, along_u, along_v)):
         moments[k] = moments[k] + term
-    moments[3] = dr.fma(along_x, dx, moments[3])
-    moments[4] = dr.fma(along_x, dy, moments[4])
-    moments[5] = dr.fma(along_y, dy, moments[5])
+    moments[3] = dr.fma(along_u, u, moments[3])
+    moments[4] = dr.fma(along_u, v, moments[4])
+    moments[5] = dr.fma(along_v, v, moments[5])
 
 
 def _sum_runs(arrays: Arrays, bins: Bins, slots: list[Any], count: int) -> list[Any]:
@@ -141,14 +141,20 @@ def _sum_runs(arrays: Arrays, bins: Bins, slots: list[Any], count: int) -> list[
 
 
 def _from_sums(splats: Splats, sums: list[Any]) -> list[Any]:
-    """Gradients by the splats' parameters from the sums of `_block_sums`."""
-    s, sx, sy, sxx, sxy, syy, red, green, blue = sums
+    """Gradients by the splats' parameters from the sums of `_block_sums`.
+
+    power = ln opacity - (x_precision t^2 + y_precision dy^2) / 2 with t = dx + shear dy, and u^2 and v^2 are
+    those squares times log2(e) / 2.
+    """
+    s, su, sv, suu, suv, svv, red, green, blue = sums
+    to_x, to_y = (dr.sqrt((2 / LOG2_E) * value) for value in (splats.x_precision, splats.y_precision))
+    by_x = to_x * su
     gradients = [
-        splats.xx * sx + splats.xy * sy,
-        splats.xy * sx + splats.yy * sy,
-        -0.5 * sxx,
-        -sxy,
-        -0.5 * syy,
+        by_x,
+        dr.fma(splats.shear, by_x, to_y * sv),
+        suu * dr.rcp(-LOG2_E * splats.x_precision),
+        -to_x * suv * dr.rsqrt((0.5 * LOG2_E) * splats.y_precision),
+        svv * dr.rcp(-LOG2_E * splats.y_precision),
         dr.select(splats.opacity > 0, s * dr.rcp(dr.maximum(splats.opacity, 1e-12)), 0),
         red,
         green,

@@ -8,6 +8,11 @@ import drjit as dr
 
 from splat.model.gaussians import SH_CUBIC, SH_DC, SH_LINEAR, SH_QUADRATIC
 
+# Radiance that a Gaussian can have at most; the sun's disc has 2e7 W / (m^2 sr), 1.6e9 cd / m^2. Its square,
+# summed over all pixels of a frame and multiplied by what the gradient needs, still fits float32.
+LARGEST_RADIANCE = 1e12
+_LARGEST_PERCEPTUAL = 1.055 * LARGEST_RADIANCE ** (1 / 2.4) - 0.055
+
 
 def perceptual_radiance(sh: list[list[Any]], direction: list[Any]) -> list[Any]:
     """Perceptual radiance of the three channels, each (N,).
@@ -47,7 +52,11 @@ def _sh_basis(count: int, direction: list[Any]) -> list[Any]:
 
 
 def radiance_from_perceptual(perceptual: Any) -> Any:
-    """Inverse of the sRGB curve, continued above 1 by the same power; negative values give 0."""
-    value = dr.maximum(perceptual, 0)
+    """Inverse of the sRGB curve, continued above 1 by the same power.
+
+    Negative values give 0, and what would exceed `LARGEST_RADIANCE` gives that: as infinity, it would turn
+    every pixel near the Gaussian into a NaN.
+    """
+    value = dr.clip(perceptual, 0, _LARGEST_PERCEPTUAL)
     bright = dr.exp2(2.4 * dr.log2((dr.maximum(value, 0.04045) + 0.055) * (1 / 1.055)))
     return dr.select(value <= 0.04045, value * (1 / 12.92), bright)

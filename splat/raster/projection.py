@@ -2,6 +2,11 @@
 
 Zwicker et al., EWA Splatting (2002). The low-pass filter and its compensation are those of Mip-Splatting
 (Yu et al. 2024), the exponent and the determinants those of 3D Gaussian splatting (Kerbl et al. 2023).
+
+Any finite parameters give finite splats and gradients: no determinant is formed, which would leave float32's
+range where standard deviations come near 1e9 px, and none of the terms that are subtracted can cancel where
+a Gaussian is long and thin. A Gaussian with a parameter that is not a number gives a splat with one, which
+touches no tile.
 """
 
 from __future__ import annotations
@@ -25,15 +30,32 @@ _COMPENSATION_FLOOR = 2.5e-5
 _TANGENT_LIMIT = 1.3
 # Gaussians nearer to the camera are not drawn.
 NEAR = 0.01
+# Standard deviations in px: a longer axis covers any frame evenly. The square of its precision, by which the
+# gradient is multiplied, still fits float32.
+_LONGEST = 1e9
+# Variance in px^2: a narrower Gaussian lies between the positions that float32 can tell apart.
+_NARROWEST = 1e-12
+# exp of it fits float32, and its reciprocal, too. A scale that large exceeds _LONGEST, an opacity that small
+# is invisible.
+_LARGEST_EXPONENT = 80.0
+# Vectors no longer than this have no direction.
+_SHORTEST = 1e-30
 
 
 @dataclass
 class Splats:
     """N projected Gaussians, Dr.Jit floats of width N.
 
+    At (dx, dy) px from the centre a splat's alpha is opacity exp(-q / 2) with
+    q = x_precision (dx + shear dy)^2 + y_precision dy^2, the inverse of the 2D covariance as L D L^T. As
+    xx dx^2 + 2 xy dx dy + yy dy^2, with the entries of that inverse, large terms of both signs would have to
+    cancel where a splat is long and lies askew.
+
     Attributes:
         x, y: centre in pixels.
-        xx, xy, yy: inverse of the 2D covariance, in 1/px^2.
+        x_precision: inverse of the variance of x on one row of the frame, in 1/px^2.
+        shear: px by which the centre of a row moves to the left per row.
+        y_precision: inverse of the variance of y, in 1/px^2.
         opacity: in 0..1, 0 for a Gaussian behind the near plane.
         red, green, blue: linear radiance.
         depth: along the view axis; only its order matters.
@@ -41,18 +63,34 @@ class Splats:
 
     x: Any
     y: Any
-    xx: Any
-    xy: Any
-    yy: Any
+    x_precision: Any
+    shear: Any
+    y_precision: Any
     opacity: Any
     red: Any
     green: Any
     blue: Any
     depth: Any
 
+    @property
+    def xx(self) -> Any:
+        """Entry of the inverse of the 2D covariance, in 1/px^2."""
+        return self.x_precision
+
+    @property
+    def xy(self) -> Any:
+        """Entry of the inverse of the 2D covariance, in 1/px^2."""
+        return self.x_precision * self.shear
+
+    @property
+    def yy(self) -> Any:
+        """Entry of the inverse of the 2D covariance, in 1/px^2."""
+        return dr.fma(self.xy, self.shear, self.y_precision)
+
     def differentiable(self) -> list[Any]:
         """All parameters that the rasterizer has gradients for, in the order of declaration."""
-        return [self.x, self.y, self.xx, self.xy, self.yy, self.opacity, self.red, self.green, self.blue]
+        shape = self.x_precision, self.shear, self.y_precision
+        return [self.x, self.y, *shape, self.opacity, self.red, self.green, self.blue]
 
     def detached(self) -> Splats:
         """The same numbers as arrays without derivatives."""
@@ -66,7 +104,7 @@ class Footprints:
     Attributes:
         x, y: centre in pixels.
         xx, xy, yy: 2D covariance in px^2.
-        determinant: of that covariance, in px^4, more accurate than from its entries.
+        conditional: variance of x on one row of the frame in px^2, the covariance's determinant over yy.
         opacity: in 0..1, 0 for a Gaussian behind the near plane.
         red, green, blue: linear radiance.
         depth: along the view axis.
@@ -77,7 +115,7 @@ class Footprints:
     xx: Any
     xy: Any
     yy: Any
-    determinant: Any
+    conditional: Any
     opacity: Any
     red: Any
     green: Any
@@ -128,16 +166,20 @@ def project(parameters: Parameters, camera: Camera, low_pass: Any) -> Splats:
 def filtered(raw: Footprints, low_pass: Any) -> Splats:
     """The footprints blurred by a Gaussian of that variance in px^2; each keeps its total light."""
     variance = dr.opaque(type(raw.opacity), low_pass) if isinstance(low_pass, float) else low_pass
-    xx, yy = raw.xx + variance, raw.yy + variance
-    determinant = raw.determinant + variance * (raw.xx + raw.yy + variance)
-    inverse = dr.rcp(determinant)
-    compensation = dr.sqrt(dr.maximum(raw.determinant * inverse, _COMPENSATION_FLOOR))
+    y_precision = dr.rcp(raw.yy + variance)
+    # Of the variance of y, the Gaussian's own share and that of the filter.
+    own, added = raw.yy * y_precision, variance * y_precision
+    # Determinants over yy: |V| of the Gaussian's covariance, |V| + h (xx + yy + h) of the filtered one.
+    before = raw.conditional * own
+    after = before + raw.xx * added + variance
+    x_precision = dr.rcp(after)
+    compensation = dr.sqrt(dr.maximum(before * x_precision, _COMPENSATION_FLOOR))
     return Splats(
         raw.x,
         raw.y,
-        yy * inverse,
-        -raw.xy * inverse,
-        xx * inverse,
+        x_precision,
+        -raw.xy * y_precision,
+        y_precision,
         raw.opacity * compensation,
         raw.red,
         raw.green,
@@ -149,14 +191,9 @@ def filtered(raw: Footprints, low_pass: Any) -> Splats:
 def footprints(parameters: Parameters, camera: Camera) -> Footprints:
     """Projects Gaussians onto a camera's film, without a filter."""
     number = type(parameters.opacity_logits)
-    world, (fx, fy, cx, cy), (limit_x, limit_y) = _opaque(number, camera)
-    eye = [dr.opaque(number, float(value)) for value in camera.position]
-
-    mx, my, mz = parameters.means
-    vx, vy, vz = (
-        dr.fma(world[4 * i], mx, dr.fma(world[4 * i + 1], my, dr.fma(world[4 * i + 2], mz, world[4 * i + 3])))
-        for i in range(3)
-    )
+    rotation, eye, (fx, fy, cx, cy), (limit_x, limit_y) = _opaque(number, camera)
+    from_eye = _from_eye(parameters.means, eye)
+    vx, vy, vz = _rotated(rotation, from_eye)
     seen = vz > NEAR
     inverse_z = dr.rcp(dr.select(seen, vz, 1))
     tx, ty = vx * inverse_z, vy * inverse_z
@@ -165,21 +202,21 @@ def footprints(parameters: Parameters, camera: Camera) -> Footprints:
     # Rows of J W: the projection's derivative, at a clamped tangent, times the camera's rotation.
     jx, jy = fx * inverse_z, fy * inverse_z
     cut_x, cut_y = dr.clip(tx, -limit_x, limit_x), dr.clip(ty, -limit_y, limit_y)
-    row_x = [jx * (world[i] - cut_x * world[8 + i]) for i in range(3)]
-    row_y = [jy * (world[4 + i] - cut_y * world[8 + i]) for i in range(3)]
+    row_x = [jx * (rotation[i] - cut_x * rotation[6 + i]) for i in range(3)]
+    row_y = [jy * (rotation[3 + i] - cut_y * rotation[6 + i]) for i in range(3)]
 
     covariance = _covariance(parameters, row_x, row_y)
-    opacity = dr.select(seen, dr.rcp(1 + dr.exp(-parameters.opacity_logits)), 0)
+    logits = dr.maximum(parameters.opacity_logits, -_LARGEST_EXPONENT)
+    opacity = dr.select(seen, dr.rcp(1 + dr.exp(-logits)), 0)
 
-    direction = _normalized([mx - eye[0], my - eye[1], mz - eye[2]])
     red, green, blue = (
-        radiance_from_perceptual(value) for value in perceptual_radiance(parameters.sh, direction)
+        radiance_from_perceptual(value) for value in perceptual_radiance(parameters.sh, _normalized(from_eye))
     )
     return Footprints(x, y, *covariance, opacity, red, green, blue, dr.detach(vz))
 
 
 def _covariance(parameters: Parameters, row_x: list[Any], row_y: list[Any]) -> tuple[Any, Any, Any, Any]:
-    """2D covariance xx, xy, yy in px^2, and its determinant.
+    """2D covariance xx, xy, yy in px^2, and its determinant over yy.
 
     Args:
         parameters: the Gaussians.
@@ -187,17 +224,23 @@ def _covariance(parameters: Parameters, row_x: list[Any], row_y: list[Any]) -> t
     """
     # Rows of M = J W R S; the 2D covariance is M M^T.
     rotation = _rotation_matrix(parameters.rotations)
-    scales = [dr.exp(s) for s in parameters.log_scales]
-    mx_row = [sum(row_x[i] * rotation[i][j] for i in range(3)) * scales[j] for j in range(3)]
-    my_row = [sum(row_y[i] * rotation[i][j] for i in range(3)) * scales[j] for j in range(3)]
+    mx_row, my_row = [], []
+    for j, log_scale in enumerate(parameters.log_scales):
+        axis_x, axis_y = (sum(row[i] * rotation[i][j] for i in range(3)) for row in (row_x, row_y))
+        longest = _LONGEST * dr.rcp(dr.detach(dr.maximum(dr.abs(axis_x), dr.abs(axis_y))))
+        scale = dr.minimum(dr.exp(dr.minimum(log_scale, _LARGEST_EXPONENT)), longest)
+        mx_row.append(axis_x * scale)
+        my_row.append(axis_y * scale)
     xx = sum(a * a for a in mx_row)
-    yy = sum(b * b for b in my_row)
+    yy = dr.maximum(sum(b * b for b in my_row), _NARROWEST)
     xy = sum(a * b for a, b in zip(mx_row, my_row, strict=True))
     # Cauchy-Binet: |M M^T| as a sum of squares has none of the cancellation of xx yy - xy^2.
-    determinant = sum(
-        dr.square(mx_row[i] * my_row[j] - mx_row[j] * my_row[i]) for i, j in ((0, 1), (0, 2), (1, 2))
+    inverse = dr.rsqrt(yy)
+    conditional = sum(
+        dr.square((mx_row[i] * my_row[j] - mx_row[j] * my_row[i]) * inverse)
+        for i, j in ((0, 1), (0, 2), (1, 2))
     )
-    return xx, xy, yy, determinant
+    return xx, xy, yy, dr.maximum(conditional, _NARROWEST)
 
 
 def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any, Any, Any, Any]:
@@ -210,8 +253,8 @@ def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any
         means: three rows, world space.
         camera: the view.
     """
-    world, (fx, fy, cx, cy), (limit_x, limit_y) = _opaque(arrays.plain.Float, camera)
-    vx, vy, vz = (sum((world[4 * i + j] * means[j] for j in range(3)), world[4 * i + 3]) for i in range(3))
+    rotation, eye, (fx, fy, cx, cy), (limit_x, limit_y) = _opaque(arrays.plain.Float, camera)
+    vx, vy, vz = _rotated(rotation, _from_eye(means, eye))
     seen = vz > NEAR
     inverse_z = dr.rcp(dr.select(seen, vz, 1))
     tx, ty = vx * inverse_z, vy * inverse_z
@@ -220,9 +263,10 @@ def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any
     return seen, dr.fma(tx, fx, cx), dr.fma(ty, fy, cy), spread
 
 
-def _opaque(number: type, camera: Camera) -> tuple[list[Any], list[Any], list[Any]]:
-    """World-to-camera (12, row by row), fx, fy, cx, cy, and the limits of the tangents.
+def _opaque(number: type, camera: Camera) -> tuple[list[Any], list[list[Any]], list[Any], list[Any]]:
+    """World-to-camera rotation (9, row by row), eye, fx, fy, cx, cy, and the limits of the tangents.
 
+    The eye is the sum of two points: float32, and what that leaves of float64.
     Opaque, so that one kernel serves every camera: literals would be compiled into it.
     """
     half = np.array(
@@ -232,15 +276,37 @@ def _opaque(number: type, camera: Camera) -> tuple[list[Any], list[Any], list[An
         ]
     )
     intrinsics = camera.fx, camera.fy, camera.cx, camera.cy
+    eye = camera.position.astype(np.float32).astype(np.float64)
     opaque = lambda values: [dr.opaque(number, float(value)) for value in np.ravel(values)]  # noqa: E731
-    return opaque(camera.world_to_camera[:3]), opaque(intrinsics), opaque(_TANGENT_LIMIT * half)
+    rotation, rest = opaque(camera.world_to_camera[:3, :3]), opaque(camera.position - eye)
+    return rotation, [opaque(eye), rest], opaque(intrinsics), opaque(_TANGENT_LIMIT * half)
+
+
+def _from_eye(means: list[Any], eye: list[list[Any]]) -> list[Any]:
+    """Vectors from the eye to centres, accurate to their own length however far both are from the origin."""
+    return [mean - near - rest for mean, near, rest in zip(means, *eye, strict=True)]
+
+
+def _rotated(rotation: list[Any], vector: list[Any]) -> list[Any]:
+    """A matrix (9, row by row) times a vector."""
+    x, y, z = vector
+    return [
+        dr.fma(rotation[3 * i], x, dr.fma(rotation[3 * i + 1], y, rotation[3 * i + 2] * z)) for i in range(3)
+    ]
 
 
 def _normalized(vector: list[Any]) -> list[Any]:
     """A vector of unit length, or of nearly none."""
+    # Squares of very long and very short vectors leave float32's range, so they are scaled first. The result
+    # does not depend on the scale, and needs no derivative by it.
+    longest = dr.detach(dr.abs(vector[0]))
+    for v in vector[1:]:
+        longest = dr.maximum(longest, dr.detach(dr.abs(v)))
+    scale = dr.rcp(dr.select(longest > _SHORTEST, longest, 1))
+    scaled = [v * scale for v in vector]
     # A zero quaternion, or a Gaussian at the camera itself, has no direction but must not become NaN.
-    inverse = dr.rsqrt(dr.maximum(sum(v * v for v in vector), 1e-20))
-    return [v * inverse for v in vector]
+    inverse = dr.rsqrt(dr.maximum(sum(v * v for v in scaled), 1e-20))
+    return [v * inverse for v in scaled]
 
 
 def _rotation_matrix(quaternion: list[Any]) -> list[list[Any]]:

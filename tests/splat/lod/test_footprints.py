@@ -16,7 +16,7 @@ from splat.raster.projection import PIXEL_FILTER, footprints
 from tests.splat.lod.views import frame_camera, small_forest
 from tests.splat.samples import gaussians
 
-FIELDS = ("x", "y", "xx", "xy", "yy", "determinant", "opacity", "red", "green", "blue", "depth")
+FIELDS = ("x", "y", "xx", "xy", "yy", "conditional", "opacity", "red", "green", "blue", "depth")
 
 
 def spread_forest(degree: int) -> Forest:

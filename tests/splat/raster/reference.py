@@ -91,14 +91,19 @@ def project(g: Gaussians, camera: Camera, low_pass: float | torch.Tensor) -> dic
     det_raw = torch.stack(
         [(M[:, 0, i] * M[:, 1, j] - M[:, 0, j] * M[:, 1, i]) ** 2 for i, j in ((0, 1), (0, 2), (1, 2))]
     ).sum(0)
-    compensation = torch.sqrt((det_raw / torch.linalg.det(full)).clamp(min=2.5e-5))
+    # From det_raw, as the determinant of `full` cancels, for a long needle even in float64.
+    trace = raw[:, 0, 0] + raw[:, 1, 1]
+    low_pass = torch.as_tensor(low_pass, dtype=raw.dtype)
+    det = det_raw + low_pass * (trace + low_pass)
+    adjugate = torch.stack([full[:, 1, 1], -full[:, 0, 1], -full[:, 1, 0], full[:, 0, 0]], dim=-1)
+    compensation = torch.sqrt((det_raw / det).clamp(min=2.5e-5))
     direction = g.means - torch.tensor(camera.position)[:, None]
     direction = direction / direction.norm(dim=0)
     basis = harmonics(g.sh.shape[0], direction)
     colour = radiance(0.5 + torch.einsum("kcn,kn->cn", g.sh, basis))
     return {
         "centre": centre,
-        "inverse": torch.linalg.inv(full),
+        "inverse": adjugate.reshape(-1, 2, 2) / det[:, None, None],
         "opacity": torch.sigmoid(g.opacity_logits) * compensation * seen,
         "colour": colour,
         "depth": z.detach(),

@@ -9,14 +9,14 @@ import torch
 from splat.raster.projection import Splats
 from tests.splat.raster import reference
 
-NAMES = ("x", "y", "xx", "xy", "yy", "opacity", "red", "green", "blue", "depth")
+NAMES = ("x", "y", "x_precision", "shear", "y_precision", "opacity", "red", "green", "blue", "depth")
 
 
 def round_splats(arrays, rows: list[tuple[float, ...]]) -> Splats:
     """Round splats from rows of x, y, standard deviation in px, opacity, red, green, blue, depth."""
     x, y, deviation, opacity, red, green, blue, depth = np.array(rows, dtype=np.float64).T
     inverse = 1 / deviation**2
-    return uploaded(arrays, [x, y, inverse, 0 * x, inverse, opacity, red, green, blue, depth])
+    return of_inverse(arrays, [x, y, inverse, 0 * x, inverse, opacity, red, green, blue, depth])
 
 
 def random_splats(arrays, count: int, width: int, height: int, seed: int = 0) -> Splats:
@@ -30,9 +30,15 @@ def random_splats(arrays, count: int, width: int, height: int, seed: int = 0) ->
     # Invisible and opaque ones among them.
     opacity = rng.uniform(-0.1, 1.1, count).clip(0, 1)
     colour = rng.uniform(0, 2, (3, count))
-    return uploaded(
+    return of_inverse(
         arrays, [x, y, xx, cosine * sine * (a - b), yy, opacity, *colour, rng.uniform(1, 9, count)]
     )
+
+
+def of_inverse(arrays, rows: list[np.ndarray]) -> Splats:
+    """Splats from rows in the order of NAMES, but with the entries xx, xy, yy of the inverse covariance."""
+    x, y, xx, xy, yy, *rest = (np.asarray(row, dtype=np.float64) for row in rows)
+    return uploaded(arrays, [x, y, xx, xy / xx, yy - xy**2 / xx, *rest])
 
 
 def uploaded(arrays, rows: list[np.ndarray]) -> Splats:
@@ -47,15 +53,16 @@ def doubles(splats: Splats) -> dict[str, np.ndarray]:
     return {name: getattr(splats, name).numpy().astype(np.float64) for name in NAMES}
 
 
+def exponent(s: dict[str, np.ndarray], dx: np.ndarray, dy: np.ndarray) -> np.ndarray:
+    """q of alpha = opacity exp(-q / 2) at offsets from the centres of splats, as `doubles` returns them."""
+    return s["x_precision"] * (dx + s["shear"] * dy) ** 2 + s["y_precision"] * dy**2
+
+
 def blended(leaves: dict[str, torch.Tensor], width: int, height: int) -> torch.Tensor:
     """(H, W, 3) the twin's image of float64 tensors by name."""
-    inverse = torch.stack(
-        [
-            torch.stack([leaves["xx"], leaves["xy"]], dim=-1),
-            torch.stack([leaves["xy"], leaves["yy"]], dim=-1),
-        ],
-        dim=-2,
-    )
+    a, shear, b = leaves["x_precision"], leaves["shear"], leaves["y_precision"]
+    rows = [[a, a * shear], [a * shear, a * shear**2 + b]]
+    inverse = torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
     splats = {
         "centre": torch.stack([leaves["x"], leaves["y"]]),
         "inverse": inverse,

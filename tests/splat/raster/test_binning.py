@@ -8,7 +8,7 @@ import pytest
 
 from splat.raster.binning import MINIMUM_ALPHA, Bins, TileBounds, bin_splats, depth_order
 from splat.raster.tiles import TileGrid
-from tests.splat.raster.splats import doubles, random_splats, round_splats, uploaded
+from tests.splat.raster.splats import doubles, exponent, of_inverse, random_splats, round_splats
 
 GRID = TileGrid(90, 70)
 
@@ -30,8 +30,7 @@ def peaks(splats, grid: TileGrid, steps: int) -> np.ndarray:
         row, column = divmod(tile, grid.columns)
         px, py = np.meshgrid(column * grid.side + offset, row * grid.side + offset)
         dx, dy = px.ravel()[:, None] - s["x"], py.ravel()[:, None] - s["y"]
-        q = s["xx"] * dx**2 + 2 * s["xy"] * dx * dy + s["yy"] * dy**2
-        found[tile] = (s["opacity"] * np.exp(-q / 2)).max(axis=0)
+        found[tile] = (s["opacity"] * np.exp(-exponent(s, dx, dy) / 2)).max(axis=0)
     return found
 
 
@@ -136,7 +135,7 @@ def test_a_long_diagonal_splat_skips_the_corners_of_its_box(arrays):
     a, b = 1 / 20**2, 1.0
     xx, xy = (a + b) / 2, (a - b) / 2
     row = [45.0], [35.0], [xx], [xy], [xx], [1.0], [1.0], [1.0], [1.0], [1.0]
-    found = lists(bin_splats(arrays, uploaded(arrays, list(row)), GRID)).keys()
+    found = lists(bin_splats(arrays, of_inverse(arrays, list(row)), GRID)).keys()
     # From the top left to the bottom right; tile (0, 4) and tile (4, 0) are in the box.
     assert {0, 7, 8, 14} <= found
     assert not {4, 5, 24} & found

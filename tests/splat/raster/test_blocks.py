@@ -9,7 +9,7 @@ import pytest
 from splat.raster.binning import bin_splats
 from splat.raster.blocks import CHANNELS, MINIMUM_TRANSMITTANCE, PIXEL, Blocks, blended_records, exp2
 from splat.raster.tiles import TileGrid
-from tests.splat.raster.splats import doubles, random_splats
+from tests.splat.raster.splats import doubles, exponent, random_splats
 
 
 def blocks_of(arrays, side: int, wanted: np.ndarray | None = None):
@@ -62,13 +62,13 @@ def test_alphas_are_those_of_the_ellipse(arrays, side):
     first = block.first.numpy()
     record = blended_records(arrays, splats, bins).at(block.first)
     s = {name: row[bins.splat.numpy()[first]] for name, row in doubles(splats).items()}
-    for pixel, power in enumerate(block.log2_alphas(record)):
+    for pixel, (power, u, v) in enumerate(block.log2_alphas(record)):
         row, column = divmod(pixel, block.side)
         dx, dy = block.x.numpy() + column + 0.5 - s["x"], block.y.numpy() + row + 0.5 - s["y"]
-        offset = [value.numpy() for value in block.offset(pixel, record)]
-        np.testing.assert_allclose(offset, [dx, dy], atol=1e-4)
-        q = s["xx"] * dx**2 + 2 * s["xy"] * dx * dy + s["yy"] * dy**2
-        alpha = s["opacity"] * np.exp(-q / 2)
+        t = dx + s["shear"] * dy
+        np.testing.assert_allclose(u.numpy() / record.u_x.numpy(), t, atol=1e-4)
+        np.testing.assert_allclose(v.numpy() / record.v_y.numpy(), dy, atol=1e-4)
+        alpha = s["opacity"] * np.exp(-exponent(s, dx, dy) / 2)
         np.testing.assert_allclose(np.exp2(power.numpy().astype(np.float64)), alpha, rtol=1e-3, atol=1e-5)
 
 

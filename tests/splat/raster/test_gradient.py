@@ -68,7 +68,7 @@ def test_gradients_equal_finite_differences(arrays, name):
     found = gradients(arrays, splats, grid, weight)[name]
     values = doubles(splats)
     for k in range(2):
-        step = {"xx": 1e-3, "xy": 1e-3, "yy": 1e-3}.get(name, 0.02)
+        step = {"x_precision": 1e-3, "y_precision": 1e-3}.get(name, 0.02)
         losses = []
         for sign in (-1, 1):
             moved = {n: row.copy() for n, row in values.items()}
@@ -87,7 +87,7 @@ def test_a_clamped_alpha_has_a_gradient_by_colour_only(arrays):
     weight = np.zeros((grid.padded_height, grid.padded_width, CHANNELS), np.float32)
     weight[10, 10] = [1, 2, 3, 0]
     found = gradients(arrays, splats, grid, weight)
-    for name in ("x", "y", "xx", "xy", "yy", "opacity"):
+    for name in ("x", "y", "x_precision", "shear", "y_precision", "opacity"):
         assert found[name][0] == 0, name
     np.testing.assert_allclose(
         [found[c][0] for c in ("red", "green", "blue")], 0.99 * np.arange(1, 4), rtol=1e-5

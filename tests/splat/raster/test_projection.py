@@ -25,7 +25,7 @@ def test_a_round_gaussian_on_the_axis_has_the_closed_form(arrays):
     raw = footprints(parameters_from(arrays, white_dot(4.0, 0.5)), cam)
     for name, value in (("x", 16.5), ("y", 17.5), ("xx", 25), ("xy", 0), ("yy", 56.25), ("depth", 4)):
         assert numbers(raw, name)[0] == pytest.approx(value, abs=1e-5), name
-    assert numbers(raw, "determinant")[0] == pytest.approx(25 * 56.25, rel=1e-5)
+    assert numbers(raw, "conditional")[0] * numbers(raw, "yy")[0] == pytest.approx(25 * 56.25, rel=1e-5)
     splats = project(parameters_from(arrays, white_dot(4.0, 0.5)), cam, 0.3)
     assert numbers(splats, "xx")[0] == pytest.approx(1 / 25.3, rel=1e-5)
     assert numbers(splats, "yy")[0] == pytest.approx(1 / 56.55, rel=1e-5)
