@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
 from splat.raster.projection import NEAR, Splats
-from splat.raster.records import RecordLayout, Records
+from splat.raster.records import RecordLayout
 from splat.raster.tiles import TileGrid
 
 # Depths are sorted by so many bits: 32 octaves from the near plane.
@@ -71,6 +71,16 @@ class TileBounds:
     bottom: Any
 
 
+@dataclass(frozen=True)
+class Window:
+    """A rectangle of tiles; right and bottom are exclusive."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+
 def bin_splats(
     arrays: Arrays,
     splats: Splats,
@@ -79,7 +89,7 @@ def bin_splats(
     bounds: TileBounds | None = None,
     in_order: bool = False,
 ) -> Bins:
-    """Sorts pairs of splat and tile by tile and depth.
+    """Sorts pairs of splat and tile by tile and depth, all at once: `parts.Parts` bounds the memory for them.
 
     Args:
         arrays: the backend's array types.
@@ -89,19 +99,64 @@ def bin_splats(
         bounds: tiles that each splat is confined to; all by default.
         in_order: whether splats that meet in a tile come from near to far already.
     """
-    mask = grid.mask(wanted)
-    tiles = arrays.plain.UInt(np.flatnonzero(mask).astype(np.uint32))
-    whole = TileBounds(arrays.number(grid.columns), 0, arrays.number(grid.rows))
-    boxes = _boxes(arrays, splats, bounds or whole, grid.side)
-    seen = boxes.across > 0
-    order = dr.compress(seen) if in_order else depth_order(arrays, splats.depth, seen)
-    if not dr.width(order) or not mask.any():
-        return _no_bins(arrays, grid, tiles)
-    runs = _runs(arrays, splats, boxes, order)
-    if not runs.pairs:
-        return _no_bins(arrays, grid, tiles)
-    key, splat = _pairs(arrays, runs, grid, None if wanted is None else mask)
-    return _sorted(arrays, grid, tiles, runs, key, splat)
+    candidates = Candidates(arrays, splats, grid, wanted, bounds, in_order)
+    return candidates.bins(candidates.runs(candidates.whole))
+
+
+class Candidates:
+    """Tiles that each splat may touch, from which the lists of any part of the frame are made.
+
+    Args:
+        arrays, splats, grid, wanted, bounds, in_order: as for `bin_splats`.
+
+    Attributes:
+        whole: the window of all tiles.
+        wanted: (rows, columns) bool, the tiles to rasterize.
+    """
+
+    def __init__(
+        self,
+        arrays: Arrays,
+        splats: Splats,
+        grid: TileGrid,
+        wanted: NDArray[np.bool_] | None = None,
+        bounds: TileBounds | None = None,
+        in_order: bool = False,
+    ):
+        self._arrays, self._splats, self._grid = arrays, splats, grid
+        self.whole = Window(0, 0, grid.columns, grid.rows)
+        self.wanted, self._all_wanted = grid.mask(wanted), wanted is None
+        everywhere = TileBounds(arrays.number(grid.columns), 0, arrays.number(grid.rows))
+        self._boxes = _boxes(arrays, splats, bounds or everywhere, grid.side)
+        seen = self._boxes.across > 0
+        self._order = dr.compress(seen) if in_order else depth_order(arrays, splats.depth, seen)
+
+    def runs(self, window: Window) -> Runs:
+        """The candidates in a window, counted but not listed."""
+        tiles = np.zeros_like(self.wanted)
+        inside = slice(window.top, window.bottom), slice(window.left, window.right)
+        tiles[inside] = self.wanted[inside]
+        numbers = self._arrays.plain.UInt(np.flatnonzero(tiles).astype(np.uint32))
+        if not dr.width(self._order) or not dr.width(numbers):
+            return Runs(numbers, 0)
+        boxes, order = self._boxes, self._order
+        if window != self.whole:
+            boxes = _clipped(self._arrays, boxes, window)
+            # No empty run may come before another one.
+            order = dr.gather(
+                type(order), order, dr.compress(dr.gather(type(order), boxes.across, order) > 0)
+            )
+            if not dr.width(order):
+                return Runs(numbers, 0)
+        return _runs(self._arrays, self._splats, boxes, order, numbers)
+
+    def bins(self, runs: Runs) -> Bins:
+        """The lists of a window's tiles from its runs."""
+        if not runs.pairs:
+            return _no_bins(self._arrays, self._grid, runs.tiles)
+        mask = None if self._all_wanted else self.wanted
+        key, splat = _pairs(self._arrays, runs, self._grid, mask)
+        return _sorted(self._arrays, self._grid, runs, key, splat)
 
 
 def depth_order(arrays: Arrays, depth: Any, seen: Any) -> Any:
@@ -156,27 +211,42 @@ def _boxes(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> _Bo
     return boxes
 
 
+def _clipped(arrays: Arrays, boxes: _Boxes, window: Window) -> _Boxes:
+    """The parts of boxes inside a window."""
+    left, top, right, bottom = (
+        arrays.number(side) for side in (window.left, window.top, window.right, window.bottom)
+    )
+    first_x, first_y = dr.maximum(boxes.left, left), dr.maximum(boxes.top, top)
+    end_x, end_y = dr.minimum(boxes.left + boxes.across, right), dr.minimum(boxes.top + boxes.down, bottom)
+    inside = (boxes.across > 0) & (end_x > first_x) & (end_y > first_y)
+    across, down = dr.select(inside, end_x - first_x, 0), dr.select(inside, end_y - first_y, 0)
+    dr.eval(first_x, first_y, across, down)
+    return _Boxes(first_x, first_y, across, down)
+
+
 @dataclass(frozen=True)
-class _Runs:
-    """Candidate pairs of splat and tile: a run per splat, one tile after another.
+class Runs:
+    """Candidate pairs of splat and tile in a window: a run per splat, one tile after another.
 
     Attributes:
-        order: (S,) splats.
+        tiles: (T,) numbers of the window's tiles that are rasterized.
+        pairs: number of candidates; if that is 0, nothing else is set.
+        order: (S,) splats, those without a run last.
         first, count: (S,) the run of each of them.
         boxes: records of all splats' ellipses and boxes.
         runs: records of `order` and `first`.
-        pairs: number of candidates.
     """
 
-    order: Any
-    first: Any
-    count: Any
-    boxes: Records
-    runs: Records
+    tiles: Any
     pairs: int
+    order: Any = None
+    first: Any = None
+    count: Any = None
+    boxes: Any = None
+    runs: Any = None
 
 
-def _runs(arrays: Arrays, splats: Splats, boxes: _Boxes, order: Any) -> _Runs:
+def _runs(arrays: Arrays, splats: Splats, boxes: _Boxes, order: Any, tiles: Any) -> Runs:
     """Counts the candidates of each splat."""
     UInt = arrays.plain.UInt
     count = dr.gather(UInt, boxes.across, order) * dr.gather(UInt, boxes.down, order)
@@ -184,12 +254,14 @@ def _runs(arrays: Arrays, splats: Splats, boxes: _Boxes, order: Any) -> _Runs:
     ellipse = {name: getattr(splats, name) for name in _ELLIPSE}
     box_records = _BOX.pack(arrays, **ellipse, corner=boxes.left | boxes.top << 16, across=boxes.across)
     run_records = _RUN.pack(arrays, splat=order, first=first)
-    pairs = dr.sum(count)
+    # Many splats on a large frame are more pairs than 32 bits count. Where it matters, `first` has wrapped,
+    # too, and whoever asked splits the window.
+    pairs = dr.sum(arrays.plain.UInt64(count))
     dr.eval(order, count, first, box_records.tables, run_records.tables, pairs)
-    return _Runs(order, first, count, box_records, run_records, int(pairs[0]))
+    return Runs(tiles, int(pairs[0]), order, first, count, box_records, run_records)
 
 
-def _pairs(arrays: Arrays, runs: _Runs, grid: TileGrid, wanted: NDArray[np.bool_] | None) -> tuple[Any, Any]:
+def _pairs(arrays: Arrays, runs: Runs, grid: TileGrid, wanted: NDArray[np.bool_] | None) -> tuple[Any, Any]:
     """For each candidate the key that it is sorted by, and its splat.
 
     The key is the number of the tile, or columns * rows for a candidate that need not be drawn.
@@ -241,7 +313,7 @@ def _reaches(arrays: Arrays, splat: SimpleNamespace, tile_x: Any, tile_y: Any, s
     return nearest <= 2 * dr.log(splat.opacity * (1 / MINIMUM_ALPHA)) + 1e-3
 
 
-def _sorted(arrays: Arrays, grid: TileGrid, tiles: Any, runs: _Runs, key: Any, splat: Any) -> Bins:
+def _sorted(arrays: Arrays, grid: TileGrid, runs: Runs, key: Any, splat: Any) -> Bins:
     """The candidates sorted by tile; candidates of one tile keep their order."""
     UInt, count = arrays.plain.UInt, grid.columns * grid.rows
     sorting = arrays.argsort(key, count + 1)
@@ -252,7 +324,9 @@ def _sorted(arrays: Arrays, grid: TileGrid, tiles: Any, runs: _Runs, key: Any, s
     sorted_splat = dr.gather(UInt, splat, sorting)
     dr.eval(sorted_splat, start, end)
     pairs = int(start[count])
-    return Bins(grid, tiles, start, end, sorted_splat, sorting, runs.first, runs.count, runs.order, pairs)
+    return Bins(
+        grid, runs.tiles, start, end, sorted_splat, sorting, runs.first, runs.count, runs.order, pairs
+    )
 
 
 def _no_bins(arrays: Arrays, grid: TileGrid, tiles: Any) -> Bins:

@@ -23,19 +23,26 @@ from splat.raster.projection import Splats
 MAXIMUM_ALPHA = 0.99
 
 
-def rasterize(arrays: Arrays, splats: Splats, bins: Bins) -> Any:
+def rasterize(arrays: Arrays, splats: Splats, bins: Bins, image: Any = None) -> Any:
     """Renders linear radiance and opacity of the wanted tiles; other tiles are 0.
+
+    Args:
+        arrays: the backend's array types.
+        splats: without derivatives.
+        bins: the tiles and their lists.
+        image: what the tiles are drawn into; a new image by default.
 
     Returns:
         Flat Float: padded height x padded width x 4, rows from the top.
     """
     Float = arrays.plain.Float
     width, height = bins.grid.padded_width, bins.grid.padded_height
+    if image is None:
+        # Where every tile is drawn, nothing needs clearing.
+        all_drawn = bins.pairs and dr.width(bins.tiles) == bins.grid.columns * bins.grid.rows
+        image = (dr.empty if all_drawn else dr.zeros)(Float, width * height * CHANNELS)
     if not bins.pairs:
-        return dr.zeros(Float, width * height * CHANNELS)
-    # Where every tile is drawn, nothing needs clearing.
-    all_drawn = dr.width(bins.tiles) == bins.grid.columns * bins.grid.rows
-    image = (dr.empty if all_drawn else dr.zeros)(Float, width * height * CHANNELS)
+        return image
     block = Blocks(arrays, bins)
     records = blended_records(arrays, splats, bins)
 

@@ -13,10 +13,8 @@ from torch.autograd.function import once_differentiable
 from compose.base.arrays import Arrays, BackendName
 from compose.camera.camera import Camera
 from splat.model.gaussians import Gaussians
-from splat.raster.binning import bin_splats
-from splat.raster.blending import rasterize
 from splat.raster.blocks import CHANNELS
-from splat.raster.gradient import rasterize_backward
+from splat.raster.parts import Parts, rasterize_parts, rasterize_parts_backward
 from splat.raster.projection import PIXEL_FILTER, Parameters, project
 from splat.raster.tiles import TileGrid
 
@@ -106,10 +104,11 @@ class _Render(torch.autograd.Function):
         projected = project(parameters, camera, low_pass)
         splats = projected.detached()
         dr.eval(splats.__dict__, projected.differentiable())
-        bins = bin_splats(arrays, splats, TileGrid(camera.width, camera.height))
-        image = rasterize(arrays, splats, bins)
-        ctx.state = (arrays, leaves, projected, splats, bins, image, [t.shape for t in tensors])
-        shape = bins.grid.padded_height, bins.grid.padded_width, CHANNELS
+        grid = TileGrid(camera.width, camera.height)
+        parts = Parts(arrays, splats, grid)
+        image = rasterize_parts(arrays, splats, parts)
+        ctx.state = (arrays, leaves, projected, splats, parts, image, [t.shape for t in tensors])
+        shape = grid.padded_height, grid.padded_width, CHANNELS
         buffer = arrays.to_torch(image, tensors[0].device).reshape(shape)
         # A copy: the backward pass still needs the buffer as it is.
         return buffer[: camera.height, : camera.width, :3].clone()
@@ -120,13 +119,13 @@ class _Render(torch.autograd.Function):
         # Dr.Jit's graph is gone after one traversal.
         if ctx.state is None:
             raise RuntimeError("this image was differentiated already: render it again")
-        arrays, leaves, projected, splats, bins, image, shapes = ctx.state
+        arrays, leaves, projected, splats, parts, image, shapes = ctx.state
         ctx.state = None
-        grid = bins.grid
+        grid = parts.grid
         padded = torch.zeros(grid.padded_height, grid.padded_width, CHANNELS, device=gradient.device)
         padded[: grid.height, : grid.width, :3] = gradient
         flow = dr.detach(arrays.from_torch(padded), preserve_type=False)
-        gradients = rasterize_backward(arrays, splats, bins, image, flow)
+        gradients = rasterize_parts_backward(arrays, splats, parts, image, flow)
         for value, by_value in zip(projected.differentiable(), gradients, strict=True):
             dr.accum_grad(value, by_value)
         dr.enqueue(dr.ADMode.Backward, projected.differentiable())

@@ -24,6 +24,9 @@ def rasterize_backward(arrays: Arrays, splats: Splats, bins: Bins, image: Any, g
     and S the light that arrives from behind it, which is the final colour less all that was added up to m:
     d colour / d alpha_m = T_m c_m - S / (1 - alpha_m).
 
+    S is exact to some 1e-7 of the final colour. Behind a splat that is a million times brighter than all
+    that lies behind it, gradients are noise of that size.
+
     Args:
         arrays: the backend's array types.
         splats, bins, image: as given to and returned by `rasterize`.
@@ -33,10 +36,30 @@ def rasterize_backward(arrays: Arrays, splats: Splats, bins: Bins, image: Any, g
     Returns:
         Nine (N,) arrays in the order of `Splats.differentiable`.
     """
+    sums = added_sums(arrays, splats, bins, image, gradient, no_sums(arrays, splats))
+    return gradients_from_sums(splats, sums)
+
+
+def no_sums(arrays: Arrays, splats: Splats) -> list[Any]:
+    """What `added_sums` adds to first."""
+    return [dr.zeros(arrays.plain.Float, dr.width(splats.x)) for _ in range(_SUMS)]
+
+
+def added_sums(
+    arrays: Arrays, splats: Splats, bins: Bins, image: Any, gradient: Any, sums: list[Any]
+) -> list[Any]:
+    """Adds what the lists of some tiles contribute to the sums that each splat's gradient is made of.
+
+    Args:
+        arrays, splats, bins, image, gradient: as for `rasterize_backward`.
+        sums: over tiles further up, and to the left in the same row.
+
+    Returns:
+        Nine (N,) arrays.
+    """
     Float, UInt = arrays.plain.Float, arrays.plain.UInt
-    count = dr.width(splats.x)
     if not bins.pairs:
-        return [dr.zeros(Float, count) for _ in range(_SUMS)]
+        return sums
     block = Blocks(arrays, bins)
     records = blended_records(arrays, splats, bins)
     width = bins.grid.padded_width
@@ -63,7 +86,7 @@ def rasterize_backward(arrays: Arrays, splats: Splats, bins: Bins, image: Any, g
         mode="symbolic",
     )
     dr.eval(slots)
-    return _from_sums(splats, _sum_runs(arrays, bins, slots, count))
+    return _sum_runs(arrays, bins, slots, sums)
 
 
 def _block_sums(
@@ -120,28 +143,28 @@ def _add_moments(moments: list[Any], by_power: Any, u: Any, v: Any) -> None:
     moments[5] = dr.fma(along_v, v, moments[5])
 
 
-def _sum_runs(arrays: Arrays, bins: Bins, slots: list[Any], count: int) -> list[Any]:
-    """(N,) sums over each splat's pairs, always in the same order."""
+def _sum_runs(arrays: Arrays, bins: Bins, slots: list[Any], sums: list[Any]) -> list[Any]:
+    """(N,) sums over each splat's pairs, added to earlier ones always in the same order."""
     Float, UInt = arrays.plain.Float, arrays.plain.UInt
 
     def add(i: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
         return i + 1, [s + dr.gather(Float, slot, i) for s, slot in zip(sums, slots, strict=True)]
 
     end = bins.first + bins.count
-    state = (UInt(bins.first), [dr.zeros(Float, dr.width(bins.first)) for _ in slots])
-    _, sums = dr.while_loop(state, lambda i, sums: i < end, add, mode="symbolic")
-    dr.eval(sums)
+    state = (UInt(bins.first), [dr.gather(Float, values, bins.owner) for values in sums])
+    _, added = dr.while_loop(state, lambda i, sums: i < end, add, mode="symbolic")
+    dr.eval(added)
     totals = []
-    for values in sums:
-        total = dr.zeros(Float, count)
+    for values, earlier in zip(added, sums, strict=True):
+        total = Float(earlier)
         dr.scatter(total, values, bins.owner, mode=dr.ReduceMode.Permute)
         totals.append(total)
     dr.eval(totals)
     return totals
 
 
-def _from_sums(splats: Splats, sums: list[Any]) -> list[Any]:
-    """Gradients by the splats' parameters from the sums of `_block_sums`.
+def gradients_from_sums(splats: Splats, sums: list[Any]) -> list[Any]:
+    """Gradients by the splats' parameters from the sums over all tiles, in the order of `_block_sums`.
 
     power = ln opacity - (x_precision t^2 + y_precision dy^2) / 2 with t = dx + shear dy, and u^2 and v^2 are
     those squares times log2(e) / 2.

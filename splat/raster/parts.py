@@ -1,0 +1,108 @@
+"""Rasterizes frames part by part where the pairs of splat and tile would not fit memory.
+
+100,000 splats that each cover 4096 x 4096 pixels are 6.5e9 pairs of splat and tile: more than 32 bits count,
+and hundreds of gigabytes. Such a frame is divided into bands of rows of tiles, and where one row is still too
+much, into pieces of it. Each part is binned, rasterized and forgotten; the gradient bins it again. Image and
+gradients have the same bits as in one pass: a tile's list does not depend on other tiles, and the gradient's
+sums over a splat's tiles go through them row by row in either case.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.arrays import Arrays
+from splat.raster.binning import Bins, Candidates, TileBounds, Window
+from splat.raster.blending import rasterize
+from splat.raster.blocks import CHANNELS
+from splat.raster.gradient import added_sums, gradients_from_sums, no_sums
+from splat.raster.projection import Splats
+from splat.raster.tiles import TileGrid
+
+# Candidate pairs that are listed at once. Binning, blending and gradient take some 110 bytes for each, so
+# this is less than 2 GB; what each part repeats, a look at every splat, is nothing beside so many pairs.
+PAIRS_AT_ONCE = 1 << 24
+
+
+class Parts:
+    """The lists of splats of a frame's tiles: all at once or, if those are too long, part by part.
+
+    Iterating gives the lists of each part, from the top left to the bottom right, as `Bins` for its tiles. A
+    single part is kept; several are made anew each time. A part of a single tile is not divided further: its
+    list is no longer than the splats are many.
+
+    Args:
+        arrays, splats, grid, wanted, bounds, in_order: as for `bin_splats`.
+
+    Attributes:
+        grid: the frame's tiles.
+    """
+
+    def __init__(
+        self,
+        arrays: Arrays,
+        splats: Splats,
+        grid: TileGrid,
+        wanted: NDArray[np.bool_] | None = None,
+        bounds: TileBounds | None = None,
+        in_order: bool = False,
+    ):
+        self.grid = grid
+        self._candidates = Candidates(arrays, splats, grid, wanted, bounds, in_order)
+        runs = self._candidates.runs(self._candidates.whole)
+        self._only = self._candidates.bins(runs) if runs.pairs <= PAIRS_AT_ONCE else None
+
+    def __iter__(self) -> Iterator[Bins]:
+        if self._only is not None:
+            yield self._only
+        else:
+            yield from self._lists(self._candidates.whole)
+
+    def _lists(self, window: Window) -> Iterator[Bins]:
+        """The lists of a window, divided until each part is small enough."""
+        runs = self._candidates.runs(window)
+        middle_x, middle_y = (window.left + window.right) // 2, (window.top + window.bottom) // 2
+        if runs.pairs <= PAIRS_AT_ONCE or (middle_x == window.left and middle_y == window.top):
+            if runs.pairs:
+                yield self._candidates.bins(runs)
+            return
+        # Rows first: only then do the parts follow one another as the tiles do.
+        if middle_y > window.top:
+            upper = Window(window.left, window.top, window.right, middle_y)
+            lower = Window(window.left, middle_y, window.right, window.bottom)
+        else:
+            upper = Window(window.left, window.top, middle_x, window.bottom)
+            lower = Window(middle_x, window.top, window.right, window.bottom)
+        # Not kept while its halves are drawn.
+        del runs
+        yield from self._lists(upper)
+        yield from self._lists(lower)
+
+    @property
+    def is_single(self) -> bool:
+        """Whether all tiles are one part."""
+        return self._only is not None
+
+
+def rasterize_parts(arrays: Arrays, splats: Splats, parts: Parts) -> Any:
+    """Renders linear radiance and opacity, as `rasterize` does."""
+    size = parts.grid.padded_width * parts.grid.padded_height * CHANNELS
+    image = None if parts.is_single else dr.zeros(arrays.plain.Float, size)
+    for bins in parts:
+        image = rasterize(arrays, splats, bins, image)
+    return image
+
+
+def rasterize_parts_backward(
+    arrays: Arrays, splats: Splats, parts: Parts, image: Any, gradient: Any
+) -> list[Any]:
+    """Gradients of a loss with respect to the splats, as `rasterize_backward` gives them."""
+    sums = no_sums(arrays, splats)
+    for bins in parts:
+        sums = added_sums(arrays, splats, bins, image, gradient, sums)
+    return gradients_from_sums(splats, sums)
