@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from compose.base.errors import UserError
-from splat.io.tensors import FORMAT_VERSION, load_tensors, save_tensors
+from splat.io.tensors import FORMAT_VERSION, PLACED_VERSION, load_tensors, save_tensors
 from splat.model.check import check_forest
 from splat.model.forest import Forest
 from splat.model.gaussians import Gaussians
 from splat.model.layer import LABELS, Layer
+from splat.model.place import WORLD, Place
 
 _ATTACHED = "attached."
 
@@ -21,14 +23,17 @@ def save_forest(path: str | Path, forest: Forest) -> None:
         UserError: the file cannot be written.
     """
     nodes = forest.nodes
+    is_placed = forest.place != WORLD
+    place = {"origin": list(forest.place.origin), "unit": forest.place.unit} if is_placed else {}
     metadata = {
-        "format_version": FORMAT_VERSION,
+        "format_version": PLACED_VERSION if place else FORMAT_VERSION,
         "kind": "forest",
         "layers": list(forest.counts),
         "degree": nodes.gaussians.degree,
         "trained_focal": forest.trained_focal,
         "scene_name": forest.scene_name,
         "scene_hash": forest.scene_hash,
+        **place,
     }
     tensors = {name: tensor.detach().cpu() for name, tensor in nodes.gaussians.tensors()}
     tensors |= dict(nodes.labels())
@@ -56,6 +61,7 @@ def load_forest(path: str | Path) -> Forest:
             str(metadata["scene_name"]),
             str(metadata["scene_hash"]),
             {n.removeprefix(_ATTACHED): t for n, t in tensors.items() if n.startswith(_ATTACHED)},
+            _place(metadata),
         )
         check_forest(forest.layers)
     except (KeyError, TypeError, ValueError) as error:
@@ -63,3 +69,11 @@ def load_forest(path: str | Path) -> Forest:
     if not gaussians.is_finite() or not forest.trained_focal > 0:
         raise UserError(f"{path}: the forest holds numbers that are not finite; train it again")
     return forest
+
+
+def _place(metadata: dict[str, Any]) -> Place:
+    """The coordinates of the nodes; those of the world in files that name none."""
+    if "unit" not in metadata:
+        return WORLD
+    x, y, z = (float(value) for value in metadata["origin"])
+    return Place((x, y, z), float(metadata["unit"]))

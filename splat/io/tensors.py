@@ -14,6 +14,8 @@ from compose.base.errors import UserError
 from compose.base.files import write_whole
 
 FORMAT_VERSION = 2
+# That of forests in coordinates of their own, which programs that read version 2 alone would misplace.
+PLACED_VERSION = 3
 
 
 def save_tensors(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[str, Any]) -> None:
@@ -46,6 +48,7 @@ def load_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     except (SafetensorError, OSError, ValueError) as error:
         raise UserError(f"{path}: truncated or corrupt ({error})") from error
     version = metadata.get("format_version")
-    if version is not None and version != FORMAT_VERSION:
-        raise UserError(f"{path}: format version {version}, this program reads {FORMAT_VERSION}")
+    if version is not None and version not in (FORMAT_VERSION, PLACED_VERSION):
+        readable = f"{FORMAT_VERSION} and {PLACED_VERSION}"
+        raise UserError(f"{path}: format version {version}, this program reads {readable}")
     return tensors, metadata
