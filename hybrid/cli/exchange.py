@@ -22,11 +22,12 @@ def export_ply(
     from splat.io.forest_file import load_forest
     from splat.io.ply import save_ply
 
-    layers = load_forest(forest).layers
+    loaded = load_forest(forest)
+    layers = loaded.layers
     number = len(layers) if layer is None else layer
     if not 1 <= number <= len(layers):
         raise UserError(f"--layer {layer}: {forest} has layers 1 to {len(layers)}")
-    gaussians = layers[number - 1].gaussians
+    gaussians = loaded.place.gaussians_in_world(layers[number - 1].gaussians)
     save_ply(output, gaussians)
     print(f"{output}: layer {number}, {len(gaussians):,} Gaussians, degree {gaussians.degree}")
 

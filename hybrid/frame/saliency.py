@@ -48,7 +48,7 @@ class ViewSaliency:
     def __init__(self, renderer: ForestRenderer, forest: Forest):
         self._renderer = renderer
         means = forest.layers[0].gaussians.means.detach().numpy()  # (3, N)
-        self._points = means[:, :: -(-means.shape[1] // _LANDMARKS)].T.astype(np.float64)
+        self._points = forest.place.in_world(means[:, :: -(-means.shape[1] // _LANDMARKS)].T)
         self._kept: _Kept | None = None
 
     def of(self, camera: Camera, nearly: bool = False) -> NDArray[np.float32]:

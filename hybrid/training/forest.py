@@ -61,7 +61,9 @@ def train(
     restore_checkpoint(trainer, checkpoint, frames)
     total = settings.iterations + fusion_steps(frames)
     _run(trainer, lambda: save_checkpoint(trainer, checkpoint, frames), lambda done: progress(done, total))
-    forest = forest_of(trainer.forest(), views[0].camera.fy, frames.scene_name, frames.scene_hash)
+    forest = forest_of(
+        trainer.forest(), views[0].camera.fy, frames.scene_name, frames.scene_hash, trainer.place
+    )
     if not forest.nodes.gaussians.is_finite():
         raise RuntimeError("training ended with numbers that are not finite")
     forest = with_fusion(

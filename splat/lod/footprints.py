@@ -55,7 +55,7 @@ class ForestFootprints:
     """
 
     def __init__(self, arrays: Arrays, forest: Forest):
-        self.arrays = arrays
+        self.arrays, self._place = arrays, forest.place
         self._nodes = _NodeTable(arrays, forest.nodes.gaussians)
         first = np.cumsum([0, *forest.counts])
         self._bounds = [
@@ -82,7 +82,7 @@ class ForestFootprints:
             self._key = camera.key, 2.0 ** np.ceil(np.log2(blur))
         new = [n for n in layers if n not in self._layers]
         for n in new:
-            self._layers[n] = self._visible(camera, n, self._key[1])
+            self._layers[n] = self._visible(self._place.camera(camera), n, self._key[1])
         if new:
             self._concatenate()
         return [self._layers[n] for n in layers]
@@ -106,7 +106,7 @@ class ForestFootprints:
         self._records = concatenated_records(records) if records else None
 
     def _visible(self, camera: Camera, layer: int, blur: float) -> LayerFootprints | None:
-        """The nodes of a layer that reach into the frame under the widest filter."""
+        """The nodes of a layer that reach into the frame of a camera in their own coordinates."""
         bounds, plain = self._bounds[layer - 1], self.arrays.plain
         seen, x, y, spread = view_position(self.arrays, bounds.means, camera)
         reach = _REACH * dr.sqrt(dr.square(bounds.size * spread) + PIXEL_FILTER * blur**2)
@@ -132,7 +132,7 @@ class _LayerBounds:
 
     Attributes:
         first: index of the first one in the forest.
-        means: three rows (N,), world space.
+        means: three rows (N,), in the forest's own coordinates.
         size: (N,) longest axis, as a standard deviation.
     """
 

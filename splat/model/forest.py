@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from splat.model.gaussians import Gaussians
 from splat.model.layer import Layer, concatenated_layers
+from splat.model.place import WORLD, Place
 from splat.model.rows import means_of
 from splat.model.z_curve import z_curve_order
 
@@ -31,6 +32,7 @@ class Forest:
         trained_focal: vertical focal length, in pixels, of the frames that layer L was trained on.
         scene_name, scene_hash: the scene that those frames show.
         attached: further tensors that were fitted to this forest, by name; stored with it, not interpreted.
+        place: the coordinates of the nodes; those of the world by default.
 
     Raises:
         ValueError: there are no layers, or their counts do not sum to the number of nodes.
@@ -42,6 +44,7 @@ class Forest:
     scene_name: str
     scene_hash: str
     attached: dict[str, torch.Tensor] = field(default_factory=dict)
+    place: Place = WORLD
 
     def __post_init__(self) -> None:
         if not self.counts:
@@ -65,15 +68,19 @@ class Forest:
         return self.trained_focal / 2 ** (len(self.counts) - layer)
 
     def digest(self) -> str:
-        """Hash of the Gaussians and the attached tensors."""
-        state = hashlib.sha256(repr((self.counts, self.trained_focal)).encode())
+        """Hash of the Gaussians, their place and the attached tensors."""
+        # Forests in the world's own coordinates keep the hash that they had before there were others.
+        place = (self.place,) if self.place != WORLD else ()
+        state = hashlib.sha256(repr((self.counts, self.trained_focal, *place)).encode())
         for tensor in [tensor for _, tensor in self.nodes.gaussians.tensors()] + list(self.attached.values()):
             state.update(np.ascontiguousarray(tensor.detach().numpy()).tobytes())
         return state.hexdigest()[:16]
 
 
-def forest_of(layers: list[Layer], trained_focal: float, scene_name: str, scene_hash: str) -> Forest:
-    """Builds a forest from its layers, coarsest first.
+def forest_of(
+    layers: list[Layer], trained_focal: float, scene_name: str, scene_hash: str, place: Place = WORLD
+) -> Forest:
+    """Builds a forest from its layers, coarsest first; `place` says in which coordinates they are.
 
     The nodes of each layer are sorted along a space-filling curve: nodes that are drawn together then lie
     together in memory.
@@ -90,4 +97,5 @@ def forest_of(layers: list[Layer], trained_focal: float, scene_name: str, scene_
         position[order] = np.arange(len(layer))
         arranged.append(moved)
     counts = tuple(len(layer) for layer in layers)
-    return Forest(concatenated_layers(arranged), counts, trained_focal, scene_name, scene_hash)
+    nodes = concatenated_layers(arranged)
+    return Forest(nodes, counts, trained_focal, scene_name, scene_hash, place=place)

@@ -32,7 +32,7 @@ class Gaussians:
     All tensors are float32 on one device; any of them may require gradients.
 
     Attributes:
-        means: (3, N) centres in world space.
+        means: (3, N) centres in world space, or in the coordinates of a `Place`.
         log_scales: (3, N) natural logarithms of the standard deviations along the principal axes.
         rotations: (4, N) quaternions (w, x, y, z), not necessarily of unit length.
         opacity_logits: (N,) opacity before the sigmoid.
@@ -72,6 +72,12 @@ class Gaussians:
         """Names and tensors, in the order of declaration."""
         for field in fields(self):
             yield field.name, getattr(self, field.name)
+
+    @staticmethod
+    def none(degree: int) -> Gaussians:
+        """No Gaussians, with spherical harmonics of a degree."""
+        rows = [torch.zeros(shape) for shape in ((3, 0), (3, 0), (4, 0), (0,), (sh_count(degree), 3, 0))]
+        return Gaussians(*rows)
 
     def select(self, keep: torch.Tensor) -> Gaussians:
         """The Gaussians at an index or a mask (N,), copied."""

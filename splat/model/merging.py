@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
+from scipy.special import expit
 
 from splat.model.gaussians import Gaussians
 from splat.model.rows import Floats, quaternions_xyzw, rows_of
 
 _MAXIMUM_OPACITY = 0.99
+# Least ratio of the shortest axis of a merged Gaussian to its longest.
+_FLATTEST = 1e-7
 
 
 def merge(a: Gaussians, b: Gaussians) -> Gaussians:
@@ -25,8 +28,9 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
     Returns:
         N Gaussians.
     """
-    weight_a, weight_b = (_opacity(g) * _surface(np.exp(rows_of(g.log_scales))) for g in (a, b))
-    share = weight_a / (weight_a + weight_b)
+    # Logarithms: weights of tiny or transparent Gaussians would be 0, and their shares 0 / 0.
+    weight_a, weight_b = (_log_opacity(g) + _log_surface(rows_of(g.log_scales)) for g in (a, b))
+    share = expit(weight_a - weight_b)
     mean_a, mean_b = rows_of(a.means), rows_of(b.means)
     mean = share[:, None] * mean_a + (1 - share)[:, None] * mean_b
     covariance = sum(
@@ -35,29 +39,32 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
     )
     variance, axes = np.linalg.eigh(covariance)
     axes[np.linalg.det(axes) < 0, :, 0] *= -1
-    deviation = np.sqrt(np.maximum(variance, 1e-20))
-    opacity = np.minimum((weight_a + weight_b) / _surface(deviation), _MAXIMUM_OPACITY)
+    # Eigenvalues are exact to a share of the largest one only, and rounding can make the others negative.
+    log_scales = 0.5 * np.log(np.maximum(variance, _FLATTEST**2 * variance[:, -1:]))
+    opacity = np.minimum(
+        np.logaddexp(weight_a, weight_b) - _log_surface(log_scales), np.log(_MAXIMUM_OPACITY)
+    )
     quaternion = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]] if len(axes) else np.zeros((0, 4))
     to_torch = lambda values: torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))  # noqa: E731
     part = to_torch(share)
     return Gaussians(
         to_torch(mean.T),
-        to_torch(np.log(deviation).T),
+        to_torch(log_scales.T),
         to_torch(quaternion.T),
-        to_torch(np.log(opacity / (1 - opacity))),
+        to_torch(log_opacity - np.log1p(-np.exp(log_opacity))),
         part * a.sh + (1 - part) * b.sh,
     )
 
 
-def _opacity(gaussians: Gaussians) -> Floats:
-    """(N,) opacity in 0..1."""
-    return 1 / (1 + np.exp(-gaussians.opacity_logits.detach().numpy().astype(np.float64)))
+def _log_opacity(gaussians: Gaussians) -> Floats:
+    """(N,) logarithm of the opacity."""
+    return -np.logaddexp(0, -gaussians.opacity_logits.detach().numpy().astype(np.float64))
 
 
-def _surface(deviation: Floats) -> Floats:
-    """(N,) half the surface of boxes with sides (N, 3)."""
-    a, b, c = deviation.T
-    return a * b + a * c + b * c
+def _log_surface(log_sides: Floats) -> Floats:
+    """(N,) logarithm of half the surface of boxes, from those of their sides (N, 3)."""
+    a, b, c = log_sides.T
+    return np.logaddexp(np.logaddexp(a + b, a + c), b + c)
 
 
 def _covariance(gaussians: Gaussians) -> Floats:

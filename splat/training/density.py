@@ -60,6 +60,8 @@ class DensityControl:
         opacity = torch.sigmoid(gaussians.opacity_logits)
         finite = torch.isfinite(gaussians.means).all(dim=0) & torch.isfinite(gaussians.log_scales).all(dim=0)
         kept = torch.nonzero((opacity >= _MINIMUM_OPACITY) & finite)[:, 0]
+        # Black frames teach all to vanish; a layer without any node could not be drawn or built upon.
+        kept = kept if len(kept) else opacity.argmax()[None]
         # In equal steps towards the final number, no matter how many were pruned.
         rounds = max(1, int((_LAST - _FIRST) * self.iterations / _EVERY))
         step = -(-(self.final_count - self.initial_count) // rounds)
@@ -73,8 +75,9 @@ class DensityControl:
         seen = sorted(self._errors)
         # The small term makes the shares equal, rather than 0 / 0, if there is no error at all.
         weights = np.array([float(self._errors[v].mean()) for v in seen]) + 1e-9
-        shares = rng.multinomial(max(0, count), weights / weights.sum())
-        parts = [
+        shares = rng.multinomial(max(0, count), weights / weights.sum()) if seen else np.zeros(0, int)
+        parts = [Gaussians.none(degree)]
+        parts += [
             seed_at(views[view], _draw(self._errors[view], views[view], int(share), rng), _SIZE, degree)
             for view, share in zip(seen, shares, strict=True)
         ]
@@ -94,7 +97,9 @@ class DensityControl:
 def _draw(error: torch.Tensor, view: TrainingView, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Indices of at most `count` pixels with a surface, drawn without replacement in proportion to error."""
     weights = error.numpy().ravel().astype(np.float64)
-    weights[~np.isfinite(view.distance.ravel())] = 0
+    shown = np.zeros(weights.size, dtype=bool)
+    shown[view.surface_pixels] = True
+    weights[~shown] = 0
     possible = int(np.count_nonzero(weights))
     if not possible:
         return np.zeros(0, dtype=np.int64)

@@ -13,6 +13,8 @@ from splat.training.views import TrainingView
 # A seed is a flat disc on its surface, this much thinner than wide.
 _FLATNESS = 0.2
 _INITIAL_OPACITY = 0.5
+# Standard deviation of a seed, as a share of the distance to its neighbours.
+_COVERING = 0.6
 
 
 def seed_from_views(
@@ -20,20 +22,28 @@ def seed_from_views(
 ) -> Gaussians:
     """Seeds at `count` random pixels of all views, wide enough to cover the surfaces together.
 
-    Pixels where nothing was hit give no seed.
+    Pixels that show no surface give no seed; if one does, there is at least one seed.
     """
     pixels = views[0].camera.width * views[0].camera.height
     # The views overlap, so that about `count` seeds cover what one of them sees.
     spacing = np.sqrt(pixels / count)
     shares = np.full(len(views), count // len(views))
     shares[: count % len(views)] += 1
+    size = spacing * _COVERING
     parts = []
     for view, share in zip(views, shares, strict=True):
-        size = view.distance.size
-        parts.append(
-            seed_at(view, rng.choice(size, min(int(share), size), replace=False), spacing * 0.6, degree)
-        )
-    return concatenated(parts)
+        total = view.distance.size
+        chosen = rng.choice(total, min(int(share), total), replace=False)
+        parts.append(seed_at(view, chosen, size, degree))
+    seeds = concatenated(parts)
+    return seeds if len(seeds) else _first_seed(views, size, degree, rng)
+
+
+def _first_seed(views: list[TrainingView], size: float, degree: int, rng: np.random.Generator) -> Gaussians:
+    """One seed, where hardly any pixel shows a surface and no random one did; none if there is no surface."""
+    view = max(views, key=lambda view: len(view.surface_pixels))
+    surface = view.surface_pixels
+    return seed_at(view, rng.choice(surface, 1) if len(surface) else surface, size, degree)
 
 
 def seed_at(view: TrainingView, pixels: NDArray[np.int64], size: float, degree: int) -> Gaussians:
@@ -41,20 +51,18 @@ def seed_at(view: TrainingView, pixels: NDArray[np.int64], size: float, degree: 
 
     Args:
         view: the frame.
-        pixels: (M,) row-major indices; pixels where nothing was hit give no seed.
+        pixels: (M,) row-major indices; pixels that show no surface give no seed.
         size: standard deviation in pixels of that frame.
         degree: of the spherical harmonics, of which only the constant one is set.
 
     Returns:
         At most M Gaussians.
     """
-    camera = view.camera
-    distance = view.distance.ravel()[pixels]
-    pixels, distance = pixels[np.isfinite(distance)], distance[np.isfinite(distance)]
-    centres = np.stack([pixels % camera.width + 0.5, pixels // camera.width + 0.5], axis=1)
-    rays = camera.rays(centres)
-    means = camera.position + rays * distance[:, None]
-    deviation = np.maximum(size * distance / camera.fy, 1e-7)
+    distance = view.distance.ravel()[pixels].astype(np.float64)
+    shown = np.isfinite(distance) & (distance > 0)
+    pixels, distance = pixels[shown], distance[shown]
+    means = view.points(pixels)
+    deviation = size * distance / view.camera.fy
     scales = np.stack([deviation, deviation, deviation * _FLATNESS])
     radiance = torch.from_numpy(view.radiance.reshape(-1, 3)[pixels].T.copy())
     n = len(pixels)

@@ -31,6 +31,7 @@ class LayerTraining:
     Attributes:
         views: as given.
         done: steps so far.
+        skipped: those of them that changed nothing, because their loss or its gradient was not finite.
         begun: whether the layer has nodes.
     """
 
@@ -39,7 +40,7 @@ class LayerTraining:
     _density: DensityControl
 
     def __init__(self, arrays: Arrays, views: list[TrainingView], steps: int, seed: list[int]):
-        self.views, self.done, self.begun = views, 0, False
+        self.views, self.done, self.skipped, self.begun = views, 0, 0, False
         self._arrays, self._steps, self._seed = arrays, steps, seed
         self._targets = [Target(torch.from_numpy(v.radiance)) for v in views]
         self._pixel = pixel_footprint(views)
@@ -74,8 +75,10 @@ class LayerTraining:
         camera = self.views[index].camera
         image = render_differentiable(self._arrays, self._optimizer.gaussians, camera, PIXEL_FILTER)
         loss, error = self._targets[index].loss(image)
-        self._optimizer.step(loss, self.done / self._steps)
-        self._density.observe(index, error)
+        if self._optimizer.step(loss, self.done / self._steps):
+            self._density.observe(index, error)
+        else:
+            self.skipped += 1
         due = self._density.is_due(self.done)
         self.done += 1
         return self._change_density() if due else None
@@ -102,7 +105,7 @@ class LayerTraining:
             return {}, {"done": 0}
         counts = {"initial": self._density.initial_count, "final": self._density.final_count}
         tensors = dict(self._tree.labels()) | self._optimizer.state() | self._density.state()
-        return tensors, {"done": self.done, **counts}
+        return tensors, {"done": self.done, "skipped": self.skipped, **counts}
 
     def restore(self, tensors: dict[str, torch.Tensor], numbers: dict[str, Any]) -> None:
         """Restores what `state` returned.
@@ -117,4 +120,4 @@ class LayerTraining:
         self._tree, self.begun = Layer(gaussians, *(tensors[name] for name in LABELS)), True
         self._density = DensityControl(self._steps, int(numbers["initial"]), int(numbers["final"]))
         self._density.restore(tensors)
-        self.done = int(numbers["done"])
+        self.done, self.skipped = int(numbers["done"]), int(numbers["skipped"])

@@ -51,8 +51,13 @@ class Target:
     def __init__(self, radiance: torch.Tensor):
         self.seen = logarithmic_from_radiance(radiance)
         planes = self.seen.permute(2, 0, 1)
-        self.mean, square = _blur(torch.cat([planes, planes * planes])).split(3)
+        # Variances do not depend on where zero is. With zero amid the frame's own values, little cancels in
+        # them; where all is very bright, rounding would otherwise exceed the similarity's constants.
+        self._zero = planes.mean(dim=(1, 2), keepdim=True)
+        self._planes = planes - self._zero
+        self.mean, square = _blur(torch.cat([self._planes, self._planes * self._planes])).split(3)
         self.variance = square - self.mean**2
+        self._level = self.mean + self._zero
 
     def loss(self, rendered: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """(1 - w) L1 + w (1 - SSIM), on a scale for lamps beside shadows (Fov-GS Eq. 4).
@@ -70,9 +75,10 @@ class Target:
 
     def ssim(self, seen: torch.Tensor) -> torch.Tensor:
         """Mean structural similarity with an image (H, W, 3) on the loss's scale (Wang et al. 2004)."""
-        a, b = seen.permute(2, 0, 1), self.seen.permute(2, 0, 1)
+        a, b = seen.permute(2, 0, 1) - self._zero, self._planes
         mean, square, product = _blur(torch.cat([a, a * a, a * b])).split(3)
-        mean_product = mean * self.mean
-        numerator = (2 * mean_product + _C1) * (2 * (product - mean_product) + _C2)
-        variance = square - mean**2
-        return (numerator / ((mean**2 + self.mean**2 + _C1) * (variance + self.variance + _C2))).mean()
+        covariance, variance = product - mean * self.mean, square - mean**2
+        level = mean + self._zero
+        numerator = (2 * level * self._level + _C1) * (2 * covariance + _C2)
+        denominator = (level**2 + self._level**2 + _C1) * (variance + self.variance + _C2)
+        return (numerator / denominator).mean()

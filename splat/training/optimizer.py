@@ -28,7 +28,7 @@ class GaussianOptimizer:
 
     Args:
         gaussians: where to start; copied.
-        pixel: unit of the positions' learning rate, in world space.
+        pixel: unit of the positions' learning rate.
     """
 
     def __init__(self, gaussians: Gaussians, pixel: float):
@@ -47,20 +47,35 @@ class GaussianOptimizer:
         """The Gaussians as they are now; gradients flow to the optimized tensors."""
         return _gaussians(self._leaves)
 
-    def step(self, loss: torch.Tensor, progress: float) -> None:
-        """Takes one step down the gradient of a loss.
+    def step(self, loss: torch.Tensor, progress: float) -> bool:
+        """Takes one step down the gradient of a loss, unless that is not finite.
 
         Args:
             loss: computed from `gaussians`.
             progress: share of the training that is done, 0..1, which sets the learning rates.
+
+        Returns:
+            Whether it did: otherwise, parameters and moments are as before.
         """
+        if not bool(torch.isfinite(loss)):
+            return False
         for group in self._adam.param_groups:
             start, end = _RATES[group["name"]]
             unit = self._pixel if group["name"] == "means" else 1.0
             group["lr"] = unit * math.exp((1 - progress) * math.log(start) + progress * math.log(end))
         self._adam.zero_grad()
         loss.backward()
+        if not self._is_finite():
+            return False
         self._adam.step()
+        return True
+
+    def _is_finite(self) -> bool:
+        """Whether all gradients are finite, and their squares, of which the moments are made."""
+        found = [leaf.grad for leaf in self._leaves.values() if leaf.grad is not None and leaf.numel()]
+        # A maximum is NaN if any of its numbers is.
+        largest = [torch.linalg.vector_norm(gradient, torch.inf) for gradient in found]
+        return not largest or bool(torch.isfinite(torch.stack(largest).square()).all())
 
     def replace(self, gaussians: Gaussians, kept: torch.Tensor) -> None:
         """Continues with other Gaussians.

@@ -21,7 +21,7 @@ from splat.training.density import INITIAL_SHARE
 from splat.training.initialization import seed_from_views
 from splat.training.layer import LayerTraining
 from splat.training.loss import SMALLEST_SIDE
-from splat.training.views import TrainingView, pixel_footprint, reduced
+from splat.training.views import TrainingView, pixel_footprint, place_of, placed, reduced
 
 # Share of the steps before the forest is built.
 _ALONE = 0.4
@@ -72,16 +72,27 @@ class Trainer:
 
     Args:
         arrays: the backend's array types.
-        views: frames to train on, all of one size.
+        views: frames to train on, all of one size, in world space; those with numbers that are not finite are
+            left out.
         settings: of the training.
 
     Attributes:
         settings: as given.
+        place: the coordinates in which the Gaussians are trained.
+        dropped: number of frames that were left out.
         iteration: steps so far.
+
+    Raises:
+        ValueError: no frame is finite, none shows a surface, or they are too small for the layers.
     """
 
     def __init__(self, arrays: Arrays, views: list[TrainingView], settings: TrainingSettings):
         self.settings = settings
+        finite = [view for view in views if view.is_finite]
+        self.dropped = len(views) - len(finite)
+        _require_enough(views, finite, settings)
+        self.place = place_of(finite)
+        views = [placed(view, self.place) for view in finite]
         self._pixel = pixel_footprint(views)
         self._schedule = training_schedule(settings)
         self._layers = [
@@ -111,8 +122,13 @@ class Trainer:
             self.iteration += 1
             progress(self.iteration)
 
+    @property
+    def skipped(self) -> int:
+        """Steps so far that changed nothing, because their loss or its gradient was not finite."""
+        return sum(training.skipped for training in self._layers)
+
     def forest(self) -> list[Layer]:
-        """The layers as they are now, coarsest first, in complete trees."""
+        """The layers as they are now, coarsest first, in complete trees; in the coordinates of `place`."""
         if not self._layers[0].begun:
             return build_forest(self._layers[-1].layer, self._pixel, self.settings.layers)
         layers = [training.layer for training in self._layers]
@@ -151,7 +167,8 @@ class Trainer:
             own, counts = training.state()
             tensors |= {f"{index}.{name}": tensor for name, tensor in own.items()}
             numbers.append(counts)
-        return tensors, {"iteration": self.iteration, "settings": asdict(self.settings), "layers": numbers}
+        run = {"settings": asdict(self.settings), "origin": list(self.place.origin), "unit": self.place.unit}
+        return tensors, {"iteration": self.iteration, **run, "layers": numbers}
 
     def restore(self, tensors: dict[str, torch.Tensor], numbers: dict[str, Any]) -> None:
         """Restores what `state` returned.
@@ -162,11 +179,24 @@ class Trainer:
         """
         if numbers["settings"] != asdict(self.settings):
             raise ValueError("the checkpoint belongs to a training with other settings")
+        if (numbers.get("origin"), numbers.get("unit")) != (list(self.place.origin), self.place.unit):
+            raise ValueError("the checkpoint holds Gaussians in other coordinates")
         for index, (training, counts) in enumerate(zip(self._layers, numbers["layers"], strict=True)):
             prefix = f"{index}."
             own = {n.removeprefix(prefix): t for n, t in tensors.items() if n.startswith(prefix)}
             training.restore(own, counts)
         self.iteration = int(numbers["iteration"])
+
+
+def _require_enough(
+    views: list[TrainingView], finite: list[TrainingView], settings: TrainingSettings
+) -> None:
+    """Checks that there are frames to learn from, and that they are large enough for all layers."""
+    if not finite:
+        raise ValueError(f"none of {len(views)} frames holds only finite numbers")
+    width, height = finite[0].camera.width, finite[0].camera.height
+    if most_layers(width, height) < settings.layers:
+        raise ValueError(f"frames of {width} x {height} pixels are too small for {settings.layers} layers")
 
 
 def training_schedule(settings: TrainingSettings) -> np.ndarray:

@@ -8,6 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
+from splat.model.place import Place
+
+# Pixels of a view, about, from which its place is found.
+_SAMPLED = 4096
 
 
 @dataclass(frozen=True)
@@ -27,10 +31,54 @@ class TrainingView:
     distance: NDArray[np.float32]
     normal: NDArray[np.float32]
 
+    @property
+    def is_finite(self) -> bool:
+        """Whether it can be learnt from: finite radiance and normals, distances that are numbers or inf."""
+        finite = np.isfinite(self.radiance).all() and np.isfinite(self.normal).all()
+        return bool(finite and (self.distance >= 0).all())
+
+    @property
+    def surface_pixels(self) -> NDArray[np.int64]:
+        """Row-major indices of the pixels that show a surface."""
+        distance = self.distance.ravel()
+        # A camera on a surface has no way to it along which anything could be placed.
+        return np.flatnonzero(np.isfinite(distance) & (distance > 0))
+
+    def points(self, pixels: NDArray[np.int64]) -> NDArray[np.float64]:
+        """World positions (M, 3) of what pixels show, given by row-major indices (M,)."""
+        centres = np.stack([pixels % self.camera.width + 0.5, pixels // self.camera.width + 0.5], axis=1)
+        distance = self.distance.ravel()[pixels].astype(np.float64)
+        return self.camera.position + self.camera.rays(centres) * distance[:, None]
+
+
+def place_of(views: list[TrainingView]) -> Place:
+    """The coordinates for Gaussians that are trained on views: amid what these see.
+
+    Raises:
+        ValueError: no view shows a surface.
+    """
+    points, distances = [], []
+    for view in views:
+        seen = view.surface_pixels
+        # An even part of the pixels does for a median.
+        seen = seen[:: max(1, len(seen) // _SAMPLED)]
+        points.append(view.points(seen))
+        distances.append(view.distance.ravel()[seen])
+    distance = np.concatenate(distances)
+    if not len(distance):
+        raise ValueError("no frame shows a surface at a finite distance")
+    return Place.around(np.concatenate(points), float(np.median(distance)))
+
+
+def placed(view: TrainingView, place: Place) -> TrainingView:
+    """The view in the coordinates of a place."""
+    distance = (view.distance.astype(np.float64) / place.unit).astype(np.float32)
+    return replace(view, camera=place.camera(view.camera), distance=distance)
+
 
 def pixel_footprint(views: list[TrainingView]) -> float:
-    """Size of a pixel in world space at the median distance of what the views see."""
-    distances = [v.distance[np.isfinite(v.distance)] for v in views]
+    """Size of a pixel at the median distance of what the views see."""
+    distances = [v.distance.ravel()[v.surface_pixels] for v in views]
     seen = np.concatenate([d for d in distances if len(d)] or [np.ones(1, np.float32)])
     return float(np.median(seen)) / views[0].camera.fy
 

@@ -61,7 +61,7 @@ def test_it_learns_a_view_it_never_saw(arrays, trained):
 
     def error(trainer: Trainer) -> float:
         image = perceptual_from_radiance(
-            render_differentiable(arrays, trainer.forest()[-1].gaussians, unseen.camera)
+            render_differentiable(arrays, trainer.forest()[-1].gaussians, trainer.place.camera(unseen.camera))
         )
         target = perceptual_from_radiance(torch.from_numpy(unseen.radiance))
         return float(((image.clamp(0, 1) - target.clamp(0, 1)) ** 2).mean())
@@ -71,7 +71,9 @@ def test_it_learns_a_view_it_never_saw(arrays, trained):
 
 
 def test_a_lamp_stays_a_lamp(arrays, trained):
-    image = render_differentiable(arrays, trained.forest()[-1].gaussians, WALLS[1].camera)
+    image = render_differentiable(
+        arrays, trained.forest()[-1].gaussians, trained.place.camera(WALLS[1].camera)
+    )
     lamp = torch.from_numpy(WALLS[1].radiance)[..., 0] > 1
     assert image[lamp].median() == pytest.approx(50, rel=0.15)
 
@@ -115,7 +117,9 @@ def test_children_follow_their_parents_through_a_change_of_density(arrays, often
 def test_the_coarse_layer_looks_right_at_its_own_resolution(arrays, trained):
     small = reduced(wall(0.2), 2)
     coarse = trained.forest()[0].gaussians
-    image = perceptual_from_radiance(render_differentiable(arrays, coarse, small.camera)).clamp(0, 1)
+    image = perceptual_from_radiance(
+        render_differentiable(arrays, coarse, trained.place.camera(small.camera))
+    ).clamp(0, 1)
     target = perceptual_from_radiance(torch.from_numpy(small.radiance)).clamp(0, 1)
     # Seen: 0.0058; an image of its mean colour has 0.068.
     assert float(((image - target) ** 2).mean()) < 0.15 * float(target.var())
@@ -175,7 +179,7 @@ def test_a_closed_sphere_has_radiance_one_after_training(arrays):
     views = [closed_sphere(x) for x in (-0.3, 0.3)]
     trainer = Trainer(arrays, views, TrainingSettings(iterations=100, gaussians=1000, layers=1, degree=0))
     trainer.run()
-    between = closed_sphere(0.0).camera
+    between = trainer.place.camera(closed_sphere(0.0).camera)
     image = render_differentiable(arrays, trainer.forest()[-1].gaussians, between).numpy()
     assert image.mean() == pytest.approx(1, abs=0.02)
     assert np.abs(image - 1).mean() < 0.03
