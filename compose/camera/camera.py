@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+# By how much axes may differ from unit length: files of other programs hold float32 or five digits.
+RIGID_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +27,8 @@ class Camera:
         cx, cy: principal point in pixels, (width / 2, height / 2) for a centred camera.
 
     Raises:
-        ValueError: a size or a focal length is not positive, or a number is not finite.
+        ValueError: a size or a focal length is not positive, a number is not finite, or the transform is not
+            rigid to a ten-thousandth: it scales, shears or mirrors, or its last row is not 0 0 0 1.
     """
 
     world_to_camera: Array
@@ -42,6 +45,7 @@ class Camera:
         numbers = [self.fx, self.fy, self.cx, self.cy, *np.ravel(self.world_to_camera)]
         if not np.all(np.isfinite(numbers)) or min(self.fx, self.fy) <= 0:
             raise ValueError("camera has a number that is not finite, or a focal length that is not positive")
+        check_rigid(self.world_to_camera)
 
     def __eq__(self, other: object) -> bool:
         return self is other or (isinstance(other, Camera) and self.key == other.key)
@@ -114,10 +118,42 @@ class Camera:
         return np.stack([x.ravel(), y.ravel()], axis=1)
 
 
+def check_rigid(transform: Array) -> None:
+    """Checks that a transform, (4, 4) or (3, 4), is a rotation and a translation.
+
+    Raises:
+        ValueError: it is not; says how.
+    """
+    shape = np.shape(transform)
+    if shape not in ((4, 4), (3, 4)):
+        raise ValueError(f"pose has shape {shape}; must be (4, 4)")
+    if not np.all(np.isfinite(transform)):
+        raise ValueError("pose has a number that is not finite")
+    axes = transform[:3, :3]
+    lengths = np.linalg.norm(axes, axis=0)
+    # In the order of how large an error is: a scaled matrix is not orthogonal either.
+    if np.abs(lengths - 1).max() > RIGID_TOLERANCE:
+        found = ", ".join(f"{length:.6g}" for length in lengths)
+        raise ValueError(f"pose is not rigid: its axes have the lengths {found}; must be 1, without scale")
+    off = np.abs(axes.T @ axes - np.eye(3)).max()
+    if off > 2 * RIGID_TOLERANCE:
+        raise ValueError(f"pose is not rigid: its axes have scalar products up to {off:.2g}; must be 0")
+    if np.linalg.det(axes) < 0:
+        raise ValueError("pose is not rigid: it mirrors (determinant -1); must be a rotation")
+    if shape == (4, 4) and np.abs(transform[3] - (0, 0, 0, 1)).max() > RIGID_TOLERANCE:
+        raise ValueError(f"pose has the last row {transform[3].tolist()}; must be 0 0 0 1")
+
+
 def camera_from_pose(
     camera_to_world: Array, width: int, height: int, fx: float, fy: float, cx: float, cy: float
 ) -> Camera:
-    """A camera from its pose: (4, 4) camera-to-world, OpenCV axes."""
+    """A camera from its pose: (4, 4) camera-to-world, OpenCV axes.
+
+    Raises:
+        ValueError: as of `Camera`.
+    """
+    # Before it is inverted, which would turn a reflection or a scale into another matrix.
+    check_rigid(camera_to_world)
     return Camera(_rigid_inverse(camera_to_world), width, height, float(fx), float(fy), float(cx), float(cy))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,6 +28,7 @@ def train(
     select(backend)
     from hybrid.output.images import check_writable
     from hybrid.store.cache import store_forest
+    from hybrid.training.forest import LeftOut, say_left_out
     from hybrid.training.forest import train as run
     from hybrid.training.fusion import fusion_verdicts
     from hybrid.training.held_out import held_out_quality
@@ -38,12 +40,15 @@ def train(
     found = read_frame_set(frames)
     check_writable(forest)
     start = time.perf_counter()
+    left_out: list[LeftOut] = []
     with progress_bar("train (steps)") as bar:
-        trained = run(found, forest, settings, bar)
+        trained = run(found, forest, settings, bar, left_out.append)
     seconds = time.perf_counter() - start
+    say_left_out(left_out[0])
     store_forest(trained, forest.stem)
     rows, verdicts = held_out_quality(found, trained), fusion_verdicts(trained)
     facts = {"scene": found.scene_name, "layers": rows, "trees": trained.counts[0], "fusion": verdicts}
+    facts["left_out"] = asdict(left_out[0])
     write_json(json_file, {**facts, "iterations": iterations, "seconds": seconds})
     print(f"{sum(trained.counts):,} nodes in {trained.counts[0]:,} trees in {seconds:.0f} s")
     for row in rows:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from compose.base.errors import UserError
 from hybrid.runtime.device import device_arrays
 from hybrid.runtime.interrupts import interrupts_between_steps
-from hybrid.runtime.progress import no_progress
+from hybrid.runtime.progress import console, no_progress
 from hybrid.training.checkpoint import checkpoint_path, restore_checkpoint, save_checkpoint
 from hybrid.training.fusion import fusion_steps, with_fusion
 from pathtrace.dataset.exr import read_frame
@@ -22,6 +23,29 @@ from splat.training.trainer import Trainer, TrainingSettings, most_layers
 from splat.training.views import TrainingView
 
 _CHECKPOINT_SECONDS = 30.0
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """What a training did not learn from, because it was not finite.
+
+    Attributes:
+        frames: number of training frames with NaN or infinite numbers.
+        steps: number of optimizer steps whose loss or gradient was not finite.
+    """
+
+    frames: int
+    steps: int
+
+
+def say_left_out(left_out: LeftOut) -> None:
+    """Says in one line what a training did not learn from; nothing if it learnt from all."""
+    if left_out.frames or left_out.steps:
+        console.print(
+            f"Left out of the training: {left_out.frames} frames with numbers that are not finite, and "
+            f"{left_out.steps} steps whose gradient was not.",
+            soft_wrap=True,
+        )
 
 
 def training_view(entry: FrameEntry) -> TrainingView:
@@ -40,6 +64,7 @@ def train(
     path: Path,
     settings: TrainingSettings | None = None,
     progress: Callable[[int, int], None] = no_progress,
+    report: Callable[[LeftOut], None] = say_left_out,
 ) -> Forest:
     """Trains a forest, fits the fusion to it, and writes both to one file; resumes if interrupted.
 
@@ -48,15 +73,19 @@ def train(
         path: forest file to write; a checkpoint is kept beside it until training is complete.
         settings: how to train; the defaults of TrainingSettings if None.
         progress: called with steps done and steps in total.
+        report: called in the end with what was not finite and therefore left out.
 
     Raises:
-        UserError: there are no frames to train on, a frame is damaged, frames are too small for the layers,
-            or the file cannot be written.
+        UserError: there are no frames to train on, a frame is damaged, no frame is finite, none shows a
+            surface, frames are too small for the layers, or the file cannot be written.
     """
     settings = settings or TrainingSettings()
     _require_enough(frames, settings)
     views = [training_view(entry) for entry in frames.training]
-    trainer = Trainer(device_arrays(), views, settings)
+    try:
+        trainer = Trainer(device_arrays(), views, settings)
+    except ValueError as error:
+        raise UserError(f"{frames.folder}: {error}; capture the frames again") from error
     checkpoint = checkpoint_path(path)
     restore_checkpoint(trainer, checkpoint, frames)
     total = settings.iterations + fusion_steps(frames)
@@ -70,6 +99,7 @@ def train(
         frames, forest, settings.seed, lambda done, _: progress(settings.iterations + done, total)
     )
     save_forest(path, forest)
+    report(LeftOut(trainer.dropped, trainer.skipped))
     checkpoint.unlink(missing_ok=True)
     return forest
 

@@ -18,13 +18,15 @@ from splat.training.views import reduced
 def held_out_quality(frames: FrameSet, forest: Forest) -> list[dict[str, Any]]:
     """Mean PSNR and SSIM of each layer alone over the held-out views, coarsest first.
 
-    Layer l is compared with frames that are reduced to its resolution.
+    Layer l is compared with frames that are reduced to its resolution. Frames with numbers that are not
+    finite are left out.
 
     Returns:
         Per layer: layer (1 to L), nodes and, if there are held-out views, psnr in dB and ssim.
     """
     renderer = ForestRenderer(device_arrays(), forest)
-    views = [training_view(entry) for entry in frames.held_out]
+    # A frame that is not finite tells nothing: its PSNR would be NaN, and the mean as well.
+    views = [view for view in (training_view(entry) for entry in frames.held_out) if view.is_finite]
     rows: list[dict[str, Any]] = []
     for number, count in enumerate(forest.counts, start=1):
         factor = 2 ** (len(forest.counts) - number)

@@ -16,7 +16,7 @@ def camera_of_sensor(sensor: Any, source: str) -> Camera:
     """The camera of a perspective sensor, at the size of its film; `source` stands in error messages.
 
     Raises:
-        UserError: the sensor is not a perspective one.
+        UserError: the sensor is not a perspective one, or its to_world mirrors or shears.
     """
     parameters = mi.traverse(sensor)
     if "x_fov" not in parameters:
@@ -25,12 +25,8 @@ def camera_of_sensor(sensor: Any, source: str) -> Camera:
     focal = 0.5 * width / np.tan(np.radians(float(parameters["x_fov"][0])) / 2)
     offset = [float(parameters[f"principal_point_offset_{axis}"][0]) for axis in "xy"]
     to_world = np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4)
-    return camera_from_pose(
-        opencv_from_mitsuba(to_world),
-        width,
-        height,
-        focal,
-        focal,
-        width * (0.5 - offset[0]),
-        height * (0.5 - offset[1]),
-    )
+    centre = width * (0.5 - offset[0]), height * (0.5 - offset[1])
+    try:
+        return camera_from_pose(opencv_from_mitsuba(to_world), width, height, focal, focal, *centre)
+    except ValueError as error:
+        raise UserError(f"{source}: the camera's to_world: {error}") from error

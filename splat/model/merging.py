@@ -41,7 +41,7 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
     axes[np.linalg.det(axes) < 0, :, 0] *= -1
     # Eigenvalues are exact to a share of the largest one only, and rounding can make the others negative.
     log_scales = 0.5 * np.log(np.maximum(variance, _FLATTEST**2 * variance[:, -1:]))
-    opacity = np.minimum(
+    log_opacity = np.minimum(
         np.logaddexp(weight_a, weight_b) - _log_surface(log_scales), np.log(_MAXIMUM_OPACITY)
     )
     quaternion = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]] if len(axes) else np.zeros((0, 4))
