@@ -10,8 +10,9 @@ import mitsuba as mi
 
 from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
 
-# Distance of the sky.
-SKY_DISTANCE = 1e5
+# Distance of the sky: beyond any scene, for its square is about the largest number that float32 holds. Seen
+# from anywhere in the scene, it lies in the same direction.
+SKY_DISTANCE = 1e18
 # Random number that selects a BSDF's lobe: next to 1, a dielectric's transmission; a mirror has only one.
 _LOBE_SAMPLE = 0.999
 # Specular bounces that `first_hits` follows by default ...
