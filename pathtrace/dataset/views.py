@@ -19,6 +19,9 @@ _CLEARANCE = 0.02  # smallest distance of a view from any surface
 _NEAR = 0.15  # surfaces nearer than this are too near to look at
 _NEAR_SHARE = 0.1  # largest share of the frame that may show such surfaces
 _YAW, _PITCH = 20.0, 10.0  # largest turns, degrees to either side
+# In a narrower field of view, given by the tangent of its half, reach and turns shrink with it: views that
+# did not overlap would show nothing twice.
+_NARROW = 0.3
 _TRIES_PER_VIEW = 200
 # Unlikely to be the seed of a training.
 _UNSEEN_SEED = 7919
@@ -78,12 +81,14 @@ class _Neighbourhood:
         surfaces: the scene's surfaces.
         home: the scene's own camera at the size of the frames.
         scale: median distance to what it sees.
+        share: of the reach and the turns that views have in a field of view of ordinary width, at most 1.
     """
 
     name: str
     surfaces: Surfaces
     home: Camera
     scale: float
+    share: float
 
     @staticmethod
     def of(scene: Scene, surfaces: Surfaces, width: int, height: int) -> _Neighbourhood:
@@ -92,11 +97,12 @@ class _Neighbourhood:
         scale = surfaces.median_distance(home)
         if not np.isfinite(scale):
             raise UserError(f"{scene.name}: the scene's own camera sees no surface")
-        return _Neighbourhood(scene.name, surfaces, home, scale)
+        tangent = min(width / home.fx, height / home.fy) / 2
+        return _Neighbourhood(scene.name, surfaces, home, scale, min(1.0, tangent / _NARROW))
 
     def border(self) -> list[Camera]:
         """The scene's own camera, turned to the border of what other views see."""
-        views = [_moved(self.home, np.zeros(3), yaw, pitch) for yaw, pitch in _BORDER]
+        views = [_moved(self.home, np.zeros(3), x * self.share, y * self.share) for x, y in _BORDER]
         return [view for view in views if self._is_usable(view)]
 
     def spread(self, count: int, seed: int) -> list[Camera]:
@@ -110,7 +116,8 @@ class _Neighbourhood:
             if len(found) == count:
                 break
             u = sequence.random(1)[0]
-            candidate = _moved(self.home, _in_ball(u[:3]) * _REACH * self.scale, *(2 * u[3:] - 1))
+            offset = _in_ball(u[:3]) * _REACH * self.share * self.scale
+            candidate = _moved(self.home, offset, *((2 * u[3:] - 1) * self.share))
             if self._is_usable(candidate):
                 found.append(candidate)
         if len(found) < count:
