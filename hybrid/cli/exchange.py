@@ -21,13 +21,14 @@ def export_ply(
     """Write one layer of a forest as a PLY file that other viewers of 3D Gaussian splatting open."""
     from splat.io.forest_file import load_forest
     from splat.io.ply import save_ply
+    from splat.model.placing import in_world
 
     loaded = load_forest(forest)
     layers = loaded.layers
     number = len(layers) if layer is None else layer
     if not 1 <= number <= len(layers):
         raise UserError(f"--layer {layer}: {forest} has layers 1 to {len(layers)}")
-    gaussians = loaded.place.gaussians_in_world(layers[number - 1].gaussians)
+    gaussians = in_world(layers[number - 1].gaussians, loaded.place)
     save_ply(output, gaussians)
     print(f"{output}: layer {number}, {len(gaussians):,} Gaussians, degree {gaussians.degree}")
 
@@ -41,7 +42,10 @@ def import_ply(
     from splat.io.ply import UNBOUND_FOCAL, load_ply
     from splat.model.forest import forest_of
     from splat.model.layer import static_layer
+    from splat.model.placing import from_world, place_of_gaussians
 
     gaussians = load_ply(source)
-    save_forest(forest, forest_of([static_layer(gaussians)], UNBOUND_FOCAL, source.stem, ""))
+    place = place_of_gaussians(gaussians)
+    layer = static_layer(from_world(gaussians, place))
+    save_forest(forest, forest_of([layer], UNBOUND_FOCAL, source.stem, "", place))
     print(f"{forest}: {len(gaussians):,} Gaussians, degree {gaussians.degree}")

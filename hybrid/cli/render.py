@@ -180,7 +180,7 @@ def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None, is_vide
     camera = scene.camera
     if file is not None:
         try:
-            camera = camera_from_json(json.loads(file.read_text()))
+            camera = scene.place.camera(camera_from_json(json.loads(file.read_text())))
         except OSError as error:
             raise UserError(f"--camera {file}: cannot be read ({error.strerror})") from error
         except (ValueError, KeyError, TypeError) as error:

@@ -15,6 +15,7 @@ import numpy as np
 from compose.base.errors import UserError
 from compose.base.files import write_whole
 from compose.camera.camera import Camera
+from compose.camera.place import WORLD
 from compose.camera.serialization import camera_to_json
 from pathtrace.dataset.frames import FORMAT_VERSION
 from pathtrace.dataset.settings import CaptureSettings
@@ -64,13 +65,18 @@ def describe_capture(
         "camera_model": "OPENCV",
         **_intrinsics(cameras[0]),
         "format_version": FORMAT_VERSION,
-        "scene": {"name": scene.name, "hash": scene.hash, "max_depth": scene.max_depth},
+        "scene": {"name": scene.name, "hash": scene.hash, "max_depth": scene.max_depth, **_place(scene)},
         "settings": asdict(settings),
         "integrator": integrator.value,
         "frames": frames,
         # Not among the frames, all of which other programs would train on.
         "close_ups": close_ups,
     }
+
+
+def _place(scene: Scene) -> dict[str, Any]:
+    """The coordinates of all cameras and distances, if these are not the world's."""
+    return {} if scene.place == WORLD else asdict(scene.place)
 
 
 def write_description(folder: Path, document: dict[str, Any]) -> None:

@@ -3,12 +3,71 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 
 from compose.base.errors import UserError
+from compose.camera.place import Place
+from pathtrace.scene.relocation import ImmovableError, camera_position, coarsest_step, relocate
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a scene is loaded from.
+
+    Attributes:
+        name: in error messages.
+        content: XML text, or a scene dictionary.
+        folder: that files in the XML are relative to.
+    """
+
+    name: str
+    content: str | dict[str, Any]
+    folder: Path | None = None
+
+
+def load_mitsuba_in_place(source: Source, unit: float) -> tuple[Any, Place, float]:
+    """A Mitsuba scene in coordinates of its own, whose origin is the first camera.
+
+    Args:
+        source: of the scene.
+        unit: of length, in world space.
+
+    Returns:
+        The scene, its place, and the step of float32 at vertices that a mesh file holds far from the origin.
+
+    Raises:
+        UserError: Mitsuba refuses the scene, or it has a part that cannot be moved or scaled.
+    """
+    configuration = mi.parser.ParserConfig(mi.variant())
+    found: list[tuple[Place, float]] = []
+
+    def load() -> Any:
+        if isinstance(source.content, dict):
+            state = mi.parser.parse_dict(configuration, source.content)
+        else:
+            state = mi.parser.parse_string(configuration, source.content)
+        x, y, z = camera_position(state).tolist()
+        found.append((Place((x, y, z), unit), coarsest_step(state)))
+        relocate(state, found[0][0])
+        mi.parser.transform_all(configuration, state)
+        loaded = mi.parser.instantiate(configuration, state)
+        return loaded[0] if isinstance(loaded, list) and len(loaded) == 1 else loaded
+
+    try:
+        scene = _checked(source.name, load if source.folder is None else lambda: _in(source.folder, load))
+    except UserError as error:
+        if isinstance(error.__cause__, ImmovableError):
+            raise UserError(
+                f"{source.name}: too small or too far from the origin for Mitsuba's float32, and "
+                f"{error.__cause__} in it cannot be moved or scaled; place the scene near the origin, in a "
+                "unit of length in which it is 1 to 1000 large"
+            ) from error
+        raise
+    return scene, *found[0]
 
 
 def load_mitsuba_dictionary(name: str, description: dict[str, Any]) -> Any:
@@ -28,7 +87,7 @@ def load_mitsuba_xml(path: Path, text: str) -> Any:
     Raises:
         UserError: Mitsuba refuses it, or it is not a scene.
     """
-    return _checked(str(path), lambda: _load_text(text, path.parent))
+    return _checked(str(path), lambda: _in(path.parent, lambda: mi.load_string(text)))
 
 
 def _checked(source: str, load: Callable[[], Any]) -> Any:
@@ -43,11 +102,12 @@ def _checked(source: str, load: Callable[[], Any]) -> Any:
     return loaded
 
 
-def _load_text(text: str, folder: Path) -> Any:
+def _in(folder: Path | None, load: Callable[[], Any]) -> Any:
+    """Loads a scene whose files are relative to a folder."""
     resolver = mi.file_resolver()
     resolver.prepend(str(folder))
     try:
-        return mi.load_string(text)
+        return load()
     finally:
         # The resolver is shared by the process; a folder left in it would shadow the next scene's files.
         remaining = [resolver[i] for i in range(len(resolver))][1:]

@@ -8,10 +8,12 @@ from typing import Any
 
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
+from compose.camera.place import WORLD, Place
 from pathtrace.scene.bundled import scene_file
+from pathtrace.scene.coordinates import in_good_coordinates
 from pathtrace.scene.description import DEFAULT_MAX_DEPTH, read_description
 from pathtrace.scene.fingerprint import dictionary_fingerprint, fingerprint_at_depth
-from pathtrace.scene.loading import load_mitsuba_dictionary, load_mitsuba_xml
+from pathtrace.scene.loading import Source, load_mitsuba_dictionary, load_mitsuba_xml
 from pathtrace.scene.ordering import with_ordered_shapes
 from pathtrace.scene.sensor import camera_of_sensor
 
@@ -20,13 +22,17 @@ from pathtrace.scene.sensor import camera_of_sensor
 class Scene:
     """A loaded scene.
 
+    A scene that is very small, or far from the origin, is held in coordinates of its own
+    (pathtrace.scene.coordinates); those of all others are the world's, that of the scene's file.
+
     Attributes:
         name: its name in files and reports.
         hash: SHA-256 of the scene's description, of every file that it names, and of the path depth if that
             is not the scene's own, since images at another depth show other light.
-        mitsuba: the Mitsuba scene.
-        camera: the scene's own camera at its own film size.
+        mitsuba: the Mitsuba scene, in the scene's coordinates.
+        camera: the scene's own camera at its own film size, in the scene's coordinates.
         max_depth: path depth: the one requested, else the scene's own, else 8.
+        place: the scene's coordinates; `place.camera` converts cameras of the world to them.
     """
 
     name: str
@@ -34,6 +40,7 @@ class Scene:
     mitsuba: Any
     camera: Camera
     max_depth: int
+    place: Place = WORLD
 
     @property
     def triangles(self) -> int:
@@ -50,11 +57,12 @@ def load_scene(source: str | Path | dict[str, Any], max_depth: int | None = None
         max_depth: path depth, at least 1, instead of the scene's own.
 
     Raises:
-        UserError: the scene is missing, refused by Mitsuba, or has no perspective camera or no light.
+        UserError: the scene is missing, refused by Mitsuba, has no perspective camera or no light, or is too
+            small or too far from the origin for Mitsuba and cannot be moved or scaled.
     """
     if isinstance(source, dict):
         name, own_depth = "dictionary", DEFAULT_MAX_DEPTH
-        loaded = load_mitsuba_dictionary(name, source)
+        loaded, content = load_mitsuba_dictionary(name, source), Source(name, source)
         fingerprint = dictionary_fingerprint(source)
     else:
         path = scene_file(source)
@@ -62,6 +70,7 @@ def load_scene(source: str | Path | dict[str, Any], max_depth: int | None = None
         description = read_description(path)
         own_depth, fingerprint = description.max_depth, description.fingerprint
         loaded = load_mitsuba_xml(path, description.text)
+        content = Source(str(path), description.text, path.parent)
     if not loaded.sensors():
         raise UserError(f"{source}: the scene has no camera; add a <sensor type='perspective'>")
     if not loaded.emitters():
@@ -70,4 +79,5 @@ def load_scene(source: str | Path | dict[str, Any], max_depth: int | None = None
     if depth != own_depth:
         fingerprint = fingerprint_at_depth(fingerprint, depth)
     camera = camera_of_sensor(loaded.sensors()[0], str(source))
-    return Scene(name, fingerprint, with_ordered_shapes(loaded), camera, depth)
+    loaded, camera, place = in_good_coordinates(content, loaded, camera)
+    return Scene(name, fingerprint, with_ordered_shapes(loaded), camera, depth, place)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any, Protocol
+
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
-from pathtrace.scene.scene import Scene
 from pathtrace.scene.tessellation import triangles_of
 
 Array = NDArray[np.float64]
@@ -16,6 +17,14 @@ Array = NDArray[np.float64]
 # Side of the coarse frame, in pixels, whose rays probe what a camera sees.
 _PROBE = 24
 _CLEARANCE_DIRECTIONS = 256
+
+
+class Loaded(Protocol):
+    """Whatever holds a Mitsuba scene, such as `pathtrace.scene.scene.Scene`."""
+
+    @property
+    def mitsuba(self) -> Any:
+        """The Mitsuba scene."""
 
 
 class Surfaces:
@@ -28,7 +37,7 @@ class Surfaces:
         untessellated: class names of shapes that could not be turned into triangles and are missing here.
     """
 
-    def __init__(self, scene: Scene):
+    def __init__(self, scene: Loaded):
         self._embree = EmbreeScene()
         self.untessellated: list[str] = []
         parts = []

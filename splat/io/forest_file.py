@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from compose.base.errors import UserError
+from compose.camera.place import WORLD, Place
 from splat.io.tensors import FORMAT_VERSION, PLACED_VERSION, load_tensors, save_tensors
 from splat.model.check import check_forest
 from splat.model.forest import Forest
 from splat.model.gaussians import Gaussians
 from splat.model.layer import LABELS, Layer
-from splat.model.place import WORLD, Place
 
 _ATTACHED = "attached."
 

@@ -15,9 +15,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from compose.camera.place import WORLD, Place
 from splat.model.gaussians import Gaussians
 from splat.model.layer import Layer, concatenated_layers
-from splat.model.place import WORLD, Place
 from splat.model.rows import means_of
 from splat.model.z_curve import z_curve_order
 

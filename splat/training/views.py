@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
-from splat.model.place import Place
+from compose.camera.place import Place, place_around
 
 # Pixels of a view, about, from which its place is found.
 _SAMPLED = 4096
@@ -67,7 +67,7 @@ def place_of(views: list[TrainingView]) -> Place:
     distance = np.concatenate(distances)
     if not len(distance):
         raise ValueError("no frame shows a surface at a finite distance")
-    return Place.around(np.concatenate(points), float(np.median(distance)))
+    return place_around(np.concatenate(points), float(np.median(distance)))
 
 
 def placed(view: TrainingView, place: Place) -> TrainingView:

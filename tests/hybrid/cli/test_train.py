@@ -27,6 +27,7 @@ def test_a_forest_is_written_stored_and_measured(made, monkeypatch, tmp_path, ca
         assert 0 < layer["ssim"] <= 1
     assert row["layers"][1]["nodes"] > row["layers"][0]["nodes"] == row["trees"] > 50
     assert row["seconds"] > 0
+    assert row["left_out"] == {"frames": 0, "steps": 0}
     assert (row["scene"], row["iterations"]) == ("cornell", 40)
     stored = newest_forest(load_scene("cornell"))
     assert stored.name == "f.safetensors"
@@ -49,7 +50,7 @@ def test_a_forest_is_written_stored_and_measured(made, monkeypatch, tmp_path, ca
 def test_every_option_reaches_the_settings(options, expected, made, monkeypatch, tmp_path):
     given = []
 
-    def train(frames, path, settings, progress):
+    def train(frames, path, settings, progress, report):
         given.extend([frames.folder, path, settings])
         raise KeyboardInterrupt
 
