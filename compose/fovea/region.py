@@ -1,7 +1,9 @@
 """The disc that is path-traced, the part of it that is not rasterized, and the band between their edges.
 
 Radii are in percent of the frame's height, measured in pixels on the screen (Foveated Path Culling,
-section 3): the path tracer covers r < fov-a, the splats cover r > fov-b, the weight is linear between.
+section 3): the path tracer covers r < fov-a, the splats cover r > fov-b, the weight is linear between. Once
+fov-a reaches the frame's furthest pixel, what weight is left to the splats fades out, as fov-a grows by
+another fifth: then the frame is path-traced as a whole. So weights are continuous in radii and gaze.
 """
 
 from __future__ import annotations
@@ -16,6 +18,11 @@ from numpy.typing import NDArray
 from compose.base.errors import UserError
 from compose.eye.gaze import Gaze
 from compose.fovea.rectangle import Rectangle
+
+# Radius of a disc that leaves no splats, whatever fov-b is, over the distance of the furthest pixel.
+_WHOLE = 1.2
+# Narrowest band in pixels: thinner ones are edges, and float32 could not divide by their widths.
+_THINNEST = 1e-6
 
 
 @dataclass(frozen=True)
@@ -48,16 +55,19 @@ class Foveation:
         """The pixels and weights of this foveation on a frame of that size in pixels."""
         gaze_x, gaze_y = self.gaze.pixel(width, height)
         outer, inner = self.fov_a / 100 * height, self.fov_b / 100 * height
-        furthest = [max(at, side - at) - 0.5 for at, side in ((gaze_x, width), (gaze_y, height))]
-        if np.hypot(furthest[0], furthest[1]) < outer:
-            # Even the furthest pixel lies in the disc: no periphery is left to blend with.
+        across, down = (max(at, side - at) - 0.5 for at, side in ((gaze_x, width), (gaze_y, height)))
+        furthest = float(np.hypot(across, down))
+        if outer > 0 and (outer >= _WHOLE * furthest or inner >= furthest):
+            # No periphery is left to blend with.
             pixels = np.arange(width * height, dtype=np.uint32)
             weights = np.ones(len(pixels), dtype=np.float32)
         else:
             pixels, radius = _disc(gaze_x, gaze_y, outer, width, height)
-            weights = (
-                np.clip((outer - radius) / (outer - inner), 0, 1) if outer > inner else np.ones_like(radius)
-            )
+            band = outer - inner
+            weights = np.clip((outer - radius) / band, 0, 1) if band > _THINNEST else np.ones_like(radius)
+            if outer > furthest:
+                faded = (outer - furthest) / ((_WHOLE - 1) * furthest)
+                weights += (1 - weights) * np.float32(faded)
         return FoveaRegion(width, height, pixels, weights, (gaze_x, gaze_y), inner)
 
 
@@ -80,10 +90,10 @@ class FoveaRegion:
     centre: tuple[float, float]
     inner: float
 
-    @property
+    @cached_property
     def covers_frame(self) -> bool:
         """Whether no periphery is left."""
-        return len(self.pixels) == self.width * self.height
+        return len(self.pixels) == self.width * self.height and bool((self.weights == 1).all())
 
     def weight_image(self) -> NDArray[np.float32]:
         """(H, W) weight of the path-traced radiance; the weight of the splats is one minus it."""

@@ -52,17 +52,40 @@ def test_weights_by_hand():
 
 
 @pytest.mark.parametrize("gaze", GAZES)
-def test_a_disc_covers_the_frame_as_soon_as_its_furthest_pixel_lies_inside(gaze):
+@pytest.mark.parametrize(("times", "fov_b"), [(1.201, 0), (1.3, 10)])
+def test_a_disc_a_fifth_beyond_the_furthest_pixel_leaves_no_periphery(gaze, times, fov_b):
     """The furthest of 30 x 20 pixels is a corner."""
-    x, y = np.meshgrid(np.arange(30) + 0.5, np.arange(20) + 0.5)
-    furthest = np.hypot(x - gaze.x * 30, y - gaze.y * 20).max() / 20 * 100
-    assert not Foveation(gaze, furthest - 0.01, 0).region(30, 20).covers_frame
-    whole = Foveation(gaze, furthest + 0.01, 0).region(30, 20)
+    whole = Foveation(gaze, times * furthest_of(gaze, 30, 20), fov_b).region(30, 20)
     assert whole.covers_frame
     assert (whole.weight_image() == 1).all()
     assert whole.pixels.tolist() == list(range(600))
     assert not whole.peripheral_tiles(16).any()
     assert whole.foveal_tiles(16).all()
+
+
+@pytest.mark.parametrize("gaze", GAZES)
+def test_fov_b_beyond_the_furthest_pixel_leaves_no_periphery(gaze):
+    radius = furthest_of(gaze, 30, 20) + 0.01
+    assert Foveation(gaze, radius, radius).region(30, 20).covers_frame
+    assert not Foveation(gaze, radius, radius - 0.02).region(30, 20).covers_frame
+
+
+def furthest_of(gaze: Gaze, width: int, height: int) -> float:
+    """Distance of the furthest pixel in percent of the height."""
+    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    return float(np.hypot(x - gaze.x * width, y - gaze.y * height).max() / height * 100)
+
+
+@pytest.mark.parametrize("gaze", GAZES)
+@pytest.mark.parametrize("times", [1.05, 1.1, 1.19])
+def test_what_splats_have_left_fades_out_once_the_disc_reaches_all_pixels(gaze, times):
+    """A twentieth beyond the furthest pixel they have three quarters of it, a tenth beyond it a half."""
+    foveation = Foveation(gaze, times * furthest_of(gaze, 30, 20), 5)
+    region = foveation.region(30, 20)
+    left = (1 - brute_force(foveation, 30, 20)) * (1.2 - times) / 0.2
+    np.testing.assert_allclose(1 - region.weight_image(), left, atol=1e-5)
+    assert not region.covers_frame
+    assert region.peripheral_tiles(16).any()
 
 
 def test_without_a_disc_everything_is_periphery():
