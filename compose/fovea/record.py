@@ -3,6 +3,9 @@
 A record is sixteen floats: the number of samples, three sums of their radiance, three of its squares; the
 number of sample positions whose auxiliary features are known, three sums of their albedo, three of their
 normals; and two zeros. Kernels load it at once.
+
+Sums of squares that are beyond float32 are inf. Sums of radiance that are, which takes several samples near
+the largest float, count as that.
 """
 
 from __future__ import annotations
@@ -18,14 +21,16 @@ POSITIONS, ALBEDO, NORMAL = 7, slice(8, 11), slice(11, 14)
 _LIGHT, _FEATURES = slice(0, 7), slice(7, 14)
 # Makes 0 of 0 / 0.
 _NOTHING = np.float32(1e-6)
+_LARGEST = np.finfo(np.float32).max
 
 
 def add_light(records: Floats, samples: Samples) -> None:
     """Adds the light of samples to records (D, 16)."""
     count = samples.count[:, None]
     records[:, COUNT] += samples.count
-    records[:, RADIANCE] += samples.radiance * count
-    records[:, SQUARES] += samples.squares * count
+    with np.errstate(over="ignore"):
+        records[:, RADIANCE] += samples.radiance * count
+        records[:, SQUARES] += samples.squares * count
 
 
 def add_features(records: Floats, samples: Samples, positions: int) -> None:
@@ -39,7 +44,7 @@ def means(records: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """(D,) counts, and (D, 3) means of radiance, squares, albedo and normal from records (D, 16)."""
     by_count = 1 / np.maximum(records[:, COUNT, None], _NOTHING)
     by_positions = 1 / np.maximum(records[:, POSITIONS, None], _NOTHING)
-    light = (records[:, part] * by_count for part in (RADIANCE, SQUARES))
+    light = np.minimum(records[:, RADIANCE], _LARGEST) * by_count, records[:, SQUARES] * by_count
     features = (records[:, part] * by_positions for part in (ALBEDO, NORMAL))
     return records[:, COUNT], *light, *features
 

@@ -18,7 +18,7 @@ class Samples:
         pixels: (D,) row-major indices, each once.
         count: (D,) samples in each; 0 where only the auxiliary features are known.
         radiance: (D, 3) their mean, linear.
-        squares: (D, 3) mean of their squares.
+        squares: (D, 3) mean of their squares; inf where these are beyond float32.
         albedo, normal: (D, 3) means over sample positions in the pixel.
         position: (D, 3) in the world, where one of the samples appears to hit something; far away for sky.
         gloss: (D,) DIFFUSE, GLOSSY or SPECULAR (compose.image.gloss), of what it hits.
@@ -34,11 +34,15 @@ class Samples:
     gloss: NDArray[np.uint8]
 
     def variance(self) -> Floats:
-        """(D, 3) variance of the mean radiance; inf where one sample alone cannot tell."""
+        """(D, 3) variance of the mean radiance; inf where it is unknown.
+
+        One sample alone cannot tell, and neither can those whose squares are beyond float32.
+        """
         count = self.count[:, None]
-        spread = np.maximum(self.squares - self.radiance**2, 0)
-        with np.errstate(divide="ignore"):
-            return np.where(count > 1, spread / np.maximum(count - 1, 1e-6), np.inf).astype(np.float32)
+        known = (count > 1) & np.isfinite(self.squares)
+        with np.errstate(over="ignore", invalid="ignore"):
+            spread = np.maximum(self.squares - self.radiance**2, 0)
+        return np.where(known, spread / np.maximum(count - 1, 1e-6), np.inf).astype(np.float32)
 
 
 def merged(one: Samples, other: Samples) -> Samples:

@@ -12,7 +12,7 @@ per pixel what each is worth. Five things are built around it:
   of the network, which has never seen so many.
 - The result is drawn towards the traced radiance wherever the two differ by more than noise explains, in
   the spirit of the James-Stein combiner of Gu et al. 2022: with more samples the weight of these goes to 1.
-- A parent that is negative or not finite in a pixel is replaced by another one there.
+- A parent that is negative, not finite or out of all proportion in a pixel is replaced by another one there.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from compose.fusion.network import Fusion
 from compose.fusion.parents import PARENTS, Fused, Parents
 from compose.fusion.shares import shares_at
 from compose.image.colour import Image
+from compose.image.outliers import MOST, is_plain, outliers
 
 # Relative bias that no estimate but the traced radiance is trusted to stay below.
 _FLOOR = 0.005
@@ -105,11 +106,12 @@ def statistical(traced: Tensor, denoised: Tensor, splat: Tensor, variance: Tenso
     Args:
         traced, denoised, splat, variance: (N, 3, H, W) as of Parents.
     """
-    known = torch.where(torch.isfinite(variance), variance, (traced - denoised) ** 2)
+    samples, smooth, biased = _squarable(traced, denoised, splat)
+    known = torch.where(torch.isfinite(variance), variance, (samples - smooth) ** 2)
     explained = box_mean(halved(known.mean(1, keepdim=True)))
-    found = box_mean(halved(((traced - splat) ** 2).mean(1, keepdim=True)))
+    found = box_mean(halved(((samples - biased) ** 2).mean(1, keepdim=True)))
     bias = (found - explained).clamp(min=0)
-    share = enlarged(bias / (bias + explained / 36 + 1e-8), splat)
+    share = enlarged(bias / (bias + explained / 36 + 1e-8), splat).to(splat.dtype)
     weights = torch.cat([torch.zeros_like(share), share, 1 - share], 1)
     return torch.lerp(splat, denoised, share), weights
 
@@ -123,13 +125,14 @@ def regressed(estimate: Tensor, other: Tensor, traced: Tensor, variance: Tensor)
     Args:
         estimate, other, traced, variance: (N, 3, H, W).
     """
+    estimate, other, traced = _squarable(estimate, other, traced)
     known = torch.isfinite(variance).all(1, keepdim=True)
-    noise = torch.where(known, variance, 0).mean(1, keepdim=True)
+    noise = torch.where(known, variance, 0).to(traced.dtype).mean(1, keepdim=True)
     way = other - estimate  # (N, 3, H, W)
     along = ((traced - estimate) * way).mean(1, keepdim=True)
     maps = box_mean(halved(torch.cat([along, (way**2).mean(1, keepdim=True), noise], 1)))
     share = maps[:, 0:1] / (maps[:, 1:2] + _CAUTION * maps[:, 2:3] / 36 + 1e-12)
-    return torch.where(known, enlarged(share.clamp(0, 1), traced), 0.0)
+    return torch.where(known, enlarged(share.clamp(0, 1), traced), 0.0).to(variance.dtype)
 
 
 def trust(estimate: Tensor, traced: Tensor, variance: Tensor, count: Tensor) -> Tensor:
@@ -145,8 +148,9 @@ def trust(estimate: Tensor, traced: Tensor, variance: Tensor, count: Tensor) -> 
         estimate, traced, variance: (N, 3, H, W).
         count: (N, 1, H, W) samples.
     """
+    estimate, traced = _squarable(estimate, traced)
     known = torch.isfinite(variance).all(1, keepdim=True)
-    explained = torch.where(known, variance, 0).mean(1, keepdim=True)
+    explained = torch.where(known, variance, 0).to(traced.dtype).mean(1, keepdim=True)
     excess = ((estimate - traced) ** 2).mean(1, keepdim=True) - explained
     level = luminance(estimate) ** 2 + 1e-8
     maps = halved(torch.cat([excess, excess**2, explained, level], 1))
@@ -157,22 +161,30 @@ def trust(estimate: Tensor, traced: Tensor, variance: Tensor, count: Tensor) -> 
     error = torch.minimum(error, explained * (1.5 + _TAILS / torch.sqrt(halved(count))))
     bias = torch.maximum(small[:, 0:1] - 2 * error, _FLOOR**2 * level)
     share = explained / (explained + bias + 1e-20)
-    return torch.where(known, enlarged(share, traced), 1.0)
+    return torch.where(known, enlarged(share, traced), 1.0).to(variance.dtype)
+
+
+def _squarable(*images: Tensor) -> tuple[Tensor, ...]:
+    """Images of radiance in a type that holds their fourth powers: float32 ends at those of 4e9."""
+    wide = max(float(image.abs().max()) for image in images) > MOST
+    return tuple(image.double() for image in images) if wide else images
 
 
 def _usable(parents: Parents) -> tuple[Parents, int]:
-    """The parents with whatever is negative or not finite replaced, and the number of pixels concerned."""
+    """The parents with whatever cannot be radiance replaced, and the number of pixels concerned.
+
+    That is what is negative, not finite, or out of proportion to its neighbours and to the other parents.
+    """
     radiance = [getattr(parents, name) for name in PARENTS]
     auxiliary = parents.albedo, parents.normal
-    # Minimum and sum quickly show that all values are fine, as they nearly always are.
-    if all(np.isfinite(image.sum()) and image.min() >= 0 for image in radiance) and all(
-        np.isfinite(image.sum()) for image in auxiliary
-    ):
+    if all(is_plain(image) for image in radiance) and all(np.isfinite(image.sum()) for image in auxiliary):
         return parents, 0
-    no_traced, no_denoised, no_splat = (
-        (~np.isfinite(image) | (image < 0)).any(axis=-1, keepdims=True) for image in radiance
-    )  # (H, W, 1) each
     traced, denoised, splat = radiance
+    # (H, W, 1) each. Where splats and denoised samples are wrong, they are so in whole patches.
+    no_traced = outliers(traced, splat)
+    samples = np.where(no_traced, 0, traced)
+    no_splat = outliers(splat, samples, beside=False)
+    no_denoised = outliers(denoised, samples, np.where(no_splat, 0, splat), beside=False)
     # Denoising has used the neighbouring pixels, so its result is the first substitute for the others.
     denoised = np.where(no_denoised, np.where(no_splat, 0, splat), denoised)
     albedo, normal = (np.nan_to_num(image, posinf=0, neginf=0) for image in auxiliary)

@@ -54,7 +54,8 @@ class Fused:
     Attributes:
         radiance: (H, W, 3) linear.
         weights: (H, W, 3) of the parents, in the order of PARENTS.
-        excluded: number of pixels in which a parent was left out because it was negative or not finite.
+        excluded: number of pixels in which a parent was left out because it was negative, not finite, or out
+            of proportion to its neighbours and to the other parents (compose.image.outliers).
     """
 
     radiance: Image

@@ -28,7 +28,7 @@ class FoveaImage:
         samples: of each pixel, including those of earlier frames.
         denoised: (D, 3) linear radiance; None if raw.
         weights: (D, 3) share of each parent (compose.fusion.parents.PARENTS); None unless fused.
-        excluded: pixels in which a parent was left out because it was not finite or negative.
+        excluded: pixels in which a parent was left out (compose.fusion.parents.Fused).
     """
 
     radiance: Image

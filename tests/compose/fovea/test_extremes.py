@@ -12,8 +12,12 @@ from hypothesis import strategies as st
 from compose.eye.gaze import Gaze
 from compose.fovea.adaptive import allotted, disagreement
 from compose.fovea.band import thinned
+from compose.fovea.history import History
+from compose.fovea.record import RECORD, add_light, limit, means
 from compose.fovea.region import Foveation
+from compose.fovea.samples import Samples, merged
 from tests import small
+from tests.compose.fovea.views import camera, samples, wall
 from tests.extremes import extreme
 
 SIDES = st.sampled_from([(64, 48), (48, 64), (1, 90), (90, 1), (7, 5)])
@@ -224,3 +228,114 @@ def test_thinned_bands_keep_their_mean(spp):
     assert counts.max() == spp
     assert counts.sum() == pytest.approx(spp * float(region.weights.sum()), rel=0.05)
     assert thin.weights.min() >= 1 / spp
+
+
+LARGEST = float(np.finfo(np.float32).max)
+
+
+def lit(radiance: np.ndarray, count: float = 1) -> Samples:
+    """Samples of the first pixels of a wall."""
+    with np.errstate(over="ignore"):
+        return samples(wall(camera())[: len(radiance)], radiance, count=count)
+
+
+@pytest.mark.parametrize(
+    "radiance",
+    [
+        pytest.param(
+            r, marks=extreme(f"variance at radiance {r:g}", given="16 samples", expected="float64's")
+        )
+        for r in (1e-8, 1.0, 1e6, 1e15)
+    ],
+)
+def test_the_variance_of_samples_matches_float64(radiance, got):
+    values = radiance * small.rng().gamma(0.5, 2, (16, 300, 3))
+    mean, squares = (v.mean(axis=0).astype(np.float32) for v in (values, values**2))
+    found = Samples(**{**vars(lit(mean, 16)), "squares": squares}).variance()
+    twin = values.var(axis=0) / 15
+    assert got(float(np.abs(found - twin).max() / twin.max()), ".1e") < 1e-6
+
+
+@extreme("variance of a firefly of 1e30", given="squares beyond float32", expected="inf: unknown")
+def test_the_variance_of_squares_beyond_float32_is_unknown(got):
+    radiance = np.full((2, 3), 0.5, np.float32)
+    radiance[1] = 1e30
+    variance = lit(radiance, 4).variance()
+    assert np.isfinite(variance[0]).all()
+    assert got(float(variance[1, 0])) == np.inf
+
+
+@pytest.mark.parametrize("radiance", [1e15, 1e30, LARGEST])
+def test_a_firefly_stays_in_the_mean_of_records(radiance):
+    """One among 100 samples of 0.5, and one more later; pixels beside it do not notice."""
+    records = np.zeros((2, RECORD), np.float32)
+    add_light(records, lit(np.full((2, 3), 0.5)))
+    add_light(records, lit(np.array([[0.5] * 3, [radiance] * 3], np.float32)))
+    add_light(records, lit(np.full((2, 3), 0.5), 98))
+    count, mean, squares, *_ = means(records)
+    assert (count == 100).all()
+    np.testing.assert_allclose(mean[0], 0.5, rtol=1e-6)
+    np.testing.assert_allclose(mean[1], radiance / 100, rtol=1e-6)
+    assert not np.isnan(squares).any()
+    limit(records, 32)
+    np.testing.assert_allclose(means(records)[1], mean, rtol=1e-6)
+
+
+@extreme("several samples of float32's maximum", given="3 in one record", expected="finite mean")
+def test_sums_beyond_float32_stay_finite(got):
+    records = np.zeros((1, RECORD), np.float32)
+    for _ in range(3):
+        add_light(records, lit(np.full((1, 3), LARGEST)))
+    assert got(float(means(records)[1].max()), ".1e") == pytest.approx(LARGEST / 3, rel=1e-6)
+
+
+@pytest.mark.parametrize("radiance", [1e30, LARGEST])
+def test_merging_keeps_fireflies_finite(radiance):
+    one, other = lit(np.full((4, 3), 0.5), 3), lit(np.full((4, 3), radiance, np.float32), 1)
+    both = merged(one, other)
+    np.testing.assert_allclose(both.radiance, radiance / 4, rtol=1e-6)
+    assert not np.isnan(both.squares).any()
+    assert (both.variance() == np.inf).all()
+
+
+@extreme("100,000 frames of one view", given="1 sample each, radiance 0.1", expected="mean within 0.1 %")
+def test_long_accumulation_keeps_the_mean(got):
+    """Float32 sums lose what is below their last digit; up to here that is less than anyone sees."""
+    records, new = np.zeros((1, RECORD), np.float32), lit(np.full((1, 3), 0.1, np.float32))
+    for _ in range(100_000):
+        add_light(records, new)
+    count, mean, *_ = means(records)
+    assert count[0] == 100_000
+    assert got(float(abs(mean[0, 0] / 0.1 - 1)), ".1e") < 1e-3
+
+
+@extreme("history with a firefly", given="1e30 in one pixel, then a step aside", expected="one pixel, finite")
+def test_a_firefly_in_a_history_stays_in_its_pixel(arrays, got):
+    """It moves with the surface that it was seen on, and nothing around it changes."""
+    plain, bright = np.full((48 * 48, 3), 0.5, np.float32), np.full((48 * 48, 3), 0.5, np.float32)
+    bright[24 * 48 + 24] = 1e30
+    here, there = camera(), camera(1 / 12)
+    pixels = np.arange(48 * 48, dtype=np.uint32)
+    recalled = []
+    for radiance in (plain, bright):
+        history = History(arrays)
+        for view, light in ((here, radiance), (there, plain)):
+            seen = lit(light) if view is here else samples(wall(there), plain)
+            history.see(view, seen, 4, 0)
+            history.remember(seen)
+        recalled.append(history.recall(pixels))
+    assert np.isfinite(recalled[1].radiance).all()
+    changed = (recalled[0].radiance != recalled[1].radiance).any(axis=1)
+    assert got(int(changed.sum())) == 1
+    assert recalled[1].radiance.max() == pytest.approx(5e29, rel=1e-6)
+
+
+@extreme("a camera that jumps", given="1e6 away, with a history", expected="nothing of the view before")
+def test_a_jump_leaves_nothing_of_the_view_before(arrays, got):
+    history = History(arrays)
+    for view, light in ((camera(), 0.5), (camera(1e6), 2.0)):
+        seen = samples(wall(view), np.full((48 * 48, 3), light, np.float32))
+        history.see(view, seen, 4, 0)
+        history.remember(seen)
+    radiance = history.recall(np.arange(48 * 48, dtype=np.uint32)).radiance
+    assert got(float(radiance.min()), "g") == got(float(radiance.max()), "g") == 2

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -99,3 +101,38 @@ def test_parents_in_a_hurry_use_the_quicker_denoiser_and_say_so(denoisers):
     splats = np.zeros((HEIGHT, WIDTH, 3), dtype=np.float32)
     assert parents_of(REGION, samples(64), Underlay(CAMERA, splats, 1.0), quick=True).quick
     assert denoisers == ["coarse"]
+
+
+@pytest.mark.parametrize("value", [1e15, 1e30, float(np.finfo(np.float32).max), np.inf])
+def test_denoising_leaves_a_firefly_alone(value):
+    """As if its pixel were the mean of its neighbours; a finite one stays in the denoised disc as it is."""
+    known = samples(5)
+    spot = len(REGION.pixels) // 2
+    radiance = known.radiance.copy()
+    radiance[spot] = value
+    surroundings = np.full((*REGION.rectangle.shape, 3), 0.5, dtype=np.float32)
+    images, plain = (
+        DiscImages.of(replace(known, radiance=light), surroundings, REGION.rectangle)
+        for light in (radiance, known.radiance)
+    )
+    for denoised in (images.denoised(quick=False), denoised_for_fusion(images, quick=True)):
+        assert (REGION.rectangle.gathered(denoised) < 2).all(axis=1).sum() >= len(radiance) - 1
+    where = (images.radiance == np.float32(value)).all(axis=2)
+    assert (images.denoised(quick=False)[where] == np.float32(value)).all()
+    difference = np.abs(denoised_for_fusion(images, quick=False) - denoised_for_fusion(plain, quick=False))
+    assert np.median(difference) < 0.02
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0, 1e30])
+def test_surroundings_that_cannot_be_radiance_are_black(value):
+    surroundings = np.full((*REGION.rectangle.shape, 3), value, dtype=np.float32)
+    found, black = (
+        DiscImages.of(samples(5), around, REGION.rectangle) for around in (surroundings, black_rectangle())
+    )
+    np.testing.assert_array_equal(found.radiance, black.radiance)
+    np.testing.assert_array_equal(found.albedo, black.albedo)
+
+
+def black_rectangle() -> np.ndarray:
+    """A black image of the rectangle."""
+    return np.zeros((*REGION.rectangle.shape, 3), dtype=np.float32)

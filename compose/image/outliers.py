@@ -1,0 +1,71 @@
+"""Pixels that are out of all proportion: a path that found a lamp by chance, or broken splats.
+
+Means and variances over windows, convolutions and denoising spread what one pixel shows over all around it.
+Beside a pixel more than 2^24 times as bright as its neighbours float32 holds nothing of these, and its square
+or the square of that may be too large for any float32. Such a pixel says nothing about its neighbourhood, so
+it is kept out of what is computed for it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
+
+from compose.image.colour import Image
+
+# Radiance relative to that of its surroundings, or to 1 if these are darker, beyond which a pixel is out of
+# proportion: the precision of float32.
+MOST = 2.0**24
+# All of the eight neighbours, and the pixel itself as well.
+_BESIDE = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=bool)
+_AROUND = np.ones((3, 3), dtype=bool)
+
+
+def is_plain(image: Image) -> bool:
+    """Whether all of an image (..., C) is finite, not negative and below MOST, as it nearly always is."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = image.sum()
+    return bool(
+        np.isfinite(total) and image.min(initial=0) >= 0 and (total <= MOST or image.max(initial=0) <= MOST)
+    )
+
+
+def outliers(image: Image, *others: Image, beside: bool = True) -> NDArray[np.bool_]:
+    """(H, W, 1) pixels that are negative, not finite, or out of proportion to all that vouches for them.
+
+    Args:
+        image: (H, W, 3) linear radiance.
+        others: images of the same view (H, W, 3), which vouch for pixels and for those beside them.
+        beside: whether its eight neighbours vouch for a pixel as well.
+    """
+    bright = _brightness(image)
+    expected = np.zeros_like(bright)
+    if beside:
+        expected = maximum_filter(bright, footprint=_BESIDE, mode="constant")
+    for other in others:
+        expected = np.maximum(expected, maximum_filter(_brightness(other), footprint=_AROUND))
+    wrong = (bright > MOST * np.maximum(expected.astype(np.float64), 1))[..., None]
+    return wrong | ~np.isfinite(image).all(axis=2, keepdims=True) | (image < 0).any(axis=2, keepdims=True)
+
+
+def filled(image: Image, wrong: NDArray[np.bool_]) -> Image:
+    """The image (H, W, 3) with pixels (H, W, 1) replaced by the mean of their neighbours that are right.
+
+    Those without such a neighbour are black.
+    """
+    right = np.where(wrong, 0, image).astype(np.float64)
+    total, count = (_summed_around(of) for of in (right, (~wrong).astype(np.float64)))
+    return np.where(wrong, total / np.maximum(count, 1), image).astype(np.float32)
+
+
+def _brightness(image: Image) -> NDArray[np.float32]:
+    """(H, W) brightest channel; 0 where one is not finite."""
+    return np.where(np.isfinite(image), image, 0).max(axis=2)
+
+
+def _summed_around(image: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(H, W, C) sums over 3 x 3 pixels."""
+    height, width = image.shape[:2]
+    padded = np.pad(image, ((1, 1), (1, 1), (0, 0)))
+    return np.sum([padded[y : y + height, x : x + width] for y in range(3) for x in range(3)], axis=0)
