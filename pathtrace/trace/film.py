@@ -32,6 +32,15 @@ class FilmPositions:
         """N, the number of positions."""
         return dr.width(self.x)
 
+    def part(self, start: int, stop: int) -> FilmPositions:
+        """Those from the start-th up to the stop-th."""
+        index = dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, stop - start)
+        of = lambda values: dr.gather(mi.Float, values, index)  # noqa: E731
+        sizes = (of(size) if dr.width(size) > 1 else size for size in (self.width, self.height))
+        found = FilmPositions(of(self.x), of(self.y), *sizes)
+        dr.eval(found.x, found.y)
+        return found
+
 
 def pixel_positions(indices: Any, width: int) -> FilmPositions:
     """Film positions of pixels.

@@ -40,16 +40,17 @@ class Lanes:
 
     @staticmethod
     def of(positions: int, spp: int | NDArray[np.int64]) -> Lanes:
-        """Lanes for `spp` samples of each of a number of positions."""
+        """Lanes for `spp` samples of each of a number of positions, some of which may have none."""
         count = positions * spp if isinstance(spp, int) else int(spp.sum())
-        padded = -(-count // _LANE_MULTIPLE) * _LANE_MULTIPLE
+        padded = max(1, -(-count // _LANE_MULTIPLE)) * _LANE_MULTIPLE
         lane = dr.arange(mi.UInt32, padded)
         active = lane < dr.opaque(mi.UInt32, count)
         if isinstance(spp, int):
             index = lane // spp
             first = dr.arange(mi.UInt32, positions) * spp
             return Lanes(count, active, index, lane - index * spp, first, spp)
-        first = mi.UInt32(np.cumsum(spp) - spp)
+        # A position without samples has no lane; it must not point beyond the last one either.
+        first = mi.UInt32(np.minimum(np.cumsum(spp) - spp, max(count - 1, 0)))
         index = mi.UInt32(np.pad(np.repeat(np.arange(positions), spp), (0, padded - count)))
         sample = lane - dr.gather(mi.UInt32, first, index, active)
         return Lanes(count, active, index, sample, first, spp)

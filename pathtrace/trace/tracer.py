@@ -6,7 +6,8 @@ evaluated array, so that a moving gaze or camera neither traces Python again nor
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -33,7 +34,8 @@ from pathtrace.trace.lanes import Lanes
 from pathtrace.trace.rays import opaque_camera, ray_through
 from pathtrace.trace.sequences import Sequences
 
-# Lanes traced at once: bounds the memory that many samples of a large frame take.
+# Lanes traced at once: bounds the memory that many samples of a large frame take. Samples of a position are
+# traced in several passes, and positions in several parts where they alone are more than that.
 _MAX_LANES = 1 << 22
 RUSSIAN_ROULETTE_DEPTH = 5
 # Shadow rays at the first surface of paths that end in a cache.
@@ -137,33 +139,27 @@ class Tracer:
         Args:
             camera: the view; its film coordinates are those of `positions`.
             positions: N film positions.
-            spp: samples per position, one number for all or (N,), at least 1 each.
+            spp: samples per position, one number for all, at least 1, or (N,); those without any are black.
             seed: same seed, same result.
             offset: samples already drawn from each position's sequence, one number for all or (N,); with the
                 same pattern, new samples fill the gaps between those.
             pattern: seed of the sample positions within the boxes; by default `seed`.
             features: whether to return the auxiliary features of what the samples hit first as well, as
                 `auxiliary` does, at less than its cost.
+
+        Raises:
+            ValueError: no samples are asked for.
         """
         pattern = seed if pattern is None else pattern
-        most = int(np.max(spp))
-        lanes = positions.count * spp if isinstance(spp, int) else int(spp.sum())
-        passes = min(most, -(-lanes // _MAX_LANES))
-        sums: list[Any] = []
-        first: list[Any] = []
-        done = spp * 0
-        for number in range(passes):
-            # Shares as even as whole numbers can be; in the first pass, every position has a sample.
-            share = (spp * (number + 1) + passes - 1) // passes - done
-            batch = _Batch(camera, positions, share, offset + done, pattern)
-            channels, seen = self._sums(batch, seed, number, features)
-            sums = [a + b for a, b in zip(sums, channels, strict=True)] if sums else channels
-            first = first or seen
-            done = done + share
-            dr.eval(sums, first)
-        samples = spp if isinstance(spp, int) else mi.Float(spp)
-        means = [channel / samples for channel in sums]
-        dr.eval(means)
+        batch = _Batch(camera, positions, _counts(spp), _counts(offset), pattern)
+        if isinstance(batch.spp, int) and batch.spp < 1:
+            raise ValueError(f"spp is {spp}, must be at least 1")
+        parts = [
+            self._traced(part, [seed, number], features)
+            for number, part in enumerate(batch.parts(_MAX_LANES))
+        ]
+        means = _joined([of_part for of_part, _ in parts])
+        first = _joined([of_part for _, of_part in parts])
         found = AuxiliaryFeatures(means[6:9], means[9:], first[:3], first[3]) if features else None
         return Traced(means[:3], means[3:6], found)
 
@@ -201,20 +197,20 @@ class Tracer:
             spp: samples per position.
             pattern, offset: as in `trace`.
         """
-        batch = _Batch(camera, positions, spp, offset, pattern)
-        lanes = batch.lanes
-        features = self._trace_auxiliary(self.scene.mitsuba, *batch.rays())
-        dr.eval(features)
-        means = [channel / spp for channel in lanes.sums([*features.albedo, *features.normal])]
-        *position, gloss = (
-            dr.gather(mi.Float, channel, lanes.first) for channel in (*features.position, features.gloss)
-        )
-        result = AuxiliaryFeatures(means[:3], means[3:], position, gloss)
-        dr.eval(result)
-        return result
+        batch = _Batch(camera, positions, _counts(spp), _counts(offset), pattern)
+        # All samples of a position at once, if they fit: their sum is the same however many parts there are.
+        parts = [self._features(part) for part in batch.parts(max(1, _MAX_LANES // int(spp)))]
+        found = _joined(parts)
+        return AuxiliaryFeatures(found[:3], found[3:6], found[6:9], found[9])
 
     def hits(self, camera: Camera, positions: FilmPositions) -> Hits:
         """First hits of the rays through the centre of each position."""
+        whole = _Batch(camera, positions, 1, 0, 0)
+        found = [self._hits(camera, part.positions) for part in whole.parts(_MAX_LANES)]
+        return Hits(*(np.concatenate([getattr(hits, f.name) for hits in found]) for f in fields(Hits)))
+
+    def _hits(self, camera: Camera, positions: FilmPositions) -> Hits:
+        """As `hits`, all positions at once."""
         ray = ray_through(
             opaque_camera(camera), positions.x + 0.5 * positions.width, positions.y + 0.5 * positions.height
         )
@@ -228,15 +224,60 @@ class Tracer:
         index = np.array([registry.get(int(pointer), -1) for pointer in pointers], dtype=np.int32)
         return Hits(distance.numpy(), unfolded.numpy(), index[inverse])
 
-    def _sums(self, batch: _Batch, seed: int, number: int, features: bool) -> tuple[list[Any], list[Any]]:
-        """What each position's samples of pass `number` add up to, and what the first of them shows.
+    def _traced(self, batch: _Batch, seeds: list[int], features: bool) -> tuple[list[Any], list[Any]]:
+        """Means over the samples of a batch, and what the first of each position shows, as `_sums` does.
+
+        Args:
+            batch: what to trace.
+            seeds: of the frame, and number of the part of it.
+            features: whether to return auxiliary features as well.
+        """
+        seed, part = seeds
+        sums: list[Any] = []
+        first: list[Any] = []
+        for number, share in enumerate(batch.passes()):
+            # The first part has the random numbers of a frame that is traced at once.
+            channels, seen = self._sums(share, [seed, number, part] if part else [seed, number], features)
+            sums = [a + b for a, b in zip(sums, channels, strict=True)] if sums else channels
+            first = first or seen
+            dr.eval(sums, first)
+        samples = batch.spp if isinstance(batch.spp, int) else mi.Float(np.maximum(batch.spp, 1))
+        means = [channel / samples for channel in sums]
+        dr.eval(means)
+        return means, first
+
+    def _features(self, batch: _Batch) -> list[Any]:
+        """Albedo, normal, position and gloss of a batch."""
+        sums: list[Any] = []
+        first: list[Any] = []
+        for share in batch.passes():
+            features = self._trace_auxiliary(self.scene.mitsuba, *share.rays())
+            dr.eval(features)
+            channels = share.lanes.sums([*features.albedo, *features.normal])
+            sums = [a + b for a, b in zip(sums, channels, strict=True)] if sums else channels
+            first = first or [
+                dr.gather(mi.Float, channel, share.lanes.first)
+                for channel in (*features.position, features.gloss)
+            ]
+            dr.eval(sums, first)
+        found = [*(channel / batch.spp for channel in sums), *first]
+        dr.eval(found)
+        return found
+
+    def _sums(self, batch: _Batch, seeds: list[int], features: bool) -> tuple[list[Any], list[Any]]:
+        """What each position's samples of a pass add up to, and what the first of them shows.
+
+        Args:
+            batch: the samples.
+            seeds: of the frame, of the pass and so on.
+            features: whether to return auxiliary features as well.
 
         Returns:
             (N,) arrays each: sums of radiance and of its squares, and with `features` of albedo and normal;
             with `features`, position and gloss.
         """
         # Seeds of different frames and passes must not overlap; numpy's seed sequence mixes them.
-        state = dr.opaque(mi.UInt32, _mixed([seed, number]))
+        state = dr.opaque(mi.UInt32, _mixed(seeds))
         if self._known is None:
             channels = self._trace_radiance(features, self.scene.mitsuba, state, *batch.rays())
         else:
@@ -284,7 +325,7 @@ class Tracer:
     def _auxiliary(self, scene: Any, x: Any, y: Any, active: Any, *camera: Any) -> AuxiliaryFeatures:
         """Auxiliary features of each lane; frozen."""
         ray = ray_through(camera, x, y)
-        features = auxiliary_features(auxiliary_hits(scene, ray, active, self._clear), ray, active)
+        features = _seen(auxiliary_hits(scene, ray, active, self._clear), ray, active)
         dr.eval(features)
         return features
 
@@ -306,6 +347,28 @@ class _Batch:
     spp: int | NDArray[np.int64]
     offset: int | NDArray[np.int64]
     pattern: int
+
+    def parts(self, most: int) -> Iterator[_Batch]:
+        """The same samples in batches of up to `most` positions."""
+        count = self.positions.count
+        if count <= most:
+            yield self
+            return
+        for start in range(0, count, most):
+            part = slice(start, min(start + most, count))
+            spp, offset = (of if isinstance(of, int) else of[part] for of in (self.spp, self.offset))
+            yield replace(self, positions=self.positions.part(part.start, part.stop), spp=spp, offset=offset)
+
+    def passes(self) -> Iterator[_Batch]:
+        """The same samples in batches that have some of each position."""
+        spp, done = self.spp, self.spp * 0
+        lanes = self.positions.count * spp if isinstance(spp, int) else int(spp.sum())
+        passes = max(1, min(int(np.max(spp)), -(-lanes // _MAX_LANES)))
+        for number in range(passes):
+            # Shares as even as whole numbers can be; in the first pass, every position has a sample.
+            share = (spp * (number + 1) + passes - 1) // passes - done
+            yield replace(self, spp=share, offset=self.offset + done)
+            done = done + share
 
     @cached_property
     def lanes(self) -> Lanes:
@@ -337,8 +400,32 @@ def _evaluated(radiance: Any, sampler: Any, seen: FirstHits | None, ray: Any, ac
     sampler.schedule_state()
     channels = [radiance.x, radiance.y, radiance.z]
     if seen is not None:
-        features = auxiliary_features(seen, ray, active)
+        features = _seen(seen, ray, active)
         channels += [*features.albedo, *features.normal, *features.position, features.gloss]
+    dr.eval(channels)
+    return channels
+
+
+def _seen(hits: FirstHits, ray: Any, active: Any) -> AuxiliaryFeatures:
+    """Auxiliary features; albedo and normal that are not finite, as those of damaged textures, count as 0."""
+    found = auxiliary_features(hits, ray, active)
+    albedo, normal = (
+        [dr.select(dr.isfinite(channel), channel, 0) for channel in channels]
+        for channels in (found.albedo, found.normal)
+    )
+    return replace(found, albedo=albedo, normal=normal)
+
+
+def _counts(given: int | NDArray[np.int64]) -> int | NDArray[np.int64]:
+    """A number of samples as Python's integer, or (N,) numbers as numpy's."""
+    return int(given) if np.ndim(given) == 0 else np.asarray(given, dtype=np.int64)
+
+
+def _joined(parts: list[list[Any]]) -> list[Any]:
+    """Channels of all positions from those of parts."""
+    if len(parts) == 1:
+        return parts[0]
+    channels = [dr.concat(of_parts) for of_parts in zip(*parts, strict=True)]
     dr.eval(channels)
     return channels
 
