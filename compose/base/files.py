@@ -1,17 +1,33 @@
-"""Writes files atomically."""
+"""Writes files atomically, and so that they outlast a crash."""
 
 from __future__ import annotations
 
 import contextlib
+import functools
+import hashlib
 import os
-from collections.abc import Callable
+import platform
+import secrets
+import stat
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from compose.base.errors import UserError
 
+# Files that are being written; the dot hides them from `*` of shells and of file dialogs.
+PART_PREFIX = ".part-"
+# A partial file of another machine, whose processes cannot be asked for, is left over after so long.
+_STALE_SECONDS = 24 * 3600.0
+# Longer ones are no extension by which a library chooses a format, and might exceed what a name may have.
+_LONGEST_EXTENSION = 20
+
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Writes a file beside its target, then renames it, so that the target appears complete or not at all.
+
+    Any number of processes may write to one folder, or one target, at the same time: the last one wins.
+    Content and name are on the disk when this returns. Partial files of processes that died are removed.
 
     Args:
         path: the target; its folder is created.
@@ -22,16 +38,123 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """
     if not path.name:
         raise UserError(f"{path}: names a folder, not a file")
-    # The extension is kept: libraries choose the format by it.
-    part = path.with_name(f".part-{path.name}")
+    part = _part_of(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        _remove_stale_parts(path.parent)
+        mode = _mode_of_new_files(part)
         write(part)
+        # Some libraries write files that only their owner may read.
+        os.chmod(part, mode)
+        _to_disk(part)
         os.replace(part, path)
-    except (OSError, RuntimeError) as error:
+        _folder_to_disk(path.parent)
+    except (OSError, RuntimeError, ValueError) as error:
+        # A name that holds a NUL byte is a ValueError; one in what is written is the caller's.
+        if isinstance(error, ValueError) and "\0" not in str(path):
+            raise
         reason = getattr(error, "strerror", None) or error
-        raise UserError(f"{path}: cannot be written ({reason})") from error
+        raise UserError(f"{str(path)!r}"[1:-1] + f": cannot be written ({reason})") from error
     finally:
         # Also after an interruption.
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, ValueError):
             part.unlink()
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keeps other processes that ask for the same out of a folder, where the system can."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(ImportError, OSError):
+            import fcntl
+
+            descriptor = os.open(folder, os.O_RDONLY)
+            # A process that dies gives the lock back.
+            stack.callback(os.close, descriptor)
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+
+
+def require_size_below(path: Path, most_bytes: int) -> int:
+    """Size of a file in bytes, asked for before it is read.
+
+    Raises:
+        OSError: there is no such file.
+        ValueError: it is larger than that, or no ordinary file: reading a device or a pipe might never end.
+    """
+    found = path.stat()
+    if not stat.S_ISREG(found.st_mode):
+        raise ValueError("not a file")
+    if found.st_size > most_bytes:
+        raise ValueError(f"{found.st_size:,} bytes; at most {most_bytes:,} are read")
+    return found.st_size
+
+
+def _part_of(path: Path) -> Path:
+    """A name that no other write uses: of this machine, this process, and random."""
+    # The extension is kept: libraries choose the format by it.
+    extension = path.suffix if len(path.suffix) <= _LONGEST_EXTENSION else ""
+    return path.with_name(f"{PART_PREFIX}{_place()}-{os.getpid()}-{secrets.token_hex(8)}{extension}")
+
+
+@functools.cache
+def _place() -> str:
+    """Eight hexadecimal digits for machine, boot and container; process numbers mean nothing elsewhere."""
+    known = [platform.node()]
+    with contextlib.suppress(OSError):
+        known.append(Path("/proc/sys/kernel/random/boot_id").read_text())
+    with contextlib.suppress(OSError):
+        known.append(os.readlink("/proc/self/ns/pid"))
+    return hashlib.sha256("\n".join(known).encode()).hexdigest()[:8]
+
+
+def _remove_stale_parts(folder: Path) -> None:
+    """Removes what dead processes left in a folder."""
+    with os.scandir(folder) as entries:
+        found = [entry for entry in entries if entry.name.startswith(PART_PREFIX)]
+    for entry in found:
+        # Another process may remove it as well.
+        with contextlib.suppress(OSError):
+            if _is_stale(entry):
+                os.unlink(entry.path)
+
+
+def _is_stale(part: os.DirEntry[str]) -> bool:
+    """Whether nobody writes a partial file any more."""
+    place, _, rest = part.name.removeprefix(PART_PREFIX).partition("-")
+    number = rest.partition("-")[0]
+    # On other systems, signal 0 ends a process.
+    if place == _place() and number.isdecimal() and os.name == "posix":
+        try:
+            os.kill(int(number), 0)
+        except ProcessLookupError:
+            return True
+        except (PermissionError, OverflowError):
+            return False
+    return time.time() - part.stat(follow_symlinks=False).st_mtime > _STALE_SECONDS
+
+
+def _mode_of_new_files(part: Path) -> int:
+    """Permissions that an ordinary new file gets there, without a change of the process's mask."""
+    part.touch(exist_ok=False)
+    mode = stat.S_IMODE(part.stat().st_mode)
+    # A writer that writes nothing must not leave an empty result.
+    part.unlink()
+    return mode
+
+
+def _to_disk(file: Path) -> None:
+    """Waits until the content of a file is on the disk."""
+    with file.open("rb+") as opened:
+        os.fsync(opened.fileno())
+
+
+def _folder_to_disk(folder: Path) -> None:
+    """Waits until the names in a folder are on the disk, where the system can tell."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

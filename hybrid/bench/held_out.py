@@ -48,7 +48,7 @@ def bench_held_out(
     models = {name: replace(settings, acuity_model=name) for name in ACUITY_MODELS}
     found: dict[str, list[dict[str, float | None]]] = {name: [] for name in ACUITY_MODELS}
     for number, entry in enumerate(frames.held_out):
-        reference = read_frame(entry.file).radiance
+        reference = read_frame(entry.file, entry.size).radiance
         for name, model in models.items():
             image = _replaced(periphery, model, entry.camera, reference)
             found[name].append({"jod": jod(image, reference, display, gaze), **quality(image, reference)})

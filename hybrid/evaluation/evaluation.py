@@ -118,7 +118,8 @@ class Evaluation:
         """The reference of a view, from its file if there is one."""
         samples, seed = reference_samples(self.settings), REFERENCE_SEED + number
         make = partial(reference, self.tracer, camera, samples, seed)
-        found = stored_reference(self.folder / "work" / f"reference-{number}.exr", make)
+        file, size = self.folder / "work" / f"reference-{number}.exr", (camera.width, camera.height)
+        found = stored_reference(file, make, size)
         work.of("references")(number + 1, self.settings.views)
         return found
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.errors import UserError
 from compose.image.colour import Image
 from hybrid.evaluation.settings import FOVEAL_REFERENCE, EvaluationSettings
 from hybrid.measure.reference import Reference
@@ -23,15 +24,26 @@ def reference_samples(settings: EvaluationSettings) -> NDArray[np.int64]:
     return samples
 
 
-def stored_reference(file: Path, make: Callable[[], Reference]) -> Reference:
-    """The reference in an EXR file, which is made and written first if there is none."""
-    if not file.exists():
+def stored_reference(
+    file: Path, make: Callable[[], Reference], size: tuple[int, int] | None = None
+) -> Reference:
+    """The reference in an EXR file; made and written now if there is none, or it is damaged.
+
+    Args:
+        file: the file.
+        make: makes the reference.
+        size: width and height that it must have.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    try:
+        return _reference(read_exr(file, size))
+    except (UserError, KeyError):
         made = make()
         first, second = made.halves
         write_exr(file, {"": made.radiance, "first": first, "second": second, "error": made.errors})
-    channels = read_exr(file)
-    halves = _image(channels, "first."), _image(channels, "second.")
-    return Reference(_image(channels, ""), halves, channels["error.V"])
+        return _reference(read_exr(file, size))
 
 
 def reference_errors(settings: EvaluationSettings, number: int, reference: Reference) -> list[dict[str, Any]]:
@@ -40,6 +52,16 @@ def reference_errors(settings: EvaluationSettings, number: int, reference: Refer
     return [
         {"view": number, "region": name, "psnr": reference.psnr(part.mask)} for name, part in parts.items()
     ]
+
+
+def _reference(channels: dict[str, NDArray[np.float32]]) -> Reference:
+    """The reference of what `stored_reference` writes.
+
+    Raises:
+        KeyError: a channel is missing.
+    """
+    halves = _image(channels, "first."), _image(channels, "second.")
+    return Reference(_image(channels, ""), halves, channels["error.V"])
 
 
 def _image(channels: dict[str, NDArray[np.float32]], prefix: str) -> Image:

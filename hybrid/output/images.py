@@ -6,13 +6,13 @@ import os
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from compose.base.errors import UserError
 from compose.base.files import write_whole
 from compose.image.colour import Image, bytes_from_radiance
+from compose.image.exr import read_channels, write_channels
 
 
 def check_writable(path: Path) -> None:
@@ -68,12 +68,20 @@ def write_exr(
         planes = {"V": image} if image.ndim == 2 else {c: image[..., i] for i, c in enumerate("RGB")}
         for channel, plane in planes.items():
             channels[prefix + channel] = np.ascontiguousarray(plane, dtype=np.float32)
-    layout = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    header = {**layout, **(attributes or {})}
-    write_whole(path, lambda part: OpenEXR.File(header, channels).write(str(part)))
+    write_channels(path, channels, attributes)
 
 
-def read_exr(path: Path) -> dict[str, NDArray[np.float32]]:
-    """All channels of an EXR file by their full names, such as composite.R; (H, W) each."""
-    file = OpenEXR.File(str(path), separate_channels=True)
-    return {name: channel.pixels for name, channel in file.channels().items()}
+def read_exr(path: Path, size: tuple[int, int] | None = None) -> dict[str, NDArray[np.float32]]:
+    """All channels of an EXR file by their full names, such as composite.R; (H, W) each.
+
+    Args:
+        path: of the file.
+        size: width and height that the image must have.
+
+    Raises:
+        UserError: the file is missing, damaged or of another size.
+    """
+    try:
+        return read_channels(path, size)
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error

@@ -50,7 +50,7 @@ def say_left_out(left_out: LeftOut) -> None:
 
 def training_view(entry: FrameEntry) -> TrainingView:
     """A captured frame as a training view."""
-    frame = read_frame(entry.file)
+    frame = read_frame(entry.file, entry.size)
     camera = entry.camera
     cosine = (camera.rays(camera.pixel_centres()) @ camera.camera_to_world[:3, 2]).reshape(frame.depth.shape)
     # The normal seen in a mirror is that of the mirror, not of the surface that appears behind it.

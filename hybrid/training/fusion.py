@@ -105,11 +105,11 @@ def _examples(frames: FrameSet, forest: Forest, rng: np.random.Generator) -> Ite
     renderer = ForestRenderer(device_arrays(), forest)
     finest = len(forest.counts)
     for number, entry in _usable(frames):
-        one, other = (read_radiance(file) for file in entry.halves)
-        reference = Reference(read_frame(entry.file).radiance, (one, other))
+        one, other = (read_radiance(file, entry.size) for file in entry.halves)
+        reference = Reference(read_frame(entry.file, entry.size).radiance, (one, other))
         splat = np.array(renderer.render_layer(entry.camera, finest).image())
         enlargement = entry.camera.fy / forest.focal_of(finest)
-        traced = [_images_of(read_estimate(file), spp) for spp, file in entry.estimates.items()]
+        traced = [_images_of(read_estimate(file, entry.size), spp) for spp, file in entry.estimates.items()]
         if len(traced) > 1:
             traced += [_mixed(traced, rng) for _ in range(_MIXED)]
         for images, quick in product(traced, (False, True)):

@@ -6,10 +6,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.camera.serialization import camera_from_json
 from pathtrace.cache.cache import IrradianceCache
-from pathtrace.dataset.exr import write_estimate, write_frame, write_radiance
+from pathtrace.dataset.exr import (
+    read_estimate,
+    read_frame,
+    read_radiance,
+    write_estimate,
+    write_frame,
+    write_radiance,
+)
 from pathtrace.dataset.frames import FrameSet, read_frame_set
 from pathtrace.dataset.rendering import render_estimates, render_frame, render_with_halves
 from pathtrace.dataset.settings import CaptureSettings
@@ -39,8 +47,9 @@ def capture(
     fusion is fitted to. Held-out frames are unbiased; close-ups, which measure nothing else, need not be.
 
     The folder gets a `transforms.json` in the Nerfstudio / instant-ngp convention and one multi-channel
-    OpenEXR file per frame, estimate and close-up. Files are written atomically, and frames that exist are not
-    rendered again; a resumed capture ends with exactly the same files as one that was not interrupted.
+    OpenEXR file per frame, estimate and close-up. Files are written atomically, and those that exist and are
+    intact are not rendered again; a resumed capture ends with exactly the same files as one that was not
+    interrupted.
 
     Args:
         scene: the scene, loaded for the selected Mitsuba variant.
@@ -75,11 +84,10 @@ def capture(
     tracers = [unbiased if entry["held_out"] else quick for entry in document["frames"]]
     tracers += [quick] * len(document["close_ups"])
     for index, (entry, camera) in enumerate(zip(entries, cameras, strict=True)):
-        if not (folder / entry["file_path"]).is_file():
-            # Each frame has a seed of its own, so that a resumed capture ends with the same frames.
-            seed = settings.seed * _CAPTURE_SEED_STEP + index
-            _write_estimates(quick, folder, entry, camera, seed)
-            _write_frame(tracers[index], folder, entry, camera, seed)
+        # Each frame has a seed of its own, so that a resumed capture ends with the same frames.
+        seed = settings.seed * _CAPTURE_SEED_STEP + index
+        _write_estimates(quick, folder, entry, camera, seed)
+        _write_frame(tracers[index], folder, entry, camera, seed)
         progress(sum(samples[: index + 1]), sum(samples))
     return read_frame_set(folder)
 
@@ -91,19 +99,36 @@ def _samples(entry: dict[str, Any], camera: Camera) -> int:
 
 
 def _write_estimates(tracer: Tracer, folder: Path, entry: dict[str, Any], camera: Camera, seed: int) -> None:
-    """Renders and writes the estimates of one view, if it has any."""
+    """Renders and writes those estimates of one view that are not there, or damaged."""
     files = {e["samples"]: folder / e["file_path"] for e in entry["estimates"]}
-    estimates = render_estimates(tracer, camera, tuple(files), seed)
-    for file, estimate in zip(files.values(), estimates, strict=True):
+    lacking = {spp: file for spp, file in files.items() if not _is_intact(read_estimate, file, camera)}
+    estimates = render_estimates(tracer, camera, tuple(files), seed, lacking)
+    for file, estimate in zip(lacking.values(), estimates, strict=True):
         write_estimate(file, estimate)
 
 
 def _write_frame(tracer: Tracer, folder: Path, entry: dict[str, Any], camera: Camera, seed: int) -> None:
-    """Renders and writes one view, after its halves: if the frame exists, so does all that belongs to it."""
-    if entry["halves"]:
-        frame, halves = render_with_halves(tracer, camera, entry["samples"], seed)
-        for name, half in zip(entry["halves"], halves, strict=True):
-            write_radiance(folder / name, half)
+    """Renders one view and writes what of it and its halves is not there, or damaged."""
+    file, halves = folder / entry["file_path"], [folder / name for name in entry["halves"]]
+    lacking = [half for half in halves if not _is_intact(read_radiance, half, camera)]
+    is_intact = _is_intact(read_frame, file, camera)
+    if is_intact and not lacking:
+        return
+    if halves:
+        frame, radiances = render_with_halves(tracer, camera, entry["samples"], seed)
+        for half, radiance in zip(halves, radiances, strict=True):
+            if half in lacking:
+                write_radiance(half, radiance)
     else:
         frame = render_frame(tracer, camera, entry["samples"], seed)
-    write_frame(folder / entry["file_path"], frame)
+    if not is_intact:
+        write_frame(file, frame)
+
+
+def _is_intact(read: Callable[[Path, tuple[int, int]], object], file: Path, camera: Camera) -> bool:
+    """Whether a file can be read as what it must be, at the size of its view."""
+    try:
+        read(file, (camera.width, camera.height))
+    except UserError:
+        return False
+    return True

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-import OpenEXR
 from numpy.typing import NDArray
 
 from compose.base.errors import UserError
-from compose.base.files import write_whole
 from compose.image.colour import Image
+from compose.image.exr import read_channels, write_channels
 from pathtrace.trace.image import TracedImage
+
+_Content = TypeVar("_Content")
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ def write_frame(path: Path, frame: CapturedFrame) -> None:
         # OpenEXR has no signed integers: 0 is "nothing hit".
         "shape.V": (frame.shape + 1).astype(np.uint32),
     }
-    _write(path, channels)
+    write_channels(path, channels)
 
 
 def write_estimate(path: Path, estimate: TracedImage) -> None:
@@ -63,7 +65,7 @@ def write_estimate(path: Path, estimate: TracedImage) -> None:
     Raises:
         UserError: the file cannot be written.
     """
-    _write(path, _shading_channels(estimate))
+    write_channels(path, _shading_channels(estimate))
 
 
 def write_radiance(path: Path, radiance: Image) -> None:
@@ -72,69 +74,73 @@ def write_radiance(path: Path, radiance: Image) -> None:
     Raises:
         UserError: the file cannot be written.
     """
-    _write(path, _split("", "RGB", radiance, np.float32))
+    write_channels(path, _split("", "RGB", radiance, np.float32))
 
 
-def read_frame(path: Path) -> CapturedFrame:
+def read_frame(path: Path, size: tuple[int, int] | None = None) -> CapturedFrame:
     """Reads what `write_frame` wrote.
 
+    Args:
+        path: of the file.
+        size: width and height that the frame must have.
+
     Raises:
-        UserError: the file is missing, damaged, or not a frame of a frame set.
+        UserError: the file is missing, damaged, of another size, not a frame of a frame set, or holds NaN.
     """
-    channels = _read(path)
-    try:
-        return CapturedFrame(
+    return _checked(
+        path,
+        size,
+        lambda channels: CapturedFrame(
             *_shading(channels),
-            channels["Z"],
-            channels["unfolded.V"],
+            _without_nan(channels, "Z"),
+            _without_nan(channels, "unfolded.V"),
             channels["shape.V"].astype(np.int32) - 1,
-        )
-    except KeyError as error:
-        raise _unreadable(path, error) from error
+        ),
+    )
 
 
-def read_estimate(path: Path) -> TracedImage:
+def read_estimate(path: Path, size: tuple[int, int] | None = None) -> TracedImage:
     """Reads what `write_estimate` wrote.
 
+    Args:
+        path: of the file.
+        size: width and height that the estimate must have.
+
     Raises:
-        UserError: the file is missing, damaged, or not an estimate of a frame set.
+        UserError: the file is missing, damaged, of another size, not an estimate of a frame set, or holds
+            numbers that are not finite.
     """
-    channels = _read(path)
-    try:
-        return TracedImage(*_shading(channels))
-    except KeyError as error:
-        raise _unreadable(path, error) from error
+    return _checked(path, size, lambda channels: TracedImage(*_shading(channels)))
 
 
-def read_radiance(path: Path) -> Image:
+def read_radiance(path: Path, size: tuple[int, int] | None = None) -> Image:
     """Reads what `write_radiance` wrote.
 
+    Args:
+        path: of the file.
+        size: width and height that the image must have.
+
     Raises:
-        UserError: the file is missing, damaged, or has no radiance.
+        UserError: the file is missing, damaged, of another size, has no radiance, or holds numbers that are
+            not finite.
     """
-    channels = _read(path)
+    return _checked(path, size, lambda channels: _stacked(channels, "", "RGB"))
+
+
+def _checked(
+    path: Path, size: tuple[int, int] | None, made_of: Callable[[dict[str, Any]], _Content]
+) -> _Content:
+    """What is made of the channels of a file."""
     try:
-        return _stacked(channels, "", "RGB")
+        return made_of(read_channels(path, size))
     except KeyError as error:
-        raise _unreadable(path, error) from error
+        raise _unreadable(path, f"has no channel {error}") from error
+    except (OSError, ValueError) as error:
+        raise _unreadable(path, getattr(error, "strerror", None) or error) from error
 
 
-def _write(path: Path, channels: dict[str, Any]) -> None:
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    write_whole(path, lambda part: OpenEXR.File(header, channels).write(str(part)))
-
-
-def _read(path: Path) -> dict[str, Any]:
-    """Channels (H, W) by name."""
-    try:
-        channels = OpenEXR.File(str(path), separate_channels=True).channels()
-        return {name: channel.pixels for name, channel in channels.items()}
-    except (OSError, RuntimeError, ValueError) as error:
-        raise _unreadable(path, error) from error
-
-
-def _unreadable(path: Path, error: Exception) -> UserError:
-    return UserError(f"{path}: not a readable frame ({error}); capture it again")
+def _unreadable(path: Path, reason: object) -> UserError:
+    return UserError(f"{path}: not a readable frame ({reason}); capture it again")
 
 
 def _shading_channels(image: CapturedFrame | TracedImage) -> dict[str, Any]:
@@ -154,8 +160,19 @@ def _shading(channels: dict[str, Any]) -> tuple[Image, Image, Image]:
 
 
 def _stacked(channels: dict[str, Any], prefix: str, names: str) -> Image:
-    """An image (H, W, 3) from channels (H, W)."""
-    return np.stack([channels[prefix + n] for n in names], axis=-1).astype(np.float32)
+    """An image (H, W, 3) from channels (H, W); ValueError if a number is not finite."""
+    image = np.stack([channels[prefix + n] for n in names], axis=-1).astype(np.float32)
+    if not np.isfinite(image).all():
+        raise ValueError(f"{prefix}{names} holds numbers that are not finite")
+    return image
+
+
+def _without_nan(channels: dict[str, Any], name: str) -> Image:
+    """A channel (H, W) that may hold infinities; ValueError if it holds NaN."""
+    values = channels[name].astype(np.float32)
+    if np.isnan(values).any():
+        raise ValueError(f"{name} holds NaN")
+    return np.asarray(values)
 
 
 def _split(prefix: str, names: str, image: Image, dtype: Any) -> dict[str, Any]:

@@ -6,12 +6,14 @@ The layout follows the Nerfstudio / instant-ngp convention, so that other progra
 from __future__ import annotations
 
 import hashlib
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from compose.base.errors import UserError
+from compose.base.files import require_size_below
+from compose.base.json_file import MOST_BYTES, parse_json
+from compose.base.scene_names import claimed_scene
 from compose.camera.camera import Camera
 from compose.camera.serialization import camera_from_json
 
@@ -37,6 +39,11 @@ class FrameEntry:
     held_out: bool
     estimates: dict[int, Path]
     halves: tuple[Path, ...] = ()
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels of the view, and of each of its files."""
+        return self.camera.width, self.camera.height
 
 
 @dataclass(frozen=True)
@@ -81,8 +88,9 @@ def read_frame_set(folder: Path) -> FrameSet:
     if not path.is_file():
         raise UserError(f"{folder}: not a frame set (no transforms.json); make one with: hybrid capture")
     try:
-        text = path.read_text()
-        document = json.loads(text)
+        require_size_below(path, MOST_BYTES)
+        text = path.read_text(encoding="utf-8")
+        document = parse_json(text)
         if document["format_version"] != FORMAT_VERSION:
             raise UserError(
                 f"{path}: format version {document['format_version']}, this program reads {FORMAT_VERSION}; "
@@ -92,9 +100,9 @@ def read_frame_set(folder: Path) -> FrameSet:
             [_entry(folder, {**document, **frame}) for frame in document[name]]
             for name in ("frames", "close_ups")
         )
-        scene = document["scene"]["name"], document["scene"]["hash"]
+        scene = claimed_scene(document["scene"]["name"], document["scene"]["hash"])
         integrator = str(document["integrator"])
-    except (ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise UserError(f"{path}: not the description of a frame set ({error!r})") from error
     _check_files(folder, entries + close_ups)
     return FrameSet(folder, hashlib.sha256(text.encode()).hexdigest(), *scene, entries, close_ups, integrator)
@@ -115,9 +123,29 @@ def _entry(folder: Path, frame: dict[str, Any]) -> FrameEntry:
     """An entry from its JSON, with the document's intrinsics where it has none of its own."""
     return FrameEntry(
         camera_from_json(frame),
-        folder / frame["file_path"],
-        int(frame["samples"]),
+        _inside(folder, frame["file_path"]),
+        _samples(frame),
         bool(frame["held_out"]),
-        {int(e["samples"]): folder / e["file_path"] for e in frame["estimates"]},
-        tuple(folder / half for half in frame["halves"]),
+        {_samples(e): _inside(folder, e["file_path"]) for e in frame["estimates"]},
+        tuple(_inside(folder, half) for half in frame["halves"]),
     )
+
+
+def _inside(folder: Path, name: Any) -> Path:
+    """A file by its name relative to the folder; ValueError if it would lie elsewhere."""
+    if (
+        not isinstance(name, str)
+        or not name.isprintable()
+        or Path(name).is_absolute()
+        or ".." in Path(name).parts
+    ):
+        raise ValueError(f"{str(name)[:80]!r} is not the name of a file in the folder")
+    return folder / name
+
+
+def _samples(entry: dict[str, Any]) -> int:
+    """Samples per pixel; ValueError if that is no positive number."""
+    count = int(entry["samples"])
+    if count < 1:
+        raise ValueError(f"samples {count}: must be positive")
+    return count

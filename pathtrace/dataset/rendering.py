@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
+
 import numpy as np
 
 from compose.camera.camera import Camera
@@ -49,13 +51,24 @@ def render_with_halves(
     return _frame(tracer, camera, traced), (one.radiance, other.radiance)
 
 
-def render_estimates(tracer: Tracer, camera: Camera, counts: tuple[int, ...], seed: int) -> list[TracedImage]:
-    """Noisy estimates of a view, with `counts` samples per pixel each; independent of its frame's samples."""
+def render_estimates(
+    tracer: Tracer, camera: Camera, counts: tuple[int, ...], seed: int, wanted: Container[int] | None = None
+) -> list[TracedImage]:
+    """Noisy estimates of a view, independent of its frame's samples.
+
+    Args:
+        tracer: traces the scene.
+        camera: the view.
+        counts: samples per pixel of each estimate.
+        seed: same seed and counts, same estimates.
+        wanted: those of the counts that are traced, if not all are.
+    """
     return [
         trace_image(
             tracer, camera, frame_positions(camera), camera.width, count, seed + number * _PART_SEED_STEP
         )
         for number, count in enumerate(counts, start=_HALVES)
+        if wanted is None or count in wanted
     ]
 
 

@@ -5,6 +5,7 @@ The names follow the Nerfstudio / instant-ngp convention, so that other programs
 
 from __future__ import annotations
 
+import contextlib
 import json
 from dataclasses import asdict
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 
 from compose.base.errors import UserError
 from compose.base.files import write_whole
+from compose.base.json_file import read_json
 from compose.camera.camera import Camera
 from compose.camera.place import WORLD
 from compose.camera.serialization import camera_to_json
@@ -83,16 +85,24 @@ def write_description(folder: Path, document: dict[str, Any]) -> None:
     """Writes transforms.json and makes the folder of the frames; keeps an equal file.
 
     Raises:
-        UserError: the folder holds another capture, or cannot be written.
+        UserError: the folder holds another capture or a damaged file, or cannot be written.
     """
     path = folder / "transforms.json"
     text = json.dumps(document, indent=1)
-    if path.is_file():
-        if path.read_text() != text:
-            raise UserError(f"{folder}: holds another capture; choose another folder or the same settings")
+    if not path.is_file():
+        write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+        # Whoever writes a frame says what is wrong there.
+        with contextlib.suppress(OSError):
+            (folder / "frames").mkdir(exist_ok=True)
         return
-    write_whole(path, lambda part: part.write_text(text))
-    (folder / "frames").mkdir(exist_ok=True)
+    try:
+        found = read_json(path)
+    except (OSError, ValueError) as error:
+        raise UserError(
+            f"{path}: is damaged ({error}); delete it and capture with the same settings again"
+        ) from error
+    if found != json.loads(text):
+        raise UserError(f"{folder}: holds another capture; choose another folder or the same settings")
 
 
 def _held_out(views: ViewSet, count: int) -> set[int]:

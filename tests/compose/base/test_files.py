@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import stat
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from compose.base.errors import UserError
-from compose.base.files import write_whole
+from compose.base.files import locked, require_size_below, write_whole
 
 
 def test_a_file_and_its_folder_are_made(tmp_path):
@@ -78,3 +82,98 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(UserError, match="cannot be written"):
         write_whole(tmp_path / "file" / "notes.txt", lambda part: part.write_text("content"))
+
+
+def test_partial_files_of_two_writes_have_other_names(tmp_path):
+    parts: list[Path] = []
+
+    def write(part: Path) -> None:
+        part.write_text("outer")
+        parts.append(part)
+        if len(parts) == 1:
+            write_whole(tmp_path / "notes.txt", write)
+
+    write_whole(tmp_path / "notes.txt", write)
+    assert len({part.name for part in parts}) == 2
+    assert all(part.name.startswith(".part-") for part in parts)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.parametrize("mask", [0o022, 0o077, 0o002])
+def test_a_file_has_the_permissions_of_an_ordinary_new_one(tmp_path, mask):
+    """Also if a library lets only the owner read what it writes."""
+    before = os.umask(mask)
+    try:
+        write_whole(tmp_path / "a", lambda part: (part.write_text("content"), part.chmod(0o600)))
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "a").stat().st_mode) == 0o666 & ~mask
+
+
+def test_a_writer_that_writes_nothing_leaves_no_empty_file(tmp_path):
+    with pytest.raises(UserError, match="cannot be written"):
+        write_whole(tmp_path / "a", lambda part: None)
+    assert not list(tmp_path.iterdir())
+
+
+def test_content_and_name_reach_the_disk_in_this_order(tmp_path, monkeypatch):
+    done = []
+    sync, replace = os.fsync, os.replace
+    monkeypatch.setattr(
+        os, "fsync", lambda file: done.append(os.readlink(f"/proc/self/fd/{file}")) or sync(file)
+    )
+    monkeypatch.setattr(os, "replace", lambda *paths: done.append("rename") or replace(*paths))
+    write_whole(tmp_path / "a", lambda part: part.write_text("content"))
+    assert Path(done[0]).name.startswith(".part-")
+    assert done[1:] == ["rename", str(tmp_path)]
+
+
+def test_what_dead_processes_left_is_removed_and_what_is_being_written_stays(tmp_path):
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    mine: list[str] = []
+    write_whole(tmp_path / "a", lambda part: mine.append(part.name) or part.touch())
+    place = mine[0].split("-")[1]
+    names = {
+        "of a dead process": f".part-{place}-{dead.pid}-0.txt",
+        "of this process": f".part-{place}-{os.getpid()}-0.txt",
+        "of another machine": ".part-00000000-1-0.txt",
+        "of another machine, old": ".part-00000000-1-1.txt",
+        "of no process": ".part-notes.txt",
+    }
+    for name in names.values():
+        (tmp_path / name).touch()
+    os.utime(tmp_path / names["of another machine, old"], (1, 1))
+    write_whole(tmp_path / "a", lambda part: part.touch())
+    removed = {what for what, name in names.items() if not (tmp_path / name).exists()}
+    assert removed == {"of a dead process", "of another machine, old"}
+
+
+def test_names_near_the_limit_are_written(tmp_path):
+    name = "n" * 200 + "." + "e" * 50
+    write_whole(tmp_path / name, lambda part: part.write_text("content"))
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("name", ["n" * 300, "a\0b"])
+def test_a_name_that_no_file_can_have_is_refused(tmp_path, name):
+    with pytest.raises(UserError, match="cannot be written") as caught:
+        write_whole(tmp_path / name, lambda part: part.write_text("content"))
+    assert "\0" not in str(caught.value)
+
+
+def test_a_locked_folder_is_free_again_afterwards(tmp_path):
+    for _ in range(2):
+        with locked(tmp_path / "new"):
+            assert (tmp_path / "new").is_dir()
+
+
+def test_sizes_are_asked_for_before_reading(tmp_path):
+    (tmp_path / "a").write_bytes(b"12345")
+    assert require_size_below(tmp_path / "a", 5) == 5
+    with pytest.raises(ValueError, match="5 bytes; at most 4 are read"):
+        require_size_below(tmp_path / "a", 4)
+    with pytest.raises(ValueError, match="not a file"):
+        require_size_below(Path("/dev/zero"), 4)
+    with pytest.raises(FileNotFoundError):
+        require_size_below(tmp_path / "b", 4)

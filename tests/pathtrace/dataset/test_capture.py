@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import shutil
 from itertools import pairwise
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.fill.fill import fill_cache
 from pathtrace.scene.scene import Scene, load_scene
 from tests import small
+from tests.extremes import extreme
 
 SETTINGS = CaptureSettings(views=4, held_out=2, width=24, height=16, spp=2, held_out_spp=4)
 # Four views of 2 samples; two of 4 and an estimate of 1; four close-ups of these on a quarter of their size.
@@ -151,3 +153,57 @@ def test_another_capture_is_not_overwritten(scene, whole):
     with pytest.raises(UserError, match="holds another capture"):
         capture(scene, whole[0].folder, settings, lambda done, total: None)
     assert contents(whole[0].folder) == before
+
+
+def damages(content: bytes) -> dict[str, bytes | None]:
+    """A file that is missing, cut off, of zeros, or with a flipped bit among its values."""
+    flipped = bytearray(content)
+    flipped[-20] ^= 0x10
+    return {
+        "missing": None,
+        "empty": b"",
+        "cut": content[: len(content) // 2],
+        "last byte": content[:-1],
+        "zeros": bytes(len(content)),
+        "flipped": bytes(flipped),
+    }
+
+
+@extreme(
+    "damaged captures",
+    given="frame, half, estimate or close-up missing, cut off, zeroed, with a flipped bit, or another one's",
+    expected="exactly the damaged files rendered again, the same bytes as before",
+)
+def test_a_capture_repairs_exactly_what_is_damaged(scene, whole, tmp_path, got):
+    shutil.copytree(whole[0].folder, tmp_path / "c")
+    folder, expected = tmp_path / "c", contents(whole[0].folder)
+    held_out = whole[0].held_out[0].file.stem
+    names = ["0000", held_out, f"{held_out}-half2", f"{held_out}-1spp", f"{held_out}-closer2-half1"]
+    files = [folder / "frames" / f"{name}.exr" for name in names]
+    repaired = 0
+    for kind in damages(b"x" * 40):
+        for file in files:
+            damaged = damages(file.read_bytes())[kind]
+            file.unlink() if damaged is None else file.write_bytes(damaged)
+        before = {path: path.stat().st_mtime_ns for path in folder.rglob("*.exr") if path not in files}
+        capture(scene, folder, SETTINGS, lambda done, total: None)
+        assert contents(folder) == expected, kind
+        assert {path: path.stat().st_mtime_ns for path in before} == before
+        repaired += len(files)
+    # A close-up in the place of a frame has another size; an estimate in that place has other channels.
+    for other in (f"{held_out}-closer2.exr", f"{held_out}-1spp.exr"):
+        shutil.copy(folder / "frames" / other, files[0])
+        capture(scene, folder, SETTINGS, lambda done, total: None)
+        assert contents(folder) == expected
+        repaired += 1
+    got(f"{repaired} of {repaired} files repaired")
+
+
+def test_a_damaged_description_is_refused_with_advice(scene, whole, tmp_path):
+    shutil.copytree(whole[0].folder, tmp_path / "c")
+    description = tmp_path / "c" / "transforms.json"
+    description.write_bytes(description.read_bytes()[:-3] + b"\xff")
+    with pytest.raises(
+        UserError, match=r"transforms\.json: is damaged .*; delete it and capture with the same"
+    ):
+        capture(scene, tmp_path / "c", SETTINGS, lambda done, total: None)

@@ -1,0 +1,187 @@
+"""Multi-channel OpenEXR files of one part in scan lines: what the project writes and reads."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+
+from compose.base.files import require_size_below, write_whole
+from compose.base.limits import MOST_PIXELS
+
+MOST_CHANNELS = 256
+_MOST_BYTES = 1 << 34
+_MOST_HEADER = 1 << 20
+_MAGIC = b"\x76\x2f\x31\x01"
+# Bytes of a value by its type: unsigned integer, half, float.
+_TYPES = {0: 4, 1: 2, 2: 4}
+# Compression 0, 2 and 3: none, and ZIP of one and of 16 lines. Deflate shrinks data 1,032 times at most.
+_COMPRESSIONS, _MOST_RATIO = (0, 2, 3), 1032
+_CHECKSUM = "crc32"
+
+
+@dataclass(frozen=True)
+class ExrHeader:
+    """What the header of an EXR file declares.
+
+    Attributes:
+        width, height: of the data window in pixels.
+        channels: names, in the order of the file.
+    """
+
+    width: int
+    height: int
+    channels: tuple[str, ...]
+
+
+def write_channels(
+    path: Path, channels: Mapping[str, NDArray[Any]], attributes: Mapping[str, str] | None = None
+) -> None:
+    """Writes channels (H, W) of uint32, float16 or float32 with ZIP compression, atomically.
+
+    The header gets a checksum of the values, by which a reader notices damage.
+
+    Args:
+        path: of the file.
+        channels: by name, all of one size.
+        attributes: further entries of the header.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    content = {name: np.ascontiguousarray(values) for name, values in channels.items()}
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        _CHECKSUM: _checksum(content),
+        **(attributes or {}),
+    }
+    write_whole(path, lambda part: OpenEXR.File(header, content).write(str(part)))
+
+
+def read_channels(path: Path, size: tuple[int, int] | None = None) -> dict[str, NDArray[Any]]:
+    """All channels (H, W) by name.
+
+    Args:
+        path: of the file.
+        size: width and height that the image must have.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is not an EXR file of one part in scan lines, damaged, of another size, or declares
+            more than its bytes can hold; nothing is allocated before that is known.
+    """
+    header = read_header(path)
+    found = header.width, header.height
+    if size is not None and found != size:
+        raise ValueError(f"{found[0]} x {found[1]} pixels instead of {size[0]} x {size[1]}")
+    try:
+        file = OpenEXR.File(str(path), separate_channels=True)
+        channels = {name: channel.pixels for name, channel in file.channels().items()}
+        expected = file.header().get(_CHECKSUM)
+    except (RuntimeError, TypeError, KeyError) as error:
+        raise ValueError(str(error)) from error
+    if any(values.shape != (header.height, header.width) for values in channels.values()):
+        raise ValueError("channels of other sizes than the image")
+    if expected is not None and expected != _checksum(channels):
+        raise ValueError("the checksum differs")
+    return channels
+
+
+def read_header(path: Path) -> ExrHeader:
+    """What the header declares, after a check that the file can hold it.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is not an EXR file of one part in scan lines, or declares more than its bytes can hold.
+    """
+    size = require_size_below(path, _MOST_BYTES)
+    with path.open("rb") as file:
+        content = file.read(_MOST_HEADER)
+    attributes, end = _attributes(content)
+    try:
+        left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
+        (compression,) = attributes["compression"]
+        channels = dict(_channels(attributes["channels"]))
+    except (KeyError, ValueError, struct.error) as error:
+        raise ValueError(f"header is damaged ({error})") from error
+    width, height = right - left + 1, bottom - top + 1
+    if width < 1 or height < 1 or width * height > MOST_PIXELS or not 1 <= len(channels) <= MOST_CHANNELS:
+        declared = f"{width} x {height} pixels in {len(channels)} channels"
+        raise ValueError(f"declares {declared}; at most {MOST_PIXELS:,} in {MOST_CHANNELS} are read")
+    if compression not in _COMPRESSIONS:
+        raise ValueError("compressed neither by ZIP nor at all")
+    declared = width * height * sum(channels.values())
+    ratio = _MOST_RATIO if compression else 1
+    # A table of offsets comes before the lines; 16 lines at most share one.
+    if declared > (size - end) * ratio or height // 16 * 8 > size - end:
+        raise ValueError(f"truncated: declares {width} x {height} pixels, more than {size:,} bytes can hold")
+    return ExrHeader(width, height, tuple(channels))
+
+
+def _attributes(content: bytes) -> tuple[dict[str, bytes], int]:
+    """Values of a header's attributes by name, and where it ends."""
+    # Bit 10 of the version allows names of up to 255 bytes; others are tiles, deep images and several parts.
+    if (
+        content[:4] != _MAGIC
+        or len(content) < 8
+        or content[4] != 2
+        or content[5] & ~0x04
+        or any(content[6:8])
+    ):
+        raise ValueError("not an EXR file of one part in scan lines")
+    found: dict[str, bytes] = {}
+    at = 8
+    while content[at : at + 1] != b"\0":
+        name, at = _text(content, at)
+        _, at = _text(content, at)
+        if at + 4 > len(content):
+            raise ValueError("header is truncated")
+        (length,) = struct.unpack_from("<i", content, at)
+        at += 4
+        if length < 0 or at + length > len(content):
+            raise ValueError("header is truncated, or longer than a header may be")
+        if name in found:
+            raise ValueError(f"header names {name} twice")
+        found[name] = content[at : at + length]
+        at += length
+    return found, at + 1
+
+
+def _channels(content: bytes) -> list[tuple[str, int]]:
+    """Names of the channels, and bytes of a value of each."""
+    found: list[tuple[str, int]] = []
+    at = 0
+    while content[at : at + 1] != b"\0":
+        name, at = _text(content, at)
+        kind, _, x, y = struct.unpack_from("<iiii", content, at)
+        if kind not in _TYPES or (x, y) != (1, 1) or name in dict(found):
+            raise ValueError(f"channel {name!r} is of no known type, at lower resolution, or named twice")
+        found.append((name, _TYPES[kind]))
+        at += 16
+    return found
+
+
+def _text(content: bytes, at: int) -> tuple[str, int]:
+    """The text that ends with a zero byte, and where the next entry begins."""
+    end = content.find(b"\0", at, at + 256)
+    if end <= at:
+        raise ValueError("header is truncated")
+    return content[at:end].decode("utf-8", "replace"), end + 1
+
+
+def _checksum(channels: Mapping[str, NDArray[Any]]) -> str:
+    """Eight hexadecimal digits of names, types, sizes and values."""
+    state = 0
+    for name in sorted(channels):
+        values = np.ascontiguousarray(channels[name])
+        state = zlib.crc32(f"{name} {values.dtype} {values.shape}".encode(), state)
+        state = zlib.crc32(values.data, state)
+    return f"{state:08x}"
