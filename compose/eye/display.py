@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from compose.base.errors import UserError
+from compose.base.errors import UserError, one_line
+from compose.base.json_file import read_json
 from compose.camera.camera import Camera
 
 
@@ -69,7 +69,7 @@ def display_named(source: str) -> Display:
     if source in DISPLAYS:
         return DISPLAYS[source]
     try:
-        return _display_from_json(json.loads(Path(source).read_text()))
+        return _display_from_json(read_json(Path(source), finite=False))
     except OSError as error:
         raise UserError(
             f"display {source}: must be {', '.join(DISPLAYS)} or a JSON file ({error.strerror})"
@@ -77,9 +77,8 @@ def display_named(source: str) -> Display:
     except UserError as error:
         raise UserError(f"display {source}: {error}") from error
     except (ValueError, TypeError) as error:
-        raise UserError(
-            f"display {source}: must be JSON with width and height in pixels and fov in degrees ({error})"
-        ) from error
+        needed = "must be JSON with width and height in pixels and fov in degrees"
+        raise UserError(f"display {source}: {needed} ({one_line(error)})") from error
 
 
 def _display_from_json(entry: Any) -> Display:

@@ -10,11 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from compose.base.errors import UserError
-from compose.base.files import write_whole
+from compose.base.errors import UserError, one_line
+from compose.base.files import require_size_below, write_whole
 from compose.eye.gaze import Gaze
 
 _COLUMNS = ["seconds", "x", "y"]
+# Some 40 minutes at 1,000 gazes per second.
+_MOST_BYTES = 1 << 26
 
 
 @dataclass(frozen=True)
@@ -58,27 +60,36 @@ def load_gaze_trace(path: Path) -> GazeTrace:
         UserError: the file cannot be read, has other columns or no rows, a row is not a gaze, or time runs
             backwards.
     """
-    try:
-        with path.open(newline="") as file:
-            rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise UserError(f"{path}: cannot be read ({error})") from error
-    if not rows or [name.strip() for name in rows[0]] != _COLUMNS:
-        raise UserError(f"{path}: is not a gaze trace; its first line must be {','.join(_COLUMNS)}")
     seconds: list[float] = []
     gazes: list[Gaze] = []
-    for number, row in enumerate(rows[1:], 2):
-        try:
-            second, x, y = (float(value) for value in row)
-            gaze = Gaze(x, y)
-        except ValueError as error:
-            raise UserError(f"{path}: line {number} is not a gaze ({','.join(row)})") from error
-        if not np.isfinite(second) or (seconds and second < seconds[-1]):
-            raise UserError(
-                f"{path}: line {number}: time {row[0]} must be a number, not before the line above"
-            )
-        seconds.append(second)
-        gazes.append(gaze)
+    try:
+        require_size_below(path, _MOST_BYTES)
+        with path.open(newline="") as file:
+            rows = csv.reader(file)
+            if [name.strip() for name in next(rows, [])] != _COLUMNS:
+                raise UserError(f"{path}: is not a gaze trace; its first line must be {','.join(_COLUMNS)}")
+            for number, row in enumerate(rows, 2):
+                second, gaze = _parsed(path, number, row)
+                if not np.isfinite(second) or (seconds and second < seconds[-1]):
+                    time = row[0].strip()[:40]
+                    raise UserError(
+                        f"{path}: line {number}: time {time} must be a number, not before the line above"
+                    )
+                seconds.append(second)
+                gazes.append(gaze)
+    except (OSError, ValueError, csv.Error) as error:
+        raise UserError(f"{path}: cannot be read ({one_line(error)})") from error
     if not seconds:
         raise UserError(f"{path}: contains no gaze")
     return GazeTrace(tuple(second - seconds[0] for second in seconds), tuple(gazes))
+
+
+def _parsed(path: Path, number: int, row: list[str]) -> tuple[float, Gaze]:
+    """Time and gaze of a line."""
+    try:
+        second, x, y = (float(value) for value in row)
+        return second, Gaze(x, y)
+    except ValueError as error:
+        raise UserError(
+            f"{path}: line {number} is not a gaze ({one_line(ValueError(','.join(row)))})"
+        ) from error

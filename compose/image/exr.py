@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
+from compose.base.checksum import checksum
 from compose.base.files import require_size_below, write_whole
 from compose.base.limits import MOST_PIXELS
 
@@ -60,7 +60,7 @@ def write_channels(
     header = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
-        _CHECKSUM: _checksum(content),
+        _CHECKSUM: checksum(content),
         **(attributes or {}),
     }
     write_whole(path, lambda part: OpenEXR.File(header, content).write(str(part)))
@@ -90,7 +90,7 @@ def read_channels(path: Path, size: tuple[int, int] | None = None) -> dict[str, 
         raise ValueError(str(error)) from error
     if any(values.shape != (header.height, header.width) for values in channels.values()):
         raise ValueError("channels of other sizes than the image")
-    if expected is not None and expected != _checksum(channels):
+    if expected is not None and expected != checksum(channels):
         raise ValueError("the checksum differs")
     return channels
 
@@ -175,13 +175,3 @@ def _text(content: bytes, at: int) -> tuple[str, int]:
     if end <= at:
         raise ValueError("header is truncated")
     return content[at:end].decode("utf-8", "replace"), end + 1
-
-
-def _checksum(channels: Mapping[str, NDArray[Any]]) -> str:
-    """Eight hexadecimal digits of names, types, sizes and values."""
-    state = 0
-    for name in sorted(channels):
-        values = np.ascontiguousarray(channels[name])
-        state = zlib.crc32(f"{name} {values.dtype} {values.shape}".encode(), state)
-        state = zlib.crc32(values.data, state)
-    return f"{state:08x}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -174,13 +173,14 @@ def _check_target(excluded: dict[str, Any]) -> None:
 
 def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None, is_video: bool) -> Camera:
     """The camera: from a file, else the scene's own, at the size that was asked for."""
+    from compose.base.json_file import read_json
     from compose.camera.serialization import camera_from_json
     from hybrid.output.video import check_video
 
     camera = scene.camera
     if file is not None:
         try:
-            camera = scene.place.camera(camera_from_json(json.loads(file.read_text())))
+            camera = scene.place.camera(camera_from_json(read_json(file)))
         except OSError as error:
             raise UserError(f"--camera {file}: cannot be read ({error.strerror})") from error
         except (ValueError, KeyError, TypeError) as error:

@@ -8,9 +8,14 @@ from pathlib import Path
 
 import platformdirs
 
+from compose.base.errors import UserError
+from compose.base.scene_names import claimed_scene
 from pathtrace.scene.scene import Scene
-from splat.io.forest_file import save_forest
+from splat.io.forest_file import save_forest, scene_of_forest
 from splat.model.forest import Forest
+
+# Of a complete SHA-256.
+_HASH_DIGITS = 64
 
 
 def home() -> Path:
@@ -20,25 +25,52 @@ def home() -> Path:
 
 
 def scene_folder(name: str, digest: str) -> Path:
-    """Folder of everything made for one version of a scene, which has that name and hash."""
+    """Folder of everything made for one version of a scene, which has that name and hash.
+
+    Raises:
+        UserError: name or hash cannot be those of a scene: they become the name of a folder.
+    """
+    try:
+        name, digest = claimed_scene(name, digest)
+    except ValueError as error:
+        raise UserError(str(error)) from error
     return home() / f"{name}-{digest[:12]}"
 
 
 def store_forest(forest: Forest, name: str) -> None:
     """Stores a copy of a forest in the cache, as the newest one of its scene.
 
+    Args:
+        forest: trained on frames of that scene.
+        name: of the file, without extension.
+
     Raises:
-        UserError: the cache folder cannot be written.
+        UserError: the cache folder cannot be written, or the forest says of no scene that it is of it.
     """
+    if len(forest.scene_hash) != _HASH_DIGITS:
+        raise UserError(f"scene hash {forest.scene_hash!r}: only forests of a scene are stored")
     folder = scene_folder(forest.scene_name, forest.scene_hash) / "forests"
     save_forest(folder / f"{name}.safetensors", forest)
 
 
 def newest_forest(scene: Scene) -> Path | None:
-    """File of the forest that was stored last for a scene; None if none was stored."""
+    """File of the forest that was stored last for a scene; None if none was stored.
+
+    Files whose header is damaged or names another scene are skipped: the folder's name has only the first
+    digits of the hash.
+    """
     found = {}
     # Hidden files are still being written; another process may rename or remove them meanwhile.
     for path in (scene_folder(scene.name, scene.hash) / "forests").glob("[!.]*.safetensors"):
         with contextlib.suppress(FileNotFoundError):
             found[path] = path.stat().st_mtime
-    return max(found, key=lambda path: found[path], default=None)
+    newest_first = sorted(found, key=lambda path: found[path], reverse=True)
+    return next((path for path in newest_first if _is_of(path, scene)), None)
+
+
+def _is_of(path: Path, scene: Scene) -> bool:
+    """Whether a file is a forest that says it is of a scene."""
+    try:
+        return scene_of_forest(path) == (scene.name, scene.hash)
+    except UserError:
+        return False

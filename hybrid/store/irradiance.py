@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
 
+from compose.base.checksum import checksum
 from compose.base.files import write_whole
 from pathtrace.cache.cache import IrradianceCache
 from pathtrace.cache.cells import SIDES, Cells, Grid, Points
@@ -17,6 +18,8 @@ from pathtrace.cache.lights import LightChoice
 from pathtrace.cache.patches import Patches
 from pathtrace.cache.transfer import Rays, Transfer
 from pathtrace.cache.transport import Transport
+
+_CHECKSUM = "crc32"
 
 
 def stored_cache(path: Path, fill: Callable[[], IrradianceCache]) -> IrradianceCache:
@@ -30,11 +33,28 @@ def stored_cache(path: Path, fill: Callable[[], IrradianceCache]) -> IrradianceC
         UserError: the file cannot be written.
     """
     try:
-        return _cache(load_file(path))
-    except (OSError, SafetensorError, KeyError, ValueError):
+        return _cache(_stored(path))
+    except (OSError, SafetensorError, LookupError, ValueError, TypeError, OverflowError):
         cache = fill()
-        write_whole(path, lambda part: save_file(_arrays(cache), part))
+        arrays = _arrays(cache)
+        # The library's own file writing leaves a file of another name behind if the process dies meanwhile.
+        content = save(arrays, {_CHECKSUM: checksum(arrays)})
+        write_whole(path, lambda part: part.write_bytes(content))
         return cache
+
+
+def _stored(path: Path) -> dict[str, NDArray[np.generic]]:
+    """The arrays in a file.
+
+    Raises:
+        OSError, SafetensorError, ValueError: it cannot be read, or is damaged.
+    """
+    with safe_open(path, framework="np") as file:
+        arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        expected = (file.metadata() or {}).get(_CHECKSUM)
+    if expected not in (None, checksum(arrays)):
+        raise ValueError("the checksum differs")
+    return arrays
 
 
 def _arrays(cache: IrradianceCache) -> dict[str, NDArray[np.generic]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from compose.base.errors import UserError
+from compose.base.errors import UserError, one_line
 from pathtrace.dataset.frames import FrameSet
 from splat.io.tensors import FORMAT_VERSION, load_tensors, save_tensors
 from splat.training.trainer import Trainer
@@ -34,10 +34,12 @@ def restore_checkpoint(trainer: Trainer, path: Path, frames: FrameSet) -> None:
     """
     if not path.is_file():
         return
-    tensors, metadata = load_tensors(path)
+    tensors, metadata = load_tensors(path, "delete it to start again")
     if metadata.get("kind") != "checkpoint" or metadata.get("frames") != frames.digest:
         raise UserError(f"{path}: not a checkpoint of this training run; delete it to start again")
     try:
         trainer.restore(tensors, metadata)
-    except (ValueError, KeyError) as error:
-        raise UserError(f"{path}: {error}; delete it to start again") from error
+        if not 0 <= trainer.iteration <= trainer.settings.iterations:
+            raise ValueError(f"the checkpoint is of step {trainer.iteration}")
+    except (ValueError, LookupError, TypeError, AttributeError, RuntimeError, OverflowError) as error:
+        raise UserError(f"{path}: {one_line(error)}; delete it to start again") from error

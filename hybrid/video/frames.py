@@ -44,16 +44,17 @@ class VideoFrames:
         self._history: dict[str, torch.Tensor] = {}
         self.milliseconds: list[dict[str, float]] = []
         if self._state.is_file():
-            self._history, found = load_tensors(self._state)
+            again = "delete the folder to start again"
+            self._history, found = load_tensors(self._state, again)
             require_same(
                 found.get("identity", {}),
                 identity,
                 f"{folder}: holds the beginning of a video",
                 "delete it, or choose another output file",
             )
-            self.milliseconds = found["milliseconds"]
-            if not all(self._file(number).is_file() for number in range(len(self.milliseconds))):
-                raise UserError(f"{folder}: frames are missing; delete it to start again")
+            self.milliseconds = list(found.get("milliseconds") or [])
+            for number in range(len(self.milliseconds)):
+                self._check(self._file(number))
 
     def history(self) -> State:
         """The fovea's history after the last frame; empty if there is none."""
@@ -89,6 +90,17 @@ class VideoFrames:
     def remove(self) -> None:
         """Deletes the folder, once the video is complete."""
         shutil.rmtree(self._folder)
+
+    def _check(self, file: Path) -> None:
+        """Refuses to resume from a frame that is missing or damaged: its history is not known any more."""
+        if not file.is_file():
+            raise UserError(f"{self._folder}: frames are missing; delete it to start again")
+        try:
+            with PillowImage.open(file) as image:
+                # Reads all of it, by way of the checksums of PNG.
+                image.verify()
+        except (OSError, SyntaxError, ValueError) as error:
+            raise UserError(f"{file}: is damaged ({error}); delete {self._folder} to start again") from error
 
     def _file(self, number: int) -> Path:
         return self._folder / f"{number:06}.png"

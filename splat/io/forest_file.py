@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
-from compose.base.errors import UserError
+import torch
+
+from compose.base.errors import UserError, one_line
+from compose.base.scene_names import claimed_scene
 from compose.camera.place import WORLD, Place
-from splat.io.tensors import FORMAT_VERSION, PLACED_VERSION, load_tensors, save_tensors
+from splat.io.tensors import FORMAT_VERSION, PLACED_VERSION, load_metadata, load_tensors, save_tensors
 from splat.model.check import check_forest
 from splat.model.forest import Forest
 from splat.model.gaussians import Gaussians
 from splat.model.layer import LABELS, Layer
 
 _ATTACHED = "attached."
+_TYPES = {"parent": torch.int32, "semantic": torch.int32, "dynamic": torch.bool}
+# Each one halves the resolution of the one below.
+_MOST_LAYERS = 32
 
 
 def save_forest(path: str | Path, forest: Forest) -> None:
@@ -49,24 +56,23 @@ def load_forest(path: str | Path) -> Forest:
             not finite, or its trees are broken.
     """
     path = Path(path)
-    tensors, metadata = load_tensors(path)
-    if metadata.get("kind") != "forest":
-        raise UserError(f"{path}: not a forest file; must be one that a training wrote")
+    tensors, metadata = load_tensors(path, "train it again")
+    _require_forest(path, metadata)
     try:
+        _check_types(tensors)
         gaussians = Gaussians(**{name: tensors[name] for name in Gaussians.__dataclass_fields__})
         forest = Forest(
             Layer(gaussians, *(tensors[name] for name in LABELS)),
-            tuple(int(count) for count in metadata["layers"]),
+            _counts(metadata["layers"]),
             float(metadata["trained_focal"]),
-            str(metadata["scene_name"]),
-            str(metadata["scene_hash"]),
+            *claimed_scene(metadata["scene_name"], metadata["scene_hash"]),
             {n.removeprefix(_ATTACHED): t for n, t in tensors.items() if n.startswith(_ATTACHED)},
             _place(metadata),
         )
         check_forest(forest.layers)
     except (KeyError, TypeError, ValueError) as error:
-        raise UserError(f"{path}: damaged forest file ({error}); train it again") from error
-    if not gaussians.is_finite() or not forest.trained_focal > 0:
+        raise UserError(f"{path}: damaged forest file ({one_line(error)}); train it again") from error
+    if not gaussians.is_finite() or not 0 < forest.trained_focal < math.inf:
         raise UserError(f"{path}: the forest holds numbers that are not finite; train it again")
     return forest
 
@@ -77,3 +83,39 @@ def _place(metadata: dict[str, Any]) -> Place:
         return WORLD
     x, y, z = (float(value) for value in metadata["origin"])
     return Place((x, y, z), float(metadata["unit"]))
+
+
+def scene_of_forest(path: Path) -> tuple[str, str]:
+    """Name and hash of the scene that a forest file says it is of; reads the header alone.
+
+    Raises:
+        UserError: it is no forest file, or its header is damaged.
+    """
+    metadata = load_metadata(path)
+    _require_forest(path, metadata)
+    try:
+        return claimed_scene(metadata["scene_name"], metadata["scene_hash"])
+    except (KeyError, ValueError) as error:
+        raise UserError(f"{path}: damaged forest file ({one_line(error)}); train it again") from error
+
+
+def _require_forest(path: Path, metadata: dict[str, Any]) -> None:
+    if metadata.get("kind") != "forest":
+        raise UserError(f"{path}: not a forest file; must be one that a training wrote")
+
+
+def _check_types(tensors: dict[str, torch.Tensor]) -> None:
+    """Raises a ValueError if a tensor is of another type, which kernels would misread, or has no axis."""
+    for name in (*Gaussians.__dataclass_fields__, *LABELS):
+        expected = _TYPES.get(name, torch.float32)
+        if tensors[name].dtype != expected or not tensors[name].ndim:
+            raise ValueError(f"{name} is {tensors[name].dtype}, expected an array of {expected}")
+
+
+def _counts(layers: Any) -> tuple[int, ...]:
+    """Nodes of each layer; a ValueError if these are no numbers of nodes."""
+    if not isinstance(layers, list) or len(layers) > _MOST_LAYERS:
+        raise ValueError(f"layers must be a list of at most {_MOST_LAYERS} numbers")
+    if not all(type(count) is int and count >= 0 for count in layers):
+        raise ValueError("layers must be numbers of nodes")
+    return tuple(layers)

@@ -7,14 +7,22 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
-from compose.base.errors import UserError
-from compose.base.files import write_whole
+from compose.base.errors import UserError, one_line
+from compose.base.files import require_size_below, write_whole
 from splat.model.gaussians import MAX_DEGREE, Gaussians, sh_count
 
 # The frames that imported Gaussians were trained on are unknown. With this focal length they get no wider
 # filter than the pixel's.
 UNBOUND_FOCAL = 1e9
+# Their 48 coefficients are addressed by 32 bits, with a sign.
+_MOST_GAUSSIANS = 2**31 // 48
+# Of a file: that many, with 100 further properties.
+_MOST_BYTES = 1 << 36
+_MOST_HEADER = 1 << 16
+# Normals have no meaning for Gaussians.
+_UNREAD = ("nx", "ny", "nz")
 
 
 def _ply_properties(degree: int) -> list[str]:
@@ -60,18 +68,24 @@ def load_ply(path: str | Path) -> Gaussians:
     """Reads Gaussians in the layout of the INRIA implementation.
 
     Raises:
-        UserError: the file is missing, truncated, or not of that layout.
+        UserError: the file is missing, truncated, or not of that layout, or a number in it is not finite.
     """
     path = Path(path)
     if not path.is_file():
         raise UserError(f"{path}: no such file")
-    content = path.read_bytes()
-    count, names, body = _ply_header(path, content)
-    if len(body) < count * len(names) * 4:
-        raise UserError(f"{path}: truncated, {count} Gaussians are announced")
-    table = np.frombuffer(body, "<f4", count * len(names)).reshape(count, len(names))
+    try:
+        size = require_size_below(path, _MOST_BYTES)
+        with path.open("rb") as file:
+            header = file.read(_MOST_HEADER)
+        count, names, start = _ply_header(path, header)
+        if size - start < count * len(names) * 4:
+            raise UserError(f"{path}: truncated, {count} Gaussians are announced")
+        table = np.fromfile(path, "<f4", count * len(names), offset=start).reshape(count, len(names))
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: cannot be read ({one_line(error)})") from error
     rest = sum(name.startswith("f_rest_") for name in names)
     column = {name: i for i, name in enumerate(names)}
+    _check_finite(path, table, column)
     take = lambda *wanted: torch.tensor(table[:, [column[w] for w in wanted]].T.copy())  # noqa: E731
     constant = take(*(f"f_dc_{i}" for i in range(3)))[None]
     directional = take(*(f"f_rest_{i}" for i in range(rest))).reshape(3, -1, count).permute(1, 0, 2)
@@ -84,8 +98,20 @@ def load_ply(path: str | Path) -> Gaussians:
     )
 
 
-def _ply_header(path: Path, content: bytes) -> tuple[int, list[str], bytes]:
-    """Number of Gaussians in a file, the names of their properties, and the bytes after the header."""
+def _check_finite(path: Path, table: NDArray[np.float32], column: dict[str, int]) -> None:
+    """Names the first Gaussian and property that is not a finite number, if there is one."""
+    read = [name for name in column if name in _ply_properties(MAX_DEGREE) and name not in _UNREAD]
+    found = [
+        (int(np.argmin(ok)), name) for name in read if not (ok := np.isfinite(table[:, column[name]])).all()
+    ]
+    if found:
+        row, name = min(found)
+        value = table[row, column[name]]
+        raise UserError(f"{path}: Gaussian {row + 1}: {name} is {value}; must be a finite number")
+
+
+def _ply_header(path: Path, content: bytes) -> tuple[int, list[str], int]:
+    """Number of Gaussians in a file, the names of their properties, and where the header ends."""
     end = content.find(b"end_header\n")
     lines = content[: max(end, 0)].decode("ascii", "replace").split("\n")
     if end < 0 or lines[:2] != ["ply", "format binary_little_endian 1.0"]:
@@ -99,5 +125,9 @@ def _ply_header(path: Path, content: bytes) -> tuple[int, list[str], bytes]:
     if len(counts) != 1 or not known or len(after("property ")) != len(names):
         raise UserError(f"{path}: not a 3D Gaussian splatting PLY (float properties x, f_dc_0, scale_0, ...)")
     if not re.fullmatch(r"0*[1-9][0-9]{0,17}", counts[0]):
-        raise UserError(f"{path}: element vertex {counts[0]}: must be a number of Gaussians, 1 or more")
-    return int(counts[0]), names, content[end + len(b"end_header\n") :]
+        declared = counts[0] if len(counts[0]) <= 40 else f"{counts[0][:40]}..."
+        raise UserError(f"{path}: element vertex {declared}: must be a number of Gaussians, 1 or more")
+    count = int(counts[0])
+    if count > _MOST_GAUSSIANS:
+        raise UserError(f"{path}: {count:,} Gaussians; at most {_MOST_GAUSSIANS:,} can be addressed")
+    return count, names, end + len(b"end_header\n")

@@ -8,18 +8,25 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 
-from compose.base.errors import UserError
-from compose.base.files import write_whole
+from compose.base.checksum import checksum
+from compose.base.errors import UserError, one_line
+from compose.base.files import require_size_below, write_whole
+from compose.base.json_file import parse_json
 
 FORMAT_VERSION = 2
 # That of forests in coordinates of their own, which programs that read version 2 alone would misplace.
 PLACED_VERSION = 3
+_METADATA, _CHECKSUM = "hybrid", "crc32"
+# 40 million Gaussians of degree 3 are 10 GB.
+_MOST_BYTES = 1 << 36
+# What the library raises: for headers, for types that torch has not, for text that is not UTF-8.
+_REFUSALS = (SafetensorError, OSError, ValueError, TypeError, KeyError, RuntimeError, AttributeError)
 
 
 def save_tensors(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[str, Any]) -> None:
-    """Writes tensors and metadata to a safetensors file, atomically.
+    """Writes tensors and metadata to a safetensors file, atomically, with a checksum of both.
 
     Args:
         path: the file.
@@ -30,25 +37,61 @@ def save_tensors(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[st
         UserError: the file cannot be written.
     """
     contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
-    write_whole(path, lambda part: save_file(contiguous, part, {"hybrid": json.dumps(metadata)}))
+    text = json.dumps(metadata)
+    # The library's own file writing leaves a file of another name behind if the process dies meanwhile.
+    content = save(contiguous, {_METADATA: text, _CHECKSUM: _checksum(contiguous, text)})
+    write_whole(path, lambda part: part.write_bytes(content))
 
 
-def load_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+def load_tensors(path: Path, advice: str = "make it again") -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     """Reads the tensors and the metadata of a file written by `save_tensors`.
+
+    Args:
+        path: the file.
+        advice: what to do if it is damaged, for the message.
 
     Raises:
         UserError: the file is missing, truncated, corrupt or of another version.
     """
+    return _load(path, advice, with_tensors=True)
+
+
+def load_metadata(path: Path) -> dict[str, Any]:
+    """Reads the metadata alone, which takes no longer for a large file.
+
+    Raises:
+        UserError: the file is missing, its header is damaged, or it is of another version.
+    """
+    return _load(path, "make it again", with_tensors=False)[1]
+
+
+def _load(path: Path, advice: str, with_tensors: bool) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     if not path.is_file():
         raise UserError(f"{path}: no such file")
     try:
+        require_size_below(path, _MOST_BYTES)
+        # The library checks that the declared places lie in the file, one after the other.
         with safe_open(path, framework="pt") as file:
-            metadata = json.loads((file.metadata() or {}).get("hybrid", "{}"))
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError, ValueError) as error:
-        raise UserError(f"{path}: truncated or corrupt ({error})") from error
+            entries = file.metadata() or {}
+            names = list(file.keys()) if with_tensors else []
+            tensors = {name: file.get_tensor(name) for name in names}
+        text = entries.get(_METADATA, "{}")
+        metadata = parse_json(text, finite=False)
+        if not isinstance(metadata, dict):
+            raise ValueError("metadata is no JSON object")
+        if with_tensors and entries.get(_CHECKSUM) not in (None, _checksum(tensors, text)):
+            raise ValueError("the checksum differs")
+    except _REFUSALS as error:
+        raise UserError(f"{path}: truncated or corrupt ({one_line(error)}); {advice}") from error
     version = metadata.get("format_version")
     if version is not None and version not in (FORMAT_VERSION, PLACED_VERSION):
         readable = f"{FORMAT_VERSION} and {PLACED_VERSION}"
-        raise UserError(f"{path}: format version {version}, this program reads {readable}")
+        raise UserError(f"{path}: format version {str(version)[:40]}, this program reads {readable}")
     return tensors, metadata
+
+
+def _checksum(tensors: dict[str, torch.Tensor], text: str) -> str:
+    # As bytes: NumPy has not all types.
+    named = {f"{n} {t.dtype} {tuple(t.shape)}": t for n, t in tensors.items()}
+    flat = {name: tensor.detach().cpu().reshape(-1).view(torch.uint8) for name, tensor in named.items()}
+    return checksum({name: values.numpy() for name, values in flat.items()}, text)

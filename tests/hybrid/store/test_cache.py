@@ -9,11 +9,14 @@ from pathlib import Path
 
 import pytest
 
+from compose.base.errors import UserError
 from hybrid.store import cache
 from hybrid.store.cache import home, newest_forest, scene_folder, store_forest
-from pathtrace.scene.scene import load_scene
-from splat.io.forest_file import load_forest
+from pathtrace.scene.scene import Scene, load_scene
+from splat.io.forest_file import load_forest, save_forest
+from splat.model.forest import Forest
 from tests import small
+from tests.extremes import extreme
 from tests.hybrid.forests import white_dot
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
@@ -24,13 +27,17 @@ def scene(backend):
     return load_scene(small.furnace())
 
 
+def forest_of_scene(scene: Scene) -> Forest:
+    return replace(white_dot((0, 0, 1)), scene_name=scene.name, scene_hash=scene.hash)
+
+
 @pytest.fixture
 def folder(scene):
     """Two finished forests, the older one named last."""
     folder = scene_folder(scene.name, scene.hash) / "forests"
     folder.mkdir(parents=True)
     for age, name in enumerate(("new.safetensors", "old.safetensors")):
-        (folder / name).write_text("")
+        save_forest(folder / name, forest_of_scene(scene))
         os.utime(folder / name, (1000 - age, 1000 - age))
     return folder
 
@@ -87,3 +94,60 @@ def test_a_forest_that_vanishes_meanwhile_is_skipped(scene, folder, monkeypatch)
     assert newest_forest(scene) == folder / "old.safetensors"
     shutil.rmtree(folder)
     assert newest_forest(scene) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "digest"),
+    [
+        pytest.param(
+            "../../outside",
+            "ab" * 32,
+            marks=extreme(
+                "scene name that is a path", given="../../outside", expected="refused, nothing written"
+            ),
+        ),
+        pytest.param(
+            "/tmp/outside",
+            "ab" * 32,
+            marks=extreme(
+                "scene name from the root", given="/tmp/outside", expected="refused, nothing written"
+            ),
+        ),
+        ("..", "ab" * 32),
+        ("a\\b", "ab" * 32),
+        ("a\nb", "ab" * 32),
+        ("a\0b", "ab" * 32),
+        ("n" * 300, "ab" * 32),
+        pytest.param(
+            "room",
+            "../" * 21 + "x",
+            marks=extreme(
+                "scene hash that is a path", given="../../../ ...", expected="refused, nothing written"
+            ),
+        ),
+        ("room", "AB" * 32),
+        ("room", "ab"),
+        ("room", ""),
+    ],
+)
+def test_names_and_hashes_that_are_paths_are_refused(name, digest, tmp_path, request):
+    forest = replace(white_dot((0, 0, 1)), scene_name=name, scene_hash=digest)
+    with pytest.raises(UserError, match=r"scene name|scene hash") as caught:
+        store_forest(forest, "f")
+    assert str(caught.value).isprintable()
+    assert not list(tmp_path.iterdir())
+    if request.node.get_closest_marker("extremes"):
+        request.getfixturevalue("got")(str(caught.value))
+
+
+@extreme(
+    "forest under another's name",
+    given="a newer forest in the folder of a scene, whose hash has the same first 12 digits",
+    expected="the older one of the scene",
+)
+def test_a_forest_of_another_scene_in_the_folder_is_not_the_newest(scene, folder, got):
+    other = scene.hash[:12] + "0" * 52
+    save_forest(folder / "newer.safetensors", replace(forest_of_scene(scene), scene_hash=other))
+    (folder / "damaged.safetensors").write_bytes((folder / "new.safetensors").read_bytes()[:50])
+    (folder / "empty.safetensors").write_text("")
+    assert got(newest_forest(scene).name) == "new.safetensors"
