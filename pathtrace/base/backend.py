@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes.util
 from dataclasses import dataclass
+from pathlib import Path
 
 from compose import LLVM
 from compose.base.errors import UserError
@@ -62,6 +63,8 @@ def _select(choice: str) -> Backend:
     import drjit as dr
     import mitsuba as mi
 
+    # Plugins are native code: those in a folder `plugins` of the working folder are not Mitsuba's.
+    mi.file_resolver().prepend(str(Path(mi.__file__).parent))
     # More talkative levels deadlock with a second thread in Dr.Jit 1.5.
     dr.set_log_level(dr.LogLevel.Warn)
     if choice != "llvm" and _cuda_works():

@@ -7,8 +7,10 @@ import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
 
-from compose.base.errors import UserError
 from pathtrace.scene.fingerprint import file_fingerprint
+from pathtrace.scene.plugins import require_own_plugins
+from pathtrace.scene.references import References
+from pathtrace.scene.xml import parse_xml
 
 # Beyond this path depth, hardly any energy is left in a closed room.
 DEFAULT_MAX_DEPTH = 8
@@ -36,19 +38,20 @@ def read_description(path: Path) -> SceneDescription:
     author has, which Mitsuba would refuse.
 
     Raises:
-        UserError: the file is not well-formed XML.
+        UserError: the file is not well-formed XML, might take unbounded memory, or would load native code
+            that is not Mitsuba's.
     """
-    try:
-        root = ET.parse(path).getroot()
-    except ET.ParseError as error:
-        raise UserError(f"{path}: not well-formed XML: {error}") from error
+    root = parse_xml(path)
     depth = _max_depth(root)
     for integrator in root.findall("integrator"):
         root.remove(integrator)
     for default in root.findall("default"):
         if default.get("name") == "integrator":
             root.remove(default)
-    return SceneDescription(ET.tostring(root, encoding="unicode"), file_fingerprint(path, root), depth)
+    references = References.of(path, root)
+    require_own_plugins(path, references.plugins, [path.parent, *references.folders])
+    fingerprint = file_fingerprint(path, root, references)
+    return SceneDescription(ET.tostring(root, encoding="unicode"), fingerprint, depth)
 
 
 def _max_depth(root: ET.Element) -> int:

@@ -7,24 +7,60 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
+from compose.base.errors import UserError, one_line
+from compose.base.files import require_size_below
+from pathtrace.scene.references import References, is_file
 
-def file_fingerprint(path: Path, root: ET.Element) -> str:
-    """Hash of an XML file and of every file that it names, such as meshes and textures.
+_MOST_BYTES = 1 << 36
+
+
+def file_fingerprint(path: Path, root: ET.Element, references: References | None = None) -> str:
+    """Hash of an XML file and of every file that Mitsuba loads because of it.
+
+    Scenes that name all their files directly, relative to their folder, have the same hash as ever. Files
+    that only includes, search folders or parameters lead to are added, with their sizes.
 
     Args:
         path: the XML file.
-        root: its elements; a `<string name="filename">` names a file relative to the XML file's folder.
-            Files that do not exist are skipped: Mitsuba reports them when it loads the scene.
+        root: its elements.
+        references: what they refer to, if it is known already. Files that do not exist are skipped: Mitsuba
+            reports them when it loads the scene.
 
     Returns:
         64 hexadecimal digits.
+
+    Raises:
+        UserError: an included file is damaged, or a file cannot be read.
     """
     digest = hashlib.sha256(path.read_bytes())
-    for element in root.iter("string"):
-        file = path.parent / (element.get("value") or "")
-        if element.get("name") == "filename" and file.is_file():
-            digest.update(file.read_bytes())
+    direct = [
+        path.parent / (element.get("value") or "")
+        for element in root.iter("string")
+        if element.get("name") == "filename"
+    ]
+    direct = [file for file in direct if is_file(file)]
+    for file in direct:
+        _add(digest, file)
+    references = references or References.of(path, root)
+    for number, name in enumerate(references.names):
+        for file in references.candidates(name):
+            if file not in direct:
+                digest.update(f"{number} {file.stat().st_size}\0".encode())
+                _add(digest, file)
     return digest.hexdigest()
+
+
+def _add(digest: hashlib._Hash, file: Path) -> None:
+    """Adds the content of a file, block by block."""
+    try:
+        left = require_size_below(file, _MOST_BYTES)
+        with file.open("rb") as opened:
+            # No more than its size: some files of the system never end.
+            while left > 0 and (block := opened.read(min(left, 1 << 20))):
+                digest.update(block)
+                left -= len(block)
+    except (OSError, ValueError) as error:
+        raise UserError(f"{file}: cannot be read ({one_line(error)})") from error
 
 
 def dictionary_fingerprint(description: dict[str, Any]) -> str:

@@ -11,6 +11,7 @@ import mitsuba as mi
 
 from compose.base.errors import UserError
 from compose.camera.place import Place
+from pathtrace.scene.plugins import mitsuba_folder
 from pathtrace.scene.relocation import ImmovableError, camera_position, coarsest_step, relocate
 
 
@@ -105,12 +106,14 @@ def _checked(source: str, load: Callable[[], Any]) -> Any:
 def _in(folder: Path | None, load: Callable[[], Any]) -> Any:
     """Loads a scene whose files are relative to a folder."""
     resolver = mi.file_resolver()
+    before = [resolver[i] for i in range(len(resolver))]
     resolver.prepend(str(folder))
+    # Before the scene's folder, from which plugins, which are native code, would be loaded as well.
+    resolver.prepend(str(mitsuba_folder()))
     try:
         return load()
     finally:
         # The resolver is shared by the process; a folder left in it would shadow the next scene's files.
-        remaining = [resolver[i] for i in range(len(resolver))][1:]
         resolver.clear()
-        for entry in remaining:
+        for entry in before:
             resolver.append(entry)
