@@ -15,9 +15,16 @@ from hybrid.measure.metrics.similarity import quality
 def image_metrics(image: Image, truth: Image) -> dict[str, float]:
     """PSNR, SSIM and, if installed, FLIP and FovVideoVDP's JOD of (H, W, 3) linear radiance.
 
-    For JOD, each pixel is one of a desktop monitor, and the gaze rests on the image's centre.
+    For FLIP and JOD, each pixel is one of a desktop monitor; for JOD, the gaze rests on the image's centre.
+
+    Raises:
+        UserError: the two images cannot be compared.
     """
-    optional = {"flip": flip(image, truth), "jod": jod(image, truth, DISPLAYS["desktop"], Gaze())}
+    display = DISPLAYS["desktop"]
+    optional = {
+        "flip": flip(image, truth, display.pixels_per_degree),
+        "jod": jod(image, truth, display, Gaze()),
+    }
     return {**quality(image, truth), **{name: value for name, value in optional.items() if value is not None}}
 
 

@@ -57,7 +57,7 @@ def score(task: ScoringTask) -> Rows:
     """
     error = None
     if task.flip_file is not None:
-        error = flip_map(task.image, task.reference)
+        error = flip_map(task.image, task.reference, task.viewer.display.pixels_per_degree)
         if error is not None:
             write_srgb(task.flip_file, _coloured(error))
     rows: Rows = metric_rows(

@@ -7,12 +7,13 @@ from collections.abc import Callable
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
 from compose.fovea.region import Foveation
 from compose.image.colour import Image
 from hybrid.evaluation.families import Tuning, WarpTuning, enlarged, warped
-from hybrid.measure.metrics.ssim import ssim_map, valid_mean
+from hybrid.measure.metrics.ssim import has_valid, ssim_map, valid_mean
 from hybrid.measure.regions import regions
 from hybrid.methods.method import Method
 from pathtrace.trace.tracer import Tracer
@@ -43,7 +44,7 @@ def tuned(
     warps = [WarpTuning(*settings) for settings in product(_F, counts, (False, True))]
     baselines: list[Method] = [warped(tracer, tuning, rays) for tuning in warps]
     baselines += [enlarged(tracer, spp, rays, denoised=True) for spp in counts]
-    masks = [regions(foveation, truth)["foveal"].mask.astype(np.float32) for truth in references]
+    masks = [_foveal(foveation, truth) for truth in references]
     whole, foveal = [], []
     for number, baseline in enumerate(baselines):
         images = [baseline.render(view, foveation.gaze, seed).image for seed, view in enumerate(views)]
@@ -53,6 +54,12 @@ def tuned(
         progress(number + 1, len(baselines))
     frame, fovea = (warps[int(np.argmax(scores[: len(warps)]))] for scores in (whole, foveal))
     return Tuning(frame, fovea, counts[int(np.argmax(whole[len(warps) :]))])
+
+
+def _foveal(foveation: Foveation, truth: Image) -> NDArray[np.float32] | None:
+    """(H, W) the fovea's pixels as weights of SSIM; None, for all pixels, if SSIM has no value there."""
+    mask = regions(foveation, truth)["foveal"].mask.astype(np.float32)
+    return mask if has_valid(mask) else None
 
 
 def _sample_counts(rays: float) -> list[int]:

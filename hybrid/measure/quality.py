@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.errors import UserError
 from compose.eye.acuity import geisler_perry
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze, eccentricity
 from compose.image.colour import Image
-from hybrid.measure.metrics.flip import flip_map, hdr_flip_map
+from hybrid.measure.metrics.flip import flip_map, flip_reach, hdr_flip_map
 from hybrid.measure.metrics.fovvideovdp import jod
 from hybrid.measure.metrics.lpips import lpips
+from hybrid.measure.metrics.pair import checked_pair
 from hybrid.measure.metrics.psnr import psnr
-from hybrid.measure.metrics.ssim import ssim_map, valid_mean
+from hybrid.measure.metrics.ssim import SSIM_WINDOW, has_valid, ssim_map, valid_mean
 from hybrid.measure.regions import Region
 
 Map = NDArray[np.float32]
@@ -31,8 +31,6 @@ METRICS = {
     "lpips": False,
     "jod": True,
 }
-# Reach of FLIP's filters in pixels, at 67 pixels per degree.
-_FLIP_REACH = 24
 
 
 @dataclass(frozen=True)
@@ -43,21 +41,6 @@ class Viewer:
     gaze: Gaze
 
 
-def checked_pair(image: Image, reference: Image, name: str) -> None:
-    """Checks that two images can be compared.
-
-    Raises:
-        UserError: their sizes differ, or one has a pixel that is not finite.
-    """
-    if image.shape != reference.shape:
-        size, other = (f"{one.shape[1]} x {one.shape[0]}" for one in (image, reference))
-        raise UserError(f"{name} is {size} pixels, its reference {other}: they cannot be compared")
-    for one, what in ((image, name), (reference, f"the reference of {name}")):
-        bad = int(np.count_nonzero(~np.isfinite(one).all(axis=-1)))
-        if bad:
-            raise UserError(f"{what} has {bad} pixels that are not finite: it cannot be compared")
-
-
 def metric_rows(
     image: Image,
     reference: Image,
@@ -66,19 +49,20 @@ def metric_rows(
     name: str = "the frame",
     whole_flip: Map | None = None,
 ) -> list[dict[str, float | str]]:
-    """Rows of region, metric and value, for all installed metrics.
+    """Rows of region, metric and value, for all installed metrics that have a value there.
 
     Errors outside a region do not count: there the image is replaced by the reference, and only the region's
     pixels of SSIM and FLIP maps are averaged. LPIPS and FovVideoVDP yield one number per image: of the foveal
     region both see a crop; of the others FovVideoVDP sees the whole frame with the rest replaced, and LPIPS
     only the whole frame. HDR-FLIP, which takes longer than all others together, is computed for the foveal
     region only. `fssim`, SSIM weighted by the relative acuity at each pixel (Geisler and Perry 1998), is
-    computed for the whole frame only.
+    computed for the whole frame only. SSIM is left out of a region that lies within 5 pixels of the border,
+    LPIPS and FovVideoVDP of those too small for them.
 
     Args:
         image, reference: (H, W, 3) linear radiance.
         regions: of the frame, by name.
-        viewer: for FovVideoVDP and `fssim`.
+        viewer: for FLIP, FovVideoVDP and `fssim`.
         name: of the image, for messages.
         whole_flip: (H, W) FLIP map, if known already.
 
@@ -103,7 +87,7 @@ def foveal_metrics(image: Image, reference: Image, region: Region, viewer: Viewe
     return _known(
         {
             "jod": _jod(alone, reference, region, viewer),
-            "flip": _flip(alone, reference, region, flip_map),
+            "flip": _flip(alone, reference, region, viewer, flip_map),
         }
     )
 
@@ -119,10 +103,11 @@ def _values(
 ) -> dict[str, float]:
     """The region's metrics, as far as they are installed."""
     alone = region.alone(image, reference)
-    similarity = ssim_map(alone, reference)
+    small = min(image.shape[:2]) < SSIM_WINDOW
+    similarity = None if small else ssim_map(alone, reference)
     found: dict[str, float | None] = {
         "psnr": psnr(image, reference, region.mask),
-        "ssim": valid_mean(similarity, region.mask.astype(np.float32)),
+        "ssim": _similarity(similarity, region.mask.astype(np.float32)),
         "jod": _jod(alone, reference, region, viewer),
     }
     if region.name in ("whole", "foveal"):
@@ -130,25 +115,36 @@ def _values(
     if region.name == "whole" and whole_flip is not None:
         found["flip"] = float(whole_flip.mean())
     else:
-        found["flip"] = _flip(alone, reference, region, flip_map)
+        found["flip"] = _flip(alone, reference, region, viewer, flip_map)
     if region.name == "whole":
-        found["fssim"] = valid_mean(similarity, acuity_weight(viewer, image.shape[:2]))
+        found["fssim"] = _similarity(similarity, acuity_weight(viewer, image.shape[:2]))
     if region.name == "foveal":
-        found["hdr-flip"] = _flip(alone, reference, region, hdr_flip_map)
+        found["hdr-flip"] = _flip(alone, reference, region, viewer, hdr_flip_map)
     return _known(found)
 
 
 def _known(found: dict[str, float | None]) -> dict[str, float]:
-    """The metrics that are installed."""
+    """The metrics that have a value."""
     return {metric: value for metric, value in found.items() if value is not None}
 
 
+def _similarity(similarity: Map | None, weight: Map) -> float | None:
+    """Mean of an SSIM map, weighted; None if no pixel that counts has a valid value."""
+    return None if similarity is None or not has_valid(weight) else valid_mean(similarity, weight)
+
+
 def _flip(
-    alone: Image, reference: Image, region: Region, metric: Callable[[Image, Image], Map | None]
+    alone: Image,
+    reference: Image,
+    region: Region,
+    viewer: Viewer,
+    metric: Callable[[Image, Image, float], Map | None],
 ) -> float | None:
     """Mean of a FLIP map over the region, computed no further than FLIP's filters reach."""
-    box = tuple(slice(max(0, side.start - _FLIP_REACH), side.stop + _FLIP_REACH) for side in region.box)
-    error = metric(alone[box], reference[box])
+    density = viewer.display.pixels_per_degree
+    reach = flip_reach(density)
+    box = tuple(slice(max(0, side.start - reach), side.stop + reach) for side in region.box)
+    error = metric(alone[box], reference[box], density)
     return None if error is None else float(error[region.mask[box]].mean())
 
 

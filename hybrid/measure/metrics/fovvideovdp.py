@@ -13,9 +13,14 @@ import numpy as np
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image, srgb_from_radiance
+from hybrid.measure.metrics.pair import checked_pair
 
 # Contrast of a good monitor in a lit room.
 _CONTRAST = 1000
+# Smaller images have no band of contrast, in pixels per side.
+_LEAST_SIZE = 4
+# At more pixels per degree, constructing the metric takes minutes to hours: its time grows with their square.
+_MOST_DENSITY = 300
 INSTALL = "JOD needs FovVideoVDP (CC BY-NC 4.0): pip install 'foveated-hybrid-renderer[metrics]'"
 
 
@@ -28,8 +33,19 @@ def jod(image: Image, reference: Image, display: Display, gaze: Gaze) -> float |
         gaze: in fractions of the frame.
 
     Returns:
-        10 for no difference, less for visible ones; None if the metric is not installed.
+        10 for no difference, less for visible ones. None if the metric is not installed; if the images are
+        smaller than 4 x 4 pixels; if the display has over 300 pixels per degree; or if they differ but neither has any contrast: the metric sees contrast
+        only, so that it gives black in place of white 10.
+
+    Raises:
+        UserError: the two images cannot be compared.
     """
+    checked_pair(image, reference)
+    if min(image.shape[:2]) < _LEAST_SIZE or display.pixels_per_degree > _MOST_DENSITY:
+        return None
+    shown, expected = srgb_from_radiance(image), srgb_from_radiance(reference)
+    if _is_flat(shown) and _is_flat(expected) and not np.array_equal(shown, expected):
+        return None
     try:
         _pyfvvdp()
         import torch
@@ -37,12 +53,17 @@ def jod(image: Image, reference: Image, display: Display, gaze: Gaze) -> float |
         return None
     height, width = image.shape[:2]
     score, _ = _metric(width, height, display).predict(
-        srgb_from_radiance(image),
-        srgb_from_radiance(reference),
+        shown,
+        expected,
         dim_order="HWC",
         fixation_point=torch.tensor(gaze.pixel(width, height)),
     )
     return float(score)
+
+
+def _is_flat(shown: Image) -> bool:
+    """Whether all pixels are equal."""
+    return bool((shown == shown[0, 0]).all())
 
 
 @lru_cache(maxsize=8)

@@ -19,6 +19,7 @@ from torch.nn import functional
 
 from compose.image.colour import Image, srgb_from_radiance
 from hybrid.measure.metrics.array_pickle import ArrayUnpickler
+from hybrid.measure.metrics.pair import checked_pair
 
 # Mean and standard deviation of AlexNet's training images, for values in -1..1.
 _SHIFT = (-0.030, -0.088, -0.188)
@@ -35,7 +36,11 @@ def lpips(image: Image, reference: Image) -> float | None:
 
     Returns:
         The distance; None if the weights are not installed, or the images are smaller than 32 x 32 pixels.
+
+    Raises:
+        UserError: the two images cannot be compared.
     """
+    checked_pair(image, reference)
     weights = _weights()
     if weights is None or min(image.shape[:2]) < _LEAST_SIZE:
         return None

@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from compose.image.colour import Image, luminance, srgb_from_radiance
+from hybrid.measure.metrics.pair import checked_pair
 
 # Side in pixels of the windows in which the shift is measured, and steps per pixel.
 _WINDOW = 64
 _UPSAMPLING = 50
 # A window counts as textured if its luminance (sRGB) has at least this standard deviation.
 _TEXTURE = 0.05
+# The image itself must show some of it: a flat window would count as perfectly aligned.
+_LEAST_TEXTURE = 0.01
 
 
 def registration_px(image: Image, reference: Image) -> float | None:
@@ -19,8 +22,12 @@ def registration_px(image: Image, reference: Image) -> float | None:
     Phase correlation in windows of 64 x 64 pixels, to 1/50 px (Guizar-Sicairos et al. 2008).
 
     Returns:
-        The shift; None if no window has enough texture to tell.
+        The shift; None if no window of both has enough texture to tell.
+
+    Raises:
+        UserError: the two images cannot be compared.
     """
+    checked_pair(image, reference)
     from skimage.registration import phase_cross_correlation
 
     first, second = (luminance(srgb_from_radiance(one)) for one in (image, reference))
@@ -30,7 +37,7 @@ def registration_px(image: Image, reference: Image) -> float | None:
         for left in range(0, first.shape[1] - _WINDOW + 1, _WINDOW // 2):
             box = np.s_[top : top + _WINDOW, left : left + _WINDOW]
             a, b = first[box], second[box]
-            if b.std() < _TEXTURE:
+            if b.std() < _TEXTURE or a.std() < _LEAST_TEXTURE:
                 continue
             shift, _, _ = phase_cross_correlation(
                 (b - b.mean()) * taper,

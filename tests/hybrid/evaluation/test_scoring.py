@@ -52,7 +52,7 @@ def test_the_map_of_flip_is_written_in_colours(tmp_path):
     found = table(score(task(0.3, (), file)))
     shown = np.asarray(PillowImage.open(file)).astype(int)
     assert shown.shape == (SIZE, SIZE, 3)
-    error = flip_map(task(0.3).image, REFERENCE)
+    error = flip_map(task(0.3).image, REFERENCE, task(0.3).viewer.display.pixels_per_degree)
     assert found["whole", "flip"] == pytest.approx(float(error.mean()))
     # Magma gets brighter with the error, and is black where there is none.
     order = np.argsort(error.ravel())

@@ -21,6 +21,7 @@ from tests import small
 SIZE = 96
 GAZE = Gaze(0.4, 0.55)
 VIEWER = Viewer(Display(SIZE, SIZE, 12.0), GAZE)
+DENSITY = VIEWER.display.pixels_per_degree
 FOVEATION = Foveation(GAZE, 30.0, 20.0)
 
 
@@ -114,10 +115,10 @@ def test_flip_of_a_region_is_the_mean_of_its_map(scene, of_noise):
     pytest.importorskip("flip_evaluator", reason="FLIP's evaluator is not installed")
     parts = regions(FOVEATION, scene)
     bad, found = noisy(scene, 0.3), of_noise
-    whole = flip_map(bad, scene)
+    whole = flip_map(bad, scene, DENSITY)
     assert found["whole", "flip"] == pytest.approx(float(whole.mean()), abs=1e-6)
     for name in ("foveal", "peripheral", "seam"):
-        expected = flip_map(parts[name].alone(bad, scene), scene)[parts[name].mask].mean()
+        expected = flip_map(parts[name].alone(bad, scene), scene, DENSITY)[parts[name].mask].mean()
         assert found[name, "flip"] == pytest.approx(float(expected), abs=1e-5), name
     known = metric_rows(bad, scene, {"whole": parts["whole"]}, VIEWER, whole_flip=np.full_like(whole, 0.5))
     assert {row["metric"]: row["value"] for row in known}["flip"] == 0.5

@@ -7,10 +7,24 @@ import sys
 import numpy as np
 import pytest
 
-from hybrid.measure.metrics.flip import flip, flip_map, hdr_flip_map
+from hybrid.measure.metrics import flip as module
 from tests import small
 
 SIZE = 80
+# FLIP's own default, in pixels per degree: 3840 pixels across 0.7 m, seen from 0.7 m.
+DEFAULT = np.radians(3840)
+
+
+def flip(image, reference):
+    return module.flip(image, reference, DEFAULT)
+
+
+def flip_map(image, reference):
+    return module.flip_map(image, reference, DEFAULT)
+
+
+def hdr_flip_map(image, reference):
+    return module.hdr_flip_map(image, reference, DEFAULT)
 
 
 def flat(*colour: float) -> np.ndarray:
