@@ -181,7 +181,7 @@ def _update_page(folder: Path) -> None:
 def _print(content: dict[str, Any], settings: FrameSettings) -> None:
     """The table, with quality if it was measured, and where hybrid frames break even."""
     from hybrid.sweeps.break_even import sentence
-    from hybrid.sweeps.table import table
+    from hybrid.sweeps.table import quality_cells, table
 
     rows = content["rows"]
     made = "" if "fovea" in rows[0] else f", {settings.fovea.value} fovea"
@@ -189,7 +189,7 @@ def _print(content: dict[str, Any], settings: FrameSettings) -> None:
     columns = table(rows)
     for name in rows[0].get("quality", {}):
         if name.split()[1] in ("ssim", "flip", "jod"):
-            columns[name] = [f"{row['quality'][name]:.4g}" for row in rows]
+            columns[name] = quality_cells(rows, name, ".4g")
     widths = [max(map(len, [name, *cells])) + 2 for name, cells in columns.items()]
     for line in [list(columns), *zip(*columns.values(), strict=True)]:
         print("".join(f"{cell:>{width}}" for cell, width in zip(line, widths, strict=True)))

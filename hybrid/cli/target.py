@@ -11,6 +11,7 @@ from compose.base.errors import UserError
 from hybrid.frame.settings import DEFAULTS, FrameSettings
 
 if TYPE_CHECKING:
+    from hybrid.plan.measured import MeasuredSettings
     from pathtrace.scene.scene import Scene
     from splat.model.forest import Forest
 
@@ -61,7 +62,8 @@ class Target:
         best = choice.settings
         print(
             f"--fovea {best.fovea.value} --spp {best.spp} --fov-a {best.fov_a:g} --fov-b {best.fov_b:g}: "
-            f"measured to take {choice.milliseconds:.0f} ms in the scene's own view"
+            f"measured to take {choice.milliseconds:.0f} ms in views that nothing was fitted to"
+            f"{_spread(found[0], choice)}"
         )
         return replace(settings, fovea=best.fovea, spp=best.spp, fov_a=best.fov_a, fov_b=best.fov_b)
 
@@ -69,6 +71,14 @@ class Target:
         return UserError(
             f"--target-ms, --target-jod: these settings have not been measured here; run: {self.command}"
         )
+
+
+def _spread(metric: str, choice: MeasuredSettings) -> str:
+    """The quality of the choice and its range over the views, if there are several."""
+    if choice.spread is None:
+        return ""
+    low, high = choice.spread
+    return f"; {metric.upper()} {choice.quality:.4g} ({low:.4g} to {high:.4g})"
 
 
 def measuring_command(

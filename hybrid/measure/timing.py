@@ -20,11 +20,44 @@ REACH = (0.15, 0.15)
 # Degrees from one frame's camera to the next one's, and the number of frames after which they repeat: at 50
 # pixels per degree they differ by a twentieth of a pixel at most.
 _NUDGE, _NUDGES = 1e-6, 1000
+# Resamplings for an interval, and the probability of values outside it, on both sides together.
+_RESAMPLINGS, _OUTSIDE = 1000, 0.05
 
 
 def percentiles(milliseconds: list[float], wanted: Sequence[int] = (50, 95)) -> dict[str, float]:
     """Percentiles by name, such as p50 for the median."""
     return {f"p{percent}": float(np.percentile(milliseconds, percent)) for percent in wanted}
+
+
+def ratio_of_medians(over: Sequence[float], under: Sequence[float]) -> float:
+    """Median of the first times over that of the second ones.
+
+    Raises:
+        ValueError: there are no times, or a median is not positive and finite: no frame takes no time.
+    """
+    upper, lower = (float(np.median(times)) if len(times) else math.nan for times in (over, under))
+    if not (0 < upper < math.inf and 0 < lower < math.inf):
+        raise ValueError(f"medians of {upper} and {lower} ms: both must be positive and finite")
+    return upper / lower
+
+
+def ratio_interval(of_full: Sequence[float], ours: Sequence[float]) -> tuple[float, float]:
+    """Interval that contains the ratio of the two medians with 95 % confidence (bootstrap over pairs).
+
+    Args:
+        of_full, ours: milliseconds of frames that were rendered in turns, in pairs.
+    """
+    pairs = np.array([of_full, ours])
+    picks = np.random.default_rng(0).integers(pairs.shape[1], size=(_RESAMPLINGS, pairs.shape[1]))
+    medians = np.median(pairs[:, picks], axis=2)
+    low, high = np.quantile(medians[0] / medians[1], (_OUTSIDE / 2, 1 - _OUTSIDE / 2))
+    return float(low), float(high)
+
+
+def path_around(gaze: Gaze, count: int) -> list[Gaze]:
+    """`gaze_path`, moved to a gaze and kept within the frame."""
+    moved = ((at.x + gaze.x - 0.5, at.y + gaze.y - 0.5) for at in gaze_path(count))
+    return [Gaze(min(max(x, 0.0), 1.0), min(max(y, 0.0), 1.0)) for x, y in moved]
 
 
 def gaze_path(count: int, reach: tuple[float, float] = REACH) -> list[Gaze]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -28,12 +29,14 @@ class MeasuredSettings:
     Attributes:
         settings: of the frame; its gaze and camera have no meaning here.
         milliseconds: median time of a frame.
-        quality: JOD, or SSIM if FovVideoVDP is not installed.
+        quality: JOD, or SSIM if FovVideoVDP is not installed; mean over the views in which it was measured.
+        spread: its least and its greatest value over these views; None for a single view.
     """
 
     settings: FrameSettings
     milliseconds: float
     quality: float
+    spread: tuple[float, float] | None = None
 
 
 def front_of(measured: Sequence[MeasuredSettings]) -> list[MeasuredSettings]:
@@ -112,12 +115,15 @@ class MeasuredStore:
     def _measured(self, row: dict[str, Any]) -> MeasuredSettings:
         varied = {name: row[name] for name in _VARIED}
         varied["layers"] = None if varied["layers"] is None else tuple(varied["layers"])
-        return MeasuredSettings(
-            replace(self.base, **varied), float(row["milliseconds"]), float(row["quality"])
-        )
+        between = row.get("spread")
+        spread = None if between is None else (float(between[0]), float(between[1]))
+        milliseconds, quality = float(row["milliseconds"]), float(row["quality"])
+        if not (0 < milliseconds < math.inf and math.isfinite(quality)):
+            raise ValueError(f"{milliseconds} ms, quality {quality}: must be finite, the time above 0")
+        return MeasuredSettings(replace(self.base, **varied), milliseconds, quality, spread)
 
 
 def _row(one: MeasuredSettings) -> dict[str, Any]:
     settings = one.settings.as_json()
     varied = {name: settings[name] for name in _VARIED}
-    return {**varied, "milliseconds": one.milliseconds, "quality": one.quality}
+    return {**varied, "milliseconds": one.milliseconds, "quality": one.quality, "spread": one.spread}

@@ -138,11 +138,23 @@ def _sweep(sweep: dict[str, Any]) -> dict[str, Any]:
     fovea = "" if "fovea" in columns else f", {sweep['fovea']} fovea"
     return {
         "title": f"{sweep['scene']}, over {sweep['title']}{fovea}, {rows[0]['repeats']} frames each",
+        "views": _views_note(sweep),
         "plots": _markup(sweep_plots(sweep)),
         "columns": list(columns),
         "rows": list(zip(*columns.values(), strict=True)),
         "sentences": [sentence(row) for row in sweep["break_even"]],
     }
+
+
+def _views_note(sweep: dict[str, Any]) -> str:
+    """What the figures of a sweep are of; files of earlier versions do not say."""
+    count = sweep.get("views", 1)
+    if count == 1:
+        return "Each row is of a single view." if "views" in sweep else ""
+    return (
+        f"Frames of {count} views that nothing was fitted to: times are medians of all their frames, quality "
+        "is the mean over the views; in brackets the least and the greatest value of a view."
+    )
 
 
 def _markup(plots: list[str] | list[str | None]) -> list[Markup]:

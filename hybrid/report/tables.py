@@ -7,7 +7,7 @@ from typing import Any
 from hybrid.evaluation.keys import HALVES_KEY, OURS_KEY, Key
 from hybrid.evaluation.results import mean_of
 from hybrid.measure.quality import METRICS
-from hybrid.sweeps.table import table
+from hybrid.sweeps.table import quality_cells, table
 
 _DIGITS = {"psnr": 2, "ssim": 4, "fssim": 4, "flip": 4, "hdr-flip": 4, "lpips": 4, "jod": 2}
 _PERCENTILES = ("p50", "p95", "p99")
@@ -47,7 +47,7 @@ def sweep_columns(rows: list[dict[str, Any]]) -> dict[str, list[str]]:
     columns = table(rows)
     for name in rows[0].get("quality", {}):
         digits = _DIGITS[name.split()[1]]
-        columns[name] = [f"{row['quality'][name]:.{digits}f}" for row in rows]
+        columns[name] = quality_cells(rows, name, f".{digits}f")
     return columns
 
 

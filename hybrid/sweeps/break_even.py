@@ -5,25 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Any
 
-import numpy as np
-
 from hybrid.sweeps import fpc
-
-# Resamplings for an interval, and the probability of values outside it, on both sides together.
-_RESAMPLINGS, _OUTSIDE = 1000, 0.05
-
-
-def ratio_interval(of_full: list[float], ours: list[float]) -> tuple[float, float]:
-    """Interval that contains the ratio of the two medians with 95 % confidence (bootstrap over pairs).
-
-    Args:
-        of_full, ours: milliseconds of frames that were rendered in turns, in pairs.
-    """
-    pairs = np.array([of_full, ours])
-    picks = np.random.default_rng(0).integers(pairs.shape[1], size=(_RESAMPLINGS, pairs.shape[1]))
-    medians = np.median(pairs[:, picks], axis=2)
-    low, high = np.quantile(medians[0] / medians[1], (_OUTSIDE / 2, 1 - _OUTSIDE / 2))
-    return float(low), float(high)
 
 
 def break_even(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -30,6 +30,7 @@ class Sweep:
         with_quality: whether quality is measured as well as time.
         sets: quantities that it sets itself: size, fovea, fov_a, fov_b, spp or acuity_model.
         scales_radii: whether it sets fov_a and keeps the ratio of the two radii.
+        over_views: whether its rows are views; the rows of the others are measured in several.
     """
 
     settings: Callable[[Setting, list[Camera]], list[Setting]]
@@ -37,6 +38,7 @@ class Sweep:
     with_quality: bool = False
     sets: tuple[str, ...] = ()
     scales_radii: bool = False
+    over_views: bool = False
 
     @property
     def ignored(self) -> tuple[str, ...]:
@@ -145,7 +147,9 @@ SWEEPS = {
     "aspect": Sweep(_sizes(fpc.TABLE_5), "resolutions of one aspect ratio (FPC, Table 5)", sets=("size",)),
     "radius": Sweep(_radius, "radius of the fovea (FPC, Figures 7 to 10)", sets=("size",), scales_radii=True),
     "spp": Sweep(_spp, "samples per pixel (FPC, Figure 14)", sets=("size", "spp"), scales_radii=True),
-    "view": Sweep(_view, "views (FPC, Figures 12 and 13)", sets=("size",), scales_radii=True),
+    "view": Sweep(
+        _view, "views (FPC, Figures 12 and 13)", sets=("size",), scales_radii=True, over_views=True
+    ),
     "band": Sweep(_band, "fov-a and fov-b", with_quality=True, sets=("fov_a", "fov_b")),
     "acuity": Sweep(_acuity_models, "acuity models", with_quality=True, sets=("acuity_model",)),
     "trade": Sweep(

@@ -26,7 +26,12 @@ def identity_of(
         effort: how much is measured.
     """
     rows = [
-        {**vars(setting), "camera": setting.camera.key.hex(), "frame": setting.frame.as_json()}
+        {
+            **vars(setting),
+            "camera": setting.camera.key.hex(),
+            "frame": setting.frame.as_json(),
+            "views": [view.key.hex() for view in setting.views],
+        }
         for setting in settings
     ]
     metrics = {"missing metrics": missing()} if sweep.with_quality else {}

@@ -13,12 +13,11 @@ from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
 from hybrid.frame.renderer import Renderer
 from hybrid.measure.reference import REFERENCE_SEED, reference
-from hybrid.measure.timing import interleaved_passes, jittered, percentiles
+from hybrid.measure.timing import interleaved_passes, jittered, percentiles, ratio_interval, ratio_of_medians
 from hybrid.methods.hybrid import HybridMethod
 from hybrid.methods.method import Method
 from hybrid.methods.path_traced import FullTrace
 from hybrid.store.journal import Journal
-from hybrid.sweeps.break_even import ratio_interval
 from hybrid.sweeps.coverage import covered, reach_for
 from hybrid.sweeps.effort import Effort
 from hybrid.sweeps.quality import quality_of, regions_of
@@ -43,8 +42,10 @@ def swept(
 
     Rows of one view and size take turns with the full path-traced frame at each of their sample counts,
     denoised where the fovea is. Their gazes follow the same path, on which the largest of their discs stays
-    in the frame; `covered` is the mean fraction of the frame that a row's disc covers. Each frame has its own
-    camera, which differs from the previous one by far less than a pixel, so that frames reuse nothing.
+    in the frame; `covered` is the mean fraction of the frame that a row's disc covers. Frames go through the
+    views of a row in turn, and each has a camera of its own, so that frames reuse nothing. `ms_range`,
+    `ratio_range` and `quality_range` are the least and the greatest value over the views, of medians where
+    times are concerned.
     `ratio_1spp` is the ratio to the full frame at one sample per pixel, if a setting asks for it.
 
     Args:
@@ -63,7 +64,7 @@ def swept(
             regions_of(setting)
     renderer = Renderer(scene, forest)
     rows: list[dict[str, Any]] = []
-    for number, (_, group) in enumerate(groupby(settings, key=lambda setting: setting.camera.key)):
+    for number, (_, group) in enumerate(groupby(settings, key=_view_keys)):
         same = list(group)
         done = partial(_advanced, progress, len(rows), len(same), len(settings))
         rows += journal.once(str(number), partial(_group, renderer, same, with_quality, effort, done))
@@ -78,20 +79,23 @@ def _group(
     effort: Effort,
     progress: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
-    """Rows of one camera, which take turns."""
-    camera, tracer = same[0].camera, renderer.tracer
+    """Rows of the same views, which take turns."""
+    camera, views, tracer = same[0].camera, same[0].seen, renderer.tracer
     ours = [HybridMethod(renderer, setting.frame) for setting in same]
     full = _full_traces(renderer, same)
     reach = reach_for(max(setting.frame.fov_a for setting in same), camera)
-    times = _times([*ours, *full.values()], camera, effort, progress, reach)
+    times = _times([*ours, *full.values()], views, effort, progress, reach)
     of_full = dict(zip(full, times[len(ours) :], strict=True))
-    truth = reference(tracer, camera, effort.reference_spp, REFERENCE_SEED) if with_quality else None
+    judged = views if with_quality else ()
+    truths = [
+        reference(tracer, view, effort.reference_spp, REFERENCE_SEED + n) for n, view in enumerate(judged)
+    ]
     rows = []
     for setting, method, found in zip(same, ours, times, strict=False):
         row = _row(setting, found, of_full, effort)
         row["covered"] = covered(setting.frame.fov_a, camera, effort.repeats, reach)
-        if truth is not None:
-            row["quality"] = quality_of(setting, method, truth)
+        if truths:
+            row["quality"], row["quality_range"] = quality_of(setting, method, truths)
         rows.append(row)
     return rows
 
@@ -108,21 +112,27 @@ def _full_traces(renderer: Renderer, settings: list[Setting]) -> dict[tuple[int,
 
 def _times(
     methods: list[Method],
-    camera: Camera,
+    views: tuple[Camera, ...],
     effort: Effort,
     progress: Callable[[int, int], None],
     reach: tuple[float, float],
 ) -> list[Frames]:
-    """Times of all methods, in turns."""
-    timed = [partial(_passes, method, camera, len(methods), place) for place, method in enumerate(methods)]
+    """Times of all methods, in turns, in one view after the other."""
+    timed = [partial(_passes, method, views, len(methods), place) for place, method in enumerate(methods)]
     return interleaved_passes(timed, effort.repeats, effort.warm_up, progress, reach)
 
 
 def _passes(
-    method: Method, camera: Camera, methods: int, place: int, gaze: Gaze, seed: int
+    method: Method, views: tuple[Camera, ...], methods: int, place: int, gaze: Gaze, seed: int
 ) -> dict[str, float]:
     """Times of a frame with its own camera, because the shared renderer keeps what depends on a camera."""
+    camera = views[seed % len(views)]
     return method.render(jittered(camera, methods * seed + place), gaze, seed).milliseconds
+
+
+def _view_keys(setting: Setting) -> tuple[bytes, ...]:
+    """Identifies the views and the size of a row's frames."""
+    return tuple(view.key for view in setting.seen)
 
 
 def _advanced(
@@ -143,11 +153,28 @@ def _row(
         **setting.varied,
         "ms": percentiles(total),
         "full_ms": percentiles(same),
-        "ratio": float(np.median(same) / np.median(total)),
+        "ratio": ratio_of_medians(same, total),
         "ratio_interval": ratio_interval(same, total),
         "passes": {n: float(np.median([f[n] for f in ours])) for n in ours[0] if n != "total"},
         "repeats": effort.repeats,
+        **_ranges(setting, total, same),
     }
     if setting.over_one_spp:
-        row["ratio_1spp"] = float(np.median(of_full[1, setting.is_denoised]) / np.median(total))
+        row["ratio_1spp"] = ratio_of_medians(of_full[1, setting.is_denoised], total)
     return {**row, "paper": setting.paper} if setting.paper else row
+
+
+def _ranges(setting: Setting, total: list[float], full: list[float]) -> dict[str, Any]:
+    """Least and greatest medians of times, and ratio of medians, over the views; empty for a single view.
+
+    Args:
+        setting: of the row.
+        total, full: milliseconds of hybrid and full frames, in pairs.
+    """
+    count = min(len(setting.seen), len(total))
+    if count < 2:
+        return {}
+    pairs = [(total[start::count], full[start::count]) for start in range(count)]
+    times = [float(np.median(ours)) for ours, _ in pairs]
+    ratios = [ratio_of_medians(of_full, ours) for ours, of_full in pairs]
+    return {"ms_range": [min(times), max(times)], "ratio_range": [min(ratios), max(ratios)]}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from compose.camera.camera import Camera
@@ -15,11 +15,12 @@ class Setting:
     """A hybrid frame of a sweep.
 
     Attributes:
-        camera: the view.
+        camera: the scene's own view, at the size of the frames.
         frame: settings of the frame, apart from gaze and camera.
         varied: the quantities that the sweep varies, by name.
         paper: Foveated Path Culling's (FPC's) ratios for this row, by the names of ours; empty if unknown.
         over_one_spp: whether to compare with the full path-traced frame at one sample per pixel as well.
+        views: whose frames are timed and judged, of the same size; only the camera's if empty.
     """
 
     camera: Camera
@@ -27,6 +28,17 @@ class Setting:
     varied: dict[str, Any] = field(default_factory=dict)
     paper: dict[str, float] = field(default_factory=dict)
     over_one_spp: bool = False
+    views: tuple[Camera, ...] = ()
+
+    @property
+    def seen(self) -> tuple[Camera, ...]:
+        """The views whose frames are timed and judged, at least one."""
+        return self.views or (self.camera,)
+
+    def from_views(self, views: list[Camera]) -> Setting:
+        """The same, timed and judged in those views, at the size of its frames."""
+        size = self.camera.width, self.camera.height
+        return replace(self, views=tuple(view.resized(*size) for view in views))
 
     @property
     def is_denoised(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from hybrid.sweeps.setting import varied
@@ -15,7 +16,7 @@ def table(rows: list[dict[str, Any]]) -> dict[str, list[str]]:
     """
     columns = {name: [_short(row[name]) for row in rows] for name in varied(rows[0])}
     columns["covered, %"] = [_number(100 * row["covered"], 1) if "covered" in row else "-" for row in rows]
-    columns["ms"] = [_number(row["ms"]["p50"], 0) for row in rows]
+    columns["ms"] = [with_range(row["ms"]["p50"], row.get("ms_range"), ".0f") for row in rows]
     columns["full, ms"] = [_number(row["full_ms"]["p50"], 0) for row in rows]
     papers = [row.get("paper", {}) for row in rows]
     for key, name in (("ratio", "ratio"), ("ratio_1spp", "ratio to 1 spp")):
@@ -24,8 +25,21 @@ def table(rows: list[dict[str, Any]]) -> dict[str, list[str]]:
     return {name: cells for name, cells in columns.items() if set(cells) != {"-"}}
 
 
+def with_range(value: float, between: Sequence[float] | None, format_spec: str) -> str:
+    """A mean or median over views with the least and the greatest value of a view, if there are several."""
+    cell = format(value, format_spec)
+    return cell if between is None else f"{cell} ({'–'.join(format(end, format_spec) for end in between)})"
+
+
+def quality_cells(rows: list[dict[str, Any]], name: str, format_spec: str) -> list[str]:
+    """Cells of a metric of one region, such as "foveal jod"."""
+    return [
+        with_range(row["quality"][name], row.get("quality_range", {}).get(name), format_spec) for row in rows
+    ]
+
+
 def _ratios(rows: list[dict[str, Any]], name: str) -> list[str]:
-    return [_number(row[name], 2) if name in row else "-" for row in rows]
+    return [with_range(row[name], row.get(f"{name}_range"), ".2f") if name in row else "-" for row in rows]
 
 
 def _number(value: float, digits: int) -> str:

@@ -34,8 +34,8 @@ def jod(image: Image, reference: Image, display: Display, gaze: Gaze) -> float |
 
     Returns:
         10 for no difference, less for visible ones. None if the metric is not installed; if the images are
-        smaller than 4 x 4 pixels; if the display has over 300 pixels per degree; or if they differ but neither has any contrast: the metric sees contrast
-        only, so that it gives black in place of white 10.
+        smaller than 4 x 4 pixels; if the display has over 300 pixels per degree; or if the images differ but
+        neither has any contrast: the metric sees contrast only, so that black in place of white has 10.
 
     Raises:
         UserError: the two images cannot be compared.

@@ -28,7 +28,8 @@ def ssim_map(image: Image, reference: Image) -> NDArray[np.float32]:
     checked_pair(image, reference)
     if min(image.shape[:2]) < SSIM_WINDOW:
         raise UserError(
-            f"SSIM of {image.shape[1]} x {image.shape[0]} pixels: must be at least {SSIM_WINDOW} x {SSIM_WINDOW}"
+            f"SSIM of {image.shape[1]} x {image.shape[0]} pixels: "
+            f"must be at least {SSIM_WINDOW} x {SSIM_WINDOW}"
         )
     # Imported here because rendering a frame must not wait for scikit-image.
     from skimage.metrics import structural_similarity

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hybrid.sweeps.break_even import break_even, ratio_interval, sentence
+from hybrid.measure.timing import ratio_interval
+from hybrid.sweeps.break_even import break_even, sentence
 from tests import small
 
 

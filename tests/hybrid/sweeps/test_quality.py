@@ -37,8 +37,9 @@ def test_metrics_are_named_by_region(base, renderer):
     method = HybridMethod(renderer, base.frame)
     image = method.render(base.camera, Gaze(), 0).image
     truth = Reference(image + 0.05, (image, image), np.zeros(image.shape[:2], np.float32))
-    found = quality_of(base, method, truth)
+    found, ranges = quality_of(base, method, [truth])
     assert {"whole psnr", "foveal psnr", "peripheral psnr", "whole ssim"} <= set(found)
     assert found["whole psnr"] == pytest.approx(psnr(image, truth.radiance))
+    assert ranges["whole psnr"] == (found["whole psnr"], found["whole psnr"])
     mask = regions_of(base)["peripheral"].mask
     assert found["peripheral psnr"] == pytest.approx(psnr(image, truth.radiance, mask))

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
 from hybrid.frame import saliency
 from hybrid.methods import path_traced
+from hybrid.methods.hybrid import HybridMethod
 from hybrid.sweeps import catalogue, fpc
 from hybrid.sweeps import run as run_module
 from hybrid.sweeps.effort import Effort
 from hybrid.sweeps.sweep import sweep
+from pathtrace.dataset.views import unseen_views
+from tests.extremes import extreme
 from tests.hybrid.command import run
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home", "quick_metrics")
 # What a sweep's file has beside the settings that its rows have in common.
-CONTENT = {"scene", "forest", "over", "title", "rows", "break_even", "machine"}
+CONTENT = {"scene", "forest", "over", "title", "views", "rows", "break_even", "machine"}
 
 
 @pytest.fixture
@@ -209,9 +213,45 @@ def test_targets_are_stored_for_later(swept, monkeypatch, tmp_path):
     assert [row["milliseconds"] for row in stored["rows"]] == [row["ms"]["p50"] for row in found["rows"]]
     expected = [row["quality"]["whole jod"] for row in found["rows"]]
     assert [row["quality"] for row in stored["rows"]] == expected
+    ranges = [row["quality_range"]["whole jod"] for row in found["rows"]]
+    assert [row["spread"] for row in stored["rows"]] == ranges
+    assert all(low < row["quality"] < high for row, (low, high) in zip(stored["rows"], ranges, strict=True))
     assert [(row["spp"], row["fovea"]) for row in stored["rows"]] == [
         (row["spp"], row["fovea"]) for row in found["rows"]
     ]
+
+
+@extreme(
+    "what a sweep is judged on",
+    given="a scene whose own camera training has always seen",
+    expected="three views that nothing was fitted to, means with their ranges, in times as well",
+)
+def test_rows_are_timed_and_judged_in_views_that_training_has_not_seen(corner, rough, base, monkeypatch, got):
+    monkeypatch.setattr(catalogue, "_BAND_OUTER", (40.0,))
+    judged, timed = [], set()
+    make, render = run_module.reference, HybridMethod.render
+
+    def recorded(tracer, camera, *rest):
+        judged.append(camera)
+        return make(tracer, camera, *rest)
+
+    def seen(self, camera, *rest):
+        timed.add(min(range(3), key=lambda n: np.abs(camera.position - unseen[n].position).max()))
+        assert np.abs(camera.position - corner.camera.position).max() > 1e-3
+        return render(self, camera, *rest)
+
+    unseen = unseen_views(corner, 3, base.camera.width, base.camera.height)
+    monkeypatch.setattr(run_module, "reference", recorded)
+    monkeypatch.setattr(HybridMethod, "render", seen)
+    content = sweep(corner, rough, "band", base, Effort(3, 1, 4), lambda _: None, lambda done, total: None)
+    assert [camera.key for camera in judged] == [camera.key for camera in unseen]
+    assert timed == {0, 1, 2}
+    assert got(content["views"]) == 3
+    for row in content["rows"]:
+        low, high = row["quality_range"]["whole psnr"]
+        assert low < row["quality"]["whole psnr"] < high
+        assert row["ms_range"][0] <= row["ms"]["p50"] <= row["ms_range"][1]
+        assert row["ratio_range"][0] <= row["ratio_range"][1]
 
 
 def test_the_result_is_written_before_what_it_resumes_from_is_deleted(
