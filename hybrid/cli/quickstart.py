@@ -37,7 +37,7 @@ def quickstart(
     write_json(out / "result.json", result)
     write_json(json_file, result)
     print(
-        f"hybrid {result['hybrid']['psnr']:.2f} dB, splats {result['splat']['psnr']:.2f} dB, "
+        f"hybrid {result['hybrid']['psnr']:.2f} dB, splats {result['splats_alone']['psnr']:.2f} dB, "
         f"{result['ratio']:.2f} x faster than full path tracing, {result['seconds']['total']:.0f} s in total"
     )
     print(f"Open {out / 'index.html'}")

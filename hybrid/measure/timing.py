@@ -41,6 +41,11 @@ def ratio_of_medians(over: Sequence[float], under: Sequence[float]) -> float:
     return upper / lower
 
 
+def medians_by_view(milliseconds: Sequence[float], views: int) -> list[float]:
+    """Medians of each view, of frames that went through that many views in turn; of fewer frames, fewer."""
+    return [float(np.median(milliseconds[first::views])) for first in range(min(views, len(milliseconds)))]
+
+
 def ratio_interval(of_full: Sequence[float], ours: Sequence[float]) -> tuple[float, float]:
     """Interval that contains the ratio of the two medians with 95 % confidence (bootstrap over pairs).
 

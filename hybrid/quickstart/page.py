@@ -9,6 +9,7 @@ from string import Template
 from typing import Any
 
 from compose.base.files import write_whole
+from hybrid.sweeps.table import with_range
 
 # Name of the PNG file, title and caption.
 _IMAGES = (
@@ -46,6 +47,7 @@ td { font-variant-numeric: tabular-nums; font-weight: 600 } tr + tr { border-top
 <h1>$title</h1><p>$subtitle</p>
 <main>$figures</main>
 <table><caption>Measurements</caption>$rows</table>
+<p>$views</p>
 </body></html>
 """)
 
@@ -75,8 +77,18 @@ def write_page(path: Path, folder: Path, result: dict[str, Any]) -> None:
         ),
         figures=figures,
         rows=rows,
+        views=html.escape(_views_note(result)),
     )
     write_whole(path, lambda part: part.write_text(page, encoding="utf-8"))
+
+
+def _views_note(result: dict[str, Any]) -> str:
+    """What the figures are of."""
+    return (
+        f"Measured in {result['views']} views near the scene's own to which nothing was fitted; the images "
+        "show the first of them. Quality is the mean over the views and times are medians of all their frames; "
+        "in brackets the least and the greatest value of a view."
+    )
 
 
 def _figure(folder: Path, result: dict[str, Any], name: str, title: str, caption: str) -> str:
@@ -97,25 +109,32 @@ def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:
     """Names and values of the measurements."""
     seconds = ", ".join(f"{name} {value:.0f} s" for name, value in result["seconds"].items())
     ceiling = f"at most {result['ceiling']:.2f}×, if splats took no time"
+    speed_up = with_range(result["ratio"], result.get("ratio_range"), ".2f", "×")
     rows = [
-        ("Quality of the hybrid frame, against the reference", _quality(result["hybrid"])),
-        ("Quality of the splats alone, in held-out views", _quality(result["splat"])),
-        ("Time of the hybrid frame", _time(result["hybrid_ms"])),
-        ("Time of a full path-traced frame, same samples, also denoised", _time(result["path_traced_ms"])),
-        ("Time of the disc alone", _time(result["disc_ms"])),
-        ("Speed-up over full path tracing", f"{result['ratio']:.2f}× ({ceiling})"),
+        ("Quality of the hybrid frame, against the reference", _quality(result, "hybrid")),
+        ("Quality of the splats alone, against the reference", _quality(result, "splats_alone")),
+        ("The same in held-out views, at the resolution of training", _quality(result, "splat")),
+        ("Time of the hybrid frame", _time(result, "hybrid_ms")),
+        ("Time of a full path-traced frame, same samples, also denoised", _time(result, "path_traced_ms")),
+        ("Time of the disc alone", _time(result, "disc_ms")),
+        ("Speed-up over full path tracing", f"{speed_up}; {ceiling}"),
         ("Gaussians", f"{result['gaussians']:,}"),
         ("Duration", seconds),
     ]
     if "registration_px" in result:
-        offset = f"{result['registration_px']:.3f} px"
-        rows.insert(2, ("Offset between splats and path-traced frame", offset))
+        offset = with_range(result["registration_px"], result.get("registration_px_range"), ".3f", " px")
+        rows.insert(3, ("Offset between splats and path-traced frame", offset))
     return rows
 
 
-def _quality(metrics: dict[str, float]) -> str:
-    return f"{metrics['psnr']:.2f} dB, SSIM {metrics['ssim']:.4f}"
+def _quality(result: dict[str, Any], name: str) -> str:
+    """Mean over the views, and the range if there are several."""
+    values, ranges = result[name], result.get(f"{name}_range", {})
+    psnr = with_range(values["psnr"], ranges.get("psnr"), ".2f", " dB")
+    return f"{psnr}, SSIM {with_range(values['ssim'], ranges.get('ssim'), '.4f')}"
 
 
-def _time(quantiles: dict[str, float]) -> str:
-    return f"{quantiles['p50']:.0f} ms (p95 {quantiles['p95']:.0f} ms)"
+def _time(result: dict[str, Any], name: str) -> str:
+    """Median of all frames, the range of the views' medians, and p95."""
+    median = with_range(result[name]["p50"], result.get(f"{name}_range"), ".0f", " ms")
+    return f"{median}, p95 {result[name]['p95']:.0f} ms"

@@ -3,37 +3,41 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from hybrid.frame.frame import Frame
 from hybrid.frame.renderer import Renderer
 from hybrid.frame.settings import FrameSettings
-from hybrid.measure.metrics.registration import registration_px
-from hybrid.measure.metrics.similarity import quality
-from hybrid.measure.reference import REFERENCE_SEED
 from hybrid.output.images import write_png, write_srgb
 from hybrid.pictures.weights import weights_picture
+from hybrid.quickstart.judged import judged_quality, judged_views
 from hybrid.quickstart.page import write_page
 from hybrid.runtime.machine import machine
 from hybrid.runtime.progress import progress_bar
 from hybrid.sweeps.comparison import compare
 from hybrid.training.held_out import held_out_quality
 from hybrid.training.quick import make_quick_forest
-from pathtrace.dataset.rendering import render_frame
+from pathtrace.dataset.views import unseen_views
 from pathtrace.scene.scene import Scene
 
-# Width and height of the frame, which shows the scene's own view.
+# Width and height of the frames.
 SIZE = 512
-_REFERENCE_SPP = 64
-_REPEATS, _WARM_UP = 7, 2
+# Views that are judged, near the scene's own, to which nothing was fitted. Their references take as long as
+# one view of 96 samples per pixel; with more, the whole would take noticeably longer.
+_VIEWS, _REFERENCE_SPP = 3, 32
+_REPEATS, _WARM_UP = 9, 2
 # Entries of the comparison with full path tracing that are reported.
-_TIMES = ("hybrid_ms", "path_traced_ms", "disc_ms", "ratio", "ceiling", "covered")
+_TIMES = (
+    *(f"{name}_ms{suffix}" for name in ("hybrid", "path_traced", "disc") for suffix in ("", "_range")),
+    *("ratio", "ratio_range", "ceiling", "covered"),
+)
 
 
 def quickstart(scene: Scene, folder: Path, settings: FrameSettings, seed: int) -> dict[str, Any]:
     """Captures, trains, renders and measures; writes images and a page.
+
+    All figures of frames are those of views that nothing was fitted to; the images are of the first of them.
 
     Args:
         scene: what to render.
@@ -48,37 +52,31 @@ def quickstart(scene: Scene, folder: Path, settings: FrameSettings, seed: int) -
     made = make_quick_forest(scene, folder, seed)
     held_out = held_out_quality(made.frames, made.forest)
     before = time.perf_counter()
-    camera = scene.camera.resized(SIZE, SIZE)
-    settings = replace(settings, camera=camera)
+    views = unseen_views(scene, _VIEWS, SIZE, SIZE)
     renderer = Renderer(scene, made.forest)
-    with progress_bar("reference") as bar:
-        bar(0, 1)
-        reference = render_frame(renderer.tracer, camera, _REFERENCE_SPP, seed + REFERENCE_SEED).radiance
-        bar(1, 1)
+    with progress_bar("references") as bar:
+        judged = judged_views(renderer, views, settings, _REFERENCE_SPP, seed, bar)
     with progress_bar("frames (rounds)") as bar:
-        times = compare(renderer, camera, settings, _REPEATS, _WARM_UP, bar)
-    frame = renderer.frame(settings, seed)
-    splats = renderer.splats(settings)
+        times = compare(renderer, views, settings, _REPEATS, _WARM_UP, bar)
     seconds = {**made.seconds, "render": time.perf_counter() - before}
-    frame.save(folder / "hybrid.exr")
-    for name, image in (("hybrid", frame.composite), ("reference", reference), ("splat", splats)):
+    shown = judged[0]
+    shown.frame.save(folder / "hybrid.exr")
+    images = {"hybrid": shown.frame.composite, "reference": shown.reference, "splat": shown.splats}
+    for name, image in images.items():
         write_png(folder / f"{name}.png", image)
-    write_srgb(folder / "weights.png", weights_picture(frame))
+    write_srgb(folder / "weights.png", weights_picture(shown.frame))
     seconds["total"] = time.perf_counter() - start
     result = {
-        **_facts(scene, frame),
+        **_facts(scene, shown.frame),
         "seconds": seconds,
         "splat": {name: held_out[-1][name] for name in ("psnr", "ssim")},
         "layers": held_out,
-        "hybrid": quality(frame.composite, reference),
+        **judged_quality(judged),
         **{key: times[key] for key in _TIMES},
         "gaussians": len(made.forest.finest),
         "reference_spp": _REFERENCE_SPP,
         "machine": machine(),
     }
-    registration = registration_px(splats, reference)
-    if registration is not None:
-        result["registration_px"] = registration
     write_page(folder / "index.html", folder, result)
     return result
 

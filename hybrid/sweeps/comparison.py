@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,14 +11,14 @@ from compose.eye.gaze import Gaze
 from compose.fovea.mode import FoveaMode
 from hybrid.frame.renderer import Renderer
 from hybrid.frame.settings import FrameSettings
-from hybrid.measure.timing import interleaved, jittered, percentiles
+from hybrid.measure.timing import interleaved, jittered, medians_by_view, percentiles, ratio_of_medians
 from hybrid.methods.path_traced import FullTrace
 from hybrid.sweeps.coverage import covered, reach_for
 
 
 def compare(
     renderer: Renderer,
-    camera: Camera,
+    views: Sequence[Camera],
     settings: FrameSettings,
     repeats: int,
     warm_up: int,
@@ -28,25 +28,27 @@ def compare(
 
     All three are timed after their kernels have been compiled; the full frame is traced by the same function
     as the disc, and denoised if the disc is. The gaze moves only so far that the disc stays in the frame.
-    Each frame has its own camera, so that it pays for everything it shows.
+    Frames go through the views in turn, each with a camera of its own, so that each pays for all it shows.
 
     Args:
         renderer: of the scene.
-        camera: the view.
+        views: of one size.
         settings: of the frame, apart from gaze and camera.
         repeats: measured frames of each.
         warm_up: frames before that, which are not measured.
         progress: called with rounds done and rounds in total.
 
     Returns:
-        Percentiles hybrid_ms, path_traced_ms and disc_ms; their ratios `ratio` (path-traced over hybrid) and
-        `ceiling` (path-traced over disc); the settings; and `covered`, the mean fraction of the frame that
-        the disc covers.
+        Percentiles hybrid_ms, path_traced_ms and disc_ms over all views, and the least and the greatest
+        median of a view as hybrid_ms_range and so on; their ratios `ratio` (path-traced over hybrid), with
+        `ratio_range`, and `ceiling` (path-traced over disc); the settings; and `covered`, the mean fraction
+        of the frame that the disc covers.
     """
     full = FullTrace(
         renderer.tracer_of(settings.used_integrator), settings.spp, settings.fovea is not FoveaMode.RAW
     )
-    frames = _Frames(renderer, camera, settings, full)
+    frames = _Frames(renderer, tuple(views), settings, full)
+    camera = views[0]
     reach = reach_for(settings.fov_a, camera)
     methods: dict[str, Callable[[Gaze, int], Any]] = {
         "hybrid": frames.hybrid,
@@ -55,6 +57,8 @@ def compare(
     }
     times = interleaved(methods, repeats, warm_up, progress, reach)
     row: dict[str, Any] = {f"{name}_ms": percentiles(values) for name, values in times.items()}
+    by_view = {name: medians_by_view(values, len(views)) for name, values in times.items()}
+    ratios = [full / ours for full, ours in zip(by_view["path_traced"], by_view["hybrid"], strict=True)]
     return {
         "width": camera.width,
         "height": camera.height,
@@ -62,8 +66,10 @@ def compare(
         "fov_a": settings.fov_a,
         "fov_b": settings.fov_b,
         **row,
-        "ratio": row["path_traced_ms"]["p50"] / row["hybrid_ms"]["p50"],
-        "ceiling": row["path_traced_ms"]["p50"] / row["disc_ms"]["p50"],
+        **{f"{name}_ms_range": (min(medians), max(medians)) for name, medians in by_view.items()},
+        "ratio": ratio_of_medians(times["path_traced"], times["hybrid"]),
+        "ratio_range": (min(ratios), max(ratios)),
+        "ceiling": ratio_of_medians(times["path_traced"], times["disc"]),
         "covered": covered(settings.fov_a, camera, repeats, reach),
         "repeats": repeats,
     }
@@ -74,18 +80,22 @@ class _Frames:
     """What is compared, each frame with its own camera."""
 
     renderer: Renderer
-    camera: Camera
+    views: tuple[Camera, ...]
     settings: FrameSettings
     full: FullTrace
 
     def hybrid(self, gaze: Gaze, seed: int) -> None:
-        self.renderer.frame(self._at(gaze, 3 * seed), seed)
+        self.renderer.frame(self._at(gaze, seed, 0), seed)
 
     def path_traced(self, gaze: Gaze, seed: int) -> None:
-        self.full.render(jittered(self.camera, 3 * seed + 1), gaze, seed)
+        self.full.render(self._camera(seed, 1), gaze, seed)
 
     def disc(self, gaze: Gaze, seed: int) -> None:
-        self.renderer.disc_alone(self._at(gaze, 3 * seed + 2), seed)
+        self.renderer.disc_alone(self._at(gaze, seed, 2), seed)
 
-    def _at(self, gaze: Gaze, number: int) -> FrameSettings:
-        return replace(self.settings, gaze=gaze, camera=jittered(self.camera, number))
+    def _at(self, gaze: Gaze, seed: int, place: int) -> FrameSettings:
+        return replace(self.settings, gaze=gaze, camera=self._camera(seed, place))
+
+    def _camera(self, seed: int, place: int) -> Camera:
+        """The next view, for the method in that place of the three."""
+        return jittered(self.views[seed % len(self.views)], 3 * seed + place)

@@ -13,7 +13,14 @@ from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
 from hybrid.frame.renderer import Renderer
 from hybrid.measure.reference import REFERENCE_SEED, reference
-from hybrid.measure.timing import interleaved_passes, jittered, percentiles, ratio_interval, ratio_of_medians
+from hybrid.measure.timing import (
+    interleaved_passes,
+    jittered,
+    medians_by_view,
+    percentiles,
+    ratio_interval,
+    ratio_of_medians,
+)
 from hybrid.methods.hybrid import HybridMethod
 from hybrid.methods.method import Method
 from hybrid.methods.path_traced import FullTrace
@@ -171,10 +178,8 @@ def _ranges(setting: Setting, total: list[float], full: list[float]) -> dict[str
         setting: of the row.
         total, full: milliseconds of hybrid and full frames, in pairs.
     """
-    count = min(len(setting.seen), len(total))
-    if count < 2:
+    if len(setting.seen) < 2:
         return {}
-    pairs = [(total[start::count], full[start::count]) for start in range(count)]
-    times = [float(np.median(ours)) for ours, _ in pairs]
-    ratios = [ratio_of_medians(of_full, ours) for ours, of_full in pairs]
+    times, of_full = (medians_by_view(found, len(setting.seen)) for found in (total, full))
+    ratios = [over / under for over, under in zip(of_full, times, strict=True)]
     return {"ms_range": [min(times), max(times)], "ratio_range": [min(ratios), max(ratios)]}

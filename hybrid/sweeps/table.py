@@ -25,9 +25,9 @@ def table(rows: list[dict[str, Any]]) -> dict[str, list[str]]:
     return {name: cells for name, cells in columns.items() if set(cells) != {"-"}}
 
 
-def with_range(value: float, between: Sequence[float] | None, format_spec: str) -> str:
+def with_range(value: float, between: Sequence[float] | None, format_spec: str, unit: str = "") -> str:
     """A mean or median over views with the least and the greatest value of a view, if there are several."""
-    cell = format(value, format_spec)
+    cell = format(value, format_spec) + unit
     return cell if between is None else f"{cell} ({'–'.join(format(end, format_spec) for end in between)})"
 
 

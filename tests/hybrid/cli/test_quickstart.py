@@ -14,7 +14,7 @@ from tests.hybrid.command import run
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
 RESULT = {
     "hybrid": {"psnr": 35.004},
-    "splat": {"psnr": 30.456},
+    "splats_alone": {"psnr": 30.456},
     "ratio": 5.043,
     "seconds": {"total": 200.4},
 }

@@ -95,8 +95,8 @@ def test_fovea_radii_and_samples_are_chosen_and_all_else_is_as_asked(render, mad
 def test_what_was_chosen_is_shown(render, made):
     store(made)
     assert render("--target-ms", 25, shown=True)[2].startswith(
-        "--fovea raw --spp 2 --fov-a 20 --fov-b 10: measured to take 20 ms in views that nothing was fitted to"
-        "\n"
+        "--fovea raw --spp 2 --fov-a 20 --fov-b 10: "
+        "measured to take 20 ms in views that nothing was fitted to\n"
     )
 
 

@@ -19,9 +19,11 @@ from hybrid.training import quick
 from hybrid.training.quick import QuickForest
 from pathtrace.dataset.frames import read_frame_set
 from pathtrace.dataset.settings import CaptureSettings
+from pathtrace.dataset.views import unseen_views
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from splat.training.trainer import TrainingSettings
+from tests.extremes import extreme
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
 SIDE = 128
@@ -57,6 +59,35 @@ def test_from_nothing_to_images_and_a_page(tiny, tmp_path):
     assert f"{result['hybrid']['psnr']:.2f} dB" in page
 
 
+@extreme(
+    "what quickstart is judged on",
+    given="a scene whose own camera training has always seen",
+    expected="three views that nothing was fitted to, in quality and in times",
+)
+def test_nothing_was_fitted_to_the_views_that_are_judged(tiny, made, monkeypatch, tmp_path, got):
+    ready = QuickForest(load_forest(made / "box.forest"), read_frame_set(made / "frames"), {"train": 1.0})
+    monkeypatch.setattr(module, "make_quick_forest", lambda scene, folder, seed: ready)
+    given = {}
+    for name in ("judged_views", "compare"):
+        make = getattr(module, name)
+        monkeypatch.setattr(
+            module,
+            name,
+            lambda renderer, views, *rest, name=name, make=make: (
+                given.update({name: [view.key for view in views]}),
+                make(renderer, views, *rest),
+            )[1],
+        )
+    (tmp_path / "out").mkdir()
+    scene = load_scene("cornell")
+    result = quickstart(scene, tmp_path / "out", FrameSettings(spp=1), 0)
+    unseen = [view.key for view in unseen_views(scene, 3, SIDE, SIDE)]
+    assert given == {"judged_views": unseen, "compare": unseen}
+    assert scene.camera.resized(SIDE, SIDE).key not in unseen
+    assert got(result["views"]) == 3
+    assert scene.camera.position.tolist() != unseen_views(scene, 1, SIDE, SIDE)[0].position.tolist()
+
+
 def test_what_cannot_be_measured_is_left_out(tiny, made, monkeypatch, tmp_path):
     """An image without texture shows no offset; capture and training are those of another test."""
     ready = QuickForest(load_forest(made / "box.forest"), read_frame_set(made / "frames"), {"train": 1.0})
@@ -79,6 +110,13 @@ def check_result(result: dict[str, Any]) -> None:
     assert result["hybrid"]["psnr"] > 10
     for times in ("hybrid_ms", "path_traced_ms", "disc_ms"):
         assert 0 < result[times]["p50"] <= result[times]["p95"]
+        low, high = result[f"{times}_range"]
+        assert 0 < low <= high
+    assert result["views"] == 3
+    for name in ("hybrid", "splats_alone"):
+        for metric in ("psnr", "ssim"):
+            low, high = result[f"{name}_range"][metric]
+            assert low < result[name][metric] < high
     assert result["ceiling"] > 0
     assert 0 < result["covered"] < 1
     assert result["reference_spp"] == 4
