@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import mitsuba_oidn
 import numpy as np
 
@@ -9,6 +11,9 @@ from compose.image.colour import Image
 
 # Added to the albedo before radiance is divided by it, so that dark surfaces do not amplify noise.
 _ALBEDO_OFFSET = 0.1
+# Where all radiance is below 1e-8, OIDN finds no exposure and returns some 1e-6 of an image of its own.
+# Images with a smaller peak than this are scaled by a power of two, exactly, before and after.
+_LEAST_PEAK = 2.0**-8
 
 
 def denoise(radiance: Image, albedo: Image, normal: Image, quick: bool = False) -> Image:
@@ -24,15 +29,21 @@ def denoise(radiance: Image, albedo: Image, normal: Image, quick: bool = False) 
         (H, W, 3) denoised radiance.
     """
     quality = mitsuba_oidn.Quality.Fast if quick else mitsuba_oidn.Quality.High
-    return np.asarray(
+    peak = float(radiance.max(initial=0))
+    if peak == 0:
+        # OIDN shows up to 8e-4 where there is no light at all.
+        return np.zeros(radiance.shape, dtype=np.float32)
+    exponent = math.frexp(peak)[1] if 0 < peak < _LEAST_PEAK else 0
+    denoised = np.asarray(
         mitsuba_oidn.denoise(
-            np.ascontiguousarray(radiance, dtype=np.float32),
+            np.ascontiguousarray(np.ldexp(radiance, -exponent) if exponent else radiance, dtype=np.float32),
             np.clip(albedo, 0, 1).astype(np.float32),
             np.ascontiguousarray(normal, dtype=np.float32),
             hdr=True,
             quality=quality,
         )
     )
+    return np.ldexp(denoised, exponent) if exponent else denoised
 
 
 def denoise_coarsely(radiance: Image, albedo: Image, normal: Image) -> Image:

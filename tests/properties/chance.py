@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 # Of one test that finds a difference where there is none. Seeds are fixed: a test fails always or never.
-SIGNIFICANCE = 0.01
+SIGNIFICANCE = 0.001
 
 
 def blocks(images: NDArray, side: int = 4) -> NDArray[np.float64]:

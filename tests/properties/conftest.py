@@ -26,3 +26,9 @@ def forest(scene) -> Forest:
 def renderer(scene, forest) -> Renderer:
     """Without a history, and thus without any state that frames could share."""
     return Renderer(scene, forest)
+
+
+@pytest.fixture
+def own_home(monkeypatch, tmp_path):
+    """A cache folder of the test's own."""
+    monkeypatch.setenv("HYBRID_HOME", str(tmp_path / "home"))

@@ -1,4 +1,4 @@
-"""The same scene elsewhere, turned, larger or under stronger lights: Mitsuba scenes, cameras and Gaussians."""
+"""The same scene elsewhere, turned, larger or under stronger lights."""
 
 from __future__ import annotations
 
@@ -70,7 +70,9 @@ class Similarity:
 
     def scene(self, description: dict[str, Any]) -> dict[str, Any]:
         """The dictionary of a Mitsuba scene of rectangles, spheres and one sensor, moved along."""
-        return {name: self._part(part) if isinstance(part, dict) else part for name, part in description.items()}
+        return {
+            name: self._part(part) if isinstance(part, dict) else part for name, part in description.items()
+        }
 
     def _part(self, part: dict[str, Any]) -> dict[str, Any]:
         placed = dict(part)

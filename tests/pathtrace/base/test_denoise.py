@@ -9,6 +9,7 @@ import pytest
 import pathtrace.base.denoise as module
 from pathtrace.base.denoise import denoise, denoise_coarsely
 from tests import small
+from tests.extremes import extreme
 
 SIZE = 64
 
@@ -123,3 +124,28 @@ def test_the_albedos_detail_is_restored(resampling_alone):
     result = denoise_coarsely((albedo + np.float32(0.1)) * 5, albedo, albedo)
     np.testing.assert_allclose(result[:, ::2], 4.5, rtol=1e-5)
     np.testing.assert_allclose(result[:, 1::2], 0.5, rtol=1e-5)
+
+
+@extreme("denoising the dimmest light", given="radiance of 1e-38", expected="as of radiance 1, to 1e-4")
+def test_dim_images_are_denoised_as_bright_ones(images, got):
+    """Where all radiance is below 1e-8, OIDN alone returns some 1e-6 whatever it is given."""
+    for clean in (denoise, denoise_coarsely):
+        bright = cleaned(images, clean)
+        for factor in (1e-6, 1e-9, 1e-20, 1e-38):
+            dim = cleaned(images | {"noisy": images["noisy"] * np.float32(factor)}, clean)
+            worst = float(np.abs(dim / factor - bright).max())
+            assert worst < 1e-4
+        got(worst, ".1e")
+
+
+@extreme("denoising no light", given="a black image", expected="black: OIDN alone shows up to 8e-4")
+def test_black_stays_black(images, got):
+    black = np.zeros_like(images["noisy"])
+    for clean in (denoise, denoise_coarsely):
+        assert got(cleaned(images | {"noisy": black}, clean).max(), "g") == 0
+
+
+def test_what_is_not_finite_is_left_to_the_denoiser(images):
+    broken = images["noisy"] * np.float32(1e-12)
+    broken[3, 3] = np.nan
+    assert cleaned(images | {"noisy": broken}).shape == broken.shape
