@@ -13,6 +13,7 @@ from compose.base.errors import UserError
 from hybrid.cli import main as module
 from hybrid.cli.benches.app import bench_app
 from hybrid.cli.benches.change import change
+from hybrid.cli.benches.endurance import endurance
 from hybrid.cli.benches.forest import forest
 from hybrid.cli.benches.fusion import fusion
 from hybrid.cli.benches.gaze import gaze
@@ -65,6 +66,7 @@ BENCHES = {
     "motion": motion,
     "seam": seam,
     "still": still,
+    "endurance": endurance,
     "held-out": held_out,
 }
 

@@ -21,6 +21,8 @@ pytestmark = pytest.mark.usefixtures("backend", "own_home")
 )
 def test_later_blocks_repeat_the_first_picture(made, monkeypatch, tmp_path, capsys, got, backend):
     monkeypatch.setattr(bench, "BLOCK", 40)
+    # The same gazes in each block, so that each kind of frame has been there once after the first one.
+    monkeypatch.setattr("hybrid.cli.benches.endurance._TRACE", 40 / 60)
     out = tmp_path / "e.json"
     common = ["bench", command.__name__, "cornell", "--forest", made / "box.forest", "--size", 96, 64]
     assert run(monkeypatch, *common, "--frames", 120, "--json", out) == 0
