@@ -22,6 +22,8 @@ from splat.raster.tiles import TILE, TileGrid
 _BLOCK = 4
 _BLOCK_RATE = 2
 _PER_CELL = (TILE // _BLOCK) ** 2
+# Entries of the atlas by whose combinations cells are counted at once.
+_ENTRIES_AT_ONCE = 8
 # Weights at the corners of a cell. Nothing is spare.
 _CORNERS = RecordLayout((4,), top_left=1, top_right=1, bottom_left=1, bottom_right=1)
 
@@ -75,21 +77,39 @@ def _groups(covered: Mask, rates: Sequence[int]) -> list[_Group]:
         covered: (entries, cells) bool.
         rates: of the entries.
     """
-    codes = (1 << np.arange(len(covered))) @ covered
+    combination, members = _combinations(covered)
     # For each combination of entries: which group it belongs to, and the entries' numbers in it.
     groups: dict[tuple[int, ...], int] = {}
-    group_of = np.zeros(1 << len(covered), dtype=np.int64)
-    number_of = np.zeros((len(covered), 1 << len(covered)), dtype=np.uint32)
-    for code in np.flatnonzero(np.bincount(codes)):
-        numbers = [n for n in range(len(covered)) if code >> n & 1]
-        group_of[code] = groups.setdefault(tuple(rates[n] for n in numbers), len(groups))
-        number_of[: len(numbers), code] = numbers
-    group, found = group_of[codes], []
+    group_of = np.zeros(len(members), dtype=np.int64)
+    number_of = np.zeros((len(covered), len(members)), dtype=np.uint32)
+    for k, member in enumerate(members):
+        numbers = np.flatnonzero(member).tolist()
+        group_of[k] = groups.setdefault(tuple(rates[n] for n in numbers), len(groups))
+        number_of[: len(numbers), k] = numbers
+    group, found = group_of[combination], []
     for key, number in groups.items():
         cells = np.flatnonzero(group == number)
-        entries = [row[codes[cells]] for row in number_of[: len(key)]]
+        entries = [row[combination[cells]] for row in number_of[: len(key)]]
         found.append(_Group(list(key), cells.astype(np.uint32), entries))
     return found
+
+
+def _combinations(covered: Mask) -> tuple[NDArray[np.int64], Mask]:
+    """The combination of entries that covers each cell (cells,), and those combinations (C, entries).
+
+    Args:
+        covered: (entries, cells) bool.
+    """
+    combination = np.zeros(covered.shape[1], dtype=np.int64)
+    # Some entries at a time: a table of all combinations that many of them could have would not fit memory.
+    for first in range(0, len(covered), _ENTRIES_AT_ONCE):
+        some = covered[first : first + _ENTRIES_AT_ONCE]
+        codes = (combination << len(some)) + (1 << np.arange(len(some))) @ some
+        seen = np.bincount(codes) > 0
+        combination = (np.cumsum(seen) - 1)[codes]
+    cell = np.zeros(combination.max() + 1, dtype=np.int64)
+    cell[combination] = np.arange(len(combination))
+    return combination, covered[:, cell].T
 
 
 class _Block:

@@ -108,6 +108,8 @@ class ForestFootprints:
     def _visible(self, camera: Camera, layer: int, blur: float) -> LayerFootprints | None:
         """The nodes of a layer that reach into the frame of a camera in their own coordinates."""
         bounds, plain = self._bounds[layer - 1], self.arrays.plain
+        if not dr.width(bounds.size):
+            return None
         seen, x, y, spread = view_position(self.arrays, bounds.means, camera)
         reach = _REACH * dr.sqrt(dr.square(bounds.size * spread) + PIXEL_FILTER * blur**2)
         half_width, half_height = (dr.opaque(plain.Float, side / 2) for side in (camera.width, camera.height))
@@ -152,7 +154,7 @@ class _NodeTable:
         # 2, 1, 2, 5 floats are spare for spherical harmonics of degree 0, 1, 2, 3.
         loads = -(-sum(widths.values()) // _NODE_LOAD)
         layout = RecordLayout([_NODE_LOAD] * loads, (), **widths)
-        tensors = {name: t.reshape(-1, len(gaussians)).numpy() for name, t in gaussians.tensors()}
+        tensors = {name: t.reshape(widths[name], len(gaussians)).numpy() for name, t in gaussians.tensors()}
         self._coefficients = coefficients
         self._records = layout.upload(arrays, **tensors)
 

@@ -36,6 +36,8 @@ from splat.raster.tiles import TILE, TileGrid
 
 # Side of a tile in samples, where samples are larger than pixels: few splats cover many of those.
 _COARSE_TILE = 8
+# Filters of this width, as a multiple of the filter at the pixel grid, leave nothing but the faintest haze.
+_WIDEST_BLUR = 1e9
 # What splats need to know of their atlas entry: samples per pixel, minimum width of the filter as a multiple
 # of the filter at the pixel grid, first row of samples, and bounds in tiles. Two floats are spare.
 _ENTRY = RecordLayout((8,), scale=1, least_blur=1, offset=1, columns=1, top=1, bottom=1)
@@ -62,8 +64,11 @@ class ForestRenderer:
             camera: the view.
             images: layers and rates; their weights sum to 1 wherever a cell is wanted.
             cutoff: (rows + 1, columns + 1) highest frequency to keep, in cycles per pixel, at the corners of
-                cells of TILE pixels.
+                cells of TILE pixels; 0 or more.
             wanted: (rows, columns) bool, cells that are drawn at all.
+
+        Raises:
+            ValueError: the forest has no such layer, or a cut-off is negative or not a number.
         """
         images = [image for image in images if bool((image.weight > 0).any())]
         tile = tile_side(image.rate for image in images)
@@ -74,7 +79,11 @@ class ForestRenderer:
         return composite(self.arrays, entries, atlas, camera)
 
     def render_layer(self, camera: Camera, layer: int, rate: int = 0) -> SplatImage:
-        """Renders one layer over the whole frame: its samples, (H / 2^rate, W / 2^rate) rounded up."""
+        """Renders one layer over the whole frame: its samples, (H / 2^rate, W / 2^rate) rounded up.
+
+        Raises:
+            ValueError: the forest has no such layer.
+        """
         grid = TileGrid(camera.width, camera.height)
         corners = (grid.rows + 1, grid.columns + 1)
         image = LayerImage(layer, rate, np.ones(corners, np.float32))
@@ -94,6 +103,9 @@ class ForestRenderer:
             cutoff: as in `render`.
             tile: side of the rasterizer's tiles, in samples.
         """
+        self._check(entries, cutoff)
+        # A cut-off of 0 is that of the widest filter.
+        cutoff = np.maximum(cutoff, 0.5 / _WIDEST_BLUR, dtype=np.float32)
         chosen = self._chosen(camera, entries, cutoff)
         if not any(dr.width(index) for index in chosen):
             return black_image(self.arrays, camera, 0)
@@ -106,6 +118,14 @@ class ForestRenderer:
         image = rasterize_parts(self.arrays, splats, parts)
         nodes = dr.width(splats.x)
         return SplatImage(image, camera.width, camera.height, grid.padded_width, CHANNELS, nodes)
+
+    def _check(self, entries: Sequence[AtlasEntry], cutoff: Lattice) -> None:
+        count = len(self.forest.counts)
+        for entry in entries:
+            if not 1 <= entry.image.layer <= count:
+                raise ValueError(f"layer {entry.image.layer}: the forest has layers 1 to {count}")
+        if not (cutoff >= 0).all():
+            raise ValueError(f"cut-off of {cutoff.min():g} cycles per pixel: must be 0 or more")
 
     def _least_blur(self, camera: Camera, image: LayerImage) -> float:
         """Minimum width of the filter, as a multiple of the filter at the pixel grid.

@@ -71,6 +71,10 @@ def render_differentiable(
     arrays: Arrays, gaussians: Gaussians, camera: Camera, low_pass: float = PIXEL_FILTER
 ) -> torch.Tensor:
     """Like `render`, with the given backend's array types."""
+    if not len(gaussians):
+        # An empty sum carries the gradient, which has no elements. Dr.Jit refuses arrays of none.
+        black = gaussians.opacity_logits.new_zeros(camera.height, camera.width, 3)
+        return black + sum(tensor.sum() for _, tensor in gaussians.tensors())
     return _Render.apply(arrays, camera, low_pass, *(tensor for _, tensor in gaussians.tensors()))
 
 

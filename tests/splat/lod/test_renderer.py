@@ -24,9 +24,9 @@ from tests.splat.lod.views import (
     frame_camera,
     no_cutoff,
     ramp,
+    sampled,
     small_forest,
 )
-from tests.splat.raster import reference
 from tests.splat.samples import gaussians
 
 
@@ -42,27 +42,6 @@ def forest() -> Forest:
 
 def lattice_at(lattice: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return map_coordinates(lattice.astype(np.float64), [y / 16, x / 16], order=1, mode="nearest")
-
-
-def sampled(forest: Forest, camera: Camera, layer: int, rate: int, variance) -> np.ndarray:
-    """A layer at one sample per 2^rate x 2^rate pixels: the twin on a camera with larger pixels.
-
-    The variance in px^2 is one number, or one per Gaussian.
-    """
-    size = 1 << rate
-    # Not rounded, since the projection's limits follow from the frame's width.
-    small = replace(
-        camera,
-        width=camera.width / size,
-        height=camera.height / size,
-        fx=camera.fx / size,
-        fy=camera.fy / size,
-        cx=camera.cx / size,
-        cy=camera.cy / size,
-    )
-    g = reference.double(forest.layers[layer - 1].gaussians)
-    splats = reference.project(g, small, variance / size**2)
-    return reference.blend(splats, -(-camera.width // size), -(-camera.height // size)).numpy()
 
 
 def twin(forest: Forest, camera: Camera, images: list[LayerImage], variances: list[float]) -> np.ndarray:

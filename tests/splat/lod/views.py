@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from compose.camera.camera import Camera, camera_from_pose
 from splat.model.building import build_forest
 from splat.model.forest import Forest, forest_of
 from splat.model.layer import static_layer
+from tests.splat.raster import reference
 from tests.splat.samples import gaussians
 
 WIDTH, HEIGHT = 150, 100
@@ -37,3 +40,24 @@ def no_cutoff() -> np.ndarray:
 
 def everything() -> np.ndarray:
     return np.ones(CELLS, dtype=bool)
+
+
+def sampled(forest: Forest, camera: Camera, layer: int, rate: int, variance) -> np.ndarray:
+    """A layer at one sample per 2^rate x 2^rate pixels: the twin on a camera with larger pixels.
+
+    The variance in px^2 is one number, or one per Gaussian.
+    """
+    size = 1 << rate
+    # Not rounded, since the projection's limits follow from the frame's width.
+    small = replace(
+        camera,
+        width=camera.width / size,
+        height=camera.height / size,
+        fx=camera.fx / size,
+        fy=camera.fy / size,
+        cx=camera.cx / size,
+        cy=camera.cy / size,
+    )
+    g = reference.double(forest.layers[layer - 1].gaussians)
+    splats = reference.project(g, small, variance / size**2)
+    return reference.blend(splats, -(-camera.width // size), -(-camera.height // size)).numpy()
