@@ -15,8 +15,10 @@ from splat.raster.projection import NEAR, Splats
 from splat.raster.records import RecordLayout
 from splat.raster.tiles import TileGrid
 
-# Depths are sorted by so many bits: 32 octaves from the near plane.
+# Depths are sorted by so many bits: 32 octaves from the near plane in steps of one part in 131,072. Where
+# something lies further away, the steps are up to eight times as large.
 _DEPTH_BITS = 22
+_DEPTH_SHIFT = 6
 # Below this a contribution is invisible on an 8-bit display; every extent follows from it.
 MINIMUM_ALPHA = 1 / 255
 # A splat's ellipse and its box of tiles: its first column plus 2^16 times its first row, and its number of
@@ -162,13 +164,18 @@ class Candidates:
 def depth_order(arrays: Arrays, depth: Any, seen: Any) -> Any:
     """Indices of splats from near to far, those that are not seen last.
 
-    Depths that agree to one part in 100,000 count as equal; their splats keep the order of their indices.
+    Depths that agree to one part in 100,000 count as equal, in scenes that reach beyond 32 octaves from the
+    near plane to one in 16,000; their splats keep the order of their indices.
     """
     bits = lambda value: dr.reinterpret_array(arrays.plain.UInt, value)  # noqa: E731
     # The bits of positive floats rise with their values; the upper ones are enough.
-    steps = bits(dr.maximum(depth, NEAR)) - bits(arrays.plain.Float(NEAR))
+    steps = dr.select(seen, bits(dr.maximum(depth, NEAR)) - bits(arrays.plain.Float(NEAR)), 0)
     last = (1 << _DEPTH_BITS) - 1
-    return arrays.argsort(dr.select(seen, dr.minimum(steps >> 6, last - 1), last), last + 1)
+    shift, farthest = arrays.plain.UInt(_DEPTH_SHIFT), dr.max(steps)
+    for further in range(3):
+        shift += dr.select(farthest >> (_DEPTH_SHIFT + further) >= last, arrays.plain.UInt(1), 0)
+    # Not a number is beyond all.
+    return arrays.argsort(dr.select(seen, dr.minimum(steps >> shift, last - 1), last), last + 1)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 LANES_ACROSS = 4
 # 16 x 16 pixels, 4 x 4 per lane: the more pixels a splat covers, the more a large tile saves.
 TILE = 16
+# Rows and columns of tiles are numbered by 16 bits each.
+_MOST_TILES = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -20,11 +22,19 @@ class TileGrid:
     Attributes:
         width, height: frame in pixels.
         side: of a tile in pixels, a multiple of 4.
+
+    Raises:
+        ValueError: the frame has more than 65,536 tiles along a side.
     """
 
     width: int
     height: int
     side: int = TILE
+
+    def __post_init__(self) -> None:
+        if max(self.columns, self.rows) > _MOST_TILES:
+            most = _MOST_TILES * self.side
+            raise ValueError(f"frame of {self.width} x {self.height}: at most {most:,} pixels along a side")
 
     @property
     def columns(self) -> int:

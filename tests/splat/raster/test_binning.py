@@ -164,3 +164,14 @@ def test_depths_closer_than_one_part_in_100_000_keep_their_order(arrays):
     apart = arrays.plain.Float([2 * (1 + 2e-5), 2.0])
     assert depth_order(arrays, apart, everything).numpy().tolist() == [1, 0]
     assert dr.width(depth_order(arrays, apart, everything)) == 2
+
+
+def test_depths_beyond_32_octaves_are_told_apart(arrays):
+    """One part in 16,000, up to the largest float."""
+    depth = np.float32([3e38, 1e8, 1.0001e8, 0.02, 1e20, 5e7, 0.99e8])
+    order = depth_order(arrays, arrays.plain.Float(depth), arrays.plain.Bool(True))
+    assert order.numpy().tolist() == [3, 5, 6, 1, 2, 4, 0]
+    # What is not seen has no say in the steps.
+    near = arrays.plain.Float([2 * (1 + 2e-5), 2.0, 3e38, float("nan")])
+    seen = arrays.plain.Bool([True, True, False, False])
+    assert depth_order(arrays, near, seen).numpy().tolist() == [1, 0, 2, 3]

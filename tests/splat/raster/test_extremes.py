@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from compose.camera.camera import Camera
 from splat.model.gaussians import SH_DC, Gaussians, concatenated
@@ -400,6 +401,53 @@ def blended_at_once(g: Gaussians, camera: Camera, row: int) -> torch.Tensor:
     alpha = alpha * (alpha >= 1 / 255)
     before = torch.cumprod(1 - alpha, dim=1) / (1 - alpha)
     return (alpha * before) @ colour.T
+
+
+@pytest.mark.parametrize(
+    ("offset", "focal"),
+    [
+        pytest.param(
+            *case,
+            marks=extreme(
+                name, given="a turned camera, Gaussians at a distance of 4", expected="within 1e-5 of float64"
+            ),
+        )
+        for name, case in {
+            "a scene a million units from the origin": (1e6, 50.0),
+            "0.1 degrees over 4,096 pixels": (0.0, 2.35e6),
+        }.items()
+    ],
+)
+def test_positions_keep_their_place(each_arrays, got, offset, focal):
+    """The Gaussians are where float32 puts them; where they are seen must not depend on where they lie."""
+    turn = Rotation.from_euler("xyz", [0.3, 0.5, 0.7]).as_matrix()
+    eye, size = np.array([0.0123, -0.3, 0.2]) + offset, 4 / focal
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3], world_to_camera[:3, 3] = turn, -turn @ eye
+    camera = Camera(world_to_camera, 64, 64, focal, focal, 32, 32)
+    places = [eye + turn.T @ [x * size, -x * size, 4] for x in (-12, 0, 9)]
+    g = concatenated(
+        [one(mean=place, log_scale=np.log(size * np.array([6, 1, 3])), rotation=ASKEW) for place in places]
+    )
+    image, _ = rendered(each_arrays, g, camera)
+    assert image.max() > 0.5
+    assert got(worst_error(image, g, camera), ".1e") < 1e-5
+
+
+@extreme(
+    "order at depths of 1e8",
+    given="red before green at 1e8 and 1.001e8 units, listed the other way round",
+    expected="as in float64, within 1e-4",
+)
+def test_far_splats_keep_their_order(each_arrays, got):
+    g = concatenated(
+        [
+            one(mean=(0, 0, depth), log_scale=np.log(1e7), sh=sh)
+            for depth, sh in ((1.001e8, (-2.0, 1.5, -2)), (1e8, (1.5, -2.0, -2)))
+        ]
+    )
+    image, _ = rendered(each_arrays, g, view())
+    assert got(worst_error(image, g, view()), ".1e") < 1e-4
 
 
 @extreme("frame of 4096 x 4096", given="two Gaussians", expected="the pixels around one as in a small frame")

@@ -27,3 +27,9 @@ def test_all_tiles_are_wanted_by_default():
 def test_a_mask_of_another_shape_is_refused():
     with pytest.raises(ValueError, match=r"wanted has shape \(3, 2\), expected \(2, 3\)"):
         TileGrid(33, 17).mask(np.ones((3, 2), dtype=bool))
+
+
+def test_frames_of_too_many_tiles_are_refused():
+    assert TileGrid(1, 1 << 20).rows == 1 << 16
+    with pytest.raises(ValueError, match=r"frame of 1 x 1048577: at most 1,048,576 pixels along a side"):
+        TileGrid(1, (1 << 20) + 1)
