@@ -50,13 +50,14 @@ def render(gaussians: Gaussians, camera: Camera, low_pass: float = PIXEL_FILTER)
     Args:
         gaussians: N Gaussians, all tensors on one device.
         camera: the view.
-        low_pass: variance in px^2 of the filter that each Gaussian gets on the screen.
+        low_pass: variance in px^2 of the filter that each Gaussian gets on the screen; 0 or more.
 
     Returns:
         (H, W, 3) float32 linear radiance, rows from the top.
 
     Raises:
-        ValueError: the tensors are on several devices, or on one that is neither CPU nor CUDA.
+        ValueError: the tensors are on several devices, or on one that is neither CPU nor CUDA; or the
+            low-pass is negative or not finite.
     """
     devices = {tensor.device for _, tensor in gaussians.tensors()}
     if len(devices) > 1:
@@ -71,6 +72,8 @@ def render_differentiable(
     arrays: Arrays, gaussians: Gaussians, camera: Camera, low_pass: float = PIXEL_FILTER
 ) -> torch.Tensor:
     """Like `render`, with the given backend's array types."""
+    if not 0 <= low_pass < float("inf"):
+        raise ValueError(f"low-pass of {low_pass:g} px^2: must be finite and not negative")
     if not len(gaussians):
         # An empty sum carries the gradient, which has no elements. Dr.Jit refuses arrays of none.
         black = gaussians.opacity_logits.new_zeros(camera.height, camera.width, 3)

@@ -24,8 +24,8 @@ from splat.raster.gradient import added_sums, gradients_from_sums, no_sums
 from splat.raster.projection import Splats
 from splat.raster.tiles import TileGrid
 
-# Candidate pairs that are listed at once. Binning, blending and gradient take some 110 bytes for each, so
-# this is less than 2 GB; what each part repeats, a look at every splat, is nothing beside so many pairs.
+# Candidate pairs that are listed at once. Binning, blending and gradient take some 90 bytes for each, so
+# this is 1.5 GB; what each part repeats, a look at every splat, is nothing beside so many pairs.
 PAIRS_AT_ONCE = 1 << 24
 
 

@@ -308,6 +308,12 @@ def test_a_blinding_splat_spoils_only_what_it_covers(each_arrays, got, sh):
         assert torch.equal(gradient[..., 1:], expected[name]), name
 
 
+@pytest.mark.parametrize("low_pass", [-0.1, float("nan"), float("inf")])
+def test_filters_of_no_width_are_refused(each_arrays, low_pass):
+    with pytest.raises(ValueError, match=r"low-pass of .* px\^2: must be finite and not negative"):
+        render_differentiable(each_arrays, OTHER, view(), low_pass)
+
+
 @extreme(
     "squared error of blinding splats",
     given="sh 1e38 over the whole frame, loss = sum of the squared image",
@@ -316,8 +322,9 @@ def test_a_blinding_splat_spoils_only_what_it_covers(each_arrays, got, sh):
 def test_a_squared_error_of_the_brightest_radiance_has_finite_gradients(each_arrays, got):
     leaves = leaves_of(with_other(log_scale=3.0, logit=9.0, sh=1e38))
     render_differentiable(each_arrays, Gaussians(**leaves), view()).square().sum().backward()
-    largest = max(float(leaf.grad.abs().max()) for leaf in leaves.values())
-    assert np.isfinite(got(largest, ".1e"))
+    gradients = torch.cat([leaf.grad.reshape(-1) for leaf in leaves.values()])
+    got(float(gradients.abs().max()), ".1e")
+    assert torch.isfinite(gradients).all()
 
 
 @pytest.mark.parametrize(
@@ -347,6 +354,45 @@ def test_a_needle_keeps_its_extent(each_arrays, got, deviation):
     reach = np.sqrt(level * (deviation**2 + 0.025**2) / 2)
     found = (columns.max() + 1 - columns.min()) * 16 / 2
     assert got(found / reach, ".4f") == pytest.approx(1, abs=17 / reach)
+
+
+@pytest.mark.parametrize(
+    ("focal", "low_pass"),
+    [
+        pytest.param(
+            *case,
+            marks=extreme(
+                f"magnitudes at random, focal length {case[0]:g} px, low-pass {case[1]:g} px^2",
+                given="400 Gaussians, 3 in 10 numbers of any magnitude that float32 holds",
+                expected="image and gradients finite",
+            ),
+        )
+        for case in ((50.0, 0.1), (0.1, 0.0), (1e6, 1e20))
+    ],
+)
+def test_numbers_of_any_magnitude_stay_finite(each_arrays, got, focal, low_pass):
+    rng, n = np.random.default_rng(11), 400
+
+    def mixed(ordinary: np.ndarray, low: float, high: float) -> torch.Tensor:
+        """Numbers of which 3 in 10 have any magnitude from 10^low to 10^high, and either sign."""
+        shape = ordinary.shape
+        wild = rng.choice([-1, 1], shape) * 10.0 ** rng.uniform(low, high, shape)
+        return torch.tensor(np.where(rng.random(shape) < 0.3, wild, ordinary)).float()
+
+    g = Gaussians(
+        mixed(rng.normal(size=(3, n)) + np.array([[0], [0], [4]]), -38, 38),
+        mixed(rng.normal(size=(3, n)) - 2, -3, 3),
+        mixed(rng.normal(size=(4, n)), -38, 38),
+        mixed(rng.normal(size=n), -2, 4),
+        # Larger coefficients of directions have derivatives beyond float32.
+        mixed(rng.normal(size=(4, 3, n)) * 0.3, -38, 30),
+    )
+    image, gradients = rendered(each_arrays, g, view(focal=focal), low_pass)
+    assert torch.isfinite(image).all()
+    assert image.max() > 0
+    for name, gradient in gradients.items():
+        assert torch.isfinite(gradient).all(), name
+    got(f"all finite, radiance up to {float(image.max()):.1e}")
 
 
 @extreme(
