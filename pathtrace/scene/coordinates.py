@@ -53,9 +53,9 @@ def in_good_coordinates(source: Source, loaded: Any, camera: Camera) -> tuple[An
         if step > _TOLERANCE * distance * unit:
             far, seen = np.linalg.norm(place.origin), distance * unit
             raise UserError(
-                f"{source.name}: its mesh files have vertices {far:.3g} from the origin, where float32 has "
-                f"steps of {step:.2g}, too coarse for what the camera sees {seen:.3g} away; keep vertices near "
-                "the origin and place meshes by to_world"
+                f"{source.name}: meshes have vertices {far:.3g} from the origin, where float32 has steps "
+                f"of {step:.2g}, too coarse for what the camera sees {seen:.3g} away; keep vertices near the "
+                "origin and place meshes by to_world"
             )
         if unit != 1 or distance >= _RAY_OFFSET / _TOLERANCE:
             return moved, own, place

@@ -58,11 +58,10 @@ def seed_at(view: TrainingView, pixels: NDArray[np.int64], size: float, degree: 
     Returns:
         At most M Gaussians.
     """
-    distance = view.distance.ravel()[pixels].astype(np.float64)
-    shown = np.isfinite(distance) & (distance > 0)
-    pixels, distance = pixels[shown], distance[shown]
+    distance = view.distance.ravel()[pixels]
+    pixels = pixels[np.isfinite(distance) & (distance > 0)]
     means = view.points(pixels)
-    deviation = size * distance / view.camera.fy
+    deviation = size * view.pixel_sizes(pixels)
     scales = np.stack([deviation, deviation, deviation * _FLATNESS])
     radiance = torch.from_numpy(view.radiance.reshape(-1, 3)[pixels].T.copy())
     n = len(pixels)

@@ -12,6 +12,8 @@ from compose.camera.place import Place, place_around
 
 # Pixels of a view, about, from which its place is found.
 _SAMPLED = 4096
+# Degrees from the axis up to which pixels count as equally large.
+_WIDE = 45.0
 
 
 @dataclass(frozen=True)
@@ -46,9 +48,19 @@ class TrainingView:
 
     def points(self, pixels: NDArray[np.int64]) -> NDArray[np.float64]:
         """World positions (M, 3) of what pixels show, given by row-major indices (M,)."""
-        centres = np.stack([pixels % self.camera.width + 0.5, pixels // self.camera.width + 0.5], axis=1)
         distance = self.distance.ravel()[pixels].astype(np.float64)
-        return self.camera.position + self.camera.rays(centres) * distance[:, None]
+        return self.camera.position + self.camera.rays(self._centres(pixels)) * distance[:, None]
+
+    def pixel_sizes(self, pixels: NDArray[np.int64]) -> NDArray[np.float64]:
+        """(M,) size of pixels, at the distance of what they show, across the ray."""
+        rays = self.camera.rays(self._centres(pixels))
+        # A pixel's solid angle falls as the cube of the cosine. It matters where the field of view is wide.
+        cosine = rays @ self.camera.world_to_camera[2, :3]
+        narrowing = np.minimum(1, cosine / np.cos(np.radians(_WIDE))) ** 1.5
+        return self.distance.ravel()[pixels].astype(np.float64) * narrowing / self.camera.fy
+
+    def _centres(self, pixels: NDArray[np.int64]) -> NDArray[np.float64]:
+        return np.stack([pixels % self.camera.width + 0.5, pixels // self.camera.width + 0.5], axis=1)
 
 
 def place_of(views: list[TrainingView]) -> Place:
@@ -78,9 +90,9 @@ def placed(view: TrainingView, place: Place) -> TrainingView:
 
 def pixel_footprint(views: list[TrainingView]) -> float:
     """Size of a pixel at the median distance of what the views see."""
-    distances = [v.distance.ravel()[v.surface_pixels] for v in views]
-    seen = np.concatenate([d for d in distances if len(d)] or [np.ones(1, np.float32)])
-    return float(np.median(seen)) / views[0].camera.fy
+    sizes = np.concatenate([view.pixel_sizes(view.surface_pixels) for view in views])
+    # Without a surface, nothing is seeded that could be moved by it.
+    return float(np.median(sizes)) if len(sizes) else 1 / views[0].camera.fy
 
 
 def reduced(view: TrainingView, factor: int) -> TrainingView:
