@@ -113,6 +113,9 @@ def _relocate_to_world(properties: Any, place: Place) -> None:
     if properties.plugin_name() in ("perspective", "thinlens"):
         # A camera has no scale.
         matrix[:3, :3] *= place.unit
+        for clip in ("near_clip", "far_clip"):
+            if clip in properties:
+                properties[clip] = float(properties[clip]) / place.unit
     properties["to_world"] = mi.ScalarTransform4d(matrix)
 
 

@@ -70,14 +70,14 @@ def load_scene(source: str | Path | dict[str, Any], max_depth: int | None = None
         description = read_description(path)
         own_depth, fingerprint = description.max_depth, description.fingerprint
         loaded = load_mitsuba_xml(path, description.text)
-        content = Source(str(path), description.text, path.parent)
+        content = Source(str(source), description.text, path.parent)
     if not loaded.sensors():
-        raise UserError(f"{source}: the scene has no camera; add a <sensor type='perspective'>")
+        raise UserError(f"{content.name}: the scene has no camera; add a <sensor type='perspective'>")
     if not loaded.emitters():
-        raise UserError(f"{source}: the scene has no light; add an <emitter>")
+        raise UserError(f"{content.name}: the scene has no light; add an <emitter>")
     depth = max_depth or own_depth
     if depth != own_depth:
         fingerprint = fingerprint_at_depth(fingerprint, depth)
-    camera = camera_of_sensor(loaded.sensors()[0], str(source))
+    camera = camera_of_sensor(loaded.sensors()[0], content.name)
     loaded, camera, place = in_good_coordinates(content, loaded, camera)
     return Scene(name, fingerprint, with_ordered_shapes(loaded), camera, depth, place)
