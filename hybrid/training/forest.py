@@ -85,7 +85,7 @@ def train(
     try:
         trainer = Trainer(device_arrays(), views, settings)
     except ValueError as error:
-        raise UserError(f"{frames.folder}: {error}; capture the frames again") from error
+        raise UserError(f"{frames.folder}: {error}") from error
     checkpoint = checkpoint_path(path)
     restore_checkpoint(trainer, checkpoint, frames)
     total = settings.iterations + fusion_steps(frames)

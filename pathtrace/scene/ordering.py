@@ -13,8 +13,11 @@ def with_ordered_shapes(scene: Any) -> Any:
 
     Where Mitsuba merges meshes, the order of the merged meshes, and of the lights among them, differs each
     time a scene is loaded: the same random number would choose another light, and the same seed give other
-    noise.
+    noise. Scenes with instances keep the order in which they were loaded.
     """
+    if any(shape.class_name() == "Instance" for shape in scene.shapes()):
+        # Instances cannot leave the scene that holds what they repeat.
+        return scene
     parts = {f"sensor_{number}": sensor for number, sensor in enumerate(scene.sensors())}
     # Area lights belong to their shapes.
     emitters = [emitter for emitter in scene.emitters() if emitter.get_shape() is None]

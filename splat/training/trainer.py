@@ -193,7 +193,7 @@ def _require_enough(
 ) -> None:
     """Checks that there are frames to learn from, and that they are large enough for all layers."""
     if not finite:
-        raise ValueError(f"none of {len(views)} frames holds only finite numbers")
+        raise ValueError(f"none of {len(views)} frames holds only finite numbers; capture them again")
     width, height = finite[0].camera.width, finite[0].camera.height
     if most_layers(width, height) < settings.layers:
         raise ValueError(f"frames of {width} x {height} pixels are too small for {settings.layers} layers")

@@ -78,7 +78,7 @@ def place_of(views: list[TrainingView]) -> Place:
         distances.append(view.distance.ravel()[seen])
     distance = np.concatenate(distances)
     if not len(distance):
-        raise ValueError("no frame shows a surface at a finite distance")
+        raise ValueError("no frame shows a surface at a finite distance; turn the camera to one")
     return place_around(np.concatenate(points), float(np.median(distance)))
 
 

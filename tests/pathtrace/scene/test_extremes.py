@@ -98,7 +98,7 @@ _FACES = (142, 134, 568, 587, 126, 165, 384, 378, 157, 173, 248, 286)
 
 
 def xml(folder: Path, at: float, vertices: float = 0.0, more: str = "") -> Path:
-    """A cube from a file before a wall, a point light and the sky, all moved by `at` along x."""
+    """A cube from a file and an instance of a ball before a wall, lit by a point and the sky, at x = `at`."""
     rows = [f"v {x + vertices} {y} {z}" for x, y, z in _VERTICES]
     rows += [f"f {' '.join(str(face))}" for face in _FACES]
     (folder / "cube.obj").write_text("\n".join(rows) + "\n")
@@ -125,13 +125,17 @@ def xml(folder: Path, at: float, vertices: float = 0.0, more: str = "") -> Path:
  <point name="position" x="{at - 1}" y="2" z="-3"/><rgb name="intensity" value="9"/>
 </emitter>
 <emitter type="constant"><rgb name="radiance" value="0.2"/></emitter>
+<shape type="shapegroup" id="group"><shape type="sphere"><float name="radius" value="0.4"/></shape></shape>
+<shape type="instance">
+ <ref id="group"/><transform name="to_world"><translate x="-0.6"/><translate x="$at"/></transform>
+</shape>
 {more}</scene>""")
     return folder / "scene.xml"
 
 
 @extreme(
     "a scene file 1e6 from the origin",
-    given="mesh file, wall, point light and camera moved by to_world and position",
+    given="mesh file, instance, point light and camera moved by to_world and position",
     expected="over 60 dB to the unmoved one at equal seeds",
 )
 def test_files_are_moved_as_well(tmp_path, got):
