@@ -38,7 +38,7 @@ def place_of_gaussians(world: Gaussians) -> Place:
 
 
 def _mapped(gaussians: Gaussians, offset: NDArray[np.float64], scale: float) -> Gaussians:
-    """The Gaussians scaled, then moved; computed in float64."""
-    means = gaussians.means.double() * scale + torch.from_numpy(offset)[:, None]
+    """The Gaussians scaled, then moved; computed in float64, and differentiable."""
+    means = gaussians.means.double() * scale + torch.from_numpy(offset).to(gaussians.means.device)[:, None]
     log_scales = gaussians.log_scales.double() + float(np.log(scale))
     return replace(gaussians, means=means.float(), log_scales=log_scales.float())

@@ -12,14 +12,18 @@ from torch.autograd.function import once_differentiable
 
 from compose.base.arrays import Arrays, BackendName
 from compose.camera.camera import Camera
+from compose.camera.place import WORLD, Place
 from splat.model.gaussians import Gaussians
+from splat.model.placing import from_world
 from splat.raster.blocks import CHANNELS
 from splat.raster.parts import Parts, rasterize_parts, rasterize_parts_backward
 from splat.raster.projection import PIXEL_FILTER, Parameters, project
 from splat.raster.tiles import TileGrid
 
 
-def render(gaussians: Gaussians, camera: Camera, low_pass: float = PIXEL_FILTER) -> torch.Tensor:
+def render(
+    gaussians: Gaussians, camera: Camera, low_pass: float = PIXEL_FILTER, place: Place = WORLD
+) -> torch.Tensor:
     """Renders Gaussians; torch can differentiate the image with respect to their tensors.
 
     The kernels run where the tensors are: on the CPU (Dr.Jit's LLVM backend) or on a GPU (its CUDA backend).
@@ -51,6 +55,8 @@ def render(gaussians: Gaussians, camera: Camera, low_pass: float = PIXEL_FILTER)
         gaussians: N Gaussians, all tensors on one device.
         camera: the view.
         low_pass: variance in px^2 of the filter that each Gaussian gets on the screen; 0 or more.
+        place: coordinates to compute in. What is nearer than 0.01 units is not drawn: for Gaussians that are
+            much smaller than a room, give the size of what they show as its unit.
 
     Returns:
         (H, W, 3) float32 linear radiance, rows from the top.
@@ -65,6 +71,8 @@ def render(gaussians: Gaussians, camera: Camera, low_pass: float = PIXEL_FILTER)
     kind = devices.pop().type
     if kind not in ("cpu", "cuda"):
         raise ValueError(f"Gaussians on {kind}: must be on cpu or cuda")
+    if place != WORLD:
+        gaussians, camera = from_world(gaussians, place), place.camera(camera)
     return render_differentiable(_arrays("llvm" if kind == "cpu" else "cuda"), gaussians, camera, low_pass)
 
 

@@ -28,7 +28,8 @@ _COMPENSATION_FLOOR = 2.5e-5
 # The projection is linearized no further out than at this multiple of the half field of view: beyond it,
 # Gaussians beside the camera would smear over the whole frame.
 _TANGENT_LIMIT = 1.3
-# Gaussians nearer to the camera are not drawn.
+# Gaussians nearer to the camera are not drawn. In their own unit of length (compose.camera.place), so that
+# neither this nor the range of depths that are told apart depends on the size of a scene.
 NEAR = 0.01
 # Standard deviations in px: a longer axis covers any frame evenly. The square of its precision, by which the
 # gradient is multiplied, still fits float32.

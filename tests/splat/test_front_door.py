@@ -18,7 +18,7 @@ def test_importing_loads_neither_torch_nor_drjit():
 
 
 def test_every_public_name_is_there():
-    names = "Camera Forest Gaussians load_forest load_ply look_at render save_forest save_ply"
+    names = "Camera Forest Gaussians Place load_forest load_ply look_at render save_forest save_ply"
     assert splat.__all__ == names.split()
     for name in splat.__all__:
         assert getattr(splat, name).__name__ == name
