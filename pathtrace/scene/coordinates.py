@@ -9,6 +9,7 @@ its picture is 62, 49, 38 and 26 dB from the unscaled one, moved by 10, 100, 1e3
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from typing import Any
 
@@ -61,6 +62,13 @@ def in_good_coordinates(source: Source, loaded: Any, camera: Camera) -> tuple[An
             return moved, own, place
         # A power of two: scaling by it is exact.
         unit = float(2.0 ** np.round(np.log2(distance / TYPICAL_DISTANCE)))
+
+
+def fingerprint_in(place: Place, fingerprint: str) -> str:
+    """Hash of a scene in the coordinates of a place: forests and frames of others do not fit to it."""
+    if place == WORLD:
+        return fingerprint
+    return hashlib.sha256(f"{fingerprint} at {place.origin} in {place.unit}".encode()).hexdigest()
 
 
 def _is_ordinary(loaded: Any, camera: Camera) -> bool:

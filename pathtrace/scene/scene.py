@@ -10,7 +10,7 @@ from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.camera.place import WORLD, Place
 from pathtrace.scene.bundled import scene_file
-from pathtrace.scene.coordinates import in_good_coordinates
+from pathtrace.scene.coordinates import fingerprint_in, in_good_coordinates
 from pathtrace.scene.description import DEFAULT_MAX_DEPTH, read_description
 from pathtrace.scene.fingerprint import dictionary_fingerprint, fingerprint_at_depth
 from pathtrace.scene.loading import Source, load_mitsuba_dictionary, load_mitsuba_xml
@@ -28,7 +28,8 @@ class Scene:
     Attributes:
         name: its name in files and reports.
         hash: SHA-256 of the scene's description, of every file that it names, and of the path depth if that
-            is not the scene's own, since images at another depth show other light.
+            is not the scene's own, since images at another depth show other light, and of its coordinates if
+            these are not the world's.
         mitsuba: the Mitsuba scene, in the scene's coordinates.
         camera: the scene's own camera at its own film size, in the scene's coordinates.
         max_depth: path depth: the one requested, else the scene's own, else 8.
@@ -80,4 +81,5 @@ def load_scene(source: str | Path | dict[str, Any], max_depth: int | None = None
         fingerprint = fingerprint_at_depth(fingerprint, depth)
     camera = camera_of_sensor(loaded.sensors()[0], content.name)
     loaded, camera, place = in_good_coordinates(content, loaded, camera)
+    fingerprint = fingerprint_in(place, fingerprint)
     return Scene(name, fingerprint, with_ordered_shapes(loaded), camera, depth, place)
