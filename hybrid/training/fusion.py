@@ -101,20 +101,34 @@ def _usable(frames: FrameSet) -> list[tuple[int, FrameEntry]]:
 
 
 def _examples(frames: FrameSet, forest: Forest, rng: np.random.Generator) -> Iterator[Example]:
-    """For each estimate of each view and both denoisers: the parents of a fovea, and the reference."""
+    """For each estimate of each view and both denoisers: the parents of a fovea, and the reference.
+
+    Images with numbers that are not finite are left out: one of them would spoil all weights of the network.
+    """
     renderer = ForestRenderer(device_arrays(), forest)
     finest = len(forest.counts)
     for number, entry in _usable(frames):
         one, other = (read_radiance(file, entry.size) for file in entry.halves)
         reference = Reference(read_frame(entry.file, entry.size).radiance, (one, other))
+        if not _is_finite(reference.denoised, one, other):
+            continue
         splat = np.array(renderer.render_layer(entry.camera, finest).image())
         enlargement = entry.camera.fy / forest.focal_of(finest)
-        traced = [_images_of(read_estimate(file, entry.size), spp) for spp, file in entry.estimates.items()]
+        estimates = {spp: read_estimate(file, entry.size) for spp, file in entry.estimates.items()}
+        traced = [
+            _images_of(found, spp)
+            for spp, found in estimates.items()
+            if _is_finite(found.radiance, found.albedo, found.normal)
+        ]
         if len(traced) > 1:
             traced += [_mixed(traced, rng) for _ in range(_MIXED)]
         for images, quick in product(traced, (False, True)):
             parents = _parents(images, splat, enlargement, quick)
             yield _part(Example(parents, reference, number), rng)
+
+
+def _is_finite(*images: Image) -> bool:
+    return all(np.isfinite(image).all() for image in images)
 
 
 def _images_of(estimate: TracedImage, spp: int) -> DiscImages:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 from compose.base.errors import UserError
 from pathtrace.dataset.capture import capture
 from pathtrace.dataset.exr import CapturedFrame, read_frame
+from pathtrace.dataset.frames import read_frame_set
 from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.dataset.views import choose_views
 from pathtrace.fill.fill import fill_cache
@@ -200,3 +202,29 @@ def test_views_of_any_size_and_place_are_the_same(scale, offset, got):
         position = (scene.place.in_world(other.position[None])[0] - offset) / scale
         worst = max(worst, float(np.abs(position - one.position).max()))
     assert got(worst, ".1e") < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        pytest.param(
+            m, message, marks=extreme(f"frames whose pose {n}", given=g, expected="refused in one line")
+        )
+        for m, message, n, g in [
+            (np.diag([-1.0, 1, 1, 1]), "it mirrors", "mirrors", "determinant -1"),
+            (np.diag([2.0, 2, 2, 1]), "axes have the lengths 2, 2, 2", "scales", "axes of length 2"),
+            (np.full((4, 4), np.nan), "not finite", "is not finite", "NaN everywhere"),
+        ]
+    ],
+)
+def test_frame_sets_with_poses_that_are_not_rigid_are_refused(spoil, message, tmp_path, got):
+    capture(load_scene(small.corner()), tmp_path, SETTINGS, lambda done, total: None)
+    file = tmp_path / "transforms.json"
+    document = json.loads(file.read_text())
+    matrix = np.array(document["frames"][0]["transform_matrix"]) @ spoil
+    document["frames"][0]["transform_matrix"] = matrix.tolist()
+    file.write_text(json.dumps(document))
+    with pytest.raises(UserError, match=message) as caught:
+        read_frame_set(tmp_path)
+    assert "\n" not in str(caught.value)
+    got(str(caught.value).split("transforms.json: ")[1])
