@@ -129,7 +129,7 @@ def test_the_fusion_is_never_fitted_to_what_is_not_finite(tmp_path, backend, mon
     )
     least = min(second.estimates)
     broken = read_estimate(second.estimates[least])
-    write_estimate(second.estimates[least], replace(broken, albedo=broken.albedo * np.inf))
+    write_estimate(second.estimates[least], replace(broken, albedo=np.full_like(broken.albedo, np.inf)))
     kept: list[Example] = []
 
     def noting(examples, *arguments) -> None:

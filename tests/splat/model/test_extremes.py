@@ -1,0 +1,46 @@
+"""Trees over Gaussians at the ends of size and opacity."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from splat.model.gaussians import Gaussians
+from splat.model.merging import merge
+from tests.extremes import extreme
+
+
+def one(size: float, logit: float, sh: float) -> Gaussians:
+    """A round Gaussian at the origin."""
+    return Gaussians(
+        torch.zeros(3, 1),
+        torch.full((3, 1), size),
+        torch.tensor([[1.0], [0.0], [0.0], [0.0]]),
+        torch.full((1,), logit),
+        torch.full((1, 3, 1), sh),
+    )
+
+
+@pytest.mark.parametrize(
+    ("size", "logit"),
+    [
+        pytest.param(
+            s, o, marks=extreme(f"parent of {n}", given=g, expected="the mean colour, size and opacity")
+        )
+        for s, o, n, g in [
+            (-4.0, -800.0, "transparent Gaussians", "opacity logits of -800"),
+            (-60.0, 0.0, "tiny Gaussians", "deviations of e^-60"),
+            (80.0, 0.0, "huge Gaussians", "deviations of e^80"),
+            (-200.0, -500.0, "Gaussians of no weight", "deviations of e^-200, logits of -500"),
+        ]
+    ],
+)
+def test_parents_of_extreme_children_are_finite(size, logit, got):
+    """Two equal Gaussians weigh the same: w = 2 o S, so the parent has twice the opacity, o / (1 - o) -> 2 o."""
+    parent = merge(one(size, logit, 1.0), one(size, logit, 3.0))
+    assert parent.is_finite()
+    assert parent.sh[0, 0, 0].item() == pytest.approx(2)
+    np.testing.assert_allclose(parent.log_scales.numpy(), size, rtol=1e-5)
+    expected = logit + np.log(2) if logit < -100 else np.log(0.99 / 0.01)
+    assert got(parent.opacity_logits.item(), ".2f") == pytest.approx(expected, rel=1e-4)
