@@ -37,7 +37,7 @@ def one(size: float, logit: float, sh: float) -> Gaussians:
     ],
 )
 def test_parents_of_extreme_children_are_finite(size, logit, got):
-    """Two equal Gaussians weigh the same: w = 2 o S, so the parent has twice the opacity, o / (1 - o) -> 2 o."""
+    """Two equal Gaussians: the parent is as large, and has twice the opacity, at most 0.99."""
     parent = merge(one(size, logit, 1.0), one(size, logit, 3.0))
     assert parent.is_finite()
     assert parent.sh[0, 0, 0].item() == pytest.approx(2)
