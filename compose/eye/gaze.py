@@ -10,13 +10,17 @@ from numpy.typing import NDArray
 from compose.base.errors import UserError
 from compose.camera.camera import Array, Camera
 
+# How far from the frame a gaze may be, in fractions of its sides: on any display that is beside the viewer,
+# and float32 still holds tenths of pixels there.
+FURTHEST = 1000
+
 
 @dataclass(frozen=True)
 class Gaze:
     """Where the viewer looks, in fractions of the frame's width and height; may lie outside it.
 
     Raises:
-        ValueError: a coordinate is not a finite number.
+        ValueError: a coordinate is not a number, or further than FURTHEST frames from the frame.
     """
 
     x: float = 0.5
@@ -25,6 +29,8 @@ class Gaze:
     def __post_init__(self) -> None:
         if not np.all(np.isfinite([self.x, self.y])):
             raise ValueError(f"gaze ({self.x}, {self.y}) is not a pair of finite numbers")
+        if max(abs(self.x), abs(self.y)) > FURTHEST:
+            raise ValueError(f"gaze ({self.x}, {self.y}) is not within {FURTHEST} frames")
 
     def pixel(self, width: int, height: int) -> tuple[float, float]:
         """Position (x, y) in pixels of a frame of that size."""

@@ -12,11 +12,13 @@ import numpy as np
 
 from compose.base.errors import UserError, one_line
 from compose.base.files import require_size_below, write_whole
-from compose.eye.gaze import Gaze
+from compose.eye.gaze import FURTHEST, Gaze
 
 _COLUMNS = ["seconds", "x", "y"]
 # Some 40 minutes at 1,000 gazes per second.
 _MOST_BYTES = 1 << 26
+# Longest trace in seconds: a day.
+MOST_SECONDS = 86_400.0
 
 
 @dataclass(frozen=True)
@@ -53,12 +55,16 @@ class GazeTrace:
         write_whole(path, lambda part: part.write_text(text))
 
 
-def load_gaze_trace(path: Path) -> GazeTrace:
+def load_gaze_trace(path: Path, most_seconds: float = MOST_SECONDS) -> GazeTrace:
     """A trace from a CSV file with the columns seconds, x, y; time 0 is that of the first row.
 
+    Args:
+        path: of the file.
+        most_seconds: longest duration.
+
     Raises:
-        UserError: the file cannot be read, has other columns or no rows, a row is not a gaze, or time runs
-            backwards.
+        UserError: the file cannot be read, has other columns or no rows, a row is not a gaze, time runs
+            backwards, or the trace is too long.
     """
     seconds: list[float] = []
     gazes: list[Gaze] = []
@@ -70,11 +76,9 @@ def load_gaze_trace(path: Path) -> GazeTrace:
                 raise UserError(f"{path}: is not a gaze trace; its first line must be {','.join(_COLUMNS)}")
             for number, row in enumerate(rows, 2):
                 second, gaze = _parsed(path, number, row)
-                if not np.isfinite(second) or (seconds and second < seconds[-1]):
-                    time = row[0].strip()[:40]
-                    raise UserError(
-                        f"{path}: line {number}: time {time} must be a number, not before the line above"
-                    )
+                _check_time(
+                    f"{path}: line {number}: time {row[0].strip()[:40]}", second, seconds, most_seconds
+                )
                 seconds.append(second)
                 gazes.append(gaze)
     except (OSError, ValueError, csv.Error) as error:
@@ -91,5 +95,16 @@ def _parsed(path: Path, number: int, row: list[str]) -> tuple[float, Gaze]:
         return second, Gaze(x, y)
     except ValueError as error:
         raise UserError(
-            f"{path}: line {number} is not a gaze ({one_line(ValueError(','.join(row)))})"
+            f"{path}: line {number} is not a gaze ({one_line(ValueError(','.join(row)))}); must be seconds, x, "
+            f"y, the latter within {FURTHEST} frames"
         ) from error
+
+
+def _check_time(what: str, second: float, earlier: list[float], most_seconds: float) -> None:
+    """Raises UserError if a time is none, runs backwards, or is too late; `what` names it."""
+    if not np.isfinite(second) or (earlier and second < earlier[-1]):
+        raise UserError(f"{what} must be a number, not before the line above")
+    if earlier and second - earlier[0] > most_seconds:
+        raise UserError(
+            f"{what} is {second - earlier[0]:g} s after the first one; must be at most {most_seconds:g} s"
+        )

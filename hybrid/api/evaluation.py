@@ -47,13 +47,16 @@ def evaluate(
         method, budget, region, metric, value), time (rows of method, budget, ms, passes), machine.
 
     Raises:
-        UserError: a forest belongs to another scene, or the folder holds another evaluation.
+        UserError: the settings cannot be measured, a forest belongs to another scene, or the folder holds
+            another evaluation.
     """
+    settings = settings or EvaluationSettings()
+    settings.require_measurable()
     folder, flat = Path(folder), None
     if baseline_forest is not None:
         flat = load_forest(Path(baseline_forest))
         require_scene(flat, scene.name, scene.hash, baseline_forest)
-    evaluation = Evaluation(scene, forest, settings or EvaluationSettings(), folder, flat)
+    evaluation = Evaluation(scene, forest, settings, folder, flat)
     found = evaluation.run(progress)
     text = json.dumps(found, indent=1) + "\n"
     write_whole(folder / "evaluation.json", lambda part: part.write_text(text))

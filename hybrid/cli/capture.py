@@ -19,27 +19,34 @@ from hybrid.cli.options import (
     SceneName,
     Seed,
     loaded_scene,
+    require_size,
     select,
     user_errors,
     write_json,
 )
+from hybrid.frame.settings import MOST_SPP
 from hybrid.runtime.progress import progress_bar
 from pathtrace.trace.integrator import Integrator, integrator_named
+
+_MOST_VIEWS = 100_000
 
 
 def capture(
     scene: SceneName,
     frames: FramesFolder,
-    views: Annotated[int, typer.Option(help="Training views.", rich_help_panel=FRAME)] = 64,
+    views: Annotated[int, typer.Option(help="Training views.", max=_MOST_VIEWS, rich_help_panel=FRAME)] = 64,
     held_out: Annotated[
-        int, typer.Option(help="Views that training never sees.", rich_help_panel=MEASUREMENT)
+        int,
+        typer.Option(help="Views that training never sees.", max=_MOST_VIEWS, rich_help_panel=MEASUREMENT),
     ] = 8,
     size: FixedSize = (256, 256),
     spp: Annotated[
-        int, typer.Option(help="Samples per pixel of a training view.", rich_help_panel=FRAME)
+        int,
+        typer.Option(help="Samples per pixel of a training view.", max=MOST_SPP, rich_help_panel=FRAME),
     ] = 32,
     held_out_spp: Annotated[
-        int, typer.Option(help="Samples per pixel of a held-out view.", rich_help_panel=MEASUREMENT)
+        int,
+        typer.Option(help="Samples per pixel of a held-out view.", max=MOST_SPP, rich_help_panel=MEASUREMENT),
     ] = 256,
     integrator: Annotated[
         str,
@@ -61,6 +68,7 @@ def capture(
 
     with user_errors():
         settings = CaptureSettings(views, held_out, *size, spp, held_out_spp, seed)
+    require_size(size)
     is_cached = integrator_named(integrator) is Integrator.CACHED
     start = time.perf_counter()
     loaded = loaded_scene(scene, max_depth)

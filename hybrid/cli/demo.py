@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from compose.base.errors import UserError
+from compose.eye.gaze_trace import MOST_SECONDS
 from hybrid.cli.options import (
     MEASUREMENT,
     VIEWER,
@@ -23,6 +24,7 @@ from hybrid.cli.options import (
     SceneName,
     Seed,
     Spp,
+    finite,
     require_size,
     write_json,
 )
@@ -47,7 +49,10 @@ def demo(
     target: Annotated[
         float | None,
         typer.Option(
-            help="Frames per second to keep; chooses radius, samples, layers, rate and scale.", min=1
+            help="Frames per second to keep; chooses radius, samples, layers, rate and scale.",
+            min=1,
+            max=1000,
+            callback=finite,
         ),
     ] = None,
     gaze_trace: Annotated[
@@ -62,7 +67,14 @@ def demo(
         bool, typer.Option("--simulate", help="A simulated viewer looks around.", rich_help_panel=VIEWER)
     ] = False,
     latency: Annotated[
-        float, typer.Option(help="Delay of the gaze in milliseconds.", min=0, rich_help_panel=VIEWER)
+        float,
+        typer.Option(
+            help="Delay of the gaze in milliseconds.",
+            min=0,
+            max=60_000,
+            callback=finite,
+            rich_help_panel=VIEWER,
+        ),
     ] = 0.0,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for screenshots and gaze traces.")] = Path(
         "."
@@ -73,6 +85,8 @@ def demo(
             metavar="SECONDS",
             help="Move the mouse for that long, print figures, and close.",
             min=1,
+            max=MOST_SECONDS,
+            callback=finite,
             rich_help_panel=MEASUREMENT,
         ),
     ] = None,
@@ -82,6 +96,7 @@ def demo(
             metavar="SECONDS",
             help="In the middle of --bench, another process keeps one core busy for that long.",
             min=0,
+            callback=finite,
             rich_help_panel=MEASUREMENT,
         ),
     ] = 0.0,

@@ -10,6 +10,8 @@ import typer
 from hybrid.cli.options import (
     INPUT,
     MEASUREMENT,
+    MOST_FRAMES,
+    MOST_REFERENCE_SPP,
     Backend,
     DisplayName,
     FixedSize,
@@ -24,6 +26,7 @@ from hybrid.cli.options import (
     Spp,
     fill_irradiance,
     loaded_scene,
+    require_size,
     select,
     write_json,
 )
@@ -49,9 +52,9 @@ def evaluate(
         ),
     ] = None,
     size: FixedSize = (_DEFAULTS.width, _DEFAULTS.height),
-    views: Annotated[int, typer.Option(help="Views to measure.", min=1, rich_help_panel=MEASUREMENT)] = (
-        _DEFAULTS.views
-    ),
+    views: Annotated[
+        int, typer.Option(help="Views to measure.", min=1, max=1000, rich_help_panel=MEASUREMENT)
+    ] = _DEFAULTS.views,
     gaze: Gaze = None,
     fov_a: FovA = EVALUATION.fov_a,
     fov_b: FovB = EVALUATION.fov_b,
@@ -62,6 +65,7 @@ def evaluate(
         typer.Option(
             help="Samples per pixel of the references; eight times as many in the disc.",
             min=4,
+            max=MOST_REFERENCE_SPP,
             rich_help_panel=MEASUREMENT,
         ),
     ] = _DEFAULTS.reference_spp,
@@ -70,6 +74,7 @@ def evaluate(
         typer.Option(
             help="Timed frames per method; fewer of those that would take over 80 s.",
             min=3,
+            max=MOST_FRAMES,
             rich_help_panel=MEASUREMENT,
         ),
     ] = _DEFAULTS.repeats,
@@ -83,6 +88,8 @@ def evaluate(
 
     frame = FrameSettings(gaze or EVALUATION.gaze, fov_a, fov_b, spp, display=display, integrator=integrator)
     settings = EvaluationSettings(frame, *size, views, reference_spp, repeats, seed)
+    require_size(size)
+    settings.require_measurable()
     check_writable(report / "index.html")
     select(backend)
     from hybrid.api.evaluation import evaluate as run

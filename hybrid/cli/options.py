@@ -7,6 +7,7 @@ once, and a missing package or LLVM is one line instead of a traceback.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,8 @@ import typer
 
 from compose.base.errors import UserError
 from compose.base.files import write_whole
+from compose.base.seeds import MOST_SEED
+from hybrid.frame.settings import MOST_SPP
 from hybrid.runtime.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -25,6 +28,12 @@ if TYPE_CHECKING:
     from pathtrace.scene.scene import Scene
     from splat.model.forest import Forest
 
+# The ends of options that nothing else bounds. Some parts of references have eight times as many samples.
+MOST_REFERENCE_SPP = MOST_SPP // 8
+MOST_FRAMES = 1_000_000
+MOST_DEPTH = 1_000_000
+MOST_GAUSSIANS = 100_000_000
+_MOST_SIDE = 16_384
 # Groups of options in the help.
 FRAME, VIEWER, INPUT, MEASUREMENT, RUN = "Frame", "Viewer", "Input", "Measurement", "Run"
 
@@ -39,6 +48,13 @@ def _writable(path: Path | None) -> Path | None:
         except UserError as error:
             raise UserError(f"--json {error}") from error
     return path
+
+
+def finite(value: float | None) -> float | None:
+    """The value of an option whose range would admit NaN or infinity."""
+    if value is not None and not math.isfinite(value):
+        raise typer.BadParameter(f"{value} is not a finite number.")
+    return value
 
 
 SceneName = Annotated[
@@ -68,7 +84,8 @@ FovB = Annotated[
     ),
 ]
 Spp = Annotated[
-    int, typer.Option("--spp", help="Samples per pixel in the disc.", min=1, rich_help_panel=FRAME)
+    int,
+    typer.Option("--spp", help="Samples per pixel in the disc.", min=1, max=MOST_SPP, rich_help_panel=FRAME),
 ]
 Fovea = Annotated[
     str,
@@ -126,16 +143,35 @@ ForestFile = Annotated[
 ]
 MaxDepth = Annotated[
     int | None,
-    typer.Option("--max-depth", help="Path depth; the scene's if left out.", min=1, rich_help_panel=INPUT),
+    typer.Option(
+        "--max-depth",
+        help="Path depth; the scene's if left out.",
+        min=1,
+        max=MOST_DEPTH,
+        rich_help_panel=INPUT,
+    ),
 ]
-Repeats = Annotated[int, typer.Option(help="Measured frames per row.", min=3, rich_help_panel=MEASUREMENT)]
-WarmUp = Annotated[int, typer.Option(help="Frames before them.", min=1, rich_help_panel=MEASUREMENT)]
+Repeats = Annotated[
+    int, typer.Option(help="Measured frames per row.", min=3, max=MOST_FRAMES, rich_help_panel=MEASUREMENT)
+]
+WarmUp = Annotated[
+    int, typer.Option(help="Frames before them.", min=1, max=MOST_FRAMES, rich_help_panel=MEASUREMENT)
+]
 ReferenceSpp = Annotated[
-    int, typer.Option(help="Samples per pixel of the references.", min=4, rich_help_panel=MEASUREMENT)
+    int,
+    typer.Option(
+        help="Samples per pixel of the references.",
+        min=4,
+        max=MOST_REFERENCE_SPP,
+        rich_help_panel=MEASUREMENT,
+    ),
 ]
 Backend = Annotated[str, typer.Option(help="auto, cuda or llvm.", rich_help_panel=RUN)]
 Seed = Annotated[
-    int, typer.Option(help="Same seed, same result on the same machine.", min=0, rich_help_panel=RUN)
+    int,
+    typer.Option(
+        help="Same seed, same result on the same machine.", min=0, max=MOST_SEED, rich_help_panel=RUN
+    ),
 ]
 Json = Annotated[
     Path | None,
@@ -199,10 +235,12 @@ def sized(camera: Camera, size: tuple[int, int] | None) -> Camera:
 
 
 def require_size(size: tuple[int, int], least: int = 1) -> None:
-    """Refuses frame sizes below a minimum."""
+    """Refuses frame sizes below a minimum, and those that no memory holds."""
     if min(size) < least:
         wanted = "positive" if least == 1 else f"at least {least} each"
         raise UserError(f"--size {size[0]} {size[1]}: must be {wanted}")
+    if max(size) > _MOST_SIDE:
+        raise UserError(f"--size {size[0]} {size[1]}: must be at most {_MOST_SIDE} each")
 
 
 def write_json(path: Path | None, content: Any) -> None:

@@ -29,6 +29,7 @@ from hybrid.cli.options import (
     Size,
     Spp,
     fill_irradiance,
+    finite,
     loaded_scene,
     select,
     sized,
@@ -78,12 +79,18 @@ def render(
             help="Choose fovea, radii and samples: the best settings measured to take no longer, with this "
             "forest, acuity model, display and size (hybrid sweep --over trade).",
             min=0,
+            callback=finite,
             rich_help_panel=FRAME,
         ),
     ] = None,
     target_jod: Annotated[
         float | None,
-        typer.Option(help="Likewise the fastest measured to be that good.", max=10, rich_help_panel=FRAME),
+        typer.Option(
+            help="Likewise the fastest measured to be that good.",
+            max=10,
+            callback=finite,
+            rich_help_panel=FRAME,
+        ),
     ] = None,
     acuity_model: AcuityModelName = DEFAULTS.acuity_model,
     layers: Layers = None,
@@ -153,7 +160,8 @@ def _check_outputs(output: Path, detail: Path | None, is_video: bool) -> None:
 
 def _loaded_trace(file: Path | None, gaze: tuple[float, float] | None, fps: int | None) -> GazeTrace | None:
     """The gaze trace, if a video was asked for."""
-    from compose.eye.gaze_trace import load_gaze_trace
+    from compose.eye.gaze_trace import MOST_SECONDS, load_gaze_trace
+    from hybrid.video.frames import MOST_FRAMES
 
     if file is None:
         if fps is not None:
@@ -161,7 +169,7 @@ def _loaded_trace(file: Path | None, gaze: tuple[float, float] | None, fps: int 
         return None
     if gaze is not None:
         raise UserError("--gaze, --gaze-trace: the gaze can only come from one of them")
-    return load_gaze_trace(file)
+    return load_gaze_trace(file, min(MOST_SECONDS, MOST_FRAMES / (fps or _FPS)))
 
 
 def _check_target(excluded: dict[str, Any]) -> None:

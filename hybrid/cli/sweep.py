@@ -11,6 +11,7 @@ from compose.base.errors import UserError
 from hybrid.cli.options import (
     FRAME,
     MEASUREMENT,
+    MOST_REFERENCE_SPP,
     VIEWER,
     Backend,
     DisplayName,
@@ -26,7 +27,7 @@ from hybrid.cli.options import (
     sized,
     write_json,
 )
-from hybrid.frame.settings import SWEEP, FrameSettings
+from hybrid.frame.settings import MOST_SPP, SWEEP, FrameSettings
 from hybrid.runtime.progress import progress_bar
 
 # Defaults of what a sweep may set itself. They are applied here, so that an option that was given is known.
@@ -85,6 +86,7 @@ def sweep(
             help="Samples per pixel in the disc; set by spp, denoiser and trade. "
             f"Default: {_DEFAULTS['spp']}.",
             min=1,
+            max=MOST_SPP,
             rich_help_panel=FRAME,
         ),
     ] = None,
@@ -110,6 +112,7 @@ def sweep(
             help="Samples per pixel of references; used by band, layers, acuity, denoiser and trade. "
             f"Default: {_DEFAULTS['reference_spp']}.",
             min=4,
+            max=MOST_REFERENCE_SPP,
             rich_help_panel=MEASUREMENT,
         ),
     ] = None,

@@ -9,15 +9,30 @@ from typing import Annotated, Any
 
 import typer
 
-from hybrid.cli.options import Backend, FramesFolder, Json, Seed, select, user_errors, write_json
+from hybrid.cli.options import (
+    MOST_GAUSSIANS,
+    Backend,
+    FramesFolder,
+    Json,
+    Seed,
+    select,
+    user_errors,
+    write_json,
+)
 from hybrid.runtime.progress import progress_bar
+
+_MOST_ITERATIONS = 10_000_000
 
 
 def train(
     frames: FramesFolder,
     forest: Annotated[Path, typer.Argument(metavar="FOREST", help="Forest file to write.")],
-    iterations: Annotated[int, typer.Option(help="Optimizer steps over all layers.")] = 3000,
-    gaussians: Annotated[int, typer.Option(help="Final number of Gaussians in the finest layer.")] = 40_000,
+    iterations: Annotated[
+        int, typer.Option(help="Optimizer steps over all layers.", max=_MOST_ITERATIONS)
+    ] = 3000,
+    gaussians: Annotated[
+        int, typer.Option(help="Final number of Gaussians in the finest layer.", max=MOST_GAUSSIANS)
+    ] = 40_000,
     layers: Annotated[int, typer.Option(help="Layers of the forest; 1 for Gaussians without trees.")] = 4,
     degree: Annotated[int, typer.Option(help="Degree of the spherical harmonics, 0 to 3.")] = 2,
     seed: Seed = 0,

@@ -14,7 +14,7 @@ from hybrid.evaluation.families import Tuning
 from hybrid.evaluation.keys import OURS
 from hybrid.evaluation.quality import evaluated_views, quality_rows
 from hybrid.evaluation.references import reference_errors, reference_samples, stored_reference
-from hybrid.evaluation.settings import EvaluationSettings
+from hybrid.evaluation.settings import TUNING_REDUCTION, EvaluationSettings
 from hybrid.evaluation.times import time_rows
 from hybrid.evaluation.tuning import tuned
 from hybrid.evaluation.work import WorkProgress
@@ -31,8 +31,8 @@ from pathtrace.dataset.views import unseen_views
 from pathtrace.scene.scene import Scene
 from splat.model.forest import Forest
 
-# Views to tune baselines on, in addition to the measured ones, and the factor by which they are smaller.
-_TUNING_VIEWS, _TUNING_REDUCTION = 2, 2
+# Views to tune baselines on, in addition to the measured ones.
+_TUNING_VIEWS = 2
 
 
 class Evaluation:
@@ -138,7 +138,7 @@ class Evaluation:
     def _tuning(self, views: list[Camera], rays: float, work: WorkProgress) -> Tuning:
         """Settings of the baselines, found on smaller versions of the views for tuning."""
         settings = self.settings
-        size = settings.width // _TUNING_REDUCTION, settings.height // _TUNING_REDUCTION
+        size = settings.width // TUNING_REDUCTION, settings.height // TUNING_REDUCTION
         small = [camera.resized(*size) for camera in views[settings.views :]]
         seed = REFERENCE_SEED + settings.views
         truths = [

@@ -6,11 +6,18 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from compose.base.errors import UserError
+from compose.base.seeds import require_seed
 from compose.eye.gaze import require_within_frame
-from hybrid.frame.settings import EVALUATION, FrameSettings
+from hybrid.frame.settings import EVALUATION, MOST_SPP, FrameSettings
+from hybrid.measure.metrics.ssim import SSIM_MARGIN
+from hybrid.measure.regions import plain_regions
 
 # References have this many times the samples in the disc, where differences are smallest and most visible.
 FOVEAL_REFERENCE = 8
+# Baselines are tuned on frames with sides smaller by this.
+TUNING_REDUCTION = 2
+# Smaller images have no level in FovVideoVDP's pyramid.
+_LEAST_CROP = 4
 
 
 @dataclass(frozen=True)
@@ -23,10 +30,11 @@ class EvaluationSettings:
         views: number of views.
         reference_spp: samples per pixel of the references; FOVEAL_REFERENCE times as many in the disc.
         repeats: timed frames per method.
-        seed: same seed, same quality on the same machine.
+        seed: same seed, same quality on the same machine; from 0 to compose.base.seeds.MOST_SEED.
 
     Raises:
-        UserError: a count or a size is not positive, the gaze lies outside the frame, or there is no disc.
+        UserError: a count, a size or the seed is out of range, the gaze lies outside the frame, or there is
+            no disc.
     """
 
     frame: FrameSettings = EVALUATION
@@ -41,9 +49,43 @@ class EvaluationSettings:
         for name in ("width", "height", "views", "reference_spp", "repeats"):
             if getattr(self, name) <= 0:
                 raise UserError(f"{name.replace('_', '-')} {getattr(self, name)}: must be positive")
+        most = MOST_SPP // FOVEAL_REFERENCE
+        if self.reference_spp > most:
+            raise UserError(f"reference-spp {self.reference_spp}: must be at most {most}")
+        require_seed(self.seed)
         require_within_frame(self.frame.gaze.x, self.frame.gaze.y)
         if self.frame.fov_a == 0:
             raise UserError("fov-a 0.0: there is no fovea to evaluate")
+
+    def require_measurable(self) -> None:
+        """Checks that all metrics can be computed in all regions, in frames and in those for tuning.
+
+        Raises:
+            UserError: the frame is smaller than SSIM's window at half its size, or a region is empty or too
+                small for the metrics.
+        """
+        least = TUNING_REDUCTION * (2 * SSIM_MARGIN + 1)
+        if min(self.width, self.height) < least:
+            raise UserError(f"size {self.width} {self.height}: must be at least {least} each to be evaluated")
+        foveation = self.frame.foveation
+        plain = plain_regions(foveation, (self.height, self.width))
+        reduced = self.height // TUNING_REDUCTION, self.width // TUNING_REDUCTION
+        half = plain_regions(foveation, reduced, ("foveal",))["foveal"]
+        found = {f"{name} region": region for name, region in plain.items()}
+        for name, region in {**found, "foveal region at half the size": half}.items():
+            if not region.mask[SSIM_MARGIN:-SSIM_MARGIN, SSIM_MARGIN:-SSIM_MARGIN].any():
+                gaze = self.frame.gaze
+                raise UserError(
+                    f"fov-a {self.frame.fov_a}, fov-b {self.frame.fov_b}, gaze {gaze.x} {gaze.y}, size "
+                    f"{self.width} {self.height}: the {name} must have pixels more than {SSIM_MARGIN} from "
+                    "the frame's edges, where SSIM is known"
+                )
+        sides = [side.stop - side.start for side in plain["foveal"].box]
+        if min(sides) < _LEAST_CROP:
+            raise UserError(
+                f"fov-a {self.frame.fov_a}: the fovea is {sides[1]} x {sides[0]} pixels; must be at least "
+                f"{_LEAST_CROP} x {_LEAST_CROP} for FovVideoVDP"
+            )
 
     def as_json(self) -> dict[str, Any]:
         """All settings as JSON has them, except for the display."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from compose.base.seeds import require_seed
 from compose.blend.blend import blend
 from compose.camera.camera import Camera
 from compose.eye.detail import DetailMap
@@ -38,6 +39,7 @@ class LiveRenderer(Renderer):
 
     def frame(self, settings: FrameSettings = INTERACTIVE, seed: int = 0) -> Frame:
         """One frame, as from `Renderer.frame`; what depends on the camera alone is kept until it moves."""
+        seed = require_seed(seed)
         maker, clock = self.fovea_of(settings), Clock()
         camera, settings = settings.resolved(self.scene.camera)
         disc = settings.foveation.region(camera.width, camera.height)

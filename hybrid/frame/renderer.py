@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.seeds import require_seed
 from compose.blend.blend import blend
 from compose.camera.camera import Camera
 from compose.fovea.mode import FoveaMode
@@ -125,11 +126,13 @@ class Renderer:
 
         Args:
             settings: how to make it.
-            seed: same seed, same frame on the same machine.
+            seed: same seed, same frame on the same machine; from 0 to compose.base.seeds.MOST_SEED.
 
         Raises:
-            UserError: the forest does not have the layers that the settings ask for.
+            UserError: the forest does not have the layers that the settings ask for, or the seed is out of
+                range.
         """
+        seed = require_seed(seed)
         maker, clock = self.fovea_of(settings), Clock()
         camera, settings = settings.resolved(self.scene.camera)
         disc = settings.foveation.region(camera.width, camera.height)

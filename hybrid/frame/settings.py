@@ -9,12 +9,15 @@ from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.eye.acuity import DEFAULT_ACUITY_MODEL, acuity_model_named
 from compose.eye.display import DISPLAYS, Display, display_named
-from compose.eye.gaze import Gaze
+from compose.eye.gaze import FURTHEST, Gaze
 from compose.eye.steps import COARSEST_RATE
 from compose.fovea.mode import FoveaMode
 from compose.fovea.region import Foveation
 from hybrid.frame.converted import Converted
 from pathtrace.trace.integrator import Integrator, integrator_named
+
+# Samples are counted in float32, which holds all whole numbers up to this one.
+MOST_SPP = 1 << 24
 
 
 def _gaze(given: Gaze | tuple[float, float]) -> Gaze:
@@ -24,7 +27,9 @@ def _gaze(given: Gaze | tuple[float, float]) -> Gaze:
         x, y = given
         return Gaze(x, y)
     except (TypeError, ValueError) as error:
-        raise UserError(f"gaze {given}: must be two finite numbers, fractions of the frame") from error
+        raise UserError(
+            f"gaze {given}: must be two finite numbers, fractions of the frame from -{FURTHEST} to {FURTHEST}"
+        ) from error
 
 
 def _fovea_mode(given: FoveaMode | str) -> FoveaMode:
@@ -54,7 +59,7 @@ class FrameSettings:
         gaze: where the viewer looks, in fractions of the frame.
         fov_a: radius of the path-traced disc in percent of the frame's height; 0 traces nothing.
         fov_b: radius inside which no splats are visible, in percent of the height; at most fov_a.
-        spp: samples per pixel in the disc, at least 1.
+        spp: samples per pixel in the disc, from 1 to MOST_SPP.
         fovea: how the disc is made from its samples.
         acuity_model: name of the acuity model (compose.eye.acuity.ACUITY_MODELS).
         layers: coarsest and finest layer that may be drawn, from 1 (coarsest) to L; None for all.
@@ -87,10 +92,15 @@ class FrameSettings:
         _ = self.foveation
         if not isinstance(self.spp, int) or self.spp < 1:
             raise UserError(f"spp {self.spp}: must be a whole number of samples per pixel, 1 or more")
+        if self.spp > MOST_SPP:
+            raise UserError(f"spp {self.spp}: must be at most {MOST_SPP} samples per pixel")
         if not isinstance(self.rate, int) or not 0 <= self.rate <= COARSEST_RATE:
             raise UserError(f"rate {self.rate}: must be a whole number from 0 to {COARSEST_RATE}")
         if not 0 < self.scale <= 1:
             raise UserError(f"scale {self.scale}: must be above 0 and at most 1")
+        if self.layers is not None and not 1 <= self.layers[0] <= self.layers[1]:
+            low, high = self.layers
+            raise UserError(f"layers {low} {high}: must be the coarsest and the finest, counted from 1")
 
     @property
     def used_integrator(self) -> Integrator:

@@ -18,6 +18,8 @@ from hybrid.output.images import write_srgb
 from hybrid.store.identity import require_same
 from splat.io.tensors import load_tensors, save_tensors
 
+# Frames of a video at most: their files are numbered by six digits.
+MOST_FRAMES = 999_999
 # Seconds between two saves of the fovea's history.
 _EVERY = 30.0
 State = dict[str, NDArray[np.generic]]

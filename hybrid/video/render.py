@@ -7,13 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from compose.base.errors import UserError
+from compose.base.seeds import MOST_SEED, require_seed
 from compose.eye.gaze_trace import GazeTrace
 from compose.image.colour import bytes_from_radiance
 from hybrid.frame.renderer import Renderer
 from hybrid.frame.settings import FrameSettings
 from hybrid.output.video import write_mp4
 from hybrid.runtime.interrupts import interrupts_between_steps
-from hybrid.video.frames import VideoFrames
+from hybrid.video.frames import MOST_FRAMES, VideoFrames
 
 
 def render_video(
@@ -36,7 +38,7 @@ def render_video(
         settings: of the frames, except for the gaze.
         trace: where the viewer looks.
         fps: frames per second.
-        seed: of the first frame; each further frame has the next one.
+        seed: of the first frame; each further frame has the next one, and after MOST_SEED comes 0.
         identity: everything that the frames depend on, in types that JSON has.
         progress: called with frames done and frames in total.
 
@@ -44,8 +46,14 @@ def render_video(
         Milliseconds per pass, of each frame.
 
     Raises:
-        UserError: the folder is damaged or holds another video, or the file cannot be written.
+        UserError: the video would have too many frames, the seed is out of range, the folder is damaged or
+            holds another video, or the file cannot be written.
     """
+    require_seed(seed)
+    if trace.duration * fps > MOST_FRAMES:
+        raise UserError(
+            f"{trace.duration:g} s at {fps} frames per second: must be {MOST_FRAMES} frames at most"
+        )
     camera, _ = settings.resolved(renderer.scene.camera)
     count = max(1, round(trace.duration * fps))
     disc = renderer.fovea_of(settings).disc
@@ -55,7 +63,9 @@ def render_video(
         try:
             for number in range(len(frames.milliseconds), count):
                 progress(number, count)
-                frame = renderer.frame(replace(settings, gaze=trace.at(number / fps)), seed + number)
+                frame = renderer.frame(
+                    replace(settings, gaze=trace.at(number / fps)), seed + number & MOST_SEED
+                )
                 frames.add(bytes_from_radiance(frame.composite), frame.milliseconds, disc.history_state)
                 interrupted()
             # Encoding may be interrupted as well.

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from compose.base.seeds import require_seed
+
 
 @dataclass(frozen=True)
 class CaptureSettings:
@@ -15,9 +17,10 @@ class CaptureSettings:
         width, height: frame size in pixels.
         spp: samples per pixel of a training view, which is denoised afterwards.
         held_out_spp: samples per pixel of a held-out view, which is denoised as well, at least 2.
-        seed: same seed, same frames.
+        seed: same seed, same frames; from 0 to compose.base.seeds.MOST_SEED.
 
     Raises:
+        UserError: the seed is out of range.
         ValueError: a count or a size is not positive, or held-out views have a single sample per pixel.
     """
 
@@ -37,3 +40,4 @@ class CaptureSettings:
             raise ValueError("held-out-spp is 1; must be 2 or more, for two independent halves")
         if self.held_out < 0:
             raise ValueError(f"held-out is {self.held_out}; must not be negative")
+        require_seed(self.seed)

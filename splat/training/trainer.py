@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from compose.base.arrays import Arrays
+from compose.base.seeds import require_seed
 from splat.model.building import build_forest
 from splat.model.layer import NO_PARENT, Layer, static_layer
 from splat.model.settling import settle
@@ -41,9 +42,10 @@ class TrainingSettings:
         gaussians: number of Gaussians in the finest layer at the end.
         layers: L; 1 for Gaussians without trees.
         degree: of the spherical harmonics, 0 to 3.
-        seed: the same seed gives the same forest.
+        seed: the same seed gives the same forest; from 0 to compose.base.seeds.MOST_SEED.
 
     Raises:
+        UserError: the seed is out of range.
         ValueError: a number is out of range.
     """
 
@@ -60,6 +62,7 @@ class TrainingSettings:
             raise ValueError(f"layers is {self.layers}; a forest must have at least 1")
         if not 0 <= self.degree <= 3:
             raise ValueError(f"degree is {self.degree}; must be 0, 1, 2 or 3")
+        require_seed(self.seed)
 
 
 def most_layers(width: int, height: int) -> int:

@@ -6,11 +6,13 @@ from typing import Annotated
 
 import typer
 
-from hybrid.cli.options import Backend, Json, Seed, select, write_json
+from hybrid.cli.options import MOST_GAUSSIANS, Backend, Json, Seed, select, write_json
 
 
 def forest(
-    nodes: Annotated[int, typer.Option(help="Gaussians of the finest layer.", min=1)] = 1_000_000,
+    nodes: Annotated[
+        int, typer.Option(help="Gaussians of the finest layer.", min=1, max=MOST_GAUSSIANS)
+    ] = 1_000_000,
     seed: Seed = 0,
     backend: Backend = "auto",
     json_file: Json = None,

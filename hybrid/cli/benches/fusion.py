@@ -19,6 +19,7 @@ from hybrid.cli.options import (
     select,
     write_json,
 )
+from hybrid.frame.settings import MOST_SPP
 from hybrid.runtime.progress import progress_bar
 
 
@@ -27,13 +28,16 @@ def fusion(
     frames: FramesFolder,
     forest: ForestArgument,
     spp: Annotated[
-        list[int] | None, typer.Option(help="Samples per pixel; may be given several times.", min=1)
+        list[int] | None,
+        typer.Option(help="Samples per pixel; may be given several times.", min=1, max=MOST_SPP),
     ] = None,
     scale: Annotated[
         list[int] | None,
         typer.Option(help="Resolution over that of the frame set; may be given several times.", min=1, max=8),
     ] = None,
-    seeds: Annotated[int, typer.Option(help="Runs of each.", min=1, rich_help_panel=MEASUREMENT)] = 2,
+    seeds: Annotated[
+        int, typer.Option(help="Runs of each.", min=1, max=1000, rich_help_panel=MEASUREMENT)
+    ] = 2,
     reference_spp: ReferenceSpp = 1024,
     backend: Backend = "auto",
     json_file: Json = None,

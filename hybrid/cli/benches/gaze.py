@@ -14,6 +14,7 @@ from hybrid.cli.options import (
     FovB,
     Json,
     SceneName,
+    finite,
     loaded_scene,
     select,
     write_json,
@@ -27,8 +28,13 @@ def gaze(
     forest: ForestFile = None,
     display: DisplayName = "desktop",
     fov_b: FovB = 20.0,
-    step: Annotated[float, typer.Option(help="Degrees between two frames.", min=0.01)] = 0.1,
-    span: Annotated[float, typer.Option(help="Degrees from the first frame to the last.", min=0.1)] = 20.0,
+    step: Annotated[
+        float, typer.Option(help="Degrees between two frames.", min=0.01, max=160, callback=finite)
+    ] = 0.1,
+    span: Annotated[
+        float,
+        typer.Option(help="Degrees from the first frame to the last.", min=0.1, max=160, callback=finite),
+    ] = 20.0,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:

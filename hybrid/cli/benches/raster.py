@@ -6,17 +6,27 @@ from typing import Annotated
 
 import typer
 
-from hybrid.cli.options import Backend, FixedSize, Json, Seed, require_size, select, write_json
+from hybrid.cli.options import (
+    MOST_FRAMES,
+    MOST_GAUSSIANS,
+    Backend,
+    FixedSize,
+    Json,
+    Seed,
+    require_size,
+    select,
+    write_json,
+)
 from hybrid.runtime.progress import progress_bar
 
 _WARM_UP = 5
 
 
 def raster(
-    gaussians: Annotated[int, typer.Option(min=1)] = 50_000,
+    gaussians: Annotated[int, typer.Option(min=1, max=MOST_GAUSSIANS)] = 50_000,
     size: FixedSize = (512, 512),
     seed: Seed = 0,
-    repeats: Annotated[int, typer.Option(help="Measured rounds.", min=3)] = 50,
+    repeats: Annotated[int, typer.Option(help="Measured rounds.", min=3, max=MOST_FRAMES)] = 50,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:

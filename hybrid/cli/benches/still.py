@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from compose.eye.gaze_trace import MOST_SECONDS
 from hybrid.cli.options import (
     Backend,
     FixedSize,
@@ -15,6 +16,7 @@ from hybrid.cli.options import (
     Json,
     ReferenceSpp,
     SceneName,
+    finite,
     loaded_scene,
     select,
     sized,
@@ -29,7 +31,10 @@ def still(
     forest: ForestFile = None,
     size: FixedSize = (640, 480),
     gaze: Gaze = None,
-    seconds: Annotated[float, typer.Option(help="Time for which nothing moves.", min=1)] = 20.0,
+    seconds: Annotated[
+        float,
+        typer.Option(help="Time for which nothing moves.", min=1, max=MOST_SECONDS, callback=finite),
+    ] = 20.0,
     reference_spp: ReferenceSpp = 1024,
     backend: Backend = "auto",
     json_file: Json = None,
