@@ -12,8 +12,8 @@ from compose.base.errors import UserError, one_line
 from compose.base.json_file import read_json
 from compose.camera.camera import Camera
 
-# Most pixels per degree, on average. With more, FovVideoVDP would not end, and tangents would underflow.
-_DENSEST = 10_000
+# Narrowest display in degrees, less than the eye resolves.
+_NARROWEST = 0.001
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class Display:
         luminance: of white, in cd/m2.
 
     Raises:
-        UserError: a number is not finite or not positive, the field of view is 180 degrees or more, or there
-            are more pixels per degree than any display has.
+        UserError: a number is not finite or not positive, or the field of view is less than 0.001 degrees, or
+            180 or more.
     """
 
     width: int
@@ -44,12 +44,8 @@ class Display:
                 raise UserError(f"display {name} {value}: must be a positive number")
         if self.fov >= 180:
             raise UserError(f"display fov {self.fov}: a flat display spans less than 180 degrees")
-        # Not computed from the focal length, which would be infinite.
-        if not self.width <= _DENSEST * self.fov:
-            raise UserError(
-                f"display fov {self.fov}: {self.width} pixels across it are more than {_DENSEST} per degree; "
-                "the eye resolves 60"
-            )
+        if self.fov < _NARROWEST:
+            raise UserError(f"display fov {self.fov}: must be at least {_NARROWEST} degrees")
 
     @property
     def focal(self) -> float:

@@ -16,8 +16,9 @@ from hybrid.measure.regions import plain_regions
 FOVEAL_REFERENCE = 8
 # Baselines are tuned on frames with sides smaller by this.
 TUNING_REDUCTION = 2
-# Smaller images have no level in FovVideoVDP's pyramid.
+# Smaller images have no level in FovVideoVDP's pyramid, and denser displays hundreds.
 _LEAST_CROP = 4
+_DENSEST = 10_000
 
 
 @dataclass(frozen=True)
@@ -61,9 +62,15 @@ class EvaluationSettings:
         """Checks that all metrics can be computed in all regions, in frames and in those for tuning.
 
         Raises:
-            UserError: the frame is smaller than SSIM's window at half its size, or a region is empty or too
-                small for the metrics.
+            UserError: the display is too dense, the frame is smaller than SSIM's window at half its size, or
+                a region is empty or too small for the metrics.
         """
+        density = self.frame.display.pixels_per_degree
+        if density > _DENSEST:
+            raise UserError(
+                f"display fov {self.frame.display.fov}: {density:.6g} pixels per degree are more than the "
+                f"{_DENSEST} for which quality can be measured; the eye resolves 60"
+            )
         least = TUNING_REDUCTION * (2 * SSIM_MARGIN + 1)
         if min(self.width, self.height) < least:
             raise UserError(f"size {self.width} {self.height}: must be at least {least} each to be evaluated")
