@@ -94,9 +94,10 @@ def _parsed(path: Path, number: int, row: list[str]) -> tuple[float, Gaze]:
         second, x, y = (float(value) for value in row)
         return second, Gaze(x, y)
     except ValueError as error:
+        shown = one_line(ValueError(",".join(row)))
         raise UserError(
-            f"{path}: line {number} is not a gaze ({one_line(ValueError(','.join(row)))}); must be seconds, x, "
-            f"y, the latter within {FURTHEST} frames"
+            f"{path}: line {number} is not a gaze ({shown}); must be seconds, x, y, the latter within "
+            f"{FURTHEST} frames"
         ) from error
 
 
