@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -91,9 +92,18 @@ def scored_in_parallel(tasks: Iterator[tuple[str, ScoringTask]]) -> Iterator[tup
 
 
 def _start_worker() -> None:
-    """Workers ignore SIGINT, which the parent handles; each uses one core."""
+    """Workers ignore SIGINT, which the parent handles, and end with it; each uses one core."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     torch.set_num_threads(1)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """Ends this worker when its parent is killed: it would wait for tasks for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _coloured(error: NDArray[np.float32]) -> NDArray[np.uint8]:
