@@ -81,7 +81,7 @@ def display_named(source: str) -> Display:
             f"display {source}: must be {', '.join(DISPLAYS)} or a JSON file ({error.strerror})"
         ) from error
     except UserError as error:
-        raise UserError(f"display {source}: {error}") from error
+        raise UserError(f"display {source}: {one_line(error)}") from error
     except (ValueError, TypeError) as error:
         needed = "must be JSON with width and height in pixels and fov in degrees"
         raise UserError(f"display {source}: {needed} ({one_line(error)})") from error

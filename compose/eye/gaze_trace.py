@@ -94,7 +94,7 @@ def _parsed(path: Path, number: int, row: list[str]) -> tuple[float, Gaze]:
         second, x, y = (float(value) for value in row)
         return second, Gaze(x, y)
     except ValueError as error:
-        shown = one_line(ValueError(",".join(row)))
+        shown = one_line(",".join(row))
         raise UserError(
             f"{path}: line {number} is not a gaze ({shown}); must be seconds, x, y, the latter within "
             f"{FURTHEST} frames"

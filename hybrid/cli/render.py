@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from compose.base.errors import UserError
+from compose.base.errors import UserError, one_line
 from hybrid.cli.options import (
     FRAME,
     VIEWER,
@@ -193,7 +193,8 @@ def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None, is_vide
             raise UserError(f"--camera {file}: cannot be read ({error.strerror})") from error
         except (ValueError, KeyError, TypeError) as error:
             raise UserError(
-                f"--camera {file}: must be JSON with w, h, fl_x, fl_y, cx, cy, transform_matrix ({error!r})"
+                f"--camera {file}: must be JSON with w, h, fl_x, fl_y, cx, cy, transform_matrix "
+                f"({one_line(repr(error))})"
             ) from error
     camera = sized(camera, size)
     if is_video:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from compose.base.errors import UserError
+from compose.base.errors import UserError, one_line
 from compose.base.files import locked, write_whole
 from compose.base.json_file import read_json
 from hybrid.store.identity import require_same
@@ -89,7 +89,9 @@ class Journal:
         except FileNotFoundError:
             return {}
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise UserError(f"{self._path}: is damaged ({error!r}); delete it to start again") from error
+            raise UserError(
+                f"{self._path}: is damaged ({one_line(repr(error))}); delete it to start again"
+            ) from error
         what, advice = f"{self._path.parent}: holds results", "choose another folder"
         require_same(theirs, self._identity, what, advice)
         return results

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from compose.base.errors import UserError
+from compose.base.errors import UserError, one_line
 from compose.base.files import require_size_below
 from compose.base.json_file import MOST_BYTES, parse_json
 from compose.base.scene_names import claimed_scene
@@ -103,7 +103,7 @@ def read_frame_set(folder: Path) -> FrameSet:
         scene = claimed_scene(document["scene"]["name"], document["scene"]["hash"])
         integrator = str(document["integrator"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{path}: not the description of a frame set ({error!r})") from error
+        raise UserError(f"{path}: not the description of a frame set ({one_line(repr(error))})") from error
     _check_files(folder, entries + close_ups)
     return FrameSet(folder, hashlib.sha256(text.encode()).hexdigest(), *scene, entries, close_ups, integrator)
 
@@ -144,8 +144,8 @@ def _inside(folder: Path, name: Any) -> Path:
 
 
 def _samples(entry: dict[str, Any]) -> int:
-    """Samples per pixel; ValueError if that is no positive number."""
+    """Samples per pixel; ValueError if that is no positive number of 32 bits."""
     count = int(entry["samples"])
-    if count < 1:
-        raise ValueError(f"samples {count}: must be positive")
+    if not 0 < count < 2**32:
+        raise ValueError(f"samples {count:.6g}: must be positive, with 32 bits")
     return count

@@ -107,12 +107,17 @@ JOBS = {
 }
 
 
-def _import_everything() -> None:
-    import hybrid.api.evaluation
+def _import(names: list[str]) -> None:
+    """Imports what the commands need, so that each run starts at once."""
     import hybrid.cli.main
-    import hybrid.quickstart.quickstart
-    import hybrid.report.evaluation_page
-    import hybrid.sweeps.sweep  # noqa: F401
+    import hybrid.frame.irradiance
+    import pathtrace.dataset.capture  # noqa: F401
+
+    if set(names) - {"capture", "traced"}:
+        import hybrid.api.evaluation
+        import hybrid.quickstart.quickstart
+        import hybrid.report.evaluation_page
+        import hybrid.sweeps.sweep  # noqa: F401
 
 
 def _run(arguments: list[str], home: Path, step: int | None, log: Path) -> None:
@@ -235,7 +240,7 @@ def _finish(job: Job, at: Path, code: int, expected: Any, summary: Summary, log:
 
 def main() -> None:
     folder, kills, seed, *names = sys.argv[1:]
-    _import_everything()
+    _import(names)
     found = {}
     for name in names:
         begin = time.monotonic()

@@ -1,0 +1,144 @@
+"""The readers of files, each with a good file, and what it may do with a bad one: refuse it in one line."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from compose.base.errors import UserError
+from compose.base.json_file import read_json
+from compose.camera.serialization import camera_from_json, camera_to_json
+from compose.eye.display import display_named
+from compose.eye.gaze_trace import load_gaze_trace
+from compose.image.exr import write_channels
+from hybrid.output.images import read_exr
+from hybrid.store.journal import Journal
+from pathtrace.dataset.exr import CapturedFrame, read_frame, write_frame
+from pathtrace.dataset.frames import FORMAT_VERSION, read_frame_set
+from pathtrace.scene.description import read_description
+from splat.io.forest_file import load_forest, save_forest
+from splat.io.ply import load_ply, save_ply
+from splat.io.tensors import load_tensors, save_tensors
+from splat.model.building import build_forest
+from splat.model.forest import forest_of
+from splat.model.layer import static_layer
+from tests import small
+from tests.splat.samples import camera, gaussians
+
+IDENTITY = {"scene": "a", "settings": {"size": [4, 5]}}
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A reader.
+
+    Attributes:
+        name: of the file that it reads.
+        make: writes a good file.
+        read: reads one.
+        errors: with which it refuses one; what calls it puts them into one line.
+    """
+
+    name: str
+    make: Callable[[Path], Any]
+    read: Callable[[Path], Any]
+    errors: tuple[type[Exception], ...] = (UserError,)
+
+
+def _forest(path: Path) -> None:
+    layers = build_forest(static_layer(gaussians("overlap", n=8, degree=1)), 0.2, 2)
+    made = forest_of(layers, 120.5, "somewhere", "ab" * 32)
+    save_forest(path, replace(made, attached={"x": torch.ones(2)}))
+
+
+def _frame(path: Path) -> None:
+    rng = small.rng()
+    image = lambda: rng.uniform(size=(4, 6, 3)).astype(np.float32)  # noqa: E731
+    plane = lambda: rng.uniform(1, 2, (4, 6)).astype(np.float32)  # noqa: E731
+    write_frame(path, CapturedFrame(image(), image(), image(), plane(), plane(), np.ones((4, 6), np.int32)))
+
+
+def _frame_set(path: Path) -> None:
+    """The description, with its frames beside it."""
+    (path.parent / "frames").mkdir(exist_ok=True)
+    entry = {**camera_to_json(camera()), "samples": 4, "held_out": False, "estimates": [], "halves": []}
+    entry["file_path"] = "frames/0000.exr"
+    _frame(path.parent / "frames" / "0000.exr")
+    estimates = [{"samples": 1, "file_path": "frames/0000.exr"}]
+    document = {
+        "format_version": FORMAT_VERSION,
+        "scene": {"name": "attic", "hash": "ab" * 32, "max_depth": 8},
+        "integrator": "path",
+        "frames": [entry, {**entry, "held_out": True, "estimates": estimates, "halves": ["frames/0000.exr"]}],
+        "close_ups": [],
+    }
+    path.write_text(json.dumps(document))
+
+
+def _journal(path: Path) -> None:
+    Journal(path, IDENTITY)["first"] = [1, 2.5, {"a": None}]
+
+
+_SCENE = """<scene version="3.0.0"><default name="d" value="a"/><path value="b"/>
+<include filename="$d.xml"/>
+<sensor type="perspective"><float name="fov" value="40"/></sensor><shape type="obj">
+<string name="filename" value="$d/m.obj"/></shape>
+<integrator type="path"><integer name="max_depth" value="6"/></integrator></scene>"""
+_TRACE = "seconds,x,y\n0.0000,0.460000,0.600000\n0.2500,0.520000,0.410000\n"
+_TENSORS = {"a": torch.arange(6.0).reshape(2, 3), "b": torch.tensor([True]), "c": torch.zeros(3, 0)}
+_DISPLAY = '{"width": 2560, "height": 1440, "fov": 60, "luminance": 120.5}'
+
+READERS = {
+    "forest": Reader("a.forest", _forest, load_forest),
+    "tensors": Reader("a.safetensors", lambda p: save_tensors(p, _TENSORS, {"n": [1]}), load_tensors),
+    "PLY": Reader("a.ply", lambda p: save_ply(p, gaussians("overlap", n=5, degree=1)), load_ply),
+    "frame": Reader("a.exr", _frame, lambda p: read_frame(p, (6, 4))),
+    "EXR": Reader(
+        "b.exr", lambda p: write_channels(p, {"R": np.ones((3, 2), np.float32)}), lambda p: read_exr(p)
+    ),
+    "frame set": Reader("transforms.json", _frame_set, lambda p: read_frame_set(p.parent)),
+    "camera": Reader(
+        "camera.json",
+        lambda p: p.write_text(json.dumps(camera_to_json(camera()))),
+        lambda p: camera_from_json(read_json(p)),
+        (OSError, ValueError, KeyError, TypeError),
+    ),
+    "display": Reader("display.json", lambda p: p.write_text(_DISPLAY), lambda p: display_named(str(p))),
+    "gaze trace": Reader("gaze.csv", lambda p: p.write_text(_TRACE), load_gaze_trace),
+    "journal": Reader("journal.json", _journal, lambda p: Journal(p, IDENTITY)),
+    "scene": Reader("scene.xml", lambda p: p.write_text(_SCENE), read_description),
+}
+
+
+def outcome(reader: Reader, folder: Path, content: bytes) -> bool:
+    """Whether a reader takes a content; raises what it may not raise.
+
+    Raises:
+        AssertionError: it refused it in more than one line.
+    """
+    file = folder / reader.name
+    file.write_bytes(content)
+    try:
+        reader.read(file)
+        return True
+    except reader.errors as refusal:
+        said = str(refusal)
+    if UserError in reader.errors and ("\n" in said or len(said) > 2000):
+        raise AssertionError(f"not one line: {said[:200]!r}")
+    return False
+
+
+def good(reader: Reader, folder: Path) -> bytes:
+    """The content of a good file, which the reader takes."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    reader.make(folder / reader.name)
+    reader.read(folder / reader.name)
+    return (folder / reader.name).read_bytes()
