@@ -18,6 +18,8 @@ from compose.camera.camera import Camera
 from compose.camera.serialization import camera_from_json
 
 FORMAT_VERSION = 3
+# Bytes, of any part of a path on common systems.
+_LONGEST_NAME = 255
 
 
 @dataclass(frozen=True)
@@ -132,13 +134,9 @@ def _entry(folder: Path, frame: dict[str, Any]) -> FrameEntry:
 
 
 def _inside(folder: Path, name: Any) -> Path:
-    """A file by its name relative to the folder; ValueError if it would lie elsewhere."""
-    if (
-        not isinstance(name, str)
-        or not name.isprintable()
-        or Path(name).is_absolute()
-        or ".." in Path(name).parts
-    ):
+    """A file by its name relative to the folder; ValueError if it would lie elsewhere, or can be none."""
+    is_name = isinstance(name, str) and name.isprintable() and len(name.encode()) <= _LONGEST_NAME
+    if not is_name or Path(name).is_absolute() or ".." in Path(name).parts:
         raise ValueError(f"{str(name)[:80]!r} is not the name of a file in the folder")
     return folder / name
 

@@ -208,6 +208,8 @@ def test_the_first_bad_gaussian_of_a_ply_is_named(value, tmp_path, request):
         ),
         ({"file_path": "/etc/passwd"}, "is not the name of a file in the folder"),
         ({"file_path": 3}, "is not the name of a file in the folder"),
+        ({"file_path": "n" * 5000}, "is not the name of a file in the folder"),
+        ({"file_path": "\ud800"}, "is not the name of a file in the folder"),
         ({"samples": -1}, "samples -1: must be positive"),
         ({"samples": 1e300}, "must be positive, with 32 bits"),
         pytest.param(

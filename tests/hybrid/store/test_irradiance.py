@@ -56,13 +56,17 @@ def test_a_cache_is_filled_once_and_is_the_same_after_a_file(cache, tmp_path):
     assert_same(stored_cache(file, never), cache)
 
 
-@pytest.mark.parametrize("damage", ["truncated", "missing", "short", "infinite", "links", "known"])
+@pytest.mark.parametrize("damage", ["truncated", "missing", "short", "infinite", "links", "known", "flipped"])
 def test_a_damaged_file_is_replaced(cache, tmp_path, damage):
     file = tmp_path / "a.safetensors"
     stored_cache(file, lambda: cache)
     arrays = load_file(file)
     if damage == "truncated":
         file.write_bytes(file.read_bytes()[:100])
+    elif damage == "flipped":
+        content = bytearray(file.read_bytes())
+        content[-1000] ^= 1
+        file.write_bytes(content)
     else:
         if damage == "missing":
             del arrays["keys.1"]

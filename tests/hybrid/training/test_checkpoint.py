@@ -13,6 +13,7 @@ from hybrid.training.checkpoint import checkpoint_path, restore_checkpoint, save
 from hybrid.training.forest import training_view
 from splat.io.tensors import load_tensors, save_tensors
 from splat.training.trainer import Trainer
+from tests.extremes import extreme
 
 
 @pytest.fixture
@@ -81,3 +82,22 @@ def test_a_checkpoint_that_lacks_something_is_refused(new, frames, saved, lost):
     save_tensors(saved, tensors, metadata)
     with pytest.raises(UserError, match=f"^{saved}: .*; delete it to start again$"):
         restore_checkpoint(new(iterations=2), saved, frames)
+
+
+@extreme(
+    "damaged checkpoints",
+    given="cut off at 0, 1, 8, half and all but one byte, or a flipped bit in each of 20 places",
+    expected="refused in one line that says to delete it",
+)
+def test_a_damaged_checkpoint_is_refused_with_advice(new, frames, saved, got):
+    whole = saved.read_bytes()
+    damaged = [whole[:length] for length in (0, 1, 8, len(whole) // 2, len(whole) - 1)]
+    for at in range(100, len(whole), len(whole) // 20):
+        content = bytearray(whole)
+        content[at] ^= 1
+        damaged.append(bytes(content))
+    for content in damaged:
+        saved.write_bytes(content)
+        with pytest.raises(UserError, match=f"^{saved}: .*; delete it to start again$"):
+            restore_checkpoint(new(iterations=2), saved, frames)
+    got(f"{len(damaged)} of {len(damaged)} refused")

@@ -9,6 +9,7 @@ from compose.base.errors import UserError
 from hybrid.video import frames as module
 from hybrid.video.frames import VideoFrames
 from tests import small
+from tests.extremes import extreme
 
 IDENTITY = {"scene": "a", "size": (4, 5), "seed": 0}
 IMAGES = small.rng().integers(0, 256, (3, 5, 4, 3), dtype=np.uint8)
@@ -109,3 +110,26 @@ def test_a_damaged_history_is_named(folder):
 def test_a_complete_video_leaves_no_folder(folder):
     VideoFrames(folder, IDENTITY).remove()
     assert not folder.exists()
+
+
+@extreme(
+    "interrupted video, damaged",
+    given="a frame cut off, of zeros, with a flipped bit; the history cut off",
+    expected="refused in one line that says what to delete",
+)
+def test_a_video_does_not_resume_from_what_is_damaged(folder, got):
+    said = []
+    for name in ("000001.png", "state.safetensors"):
+        file = folder / name
+        whole = file.read_bytes()
+        flipped = bytearray(whole)
+        flipped[len(whole) // 2] ^= 1
+        for content in (b"", whole[:-20], whole[: len(whole) // 2], bytes(len(whole)), bytes(flipped)):
+            file.write_bytes(content)
+            with pytest.raises(UserError, match=rf"{name}: .*delete .* to start again") as caught:
+                VideoFrames(folder, IDENTITY)
+            assert str(caught.value).isprintable()
+            said.append(caught.value)
+        file.write_bytes(whole)
+    assert len(VideoFrames(folder, IDENTITY).milliseconds) == 3
+    got(f"{len(said)} refused")
