@@ -124,7 +124,7 @@ def evaluate(
 def _print(found: dict[str, Any]) -> None:
     """Foveal and whole quality of each method, mean over the views, beside its time."""
     from hybrid.evaluation.keys import HALVES_KEY
-    from hybrid.evaluation.results import keys_of, mean_of
+    from hybrid.evaluation.results import budget_label, keys_of, mean_of
 
     times = {(row["method"], row["budget"]): row["ms"]["p50"] for row in found["time"]}
     keys = [HALVES_KEY, *keys_of(found)]
@@ -135,7 +135,9 @@ def _print(found: dict[str, Any]) -> None:
     }
     columns = {key: values for key, values in means.items() if None not in values}
     head = "".join(f"{region[:3] + ' ' + metric:>10}" for region, metric in columns)
-    print(f"{'method':<34}{'budget':<12}{'ms':>6}{head}")
+    labels = [budget_label(found, key) for key in keys]
+    width = max(12, 2 + max(map(len, labels)))
+    print(f"{'method':<34}{'budget':<{width}}{'ms':>6}{head}")
     for number, key in enumerate(keys):
         cells = "".join(f"{values[number]:>10.4g}" for values in columns.values())
-        print(f"{key[0]:<34}{key[1]:<12}{round(times[key]) if key in times else '-':>6}{cells}")
+        print(f"{key[0]:<34}{labels[number]:<{width}}{round(times[key]) if key in times else '-':>6}{cells}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,13 +10,18 @@ import numpy as np
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
 from hybrid.evaluation.families import Family
-from hybrid.measure.timing import jittered
+from hybrid.measure.timing import jittered, path_around, ratio_interval, ratio_of_medians
 from hybrid.methods.method import Method
 
 # Costs count as equal within this share.
 TOLERANCE = 0.03
-# Frames of each method per trial, after one that is not measured; and trials at most.
-_FRAMES, _TRIALS = 5, 12
+# Trials at most.
+_TRIALS = 12
+# Frames of each method per trial, after one that is not measured: in steps of the first number, until the
+# time is known well enough to decide, at most the second one.
+_STEP, _MOST_FRAMES = 6, 60
+# Between two frames' steps along the gaze path: few frames cover all of it as well.
+_STRIDE = 23
 
 
 @dataclass(frozen=True)
@@ -26,13 +32,16 @@ class Trial:
     time: float
 
 
-def at_equal_time(family: Family, ours: Method, camera: Camera, gaze: Gaze, rays: float) -> float | None:
+def at_equal_time(
+    family: Family, ours: Method, cameras: Sequence[Camera], gaze: Gaze, rays: float
+) -> float | None:
     """Rays per pixel at which a baseline comes closest to our time without exceeding it by over 3 %.
 
     Args:
         family: of the baseline; its time must grow with its rays.
         ours: the method whose time is to be met.
-        camera, gaze: what is rendered.
+        cameras: the views, through which frames go in turn.
+        gaze: centre of the path that gazes follow.
         rays: to start from.
 
     Returns:
@@ -46,7 +55,7 @@ def at_equal_time(family: Family, ours: Method, camera: Camera, gaze: Gaze, rays
         # Whole samples: other rays may well be the same settings.
         key = str(method.settings)
         if key not in known:
-            known[key] = relative_time(method, ours, camera, gaze)
+            known[key] = relative_time(method, ours, cameras, gaze)
         trial = Trial(rays, known[key])
         if trial.time <= 1 + TOLERANCE:
             within = trial
@@ -71,12 +80,25 @@ def _next_guess(within: Trial | None, beyond: Trial | None) -> float:
     return within.rays + (beyond.rays - within.rays) * float(np.clip(span, 0.2, 0.8))
 
 
-def relative_time(method: Method, ours: Method, camera: Camera, gaze: Gaze) -> float:
-    """A method's time over ours: medians of frames rendered in turns, because the machine's speed drifts."""
+def relative_time(method: Method, ours: Method, cameras: Sequence[Camera], gaze: Gaze) -> float:
+    """A method's time over ours: medians of frames rendered in turns, because the machine's speed drifts.
+
+    Views, gaze and camera change from frame to frame. Frames are added until the ratio's 95 % confidence
+    interval decides whether the times are equal, or is no wider than what counts as equal.
+    """
     times: tuple[list[float], list[float]] = ([], [])
-    for seed in range(_FRAMES + 1):
+    path = path_around(gaze, _MOST_FRAMES)
+    for seed in range(_MOST_FRAMES + 1):
+        camera, at = cameras[seed % len(cameras)], path[seed * _STRIDE % _MOST_FRAMES]
         for number, (one, found) in enumerate(zip((method, ours), times, strict=True)):
-            found.append(one.render(jittered(camera, 2 * seed + number), gaze, seed).milliseconds["total"])
-    # The first frames warm up.
-    theirs, of_ours = (float(np.median(found[1:])) for found in times)
-    return theirs / of_ours
+            found.append(one.render(jittered(camera, 2 * seed + number), at, seed).milliseconds["total"])
+        # The first frames warm up.
+        if seed and seed % _STEP == 0 and _is_decided(*ratio_interval(times[0][1:], times[1][1:])):
+            break
+    return ratio_of_medians(times[0][1:], times[1][1:])
+
+
+def _is_decided(low: float, high: float) -> bool:
+    """Whether an interval of ratios tells if times are equal."""
+    outside = low > 1 + TOLERANCE or high < 1 - TOLERANCE
+    return outside or high - low <= TOLERANCE

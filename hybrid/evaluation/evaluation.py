@@ -72,7 +72,8 @@ class Evaluation:
             **{"baseline forest": None if flat is None else flat.digest()},
         )
         self.journal = Journal(folder / "work" / "journal.json", identity)
-        # Rays at equal time are searched for once per machine, so that later runs compare the same frames.
+        # Rays at equal time are searched for once per machine and code, so that later runs compare the same
+        # frames. Whether the times are equal is measured in each run (`over_ours` in hybrid.evaluation.times).
         file = scene_folder(scene.name, scene.hash) / f"costs-{short_hash(identity)}.json"
         self.costs = Journal(file, identity)
 
@@ -93,7 +94,7 @@ class Evaluation:
         evaluated = evaluated_views(measured, references, settings, self.folder)
         quality = quality_rows(entries, evaluated, self.journal, work.of("quality"))
         gaze, repeats = settings.frame.gaze, settings.repeats
-        times = time_rows(entries, views[0], gaze, repeats, self.journal, work.of("times"))
+        times = time_rows(entries, measured, gaze, repeats, self.journal, work.of("times"))
         return {
             "scene": self.scene.name,
             "settings": settings.as_json(),
@@ -131,7 +132,13 @@ class Evaluation:
         rays = ours.method.rays(views[0], gaze)
         tuning = Tuning.restored(self.journal.once("tuning", lambda: asdict(self._tuning(views, rays, work))))
         baselines = baseline_entries(
-            ours, self.baseline_tracer, tuning, views[0], gaze, self.costs, work.of("costs")
+            ours,
+            self.baseline_tracer,
+            tuning,
+            views[: self.settings.views],
+            gaze,
+            self.costs,
+            work.of("costs"),
         )
         return [*hybrid, *splat_entries(self.splats, self.flat), *baselines]
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from compose.image.colour import Image
 from hybrid.evaluation.keys import half_name
 from hybrid.measure.metrics.flip import flip_map
-from hybrid.measure.quality import Viewer, foveal_metrics, metric_rows
+from hybrid.measure.quality import Viewer, metric_rows, tie_metrics
 from hybrid.measure.regions import Region
 from hybrid.output.images import write_srgb
 
@@ -35,7 +35,7 @@ class ScoringTask:
     Attributes:
         method: that made it.
         image, reference: (H, W, 3) linear radiance.
-        halves: of the reference, (H, W, 3) each; the fovea is compared with these as well.
+        halves: of the reference, (H, W, 3) each, to which the image is compared as well.
         regions: of the frame, by name.
         viewer: display and gaze.
         flip_file: where to write the FLIP map; None does not write it.
@@ -65,8 +65,8 @@ def score(task: ScoringTask) -> Rows:
         task.image, task.reference, task.regions, task.viewer, task.method, whole_flip=error
     )
     for number, half in enumerate(task.halves, 1):
-        for metric, value in foveal_metrics(task.image, half, task.regions["foveal"], task.viewer).items():
-            rows.append({"region": "foveal", "metric": half_name(metric, number), "value": value})
+        for row in tie_metrics(task.image, half, task.regions, task.viewer):
+            rows.append({**row, "metric": half_name(str(row["metric"]), number)})
     return rows
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,8 @@ import numpy as np
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
 from hybrid.evaluation.entries import Entry
-from hybrid.measure.timing import gaze_path, jittered, percentiles
+from hybrid.evaluation.keys import OURS_KEY
+from hybrid.measure.timing import jittered, medians_by_view, path_around, percentiles, ratio_of_medians
 from hybrid.store.journal import Journal
 
 _WARM_UP = 5
@@ -51,23 +52,35 @@ class Timing:
         for name, value in milliseconds.items():
             self.passes.setdefault(name, []).append(value)
 
-    def row(self, camera: Camera) -> dict[str, Any]:
-        """The row of the results; percentiles for which there are too few frames are left out."""
+    def row(self, cameras: Sequence[Camera], ours: Timing | None) -> dict[str, Any]:
+        """The row of the results; percentiles for which there are too few frames are left out.
+
+        Args:
+            cameras: the views.
+            ours: timing that this one is compared with, over the frames that both have; None leaves it out.
+        """
         known = [percent for percent, least in _ENOUGH_FOR.items() if len(self.totals) >= least]
-        return {
+        row = {
             "method": self.entry.name,
             "budget": self.entry.budget,
-            "width": camera.width,
-            "height": camera.height,
+            "width": cameras[0].width,
+            "height": cameras[0].height,
             "ms": percentiles(self.totals, known),
             "passes": {k: float(np.median(v)) for k, v in self.passes.items() if k != "total"},
             "repeats": len(self.totals),
         }
+        if len(cameras) > 1:
+            medians = medians_by_view(self.totals, len(cameras))
+            row["ms_range"] = [min(medians), max(medians)]
+        if ours is not None:
+            both = min(len(self.totals), len(ours.totals))
+            row["over_ours"] = ratio_of_medians(self.totals[:both], ours.totals[:both])
+        return row
 
 
 def time_rows(
     entries: list[Entry],
-    camera: Camera,
+    cameras: Sequence[Camera],
     gaze: Gaze,
     repeats: int,
     journal: Journal,
@@ -75,12 +88,14 @@ def time_rows(
 ) -> list[dict[str, Any]]:
     """One row per entry: p50, p95 and p99 of whole frames, and the median of each pass, in milliseconds.
 
-    All entries take turns along one gaze path, after a warm-up. The camera turns a little from frame to
-    frame, so that no frame reuses what another one, even of another entry, has computed for its view.
+    All entries take turns along one gaze path and through the views, after a warm-up. The camera turns a
+    little from frame to frame, so that no frame reuses what another one, even of another entry, has computed
+    for its view. `ms_range` has the least and the greatest median of a view, and `over_ours` the median over
+    that of OURS, of frames that were rendered in turns.
 
     Args:
         entries: to time.
-        camera: the view.
+        cameras: the views, of one size.
         gaze: centre of the path.
         repeats: frames per entry; 20 for those that are timed briefly, and fewer for those that would take
             over 80 seconds.
@@ -89,13 +104,15 @@ def time_rows(
     """
     times: dict[str, dict[str, list[float]]] = journal.once("times", dict)
     timings = [Timing(entry, times.setdefault(entry.title, {})) for entry in entries]
-    path = [_within_frame(at.x + gaze.x - 0.5, at.y + gaze.y - 0.5) for at in gaze_path(repeats)]
+    path = path_around(gaze, repeats)
     done = max((len(timing.totals) for timing in timings), default=0)
     for turn in range(-_WARM_UP if done < repeats else 0, repeats - done):
         number = done + max(turn, 0)
         for place, timing in enumerate(timings):
             if turn >= 0 and timing.is_enough:
                 continue
+            # Of a brief entry as well, frame n is of view n.
+            camera = cameras[(len(timing.totals) if turn >= 0 else place) % len(cameras)]
             own_camera = jittered(camera, (done + turn) * len(entries) + place)
             at = path[_step(timing, number, repeats)]
             milliseconds = timing.entry.method.render(own_camera, at, number).milliseconds
@@ -105,7 +122,8 @@ def time_rows(
             journal.write()
         progress(number + 1, repeats)
     journal.write()
-    return [timing.row(camera) for timing in timings]
+    ours = next((timing for timing in timings if timing.entry.key == OURS_KEY), None)
+    return [timing.row(cameras, ours) for timing in timings]
 
 
 def _step(timing: Timing, number: int, repeats: int) -> int:
@@ -113,7 +131,3 @@ def _step(timing: Timing, number: int, repeats: int) -> int:
     if timing.entry.briefly:
         return len(timing.totals) * repeats // _LEAST_REPEATS % repeats
     return number % repeats
-
-
-def _within_frame(x: float, y: float) -> Gaze:
-    return Gaze(min(max(x, 0.0), 1.0), min(max(y, 0.0), 1.0))

@@ -12,7 +12,8 @@ from hybrid.evaluation.results import (
     fused_by_spp,
     is_better,
     mean_of,
-    values_of,
+    missed_time,
+    outcomes_of,
 )
 
 # The metric that whole frames are compared by.
@@ -58,7 +59,7 @@ class _Comparison:
     def undecided(self) -> str:
         """A sentence about those that it cannot be distinguished from."""
         names = _listed(self.baselines[None])
-        because = "the two halves of the references disagree"
+        because = "the difference is within the noise of the references"
         return f"{self.start} cannot be distinguished from {names}: {because}." if names else ""
 
     def ahead(self) -> str:
@@ -77,7 +78,11 @@ def _compared(found: dict[str, Any], region: str, metric: str) -> _Comparison:
         theirs = mean_of(found, key, region, metric)
         if theirs is not None:
             wins = _wins(found, key, region, metric)
-            outcomes[_is_ahead(found, key, region, metric)].append(f"{key.method} ({theirs:.4g}; {wins})")
+            missed = missed_time(found, key)
+            marked = f"; {missed} than the hybrid frame" if missed else ""
+            outcomes[_is_ahead(found, key, region, metric)].append(
+                f"{key.method} ({theirs:.4g}; {wins}{marked})"
+            )
     return _Comparison(f"{where}, by {_NAMES[metric]}, the hybrid frame ({ours:.4g})", outcomes)
 
 
@@ -85,33 +90,39 @@ def _is_ahead(found: dict[str, Any], key: Key, region: str, metric: str) -> bool
     """Whether our frame is better than a baseline on the mean over the views.
 
     Returns:
-        None if either half of the references says otherwise than the whole.
+        None if they do not differ, or if either half of the references says otherwise than the whole.
     """
-    outcomes = set()
+    outcomes: set[bool | None] = set()
     for name in (metric, half_name(metric, 1), half_name(metric, 2)):
         ours, theirs = (mean_of(found, k, region, name) for k in (OURS_KEY, key))
         if ours is not None and theirs is not None:
-            outcomes.add(is_better(metric, ours, theirs))
+            outcomes.add(None if ours == theirs else is_better(metric, ours, theirs))
     return outcomes.pop() if len(outcomes) == 1 else None
 
 
 def _wins(found: dict[str, Any], key: Key, region: str, metric: str) -> str:
     """In how many views our frame is better: a mean alone says little if it is due to a few of them."""
-    pairs = zip(*(values_of(found, k, region, metric) for k in (OURS_KEY, key)), strict=True)
-    better = [is_better(metric, ours, theirs) for ours, theirs in pairs]
-    return f"better in {sum(better)} of {len(better)} views"
+    return f"better {_counted(outcomes_of(found, key, region, metric))}"
+
+
+def _counted(outcomes: list[bool | None]) -> str:
+    """In how many views something holds, and in how many that cannot be told."""
+    ties = outcomes.count(None)
+    open_ = f", too close to tell in {ties}" if ties else ""
+    return f"in {outcomes.count(True)} of {len(outcomes)} views{open_}"
 
 
 def _against_rmfr(found: dict[str, Any]) -> list[str]:
     """How many views have the higher SSIM, which is how Foveated Path Culling (FPC) counts."""
-    ours = values_of(found, OURS_KEY, "whole", WHOLE_METRIC)
-    theirs = values_of(found, Key("rmfr, tuned", EQUAL_TIME), "whole", WHOLE_METRIC)
-    if not theirs:
+    rmfr = Key("rmfr, tuned", EQUAL_TIME)
+    outcomes = outcomes_of(found, rmfr, "whole", WHOLE_METRIC)
+    if not outcomes:
         return []
-    wins = sum(a > b for a, b in zip(ours, theirs, strict=True))
+    missed = missed_time(found, rmfr)
+    budget = f"tuned and {missed} than the hybrid frame" if missed else "tuned and at equal time"
     return [
         "SSIM of the whole frame is higher than that of rectangular mapping-based foveated rendering (RMFR), "
-        f"tuned and at equal time, in {wins} of {len(ours)} views (Foveated Path Culling: 2 of 5, untuned)."
+        f"{budget}, {_counted(outcomes)} (Foveated Path Culling: 2 of 5, untuned)."
     ]
 
 

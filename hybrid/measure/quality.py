@@ -92,10 +92,41 @@ def foveal_metrics(image: Image, reference: Image, region: Region, viewer: Viewe
     )
 
 
+def tie_metrics(
+    image: Image, half: Image, regions: dict[str, Region], viewer: Viewer
+) -> list[dict[str, float | str]]:
+    """Rows of region, metric and value against half of a reference's samples, from which ties are told.
+
+    These are the metrics that methods are compared by: `foveal_metrics` of the fovea, PSNR and SSIM if
+    neither is installed, and SSIM of the whole frame. Arguments as of `metric_rows`.
+    """
+    fovea = regions["foveal"]
+    found = foveal_metrics(image, half, fovea, viewer)
+    fallback = ("psnr", "ssim") if not found else ()
+    whole = Region.of("whole", np.ones_like(fovea.mask))
+    values = {(fovea.name, name): value for name, value in found.items()}
+    for region, names in ((fovea, fallback), (whole, ("ssim",))):
+        plain = _plain(image, half, region)
+        values |= {(region.name, name): plain[name] for name in names if name in plain}
+    return [{"region": region, "metric": name, "value": value} for (region, name), value in values.items()]
+
+
 def acuity_weight(viewer: Viewer, size: tuple[int, int]) -> NDArray[np.float32]:
     """(H, W) cut-off frequency at each pixel of a frame of that height and width, relative to the gaze's."""
     angles = eccentricity(viewer.display.viewer(size[1], size[0]), viewer.gaze).astype(np.float64)
     return (geisler_perry(angles) / geisler_perry(np.zeros(1))[0]).astype(np.float32)
+
+
+def _plain(image: Image, reference: Image, region: Region) -> dict[str, float]:
+    """PSNR and SSIM of a region."""
+    similarity = _map(region.alone(image, reference), reference)
+    weight = region.mask.astype(np.float32)
+    return _known({"psnr": psnr(image, reference, region.mask), "ssim": _similarity(similarity, weight)})
+
+
+def _map(alone: Image, reference: Image) -> Map | None:
+    """SSIM's map; None of images that are smaller than its window."""
+    return None if min(alone.shape[:2]) < SSIM_WINDOW else ssim_map(alone, reference)
 
 
 def _values(
@@ -103,8 +134,7 @@ def _values(
 ) -> dict[str, float]:
     """The region's metrics, as far as they are installed."""
     alone = region.alone(image, reference)
-    small = min(image.shape[:2]) < SSIM_WINDOW
-    similarity = None if small else ssim_map(alone, reference)
+    similarity = _map(alone, reference)
     found: dict[str, float | None] = {
         "psnr": psnr(image, reference, region.mask),
         "ssim": _similarity(similarity, region.mask.astype(np.float32)),

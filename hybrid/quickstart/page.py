@@ -86,8 +86,8 @@ def _views_note(result: dict[str, Any]) -> str:
     """What the figures are of."""
     return (
         f"Measured in {result['views']} views near the scene's own to which nothing was fitted; the images "
-        "show the first of them. Quality is the mean over the views and times are medians of all their frames; "
-        "in brackets the least and the greatest value of a view."
+        "show the first of them. Quality is the mean over the views and times are medians of all their "
+        "frames; in brackets the least and the greatest value of a view."
     )
 
 

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from compose.base.errors import UserError
 from compose.base.files import write_whole
+from hybrid.evaluation.equal_time import TOLERANCE
 from hybrid.evaluation.keys import OURS_KEY
 from hybrid.evaluation.results import foveal_metric_names, keys_of
 from hybrid.evaluation.settings import FOVEAL_REFERENCE
@@ -81,6 +82,7 @@ def _overview(found: dict[str, Any]) -> dict[str, Any]:
         ),
         "verdicts": verdicts(found),
         "reference_note": _reference_note(found),
+        "tolerance": f"{100 * TOLERANCE:g}",
         "size": f"{settings['width']} × {settings['height']}",
         "machine": f"{machine['cpu']}, {machine['cores']} cores, Python {machine['python']}, {packages}",
         "missing": missing(),

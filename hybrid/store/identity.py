@@ -1,9 +1,12 @@
-"""Identities of cached results, so that results of different settings are never mixed."""
+"""Identities of cached results, so that results of different settings or code are never mixed."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from compose.base.errors import UserError
@@ -15,15 +18,35 @@ if TYPE_CHECKING:
     from splat.model.forest import Forest
 
 
+# The packages of this project, and the one whose version `machine` does not have.
+_PACKAGES, _DENOISER = ("compose", "pathtrace", "splat", "hybrid"), "mitsuba-oidn"
+
+
 def measured_identity(scene: Scene, forest: Forest, **settings: Any) -> dict[str, Any]:
-    """Everything that measured times and quality depend on.
+    """Everything that measured times and quality depend on: what was measured, the code and the machine.
 
     Args:
         scene, forest: what is rendered.
         settings: everything else that the results depend on, in types that JSON has.
     """
     rendered = {"scene": scene.hash, "max_depth": scene.max_depth, "forest": forest.digest()}
-    return {**rendered, **settings, "machine": machine()}
+    return {**rendered, **settings, "code": code(), "machine": machine()}
+
+
+@cache
+def code() -> dict[str, str | None]:
+    """What measures: a digest of this project's source files, and the denoiser's version.
+
+    The version of the project and of the other packages are part of `machine`.
+    """
+    root, digest = Path(__file__).parents[2], hashlib.sha256()
+    for file in sorted(file for package in _PACKAGES for file in (root / package).rglob("*.py")):
+        digest.update(f"{file.relative_to(root).as_posix()}\0".encode() + file.read_bytes() + b"\0")
+    try:
+        denoiser = version(_DENOISER)
+    except PackageNotFoundError:
+        denoiser = None
+    return {"source": digest.hexdigest()[:16], _DENOISER: denoiser}
 
 
 def short_hash(identity: dict[str, Any]) -> str:

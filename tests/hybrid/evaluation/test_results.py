@@ -7,11 +7,15 @@ import pytest
 from hybrid.evaluation.keys import OURS, OURS_KEY, Key
 from hybrid.evaluation.results import (
     affordable_baselines,
+    budget_label,
     foveal_metric_names,
     fused_by_spp,
     is_better,
     keys_of,
     mean_of,
+    noise_of,
+    outcomes_of,
+    time_over_ours,
     times_of,
     values_of,
 )
@@ -80,3 +84,39 @@ def test_splats_are_affordable_if_they_are_no_slower(milliseconds, expected):
         if row["method"] == "splats alone":
             row["ms"]["p50"] = milliseconds
     assert affordable_baselines(content) == ([SPLATS, RMFR] if expected else [RMFR])
+
+
+@pytest.mark.parametrize(
+    ("ratio", "label"),
+    [
+        (1.0, "equal-time"),
+        (1.03, "equal-time"),
+        (0.97, "equal-time"),
+        (1.04, "equal-time, missed: 4 % slower"),
+        (0.8, "equal-time, missed: 20 % faster"),
+    ],
+)
+def test_equal_time_is_not_called_equal_where_it_was_missed(ratio, label):
+    content = found()
+    (row,) = (row for row in content["time"] if row["method"] == RMFR.method)
+    row["over_ours"] = ratio
+    assert budget_label(content, RMFR) == label
+    # Without frames that were paired, medians are compared.
+    del row["over_ours"]
+    row["ms"]["p50"] = 10 * ratio
+    assert time_over_ours(content, RMFR) == pytest.approx(ratio)
+    assert budget_label(content, SPLATS) == "fixed"
+
+
+def test_noise_is_half_of_what_the_halves_differ_by():
+    content = found()
+    for key, values in ((OURS_KEY, (0.91, 0.89)), (RMFR, (0.70, 0.72))):
+        for number, value in enumerate(values, 1):
+            row = {"view": 0, "method": key.method, "budget": key.budget, "region": "whole"}
+            content["quality"].append({**row, "metric": f"ssim, half {number}", "value": value})
+    # Differences of 0.21 and 0.17.
+    assert noise_of(content, RMFR, "whole", "ssim") == pytest.approx(0.02)
+    assert noise_of(content, SPLATS, "whole", "ssim") == 0
+    # 0.90 against 0.70 in the first view, 0.80 against 0.81 in the second one.
+    assert outcomes_of(content, RMFR, "whole", "ssim") == [True, None]
+    assert outcomes_of(found(), RMFR, "whole", "ssim") == [True, False]

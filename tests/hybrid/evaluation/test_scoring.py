@@ -35,14 +35,16 @@ def table(rows: list[dict]) -> dict[tuple[str, str], float]:
     return {(row["region"], row["metric"]): row["value"] for row in rows}
 
 
-def test_the_fovea_is_compared_with_both_halves_as_well():
+def test_fovea_and_whole_frame_are_compared_with_both_halves_as_well():
     """One half equals the image, the other one is far from it."""
     pytest.importorskip("flip_evaluator", reason="FLIP's evaluator is not installed")
     image = task(0.1).image
     found = table(score(task(0.1, (image, REFERENCE * 2))))
     assert found["foveal", "flip, half 1"] == 0
     assert found["foveal", "flip, half 2"] > found["foveal", "flip"] > 0
-    assert {region for region, metric in found if "half" in metric} == {"foveal"}
+    assert {region for region, metric in found if "half" in metric} == {"foveal", "whole"}
+    assert found["whole", "ssim, half 1"] == pytest.approx(1)
+    assert found["whole", "ssim, half 2"] < found["whole", "ssim"]
     assert not any("half" in metric for _, metric in table(score(task(0.1))))
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from compose.eye.gaze import Gaze
 from hybrid.evaluation.entries import Entry
+from hybrid.evaluation.keys import OURS
 from hybrid.evaluation.times import time_rows
 from hybrid.store.journal import Journal
 from tests.hybrid.evaluation.fakes import CAMERA, Recorder
@@ -16,7 +17,7 @@ from tests.hybrid.evaluation.fakes import CAMERA, Recorder
 
 def rows(entries: list[Entry], journal: Journal, repeats: int = 120, gaze: Gaze | None = None) -> list[dict]:
     gaze = gaze or Gaze(0.4, 0.6)
-    return time_rows(entries, CAMERA, gaze, repeats, journal, lambda done, total: None)
+    return time_rows(entries, [CAMERA], gaze, repeats, journal, lambda done, total: None)
 
 
 @pytest.fixture
@@ -113,7 +114,24 @@ def test_an_interrupted_timing_resumes(tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        time_rows([Entry("one", "fixed", seen)], CAMERA, Gaze(), 30, Journal(file, {}), interrupted)
+        time_rows([Entry("one", "fixed", seen)], [CAMERA], Gaze(), 30, Journal(file, {}), interrupted)
     rest = Recorder(1)
     assert rows([Entry("one", "fixed", rest)], Journal(file, {}), 30)[0]["repeats"] == 30
     assert len(rest.gazes) == 20 + 5
+
+
+def test_frames_go_through_the_views_and_are_compared_with_ours(journal):
+    """Ours take 10 ms, and the baseline 12: it is a fifth slower over the frames that both have."""
+    views = [CAMERA, CAMERA.resized(8, 8), CAMERA.resized(16, 8)]
+    ours, other, brief = Recorder(10), Recorder(12), Recorder(5)
+    entries = [
+        Entry(OURS, "fixed", ours),
+        Entry("full", "equal-time", other),
+        Entry("brief", "fixed", brief, briefly=True),
+    ]
+    found = time_rows(entries, views, Gaze(), 60, journal, lambda done, total: None)
+    assert [row["over_ours"] for row in found] == [1, pytest.approx(1.2), 0.5]
+    assert [row["ms_range"] for row in found] == [[10, 10], [12, 12], [5, 5]]
+    for method, count in ((ours, 60), (other, 60), (brief, 20)):
+        seen = [camera.width for camera in method.cameras[5:]]
+        assert seen == [8, 8, 16] * (count // 3) + [8, 8][: count % 3]

@@ -8,6 +8,7 @@ import pytest
 
 from hybrid.evaluation.keys import OURS
 from hybrid.evaluation.verdicts import verdicts
+from tests.extremes import extreme
 from tests.hybrid.evaluation import fakes
 
 
@@ -36,9 +37,16 @@ def test_what_was_not_measured_is_not_said():
     assert not any("rmfr" in line or "RMFR" in line for line in verdicts(found))
 
 
-def with_halves(found: dict[str, Any], method: str, metric: str, *values: float) -> None:
+def with_halves(
+    found: dict[str, Any],
+    method: str,
+    metric: str,
+    *values: float,
+    region: str = "foveal",
+    budget: str = "fixed",
+) -> None:
     for number, value in enumerate(values, 1):
-        key = {"view": 0, "method": method, "budget": "fixed", "region": "foveal"}
+        key = {"view": 0, "method": method, "budget": budget, "region": region}
         found["quality"].append({**key, "metric": f"{metric}, half {number}", "value": value})
 
 
@@ -47,11 +55,77 @@ def test_what_the_halves_of_the_references_do_not_agree_on_is_open():
     with_halves(found, OURS, "flip", 0.10, 0.12)
     with_halves(found, "splats alone", "flip", 0.11, 0.11)
     lines = verdicts(found)
-    said = "by FLIP, the hybrid frame (0.1) cannot be distinguished from splats alone (0.11; better in 2 of 2"
+    said = (
+        "by FLIP, the hybrid frame (0.1) cannot be distinguished from splats alone "
+        "(0.11; better in 0 of 2 views, too close to tell in 2"
+    )
     assert any(said in line for line in lines)
     assert not any("by FLIP" in line and "ahead of splats alone" in line for line in lines)
     # Where no halves were measured, the whole decides.
     assert any("by FLIP, the hybrid frame (0.1) is ahead of rmfr, tuned" in line for line in lines)
+
+
+def whole_frame(ours: float, theirs: float, noise: float) -> dict[str, Any]:
+    """An evaluation in which SSIM of the whole frame, in both views, is known to within some noise."""
+    found = fakes.found()
+    for row in found["quality"]:
+        if row["metric"] == "ssim" and row["method"] in (OURS, "rmfr, tuned"):
+            row["value"] = ours if row["method"] == OURS else theirs
+    for sign, method, budget, value in (
+        (1, OURS, "fixed", ours),
+        (-1, "rmfr, tuned", "equal-time", theirs),
+    ):
+        halves = value + sign * noise / 2, value - sign * noise / 2
+        with_halves(found, method, "ssim", *halves, region="whole", budget=budget)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("difference", "said"),
+    [
+        (0.02, "is ahead of; rmfr, tuned (0.9; better in 2 of 2 views)"),
+        pytest.param(
+            0.004,
+            "cannot be distinguished from; rmfr, tuned (0.9; better in 0 of 2 views, too close to tell in 2)",
+            marks=extreme(
+                "a tie in SSIM of the whole frame",
+                given="a difference of 0.004 where the halves of the references yield 0.009 and -0.001",
+                expected="cannot be distinguished; no view counts as won",
+            ),
+        ),
+        (
+            0.0,
+            "cannot be distinguished from; rmfr, tuned (0.9; better in 0 of 2 views, too close to tell in 2)",
+        ),
+        (-0.02, "is not ahead of; rmfr, tuned (0.9; better in 0 of 2 views)"),
+    ],
+)
+def test_ties_are_found_in_the_whole_frame(difference, said, got):
+    lines = verdicts(whole_frame(0.9 + difference, 0.9, 0.005))
+    whole = [line for line in lines if line.startswith("Over the whole frame, by SSIM")]
+    assert any(all(part in line for part in got(said).split("; ", 1)) for line in whole)
+    rmfr = next(line for line in lines if "RMFR" in line)
+    wins, ties = (2, 0) if difference == 0.02 else (0, 2 if abs(difference) < 0.01 else 0)
+    assert f"in {wins} of 2 views" + (f", too close to tell in {ties}" if ties else "") + " (" in rmfr
+
+
+@extreme(
+    "an equal-time peer that drifted",
+    given="a baseline at equal time that takes 20 % longer after the run",
+    expected="marked as 20 % slower, never called equal",
+)
+def test_a_baseline_that_missed_equal_time_is_marked(got):
+    found = fakes.found()
+    for row in found["time"]:
+        if row["method"] == "rmfr, tuned":
+            row["over_ours"] = 1.2
+    lines = verdicts(found)
+    marked = "rmfr, tuned (8; better in 2 of 2 views; 20 % slower than the hybrid frame)"
+    assert any(marked in line for line in lines)
+    rmfr = next(line for line in lines if "RMFR" in line)
+    assert "tuned and 20 % slower than the hybrid frame, in 1 of 2 views" in rmfr
+    assert not any("equal time" in line for line in lines)
+    got(marked)
 
 
 @pytest.mark.parametrize("halves", [(0.10, 0.12), (0.12, 0.10)])

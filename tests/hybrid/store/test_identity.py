@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from compose.base.errors import UserError
 from hybrid.runtime.machine import machine
+from hybrid.store import identity as module
 from hybrid.store.identity import measured_identity, require_same, require_scene, short_hash
+from tests.extremes import extreme
 from tests.hybrid.forests import white_dot
 
 
@@ -76,3 +79,35 @@ def test_measurements_depend_on_scene_depth_forest_settings_and_machine(backend)
         measured_identity(scene, forest, spp=5),
     ]
     assert len({short_hash(one) for one in [identity, *others]}) == 5
+
+
+@extreme(
+    "equal time after an update",
+    given="a source file of the project, or the denoiser's version, has changed",
+    expected="another identity: what was stored is measured anew",
+)
+def test_measurements_of_other_code_are_not_used(backend, monkeypatch, tmp_path, got):
+    forest, scene = white_dot((0, 0, 1)), SimpleNamespace(hash="ab" * 32, max_depth=8)
+
+    def identity() -> str:
+        module.code.cache_clear()
+        return short_hash(measured_identity(scene, forest))
+
+    found = [identity(), identity()]
+    monkeypatch.setattr(module, "version", lambda name: "99")
+    found.append(identity())
+    monkeypatch.undo()
+    # A copy of the project, in which a line is added to one file.
+    source = Path(module.__file__).parents[2]
+    for package in ("compose", "hybrid", "pathtrace", "splat"):
+        (tmp_path / package).mkdir()
+        (tmp_path / package / "a.py").write_bytes((source / package / "__init__.py").read_bytes())
+    (tmp_path / "hybrid" / "store").mkdir()
+    monkeypatch.setattr(module, "__file__", str(tmp_path / "hybrid" / "store" / "identity.py"))
+    found.append(identity())
+    (tmp_path / "splat" / "a.py").write_text("changed = True\n")
+    found.append(identity())
+    monkeypatch.undo()
+    module.code.cache_clear()
+    assert found[0] == found[1]
+    assert got(len(set(found))) == 4
