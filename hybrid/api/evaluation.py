@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from compose.base.files import write_whole
 from hybrid.evaluation.evaluation import Evaluation
 from hybrid.evaluation.settings import EvaluationSettings
 from hybrid.report.evaluation_page import write_report
+from hybrid.runtime.valid_json import json_text
 from hybrid.store.identity import require_scene
 from pathtrace.scene.scene import Scene
 from splat.io.forest_file import load_forest
@@ -58,7 +58,7 @@ def evaluate(
         require_scene(flat, scene.name, scene.hash, baseline_forest)
     evaluation = Evaluation(scene, forest, settings, folder, flat)
     found = evaluation.run(progress)
-    text = json.dumps(found, indent=1) + "\n"
+    text = json_text(found)
     write_whole(folder / "evaluation.json", lambda part: part.write_text(text))
     write_report(folder)
     return found

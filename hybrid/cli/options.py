@@ -6,7 +6,6 @@ once, and a missing package or LLVM is one line instead of a traceback.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,6 +19,7 @@ from compose.base.files import write_whole
 from compose.base.seeds import MOST_SEED
 from hybrid.frame.settings import MOST_SPP
 from hybrid.runtime.progress import progress_bar
+from hybrid.runtime.valid_json import json_text
 
 if TYPE_CHECKING:
     from compose.camera.camera import Camera
@@ -246,5 +246,5 @@ def require_size(size: tuple[int, int], least: int = 1) -> None:
 def write_json(path: Path | None, content: Any) -> None:
     """Writes what was measured, if `--json` asks for it; the file appears whole or not at all."""
     if path is not None:
-        text = json.dumps(content, indent=1) + "\n"
+        text = json_text(content)
         write_whole(path, lambda part: part.write_text(text))

@@ -73,7 +73,7 @@ class Evaluation:
         )
         self.journal = Journal(folder / "work" / "journal.json", identity)
         # Rays at equal time are searched for once per machine and code, so that later runs compare the same
-        # frames. Whether the times are equal is measured in each run (`over_ours` in hybrid.evaluation.times).
+        # frames. Whether times are equal is measured in each run (`over_ours` in hybrid.evaluation.times).
         file = scene_folder(scene.name, scene.hash) / f"costs-{short_hash(identity)}.json"
         self.costs = Journal(file, identity)
 

@@ -25,7 +25,13 @@ _RESAMPLINGS, _OUTSIDE = 1000, 0.05
 
 
 def percentiles(milliseconds: list[float], wanted: Sequence[int] = (50, 95)) -> dict[str, float]:
-    """Percentiles by name, such as p50 for the median."""
+    """Percentiles by name, such as p50 for the median; of few frames, interpolated between two of them.
+
+    Raises:
+        ValueError: there are no frames, or a time is negative or not finite.
+    """
+    if not milliseconds or not all(0 <= time < math.inf for time in milliseconds):
+        raise ValueError(f"{len(milliseconds)} frames: there must be some, all of finite times")
     return {f"p{percent}": float(np.percentile(milliseconds, percent)) for percent in wanted}
 
 

@@ -16,13 +16,16 @@ def chosen(
 
     Args:
         metric: in which quality was measured, jod or ssim.
-        measured: settings to choose from, at least one.
+        measured: settings to choose from.
         milliseconds: the time that a frame may take; None for any.
         quality: the quality in JOD that a frame must reach; None for any.
 
     Raises:
-        UserError: no settings meet the target, or a quality is asked for but was not measured in JOD.
+        UserError: there are no settings or none meets the target, or a quality is asked for but was not
+            measured in JOD.
     """
+    if not measured:
+        raise UserError("no settings have been measured to choose from; run: hybrid sweep --over trade")
     if quality is not None and metric != "jod":
         raise UserError(
             f"target of {quality:g} JOD: quality was measured in {metric.upper()}; {INSTALL}, then measure "

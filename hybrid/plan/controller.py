@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,6 +19,9 @@ _SLOWER, _FASTER = 0.5, 0.08
 _CLIMB = 0.12
 # A frame counts as at most this many times the expected time, because one outlier is not a load.
 _MOST = 3.0
+# No machine becomes a thousand times as fast as it was when it was measured. Frames of 0 ms, which a coarse
+# clock yields, would otherwise lead to a load of 0, at which any settings are affordable for ever.
+_LEAST_LOAD = 1e-3
 
 
 class FrameTimeController:
@@ -32,13 +36,15 @@ class FrameTimeController:
         load: time of a frame over the time measured for its settings, averaged over recent frames.
 
     Raises:
-        ValueError: the ladder is empty, or its times do not increase.
+        ValueError: the ladder is empty, its times do not increase, or the target is not positive.
     """
 
     def __init__(self, ladder: Sequence[MeasuredSettings], target: float):
         times = [one.milliseconds for one in ladder]
         if not ladder or any(after <= before for before, after in pairwise(times)):
             raise ValueError("a ladder requires settings, each slower than the one before it")
+        if not target > 0:
+            raise ValueError(f"target of {target} ms: must be positive")
         self._ladder, self._times = list(ladder), times
         self.target = target
         self.load = 1.0
@@ -65,9 +71,16 @@ class FrameTimeController:
         return min(self.choice().milliseconds * self.load, self.target)
 
     def took(self, milliseconds: float) -> None:
-        """Adapts the load and the choice to the time that the frame of the last choice took."""
+        """Adapts the load and the choice to the time that the frame of the last choice took.
+
+        A time that is negative or not finite, such as that of a frame that never ended, tells nothing about
+        the load and changes nothing.
+        """
+        if not 0 <= milliseconds < math.inf:
+            return
         relative = min(milliseconds / self.choice().milliseconds, _MOST * self.load)
-        self.load += (_SLOWER if relative > self.load else _FASTER) * (relative - self.load)
+        load = self.load + (_SLOWER if relative > self.load else _FASTER) * (relative - self.load)
+        self.load = max(load, _LEAST_LOAD)
         self._position = min(self._affordable(), self._position + _CLIMB)
 
     def _affordable(self) -> float:

@@ -13,6 +13,7 @@ from compose.base.errors import UserError
 from compose.base.files import write_whole
 from hybrid.frame.settings import FrameSettings
 from hybrid.plan.pareto import pareto_front
+from hybrid.runtime.valid_json import json_text
 from hybrid.store.cache import scene_folder
 from hybrid.store.identity import measured_identity, require_same, short_hash
 from pathtrace.scene.scene import Scene
@@ -31,12 +32,22 @@ class MeasuredSettings:
         milliseconds: median time of a frame.
         quality: JOD, or SSIM if FovVideoVDP is not installed; mean over the views in which it was measured.
         spread: its least and its greatest value over these views; None for a single view.
+
+    Raises:
+        ValueError: the time or the quality is not finite, or the time is not positive: such settings could
+            neither be chosen nor be left out for a reason.
     """
 
     settings: FrameSettings
     milliseconds: float
     quality: float
     spread: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if not (0 < self.milliseconds < math.inf and math.isfinite(self.quality)):
+            raise ValueError(
+                f"{self.milliseconds} ms, quality {self.quality}: must be finite, the time above 0"
+            )
 
 
 def front_of(measured: Sequence[MeasuredSettings]) -> list[MeasuredSettings]:
@@ -91,7 +102,7 @@ class MeasuredStore:
             UserError: the cache folder cannot be written.
         """
         rows = [_row(one) for one in measured]
-        text = json.dumps({"identity": self.identity, "metric": metric, "rows": rows}, indent=1) + "\n"
+        text = json_text({"identity": self.identity, "metric": metric, "rows": rows})
         write_whole(self.file, lambda part: part.write_text(text))
 
     def load(self) -> tuple[str, list[MeasuredSettings]] | None:
@@ -118,8 +129,6 @@ class MeasuredStore:
         between = row.get("spread")
         spread = None if between is None else (float(between[0]), float(between[1]))
         milliseconds, quality = float(row["milliseconds"]), float(row["quality"])
-        if not (0 < milliseconds < math.inf and math.isfinite(quality)):
-            raise ValueError(f"{milliseconds} ms, quality {quality}: must be finite, the time above 0")
         return MeasuredSettings(replace(self.base, **varied), milliseconds, quality, spread)
 
 

@@ -39,7 +39,7 @@ def time_table(found: dict[str, Any]) -> dict[str, Any]:
         cells = [f"{row['ms'][p]:.0f}" if p in row["ms"] else "-" for p in _PERCENTILES]
         cells[0] = with_range(row["ms"]["p50"], row.get("ms_range"), ".0f")
         cells += [f"{row['over_ours']:.2f}" if "over_ours" in row else "-"] if compared else []
-        cells += [f"{1000 / row['ms']['p50']:.1f}", str(row["repeats"])]
+        cells += [f"{1000 / row['ms']['p50']:.1f}" if row["ms"]["p50"] > 0 else "-", str(row["repeats"])]
         cells += [f"{row['passes'][name]:.0f}" if name in row["passes"] else "-" for name in passes]
         rows.append(_row(row["method"], budget_label(found, Key(row["method"], row["budget"])), cells))
     return {

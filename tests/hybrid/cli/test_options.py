@@ -118,3 +118,9 @@ def test_json_is_written_if_asked_for(tmp_path):
     text = (tmp_path / "a.json").read_text()
     assert json.loads(text) == {"a": [1, 2.5]}
     assert text == '{\n "a": [\n  1,\n  2.5\n ]\n}\n'
+
+
+def test_json_files_know_no_numbers_that_are_not_finite(tmp_path):
+    write_json(tmp_path / "a.json", {"a": [float("nan"), float("inf"), 1.5]})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"a": [None, None, 1.5]}
+    assert "NaN" not in (tmp_path / "a.json").read_text()
