@@ -37,7 +37,11 @@ def capture(
     views: Annotated[int, typer.Option(help="Training views.", max=_MOST_VIEWS, rich_help_panel=FRAME)] = 64,
     held_out: Annotated[
         int,
-        typer.Option(help="Views that training never sees.", max=_MOST_VIEWS, rich_help_panel=MEASUREMENT),
+        typer.Option(
+            help="Further views: splats are fitted to none, the fusion to two of three.",
+            max=_MOST_VIEWS,
+            rich_help_panel=MEASUREMENT,
+        ),
     ] = 8,
     size: FixedSize = (256, 256),
     spp: Annotated[

@@ -13,7 +13,7 @@ class CaptureSettings:
 
     Attributes:
         views: number of training views.
-        held_out: number of further views that training never sees; may be 0.
+        held_out: number of further views, may be 0; splats are fitted to none, the fusion to two of three.
         width, height: frame size in pixels.
         spp: samples per pixel of a training view, which is denoised afterwards.
         held_out_spp: samples per pixel of a held-out view, which is denoised as well, at least 2.
