@@ -116,6 +116,12 @@ def budget_label(found: dict[str, Any], key: Key) -> str:
     return f"{key.budget}, missed: {missed}" if missed else key.budget
 
 
+def label_of(found: dict[str, Any], key: Key) -> str:
+    """A method as it is named in lists, with the budget that it met."""
+    missed = missed_time(found, key)
+    return f"{key.method} ({budget_label(found, key)})" if missed else key.label
+
+
 def affordable_baselines(found: dict[str, Any]) -> list[Key]:
     """Baselines that cost no more than our frame: at equal time, or without any rays and no slower."""
     times = times_of(found)

@@ -13,7 +13,7 @@ from compose.base.errors import UserError
 from compose.base.files import write_whole
 from hybrid.evaluation.equal_time import TOLERANCE
 from hybrid.evaluation.keys import OURS_KEY
-from hybrid.evaluation.results import foveal_metric_names, keys_of
+from hybrid.evaluation.results import foveal_metric_names, keys_of, label_of
 from hybrid.evaluation.settings import FOVEAL_REFERENCE
 from hybrid.evaluation.verdicts import WHOLE_METRIC, verdicts
 from hybrid.measure.metrics.installed import missing
@@ -114,11 +114,16 @@ def _plots_and_tables(found: dict[str, Any]) -> dict[str, Any]:
 def _viewer(found: dict[str, Any], folder: Path) -> dict[str, Any]:
     """The images, and the circles drawn over them in percent of the height."""
     settings, views, keys = found["settings"], _views(found), keys_of(found)
+    labels = {key.label: label_of(found, key) for key in keys}
+
+    def labelled(urls: dict[str, str]) -> dict[str, str]:
+        return {labels.get(name, name): url for name, url in urls.items()}
+
     width, height = settings["width"], settings["height"]
     return {
         "views": views,
-        "images": [embedded_images(folder, view, keys) for view in views],
-        "flips": [embedded_flips(folder, view, keys) for view in views],
+        "images": [labelled(embedded_images(folder, view, keys)) for view in views],
+        "flips": [labelled(embedded_flips(folder, view, keys)) for view in views],
         "left": OURS_KEY.label,
         "right": "reference",
         "aspect": 100 * width / height,

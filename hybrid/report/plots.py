@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from hybrid.evaluation.keys import FIXED, OURS, Key
-from hybrid.evaluation.results import fused_by_spp, mean_of
+from hybrid.evaluation.results import fused_by_spp, label_of, mean_of
 from hybrid.report.figure import (
     METRIC_LABELS,
     OTHER_COLOUR,
@@ -34,7 +34,7 @@ def quality_over_time_plot(found: dict[str, Any], region: str, metric: str) -> s
     axes.plot([p.milliseconds for p in front], [p.value for p in front], color="#888", lw=1, zorder=1)
     for number, point in enumerate(points, 1):
         ours = point.key.method.startswith("hybrid")
-        add_point(axes, number, point.milliseconds, point.value, point.key.label, ours)
+        add_point(axes, number, point.milliseconds, point.value, label_of(found, point.key), ours)
     add_legend_beside(axes)
     axes.set_xscale("log")
     plain_ticks(axes.xaxis)

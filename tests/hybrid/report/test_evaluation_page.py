@@ -85,3 +85,19 @@ def test_the_scene_of_an_evaluation_is_known(tmp_path):
         file.write_text(damaged)
         with pytest.raises(UserError, match=r"evaluation.json: is damaged"):
             evaluated_scene(tmp_path)
+
+
+def test_a_baseline_that_missed_equal_time_is_nowhere_called_equal(tmp_path):
+    """Neither in tables nor in plots, nor where images are chosen."""
+    found = content.write(tmp_path)
+    for row in found["time"]:
+        row["over_ours"] = 1.2 if row["method"] == "rmfr, tuned" else row["ms"]["p50"] / 10
+    (tmp_path / "evaluation.json").write_text(json.dumps(found))
+    write_report(tmp_path)
+    page = (tmp_path / "index.html").read_text()
+    missed = "rmfr, tuned (equal-time, missed: 20 % slower)"
+    images = json.loads(re.search("const images = (.*), flips = (.*);", page).group(1))
+    assert all(missed in view for view in images)
+    assert missed in page[page.index("Quality over time") : page.index("<script>")]
+    assert "rmfr, tuned (equal-time)" not in page
+    assert "<td>equal-time</td>" not in page
