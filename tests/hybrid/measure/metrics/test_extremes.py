@@ -79,13 +79,13 @@ def test_black_images_have_120_db_and_white_ones_none(got):
         for name in METRICS
     ],
 )
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_images_that_are_not_finite_are_refused(metric, value, got):
-    broken = flat(0.5, 64, 64)
-    broken[3, 4, 1] = value
-    for pair in ((broken, flat(0.5, 64, 64)), (flat(0.5, 64, 64), broken)):
-        with pytest.raises(UserError, match="1 pixels that are not finite") as refused:
-            METRICS[metric](*pair)
+def test_images_that_are_not_finite_are_refused(metric, got):
+    for value in (np.nan, np.inf):
+        broken = flat(0.5, 64, 64)
+        broken[3, 4, 1] = value
+        for pair in ((broken, flat(0.5, 64, 64)), (flat(0.5, 64, 64), broken)):
+            with pytest.raises(UserError, match="1 pixels that are not finite") as refused:
+                METRICS[metric](*pair)
     got(str(refused.value))
 
 
@@ -147,7 +147,7 @@ def test_a_black_reference_determines_no_exposure(got):
 
 
 @extreme(
-    "FLIP at 1 and at 1,000 pixels per degree",
+    "FLIP at 1 and at 150 pixels per degree",
     given="one pixel of 80 x 80 differs",
     expected="no influence beyond the reach that crops keep",
 )
