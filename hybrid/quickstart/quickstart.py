@@ -24,8 +24,8 @@ from pathtrace.scene.scene import Scene
 # Width and height of the frames.
 SIZE = 512
 # Views that are judged, near the scene's own, to which nothing was fitted. Their references take as long as
-# one view of 96 samples per pixel; with more, the whole would take noticeably longer.
-_VIEWS, _REFERENCE_SPP = 3, 32
+# one view of 84 samples per pixel; with more, the whole would take noticeably longer.
+_VIEWS, _REFERENCE_SPP = 3, 28
 _REPEATS, _WARM_UP = 9, 2
 # Entries of the comparison with full path tracing that are reported.
 _TIMES = (
