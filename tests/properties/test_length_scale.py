@@ -56,6 +56,13 @@ def test_shrunken_splats_look_the_same(seed, exponent):
     splats_scaled_look_the_same(seed, 10.0**exponent)
 
 
+@pytest.mark.xfail(strict=False, reason="depths of more than 4e7 units count as equal")
+@tried(4)
+@given(st.integers(0, 10_000), st.floats(6, 12))
+def test_splats_in_the_smallest_units_look_the_same(seed, exponent):
+    splats_scaled_look_the_same(seed, 10.0**exponent)
+
+
 def radiances(tracer: Tracer, spp: int, seeds: range) -> np.ndarray:
     """(R, H, W, 3)."""
     camera = tracer.scene.camera
