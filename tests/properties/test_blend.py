@@ -84,8 +84,8 @@ def test_weights_are_shares(foveation, width, height):
 @tried(60)
 @given(
     GAZES,
-    SIDES,
-    SIDES,
+    st.integers(1, 2000),
+    st.integers(1, 2000),
     st.sampled_from(sorted(ACUITY_MODELS)),
     st.floats(0, 100),
     st.integers(1, 5),
@@ -93,7 +93,7 @@ def test_weights_are_shares(foveation, width, height):
 )
 def test_the_weights_of_all_layer_images_sum_to_one(gaze, width, height, model, fov_b, layers, seed):
     rng = np.random.default_rng(seed)
-    finest = float(rng.uniform(0.01, 2))
+    finest = float(10 ** rng.uniform(-2, 0.3))
     rates = tuple(sorted((int(rate) for rate in rng.integers(0, 3, layers)), reverse=True))
     allowed = LayerRange(finest, rates, int(rng.integers(1, layers + 1)))
     corners = (-(-height // 16) + 1, -(-width // 16) + 1)
