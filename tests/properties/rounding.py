@@ -33,6 +33,8 @@ _WORDS = {
     "order": "two depths that count as equal",
     "stop": "transmittance below 1e-4, where pixels stop",
 }
+# A gradient that is shorter than the longest one of its scene by this factor is none.
+_VANISHING = 1e-9
 _QUANTILES = {"min": 0.0, "median": 0.5, "90 %": 0.9, "99 %": 0.99, "99.9 %": 0.999, "worst": 1.0}
 
 
@@ -86,15 +88,17 @@ def composite_errors(seeds: Iterable[int], spread: float = 2.0) -> Errors:
 def gradient_errors(seeds: Iterable[int], spread: float = 2.0) -> dict[str, NDArray[np.float64]]:
     """(scenes,) error of the gradient by each parameter, relative to its length, of random scenes.
 
-    The loss is a smooth weighting of the image. Scenes in which a gradient vanishes are left out.
+    The loss is a smooth weighting of the image. Scenes in which a gradient vanishes, as that by the rotation
+    of round Gaussians does, are left out.
     """
     errors: dict[str, list[float]] = {}
     for seed in seeds:
         scene = random_scene(seed, spread, most=100)
         found, expected = (_gradients(scene, dtype) for dtype in (torch.float32, torch.float64))
+        least = _VANISHING * max(float(gradient.norm()) for gradient in expected.values())
         for name, gradient in expected.items():
             length = float(gradient.norm())
-            if length > 0:
+            if length > least:
                 errors.setdefault(name, []).append(float((found[name] - gradient).norm()) / length)
     return {name: np.array(values) for name, values in errors.items()}
 
