@@ -13,6 +13,8 @@ LANES_ACROSS = 4
 TILE = 16
 # Rows and columns of tiles are numbered by 16 bits each.
 _MOST_TILES = 1 << 16
+# Four floats each, and Dr.Jit's arrays have fewer than 2^32 elements.
+_MOST_PIXELS = (1 << 30) - 1
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,7 @@ class TileGrid:
         side: of a tile in pixels, a multiple of 4.
 
     Raises:
-        ValueError: the frame has more than 65,536 tiles along a side.
+        ValueError: the frame has more than 65,536 tiles along a side, or 2^30 pixels.
     """
 
     width: int
@@ -35,6 +37,8 @@ class TileGrid:
         if max(self.columns, self.rows) > _MOST_TILES:
             most = _MOST_TILES * self.side
             raise ValueError(f"frame of {self.width} x {self.height}: at most {most:,} pixels along a side")
+        if self.padded_width * self.padded_height > _MOST_PIXELS:
+            raise ValueError(f"frame of {self.width} x {self.height}: at most {_MOST_PIXELS:,} pixels")
 
     @property
     def columns(self) -> int:
