@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.errors import UserError
+
 # Each tile has 4 x 4 lanes: they fill one AVX-512 vector and half a warp.
 LANES_ACROSS = 4
 # 16 x 16 pixels, 4 x 4 per lane: the more pixels a splat covers, the more a large tile saves.
@@ -26,7 +28,7 @@ class TileGrid:
         side: of a tile in pixels, a multiple of 4.
 
     Raises:
-        ValueError: the frame has more than 65,536 tiles along a side, or 2^30 pixels.
+        UserError: the frame has more than 65,536 tiles along a side, or 2^30 pixels.
     """
 
     width: int
@@ -36,9 +38,9 @@ class TileGrid:
     def __post_init__(self) -> None:
         if max(self.columns, self.rows) > _MOST_TILES:
             most = _MOST_TILES * self.side
-            raise ValueError(f"frame of {self.width} x {self.height}: at most {most:,} pixels along a side")
+            raise UserError(f"frame of {self.width} x {self.height}: at most {most:,} pixels along a side")
         if self.padded_width * self.padded_height > _MOST_PIXELS:
-            raise ValueError(f"frame of {self.width} x {self.height}: at most {_MOST_PIXELS:,} pixels")
+            raise UserError(f"frame of {self.width} x {self.height}: at most {_MOST_PIXELS:,} pixels")
 
     @property
     def columns(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from compose.base.errors import UserError
 from splat.raster.tiles import TileGrid
 
 
@@ -31,11 +32,11 @@ def test_a_mask_of_another_shape_is_refused():
 
 def test_frames_of_too_many_tiles_are_refused():
     assert TileGrid(1, 1 << 20).rows == 1 << 16
-    with pytest.raises(ValueError, match=r"frame of 1 x 1048577: at most 1,048,576 pixels along a side"):
+    with pytest.raises(UserError, match=r"frame of 1 x 1048577: at most 1,048,576 pixels along a side"):
         TileGrid(1, (1 << 20) + 1)
 
 
 def test_frames_of_too_many_pixels_are_refused():
     assert TileGrid(32_768, 32_752).columns == 2048
-    with pytest.raises(ValueError, match="frame of 32768 x 32753: at most 1,073,741,823 pixels"):
+    with pytest.raises(UserError, match="frame of 32768 x 32753: at most 1,073,741,823 pixels"):
         TileGrid(32_768, 32_753)
