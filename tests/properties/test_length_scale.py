@@ -15,6 +15,7 @@ from hybrid.frame.settings import FrameSettings
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.film import frame_positions, interleaved
 from pathtrace.trace.tracer import Tracer
+from splat.model.forest import Forest
 from tests import small
 from tests.extremes import extreme
 from tests.properties import twin
@@ -124,11 +125,17 @@ def test_a_tiny_scene_is_traced_nearly_as_the_scene_itself(scene, got):
     assert got(other / one, ".4f") == pytest.approx(1, abs=0.02)
 
 
+def scaled_renderer(renderer: Renderer, forest: Forest, scale: float) -> Renderer:
+    """Of the scaled scene, with the forest in the coordinates that the scene was loaded in."""
+    scene = load_scene(scaling(scale).scene(small.corner()))
+    unit = np.linalg.norm(scene.camera.position) / np.linalg.norm(renderer.scene.camera.position)
+    return Renderer(scene, scaling(float(unit)).forest(forest))
+
+
 @pytest.mark.parametrize("scale", [pytest.param(0.003, marks=NEAR_PLANE), 0.1, 10, 1000])
 def test_a_scaled_composite_is_the_same(backend, forest, renderer, scale):
     """The splats to rounding, the disc on average."""
-    by = scaling(scale)
-    scaled = Renderer(load_scene(by.scene(small.corner())), by.forest(forest))
+    scaled = scaled_renderer(renderer, forest, scale)
     runs = {r: [r.frame(RAW, seed) for seed in range(16)] for r in (renderer, scaled)}
     one, other = (runs[r][0] for r in (renderer, scaled))
     np.testing.assert_array_equal(other.region.weight_image() > 0, one.region.weight_image() > 0)
@@ -138,8 +145,7 @@ def test_a_scaled_composite_is_the_same(backend, forest, renderer, scale):
 
 
 def test_depth_scales_with_the_scene(backend, forest, renderer):
-    by = scaling(100.0)
-    scaled = Renderer(load_scene(by.scene(small.corner())), by.forest(forest))
+    scaled = scaled_renderer(renderer, forest, 100.0)
     one, other = (r.depth(r.scene.camera) for r in (renderer, scaled))
     np.testing.assert_allclose(np.median(other / one), 100, rtol=1e-6)
     settings = replace(RAW, fov_a=0, fov_b=0)
