@@ -22,7 +22,7 @@ from tests.properties import twin
 from tests.properties.chance import blocks, disagreement
 from tests.properties.effort import tried
 from tests.properties.random_scenes import random_scene
-from tests.properties.similar import scaling
+from tests.properties.similar import Similarity, scaling
 
 RAW = FrameSettings(gaze=(0.4, 0.6), fov_a=40, fov_b=20, spp=4, fovea="raw")
 # The nearest Gaussians of random scenes are 0.03 away; those nearer than 0.01 are not drawn.
@@ -127,9 +127,13 @@ def test_a_tiny_scene_is_traced_nearly_as_the_scene_itself(scene, got):
 
 def scaled_renderer(renderer: Renderer, forest: Forest, scale: float) -> Renderer:
     """Of the scaled scene, with the forest in the coordinates that the scene was loaded in."""
-    scene = load_scene(scaling(scale).scene(small.corner()))
-    unit = np.linalg.norm(scene.camera.position) / np.linalg.norm(renderer.scene.camera.position)
-    return Renderer(scene, scaling(float(unit)).forest(forest))
+    scaled, scene = load_scene(scaling(scale).scene(small.corner())), renderer.scene
+    there, here = (
+        float(np.median(Tracer(s).hits(s.camera, frame_positions(s.camera)).distance))
+        for s in (scaled, scene)
+    )
+    origin = scaled.camera.position - there / here * scene.camera.position
+    return Renderer(scaled, Similarity(np.eye(3), origin, there / here).forest(forest))
 
 
 @pytest.mark.parametrize("scale", [pytest.param(0.003, marks=NEAR_PLANE), 0.1, 10, 1000])
