@@ -129,9 +129,9 @@ def brighter_gaussians(gaussians: Gaussians, factor: float) -> Gaussians:
 
 
 def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(w, x, y, z) of a rotation matrix: the null space of what q and R must agree on."""
+    """(w, x, y, z) of a rotation matrix, accurate for any angle (Bar-Itzhack 2000)."""
     r = rotation
-    # Bar-Itzhack 2000: the eigenvector of the largest eigenvalue, which is accurate for any angle.
+    # It is the eigenvector of the largest eigenvalue; only the lower triangle is read.
     k = np.array(
         [
             [r[0, 0] - r[1, 1] - r[2, 2], 0, 0, 0],

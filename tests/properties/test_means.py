@@ -70,8 +70,8 @@ def test_a_thinned_band_blends_as_the_whole_one(matt_renderer, truth):
     expected = (1 - weight) * matt_renderer.splats(RAW) + weight * truth
     assert max(parts) < 0.7 * np.count_nonzero(weight)
     assert disagreement(blocks(np.array(found)), blocks(expected)) < 1
-    # Without the weights' correction where a pixel is due less than one sample, it fails.
-    assert disagreement(blocks(np.array(found)), blocks((1 - 0.9 * weight) * expected)) > 1
+    # The test is able to see a band that is brighter by a tenth.
+    assert disagreement(blocks(np.array(found)), blocks((1 + 0.1 * weight) * expected)) > 1
 
 
 def test_a_raw_fovea_is_the_path_traced_frame_on_average(matt_renderer, truth):

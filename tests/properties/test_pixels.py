@@ -17,6 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import splat
+from hybrid.frame.settings import FrameSettings
 from pathtrace.trace.film import frame_positions, interleaved, pixel_positions
 from pathtrace.trace.tracer import Tracer
 from splat.lod.layer_images import LayerImage, pack_atlas
@@ -171,8 +172,6 @@ def test_the_side_of_a_tile_means_nothing(arrays, seed):
 
 def test_a_frames_disc_does_not_depend_on_the_periphery(renderer):
     """Nor the other way round: what is traced and what is rasterized share pixels, not numbers."""
-    from hybrid.frame.settings import FrameSettings
-
     settings = FrameSettings(gaze=(0.4, 0.6), fov_a=40, fov_b=20, spp=2, fovea="raw")
     fine, coarse = (renderer.frame(replace(settings, rate=rate), 3) for rate in (0, 2))
     np.testing.assert_array_equal(fine.fovea.radiance, coarse.fovea.radiance)

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 import splat
 from compose.blend.blend import blend
-from compose.fovea.samples import Samples
 from compose.fusion.combination import fuse
 from compose.fusion.parents import Parents
 from hybrid.frame.disc import parents_of
@@ -106,7 +105,6 @@ def parents(renderer) -> Parents:
     frame = renderer.frame(
         replace(SETTINGS, camera=renderer.scene.camera.resized(64, 64), integrator="path"), 1
     )
-    assert isinstance(frame.fovea.samples, Samples)
     return parents_of(frame.region, frame.fovea.samples, frame.underlay)
 
 
