@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 # By how much axes may differ from unit length: files of other programs hold float32 or five digits.
 RIGID_TOLERANCE = 1e-4
+# Least sine of the angle between a direction of sight and what is up: less is rounding.
+_LEAST_SINE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,11 +160,16 @@ def camera_from_pose(
 
 
 def look_at(position: Array, target: Array, up: Array) -> Array:
-    """(4, 4) camera-to-world in OpenCV axes that looks from position to target with up upwards, (3,) each."""
-    forward = target - position
-    forward = forward / np.linalg.norm(forward)
-    right = np.cross(forward, up)
-    right = right / np.linalg.norm(right)
+    """(4, 4) camera-to-world in OpenCV axes that looks from position to target with up upwards, (3,) each.
+
+    Raises:
+        ValueError: position and target are the same, or up points along the direction between them.
+    """
+    forward, aside = target - position, np.cross(target - position, up)
+    distance, sine = np.linalg.norm(forward), np.linalg.norm(aside)
+    if not (distance > 0 and sine > _LEAST_SINE * distance * np.linalg.norm(up)):
+        raise ValueError(f"no direction from {position} to {target} with {up} upwards")
+    forward, right = forward / distance, aside / sine
     pose = np.eye(4)
     pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
     pose[:3, 3] = position

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from compose.camera.camera import Camera
 from compose.camera.place import Place, place_around
 
-# Pixels of a view, about, from which its place is found.
+# Pixels of a view, about, from which medians are found.
 _SAMPLED = 4096
 # Degrees from the axis up to which pixels count as equally large.
 _WIDE = 45.0
@@ -46,6 +46,12 @@ class TrainingView:
         # A camera on a surface has no way to it along which anything could be placed.
         return np.flatnonzero(np.isfinite(distance) & (distance > 0))
 
+    @property
+    def some_surface_pixels(self) -> NDArray[np.int64]:
+        """An even part of `surface_pixels`, enough for a median."""
+        seen = self.surface_pixels
+        return seen[:: max(1, len(seen) // _SAMPLED)]
+
     def points(self, pixels: NDArray[np.int64]) -> NDArray[np.float64]:
         """World positions (M, 3) of what pixels show, given by row-major indices (M,)."""
         distance = self.distance.ravel()[pixels].astype(np.float64)
@@ -71,9 +77,7 @@ def place_of(views: list[TrainingView]) -> Place:
     """
     points, distances = [], []
     for view in views:
-        seen = view.surface_pixels
-        # An even part of the pixels does for a median.
-        seen = seen[:: max(1, len(seen) // _SAMPLED)]
+        seen = view.some_surface_pixels
         points.append(view.points(seen))
         distances.append(view.distance.ravel()[seen])
     distance = np.concatenate(distances)
@@ -90,7 +94,7 @@ def placed(view: TrainingView, place: Place) -> TrainingView:
 
 def pixel_footprint(views: list[TrainingView]) -> float:
     """Size of a pixel at the median distance of what the views see."""
-    sizes = np.concatenate([view.pixel_sizes(view.surface_pixels) for view in views])
+    sizes = np.concatenate([view.pixel_sizes(view.some_surface_pixels) for view in views])
     # Without a surface, nothing is seeded that could be moved by it.
     return float(np.median(sizes)) if len(sizes) else 1 / views[0].camera.fy
 

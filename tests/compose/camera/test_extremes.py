@@ -128,3 +128,20 @@ def test_own_coordinates_keep_every_pixel(distance, unit, got):
         exact = float(500 * x / z + 32), float(500 * y / z + 24)
         worst = max(worst, float(np.abs(pixel - exact).max()))
     assert got(worst, ".1e") < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("target", "up"),
+    [
+        pytest.param(t, u, marks=extreme(n, given=g, expected="refused in one line"))
+        for t, u, n, g in [
+            ([1.0, 2, 3], [0.0, 1, 0], "looking at oneself", "position and target are the same"),
+            ([1.0, 9, 3], [0.0, 1, 0], "looking straight up", "up along the direction of sight"),
+            ([1.0, np.nan, 3], [0.0, 1, 0], "looking at NaN", "NaN in the target"),
+        ]
+    ],
+)
+def test_directions_that_are_none_are_refused(target, up, got):
+    with pytest.raises(ValueError, match="no direction from") as caught:
+        look_at(np.array([1.0, 2.0, 3.0]), np.array(target), np.array(up))
+    assert "\n" not in got(str(caught.value))
