@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
-from compose.base.errors import UserError
+from compose.base.errors import UserError, one_line
 from compose.base.files import write_whole
 from compose.image.colour import Image, bytes_from_radiance
 from compose.image.exr import read_channels, write_channels
@@ -84,4 +84,4 @@ def read_exr(path: Path, size: tuple[int, int] | None = None) -> dict[str, NDArr
     try:
         return read_channels(path, size)
     except (OSError, ValueError) as error:
-        raise UserError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
+        raise UserError(f"{path}: cannot be read ({one_line(error)})") from error

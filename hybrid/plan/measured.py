@@ -9,8 +9,9 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from compose.base.errors import UserError
+from compose.base.errors import UserError, one_line
 from compose.base.files import write_whole
+from compose.base.json_file import read_json
 from hybrid.frame.settings import FrameSettings
 from hybrid.plan.pareto import pareto_front
 from hybrid.runtime.valid_json import json_text
@@ -113,13 +114,13 @@ class MeasuredStore:
         """
         advice = "delete it to measure again"
         try:
-            found = json.loads(self.file.read_text())
+            found = read_json(self.file, finite=False)
             theirs, metric = dict(found["identity"]), str(found["metric"])
             measured = [self._measured(row) for row in found["rows"]]
         except FileNotFoundError:
             return None
         except (OSError, ValueError, LookupError, TypeError, UserError) as error:
-            raise UserError(f"{self.file}: is damaged ({error!r}); {advice}") from error
+            raise UserError(f"{self.file}: is damaged ({one_line(repr(error))}); {advice}") from error
         require_same(theirs, self.identity, f"{self.file}: was measured", advice)
         return metric, measured
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
-from compose.base.errors import UserError
+from compose.base.errors import UserError, one_line
 from compose.base.files import write_whole
+from compose.base.json_file import read_json
 from hybrid.evaluation.equal_time import TOLERANCE
 from hybrid.evaluation.keys import OURS_KEY
 from hybrid.evaluation.results import foveal_metric_names, keys_of, label_of
@@ -34,8 +34,8 @@ def write_report(folder: Path) -> None:
     Args:
         folder: of the report.
     """
-    found = json.loads((folder / "evaluation.json").read_text())
-    sweeps = [json.loads(file.read_text()) for file in sorted(folder.glob("sweep-*.json"))]
+    found = _read(folder / "evaluation.json")
+    sweeps = [_read(file) for file in sorted(folder.glob("sweep-*.json"))]
     templates = Environment(loader=PackageLoader("hybrid.report", "."), autoescape=True)
     text = templates.get_template("evaluation.html").render(
         **_overview(found),
@@ -57,7 +57,7 @@ def evaluated_scene(folder: Path) -> str:
     """
     file = folder / "evaluation.json"
     try:
-        found = json.loads(file.read_text())
+        found = read_json(file, finite=False)
         lacks = [name for name in _CONTENT if name not in found]
         if lacks:
             raise ValueError(f"no {lacks[0]}")
@@ -66,6 +66,13 @@ def evaluated_scene(folder: Path) -> str:
         raise UserError(f"{folder}: holds no evaluation; make one with hybrid evaluate first") from None
     except (OSError, ValueError, TypeError) as error:
         raise UserError(f"{file}: is damaged ({error}); run hybrid evaluate again") from error
+
+
+def _read(file: Path) -> Any:
+    try:
+        return read_json(file, finite=False)
+    except (OSError, ValueError) as error:
+        raise UserError(f"{file}: is damaged ({one_line(error)}); delete it and make it again") from error
 
 
 def _overview(found: dict[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from compose.base.errors import UserError
+from compose.base.errors import UserError, one_line
 from hybrid.runtime.machine import machine
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def require_same(found: dict[str, Any], expected: dict[str, Any], what: str, adv
     expected = json.loads(json.dumps(expected))
     differing = sorted(key for key in {*found, *expected} if found.get(key) != expected.get(key))
     if differing:
-        raise UserError(f"{what} for other inputs ({', '.join(differing)}); {advice}")
+        raise UserError(f"{what} for other inputs ({one_line(', '.join(differing))}); {advice}")
 
 
 def require_scene(item: Forest | FrameSet, scene_name: str, scene_hash: str, source: object) -> None:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.errors import UserError
+from compose.base.errors import UserError, one_line
 from compose.image.colour import Image
 from compose.image.exr import read_channels, write_channels
 from pathtrace.trace.image import TracedImage
@@ -134,12 +134,12 @@ def _checked(
     try:
         return made_of(read_channels(path, size))
     except KeyError as error:
-        raise _unreadable(path, f"has no channel {error}") from error
+        raise _unreadable(path, f"has no channel {one_line(error)}") from error
     except (OSError, ValueError) as error:
-        raise _unreadable(path, getattr(error, "strerror", None) or error) from error
+        raise _unreadable(path, one_line(error)) from error
 
 
-def _unreadable(path: Path, reason: object) -> UserError:
+def _unreadable(path: Path, reason: str) -> UserError:
     return UserError(f"{path}: not a readable frame ({reason}); capture it again")
 
 

@@ -63,7 +63,8 @@ def _max_depth(root: ET.Element) -> int:
         value = next(values, None)
         if value and value.startswith("$"):
             value = defaults.get(value[1:])
-        if value and re.fullmatch(r"-?\d+", value.strip()):
+        # Longer numbers are beyond the limit as well.
+        if value and re.fullmatch(r"-?\d{1,9}", value.strip()):
             # -1 is Mitsuba's "no limit".
             depth = min(int(value), DEFAULT_MAX_DEPTH) if int(value) > 0 else DEFAULT_MAX_DEPTH
     return depth

@@ -17,6 +17,8 @@ import torch
 from compose.base.errors import UserError
 from compose.eye.gaze_trace import load_gaze_trace
 from hybrid.interactive.files import unused_file
+from hybrid.output.images import read_exr
+from hybrid.store.journal import Journal
 from pathtrace.dataset.exr import read_frame
 from pathtrace.dataset.frames import read_frame_set
 from splat.io.forest_file import load_forest
@@ -340,3 +342,20 @@ def test_declared_sizes_are_refused_in_little_memory(tmp_path, got):
 
 def test_a_name_for_the_windows_files_stays_in_its_folder(tmp_path):
     assert unused_file(tmp_path, "room", ".png").parent == tmp_path
+
+
+def test_names_in_files_do_not_break_the_line(tmp_path):
+    """An attribute of an EXR file that is named twice, with a line break; a journal with a long name."""
+    content = good(READERS["EXR"], tmp_path / "e")
+    entry = b"a\nb\0string\0" + struct.pack("<i", 1) + b"x"
+    (tmp_path / "a.exr").write_bytes(content[:8] + 2 * entry + content[8:])
+    (tmp_path / "j.json").write_text(json.dumps({"identity": {"n\n" * 5000: 1}, "results": {}}))
+    for read in (
+        lambda: read_exr(tmp_path / "a.exr"),
+        lambda: read_frame(tmp_path / "a.exr"),
+        lambda: Journal(tmp_path / "j.json", {"a": 1}),
+    ):
+        with pytest.raises(UserError) as caught:
+            read()
+        assert str(caught.value).isprintable()
+        assert len(str(caught.value)) < 600

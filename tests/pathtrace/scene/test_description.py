@@ -29,6 +29,7 @@ def described(tmp_path, content: str) -> SceneDescription:
         (INTEGRATOR.format(-1), DEFAULT_MAX_DEPTH),
         (INTEGRATOR.format(0), DEFAULT_MAX_DEPTH),
         (INTEGRATOR.format(65), DEFAULT_MAX_DEPTH),
+        pytest.param(INTEGRATOR.format("9" * 5000), DEFAULT_MAX_DEPTH, id="5,000 digits"),
         (INTEGRATOR.format("deep"), DEFAULT_MAX_DEPTH),
         ('<integrator type="path"><integer name="rr_depth" value="3"/></integrator>', DEFAULT_MAX_DEPTH),
         # Through a parameter, and in an integrator within another.
