@@ -14,7 +14,8 @@ from compose.fusion.parents import Parents
 from tests.compose.fusion.examples import example, random_fusion
 from tests.extremes import extreme
 
-FUSIONS = pytest.mark.parametrize("fusion", [None, random_fusion()], ids=["statistical", "network"])
+# Statistics alone, and a network.
+FUSIONS = None, random_fusion()
 LARGEST = float(np.finfo(np.float32).max)
 SPOT = (40, 50)
 
@@ -28,7 +29,6 @@ def with_firefly(parents: Parents, radiance: float, spp: int) -> Parents:
     return replace(parents, traced=traced, variance=variance)
 
 
-@FUSIONS
 @pytest.mark.parametrize(
     "radiance",
     [
@@ -43,32 +43,32 @@ def with_firefly(parents: Parents, radiance: float, spp: int) -> Parents:
         for name, radiance in (("1e15", 1e15), ("1e30", 1e30), ("float32's maximum", LARGEST))
     ],
 )
-def test_a_firefly_leaves_all_other_pixels_as_they_were(radiance, fusion, got):
+def test_a_firefly_leaves_all_other_pixels_as_they_were(radiance, got):
     """As they are where nothing at all is known of its pixel; far away they are so to the bit."""
-    given = example(6, 4).parents
-    fused = fuse(with_firefly(given, radiance, 4), fusion)
-    unknown = given.traced.copy()
-    unknown[SPOT] = np.nan
-    expected, ordinary = fuse(replace(given, traced=unknown), fusion), fuse(given, fusion)
-    assert np.isfinite(fused.radiance).all()
-    assert got(fused.excluded) == 1
-    np.testing.assert_array_equal(fused.radiance, expected.radiance)
-    far = np.ones(fused.radiance.shape[:2], dtype=bool)
-    far[SPOT[0] - 24 : SPOT[0] + 24, SPOT[1] - 24 : SPOT[1] + 24] = False
-    np.testing.assert_allclose(fused.radiance[far], ordinary.radiance[far], rtol=1e-5, atol=1e-6)
-    near = np.abs(fused.radiance - ordinary.radiance)
-    near[SPOT] = 0
-    assert got(float(near.max()), ".1e") < 0.1
-    np.testing.assert_allclose(fused.weights.sum(axis=2), 1, atol=1e-5)
+    for fusion in FUSIONS:
+        given = example(6, 4).parents
+        fused = fuse(with_firefly(given, radiance, 4), fusion)
+        unknown = given.traced.copy()
+        unknown[SPOT] = np.nan
+        expected, ordinary = fuse(replace(given, traced=unknown), fusion), fuse(given, fusion)
+        assert np.isfinite(fused.radiance).all()
+        assert got(fused.excluded) == 1
+        np.testing.assert_array_equal(fused.radiance, expected.radiance)
+        far = np.ones(fused.radiance.shape[:2], dtype=bool)
+        far[SPOT[0] - 24 : SPOT[0] + 24, SPOT[1] - 24 : SPOT[1] + 24] = False
+        np.testing.assert_allclose(fused.radiance[far], ordinary.radiance[far], rtol=1e-5, atol=1e-6)
+        near = np.abs(fused.radiance - ordinary.radiance)
+        near[SPOT] = 0
+        assert got(float(near.max()), ".1e") < 0.1
+        np.testing.assert_allclose(fused.weights.sum(axis=2), 1, atol=1e-5)
 
 
-@FUSIONS
 @pytest.mark.parametrize("radiance", [5.0, 100.0, 1e6])
-def test_samples_that_are_only_bright_are_kept(radiance, fusion):
-    assert fuse(with_firefly(example(6, 4).parents, radiance, 4), fusion).excluded == 0
+def test_samples_that_are_only_bright_are_kept(radiance):
+    for fusion in FUSIONS:
+        assert fuse(with_firefly(example(6, 4).parents, radiance, 4), fusion).excluded == 0
 
 
-@FUSIONS
 @pytest.mark.parametrize(
     "radiance",
     [
@@ -78,16 +78,16 @@ def test_samples_that_are_only_bright_are_kept(radiance, fusion):
         for r in (0.0, 1e-8, 1e6, 1e15, 1e30)
     ],
 )
-def test_uniform_radiance_of_any_size_is_kept(radiance, fusion, got):
-    image, one = np.full((64, 64, 3), radiance, np.float32), np.full((64, 64, 3), 0.5, np.float32)
-    fused = fuse(
-        Parents(image, np.zeros_like(image), image, image, one, one, 4 + 0 * one[..., :1], 1.0), fusion
-    )
-    assert fused.excluded == 0
-    assert got(float(np.abs(fused.radiance - radiance).max()), ".1e") <= 1e-3 * radiance
+def test_uniform_radiance_of_any_size_is_kept(radiance, got):
+    for fusion in FUSIONS:
+        image, one = np.full((64, 64, 3), radiance, np.float32), np.full((64, 64, 3), 0.5, np.float32)
+        fused = fuse(
+            Parents(image, np.zeros_like(image), image, image, one, one, 4 + 0 * one[..., :1], 1.0), fusion
+        )
+        assert fused.excluded == 0
+        assert got(float(np.abs(fused.radiance - radiance).max()), ".1e") <= 1e-3 * radiance
 
 
-@FUSIONS
 @pytest.mark.parametrize(
     "value",
     [
@@ -98,27 +98,28 @@ def test_uniform_radiance_of_any_size_is_kept(radiance, fusion, got):
         for v in (np.nan, np.inf, 1e30)
     ],
 )
-def test_broken_splats_are_left_out(value, fusion, got):
-    given = example(6, 4).parents
-    splat = given.splat.copy()
-    splat[30:39, 30:39] = value
-    fused = fuse(replace(given, splat=splat), fusion)
-    assert got(fused.excluded) == 81
-    assert np.isfinite(fused.radiance).all()
-    assert fused.radiance.max() < 10
+def test_broken_splats_are_left_out(value, got):
+    for fusion in FUSIONS:
+        given = example(6, 4).parents
+        splat = given.splat.copy()
+        splat[30:39, 30:39] = value
+        fused = fuse(replace(given, splat=splat), fusion)
+        assert got(fused.excluded) == 81
+        assert np.isfinite(fused.radiance).all()
+        assert fused.radiance.max() < 10
 
 
-@FUSIONS
-def test_a_lamp_is_not_out_of_proportion(fusion):
+def test_a_lamp_is_not_out_of_proportion():
     """Its pixels vouch for each other; the brightest things in scenes are suns of some 1e9."""
-    given = example(6, 16).parents
-    images = {name: getattr(given, name).copy() for name in ("traced", "denoised", "splat", "variance")}
-    for name, image in images.items():
-        image[20:24, 20:24] = 0 if name == "variance" else 1e9
-    fused = fuse(replace(given, **images), fusion)
-    assert fused.excluded == 0
-    np.testing.assert_allclose(fused.radiance[21:23, 21:23], 1e9, rtol=0.01)
-    assert np.isfinite(fused.radiance).all()
+    for fusion in FUSIONS:
+        given = example(6, 16).parents
+        images = {name: getattr(given, name).copy() for name in ("traced", "denoised", "splat", "variance")}
+        for name, image in images.items():
+            image[20:24, 20:24] = 0 if name == "variance" else 1e9
+        fused = fuse(replace(given, **images), fusion)
+        assert fused.excluded == 0
+        np.testing.assert_allclose(fused.radiance[21:23, 21:23], 1e9, rtol=0.01)
+        assert np.isfinite(fused.radiance).all()
 
 
 def in_float64(function, *images: np.ndarray) -> np.ndarray:

@@ -96,10 +96,8 @@ REFUSED = [
     *[(GAZE, ["--step", value], "step") for value in ("0", "nan", "inf", "161")],
     *[(GAZE, ["--span", value], "span") for value in ("0", "nan", "inf", "1e308", "161")],
     *[(STILL, ["--seconds", value], "seconds") for value in ("0", "nan", "inf", "1e308")],
-    *[
-        (RENDER, ["--display", f"{{tmp}}/{name}.json"], name)
-        for name in ("needle", "flat", "naught", "dense")
-    ],
+    *[(RENDER, ["--display", f"{{tmp}}/{name}.json"], name) for name in ("needle", "flat", "naught")],
+    (EVALUATE, ["--display", "{tmp}/dense.json"], "pixels per degree are more than the 10000"),
 ]
 
 
