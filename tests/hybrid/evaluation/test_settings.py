@@ -7,8 +7,11 @@ import json
 import pytest
 
 from compose.base.errors import UserError
+from compose.eye.display import Display
 from hybrid.evaluation.settings import EvaluationSettings
 from hybrid.frame.settings import FrameSettings
+from pathtrace.dataset.settings import CaptureSettings
+from splat.training.trainer import TrainingSettings
 
 
 @pytest.mark.parametrize("name", ["width", "height", "views", "reference_spp", "repeats"])
@@ -42,3 +45,45 @@ def test_evaluation_json_has_all_settings_but_the_display():
         "repeats": 5,
         "seed": 7,
     }
+
+
+@pytest.mark.parametrize("seed", [-1, 1 << 64, 0.5])
+def test_settings_check_seeds_before_any_work(seed):
+    for settings in (EvaluationSettings, CaptureSettings, TrainingSettings):
+        with pytest.raises(UserError, match=rf"^seed {seed}: must be a whole number from 0 to "):
+            settings(seed=seed)
+
+
+@pytest.mark.parametrize(
+    ("frame", "size", "said"),
+    [
+        (
+            FrameSettings((0, 0), 1.9, 1.4),
+            (512, 512),
+            r"^fov-a 1.9, fov-b 1.4, gaze 0 0, size 512 512: the \w+ region",
+        ),
+        (FrameSettings(fov_a=0.05, fov_b=0), (512, 512), "^the foveal region of this frame is empty"),
+        (
+            FrameSettings(fov_a=0.3, fov_b=0),
+            (512, 512),
+            "^fov-a 0.3: the fovea is 2 x 2 pixels; must be at least 4 x 4",
+        ),
+        (FrameSettings(), (1024, 12), "^size 1024 12: must be at least 22 each"),
+        (
+            FrameSettings(display=Display(10**9, 10**9, 1.0)),
+            (64, 64),
+            r"^display fov 1.0: 9.99975e.08 pixels per degree",
+        ),
+    ],
+)
+def test_what_no_metric_can_measure_is_refused(frame, size, said):
+    with pytest.raises(UserError, match=said):
+        EvaluationSettings(frame, *size).require_measurable()
+
+
+@pytest.mark.parametrize(
+    "frame", [FrameSettings(), FrameSettings(fov_a=30, fov_b=30), FrameSettings(fov_a=500)]
+)
+@pytest.mark.parametrize("size", [(40, 40), (64, 48), (512, 512), (512, 22)])
+def test_what_metrics_can_measure_is_accepted(frame, size):
+    EvaluationSettings(frame, *size).require_measurable()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
+from compose.base.seeds import MOST_SEED
 from compose.eye.gaze import Gaze
 from compose.eye.gaze_trace import GazeTrace
 from hybrid.frame.renderer import Renderer
@@ -130,3 +131,18 @@ def test_each_frame_has_a_seed_of_its_own(scene, settings, tmp_path, monkeypatch
     monkeypatch.setattr(Renderer, "frame", noting)
     rendered(scene, replace(settings, fov_a=0, fov_b=0), tmp_path / "a.mp4", fps=4, seed=100)
     assert seeds == [100, 101, 102, 103]
+
+
+def test_a_video_of_too_many_frames_is_refused_before_any_is_rendered(scene, settings, tmp_path):
+    day = GazeTrace((0.0, 86_400.0), (Gaze(), Gaze()))
+    with pytest.raises(UserError, match=r"^86400 s at 30 frames per second: must be 999999 frames at most$"):
+        rendered(scene, settings, tmp_path / "a.mp4", day, fps=30)
+    assert not list(tmp_path.iterdir())
+
+
+def test_seeds_of_a_video_stay_seeds(scene, settings, tmp_path):
+    """The frame after the one with the largest seed has the least."""
+    short = GazeTrace((0.0, 0.25), (Gaze(), Gaze()))
+    assert len(rendered(scene, settings, tmp_path / "a.mp4", short, seed=MOST_SEED)) == 2
+    with pytest.raises(UserError, match=r"^seed -1: must be a whole number"):
+        rendered(scene, settings, tmp_path / "b.mp4", short, seed=-1)
