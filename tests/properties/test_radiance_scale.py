@@ -139,7 +139,6 @@ def test_statistical_fusion_is_homogeneous_for_ordinary_light(parents, factor, b
     assert deviation(found.astype(np.float64) / factor, expected) < bound
 
 
-@pytest.mark.xfail(strict=False, reason="squares of squared radiance overflow: a fused fovea becomes NaN")
 def test_fusion_of_very_bright_light_is_finite(parents):
     with torch.inference_mode():
         assert np.isfinite(fuse(scaled(parents, 1e12), None).radiance).all()
