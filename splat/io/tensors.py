@@ -21,6 +21,8 @@ PLACED_VERSION = 3
 _METADATA, _CHECKSUM = "hybrid", "crc32"
 # 40 million Gaussians of degree 3 are 10 GB.
 _MOST_BYTES = 1 << 36
+# Of a file that others replace all the time.
+_MOST_TRIES = 20
 # What the library raises: for headers, for types that torch has not, for text that is not UTF-8.
 _REFUSALS = (SafetensorError, OSError, ValueError, TypeError, KeyError, RuntimeError, AttributeError)
 
@@ -66,6 +68,30 @@ def load_metadata(path: Path) -> dict[str, Any]:
 
 
 def _load(path: Path, advice: str, with_tensors: bool) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    """Tensors and metadata of one and the same file, also if another process replaces it meanwhile."""
+    for _ in range(_MOST_TRIES):
+        before = _version(path)
+        try:
+            found = _load_once(path, advice, with_tensors)
+        except UserError:
+            if _version(path) == before:
+                raise
+            continue
+        if _version(path) == before:
+            return found
+    return _load_once(path, advice, with_tensors)
+
+
+def _version(path: Path) -> tuple[int, ...] | None:
+    """What tells a file from another one of its name: it is opened twice, for header and tensors."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_ino, status.st_mtime_ns, status.st_size
+
+
+def _load_once(path: Path, advice: str, with_tensors: bool) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     if not path.is_file():
         raise UserError(f"{path}: no such file")
     try:

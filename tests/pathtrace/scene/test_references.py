@@ -207,26 +207,8 @@ def test_xml_that_would_take_unbounded_memory_is_refused(content, files, said, t
         request.getfixturevalue("got")(str(caught.value).replace(str(tmp_path), ""))
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        pytest.param(
-            "its_own",
-            marks=extreme(
-                "scene with native code", given="plugins/its_own.so in the scene's folder", expected="refused"
-            ),
-        ),
-        pytest.param(
-            "../its_own",
-            marks=extreme("plugin by a path", given="type ../its_own", expected="refused"),
-        ),
-        "/its_own",
-        "$undefined",
-    ],
-)
-@pytest.mark.parametrize("where", ["scene", "include", "search folder", "parameter"])
-def test_a_scene_brings_no_code_of_its_own(kind, where, backend, tmp_path, request):
-    """Mitsuba would load the library, which runs its code."""
+def with_own_code(folder: Path, kind: str, where: str) -> Path:
+    """A scene of a plugin that lies beside it, or in another place where Mitsuba would look for it."""
     shape = f'<shape type="sphere"><bsdf type="{kind}"/></shape>'
     content, files = shape, {"plugins/its_own.so": "", "its_own.so": ""}
     if where == "include":
@@ -235,10 +217,29 @@ def test_a_scene_brings_no_code_of_its_own(kind, where, backend, tmp_path, reque
         content, files = '<path value="sub"/>' + shape, {"sub/plugins/its_own.so": "", "sub/its_own.so": ""}
     elif where == "parameter":
         content = f'<default name="k" value="{kind}"/>' + shape.replace(kind, "$k")
-    with pytest.raises(UserError, match="a scene may not bring its own code") as caught:
-        load_scene(scene(tmp_path, content, files))
-    if request.node.get_closest_marker("extremes"):
-        request.getfixturevalue("got")(str(caught.value).replace(str(tmp_path), ""))
+    return scene(folder, content, files)
+
+
+@pytest.mark.parametrize("kind", ["its_own", "../its_own", "/its_own", "$undefined"])
+@pytest.mark.parametrize("where", ["scene", "include", "search folder", "parameter"])
+def test_a_scene_brings_no_code_of_its_own(kind, where, backend, tmp_path):
+    """Mitsuba would load the library, which runs its code."""
+    with pytest.raises(UserError, match="a scene may not bring its own code"):
+        load_scene(with_own_code(tmp_path, kind, where))
+
+
+@extreme(
+    "scenes with native code",
+    given="plugins/its_own.so beside a scene, an include, in a search folder; types that are paths",
+    expected="refused, the library not loaded",
+)
+def test_code_beside_a_scene_is_refused(backend, tmp_path, got):
+    kinds, places = ("its_own", "../its_own", "/its_own"), ("scene", "include", "search folder", "parameter")
+    for kind in kinds:
+        for where in places:
+            with pytest.raises(UserError, match="a scene may not bring its own code") as caught:
+                load_scene(with_own_code(tmp_path / kind.strip("./") / where, kind, where))
+    got(f"{len(kinds) * len(places)} refused, the last: {caught.value}".replace(str(tmp_path), ""))
 
 
 @pytest.mark.parametrize("in_working_folder", [False, True])
