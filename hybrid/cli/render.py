@@ -116,6 +116,7 @@ def render(
         display=display,
         integrator=integrator,
     )
+    _check_layers(layers)
     _check_outputs(output, detail, gaze_trace is not None)
     trace = _loaded_trace(gaze_trace, gaze, fps)
     if target_ms is not None or target_jod is not None:
@@ -139,6 +140,14 @@ def render(
     else:
         facts = _render_video(output, loaded, found, settings, trace, fps or _FPS, seed)
     write_json(json_file, facts)
+
+
+def _check_layers(layers: tuple[int, int] | None) -> None:
+    """Refuses layers that no forest has, before one may have to be trained."""
+    if layers is not None and not 1 <= layers[0] <= layers[1]:
+        raise UserError(
+            f"--layers {layers[0]} {layers[1]}: must be the coarsest and the finest to draw, counted from 1"
+        )
 
 
 def _check_outputs(output: Path, detail: Path | None, is_video: bool) -> None:

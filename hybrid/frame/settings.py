@@ -98,9 +98,6 @@ class FrameSettings:
             raise UserError(f"rate {self.rate}: must be a whole number from 0 to {COARSEST_RATE}")
         if not 0 < self.scale <= 1:
             raise UserError(f"scale {self.scale}: must be above 0 and at most 1")
-        if self.layers is not None and not 1 <= self.layers[0] <= self.layers[1]:
-            low, high = self.layers
-            raise UserError(f"layers {low} {high}: must be the coarsest and the finest, counted from 1")
 
     @property
     def used_integrator(self) -> Integrator:
