@@ -8,6 +8,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+from compose.base.errors import UserError
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace import tracer as module
 from pathtrace.trace.film import box_positions, frame_positions, interleaved, pixel_positions
@@ -205,3 +206,12 @@ def test_scenes_at_their_ends_are_traced(name, got):
     assert not np.isnan(interleaved(traced.squares)).any()
     assert all(np.isfinite(one).all() for one in arrays_of(features))
     assert all(np.isfinite(one).all() for one in arrays_of(tracer.auxiliary(scene.camera, positions, 4, 0)))
+
+
+@extreme("a texture that is missing", given="bitmap of no file", expected="refused by name")
+def test_a_missing_texture_is_refused_by_name(got):
+    description = small.corner()
+    description["back"]["bsdf"]["b"]["reflectance"] = {"type": "bitmap", "filename": "nowhere.png"}
+    with pytest.raises(UserError, match=r"nowhere\.png") as refusal:
+        load_scene(description)
+    assert "\n" not in got(str(refusal.value))
