@@ -166,7 +166,8 @@ def trust(estimate: Tensor, traced: Tensor, variance: Tensor, count: Tensor) -> 
 
 def _squarable(*images: Tensor) -> tuple[Tensor, ...]:
     """Images of radiance in a type that holds their fourth powers: float32 ends at those of 4e9."""
-    wide = max(float(image.abs().max()) for image in images) > MOST
+    ends = [end for image in images for end in torch.aminmax(image)]
+    wide = max(abs(float(end)) for end in ends) > MOST
     return tuple(image.double() for image in images) if wide else images
 
 
