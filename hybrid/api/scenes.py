@@ -62,12 +62,15 @@ def capture(
             the scene leaves no room for that many views.
     """
     from hybrid.frame.irradiance import cache_for
+    from hybrid.store.receipts import keep_receipt
     from pathtrace.dataset.capture import capture as run
     from pathtrace.dataset.settings import CaptureSettings
     from pathtrace.trace.integrator import Integrator, integrator_named
 
     cache = cache_for(scene) if integrator_named(integrator) is Integrator.CACHED else None
-    return run(scene, Path(folder), settings or CaptureSettings(), progress, cache)
+    frames = run(scene, Path(folder), settings or CaptureSettings(), progress, cache)
+    keep_receipt(frames)
+    return frames
 
 
 def load_frames(folder: Path | str) -> FrameSet:

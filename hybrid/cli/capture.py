@@ -67,6 +67,7 @@ def capture(
     """Render training frames; resumes if interrupted."""
     select(backend)
     from hybrid.frame.irradiance import cache_for
+    from hybrid.store.receipts import keep_receipt
     from pathtrace.dataset.capture import capture as run
     from pathtrace.dataset.settings import CaptureSettings
 
@@ -79,6 +80,7 @@ def capture(
     cache = cache_for(loaded, progress_bar) if is_cached else None
     with progress_bar("capture (samples)") as bar:
         found = run(loaded, Path(frames), settings, bar, cache)
+    keep_receipt(found)
     row = {
         "scene": found.scene_name,
         "views": len(found.training),

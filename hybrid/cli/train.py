@@ -43,6 +43,7 @@ def train(
     select(backend)
     from hybrid.output.images import check_writable
     from hybrid.store.cache import store_forest
+    from hybrid.store.receipts import has_receipt
     from hybrid.training.forest import LeftOut, say_left_out
     from hybrid.training.forest import train as run
     from hybrid.training.fusion import fusion_verdicts
@@ -60,7 +61,13 @@ def train(
         trained = run(found, forest, settings, bar, left_out.append)
     seconds = time.perf_counter() - start
     say_left_out(left_out[0])
-    store_forest(trained, forest.stem)
+    if has_receipt(found):
+        store_forest(trained, forest.stem)
+    else:
+        print(
+            f"{frames} was not captured with this cache folder: the forest does not become the newest one of "
+            f"{found.scene_name}; name it by --forest"
+        )
     rows, verdicts = held_out_quality(found, trained), fusion_verdicts(trained)
     facts = {"scene": found.scene_name, "layers": rows, "trees": trained.counts[0], "fusion": verdicts}
     facts["left_out"] = asdict(left_out[0])

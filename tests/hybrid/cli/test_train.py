@@ -8,10 +8,13 @@ import pytest
 
 from hybrid.cli import train as command
 from hybrid.store.cache import newest_forest
+from hybrid.store.receipts import keep_receipt
 from hybrid.training import forest as module
+from pathtrace.dataset.frames import read_frame_set
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from splat.training.trainer import TrainingSettings
+from tests.extremes import extreme
 from tests.hybrid.command import TINY_TRAINING, run
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
@@ -19,6 +22,7 @@ pytestmark = pytest.mark.usefixtures("backend", "own_home")
 
 def test_a_forest_is_written_stored_and_measured(made, monkeypatch, tmp_path, capsys):
     out = tmp_path / "t.json"
+    keep_receipt(read_frame_set(made / "frames"))
     assert run(monkeypatch, "train", made / "frames", tmp_path / "f.a", *TINY_TRAINING, "--json", out) == 0
     row = json.loads(out.read_text())
     assert [layer["layer"] for layer in row["layers"]] == [1, 2]
@@ -35,6 +39,18 @@ def test_a_forest_is_written_stored_and_measured(made, monkeypatch, tmp_path, ca
     shown = capsys.readouterr().out.splitlines()
     assert f"in {row['trees']:,} trees" in shown[0]
     assert shown[2].startswith(f"layer 2: {row['layers'][1]['nodes']:,} nodes, held-out views ")
+
+
+@extreme(
+    "a frame set that claims to show a scene",
+    given="name and hash of a scene, but frames that were not captured here",
+    expected="a forest, but not as the scene's newest one",
+)
+def test_frames_of_elsewhere_make_no_newest_forest(made, monkeypatch, tmp_path, capsys, got):
+    assert run(monkeypatch, "train", made / "frames", tmp_path / "f.a", *TINY_TRAINING) == 0
+    assert load_forest(tmp_path / "f.a").scene_name == "cornell"
+    assert got(newest_forest(load_scene("cornell"))) is None
+    assert "frames was not captured with this cache folder" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
