@@ -184,7 +184,8 @@ class Renderer:
         return self.periphery.whole(camera, settings)
 
     def depth(self, camera: Camera) -> NDArray[np.float32]:
-        """(H, W) depth of the first hit along the view axis, inf where nothing is hit."""
+        """(H, W) depth of the first hit along the view axis, in world units; inf where nothing is hit."""
         hits = self.tracer.hits(camera, frame_positions(camera))
         cosine = camera.rays(camera.pixel_centres()) @ camera.camera_to_world[:3, 2]
-        return (hits.distance * cosine).astype(np.float32).reshape(camera.height, camera.width)
+        depth = hits.distance * cosine * self.scene.place.unit
+        return depth.astype(np.float32).reshape(camera.height, camera.width)

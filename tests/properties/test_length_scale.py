@@ -142,9 +142,10 @@ def test_a_scaled_composite_is_the_same(backend, forest, renderer, scale):
     assert disagreement(*images) < 1
 
 
-def test_depth_scales_with_the_scene(backend, forest, renderer):
-    scaled = scaled_renderer(renderer, forest, 100.0)
+@pytest.mark.parametrize("scale", [1e-3, 100.0])
+def test_depth_scales_with_the_scene(backend, forest, renderer, scale):
+    scaled = scaled_renderer(renderer, forest, scale)
     one, other = (r.depth(r.scene.camera) for r in (renderer, scaled))
-    np.testing.assert_allclose(np.median(other / one), 100, rtol=1e-6)
+    np.testing.assert_allclose(np.median(other / one), scale, rtol=1e-6)
     settings = replace(RAW, fov_a=0, fov_b=0)
     np.testing.assert_allclose(scaled.splats(settings), renderer.splats(settings), atol=2e-3)
