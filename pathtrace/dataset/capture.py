@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
+
+import numpy as np
 
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.camera.serialization import camera_from_json
+from compose.image.colour import Image
 from pathtrace.cache.cache import IrradianceCache
 from pathtrace.dataset.exr import (
+    CapturedFrame,
     read_estimate,
     read_frame,
     read_radiance,
@@ -25,11 +29,14 @@ from pathtrace.dataset.transforms import describe_capture, write_description
 from pathtrace.dataset.views import choose_views
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.surfaces import Surfaces
+from pathtrace.trace.image import TracedImage
 from pathtrace.trace.integrator import Integrator
 from pathtrace.trace.tracer import Tracer
 
 # Keeps the seeds of different captures apart: far more than one capture has frames.
 _CAPTURE_SEED_STEP = 100_003
+# What the files of a view hold.
+_Captured: TypeAlias = CapturedFrame | TracedImage | Image
 
 
 def capture(
@@ -125,10 +132,12 @@ def _write_frame(tracer: Tracer, folder: Path, entry: dict[str, Any], camera: Ca
         write_frame(file, frame)
 
 
-def _is_intact(read: Callable[[Path, tuple[int, int]], object], file: Path, camera: Camera) -> bool:
-    """Whether a file can be read as what it must be, at the size of its view."""
+def _is_intact(read: Callable[[Path, tuple[int, int]], _Captured], file: Path, camera: Camera) -> bool:
+    """Whether a file can be read as what it must be, at the size of its view, and is of use to a training."""
     try:
-        read(file, (camera.width, camera.height))
+        found = read(file, (camera.width, camera.height))
     except UserError:
         return False
-    return True
+    images = [found] if isinstance(found, np.ndarray) else [found.radiance, found.albedo, found.normal]
+    distances = [found.depth, found.unfolded] if isinstance(found, CapturedFrame) else []
+    return all(np.isfinite(one).all() for one in images) and not any(np.isnan(one).any() for one in distances)

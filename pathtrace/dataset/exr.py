@@ -85,15 +85,15 @@ def read_frame(path: Path, size: tuple[int, int] | None = None) -> CapturedFrame
         size: width and height that the frame must have.
 
     Raises:
-        UserError: the file is missing, damaged, of another size, not a frame of a frame set, or holds NaN.
+        UserError: the file is missing, damaged, of another size, or not a frame of a frame set.
     """
     return _checked(
         path,
         size,
         lambda channels: CapturedFrame(
             *_shading(channels),
-            _without_nan(channels, "Z"),
-            _without_nan(channels, "unfolded.V"),
+            channels["Z"].astype(np.float32),
+            channels["unfolded.V"].astype(np.float32),
             channels["shape.V"].astype(np.int32) - 1,
         ),
     )
@@ -107,8 +107,7 @@ def read_estimate(path: Path, size: tuple[int, int] | None = None) -> TracedImag
         size: width and height that the estimate must have.
 
     Raises:
-        UserError: the file is missing, damaged, of another size, not an estimate of a frame set, or holds
-            numbers that are not finite.
+        UserError: the file is missing, damaged, of another size, or not an estimate of a frame set.
     """
     return _checked(path, size, lambda channels: TracedImage(*_shading(channels)))
 
@@ -121,8 +120,7 @@ def read_radiance(path: Path, size: tuple[int, int] | None = None) -> Image:
         size: width and height that the image must have.
 
     Raises:
-        UserError: the file is missing, damaged, of another size, has no radiance, or holds numbers that are
-            not finite.
+        UserError: the file is missing, damaged, of another size, or has no radiance.
     """
     return _checked(path, size, lambda channels: _stacked(channels, "", "RGB"))
 
@@ -160,19 +158,8 @@ def _shading(channels: dict[str, Any]) -> tuple[Image, Image, Image]:
 
 
 def _stacked(channels: dict[str, Any], prefix: str, names: str) -> Image:
-    """An image (H, W, 3) from channels (H, W); ValueError if a number is not finite."""
-    image = np.stack([channels[prefix + n] for n in names], axis=-1).astype(np.float32)
-    if not np.isfinite(image).all():
-        raise ValueError(f"{prefix}{names} holds numbers that are not finite")
-    return image
-
-
-def _without_nan(channels: dict[str, Any], name: str) -> Image:
-    """A channel (H, W) that may hold infinities; ValueError if it holds NaN."""
-    values = channels[name].astype(np.float32)
-    if np.isnan(values).any():
-        raise ValueError(f"{name} holds NaN")
-    return np.asarray(values)
+    """An image (H, W, 3) from channels (H, W)."""
+    return np.stack([channels[prefix + n] for n in names], axis=-1).astype(np.float32)
 
 
 def _split(prefix: str, names: str, image: Image, dtype: Any) -> dict[str, Any]:

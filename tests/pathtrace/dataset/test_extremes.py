@@ -213,7 +213,7 @@ def test_views_of_any_size_and_place_are_the_same(scale, offset, got):
         for m, message, n, g in [
             (np.diag([-1.0, 1, 1, 1]), "it mirrors", "mirrors", "determinant -1"),
             (np.diag([2.0, 2, 2, 1]), "axes have the lengths 2, 2, 2", "scales", "axes of length 2"),
-            (np.full((4, 4), np.nan), "not finite", "is not finite", "NaN everywhere"),
+            (np.full((4, 4), np.nan), "NaN is not a number", "is not finite", "NaN everywhere"),
         ]
     ],
 )
