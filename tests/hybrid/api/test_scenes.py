@@ -63,10 +63,14 @@ def test_progress_and_settings_may_be_left_out(backend, monkeypatch, tmp_path):
     monkeypatch.setattr("pathtrace.dataset.capture.capture", lambda *arguments: given.append(arguments))
     monkeypatch.setattr("hybrid.training.forest.train", lambda *arguments: given.append(arguments))
     monkeypatch.setattr("hybrid.frame.irradiance.cache_for", lambda scene: f"cache of {scene}")
+    kept: list[object] = []
+    monkeypatch.setattr("hybrid.store.receipts.keep_receipt", kept.append)
     scenes.capture("scene", tmp_path / "frames")
     scenes.train("frames", tmp_path / "a.forest")
     scenes.capture("scene", tmp_path / "frames", integrator="path")
     captured, trained, unbiased = given
+    # One receipt per capture, of what it returned.
+    assert len(kept) == 2
     assert (captured[4], unbiased[4]) == ("cache of scene", None)
     with pytest.raises(hybrid.UserError, match="integrator mlt"):
         scenes.capture("scene", tmp_path / "frames", integrator="mlt")
