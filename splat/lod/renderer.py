@@ -27,7 +27,7 @@ from splat.lod.image import SplatImage, black_image
 from splat.lod.layer_images import AtlasEntry, Lattice, LayerImage, pack_atlas
 from splat.lod.selection import touching
 from splat.model.forest import Forest
-from splat.raster.binning import TileBounds
+from splat.raster.binning import Candidates, TileBounds
 from splat.raster.blocks import CHANNELS
 from splat.raster.parts import Parts, rasterize_parts
 from splat.raster.projection import PIXEL_FILTER, Splats, filtered
@@ -114,7 +114,7 @@ class ForestRenderer:
         wider = [np.pad(entry.tiles, ((0, 0), (0, columns - entry.tiles.shape[1]))) for entry in entries]
         mask = np.vstack(wider)
         grid = TileGrid(columns * tile, mask.shape[0] * tile, tile)
-        parts = Parts(self.arrays, splats, grid, mask, bounds, in_order=True)
+        parts = Parts(Candidates(self.arrays, splats, grid, mask, bounds, in_order=True))
         image = rasterize_parts(self.arrays, splats, parts)
         nodes = dr.width(splats.x)
         return SplatImage(image, camera.width, camera.height, grid.padded_width, CHANNELS, nodes)

@@ -112,6 +112,7 @@ class Candidates:
         arrays, splats, grid, wanted, bounds, in_order: as for `bin_splats`.
 
     Attributes:
+        grid: the frame's tiles.
         whole: the window of all tiles.
         wanted: (rows, columns) bool, the tiles to rasterize.
     """
@@ -125,7 +126,7 @@ class Candidates:
         bounds: TileBounds | None = None,
         in_order: bool = False,
     ):
-        self._arrays, self._splats, self._grid = arrays, splats, grid
+        self._arrays, self._splats, self.grid = arrays, splats, grid
         self.whole = Window(0, 0, grid.columns, grid.rows)
         self.wanted, self._all_wanted = grid.mask(wanted), wanted is None
         everywhere = TileBounds(arrays.number(grid.columns), 0, arrays.number(grid.rows))
@@ -155,10 +156,10 @@ class Candidates:
     def bins(self, runs: Runs) -> Bins:
         """The lists of a window's tiles from its runs."""
         if not runs.pairs:
-            return _no_bins(self._arrays, self._grid, runs.tiles)
+            return _no_bins(self._arrays, self.grid, runs.tiles)
         mask = None if self._all_wanted else self.wanted
-        key, splat = _pairs(self._arrays, runs, self._grid, mask)
-        return _sorted(self._arrays, self._grid, runs, key, splat)
+        key, splat = _pairs(self._arrays, runs, self.grid, mask)
+        return _sorted(self._arrays, self.grid, runs, key, splat)
 
 
 def depth_order(arrays: Arrays, depth: Any, seen: Any) -> Any:

@@ -15,6 +15,7 @@ from compose.camera.camera import Camera
 from compose.camera.place import WORLD, Place
 from splat.model.gaussians import Gaussians
 from splat.model.placing import from_world
+from splat.raster.binning import Candidates
 from splat.raster.blocks import CHANNELS
 from splat.raster.parts import Parts, rasterize_parts, rasterize_parts_backward
 from splat.raster.projection import PIXEL_FILTER, Parameters, project
@@ -120,7 +121,7 @@ class _Render(torch.autograd.Function):
         splats = projected.detached()
         dr.eval(splats.__dict__, projected.differentiable())
         grid = TileGrid(camera.width, camera.height)
-        parts = Parts(arrays, splats, grid)
+        parts = Parts(Candidates(arrays, splats, grid))
         image = rasterize_parts(arrays, splats, parts)
         ctx.state = (arrays, leaves, projected, splats, parts, image, [t.shape for t in tensors])
         shape = grid.padded_height, grid.padded_width, CHANNELS

@@ -13,16 +13,13 @@ from collections.abc import Iterator
 from typing import Any
 
 import drjit as dr
-import numpy as np
-from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
-from splat.raster.binning import Bins, Candidates, TileBounds, Window
+from splat.raster.binning import Bins, Candidates, Window
 from splat.raster.blending import rasterize
 from splat.raster.blocks import CHANNELS
 from splat.raster.gradient import added_sums, gradients_from_sums, no_sums
 from splat.raster.projection import Splats
-from splat.raster.tiles import TileGrid
 
 # Candidate pairs that are listed at once. Binning, blending and gradient take some 90 bytes for each, so
 # this is 1.5 GB; what each part repeats, a look at every splat, is nothing beside so many pairs.
@@ -37,23 +34,14 @@ class Parts:
     list is no longer than the splats are many.
 
     Args:
-        arrays, splats, grid, wanted, bounds, in_order: as for `bin_splats`.
+        candidates: tiles that each splat may touch.
 
     Attributes:
         grid: the frame's tiles.
     """
 
-    def __init__(
-        self,
-        arrays: Arrays,
-        splats: Splats,
-        grid: TileGrid,
-        wanted: NDArray[np.bool_] | None = None,
-        bounds: TileBounds | None = None,
-        in_order: bool = False,
-    ):
-        self.grid = grid
-        self._candidates = Candidates(arrays, splats, grid, wanted, bounds, in_order)
+    def __init__(self, candidates: Candidates):
+        self.grid, self._candidates = candidates.grid, candidates
         runs = self._candidates.runs(self._candidates.whole)
         self._only = self._candidates.bins(runs) if runs.pairs <= PAIRS_AT_ONCE else None
 

@@ -1,34 +1,6 @@
-"""A scene and a rough forest of it."""
+"""A scene and a rough forest of it: those of the tests of frames."""
 
 from __future__ import annotations
 
-import pytest
-
-from hybrid.frame.renderer import Renderer
-from pathtrace.scene.scene import Scene, load_scene
-from splat.model.forest import Forest
-from tests import small
-from tests.hybrid.conftest import small_caches  # noqa: F401  (a fixture)
-from tests.hybrid.forests import rough_forest
-
-
-@pytest.fixture(scope="session")
-def scene(backend) -> Scene:
-    return load_scene(small.corner())
-
-
-@pytest.fixture(scope="session")
-def forest(scene) -> Forest:
-    return rough_forest(scene)
-
-
-@pytest.fixture(scope="session")
-def renderer(scene, forest) -> Renderer:
-    """Without a history, and thus without any state that frames could share."""
-    return Renderer(scene, forest)
-
-
-@pytest.fixture
-def own_home(monkeypatch, tmp_path):
-    """A cache folder of the test's own."""
-    monkeypatch.setenv("HYBRID_HOME", str(tmp_path / "home"))
+from tests.hybrid.conftest import own_home, small_caches  # noqa: F401  (fixtures)
+from tests.hybrid.frame.conftest import forest, renderer, scene  # noqa: F401  (fixtures)

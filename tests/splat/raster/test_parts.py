@@ -48,7 +48,7 @@ def test_parts_have_the_bits_of_one_pass(each_arrays, got, at_once, pairs):
     image = rasterize(each_arrays, splats, bins)
     expected = rasterize_backward(each_arrays, splats, bins, image, gradient)
     at_once(pairs)
-    parts = Parts(each_arrays, splats, GRID)
+    parts = Parts(Candidates(each_arrays, splats, GRID))
     # A single row of tiles has more than 150 of them, a single tile more than one.
     assert got(len(list(parts))) >= {1000: 2, 150: 8, 1: GRID.rows * GRID.columns}[pairs]
     np.testing.assert_array_equal(rasterize_parts(each_arrays, splats, parts).numpy(), image.numpy())
@@ -61,7 +61,7 @@ def test_parts_follow_one_another_and_are_small(each_arrays, at_once):
     at_once(100)
     splats = random_splats(each_arrays, 300, 90, 70)
     every = bin_splats(each_arrays, splats, GRID)
-    lists = list(Parts(each_arrays, splats, GRID))
+    lists = list(Parts(Candidates(each_arrays, splats, GRID)))
     tiles = np.concatenate([bins.tiles.numpy() for bins in lists])
     np.testing.assert_array_equal(tiles, np.arange(GRID.rows * GRID.columns))
     assert sum(bins.pairs for bins in lists) == every.pairs
@@ -78,7 +78,7 @@ def test_wanted_tiles_and_bounds_hold_in_parts(each_arrays, at_once):
         each_arrays, splats, bin_splats(each_arrays, splats, GRID, wanted, bounds, in_order=True)
     )
     at_once(40)
-    parts = Parts(each_arrays, splats, GRID, wanted, bounds, in_order=True)
+    parts = Parts(Candidates(each_arrays, splats, GRID, wanted, bounds, in_order=True))
     assert len(list(parts)) > 3
     np.testing.assert_array_equal(rasterize_parts(each_arrays, splats, parts).numpy(), whole.numpy())
     assert whole.numpy().any()
@@ -87,7 +87,7 @@ def test_wanted_tiles_and_bounds_hold_in_parts(each_arrays, at_once):
 def test_nothing_to_draw_is_black(each_arrays, at_once):
     at_once(0)
     splats = round_splats(each_arrays, [(8.0, 8.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0)])
-    parts = Parts(each_arrays, splats, GRID)
+    parts = Parts(Candidates(each_arrays, splats, GRID))
     image = rasterize_parts(each_arrays, splats, parts)
     assert not image.numpy().any()
     gradients = rasterize_parts_backward(each_arrays, splats, parts, image, flow(each_arrays))
@@ -105,6 +105,6 @@ def test_more_pairs_than_32_bits_are_counted(each_arrays, got, at_once):
     splats = round_splats(each_arrays, [(16_384.0, 8_192.0, 1e5, 0.9, 1.0, 1.0, 1.0, 1.0)] * 2200)
     candidates = Candidates(each_arrays, splats, grid)
     assert got(candidates.runs(candidates.whole).pairs) == 2200 * 2048 * 1024 > 2**32
-    first = next(iter(Parts(each_arrays, splats, grid)))
+    first = next(iter(Parts(Candidates(each_arrays, splats, grid))))
     assert got(first.pairs) <= 1_000_000
     assert first.pairs == 2200 * len(first.tiles.numpy())
