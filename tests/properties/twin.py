@@ -86,8 +86,11 @@ def blended(periphery: Floats, fovea: NDArray[np.float32], foveation: Foveation,
     outer, inner = foveation.fov_a / 100 * height, foveation.fov_b / 100 * height
     furthest = [max(at, side - at) - 0.5 for at, side in ((gaze_x, width), (gaze_y, height))]
     weight = np.ones_like(radius)
-    if outer > inner and np.hypot(*furthest) >= outer:
+    if outer > inner:
         weight = np.clip((outer - radius) / (outer - inner), 0, 1)
+    # Beyond the furthest pixel, what is left to the splats fades over a fifth of its distance.
+    faded = np.clip((outer / np.hypot(*furthest) - 1) / 0.2, 0, 1) if np.hypot(*furthest) > inner else 1.0
+    weight = weight + (1 - weight) * faded
     composite = periphery.reshape(-1, 3).copy()
     composite[pixels] = (1 - weight[:, None]) * composite[pixels] + weight[:, None] * fovea
     return composite.reshape(periphery.shape)
