@@ -39,9 +39,11 @@ def save_tensors(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[st
         UserError: the file cannot be written.
     """
     contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
-    text = json.dumps(metadata)
+    digest = _checksum(contiguous, json.dumps(metadata))
+    # A single entry: the library writes several in random order, and equal files would differ.
+    text = json.dumps({**metadata, _CHECKSUM: digest})
     # The library's own file writing leaves a file of another name behind if the process dies meanwhile.
-    content = save(contiguous, {_METADATA: text, _CHECKSUM: _checksum(contiguous, text)})
+    content = save(contiguous, {_METADATA: text})
     write_whole(path, lambda part: part.write_bytes(content))
 
 
@@ -105,7 +107,8 @@ def _load_once(path: Path, advice: str, with_tensors: bool) -> tuple[dict[str, t
         metadata = parse_json(text, finite=False)
         if not isinstance(metadata, dict):
             raise ValueError("metadata is no JSON object")
-        if with_tensors and entries.get(_CHECKSUM) not in (None, _checksum(tensors, text)):
+        digest = metadata.pop(_CHECKSUM, None)
+        if with_tensors and digest not in (None, _checksum(tensors, json.dumps(metadata))):
             raise ValueError("the checksum differs")
     except _REFUSALS as error:
         raise UserError(f"{path}: truncated or corrupt ({one_line(error)}); {advice}") from error

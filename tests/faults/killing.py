@@ -35,7 +35,7 @@ EVALUATE = ["--size", "64", "64", "--views", "1", "--reference-spp", "4", "--rep
 EVALUATE += ["--fov-a", "40", "--fov-b", "30"]
 SWEEP = ["--over", "layers", "--size", "48", "48", "--repeats", "3", "--warm-up", "1", "--reference-spp", "4"]
 # What is timed differs each time.
-_TIMED = ("ms", "full_ms", "ratio", "ratio_interval", "passes", "covered")
+_TIMED = ("ms", "ms_range", "full_ms", "ratio", "ratio_range", "ratio_interval", "passes", "covered")
 _LONGEST_S = 600.0
 
 
@@ -240,6 +240,7 @@ def _finish(job: Job, at: Path, code: int, expected: Any, summary: Summary, log:
 
 def main() -> None:
     folder, kills, seed, *names = sys.argv[1:]
+    Path(folder).mkdir(parents=True, exist_ok=True)
     _import(names)
     found = {}
     for name in names:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 import torch
 
@@ -52,3 +56,15 @@ def test_files_of_other_programs_have_no_metadata(tmp_path):
     tensors, metadata = load_tensors(tmp_path / "plain")
     assert tensors["a"].tolist() == [1, 1]
     assert metadata == {}
+
+
+def test_the_same_content_is_the_same_file(tmp_path):
+    """In a process of its own, whose hash tables have another order."""
+    program = (
+        "import sys, torch; from pathlib import Path; from splat.io.tensors import save_tensors; "
+        "save_tensors(Path(sys.argv[1]), {'b': torch.ones(3), 'a': torch.zeros(2)}, {'y': 1, 'x': [2.5]})"
+    )
+    files = [tmp_path / f"{number}.safetensors" for number in range(4)]
+    for file in files:
+        subprocess.run([sys.executable, "-c", program, str(file)], check=True, cwd=Path(__file__).parents[3])
+    assert len({file.read_bytes() for file in files}) == 1
