@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import pytest
@@ -55,6 +56,7 @@ def test_the_file_has_its_documented_keys(tmp_path):
         names, metadata = set(file.keys()), json.loads(file.metadata()["hybrid"])
     gaussians_of = {"means", "log_scales", "rotations", "opacity_logits", "sh"}
     assert names == gaussians_of | {"parent", "semantic", "dynamic", "attached.x"}
+    assert re.fullmatch("[0-9a-f]{8}", metadata.pop("crc32"))
     assert metadata == {
         "format_version": 2,
         "kind": "forest",
