@@ -23,6 +23,15 @@ from tests.extremes import (  # noqa: F401  (hooks and a fixture of pytest)
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared"
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leaves out what takes minutes, also of the table of extremes, unless `-m` asks for it."""
+    if "long" in config.option.markexpr:
+        return
+    left_out = [item for item in items if item.get_closest_marker("long")]
+    config.hook.pytest_deselected(items=left_out)
+    items[:] = [item for item in items if not item.get_closest_marker("long")]
+
+
 @pytest.fixture(scope="session")
 def backend() -> Backend:
     return select_backend()
