@@ -19,6 +19,8 @@ FORMAT_VERSION = 2
 # That of forests in coordinates of their own, which programs that read version 2 alone would misplace.
 PLACED_VERSION = 3
 _METADATA, _CHECKSUM = "hybrid", "crc32"
+# Says that there is a checksum: otherwise, one whose name is damaged would be none.
+_CHECKED = "checked"
 # 40 million Gaussians of degree 3 are 10 GB.
 _MOST_BYTES = 1 << 36
 # Of a file that others replace all the time.
@@ -41,7 +43,7 @@ def save_tensors(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[st
     contiguous = {name: tensor.contiguous() for name, tensor in tensors.items()}
     digest = _checksum(contiguous, json.dumps(metadata))
     # A single entry: the library writes several in random order, and equal files would differ.
-    text = json.dumps({**metadata, _CHECKSUM: digest})
+    text = json.dumps({_CHECKSUM: digest, **metadata, _CHECKED: True})
     # The library's own file writing leaves a file of another name behind if the process dies meanwhile.
     content = save(contiguous, {_METADATA: text})
     write_whole(path, lambda part: part.write_bytes(content))
@@ -107,8 +109,8 @@ def _load_once(path: Path, advice: str, with_tensors: bool) -> tuple[dict[str, t
         metadata = parse_json(text, finite=False)
         if not isinstance(metadata, dict):
             raise ValueError("metadata is no JSON object")
-        digest = metadata.pop(_CHECKSUM, None)
-        if with_tensors and digest not in (None, _checksum(tensors, json.dumps(metadata))):
+        digest, is_checked = metadata.pop(_CHECKSUM, None), metadata.pop(_CHECKED, False) or _CHECKSUM in text
+        if with_tensors and is_checked and digest != _checksum(tensors, json.dumps(metadata)):
             raise ValueError("the checksum differs")
     except _REFUSALS as error:
         raise UserError(f"{path}: truncated or corrupt ({one_line(error)}); {advice}") from error

@@ -57,6 +57,7 @@ def test_the_file_has_its_documented_keys(tmp_path):
     gaussians_of = {"means", "log_scales", "rotations", "opacity_logits", "sh"}
     assert names == gaussians_of | {"parent", "semantic", "dynamic", "attached.x"}
     assert re.fullmatch("[0-9a-f]{8}", metadata.pop("crc32"))
+    assert metadata.pop("checked") is True
     assert metadata == {
         "format_version": 2,
         "kind": "forest",
