@@ -105,12 +105,12 @@ def _load_once(path: Path, advice: str, with_tensors: bool) -> tuple[dict[str, t
             entries = file.metadata() or {}
             names = list(file.keys()) if with_tensors else []
             tensors = {name: file.get_tensor(name) for name in names}
-        text = entries.get(_METADATA, "{}")
-        metadata = parse_json(text, finite=False)
+        metadata = parse_json(entries.get(_METADATA, "{}"), finite=False)
         if not isinstance(metadata, dict):
             raise ValueError("metadata is no JSON object")
-        digest, is_checked = metadata.pop(_CHECKSUM, None), metadata.pop(_CHECKED, False) or _CHECKSUM in text
-        if with_tensors and is_checked and digest != _checksum(tensors, json.dumps(metadata)):
+        digest, checked = (metadata.pop(name, None) for name in (_CHECKSUM, _CHECKED))
+        has_checksum = digest is not None or checked is not None
+        if with_tensors and has_checksum and digest != _checksum(tensors, json.dumps(metadata)):
             raise ValueError("the checksum differs")
     except _REFUSALS as error:
         raise UserError(f"{path}: truncated or corrupt ({one_line(error)}); {advice}") from error
