@@ -16,7 +16,8 @@ from splat.training.initialization import seed_at
 from splat.training.views import TrainingView
 
 INITIAL_SHARE = 0.5  # of the finest layer's final number
-_EVERY = 100  # iterations
+_EVERY = 100  # iterations at most; short trainings have at least this many changes:
+_CHANGES = 8
 _FIRST, _LAST = 0.05, 0.6  # shares of the training between which the number changes
 _MINIMUM_OPACITY = 0.02
 _SIZE = 0.6  # standard deviation of an added Gaussian in pixels
@@ -33,6 +34,7 @@ class DensityControl:
 
     def __init__(self, iterations: int, initial_count: int, final_count: int):
         self.iterations, self.initial_count, self.final_count = iterations, initial_count, final_count
+        self._every = max(1, min(_EVERY, int((_LAST - _FIRST) * iterations) // _CHANGES))
         self._errors: dict[int, torch.Tensor] = {}
 
     def observe(self, view: int, error: torch.Tensor) -> None:
@@ -42,7 +44,7 @@ class DensityControl:
     def is_due(self, iteration: int) -> bool:
         """Whether the set changes after this iteration, counted from 0."""
         share = iteration / self.iterations
-        return iteration % _EVERY == _EVERY - 1 and _FIRST <= share <= _LAST
+        return iteration % self._every == self._every - 1 and _FIRST <= share <= _LAST
 
     def change(
         self, gaussians: Gaussians, views: list[TrainingView], rng: np.random.Generator
@@ -63,7 +65,7 @@ class DensityControl:
         # Black frames teach all to vanish; a layer without any node could not be drawn or built upon.
         kept = kept if len(kept) else opacity.argmax()[None]
         # In equal steps towards the final number, no matter how many were pruned.
-        rounds = max(1, int((_LAST - _FIRST) * self.iterations / _EVERY))
+        rounds = max(1, int((_LAST - _FIRST) * self.iterations / self._every))
         step = -(-(self.final_count - self.initial_count) // rounds)
         target = min(self.final_count, len(gaussians) + step)
         return kept, self._added(target - len(kept), views, gaussians.degree, rng)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from splat.model.gaussians import SH_DC, Gaussians, concatenated, sh_count
 from splat.model.perceptual import perceptual_from_radiance
@@ -13,8 +16,14 @@ from splat.training.views import TrainingView
 # A seed is a flat disc on its surface, this much thinner than wide.
 _FLATNESS = 0.2
 _INITIAL_OPACITY = 0.5
+# Of the first seeds, which have to hide what lies behind the surface: a forest of half transparent ones is
+# dark, and takes hundreds of steps to get out of it.
+_COVERING_OPACITY = 0.9
 # Standard deviation of a seed, as a share of the distance to its neighbours.
 _COVERING = 0.6
+_NEIGHBOURS = 4
+# A seed may be this much narrower or wider than if all were evenly spread over one view.
+_NARROWEST, _WIDEST = 0.3, 8.0
 
 
 def seed_from_views(
@@ -35,8 +44,28 @@ def seed_from_views(
         total = view.distance.size
         chosen = rng.choice(total, min(int(share), total), replace=False)
         parts.append(seed_at(view, chosen, size, degree))
-    seeds = concatenated(parts)
+    seeds = _covering(concatenated(parts))
     return seeds if len(seeds) else _first_seed(views, size, degree, rng)
+
+
+def _covering(seeds: Gaussians) -> Gaussians:
+    """The seeds, widened or narrowed until they cover the surfaces, and nearly opaque.
+
+    Views overlap by more or less, so that only the seeds themselves know how far apart they are.
+    """
+    if len(seeds) <= _NEIGHBOURS:
+        return seeds
+    means = seeds.means.numpy().T
+    gaps, _ = cKDTree(means).query(means, k=_NEIGHBOURS + 1)
+    gap = np.sqrt(np.mean(gaps[:, 1:] ** 2, axis=1))
+    log_scales = seeds.log_scales.numpy()
+    change = np.log(np.clip(_COVERING * gap / np.exp(log_scales[0]), _NARROWEST, _WIDEST))
+    opacity = float(np.log(_COVERING_OPACITY / (1 - _COVERING_OPACITY)))
+    return replace(
+        seeds,
+        log_scales=torch.from_numpy((log_scales + change).astype(np.float32)),
+        opacity_logits=torch.full_like(seeds.opacity_logits, opacity),
+    )
 
 
 def _first_seed(views: list[TrainingView], size: float, degree: int, rng: np.random.Generator) -> Gaussians:

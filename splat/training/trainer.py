@@ -16,16 +16,19 @@ import torch
 from compose.base.arrays import Arrays
 from compose.base.seeds import require_seed
 from splat.model.building import build_forest
+from splat.model.forest import Forest
 from splat.model.layer import NO_PARENT, Layer, static_layer
 from splat.model.settling import settle
 from splat.training.density import INITIAL_SHARE
 from splat.training.initialization import seed_from_views
 from splat.training.layer import LayerTraining
 from splat.training.loss import SMALLEST_SIDE
-from splat.training.views import TrainingView, pixel_footprint, place_of, placed, reduced
+from splat.training.views import TrainingView, at_resolution, finest_focal, pixel_footprint, place_of, placed
 
 # Share of the steps before the forest is built.
 _ALONE = 0.4
+# The same where the finest layer is known from an earlier training.
+_ALONE_AGAIN = 0.3
 # Share of the later steps that the finest layer gets: it has four times the pixels of the next one, and it
 # is what the viewer sees nearest to the gaze.
 _FINEST = 0.6
@@ -75,9 +78,10 @@ class Trainer:
 
     Args:
         arrays: the backend's array types.
-        views: frames to train on, all of one size, in world space; those with numbers that are not finite are
+        views: frames to train on, of any sizes, in world space; those with numbers that are not finite are
             left out.
         settings: of the training.
+        start: whose finest layer to go on from, instead of seeds on the surfaces that the views show.
 
     Attributes:
         settings: as given.
@@ -89,19 +93,25 @@ class Trainer:
         ValueError: no frame is finite, none shows a surface, or they are too small for the layers.
     """
 
-    def __init__(self, arrays: Arrays, views: list[TrainingView], settings: TrainingSettings):
+    def __init__(
+        self,
+        arrays: Arrays,
+        views: list[TrainingView],
+        settings: TrainingSettings,
+        start: Forest | None = None,
+    ):
         self.settings = settings
         finite = [view for view in views if view.is_finite]
         self.dropped = len(views) - len(finite)
         _require_enough(views, finite, settings)
-        self.place = place_of(finite)
+        self.place = place_of(finite) if start is None else start.place
         views = [placed(view, self.place) for view in finite]
-        self._pixel = pixel_footprint(views)
-        self._schedule = training_schedule(settings)
+        self._pixel = pixel_footprint(at_resolution(views, 0, strictly=True))
+        self._schedule = training_schedule(settings, _ALONE if start is None else _ALONE_AGAIN)
         self._layers = [
             LayerTraining(
                 arrays,
-                [reduced(view, 2 ** (settings.layers - 1 - index)) for view in views],
+                at_resolution(views, settings.layers - 1 - index),
                 max(1, int(np.count_nonzero(self._schedule == index))),
                 [settings.seed, index],
             )
@@ -110,8 +120,9 @@ class Trainer:
         self.iteration = 0
         self._settling = int(_SETTLED * settings.iterations)
         rng = np.random.default_rng([settings.seed, 0])
-        seeds = seed_from_views(views, max(1, int(settings.gaussians * INITIAL_SHARE)), settings.degree, rng)
-        self._layers[-1].begin(static_layer(seeds), settings.gaussians)
+        first = max(1, int(settings.gaussians * INITIAL_SHARE))
+        known = seed_from_views(views, first, settings.degree, rng) if start is None else start.finest
+        self._layers[-1].begin(static_layer(known), max(settings.gaussians, len(known)))
 
     def run(self, progress: Callable[[int], None] = lambda done: None, until: int | None = None) -> None:
         """Trains up to iteration `until`, by default to the end.
@@ -197,17 +208,18 @@ def _require_enough(
     """Checks that there are frames to learn from, and that they are large enough for all layers."""
     if not finite:
         raise ValueError(f"none of {len(views)} frames holds only finite numbers; capture them again")
-    width, height = finite[0].camera.width, finite[0].camera.height
+    finest = [view.camera for view in finite if view.camera.fy == finest_focal(finite)]
+    width, height = min(camera.width for camera in finest), min(camera.height for camera in finest)
     if most_layers(width, height) < settings.layers:
         raise ValueError(f"frames of {width} x {height} pixels are too small for {settings.layers} layers")
 
 
-def training_schedule(settings: TrainingSettings) -> np.ndarray:
-    """(iterations,) index of the layer that each step trains."""
+def training_schedule(settings: TrainingSettings, alone: float = _ALONE) -> np.ndarray:
+    """(iterations,) index of the layer that each step trains; all are the finest for the share `alone`."""
     finest = settings.layers - 1
     schedule = np.full(settings.iterations, finest)
     if finest:
-        later = int(_ALONE * settings.iterations)
+        later = int(alone * settings.iterations)
         shares = [(1 - _FINEST) / finest] * finest + [_FINEST]
         rng = np.random.default_rng([settings.seed, 3])
         schedule[later:] = rng.choice(settings.layers, settings.iterations - later, p=shares)

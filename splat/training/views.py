@@ -99,6 +99,32 @@ def pixel_footprint(views: list[TrainingView]) -> float:
     return float(np.median(sizes)) if len(sizes) else 1 / views[0].camera.fy
 
 
+def finest_focal(views: list[TrainingView]) -> float:
+    """Vertical focal length in pixels of the views at the highest resolution."""
+    return max(view.camera.fy for view in views)
+
+
+def at_resolution(views: list[TrainingView], halvings: int, strictly: bool = False) -> list[TrainingView]:
+    """Views for a layer whose pixels are those of the finest views, doubled some times in width and height.
+
+    Args:
+        views: of any resolutions.
+        halvings: how often the finest views' resolution is halved.
+        strictly: whether to leave out those at a lower resolution, as long as there are others.
+
+    Returns:
+        The views, reduced to the layer's resolution; those that are coarser already, as they are.
+    """
+    focal = finest_focal(views) / 2**halvings
+    factors = [int(2 ** max(0, round(np.log2(view.camera.fy / focal)))) for view in views]
+    coarser = [view.camera.fy < focal / 1.5 for view in views]
+    return [
+        reduced(view, factor)
+        for view, factor, skipped in zip(views, factors, coarser, strict=True)
+        if not (strictly and skipped)
+    ]
+
+
 def reduced(view: TrainingView, factor: int) -> TrainingView:
     """A view at 1 / factor of its resolution, without the rows and columns after the last whole pixel."""
     if factor == 1:
