@@ -20,7 +20,7 @@ from pathtrace.dataset.frames import FrameEntry, FrameSet
 from splat.io.forest_file import save_forest
 from splat.model.forest import Forest, forest_of
 from splat.training.trainer import Trainer, TrainingSettings, most_layers
-from splat.training.views import TrainingView
+from splat.training.views import TrainingView, finest_focal
 
 _CHECKPOINT_SECONDS = 30.0
 
@@ -65,6 +65,7 @@ def train(
     settings: TrainingSettings | None = None,
     progress: Callable[[int, int], None] = no_progress,
     report: Callable[[LeftOut], None] = say_left_out,
+    start: Forest | None = None,
 ) -> Forest:
     """Trains a forest, fits the fusion to it, and writes both to one file; resumes if interrupted.
 
@@ -74,6 +75,7 @@ def train(
         settings: how to train; the defaults of TrainingSettings if None.
         progress: called with steps done and steps in total.
         report: called in the end with what was not finite and therefore left out.
+        start: whose finest layer to go on from.
 
     Raises:
         UserError: there are no frames to train on, a frame is damaged, no frame is finite, none shows a
@@ -83,7 +85,7 @@ def train(
     _require_enough(frames, settings)
     views = [training_view(entry) for entry in frames.training]
     try:
-        trainer = Trainer(device_arrays(), views, settings)
+        trainer = Trainer(device_arrays(), views, settings, start)
     except ValueError as error:
         raise UserError(f"{frames.folder}: {error}") from error
     checkpoint = checkpoint_path(path)
@@ -91,7 +93,7 @@ def train(
     total = settings.iterations + fusion_steps(frames)
     _run(trainer, lambda: save_checkpoint(trainer, checkpoint, frames), lambda done: progress(done, total))
     forest = forest_of(
-        trainer.forest(), views[0].camera.fy, frames.scene_name, frames.scene_hash, trainer.place
+        trainer.forest(), finest_focal(views), frames.scene_name, frames.scene_hash, trainer.place
     )
     if not forest.nodes.gaussians.is_finite():
         raise RuntimeError("training ended with numbers that are not finite")
@@ -108,7 +110,7 @@ def _require_enough(frames: FrameSet, settings: TrainingSettings) -> None:
     """Checks that there are frames, and that they are large enough for all layers."""
     if not frames.training:
         raise UserError(f"{frames.folder}: holds no frames to train on")
-    camera = frames.training[0].camera
+    camera = max((entry.camera for entry in frames.training), key=lambda camera: camera.fy)
     most = most_layers(camera.width, camera.height)
     if most < settings.layers:
         raise UserError(

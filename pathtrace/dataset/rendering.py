@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Container
 
 import numpy as np
+from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
 from compose.image.colour import Image
@@ -72,16 +73,19 @@ def render_estimates(
     ]
 
 
-def _frame(tracer: Tracer, camera: Camera, traced: TracedImage) -> CapturedFrame:
-    """The denoised frame of a traced image, with its geometry."""
+def geometry_of(tracer: Tracer, camera: Camera) -> tuple[Image, Image, NDArray[np.int32]]:
+    """What a view shows: depth, unfolded distance and shape, (H, W) each, as of `CapturedFrame`."""
     hits = tracer.hits(camera, frame_positions(camera))
     shape = (camera.height, camera.width)
     cosine = (camera.rays(camera.pixel_centres()) @ camera.camera_to_world[:3, 2]).astype(np.float32)
-    return CapturedFrame(
-        traced.denoised(),
-        traced.albedo,
-        traced.normal,
+    return (
         (hits.distance * cosine).reshape(shape),
         hits.unfolded.reshape(shape),
         hits.shape.reshape(shape),
     )
+
+
+def _frame(tracer: Tracer, camera: Camera, traced: TracedImage) -> CapturedFrame:
+    """The denoised frame of a traced image, with its geometry."""
+    shading = traced.denoised(), traced.albedo, traced.normal
+    return CapturedFrame(*shading, *geometry_of(tracer, camera))

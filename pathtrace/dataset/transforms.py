@@ -67,7 +67,7 @@ def describe_capture(
         "camera_model": "OPENCV",
         **_intrinsics(cameras[0]),
         "format_version": FORMAT_VERSION,
-        "scene": {"name": scene.name, "hash": scene.hash, "max_depth": scene.max_depth, **_place(scene)},
+        "scene": described_scene(scene),
         "settings": asdict(settings),
         "integrator": integrator.value,
         "frames": frames,
@@ -76,9 +76,10 @@ def describe_capture(
     }
 
 
-def _place(scene: Scene) -> dict[str, Any]:
-    """The coordinates of all cameras and distances, if these are not the world's."""
-    return {} if scene.place == WORLD else asdict(scene.place)
+def described_scene(scene: Scene) -> dict[str, Any]:
+    """The scene in transforms.json, with the coordinates of cameras and distances if not the world's."""
+    place = {} if scene.place == WORLD else asdict(scene.place)
+    return {"name": scene.name, "hash": scene.hash, "max_depth": scene.max_depth, **place}
 
 
 def write_description(folder: Path, document: dict[str, Any]) -> None:

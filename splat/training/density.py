@@ -17,7 +17,7 @@ from splat.training.views import TrainingView
 
 INITIAL_SHARE = 0.5  # of the finest layer's final number
 _EVERY = 100  # iterations at most; short trainings have at least this many changes:
-_CHANGES = 8
+_CHANGES = 5
 _FIRST, _LAST = 0.05, 0.6  # shares of the training between which the number changes
 _MINIMUM_OPACITY = 0.02
 _SIZE = 0.6  # standard deviation of an added Gaussian in pixels

@@ -1,0 +1,80 @@
+"""`hybrid prepare`: from a scene to a forest, in one job."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hybrid.cli.options import (
+    MEASUREMENT,
+    Backend,
+    FixedSize,
+    Json,
+    MaxDepth,
+    SceneName,
+    Seed,
+    loaded_scene,
+    require_size,
+    select,
+    write_json,
+)
+
+_MOST_VIEWS = 10_000
+
+
+def prepare(
+    scene: SceneName,
+    forest: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE", help="Also write the forest here.")
+    ] = None,
+    quality: Annotated[str, typer.Option(help="draft, standard or high: how far to go.")] = "standard",
+    minutes: Annotated[float | None, typer.Option(help="Time to use instead.")] = None,
+    psnr: Annotated[float | None, typer.Option(help="dB on held-out views to reach instead.")] = None,
+    region: Annotated[
+        str,
+        typer.Option(
+            metavar="near|reachable|FILE",
+            help="Where viewers may be: around the scene's camera, in all free space, or along a path.",
+        ),
+    ] = "near",
+    held_out: Annotated[
+        int,
+        typer.Option(
+            help="Views that judge; their time is not counted.", max=_MOST_VIEWS, rich_help_panel=MEASUREMENT
+        ),
+    ] = 4,
+    held_out_seed: Annotated[
+        int, typer.Option("--held-out-seed", help="Chooses these views.", rich_help_panel=MEASUREMENT)
+    ] = 1,
+    size: FixedSize = (256, 256),
+    max_depth: MaxDepth = None,
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Capture and train in turns, from nothing to a forest; resumes if interrupted."""
+    started = time.perf_counter()
+    from hybrid.preparation.settings import PreparationSettings
+
+    settings = PreparationSettings(region, quality, minutes, psnr, held_out, held_out_seed, size, seed)
+    require_size(size)
+    select(backend)
+    from hybrid.output.images import check_writable
+    from hybrid.preparation.preparation import prepare as run
+
+    if forest is not None:
+        check_writable(forest)
+    prepared = run(loaded_scene(scene, max_depth), settings, started=started)
+    facts = prepared.facts
+    if forest is not None:
+        shutil.copyfile(facts["forest"], forest)
+        facts = {**facts, "forest": str(forest)}
+    write_json(json_file, facts)
+    print(
+        f"{facts['gaussians']:,} Gaussians from {facts['views']} views in {facts['seconds']:.0f} s; frames of "
+        f"{facts['frame_error_db']:.1f} dB"
+    )

@@ -1,0 +1,105 @@
+"""Stages of a preparation: how many frames, samples, Gaussians and steps each of them takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+# Pixels of a side of a frame at scale 1.
+SIDE = 256
+# Larger frames are parts of a view, so that what they cost does not grow with the resolution.
+_LARGEST_SIDE = 512
+# Fewer samples leave the denoiser nothing to go by.
+_LEAST_SPP = 4
+# Side in pixels of what a whole view measures at the resolution of the coarsest layer.
+_COARSEST = 32
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What is added, and how long is trained on all that there is.
+
+    Attributes:
+        views: new views.
+        scale: resolution of these, in units of a view of SIDE x SIDE; 1, 2 or 4.
+        spp: samples per pixel that views at scale 1 have afterwards; fewer at others, where pixels are smaller.
+        gaussians: in the finest layer at the end.
+        steps: of the optimizer, over all layers.
+        seconds: what it takes on two cores of an AMD EPYC, in the scene `room`: what the next one takes
+            elsewhere is told from how much longer the last one took.
+    """
+
+    views: int
+    scale: int
+    spp: int
+    gaussians: int
+    steps: int
+    seconds: float
+
+    @property
+    def side(self) -> int:
+        """Side in pixels of its frames."""
+        return min(SIDE * self.scale, _LARGEST_SIDE)
+
+    @property
+    def layers(self) -> int:
+        """Layers of the forest after this stage; the coarsest shows a whole view in about 32 pixels."""
+        return (SIDE * self.scale // _COARSEST).bit_length()
+
+    def spp_at(self, scale: int) -> int:
+        """Samples per pixel that views at some scale have after this stage."""
+        return max(_LEAST_SPP, self.spp // scale**2)
+
+    def of_breadth(self, breadth: float) -> Stage:
+        """The stage for a region that takes some times as many views to show as the default one."""
+        return replace(
+            self,
+            views=round(self.views * breadth),
+            gaussians=round(self.gaussians * breadth),
+            steps=round(self.steps * breadth**0.5),
+            seconds=self.seconds * breadth,
+        )
+
+    def shortened(self, share: float) -> Stage:
+        """The stage in a share of its time: fewer new views and fewer steps."""
+        return replace(
+            self,
+            views=round(self.views * share),
+            steps=max(1, round(self.steps * share)),
+            seconds=self.seconds * share,
+        )
+
+
+STAGES = (
+    Stage(views=32, scale=1, spp=4, gaussians=25_000, steps=110, seconds=16),
+    Stage(views=16, scale=1, spp=16, gaussians=32_000, steps=600, seconds=60),
+    Stage(views=16, scale=1, spp=32, gaussians=45_000, steps=1000, seconds=110),
+    Stage(views=40, scale=2, spp=32, gaussians=90_000, steps=1200, seconds=180),
+    Stage(views=60, scale=4, spp=64, gaussians=150_000, steps=1500, seconds=280),
+)
+# Number of stages by quality.
+QUALITIES = {"draft": 2, "standard": 4, "high": 5}
+# A stage that would get a smaller share of its time is not begun.
+_LEAST_SHARE = 0.3
+
+
+def next_stage(number: int, breadth: float, pace: float, left: float | None) -> Stage | None:
+    """The stage to do next; None if there is no time for one.
+
+    Args:
+        number: of stages done.
+        breadth: of the region, as of `Stage.of_breadth`.
+        pace: seconds that the stages done took, over those that they take by their description.
+        left: seconds; None if they do not matter.
+    """
+    if number >= len(STAGES):
+        # More of the same: the finest frames elsewhere, all samples doubled.
+        last = STAGES[-1]
+        stage = replace(last, spp=last.spp * 2 ** (number - len(STAGES) + 1)).of_breadth(breadth)
+    else:
+        stage = STAGES[number].of_breadth(breadth)
+    if left is None or number == 0:
+        return stage
+    share = left / (stage.seconds * pace)
+    if share < _LEAST_SHARE:
+        return None
+    return stage if share >= 1 else stage.shortened(share)

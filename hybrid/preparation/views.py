@@ -1,0 +1,122 @@
+"""Views of a preparation, stage by stage, and the samples that each is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from compose.camera.camera import Camera
+from compose.image.colour import srgb_from_radiance
+from hybrid.preparation.stages import SIDE, Stage
+from hybrid.runtime.device import device_arrays
+from pathtrace.dataset.frame_error import frame_error, mean_frame_error
+from pathtrace.dataset.growing import GrowingFrames, Wanted
+from pathtrace.region.coverage import Coverage
+from pathtrace.region.region import Region
+from pathtrace.scene.surfaces import Surfaces
+from splat.lod.renderer import ForestRenderer
+from splat.model.forest import Forest
+
+# Views whose error is looked at to know that of all.
+ASKED = 6
+# More samples do not pay for a frame whose own error is less than this share of what the forest gets wrong in
+# it.
+_WORTHWHILE = 0.1
+# Views that the default region takes at first; how many that see enough is tried in these numbers.
+_ORDINARY, _TRIED = 32, (32, 48, 64, 96, 128)
+_ENOUGH = 0.9
+_ASKERS = 12
+_MOST_BREADTH = 4.0
+
+
+def breadth_of(region: Region, surfaces: Surfaces, seed: int) -> float:
+    """How many times as many views as the default region a region takes until little is unseen; 1 to 4."""
+    if region.name == "near":
+        return 1.0
+    views = region.views(_TRIED[-1], SIDE, SIDE, seed)
+    askers = region.unseen_views(_ASKERS, SIDE, SIDE, seed + 1)
+    coverage, before = Coverage(surfaces, []), 0
+    for count in _TRIED:
+        coverage.add(views[before:count])
+        before = count
+        if np.mean([coverage.share(view) for view in askers]) >= _ENOUGH:
+            break
+    return min(_MOST_BREADTH, before / _ORDINARY)
+
+
+def views_of(region: Region, stages: Sequence[Stage], seed: int) -> list[tuple[Camera, int]]:
+    """All views of some stages, each with its scale; those of fewer stages come first.
+
+    Views larger than a frame may be are cut to a random part.
+    """
+    scales = [stage.scale for stage in stages for _ in range(stage.views)]
+    sides = [stage.side for stage in stages for _ in range(stage.views)]
+    whole = region.views(len(scales), SIDE, SIDE, seed)
+    return [
+        (_part(camera.resized(SIDE * scale, SIDE * scale), side, [seed, index]), scale)
+        for index, (camera, scale, side) in enumerate(zip(whole, scales, sides, strict=True))
+    ]
+
+
+def _part(camera: Camera, side: int, seed: list[int]) -> Camera:
+    """A random square part of a view, or all of it."""
+    rng = np.random.default_rng(seed)
+    left, top = (int(rng.integers(length - side + 1)) for length in (camera.width, camera.height))
+    return camera.cropped(left, top, side, side)
+
+
+def wanted_of(
+    frames: GrowingFrames, views: list[tuple[Camera, int]], stage: Stage, forest: Forest | None
+) -> list[Wanted]:
+    """The samples that views get in a stage: more only where their error matters beside the forest's.
+
+    Args:
+        frames: as they are.
+        views: all views, with their scales.
+        stage: the stage.
+        forest: as it is; None if there is none yet.
+    """
+    had = frames.samples
+    aimed = [stage.spp_at(scale) for _, scale in views]
+    if forest is not None and had:
+        renderer, share = ForestRenderer(device_arrays(), forest), _share_left(frames)
+        for number, samples in enumerate(had):
+            if samples < aimed[number] and not _is_worthwhile(frames, number, renderer, share):
+                aimed[number] = samples
+    return [
+        Wanted(camera, max(spp, *had[number : number + 1], 2))
+        for number, ((camera, _), spp) in enumerate(zip(views, aimed, strict=True))
+    ]
+
+
+def stated_error(frames: GrowingFrames) -> float:
+    """PSNR in dB of the frames against the truth, as their samples tell."""
+    return mean_frame_error([frame_error(*frames.halves(number)) for number in _asked(frames)]).psnr_db
+
+
+def _asked(frames: GrowingFrames) -> list[int]:
+    """Some views, evenly spaced over all."""
+    count = len(frames.samples)
+    return sorted({round(share) for share in np.linspace(0, count - 1, ASKED)})
+
+
+def _share_left(frames: GrowingFrames) -> float:
+    """Squared error of denoised frames over that of what was traced, on average."""
+    asked = _asked(frames)
+    errors = [frame_error(*frames.halves(number)).mse for number in asked]
+    return float(np.sum(errors) / max(np.sum([_noise(frames, number) for number in asked]), 1e-12))
+
+
+def _noise(frames: GrowingFrames, number: int) -> float:
+    """Squared error of what was traced of a view, in sRGB values."""
+    one, other = (srgb_from_radiance(half.radiance) for half in frames.halves(number))
+    return float(np.mean((one - other) ** 2) / 4)
+
+
+def _is_worthwhile(frames: GrowingFrames, number: int, renderer: ForestRenderer, share: float) -> bool:
+    """Whether a frame's own error is a noticeable part of its difference from the forest."""
+    frame = frames.radiance(number)
+    shown = renderer.render_layer(frames.camera(number), len(renderer.forest.counts)).image()
+    difference = float(np.mean((srgb_from_radiance(shown) - srgb_from_radiance(frame)) ** 2))
+    return share * _noise(frames, number) > _WORTHWHILE * difference

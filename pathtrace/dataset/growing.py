@@ -1,0 +1,263 @@
+"""A frame set that grows: further views, and further samples of those that it has, pass by pass."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from compose.base.errors import UserError
+from compose.base.files import write_whole
+from compose.base.json_file import read_json
+from compose.camera.camera import Camera
+from compose.camera.serialization import camera_from_json, camera_to_json
+from compose.image.colour import Image
+from pathtrace.dataset.exr import CapturedFrame, read_frame, read_radiance, write_frame, write_radiance
+from pathtrace.dataset.frames import FORMAT_VERSION
+from pathtrace.dataset.rendering import geometry_of
+from pathtrace.dataset.transforms import described_scene
+from pathtrace.trace.film import frame_positions
+from pathtrace.trace.image import TracedImage, trace_image
+from pathtrace.trace.tracer import Tracer
+
+# Between the seeds of views, of passes over one view, and of the two halves of a pass.
+_VIEW_SEED_STEP, _PASS_SEED_STEP, _HALF_SEED_STEP = 1_009, 100_003, 1_000_033
+# Fewer samples have no two halves.
+LEAST_SPP = 2
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A view of a growing frame set.
+
+    Attributes:
+        camera: the view.
+        spp: samples per pixel that it is to have at least, 2 or more.
+    """
+
+    camera: Camera
+    spp: int
+
+
+class GrowingFrames:
+    """A frame set in a folder, which is complete after every call of `grow`.
+
+    Every frame is the mean of two independent halves of its samples, denoised together; both are kept, for
+    they tell how wrong the frame is (pathtrace.dataset.frame_error), and further samples are added to them.
+    The folder is read by `pathtrace.dataset.frames.read_frame_set`, as that of any capture.
+
+    Args:
+        folder: created with the first frame.
+        tracer: traces the scene.
+        integrator: name of the integrator of that tracer.
+        seed: same seed and same calls, same frames.
+
+    Raises:
+        UserError: the folder holds other frames, or a damaged description.
+    """
+
+    def __init__(self, folder: Path, tracer: Tracer, integrator: str, seed: int):
+        self.folder, self._tracer, self._seed = folder, tracer, seed
+        self._facts = {
+            "camera_model": "OPENCV",
+            "format_version": FORMAT_VERSION,
+            "scene": described_scene(tracer.scene),
+            "settings": {"seed": seed},
+            "integrator": integrator,
+        }
+        self._entries: list[dict[str, Any]] = self._stored()
+
+    @property
+    def samples(self) -> list[int]:
+        """Samples per pixel of each view."""
+        return [entry["samples"] for entry in self._entries]
+
+    def camera(self, view: int) -> Camera:
+        """The camera of a view."""
+        return camera_from_json(self._entries[view])
+
+    def radiance(self, view: int) -> Image:
+        """(H, W, 3) denoised radiance of a view."""
+        camera = self.camera(view)
+        path = self.folder / self._entries[view]["file_path"]
+        return read_frame(path, (camera.width, camera.height)).radiance
+
+    def halves(self, view: int) -> tuple[TracedImage, TracedImage]:
+        """The two independent halves of a view's samples, with the features of both."""
+        entry = self._entries[view]
+        camera = camera_from_json(entry)
+        size = camera.width, camera.height
+        frame = read_frame(self.folder / entry["file_path"], size)
+        one, other = (read_radiance(self.folder / name, size) for name in entry["halves"])
+        return TracedImage(one, frame.albedo, frame.normal), TracedImage(other, frame.albedo, frame.normal)
+
+    def grow(self, wanted: Sequence[Wanted], progress: Callable[[int, int], None]) -> None:
+        """Adds the views that are not there yet, and the samples that views lack.
+
+        Args:
+            wanted: all views: those that are there, in their order, and then new ones.
+            progress: called after each view with the number of samples done and their total.
+
+        Raises:
+            UserError: a file cannot be written, or one that is required is damaged.
+        """
+        self._require_same(wanted)
+        lacking = [view.spp - have for view, have in zip(wanted, self._had(len(wanted)), strict=True)]
+        sizes = [view.camera.width * view.camera.height for view in wanted]
+        costs = [max(0, spp) * size for spp, size in zip(lacking, sizes, strict=True)]
+        entries, done = [], 0
+        for index, view in enumerate(wanted):
+            before = self._entries[index] if index < len(self._entries) else None
+            entries.append(self._grown(index, view, before) if lacking[index] > 0 else before)
+            done += costs[index]
+            if costs[index]:
+                progress(done, sum(costs))
+        self._keep([entry for entry in entries if entry is not None])
+
+    def _had(self, count: int) -> list[int]:
+        """Samples per pixel of views before a pass; 0 for new ones."""
+        return [*self.samples, *[0] * (count - len(self._entries))]
+
+    def _grown(self, index: int, view: Wanted, before: dict[str, Any] | None) -> dict[str, Any]:
+        """Traces and writes what a view lacks; files of this pass that are there already are kept."""
+        had = before["samples"] if before else 0
+        number = before["passes"] + 1 if before else 1
+        # Halves of equal size, for the estimate of their error.
+        added = max(LEAST_SPP, view.spp - had + (view.spp - had) % 2)
+        name = f"frames/{index:04d}-{number}"
+        entry = {
+            "file_path": f"{name}.exr",
+            **camera_to_json(view.camera),
+            "time": 0.0,
+            "samples": had + added,
+            "passes": number,
+            "held_out": False,
+            "estimates": [],
+            "halves": [f"{name}-half{half}.exr" for half in (1, 2)],
+        }
+        if self._is_complete(entry, view.camera):
+            return entry
+        seed = self._seed * _VIEW_SEED_STEP * _HALF_SEED_STEP + index * _VIEW_SEED_STEP
+        halves, features = self._traced(view.camera, added, (seed + number * _PASS_SEED_STEP) % 2**32)
+        if before is not None:
+            halves, features = self._joined(before, view.camera, halves, features, added)
+        weights = _shares(had + added)
+        radiance = sum(weight * half for weight, half in zip(weights, halves, strict=True))
+        frame = self._frame(view.camera, TracedImage(radiance, *features), before)
+        for file, half in zip(entry["halves"], halves, strict=True):
+            write_radiance(self.folder / file, half)
+        # Last: a frame that is there has its halves.
+        write_frame(self.folder / entry["file_path"], frame)
+        return entry
+
+    def _traced(self, camera: Camera, spp: int, seed: int) -> tuple[list[Image], list[Image]]:
+        """Radiance of two independent halves of new samples, and the features of all of them."""
+        positions, counts = frame_positions(camera), _counts(spp)
+        found = [
+            trace_image(self._tracer, camera, positions, camera.width, count, (seed + half) % 2**32)
+            for half, count in zip((0, _HALF_SEED_STEP), counts, strict=True)
+        ]
+        features = [
+            sum(share * getattr(one, name) for share, one in zip(_shares(spp), found, strict=True))
+            for name in ("albedo", "normal")
+        ]
+        return [one.radiance for one in found], features
+
+    def _joined(
+        self, before: dict[str, Any], camera: Camera, halves: list[Image], features: list[Image], added: int
+    ) -> tuple[list[Image], list[Image]]:
+        """New samples together with those that the view had."""
+        size, had = (camera.width, camera.height), before["samples"]
+        earlier = [read_radiance(self.folder / name, size) for name in before["halves"]]
+        joined = [
+            (old * old_count + new * new_count) / np.float32(old_count + new_count)
+            for old, new, old_count, new_count in zip(
+                earlier, halves, _counts(had), _counts(added), strict=True
+            )
+        ]
+        frame = read_frame(self.folder / before["file_path"], size)
+        known = np.float32(had / (had + added))
+        return joined, [
+            known * old + (1 - known) * new
+            for old, new in zip((frame.albedo, frame.normal), features, strict=True)
+        ]
+
+    def _frame(self, camera: Camera, traced: TracedImage, before: dict[str, Any] | None) -> CapturedFrame:
+        """The denoised frame, with the geometry that an earlier pass found or its own."""
+        if before is None:
+            return CapturedFrame(
+                traced.denoised(), traced.albedo, traced.normal, *geometry_of(self._tracer, camera)
+            )
+        earlier = read_frame(self.folder / before["file_path"], (camera.width, camera.height))
+        return replace(earlier, radiance=traced.denoised(), albedo=traced.albedo, normal=traced.normal)
+
+    def _is_complete(self, entry: dict[str, Any], camera: Camera) -> bool:
+        """Whether an interrupted pass came as far as this view: then its frame, written last, is intact."""
+        size = camera.width, camera.height
+        try:
+            read_frame(self.folder / entry["file_path"], size)
+            for half in entry["halves"]:
+                read_radiance(self.folder / half, size)
+        except UserError:
+            return False
+        return True
+
+    def _keep(self, entries: list[dict[str, Any]]) -> None:
+        """Writes the description of a complete pass; files of earlier passes go."""
+        text = json.dumps({**self._facts, "frames": entries, "close_ups": []}, indent=1)
+        write_whole(self._path, lambda part: part.write_text(text, encoding="utf-8"))
+        needed, before = set(_files(entries)), set(_files(self._entries))
+        self._entries = entries
+        for name in before - needed:
+            (self.folder / name).unlink(missing_ok=True)
+
+    @property
+    def _path(self) -> Path:
+        return self.folder / "transforms.json"
+
+    def _stored(self) -> list[dict[str, Any]]:
+        """The frames of complete passes, as they are described."""
+        if not self._path.is_file():
+            (self.folder / "frames").mkdir(parents=True, exist_ok=True)
+            return []
+        try:
+            document = read_json(self._path)
+            entries = document.pop("frames")
+            for entry in entries:
+                (
+                    camera_from_json(entry),
+                    entry["samples"] + entry["passes"],
+                    entry["halves"],
+                    entry["file_path"],
+                )
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise UserError(f"{self._path}: is damaged ({error!r}); delete the folder") from error
+        if {name: document.get(name) for name in self._facts} != json.loads(json.dumps(self._facts)):
+            raise UserError(f"{self.folder}: holds other frames; choose another folder")
+        return entries
+
+    def _require_same(self, wanted: Sequence[Wanted]) -> None:
+        """ValueError if the views that are there are not the first of those wanted."""
+        cameras = [camera_from_json(entry) for entry in self._entries]
+        if len(wanted) < len(cameras) or any(
+            view.camera.key != camera.key for view, camera in zip(wanted, cameras, strict=False)
+        ):
+            raise ValueError("views of a frame set that grows must stay as they are")
+
+
+def _counts(spp: int) -> tuple[int, int]:
+    """Samples of each half."""
+    return spp - spp // 2, spp // 2
+
+
+def _shares(spp: int) -> Iterator[np.float32]:
+    """Share of all samples that each half has."""
+    return (np.float32(count / spp) for count in _counts(spp))
+
+
+def _files(entries: list[dict[str, Any]]) -> list[str]:
+    return [name for entry in entries for name in (entry["file_path"], *entry["halves"])]
