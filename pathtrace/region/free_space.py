@@ -27,8 +27,9 @@ _MARGIN = 0.25
 # In units of the distance to what lies farthest from the camera (95 %): where the space ends, and where
 # whatever is farther away does not enclose a place.
 _REACH, _ENCLOSING = 1.25, 2.0
-# Where more of all directions than this lead to no surface, the space is open to the sky.
-_OPEN = 0.25
+# Where more of all directions than this lead to no surface, a place is outside for a viewer who starts in a
+# room: a window shows less sky from most of a room. The other says when a viewer starts outside.
+_OUTSIDE, _IN_THE_OPEN = 0.12, 0.35
 # Nodes at most: the nearest of them, in steps.
 _MOST_NODES = 24_000
 _DIRECTIONS = 96
@@ -81,7 +82,7 @@ class Measures:
         whole = surfaces.around(home.position[None], sphere_directions(_DIRECTIONS * 4))
         farthest = float(np.quantile(np.append(whole[np.isfinite(whole)], depth), 0.95))
         reach, enclosing = _REACH * farthest, _ENCLOSING * farthest
-        is_open = bool(np.mean(whole > enclosing) > _OPEN)
+        is_open = bool(np.mean(whole > enclosing) > _IN_THE_OPEN)
         margin = _MARGIN * size
         low, high = surfaces.bounds
         low, high = np.minimum(low, home.position - margin), np.maximum(high, home.position + margin)
@@ -193,7 +194,7 @@ class FreeSpace:
         """Whether nodes are not too near to surfaces, and not where the scene does not go on."""
         points, limit = self._position(nodes), self._measures
         around = self._surfaces.around(points, self._directions)
-        is_open = np.mean(around > limit.enclosing, axis=1) > _OPEN
+        is_open = np.mean(around > limit.enclosing, axis=1) > _OUTSIDE
         is_near = np.linalg.norm(points - self._home, axis=1) <= limit.seen
         # A viewer in a room does not climb out of its window; one in the open stays near what it looks at.
         is_inside = ~is_open | (is_near & limit.is_open)

@@ -103,8 +103,8 @@ class Neighbourhood:
                 found.append(candidate)
         if len(found) < count:
             raise UserError(
-                f"{self.scene_name}: only {len(found)} of {count} further views fit into the free space around the "
-                "scene's camera; ask for fewer views"
+                f"{self.scene_name}: only {len(found)} of {count} further views fit into the free space "
+                "around the scene's camera; ask for fewer views"
             )
         return found
 
