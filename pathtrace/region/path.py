@@ -78,7 +78,7 @@ class PathRegion:
     def contains(self, points: Array) -> NDArray[np.bool_]:
         """(N,) whether points (N, 3) lie within the radius, and nothing between them and the path."""
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-        finite = np.isfinite(points).all(axis=1)
+        finite = np.isfinite(points.sum(axis=1))
         nearest = self._nearest(np.where(finite[:, None], points, 0))
         away = np.linalg.norm(points - nearest, axis=1)
         # Rounding of the pose must not put the path itself outside.
