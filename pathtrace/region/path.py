@@ -1,39 +1,24 @@
-"""A region given by a file: the surroundings of a camera's path.
-
-The file is JSON with the pose of each frame, in the coordinates of the scene's file:
-
-    {"radius": 0.3, "frames": [
-        {"position": [1, 1.6, 0], "look_at": [3, 1.2, 0], "up": [0, 1, 0]},
-        {"transform_matrix": [[...], [...], [...], [...]]}]}
-
-A pose is a matrix as in transforms.json (camera-to-world, OpenGL axes), whose files are paths therefore, or a
-position, what it looks at, and what is up, which may be left out. `radius` may be left out as well.
-"""
+"""The surroundings of a camera's path as a region."""
 
 from __future__ import annotations
 
 import itertools
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.errors import UserError, one_line
-from compose.base.json_file import read_json
+from compose.base.errors import UserError
 from compose.camera.axes import opengl_from_opencv
-from compose.camera.camera import Array, Camera, look_at
-from compose.camera.serialization import camera_from_json, camera_to_json
+from compose.camera.camera import Array, Camera, camera_from_pose
 from compose.camera.turning import turned
 from pathtrace.region.drawing import JUDGING, TRAINING, VIEWING, drawn, generator
-from pathtrace.region.looks import Looks, looks_of, upright
+from pathtrace.region.looks import Looks, looks_of
+from pathtrace.region.path_file import CameraPath
 from pathtrace.region.selection import Selection
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.surfaces import Surfaces, sphere_directions
 
-_MOST_BYTES = 1 << 24
-# The path is part of what is trained, and goes into its files.
-MOST_POSES = 1000
 # Lengths in units of the median distance to what the cameras of the path see.
 _RADIUS = 0.12
 _CLEARANCE = 0.01
@@ -52,26 +37,26 @@ class PathRegion:
     Args:
         scene: the scene.
         surfaces: its surfaces.
-        poses: at least one camera, in the scene's coordinates, with any intrinsics.
-        radius: of what belongs to it around the path, in the scene's coordinates; None for an eighth of the
-            distance to what its cameras see.
-        name: for error messages: of the file.
+        path: the poses, in the coordinates of the scene's file, and the radius of what belongs to the region
+            around them: without one, an eighth of the distance to what the cameras see.
+        name: of the file.
 
     Raises:
         UserError: a pose lies on a surface, or a surface lies between it and the pose before; or the path
             sees no surface.
     """
 
-    def __init__(
-        self, scene: Scene, surfaces: Surfaces, poses: list[Camera], radius: float | None, name: str
-    ):
-        self._scene, self._surfaces, self._poses, self.name = scene, surfaces, poses, name
+    def __init__(self, scene: Scene, surfaces: Surfaces, path: CameraPath, name: str):
+        self._scene, self._surfaces, self._path, self.name = scene, surfaces, path, name
+        home, place = scene.camera, scene.place
+        intrinsics = home.width, home.height, home.fx, home.fy, home.cx, home.cy
+        poses = [place.camera(camera_from_pose(pose, *intrinsics)) for pose in path.poses]
         self._looks = looks_of(poses)
         distance = self._looks.probe(surfaces, scene.camera, 12)
         if not np.isfinite(distance).any():
             raise UserError(f"{name}: no frame of the path sees a surface")
         self._scale = float(np.median(distance[np.isfinite(distance)]))
-        self.radius = _RADIUS * self._scale if radius is None else radius
+        self.radius = _RADIUS * self._scale if path.radius is None else path.radius / place.unit
         self._least = min(_CLEARANCE * self._scale, 0.5 * self.radius)
         self._check_free()
 
@@ -89,13 +74,8 @@ class PathRegion:
 
     def identity(self) -> dict[str, Any]:
         """What tells it from other regions of the same scene, in the coordinates of the scene's file."""
-        place = self._scene.place
-        matrices = []
-        for pose in self._poses:
-            matrix = pose.camera_to_world
-            matrix[:3, 3] = place.in_world(matrix[None, :3, 3])[0]
-            matrices.append(opengl_from_opencv(matrix).tolist())
-        radius = self.radius * place.unit
+        matrices = [opengl_from_opencv(pose).tolist() for pose in self._path.poses]
+        radius = self.radius * self._scene.place.unit
         return {"kind": "path", "radius": radius, "frames": [{"transform_matrix": m} for m in matrices]}
 
     def views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
@@ -182,62 +162,3 @@ class PathRegion:
                 f"{self.name}: the path leaves the free space: a surface lies between "
                 f"frames[{blocked[0] - 1}] and frames[{blocked[0]}]"
             )
-
-
-def path_region(scene: Scene, surfaces: Surfaces, file: Path) -> PathRegion:
-    """The region of a path's file.
-
-    Raises:
-        UserError: the file cannot be read or is no path, or as of `PathRegion`.
-    """
-    try:
-        document = read_json(file, _MOST_BYTES)
-    except (OSError, ValueError) as error:
-        raise UserError(f"{file}: cannot be read ({one_line(error)})") from error
-    return region_of_path(scene, surfaces, document, str(file))
-
-
-def region_of_path(scene: Scene, surfaces: Surfaces, document: Any, name: str) -> PathRegion:
-    """The region of a path's JSON; `name` is for error messages."""
-    frames = document.get("frames") if isinstance(document, dict) else None
-    if not isinstance(frames, list) or not frames:
-        raise UserError(f"{name}: is no camera path; must be JSON with a list of poses under frames")
-    if len(frames) > MOST_POSES:
-        raise UserError(f"{name}: {len(frames):,} frames; must be at most {MOST_POSES:,}")
-    radius = document.get("radius")
-    if radius is not None:
-        if isinstance(radius, bool) or not isinstance(radius, int | float) or not 0 < radius < np.inf:
-            raise UserError(f"{name}: radius is {one_line(repr(radius))}; must be a positive number")
-        radius = radius / scene.place.unit
-    poses = []
-    for index, frame in enumerate(frames):
-        try:
-            poses.append(_pose(scene, frame))
-        except (KeyError, TypeError, ValueError) as error:
-            lacking = "has no " if isinstance(error, KeyError) else ""
-            what = str(error.args[0]) if lacking else one_line(error)
-            raise UserError(
-                f"{name}: frames[{index}] is no pose ({lacking}{what}); must have transform_matrix, or "
-                "position and look_at"
-            ) from error
-    return PathRegion(scene, surfaces, poses, radius, name)
-
-
-def _pose(scene: Scene, frame: Any) -> Camera:
-    """A pose of a path as a camera with the scene's own intrinsics, in the scene's coordinates."""
-    if not isinstance(frame, dict):
-        raise ValueError("not an object")
-    if "transform_matrix" in frame:
-        matrix = frame["transform_matrix"]
-    else:
-        up = _point(frame, "up") if "up" in frame else upright(scene.camera)
-        matrix = opengl_from_opencv(look_at(_point(frame, "position"), _point(frame, "look_at"), up)).tolist()
-    return scene.place.camera(camera_from_json({**camera_to_json(scene.camera), "transform_matrix": matrix}))
-
-
-def _point(frame: dict[str, Any], name: str) -> Array:
-    """(3,) numbers of a frame."""
-    value = np.asarray(frame[name], dtype=np.float64)
-    if value.shape != (3,) or not np.isfinite(value).all():
-        raise ValueError(f"{name} is not three numbers")
-    return value

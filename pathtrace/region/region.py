@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from compose.base.errors import UserError
 from compose.camera.camera import Array, Camera
+from pathtrace.region.looks import upright
 from pathtrace.region.near import NearRegion
-from pathtrace.region.path import path_region, region_of_path
+from pathtrace.region.path import PathRegion
+from pathtrace.region.path_file import path_from_json, read_path
 from pathtrace.region.reachable import ReachableRegion
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.surfaces import Surfaces
@@ -55,7 +57,7 @@ def region_of(scene: Scene, surfaces: Surfaces, given: str) -> Region:
         scene: the scene.
         surfaces: its surfaces.
         given: "near" for a ball around the scene's own camera, "reachable" for all that a viewer can reach
-            from there, or the name of a file with a camera's path (pathtrace.region.path).
+            from there, or the name of a file with a camera's path (pathtrace.region.path_file).
 
     Raises:
         UserError: there is no such region or file, the file is broken, the path leaves the free space, the
@@ -68,7 +70,7 @@ def region_of(scene: Scene, surfaces: Surfaces, given: str) -> Region:
     file = Path(given)
     if not file.suffix and not file.exists():
         raise UserError(f"region {given!r}: must be {NEAR}, {REACHABLE} or the file of a camera's path")
-    return path_region(scene, surfaces, file)
+    return PathRegion(scene, surfaces, read_path(file, upright(scene.camera)), str(file))
 
 
 def region_from_identity(scene: Scene, surfaces: Surfaces, identity: dict[str, Any]) -> Region:
@@ -79,7 +81,9 @@ def region_from_identity(scene: Scene, surfaces: Surfaces, identity: dict[str, A
     """
     kind = identity.get("kind")
     if kind == "path":
-        return region_of_path(scene, surfaces, identity, "the region's path")
+        name = "the region's path"
+        path = path_from_json(identity, upright(scene.camera), name)
+        return PathRegion(scene, surfaces, path, name)
     if kind not in (NEAR, REACHABLE):
         raise UserError(f"region of the kind {kind!r}; must be {NEAR}, {REACHABLE} or path")
     return region_of(scene, surfaces, kind)
