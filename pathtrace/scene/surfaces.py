@@ -35,6 +35,7 @@ class Surfaces:
 
     Attributes:
         untessellated: class names of shapes that could not be turned into triangles and are missing here.
+        bounds: (3,) lowest and (3,) highest corner of all triangles; inf and -inf if there are none.
     """
 
     def __init__(self, scene: Loaded):
@@ -48,6 +49,8 @@ class Surfaces:
             else:
                 parts.append(triangles)
         corners = np.concatenate(parts) if parts else np.zeros((0, 3, 3))
+        points = corners.reshape(-1, 3)
+        self.bounds = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
         if len(corners):
             TriangleMesh(self._embree, np.ascontiguousarray(corners, dtype=np.float32))
 
@@ -63,20 +66,55 @@ class Surfaces:
             np.ascontiguousarray(directions, dtype=np.float32),
             query="DISTANCE",
         )
-        distance = np.asarray(found, dtype=np.float64)
-        # Embree marks a miss with the largest distance it was given.
-        return np.where(distance >= 1e30, np.inf, distance)
+        return _infinite_where_missed(found)
+
+    def hits(self, origins: Array, directions: Array) -> tuple[Array, Array]:
+        """Distance (N,) to the first surface along N rays, and its unit normal (N, 3), which faces the ray.
+
+        Args:
+            origins: (N, 3) points.
+            directions: (N, 3) unit vectors.
+
+        Returns:
+            inf and zeros where there is no surface.
+        """
+        found = self._embree.run(
+            np.ascontiguousarray(origins, dtype=np.float32),
+            np.ascontiguousarray(directions, dtype=np.float32),
+            query="INTERSECT",
+            output=True,
+        )
+        distance = _infinite_where_missed(found["tfar"])
+        normal = np.asarray(found["Ng"], dtype=np.float64)
+        length = np.linalg.norm(normal, axis=1)
+        facing = -np.sign(np.sum(normal * directions, axis=1)) / np.where(length > 0, length, 1)
+        return distance, np.where(np.isfinite(distance), facing, 0)[:, None] * normal
+
+    def clearances(self, points: Array, directions: Array) -> Array:
+        """(N,) distance from N points (N, 3) to the nearest surface along any of the directions (M, 3)."""
+        return self.around(points, directions).min(axis=1, initial=np.inf)
+
+    def around(self, points: Array, directions: Array) -> Array:
+        """(N, M) distance from each of N points (N, 3) along each of M directions (M, 3)."""
+        origins = np.repeat(points, len(directions), axis=0)
+        return self.distance(origins, np.tile(directions, (len(points), 1))).reshape(
+            len(points), len(directions)
+        )
+
+    def are_joined(self, starts: Array, ends: Array) -> NDArray[np.bool_]:
+        """(N,) whether no surface lies on the straight lines between points (N, 3) and (N, 3)."""
+        ways = ends - starts
+        lengths = np.linalg.norm(ways, axis=1)
+        distance = self.distance(starts, ways / np.where(lengths > 0, lengths, 1)[:, None])
+        return (lengths == 0) | (distance > lengths)
 
     def clearance(self, point: Array) -> float:
         """Distance from a point (3,) to the nearest surface, over a fixed set of directions."""
-        directions = sphere_directions(_CLEARANCE_DIRECTIONS)
-        return float(self.distance(np.repeat(point[None], len(directions), axis=0), directions).min())
+        return float(self.clearances(point[None], sphere_directions(_CLEARANCE_DIRECTIONS))[0])
 
     def sees(self, start: Array, end: Array) -> bool:
         """Whether no surface lies on the straight line between two points (3,)."""
-        way = end - start
-        length = float(np.linalg.norm(way))
-        return length == 0 or float(self.distance(start[None], way[None] / length)[0]) > length
+        return bool(self.are_joined(start[None], end[None])[0])
 
     def probe(self, camera: Camera) -> Array:
         """(24 * 24,) distances to what a camera sees over a coarse grid of rays; inf if nothing."""
@@ -89,6 +127,12 @@ class Surfaces:
         distance = self.probe(camera)
         seen = distance[np.isfinite(distance)]
         return float(np.median(seen)) if len(seen) else np.inf
+
+
+def _infinite_where_missed(found: Any) -> Array:
+    distance = np.asarray(found, dtype=np.float64)
+    # Embree marks a miss with the largest distance it was given.
+    return np.where(distance >= 1e30, np.inf, distance)
 
 
 def sphere_directions(count: int) -> Array:

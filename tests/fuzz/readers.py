@@ -22,6 +22,7 @@ from hybrid.output.images import read_exr
 from hybrid.store.journal import Journal
 from pathtrace.dataset.exr import CapturedFrame, read_frame, write_frame
 from pathtrace.dataset.frames import FORMAT_VERSION, read_frame_set
+from pathtrace.region.path_file import read_path
 from pathtrace.scene.description import read_description
 from splat.io.forest_file import load_forest, save_forest
 from splat.io.ply import load_ply, save_ply
@@ -91,6 +92,15 @@ _SCENE = """<scene version="3.0.0"><default name="d" value="a"/><path value="b"/
 <sensor type="perspective"><float name="fov" value="40"/></sensor><shape type="obj">
 <string name="filename" value="$d/m.obj"/></shape>
 <integrator type="path"><integer name="max_depth" value="6"/></integrator></scene>"""
+_PATH = json.dumps(
+    {
+        "radius": 0.5,
+        "frames": [
+            {"position": [0, 1, 2], "look_at": [0, 1, 0], "up": [0, 1, 0]},
+            {"transform_matrix": np.eye(4).tolist()},
+        ],
+    }
+)
 _TRACE = "seconds,x,y\n0.0000,0.460000,0.600000\n0.2500,0.520000,0.410000\n"
 _TENSORS = {"a": torch.arange(6.0).reshape(2, 3), "b": torch.tensor([True]), "c": torch.zeros(3, 0)}
 _DISPLAY = '{"width": 2560, "height": 1440, "fov": 60, "luminance": 120.5}'
@@ -109,6 +119,9 @@ READERS = {
         lambda p: p.write_text(json.dumps(camera_to_json(camera()))),
         lambda p: camera_from_json(read_json(p)),
         (OSError, ValueError, KeyError, TypeError),
+    ),
+    "camera path": Reader(
+        "path.json", lambda p: p.write_text(_PATH), lambda p: read_path(p, np.array([0.0, 1, 0]))
     ),
     "display": Reader("display.json", lambda p: p.write_text(_DISPLAY), lambda p: display_named(str(p))),
     "gaze trace": Reader("gaze.csv", lambda p: p.write_text(_TRACE), load_gaze_trace),

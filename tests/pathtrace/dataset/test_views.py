@@ -6,7 +6,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-import pathtrace.dataset.views as module
+import pathtrace.region.near as module
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from pathtrace.dataset.views import choose_views, unseen_views

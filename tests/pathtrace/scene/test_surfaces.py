@@ -97,6 +97,28 @@ def test_a_camera_that_sees_nothing_has_no_median_distance():
     assert Surfaces(scene).median_distance(scene.camera) == np.inf
 
 
+def test_hits_have_normals_that_face_the_ray():
+    surfaces = Surfaces(load_scene(facing_wall(4.0)))
+    np.testing.assert_allclose(surfaces.bounds, [[0, -100, 4], [4, 100, 4]], atol=1e-4)
+    origins = np.array([[1.0, 0, 0], [1.0, 0, 9], [1.0, 0, 0]])
+    distance, normal = surfaces.hits(origins, np.array([[0.0, 0, 1], [0, 0, -1], [0, 0, -1]]))
+    np.testing.assert_allclose(distance, [4, 5, np.inf])
+    np.testing.assert_allclose(normal, [[0, 0, -1], [0, 0, 1], [0, 0, 0]], atol=1e-6)
+
+
+def test_many_points_are_as_one(ball):
+    points = np.array([[0.0, 0, 0], [2, 0, 0], [0, 0, -2.5]])
+    directions = sphere_directions(40)
+    around = ball.around(points, directions)
+    assert around.shape == (3, 40)
+    np.testing.assert_array_equal(around[1], ball.distance(np.repeat(points[1:2], 40, axis=0), directions))
+    np.testing.assert_array_equal(ball.clearances(points, directions), around.min(axis=1))
+    ends = np.array([[1.0, 1, 1], [4, 0, 0], [0, 0, -2.5]])
+    assert ball.are_joined(points, ends).tolist() == [True, False, True]
+    assert ball.are_joined(points[:0], ends[:0]).shape == (0,)
+    assert ball.around(points[:0], directions).shape == (0, 40)
+
+
 def test_a_scene_without_triangles_is_empty(tmp_path):
     (tmp_path / "hair.txt").write_text("\n".join(f"{i} 0 0 0.1" for i in range(5)))
     curve = {"type": "bsplinecurve", "filename": str(tmp_path / "hair.txt")}

@@ -1,0 +1,169 @@
+"""The neighbourhood of the scene's own camera: a ball of views that look about where it looks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.errors import UserError
+from compose.camera.camera import Array, Camera, camera_from_pose
+from compose.camera.turning import turned
+from pathtrace.scene.scene import Scene
+from pathtrace.scene.surfaces import Surfaces, sphere_directions
+
+# All lengths are in units of the median distance to what the scene's own camera sees, so that scenes in
+# millimetres and in metres get the same views.
+_REACH = 0.12  # largest distance of a view from the scene's own camera
+_CLEARANCE = 0.02  # smallest distance of a view from any surface
+_NEAR = 0.15  # surfaces nearer than this are too near to look at
+_NEAR_SHARE = 0.1  # largest share of the frame that may show such surfaces
+_YAW, _PITCH = 20.0, 10.0  # largest turns, degrees to either side
+# In a narrower field of view, given by the tangent of its half, reach and turns shrink with it: views that
+# did not overlap would show nothing twice.
+_NARROW = 0.3
+_TRIES_PER_VIEW = 200
+# In which the nearest surface to a point is looked for.
+_DIRECTIONS = 96
+# Unlikely to be the seed of a training.
+UNSEEN_SEED = 7919
+# Views between the scene's own camera and those at the border, which few views can do without.
+_BEFORE_BORDER = 7
+# Views turned further than all others, in units of the largest yaw and pitch: without them, hardly any frame
+# would show what lies at the edge of every other view.
+BORDER = tuple((x, y) for x in (-1.6, 0.0, 1.6) for y in (-1.6, 0.0, 1.6) if (x, y) != (0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Neighbourhood:
+    """The space around the scene's own camera, at the scale of what it sees.
+
+    Attributes:
+        scene_name: for error messages.
+        surfaces: the scene's surfaces.
+        home: the scene's own camera at the size of the frames.
+        scale: median distance to what it sees.
+        share: of the reach and the turns that views have in a field of view of ordinary width, at most 1.
+    """
+
+    scene_name: str
+    surfaces: Surfaces
+    home: Camera
+    scale: float
+    share: float
+
+    @staticmethod
+    def of(scene: Scene, surfaces: Surfaces, width: int, height: int) -> Neighbourhood:
+        """The neighbourhood of a scene's own camera; UserError if that sees nothing."""
+        home = scene.camera.resized(width, height)
+        scale = surfaces.median_distance(home)
+        if not np.isfinite(scale):
+            raise UserError(f"{scene.name}: the scene's own camera sees no surface")
+        tangent = min(width / home.fx, height / home.fy) / 2
+        return Neighbourhood(scene.name, surfaces, home, scale, min(1.0, tangent / _NARROW))
+
+    @property
+    def radius(self) -> float:
+        """Largest distance of a view from the scene's own camera."""
+        return _REACH * self.share * self.scale
+
+    def contains(self, points: Array) -> NDArray[np.bool_]:
+        """(N,) whether a viewer can be at points (N, 3)."""
+        points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        # Rounding of the pose must not put the camera itself outside.
+        found = np.linalg.norm(points - self.home.position, axis=1) <= self.radius * (1 + 1e-6)
+        inside = points[found]
+        joined = self.surfaces.are_joined(np.tile(self.home.position, (len(inside), 1)), inside)
+        clear = self.surfaces.clearances(inside, sphere_directions(_DIRECTIONS)) >= _CLEARANCE * self.scale
+        is_home = np.linalg.norm(inside - self.home.position, axis=1) <= 1e-6 * self.scale
+        found[found] = (joined & clear) | is_home
+        return found
+
+    def border(self) -> list[Camera]:
+        """The scene's own camera, turned to the border of what other views see."""
+        views = [_moved(self.home, np.zeros(3), x * self.share, y * self.share) for x, y in BORDER]
+        return [view for view in views if self._is_usable(view)]
+
+    def spread(self, count: int, seed: int) -> list[Camera]:
+        """Views spread evenly over positions and directions; UserError if there is no space for them."""
+        # Takes a second to import, which frames that need no views should not wait for.
+        from scipy.stats import qmc
+
+        found: list[Camera] = []
+        sequence = qmc.Halton(5, seed=seed)
+        for _ in range(count * _TRIES_PER_VIEW):
+            if len(found) == count:
+                break
+            u = sequence.random(1)[0]
+            offset = _in_ball(u[:3]) * self.radius
+            candidate = _moved(self.home, offset, *((2 * u[3:] - 1) * self.share))
+            if self._is_usable(candidate):
+                found.append(candidate)
+        if len(found) < count:
+            raise UserError(
+                f"{self.scene_name}: only {len(found)} of {count} further views fit into the free space "
+                "around the scene's camera; ask for fewer views"
+            )
+        return found
+
+    def _is_usable(self, candidate: Camera) -> bool:
+        """Whether a view is reachable from the scene's own camera and not too near to surfaces."""
+        if not self.surfaces.sees(self.home.position, candidate.position):
+            return False
+        if self.surfaces.clearance(candidate.position) < _CLEARANCE * self.scale:
+            return False
+        distance = self.surfaces.probe(candidate)
+        return float(np.mean(distance < _NEAR * self.scale)) <= _NEAR_SHARE
+
+
+@dataclass(frozen=True)
+class NearRegion:
+    """The neighbourhood of the scene's own camera as a region.
+
+    Attributes:
+        scene: the scene.
+        surfaces: its surfaces.
+    """
+
+    scene: Scene
+    surfaces: Surfaces
+    name: str = "near"
+
+    def contains(self, points: Array) -> NDArray[np.bool_]:
+        """(N,) whether a viewer can be at points (N, 3)."""
+        home = self.scene.camera
+        return Neighbourhood.of(self.scene, self.surfaces, home.width, home.height).contains(points)
+
+    def identity(self) -> dict[str, Any]:
+        """What tells it from other regions of the same scene."""
+        return {"kind": "near"}
+
+    def views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
+        """Views to train on: the scene's own camera, a few around it, the border, then more around it."""
+        around = Neighbourhood.of(self.scene, self.surfaces, width, height)
+        border = around.border()[: max(0, count - 1 - _BEFORE_BORDER)]
+        spread = around.spread(max(0, count - 1 - len(border)), seed)
+        return [around.home, *spread[:_BEFORE_BORDER], *border, *spread[_BEFORE_BORDER:]][:count]
+
+    def unseen_views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
+        """Views to judge by."""
+        around = Neighbourhood.of(self.scene, self.surfaces, width, height)
+        return around.spread(count, UNSEEN_SEED + seed)
+
+
+def _in_ball(u: Array) -> Array:
+    """A point (3,) of the unit ball from three numbers in 0..1, uniform in volume."""
+    z, turn = 2 * u[0] - 1, 2 * np.pi * u[1]
+    radius = np.sqrt(1 - z * z)
+    return np.array([radius * np.cos(turn), radius * np.sin(turn), z]) * u[2] ** (1 / 3)
+
+
+def _moved(home: Camera, offset: Array, yaw_share: float, pitch_share: float) -> Camera:
+    """The camera moved by an offset (3,) and turned by shares of the largest yaw and pitch."""
+    pose = home.camera_to_world
+    moved = np.eye(4)
+    moved[:3, :3] = turned(pose[:3, :3], yaw_share * _YAW, pitch_share * _PITCH)
+    moved[:3, 3] = pose[:3, 3] + offset
+    return camera_from_pose(moved, home.width, home.height, home.fx, home.fy, home.cx, home.cy)
