@@ -14,6 +14,7 @@ at y = 4 and the camera looks from the corner near the origin towards the opposi
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -1424,10 +1425,11 @@ def by_the_water(rng: np.random.Generator) -> Shapes:
     line = [np.array([1.3 + 1.9 * k, 5.2 + 0.75 * k]) for k in range(9)]
     for x, y in line:
         posts.append(turned_leg([(0.06, -0.3), (0.055, 0.6), (0.05, 1.1)], 3, 8).moved(raised(x, y)))
-    for (x, y), (u, v) in zip(line, line[1:], strict=False):
+    for (x, y), (u, v) in itertools.pairwise(line):
         for z in (0.45, 0.85):
             start, end = np.array(raised(x, y)), np.array(raised(u, v))
-            knots = [start + [0, 0, z], (start + end) / 2 + [0, 0, z - 0.03], end + [0, 0, z]]
+            rise = np.array([0, 0, z])
+            knots = [start + rise, (start + end) / 2 + 0.96 * rise, end + rise]
             rails.append(tube(knots, [0.03, 0.03], 3, 6))
     return {
         "pond": (water, "water"),
