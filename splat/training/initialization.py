@@ -8,11 +8,14 @@ from numpy.typing import NDArray
 
 from splat.model.gaussians import SH_DC, Gaussians, concatenated, sh_count
 from splat.model.perceptual import perceptual_from_radiance
+from splat.training.sky import rotation_to, unseen_sky
 from splat.training.views import TrainingView
 
 # A seed is a flat disc on its surface, this much thinner than wide.
 _FLATNESS = 0.2
 _INITIAL_OPACITY = 0.5
+# Pixels of a view, about, that tell in which directions the sky is seen, and as many for surfaces.
+_DIRECTIONS = 1000
 # Standard deviation of a seed, as a share of the distance to its neighbours.
 _COVERING = 0.6
 
@@ -22,7 +25,8 @@ def seed_from_views(
 ) -> Gaussians:
     """Seeds at `count` random pixels of all views, wide enough to cover the surfaces together.
 
-    Pixels that show no surface give no seed; if one does, there is at least one seed.
+    Pixels that show no surface give no seed; if one does, there is at least one seed. Where views show the
+    sky, there are further ones for those parts of it that no view shows.
     """
     pixels = views[0].camera.width * views[0].camera.height
     # The views overlap, so that about `count` seeds cover what one of them sees.
@@ -35,8 +39,24 @@ def seed_from_views(
         total = view.distance.size
         chosen = rng.choice(total, min(int(share), total), replace=False)
         parts.append(seed_at(view, chosen, size, degree))
-    seeds = concatenated(parts)
+    seeds = concatenated([*parts, _sky_around(views, degree)])
     return seeds if len(seeds) else _first_seed(views, size, degree, rng)
+
+
+def _sky_around(views: list[TrainingView], degree: int) -> Gaussians:
+    """Seeds of the sky in the directions that no view shows; none if no view shows any sky."""
+    sky, radiance, surface = [], [], []
+    for view in views:
+        seen = view.surface_pixels
+        far = view.distance.ravel()[seen] >= view.sky
+        for chosen, rays in ((seen[far], sky), (seen[~far], surface)):
+            chosen = chosen[:: max(1, len(chosen) // _DIRECTIONS)]
+            rays.append(view.rays(chosen))
+            if rays is sky:
+                radiance.append(view.radiance.reshape(-1, 3)[chosen])
+    if not sum(map(len, sky)):
+        return Gaussians.none(degree)
+    return unseen_sky(*(np.concatenate(part) for part in (sky, radiance, surface)), degree)
 
 
 def _first_seed(views: list[TrainingView], size: float, degree: int, rng: np.random.Generator) -> Gaussians:
@@ -71,17 +91,8 @@ def seed_at(view: TrainingView, pixels: NDArray[np.int64], size: float, degree: 
     return Gaussians(
         torch.from_numpy(means.T.astype(np.float32).copy()),
         torch.from_numpy(np.log(scales).astype(np.float32)),
-        torch.from_numpy(_rotation_to(normals).T.astype(np.float32).copy()),
+        torch.from_numpy(rotation_to(normals).T.astype(np.float32).copy()),
         torch.full((n,), float(np.log(_INITIAL_OPACITY / (1 - _INITIAL_OPACITY)))),
         sh,
     )
 
-
-def _rotation_to(normals: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Quaternions (M, 4) that turn the z axis into the normals (M, 3); identity for a zero normal."""
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    unit = np.where(length > 1e-6, normals / np.maximum(length, 1e-6), [0.0, 0.0, 1.0])
-    # Half-way quaternion (1 + z.n, z x n); for n = -z any half turn about a horizontal axis works.
-    quaternion = np.stack([1 + unit[:, 2], -unit[:, 1], unit[:, 0], np.zeros(len(unit))], axis=1)
-    quaternion[unit[:, 2] < -1 + 1e-6] = [0.0, 1.0, 0.0, 0.0]
-    return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
