@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from splat.model.gaussians import SH_DC, Gaussians, concatenated, sh_count
 from splat.model.perceptual import perceptual_from_radiance
-from splat.training.sky import rotation_to, unseen_sky
+from splat.training.sky import rotation_to, whole_sky
 from splat.training.views import TrainingView
 
 # A seed is a flat disc on its surface, this much thinner than wide.
@@ -26,7 +26,7 @@ def seed_from_views(
     """Seeds at `count` random pixels of all views, wide enough to cover the surfaces together.
 
     Pixels that show no surface give no seed; if one does, there is at least one seed. Where views show the
-    sky, there are further ones for those parts of it that no view shows.
+    sky, there are further ones behind those, for all of it.
     """
     pixels = views[0].camera.width * views[0].camera.height
     # The views overlap, so that about `count` seeds cover what one of them sees.
@@ -44,7 +44,7 @@ def seed_from_views(
 
 
 def _sky_around(views: list[TrainingView], degree: int) -> Gaussians:
-    """Seeds of the sky in the directions that no view shows; none if no view shows any sky."""
+    """Seeds of the sky in all directions; none if no view shows any."""
     sky, radiance, surface = [], [], []
     for view in views:
         seen = view.surface_pixels
@@ -56,7 +56,7 @@ def _sky_around(views: list[TrainingView], degree: int) -> Gaussians:
                 radiance.append(view.radiance.reshape(-1, 3)[chosen])
     if not sum(map(len, sky)):
         return Gaussians.none(degree)
-    return unseen_sky(*(np.concatenate(part) for part in (sky, radiance, surface)), degree)
+    return whole_sky(*(np.concatenate(part) for part in (sky, radiance, surface)), degree)
 
 
 def _first_seed(views: list[TrainingView], size: float, degree: int, rng: np.random.Generator) -> Gaussians:
@@ -95,4 +95,3 @@ def seed_at(view: TrainingView, pixels: NDArray[np.int64], size: float, degree: 
         torch.full((n,), float(np.log(_INITIAL_OPACITY / (1 - _INITIAL_OPACITY)))),
         sh,
     )
-

@@ -1,7 +1,7 @@
 """The sky among Gaussians: where rays hit nothing and yet see light.
 
-It lies at one distance, so far away that no viewer sees it move, and yet where a float32 tells directions apart.
-What hits surfaces farther away than that is drawn there as well.
+It lies at one distance, so far away that no viewer sees it move. Surfaces farther away than that are drawn
+there as well.
 """
 
 from __future__ import annotations
@@ -15,20 +15,22 @@ from scipy.spatial import cKDTree
 from splat.model.gaussians import SH_DC, Gaussians, sh_count
 from splat.model.perceptual import perceptual_from_radiance
 
-# In units of a place (compose.camera.place), 25,000 times the median distance of what is seen: whoever walks
-# that median distance seven times sees the sky move by half a pixel of a frame of 1,920 pixels over 60 degrees.
+# In units of a place (compose.camera.place), 25,000 times the median distance of what is seen: seven times
+# that median distance away, a viewer sees the sky moved by half a pixel of 1,920 over 60 degrees.
 SKY_DISTANCE = 1e5
 # Share of the median radiance of a frame below which nothing is drawn.
 _DARK = 1e-3
 # Pixels around those that see nothing at all that are not the sky: what is bright there belongs to an edge.
 _EDGE = 2
-# Directions of the whole sphere in which there is a Gaussian where no frame shows anything.
+# Directions of the whole sphere in which there is a Gaussian behind all others if they show the sky.
 _DIRECTIONS = 2000
 _SPACING = float(np.sqrt(4 * np.pi / _DIRECTIONS))  # radians
+# Their distance: even those beside each other in a frame are sorted by depth, which falls with the angle.
+_BEHIND = 1.25
 # Standard deviation as a share of the spacing, and opacity: together they hide what is behind.
 _COVERING, _OPACITY = 0.75, 0.95
 _FLATNESS = 0.2
-# Seen directions whose mean colour an unseen one gets.
+# Seen directions whose mean colour each gets.
 _ALIKE = 24
 # Share of seen colours above which they are that of the sun, which shines from one direction only.
 _SUN = 0.98
@@ -51,12 +53,12 @@ def shows_sky(radiance: NDArray[np.float32], distance: NDArray[np.float32]) -> N
     return np.asarray(missed & ~nothing)
 
 
-def unseen_sky(
+def whole_sky(
     sky: NDArray[np.float64], radiance: NDArray[np.float32], surface: NDArray[np.float64], degree: int
 ) -> Gaussians:
-    """Gaussians for the sky in the directions that no frame shows, in the mean colour of what is next to them.
+    """Gaussians behind all others in every direction of the sky, in the mean colour of what is next to it.
 
-    An unseen direction belongs to the sky if the nearest one that is seen does.
+    A direction that no frame shows belongs to the sky if the nearest one that is seen does.
 
     Args:
         sky: (M, 3) unit directions in which frames show the sky.
@@ -65,20 +67,19 @@ def unseen_sky(
         degree: of the spherical harmonics, of which only the constant one is set.
     """
     directions = _sphere(_DIRECTIONS)
-    distance, near = cKDTree(sky).query(directions, k=min(_ALIKE, len(sky)))
-    distance, near = distance.reshape(len(directions), -1), near.reshape(len(directions), -1)
-    open_to_it = distance[:, 0] > 0.5 * _SPACING
+    distance, near = cKDTree(sky).query(directions, k=np.arange(1, min(_ALIKE, len(sky)) + 1))
     if len(surface):
-        open_to_it &= distance[:, 0] < cKDTree(surface).query(directions)[0]
-    directions, near = directions[open_to_it], near[open_to_it]
+        # What stands before the sky in one view may not do so in another.
+        belongs = distance[:, 0] < cKDTree(surface).query(directions)[0] + _SPACING
+        directions, near = directions[belongs], near[belongs]
     seen = perceptual_from_radiance(torch.from_numpy(radiance).clamp(min=0))
     seen = torch.minimum(seen, seen.quantile(_SUN, dim=0))
     n = len(directions)
     sh = torch.zeros(sh_count(degree), 3, n)
     sh[0] = (seen[torch.from_numpy(near)].mean(dim=1).T - 0.5) / SH_DC
-    scales = np.log(SKY_DISTANCE * _SPACING * _COVERING * np.array([1, 1, _FLATNESS]))
+    scales = np.log(_BEHIND * SKY_DISTANCE * _SPACING * _COVERING * np.array([1, 1, _FLATNESS]))
     return Gaussians(
-        torch.from_numpy((SKY_DISTANCE * directions.T).astype(np.float32)),
+        torch.from_numpy((_BEHIND * SKY_DISTANCE * directions.T).astype(np.float32)),
         torch.from_numpy(scales.astype(np.float32))[:, None].repeat(1, n),
         torch.from_numpy(rotation_to(directions).T.astype(np.float32).copy()),
         torch.full((n,), float(np.log(_OPACITY / (1 - _OPACITY)))),
