@@ -69,8 +69,8 @@ class Hits:
     Attributes:
         distance: (N,) float32, along the unit ray; inf where nothing is hit.
         unfolded: (N,) float32, the same, continued through smooth mirrors and glass to the first rough
-            surface, which is how far away things in a mirror appear to be; inf as well for the sky behind a
-            pane or in a flat mirror.
+            surface, which is how far away things in a mirror appear to be; inf where nothing is hit, and for
+            the sky in a flat mirror or behind a pane.
         shape: (N,) int32, index of the shape in the scene; -1 where nothing is hit.
     """
 

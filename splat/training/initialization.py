@@ -45,18 +45,19 @@ def seed_from_views(
 
 def _sky_around(views: list[TrainingView], degree: int) -> Gaussians:
     """Seeds of the sky in all directions; none if no view shows any."""
-    sky, radiance, surface = [], [], []
-    for view in views:
-        seen = view.surface_pixels
-        far = view.distance.ravel()[seen] >= view.sky
-        for chosen, rays in ((seen[far], sky), (seen[~far], surface)):
-            chosen = chosen[:: max(1, len(chosen) // _DIRECTIONS)]
-            rays.append(view.rays(chosen))
-            if rays is sky:
-                radiance.append(view.radiance.reshape(-1, 3)[chosen])
-    if not sum(map(len, sky)):
+    sky, surface = ([_some_directions(view, wanted) for view in views] for wanted in (True, False))
+    if not any(len(rays) for rays, _ in sky):
         return Gaussians.none(degree)
-    return whole_sky(*(np.concatenate(part) for part in (sky, radiance, surface)), degree)
+    rays, radiance = (np.concatenate(part) for part in zip(*sky, strict=True))
+    return whole_sky(rays, radiance, np.concatenate([rays for rays, _ in surface]), degree)
+
+
+def _some_directions(view: TrainingView, sky: bool) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """Some directions (M, 3) in which a view shows the sky, or else a surface, and their radiance (M, 3)."""
+    seen = view.surface_pixels
+    seen = seen[(view.distance.ravel()[seen] >= view.sky) == sky]
+    seen = seen[:: max(1, len(seen) // _DIRECTIONS)]
+    return view.rays(seen), view.radiance.reshape(-1, 3)[seen]
 
 
 def _first_seed(views: list[TrainingView], size: float, degree: int, rng: np.random.Generator) -> Gaussians:

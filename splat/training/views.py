@@ -96,12 +96,17 @@ def placed(view: TrainingView, place: Place) -> TrainingView:
     """The view in the coordinates of a place, in which the sky has a place of its own."""
     distance = view.distance.astype(np.float64) / place.unit
     far = np.isfinite(distance) & (distance >= SKY_DISTANCE) | shows_sky(view.radiance, view.distance)
-    distance = np.where(far, SKY_DISTANCE, distance).astype(np.float32)
     normal = view.normal
     if far.any():
         rays = view.camera.rays(view.camera.pixel_centres()).reshape(normal.shape)
         normal = np.where(far[..., None], -rays, normal).astype(np.float32)
-    return replace(view, camera=place.camera(view.camera), distance=distance, normal=normal, sky=SKY_DISTANCE)
+    return TrainingView(
+        place.camera(view.camera),
+        view.radiance,
+        np.where(far, SKY_DISTANCE, distance).astype(np.float32),
+        normal,
+        SKY_DISTANCE,
+    )
 
 
 def pixel_footprint(views: list[TrainingView]) -> float:
