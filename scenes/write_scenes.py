@@ -1,9 +1,10 @@
-"""Write the two test scenes, ``room`` and ``cornell``, next to this script.
+"""Write the three test scenes, ``room``, ``cornell`` and ``meadow``, next to this script.
 
 ``room`` is a furnished room of about 21,000 triangles, lit by a sun that comes in through the
-window and by a point light under a lamp shade. ``cornell`` is the classical box. Everything is
-made here from numbers (no outside models or pictures), and a fixed seed makes every run write
-the same scene:
+window and by a point light under a lamp shade. ``cornell`` is the classical box. ``meadow`` is
+open country under a sky with clouds: a hut, a pond, a fence and trees near and far, on ground
+that reaches to the horizon. Everything is made here from numbers (no outside models or
+pictures), and a fixed seed makes every run write the same scene:
 
     python scenes/write_scenes.py
 
@@ -13,12 +14,14 @@ at y = 4 and the camera looks from the corner near the origin towards the opposi
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 from PIL import Image, ImageDraw, ImageFilter, ImageFont
 
 HERE = Path(__file__).resolve().parent
@@ -1102,10 +1105,10 @@ def row(values: Iterable[float]) -> str:
     return ", ".join(f"{v:g}" for v in values)
 
 
-def head(size: int, depth: int, fov: float, view: tuple[Point, Point, Point]) -> str:
-    """The beginning of a scene file; ``view`` is origin, target and up."""
+def head(size: int, depth: int, fov: float, view: tuple[Point, Point, Point], far: float = 100) -> str:
+    """The beginning of a scene file; ``view`` is origin, target and up, ``far`` the end of sight."""
     origin, target, up = (row(v) for v in view)
-    return HEAD.format(size=size, depth=depth, fov=fov, origin=origin, target=target, up=up)
+    return HEAD.format(size=size, depth=depth, fov=fov, far=row([far]), origin=origin, target=target, up=up)
 
 
 def colour(name: str, value: float | Point | str) -> str:
@@ -1215,23 +1218,34 @@ def room_lights() -> str:
     )
 
 
-def write_room(folder: Path) -> int:
-    """Write the room; the number of its triangles."""
-    for name in ("meshes", "textures"):
-        (folder / name).mkdir(parents=True, exist_ok=True)
-    for name, picture in textures().items():
-        options = {"quality": 90} if name.endswith("jpg") else {"optimize": True}
-        picture.save(folder / "textures" / name, **options)
-    text = head(512, 6, 60, (CAMERA, TARGET, (0, 0, 1))) + room_bsdfs()
-    triangles = 0
-    for name, (mesh, material) in room_shapes().items():
+def write_shapes(folder: Path, shapes: Shapes) -> tuple[str, int]:
+    """Write meshes; their part of the scene file, and the number of their triangles."""
+    text, triangles = "", 0
+    for name, (mesh, material) in shapes.items():
         triangles += write_ply(folder / "meshes" / f"{name}.ply", mesh)
         text += (
             f'\t<shape type="ply" id="{name}_shape">\n'
             f'\t\t<string name="filename" value="meshes/{name}.ply" />\n'
             f'\t\t<ref id="{material}" />\n\t</shape>\n'
         )
-    (folder / "room.xml").write_text(text + room_lights() + "</scene>\n", encoding="utf-8")
+    return text, triangles
+
+
+def write_textures(folder: Path, pictures: dict[str, Image.Image]) -> None:
+    """Make the folders of a scene and write its pictures."""
+    for name in ("meshes", "textures"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    for name, picture in pictures.items():
+        options = {"quality": 90} if name.endswith("jpg") else {"optimize": True}
+        picture.save(folder / "textures" / name, **options)
+
+
+def write_room(folder: Path) -> int:
+    """Write the room; the number of its triangles."""
+    write_textures(folder, textures())
+    shapes, triangles = write_shapes(folder, room_shapes())
+    text = head(512, 6, 60, (CAMERA, TARGET, (0, 0, 1))) + room_bsdfs() + shapes + room_lights()
+    (folder / "room.xml").write_text(text + "</scene>\n", encoding="utf-8")
     return triangles
 
 
@@ -1285,11 +1299,262 @@ def write_cornell(folder: Path) -> None:
     (folder / "cornell.xml").write_text(text + "</scene>\n", encoding="utf-8")
 
 
+# ---------------------------------------------------------------------------------------------
+# Meadow: x points to the right, y ahead, the camera stands at the origin
+# ---------------------------------------------------------------------------------------------
+
+HORIZON = 4000.0
+SUN_AZIMUTH, SUN_ELEVATION = math.radians(-75), math.radians(34)
+POND, POND_RADIUS = np.array([-3.4, 8.2]), 2.1
+
+
+def height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Height of the ground: flat near the camera, hills far away."""
+    distance = np.hypot(x, y)
+    away = np.clip((distance - 14) / 60, 0, 1)
+    waves = 1.4 * np.sin(x / 23 + 1) * np.sin(y / 19) + 0.8 * np.sin(x / 11 - y / 17)
+    hills = 26 * np.sin(x / 310 + 2) * np.sin(y / 270) + 14 * np.sin(x / 130 + y / 190)
+    rise = np.clip((distance - 150) / 900, 0, 1.6)
+    return away * waves + rise * (hills + 22)
+
+
+def raised(x: float, y: float) -> list[float]:
+    """The place on the ground at x, y."""
+    return [x, y, float(height(np.array(x), np.array(y)))]
+
+
+def ground() -> Shapes:
+    """The ground in rings that widen with the distance; farther away it is fields and woods."""
+    radius = np.concatenate([[0], np.geomspace(1.2, HORIZON, 46)])
+    angle = np.linspace(0, 2 * math.pi, 97)
+    x, y = np.outer(radius, np.sin(angle)), np.outer(radius, np.cos(angle))
+    basin = np.hypot(x - POND[0], y - POND[1])
+    z = height(x, y) - 0.35 * np.clip(1.25 - basin / POND_RADIUS, 0, 0.4)
+    mesh = grid(np.stack([x, y, z], -1)[:, ::-1])
+    centre = mesh.points[mesh.faces].mean(axis=1)
+    distance = np.hypot(centre[:, 0], centre[:, 1])
+    patch = np.sin(centre[:, 0] / (60 + distance / 9)) + np.sin(centre[:, 1] / (45 + distance / 11) + 1)
+    kind = np.where(patch > 0.7, 2, np.where(patch < -0.75, 3, 1))
+    kind[distance < 55] = 0
+    tiles = {"meadow": 4.0, "pasture": 90.0, "wheat": 60.0, "woods": 120.0}
+    shapes: Shapes = {}
+    for number, (name, tile) in enumerate(tiles.items()):
+        part = Mesh(mesh.points, mesh.uvs, mesh.faces[kind == number])
+        shapes[f"ground_{name}"] = part.mapped(tile), name
+    return shapes
+
+
+def blob(rng: np.random.Generator, radius: float, squash: float, segments: int) -> Mesh:
+    """A ball with dents, as stones and the crowns of trees are."""
+    ball = sphere([0, 0, 0], 1, segments)
+    way = rng.uniform(-1, 1, (5, 3))
+    dents = sum(np.sin(3 * ball.points @ w + k) for k, w in enumerate(way)) / 5
+    return Mesh(ball.points * (radius * (1 + 0.35 * dents))[:, None] * [1, 1, squash], ball.uvs, ball.faces)
+
+
+def tree(rng: np.random.Generator, at: Point, tall: float, segments: int) -> tuple[Mesh, Mesh]:
+    """Trunk and crown of a tree that is `tall` metres high."""
+    lean = rng.uniform(-0.05, 0.05, 2) * tall
+    knots = [(0, 0, -0.3), (0.3 * lean[0], 0, 0.3 * tall), (*lean, 0.75 * tall)]
+    trunk = tube(knots, [0.035 * tall, 0.02 * tall, 0.008 * tall], 6, max(5, segments // 2))
+    crown = [blob(rng, 0.25 * tall, 0.9, segments).moved([*lean, 0.68 * tall])]
+    for turn in rng.uniform(0, 60) + np.arange(0, 360, 90):
+        out = [0.2 * tall * math.cos(math.radians(turn)), 0.2 * tall * math.sin(math.radians(turn))]
+        part = blob(rng, rng.uniform(0.15, 0.2) * tall, 0.85, segments)
+        crown.append(part.moved([*(lean + out), rng.uniform(0.48, 0.66) * tall]))
+    return trunk.moved(at), merge(crown).moved(at)
+
+
+def trees(rng: np.random.Generator) -> Shapes:
+    """A few trees near the camera and many far ones, all around."""
+    places = [(-8.5, 15, 7.5), (8.2, 9.5, 5.2), (-2.5, 27, 8.5), (13, 21, 9), (-16, -9, 8), (9, -12, 7)]
+    near = [tree(rng, raised(x, y), tall, 12) for x, y, tall in places]
+    far = []
+    for _ in range(45):
+        distance, turn = 40 * 25 ** rng.uniform(), rng.uniform(0, 2 * math.pi)
+        x, y = distance * math.sin(turn), distance * math.cos(turn)
+        far.append(tree(rng, raised(x, y), rng.uniform(6, 12), 6))
+    every = near + far
+    crowns = [crown for _, crown in every]
+    return {
+        "trunks": (merge([trunk for trunk, _ in every]), "bark"),
+        "crowns": (merge(crowns[::2]).mapped(1.2), "leaves"),
+        "crowns_of_olive": (merge(crowns[1::2]).mapped(1.2), "olive"),
+    }
+
+
+def hut() -> Shapes:
+    """A wooden hut with a red roof, a door, and windows in which the sky shows."""
+    walls, roof = box([-2, 0, -0.2], [2, 3, 2.3]), []
+    for side in (-1, 1):
+        corner = [2.3 * side, -0.35, 2.1]
+        eaves, slope = [0, 3.7 * side, 0], [-2.3 * side, 0, 1.5]
+        roof += [quad(corner if side > 0 else [-2.3, 3.35, 2.1], eaves, slope)]
+    gables = [
+        Mesh(
+            np.array([[-2, y, 2.3], [2, y, 2.3], [0, y, 3.6]], float), np.zeros((3, 2)), np.array([[0, 1, 2]])
+        )
+        for y in (0.0, 3.0)
+    ]
+    door = box([-1.5, -0.06, 0], [-0.6, 0, 1.95])
+    panes = merge([quad([x, -0.05, 0.95], [0.75, 0, 0], [0, 0, 0.85]) for x in (0.0, 1.05)])
+    frames = []
+    for x in (0.0, 1.05):
+        frames += [box([x - 0.06, -0.09, z], [x + 0.81, 0, z + 0.06]) for z in (0.89, 1.8)]
+        frames += [box([x + dx, -0.09, 0.95], [x + dx + 0.06, 0, 1.8]) for dx in (-0.06, 0.345, 0.75)]
+    place = lambda mesh: mesh.turned(-14).moved([3.4, 13.5, 0])  # noqa: E731
+    return {
+        "hut_walls": (place(merge([walls, *gables]).mapped(1.4)), "planks"),
+        "hut_roof": (place(merge(roof).mapped(2.0)), "tiles"),
+        "hut_door": (place(door), "green_paint"),
+        "hut_frames": (place(merge(frames)), "white_paint"),
+        "hut_panes": (place(panes), "window"),
+    }
+
+
+def by_the_water(rng: np.random.Generator) -> Shapes:
+    """The pond, stones around it, and a fence."""
+    turn = np.linspace(0, 2 * math.pi, 41)
+    rim = np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1) * POND_RADIUS
+    water = grid(np.stack([rim * 0, rim])).moved([*POND, -0.05])
+    stones = []
+    for angle in np.linspace(0, 2 * math.pi, 15)[:-1] + rng.uniform(-0.15, 0.15, 14):
+        out = POND + POND_RADIUS * rng.uniform(1.0, 1.2) * np.array([math.cos(angle), math.sin(angle)])
+        stones.append(blob(rng, rng.uniform(0.12, 0.32), 0.6, 12).moved([*out, 0.02]))
+    posts, rails = [], []
+    line = [np.array([1.3 + 1.9 * k, 5.2 + 0.75 * k]) for k in range(9)]
+    for x, y in line:
+        posts.append(turned_leg([(0.06, -0.3), (0.055, 0.6), (0.05, 1.1)], 3, 8).moved(raised(x, y)))
+    for (x, y), (u, v) in itertools.pairwise(line):
+        for z in (0.45, 0.85):
+            start, end = np.array(raised(x, y)), np.array(raised(u, v))
+            rise = np.array([0, 0, z])
+            knots = [start + rise, (start + end) / 2 + 0.96 * rise, end + rise]
+            rails.append(tube(knots, [0.03, 0.03], 3, 6))
+    return {
+        "pond": (water, "water"),
+        "stones": (merge(stones).mapped(0.8), "stone"),
+        "fence": (merge([*posts, *rails]), "weathered"),
+    }
+
+
+def ground_picture(
+    rng: np.random.Generator, size: int, tone: Colour, spread: float, cells: tuple[int, ...]
+) -> Image.Image:
+    """A tile of ground: noise of several sizes on one colour; it repeats in both directions."""
+    total = np.zeros((size, size))
+    for count in cells:
+        coarse = rng.uniform(-1, 1, (count, count)).astype(np.float32)
+        repeated = Image.fromarray(np.tile(coarse, (3, 3)), mode=None)
+        total += np.asarray(repeated.resize((3 * size,) * 2, Image.Resampling.BICUBIC))[
+            size:-size, size:-size
+        ]
+    tint = np.array([0.9, 1.0, 0.7]) if tone[1] > tone[0] else np.ones(3)
+    return to_image(np.array(tone) * (1 + spread * total[..., None] / len(cells) ** 0.5 * tint))
+
+
+def tiles_picture() -> Image.Image:
+    """Rows of red tiles."""
+    y, x = np.mgrid[0:256, 0:256]
+    shade = 0.65 + 0.35 * (y % 32) / 32
+    shade *= np.where((x + 16 * (y // 32)) % 32 < 2, 0.7, 1.0)
+    return to_image(shade[..., None] * np.array([176, 84, 60]))
+
+
+def planks_picture(rng: np.random.Generator) -> Image.Image:
+    """Upright planks."""
+    x = np.arange(256)
+    tone = rng.uniform(0.8, 1.1, 8)[x // 32] * np.where(x % 32 < 2, 0.5, 1.0)
+    grain = 1 + 0.12 * noise(rng, (256, 256), (90, 6))
+    return to_image((tone * grain)[..., None] * np.array([150, 112, 78]))
+
+
+def meadow_textures(rng: np.random.Generator) -> dict[str, Image.Image]:
+    """Every picture of the meadow but its sky."""
+    return {
+        "meadow.jpg": ground_picture(rng, 512, (98, 112, 62), 0.26, (5, 13, 60, 170)),
+        "pasture.jpg": ground_picture(rng, 256, (112, 126, 76), 0.14, (4, 9, 40)),
+        "wheat.jpg": ground_picture(rng, 256, (196, 168, 92), 0.12, (3, 30)),
+        "woods.jpg": ground_picture(rng, 256, (58, 84, 48), 0.3, (20, 60)),
+        "leaves.jpg": ground_picture(rng, 256, (76, 112, 44), 0.35, (9, 31, 64)),
+        "olive.jpg": ground_picture(rng, 256, (118, 122, 56), 0.3, (9, 31, 64)),
+        "stone.jpg": ground_picture(rng, 128, (150, 146, 138), 0.2, (4, 11, 33)),
+        "planks.jpg": planks_picture(rng),
+        "tiles.jpg": tiles_picture(),
+    }
+
+
+def sky_radiance(rng: np.random.Generator, width: int = 512) -> np.ndarray:
+    """(height, width, 3) the sky with clouds and the sun; the azimuth runs from ahead to the right."""
+    azimuth = 2 * math.pi * (np.arange(width) + 0.5) / width
+    polar = math.pi * (np.arange(width // 2) + 0.5) / (width // 2)
+    x, y = np.outer(np.sin(polar), np.sin(azimuth)), np.outer(np.sin(polar), np.cos(azimuth))
+    z = np.broadcast_to(np.cos(polar)[:, None], x.shape)
+    high = np.clip(z, 0, 1)[..., None] ** 0.5
+    sky = (1 - high) * np.array([0.62, 0.72, 0.84]) + high * np.array([0.12, 0.27, 0.62])
+    away = np.stack([x, y], -1) / (np.abs(z)[..., None] + 0.14)
+    cloud = np.zeros(x.shape)
+    for cells, share in ((22, 0.62), (48, 0.36), (110, 0.2)):
+        picture = noise(rng, (1024, 1024), (cells, cells))
+        column, line = ((away[..., k] / 14.4 + 0.5) * 1023 for k in range(2))
+        cloud += share * picture[line.astype(int), column.astype(int)]
+    cover = np.clip(2.1 * cloud - 0.12, 0, 1)[..., None] * np.clip(9 * z, 0, 1)[..., None]
+    sun = [math.sin(SUN_AZIMUTH), math.cos(SUN_AZIMUTH)]
+    toward = math.cos(SUN_ELEVATION) * (x * sun[0] + y * sun[1]) + math.sin(SUN_ELEVATION) * z
+    glow = 0.35 * np.exp(-(1 - toward) / 0.02)[..., None] * np.array([1.0, 0.9, 0.7])
+    lit = 0.8 + 0.25 * np.clip(toward, 0, 1)[..., None]
+    sky = (1 - cover) * sky + cover * lit * np.array([1.0, 0.99, 0.97]) + glow
+    column, line = (
+        SUN_AZIMUTH % (2 * math.pi) / (2 * math.pi) * width,
+        (0.5 - SUN_ELEVATION / math.pi) * width / 2,
+    )
+    rows, columns = np.s_[round(line) - 1 : round(line) + 1], np.s_[round(column) - 1 : round(column) + 1]
+    # Four texels give the irradiance of the sun.
+    solid_angle = 4 * (2 * math.pi / width) ** 2 * math.cos(SUN_ELEVATION)
+    sky[rows, columns] += np.array([9.0, 8.2, 6.6]) / solid_angle
+    return np.where(z[..., None] < 0, [0.2, 0.21, 0.18], sky)
+
+
+def write_sky(path: Path, radiance: np.ndarray) -> None:
+    """Write radiance as an EXR file of half floats."""
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, {"RGB": radiance.astype(np.float16)}) as file:
+        file.write(str(path))
+
+
+MEADOW_DIFFUSE: dict[str, float | Point | str] = {
+    **{name: f"{name}.jpg" for name in ("meadow", "pasture", "wheat", "woods", "leaves", "olive")},
+    **{name: f"{name}.jpg" for name in ("stone", "planks", "tiles")},
+    "bark": (0.17, 0.12, 0.08),
+    "weathered": (0.42, 0.38, 0.32),
+    "white_paint": (0.78, 0.77, 0.74),
+    "green_paint": (0.12, 0.26, 0.18),
+}
+
+
+def write_meadow(folder: Path) -> int:
+    """Write the meadow; the number of its triangles."""
+    pictures, plants, water, sky = np.random.default_rng(SEED + 2).spawn(4)
+    write_textures(folder, meadow_textures(pictures))
+    write_sky(folder / "textures" / "sky.exr", sky_radiance(sky))
+    text = head(512, 6, 50, ((0, 0, 1.65), (0.6, 10, 1.75), (0, 0, 1)), far=2 * HORIZON)
+    text += "".join(bsdf(name, "diffuse", colour("reflectance", v)) for name, v in MEADOW_DIFFUSE.items())
+    text += bsdf("window", "conductor", mirror(0.35)) + bsdf("water", "conductor", mirror(0.5))
+    shapes, triangles = write_shapes(folder, {**ground(), **trees(plants), **hut(), **by_the_water(water)})
+    emitter = (
+        '\t<emitter type="envmap" id="sky">\n\t\t<string name="filename" value="textures/sky.exr" />\n'
+        '\t\t<transform name="to_world">\n\t\t\t<rotate x="1" angle="90" />\n\t\t</transform>\n\t</emitter>\n'
+    )
+    (folder / "meadow.xml").write_text(text + shapes + emitter + "</scene>\n", encoding="utf-8")
+    return triangles
+
+
 def main() -> None:
-    """Write both scenes."""
-    triangles = write_room(HERE / "room")
+    """Write all scenes."""
+    triangles = {"room": write_room(HERE / "room"), "meadow": write_meadow(HERE / "meadow")}
     write_cornell(HERE / "cornell")
-    print(f"room: {triangles} triangles")
+    for name, count in triangles.items():
+        print(f"{name}: {count} triangles")
 
 
 if __name__ == "__main__":

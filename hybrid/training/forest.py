@@ -19,6 +19,7 @@ from pathtrace.dataset.exr import read_frame
 from pathtrace.dataset.frames import FrameEntry, FrameSet
 from splat.io.forest_file import save_forest
 from splat.model.forest import Forest, forest_of
+from splat.training.sky import shows_sky
 from splat.training.trainer import Trainer, TrainingSettings, most_layers
 from splat.training.views import TrainingView, finest_focal
 
@@ -54,9 +55,12 @@ def training_view(entry: FrameEntry) -> TrainingView:
     camera = entry.camera
     cosine = (camera.rays(camera.pixel_centres()) @ camera.camera_to_world[:3, 2]).reshape(frame.depth.shape)
     # The normal seen in a mirror is that of the mirror, not of the surface that appears behind it.
-    reflected = frame.unfolded * cosine > frame.depth * 1.001
+    # A mirror that shows nothing is black itself; the sky in it is as far away as that above it.
+    empty = np.isinf(frame.unfolded) & ~shows_sky(frame.radiance, frame.unfolded)
+    distance = np.where(empty, frame.depth / cosine, frame.unfolded).astype(np.float32)
+    reflected = distance * cosine > frame.depth * 1.001
     normal = np.where(reflected[..., None], 0, frame.normal).astype(np.float32)
-    return TrainingView(camera, frame.radiance, frame.unfolded, normal)
+    return TrainingView(camera, frame.radiance, distance, normal)
 
 
 def train(

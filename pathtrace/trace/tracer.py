@@ -38,6 +38,8 @@ from pathtrace.trace.sequences import Sequences
 # traced in several passes, and positions in several parts where they alone are more than that.
 _MAX_LANES = 1 << 22
 RUSSIAN_ROULETTE_DEPTH = 5
+# A way through panes of glass is straight if the cosine of its bend differs from 1 by no more than this.
+_UNBENT = 1e-5
 # Shadow rays at the first surface of paths that end in a cache.
 _SHADOW_RAYS = 2
 # With fewer samples, the noise of the auxiliary features shows in what they guide; each costs a twentieth of
@@ -67,7 +69,8 @@ class Hits:
     Attributes:
         distance: (N,) float32, along the unit ray; inf where nothing is hit.
         unfolded: (N,) float32, the same, continued through smooth mirrors and glass to the first rough
-            surface, which is how far away things in a mirror appear to be.
+            surface, which is how far away things in a mirror appear to be; inf where nothing is hit, and for
+            the sky in a flat mirror or behind a pane.
         shape: (N,) int32, index of the shape in the scene; -1 where nothing is hit.
     """
 
@@ -217,7 +220,10 @@ class Tracer:
         found = first_hits(self.scene.mitsuba, ray, mi.Bool(True))
         distance = dr.select(found.surface.is_valid(), found.surface.t, dr.inf)
         shapes = dr.reinterpret_array(mi.UInt32, found.surface.shape)
-        unfolded = dr.select(found.surface.is_valid(), found.unfolded, dr.inf)
+        # In what is curved, the sky appears to be near: only flat surfaces show it as it is.
+        unbent = found.flat | (dr.dot(found.last.wi, ray.d) < _UNBENT - 1)
+        beyond = ~found.surface.is_valid() | (~found.last.is_valid() & unbent)
+        unfolded = dr.select(beyond, dr.inf, found.unfolded)
         dr.eval(distance, unfolded, shapes)
         registry = {_registered(shape): i for i, shape in enumerate(self.scene.mitsuba.shapes())}
         pointers, inverse = np.unique(shapes.numpy(), return_inverse=True)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from splat.model.gaussians import Gaussians
 from splat.model.layer import NO_PARENT, Layer
 from splat.model.parents import with_parents
+from splat.model.remoteness import remoteness
 from splat.model.rows import Ints
 
 
@@ -25,7 +26,9 @@ def build_forest(finest: Layer, pixel: float, layers: int) -> list[Layer]:
     Returns:
         The layers, coarsest first. They do not depend on the order of the set in memory.
     """
-    level = layer_of_size(longest_axis(finest.gaussians), pixel, layers)
+    # The sky is huge, and yet its Gaussians are as small in a frame as others.
+    size = longest_axis(finest.gaussians) / remoteness(finest.gaussians.means).numpy()
+    level = layer_of_size(size, pixel, layers)
     below = replace(finest, parent=torch.full((len(finest),), NO_PARENT, dtype=torch.int32))
     # For each node of the layer below, the given Gaussian that it is; -1 for a new parent.
     origin = np.arange(len(finest))

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from splat.model.gaussians import SH_DC, Gaussians, concatenated, sh_count
 from splat.model.perceptual import perceptual_from_radiance
+from splat.training.sky import rotation_to, whole_sky
 from splat.training.views import TrainingView
 
 # A seed is a flat disc on its surface, this much thinner than wide.
@@ -19,6 +20,8 @@ _INITIAL_OPACITY = 0.5
 # Of the first seeds, which have to hide what lies behind the surface: a forest of half transparent ones is
 # dark, and takes hundreds of steps to get out of it.
 _COVERING_OPACITY = 0.9
+# Pixels of a view, about, that tell in which directions the sky is seen, and as many for surfaces.
+_DIRECTIONS = 1000
 # Standard deviation of a seed, as a share of the distance to its neighbours.
 _COVERING = 0.6
 _NEIGHBOURS = 4
@@ -31,7 +34,8 @@ def seed_from_views(
 ) -> Gaussians:
     """Seeds at `count` random pixels of all views, wide enough to cover the surfaces together.
 
-    Pixels that show no surface give no seed; if one does, there is at least one seed.
+    Pixels that show no surface give no seed; if one does, there is at least one seed. Where views show the
+    sky, there are further ones behind those, for all of it.
     """
     pixels = views[0].camera.width * views[0].camera.height
     # The views overlap, so that about `count` seeds cover what one of them sees.
@@ -44,7 +48,7 @@ def seed_from_views(
         total = view.distance.size
         chosen = rng.choice(total, min(int(share), total), replace=False)
         parts.append(seed_at(view, chosen, size, degree))
-    seeds = _covering(concatenated(parts))
+    seeds = concatenated([_covering(concatenated(parts)), _sky_around(views, degree)])
     return seeds if len(seeds) else _first_seed(views, size, degree, rng)
 
 
@@ -66,6 +70,23 @@ def _covering(seeds: Gaussians) -> Gaussians:
         log_scales=torch.from_numpy((log_scales + change).astype(np.float32)),
         opacity_logits=torch.full_like(seeds.opacity_logits, opacity),
     )
+
+
+def _sky_around(views: list[TrainingView], degree: int) -> Gaussians:
+    """Seeds of the sky in all directions; none if no view shows any."""
+    sky, surface = ([_some_directions(view, wanted) for view in views] for wanted in (True, False))
+    if not any(len(rays) for rays, _ in sky):
+        return Gaussians.none(degree)
+    rays, radiance = (np.concatenate(part) for part in zip(*sky, strict=True))
+    return whole_sky(rays, radiance, np.concatenate([rays for rays, _ in surface]), degree)
+
+
+def _some_directions(view: TrainingView, sky: bool) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """Some directions (M, 3) in which a view shows the sky, or else a surface, and their radiance (M, 3)."""
+    seen = view.surface_pixels
+    seen = seen[(view.distance.ravel()[seen] >= view.sky) == sky]
+    seen = seen[:: max(1, len(seen) // _DIRECTIONS)]
+    return view.rays(seen), view.radiance.reshape(-1, 3)[seen]
 
 
 def _first_seed(views: list[TrainingView], size: float, degree: int, rng: np.random.Generator) -> Gaussians:
@@ -100,17 +121,7 @@ def seed_at(view: TrainingView, pixels: NDArray[np.int64], size: float, degree: 
     return Gaussians(
         torch.from_numpy(means.T.astype(np.float32).copy()),
         torch.from_numpy(np.log(scales).astype(np.float32)),
-        torch.from_numpy(_rotation_to(normals).T.astype(np.float32).copy()),
+        torch.from_numpy(rotation_to(normals).T.astype(np.float32).copy()),
         torch.full((n,), float(np.log(_INITIAL_OPACITY / (1 - _INITIAL_OPACITY)))),
         sh,
     )
-
-
-def _rotation_to(normals: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Quaternions (M, 4) that turn the z axis into the normals (M, 3); identity for a zero normal."""
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    unit = np.where(length > 1e-6, normals / np.maximum(length, 1e-6), [0.0, 0.0, 1.0])
-    # Half-way quaternion (1 + z.n, z x n); for n = -z any half turn about a horizontal axis works.
-    quaternion = np.stack([1 + unit[:, 2], -unit[:, 1], unit[:, 0], np.zeros(len(unit))], axis=1)
-    quaternion[unit[:, 2] < -1 + 1e-6] = [0.0, 1.0, 0.0, 0.0]
-    return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)

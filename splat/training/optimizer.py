@@ -7,6 +7,7 @@ import math
 import torch
 
 from splat.model.gaussians import Gaussians
+from splat.model.remoteness import remoteness
 
 # Learning rates at the start and at the end, exponential between them. Those of 3D Gaussian splatting are
 # for 30,000 steps; with a tenth of the steps the positions need larger ones. Positions are in units of
@@ -67,7 +68,13 @@ class GaussianOptimizer:
         loss.backward()
         if not self._is_finite():
             return False
+        # The unit is the size of a pixel at the median distance. Far away a pixel is larger, and so is a step;
+        # added there, it would be lost in rounding.
+        means = self._leaves["means"].detach()
+        larger = remoteness(means)
+        means /= larger
         self._adam.step()
+        means *= larger
         return True
 
     def _is_finite(self) -> bool:

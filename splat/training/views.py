@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
 from compose.camera.place import Place, place_around
+from splat.training.sky import SKY_DISTANCE, shows_sky
 
 # Pixels of a view, about, from which medians are found.
 _SAMPLED = 4096
@@ -26,12 +27,14 @@ class TrainingView:
         distance: (H, W) float32 along the ray to the visible surface; for a mirror, to where the reflected
             surface appears behind it; inf where nothing is hit.
         normal: (H, W, 3) float32 in world space, zero where it is unknown.
+        sky: distance of pixels that show the sky, and no surface; inf for a view of the world.
     """
 
     camera: Camera
     radiance: NDArray[np.float32]
     distance: NDArray[np.float32]
     normal: NDArray[np.float32]
+    sky: float = np.inf
 
     @property
     def is_finite(self) -> bool:
@@ -41,32 +44,35 @@ class TrainingView:
 
     @property
     def surface_pixels(self) -> NDArray[np.int64]:
-        """Row-major indices of the pixels that show a surface."""
+        """Row-major indices of the pixels that show a surface, or the sky where it has a place."""
         distance = self.distance.ravel()
         # A camera on a surface has no way to it along which anything could be placed.
         return np.flatnonzero(np.isfinite(distance) & (distance > 0))
 
     @property
     def some_surface_pixels(self) -> NDArray[np.int64]:
-        """An even part of `surface_pixels`, enough for a median."""
+        """An even part of the pixels that show a surface and not the sky, enough for a median."""
         seen = self.surface_pixels
+        seen = seen[self.distance.ravel()[seen] < self.sky]
         return seen[:: max(1, len(seen) // _SAMPLED)]
 
     def points(self, pixels: NDArray[np.int64]) -> NDArray[np.float64]:
         """World positions (M, 3) of what pixels show, given by row-major indices (M,)."""
         distance = self.distance.ravel()[pixels].astype(np.float64)
-        return self.camera.position + self.camera.rays(self._centres(pixels)) * distance[:, None]
+        return self.camera.position + self.rays(pixels) * distance[:, None]
+
+    def rays(self, pixels: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Unit directions (M, 3) in world space through the centres of pixels, row-major indices (M,)."""
+        centres = np.stack([pixels % self.camera.width + 0.5, pixels // self.camera.width + 0.5], axis=1)
+        return self.camera.rays(centres)
 
     def pixel_sizes(self, pixels: NDArray[np.int64]) -> NDArray[np.float64]:
         """(M,) size of pixels, at the distance of what they show, across the ray."""
-        rays = self.camera.rays(self._centres(pixels))
+        rays = self.rays(pixels)
         # A pixel's solid angle falls as the cube of the cosine. It matters where the field of view is wide.
         cosine = rays @ self.camera.world_to_camera[2, :3]
         narrowing = np.minimum(1, cosine / np.cos(np.radians(_WIDE))) ** 1.5
         return self.distance.ravel()[pixels].astype(np.float64) * narrowing / self.camera.fy
-
-    def _centres(self, pixels: NDArray[np.int64]) -> NDArray[np.float64]:
-        return np.stack([pixels % self.camera.width + 0.5, pixels // self.camera.width + 0.5], axis=1)
 
 
 def place_of(views: list[TrainingView]) -> Place:
@@ -87,9 +93,20 @@ def place_of(views: list[TrainingView]) -> Place:
 
 
 def placed(view: TrainingView, place: Place) -> TrainingView:
-    """The view in the coordinates of a place."""
-    distance = (view.distance.astype(np.float64) / place.unit).astype(np.float32)
-    return replace(view, camera=place.camera(view.camera), distance=distance)
+    """The view in the coordinates of a place, in which the sky has a place of its own."""
+    distance = view.distance.astype(np.float64) / place.unit
+    far = np.isfinite(distance) & (distance >= SKY_DISTANCE) | shows_sky(view.radiance, view.distance)
+    normal = view.normal
+    if far.any():
+        rays = view.camera.rays(view.camera.pixel_centres()).reshape(normal.shape)
+        normal = np.where(far[..., None], -rays, normal).astype(np.float32)
+    return TrainingView(
+        place.camera(view.camera),
+        view.radiance,
+        np.where(far, SKY_DISTANCE, distance).astype(np.float32),
+        normal,
+        SKY_DISTANCE,
+    )
 
 
 def pixel_footprint(views: list[TrainingView]) -> float:
@@ -140,6 +157,7 @@ def reduced(view: TrainingView, factor: int) -> TrainingView:
         np.ascontiguousarray(radiance),
         np.ascontiguousarray(view.distance[middle]),
         np.ascontiguousarray(view.normal[middle]),
+        view.sky,
     )
 
 

@@ -11,7 +11,7 @@ from pathtrace.scene.bundled import bundled_scenes, scene_file
 
 def test_bundled_scenes_are_found_by_name():
     scenes = bundled_scenes()
-    assert {"cornell", "room"} <= set(scenes)
+    assert {"cornell", "meadow", "room"} <= set(scenes)
     for name, path in scenes.items():
         assert path.suffix == ".xml"
         assert path.parent.name == name

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -358,6 +360,51 @@ def test_hits_go_through_the_middle_of_each_position():
     middle = np.stack([left + 2, top + 1], axis=1)
     points = camera.position + camera.rays(middle) * hits.distance[:, None]
     np.testing.assert_allclose(np.linalg.norm(points, axis=1), 3, rtol=1e-5)
+
+
+def _square(z: float, bsdf: dict[str, Any], turn: float = 180) -> dict[str, Any]:
+    """Of side 1 before the camera of `small.sensor`, which it faces unless it is turned less."""
+    to_world = mi.ScalarTransform4f().translate([0, 0, z]).rotate([0, 1, 0], turn).scale(0.5)
+    return {"type": "rectangle", "to_world": to_world, "bsdf": bsdf}
+
+
+@pytest.mark.parametrize(
+    ("shape", "beyond"),
+    [
+        pytest.param(lambda: {"a": _square(0.4, {"type": "conductor"})}, True, id="flat mirror"),
+        pytest.param(lambda: {"a": _square(0.4, {"type": "thindielectric"})}, True, id="pane"),
+        pytest.param(
+            lambda: {
+                "a": _square(0.4, {"type": "dielectric"}),
+                "b": _square(0.41, {"type": "dielectric"}, 0),
+            },
+            True,
+            id="two faces of a pane",
+        ),
+        pytest.param(
+            lambda: {
+                "a": {
+                    "type": "sphere",
+                    "center": [0.1, 0, 0.4],
+                    "radius": 0.3,
+                    "bsdf": {"type": "conductor"},
+                }
+            },
+            False,
+            id="curved mirror",
+        ),
+        pytest.param(lambda: {"a": _square(0.4, {"type": "diffuse"})}, False, id="wall"),
+    ],
+)
+def test_the_sky_is_as_far_away_in_what_is_flat(shape, beyond):
+    sky = {"type": "constant", "radiance": 1.0}
+    scene = load_scene({"type": "scene", "sensor": small.sensor(), "sky": sky, **shape()})
+    hits = Tracer(scene).hits(scene.camera, frame_positions(scene.camera))
+    hit = np.isfinite(hits.distance)
+    assert 0.05 < hit.mean() < 0.95
+    # A ray that grazes a ball is hardly bent.
+    assert (np.isinf(hits.unfolded[hit]) == beyond).mean() > 0.99
+    assert np.isinf(hits.unfolded[~hit]).all()
 
 
 def test_rays_that_hit_nothing_have_no_shape():

@@ -42,3 +42,17 @@ def test_the_order_in_memory_does_not_matter():
 def test_any_numbers_are_ordered():
     for points in (np.full((4, 3), 2.0), np.array([[np.nan, 0, 0], [np.inf, 0, 0], [0, 0, 1.0]])):
         assert sorted(z_curve_order(points).tolist()) == list(range(len(points)))
+
+
+def test_far_points_leave_the_order_of_near_ones():
+    """The sky, 25,000 times as far away as all else, which would otherwise lie in one cell of the curve."""
+    rng = np.random.default_rng(2)
+    near, sky = rng.uniform(-4, 4, (400, 3)), rng.normal(size=(100, 3))
+    sky *= 1e5 / np.linalg.norm(sky, axis=1, keepdims=True)
+
+    def step(points: np.ndarray, order: np.ndarray) -> float:
+        order = order[order < len(near)]
+        return float(np.linalg.norm(np.diff(points[order], axis=0), axis=1).mean())
+
+    both = np.concatenate([near, sky])
+    assert step(both, z_curve_order(both)) < 1.2 * step(near, z_curve_order(near))

@@ -53,3 +53,41 @@ def made(camera: Camera, colour: np.ndarray, distance: np.ndarray, normal: np.nd
 
 
 WALLS = [wall(x) for x in (-0.4, 0.0, 0.4)]
+
+
+def in_the_open(
+    x: float, pitch: float = 0.0, ground: bool = False, ball: bool = False, sun: bool = False
+) -> TrainingView:
+    """Under a blue sky that is paler towards the horizon, from (x, 0, -3); world axes are those of pose(x).
+
+    Args:
+        x: where from.
+        pitch: degrees by which the camera looks up.
+        ground: a striped plane 1 below the camera that reaches to the horizon.
+        ball: of radius 0.25 in the middle.
+        sun: 4 degrees wide and of radiance 1e4, 20 degrees above the horizon.
+    """
+    matrix, angle = pose(x), np.radians(pitch)
+    matrix[1:3, 1:3] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    camera = camera_from_pose(matrix, SIZE, SIZE, 30, 30, SIZE / 2, SIZE / 2)
+    rays = camera.rays(camera.pixel_centres())
+    up = np.clip(-rays[:, 1:2], 0, 1) ** 0.5
+    colour = (1 - up) * [0.6, 0.7, 0.8] + up * [0.1, 0.25, 0.6]
+    if sun:
+        toward = rays @ [0, -np.sin(np.radians(20)), np.cos(np.radians(20))]
+        colour[toward > np.cos(np.radians(2))] = 1e4
+    distance, normal = np.full(len(rays), np.inf), np.zeros((len(rays), 3), np.float32)
+    if ground:
+        below = rays[:, 1] > 1e-9
+        distance[below] = 1 / rays[below, 1]
+        where = camera.position + rays[below] * distance[below, None]
+        stripe = 0.3 + 0.1 * np.sin(3 * where[:, 0]) / (1 + 0.1 * distance[below])
+        colour[below], normal[below] = stripe[:, None] * [0.8, 1, 0.4], [0, -1, 0]
+    if ball:
+        along = rays @ camera.position
+        inside = along**2 - camera.position @ camera.position + 0.25**2
+        hit = inside > 0
+        distance[hit] = -along[hit] - np.sqrt(inside[hit])
+        normal[hit] = (camera.position + rays[hit] * distance[hit, None]) / 0.25
+        colour[hit] = [0.5, 0.1, 0.05]
+    return made(camera, colour, distance, normal)

@@ -90,3 +90,12 @@ def test_an_incomplete_state_is_refused():
     for missing in ("leaf.means", "adam.exp_avg.sh_constant"):
         with pytest.raises(KeyError, match=missing):
             GaussianOptimizer.restored({n: t for n, t in state.items() if n != missing}, 0.5)
+
+
+def test_what_is_far_away_moves_by_pixels_of_its_distance():
+    g = gaussians(n=5, degree=0)
+    g.means[:, 2] = torch.tensor([8e4, 0, 6e4])
+    moved = (detached(stepped(GaussianOptimizer(g, 0.2))).means - g.means).abs()
+    torch.testing.assert_close(moved[:, 3], torch.full((3,), 0.15 * 0.2), rtol=1e-3, atol=0)
+    # 1e5 over the typical distance of 4; along y, Adam sees no gradient.
+    torch.testing.assert_close(moved[::2, 2], torch.full((2,), 0.15 * 0.2 * 25000), rtol=1e-3, atol=0)

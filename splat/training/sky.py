@@ -1,0 +1,106 @@
+"""The sky among Gaussians: where rays hit nothing and yet see light.
+
+It lies at one distance, so far away that no viewer sees it move. Surfaces farther away than that are drawn
+there as well.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+from scipy.spatial import cKDTree
+
+from splat.model.gaussians import SH_DC, Gaussians, sh_count
+from splat.model.perceptual import perceptual_from_radiance
+
+# In units of a place (compose.camera.place), 25,000 times the median distance of what is seen: seven times
+# that median distance away, a viewer sees the sky moved by half a pixel of 1,920 over 60 degrees.
+SKY_DISTANCE = 1e5
+# Share of the median radiance of a frame below which nothing is drawn.
+_DARK = 1e-3
+# Pixels around those that see nothing at all that are not the sky: what is bright there belongs to an edge.
+_EDGE = 2
+# Directions of the whole sphere in which there is a Gaussian behind all others if they show the sky.
+_DIRECTIONS = 2000
+_SPACING = float(np.sqrt(4 * np.pi / _DIRECTIONS))  # radians
+# Their distance: even those beside each other in a frame are sorted by depth, which falls with the angle.
+_BEHIND = 1.25
+# Standard deviation as a share of the spacing, and opacity: together they hide what is behind.
+_COVERING, _OPACITY = 0.75, 0.95
+_FLATNESS = 0.2
+# Seen directions whose mean colour each gets.
+_ALIKE = 24
+# Share of seen colours above which they are that of the sun, which shines from one direction only.
+_SUN = 0.98
+
+
+def shows_sky(radiance: NDArray[np.float32], distance: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Mask (H, W) of the pixels that see light and hit nothing.
+
+    Args:
+        radiance: (H, W, 3) linear.
+        distance: (H, W) along the rays; inf where nothing is hit.
+    """
+    missed = np.isinf(distance)
+    if not missed.any():
+        return missed
+    brightness = radiance.max(axis=2)
+    lit = brightness > 0
+    dark = brightness <= (_DARK * np.median(brightness[lit]) if lit.any() else 0)
+    nothing = binary_dilation(missed & dark, np.ones((2 * _EDGE + 1,) * 2))
+    return np.asarray(missed & ~nothing)
+
+
+def whole_sky(
+    sky: NDArray[np.float64], radiance: NDArray[np.float32], surface: NDArray[np.float64], degree: int
+) -> Gaussians:
+    """Gaussians behind all others in every direction of the sky, in the mean colour of what is next to it.
+
+    A direction that no frame shows belongs to the sky if the nearest one that is seen does.
+
+    Args:
+        sky: (M, 3) unit directions in which frames show the sky.
+        radiance: (M, 3) linear, seen there.
+        surface: (N, 3) unit directions in which they show a surface.
+        degree: of the spherical harmonics, of which only the constant one is set.
+    """
+    directions = _sphere(_DIRECTIONS)
+    distance, near = cKDTree(sky).query(directions, k=np.arange(1, min(_ALIKE, len(sky)) + 1))
+    if len(surface):
+        # What stands before the sky in one view may not do so in another.
+        belongs = distance[:, 0] < cKDTree(surface).query(directions)[0] + _SPACING
+        directions, near = directions[belongs], near[belongs]
+    seen = perceptual_from_radiance(torch.from_numpy(radiance).clamp(min=0))
+    seen = torch.minimum(seen, seen.quantile(_SUN, dim=0))
+    n = len(directions)
+    sh = torch.zeros(sh_count(degree), 3, n)
+    sh[0] = (seen[torch.from_numpy(near)].mean(dim=1).T - 0.5) / SH_DC
+    scales = np.log(_BEHIND * SKY_DISTANCE * _SPACING * _COVERING * np.array([1, 1, _FLATNESS]))
+    return Gaussians(
+        torch.from_numpy((_BEHIND * SKY_DISTANCE * directions.T).astype(np.float32)),
+        torch.from_numpy(scales.astype(np.float32))[:, None].repeat(1, n),
+        torch.from_numpy(rotation_to(directions).T.astype(np.float32).copy()),
+        torch.full((n,), float(np.log(_OPACITY / (1 - _OPACITY)))),
+        sh,
+    )
+
+
+def rotation_to(normals: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Quaternions (M, 4) that turn the z axis into the normals (M, 3); identity for a zero normal."""
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    unit = np.where(length > 1e-6, normals / np.maximum(length, 1e-6), [0.0, 0.0, 1.0])
+    # Half-way quaternion (1 + z.n, z x n); for n = -z any half turn about a horizontal axis works.
+    quaternion = np.stack([1 + unit[:, 2], -unit[:, 1], unit[:, 0], np.zeros(len(unit))], axis=1)
+    quaternion[unit[:, 2] < -1 + 1e-6] = [0.0, 1.0, 0.0, 0.0]
+    return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+
+
+def _sphere(count: int) -> NDArray[np.float64]:
+    """(count, 3) unit vectors spread evenly over the sphere: a Fibonacci lattice."""
+    index = np.arange(count) + 0.5
+    z = 1 - 2 * index / count
+    turn = index * np.pi * (1 + 5**0.5)
+    radius = np.sqrt(1 - z * z)
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)
