@@ -95,8 +95,8 @@ def evaluate(
     from hybrid.api.evaluation import evaluate as run
     from hybrid.evaluation.verdicts import verdicts
     from hybrid.measure.metrics.installed import missing
+    from hybrid.preparation.quick import forest_for
     from hybrid.store.identity import require_scene
-    from hybrid.training.quick import forest_for
     from splat.io.forest_file import load_forest
 
     loaded = loaded_scene(scene)

@@ -75,6 +75,6 @@ def prepare(
         facts = {**facts, "forest": str(forest)}
     write_json(json_file, facts)
     print(
-        f"{facts['gaussians']:,} Gaussians from {facts['views']} views in {facts['seconds']:.0f} s; frames of "
-        f"{facts['frame_error_db']:.1f} dB"
+        f"{facts['gaussians']:,} Gaussians from {facts['views']} views, whose frames have "
+        f"{facts['frame_error_db']:.1f} dB, in {facts['seconds']:.0f} s"
     )

@@ -122,7 +122,7 @@ def render(
     if target_ms is not None or target_jod is not None:
         _check_target({"--layers": layers, "--max-depth": max_depth})
     select(backend)
-    from hybrid.training.quick import forest_for
+    from hybrid.preparation.quick import forest_for
 
     loaded = loaded_scene(scene, max_depth)
     view = _view(loaded, camera, size, is_video=trace is not None)

@@ -127,10 +127,10 @@ def sweep(
     if settings.fov_a == 0:
         raise UserError("--fov-a 0.0: there is no fovea to time")
     select(backend)
+    from hybrid.preparation.quick import forest_for
     from hybrid.sweeps.effort import Effort
     from hybrid.sweeps.setting import Setting
     from hybrid.sweeps.sweep import sweep as run
-    from hybrid.training.quick import forest_for
 
     loaded = loaded_scene(scene)
     if report is not None:

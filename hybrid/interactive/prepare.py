@@ -11,9 +11,9 @@ from hybrid.frame.irradiance import cache_for
 from hybrid.frame.live import LiveRenderer
 from hybrid.frame.settings import FrameSettings
 from hybrid.interactive.source import FrameSource
+from hybrid.preparation.quick import forest_for
 from hybrid.runtime.progress import Bar, Report
 from hybrid.store.cache import newest_forest
-from hybrid.training.quick import forest_for
 from pathtrace.base.backend import select_backend
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.integrator import Integrator

@@ -1,9 +1,9 @@
-"""Prepares a scene: frames and forest in turns, from nothing to what was asked for; resumes if interrupted."""
+"""Prepares a scene: frames and forest in turns, from nothing to what was asked for."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -74,7 +74,7 @@ def prepare(
         started: time.perf_counter() from which the time counts; now if None.
 
     Raises:
-        UserError: the region has no free space, a target in dB cannot be reached, or a file cannot be written.
+        UserError: the region has no free space, a target cannot be reached, or a file cannot be written.
     """
     settings = settings or PreparationSettings()
     start = time.perf_counter() if started is None else started
@@ -103,7 +103,7 @@ class _Job:
     ):
         self._scene, self._region, self._surfaces, self._settings = scene, region, surfaces, settings
         self._bars, self._folder, self._journal = bars, folder, journal
-        self._spent = journal["seconds"] if "seconds" in journal else 0.0
+        self._spent: float = journal.once("seconds", lambda: 0.0)
         self._stages: list[Stage] = []
         self._curve: list[dict[str, Any]] = []
 
@@ -247,7 +247,7 @@ class _Job:
         return {
             "scene": self._scene.name,
             "region": self._region.name,
-            "seconds": self._seconds(),
+            "seconds": self._journal.once("total", self._seconds),
             "gaussians": len(forest.finest),
             "views": len(samples),
             "spp": {"mean": sum(samples) / len(samples), "least": min(samples), "most": max(samples)},
@@ -263,7 +263,7 @@ class _Job:
         if wanted is not None and found < wanted:
             raise UserError(
                 f"{self._scene.name}: {wanted:g} dB cannot be reached; {found:.2f} dB are, in "
-                f"{facts['seconds']:.0f} s, from frames of {facts['frame_error_db']:.1f} dB; that forest is kept"
+                f"{facts['seconds']:.0f} s, from frames of {facts['frame_error_db']:.1f} dB; it is kept"
             )
 
     def _seconds(self) -> float:

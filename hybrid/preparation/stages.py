@@ -21,7 +21,7 @@ class Stage:
     Attributes:
         views: new views.
         scale: resolution of these, in units of a view of SIDE x SIDE; 1, 2 or 4.
-        spp: samples per pixel that views at scale 1 have afterwards; fewer at others, where pixels are smaller.
+        spp: samples per pixel that views at scale 1 have afterwards; those with smaller pixels have fewer.
         gaussians: in the finest layer at the end.
         steps: of the optimizer, over all layers.
         seconds: what it takes on two cores of an AMD EPYC, in the scene `room`: what the next one takes
@@ -36,14 +36,19 @@ class Stage:
     seconds: float
 
     @property
+    def whole(self) -> int:
+        """Side in pixels that a whole view has at the resolution of the new frames."""
+        return SIDE * self.scale
+
+    @property
     def side(self) -> int:
-        """Side in pixels of its frames."""
-        return min(SIDE * self.scale, _LARGEST_SIDE)
+        """Side in pixels of the new frames, which show a part of a view if it would be larger."""
+        return min(self.whole, _LARGEST_SIDE)
 
     @property
     def layers(self) -> int:
         """Layers of the forest after this stage; the coarsest shows a whole view in about 32 pixels."""
-        return (SIDE * self.scale // _COARSEST).bit_length()
+        return max(1, (self.whole // _COARSEST).bit_length())
 
     def spp_at(self, scale: int) -> int:
         """Samples per pixel that views at some scale have after this stage."""

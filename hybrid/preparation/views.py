@@ -8,7 +8,7 @@ import numpy as np
 
 from compose.camera.camera import Camera
 from compose.image.colour import srgb_from_radiance
-from hybrid.preparation.stages import SIDE, Stage
+from hybrid.preparation.stages import Stage
 from hybrid.runtime.device import device_arrays
 from pathtrace.dataset.frame_error import frame_error, mean_frame_error
 from pathtrace.dataset.growing import GrowingFrames, Wanted
@@ -18,8 +18,10 @@ from pathtrace.scene.surfaces import Surfaces
 from splat.lod.renderer import ForestRenderer
 from splat.model.forest import Forest
 
+# Side in pixels of views before they are given the size of a stage's frames.
+_SIDE = 256
 # Views whose error is looked at to know that of all.
-ASKED = 6
+_ASKED = 6
 # More samples do not pay for a frame whose own error is less than this share of what the forest gets wrong in
 # it.
 _WORTHWHILE = 0.1
@@ -34,8 +36,8 @@ def breadth_of(region: Region, surfaces: Surfaces, seed: int) -> float:
     """How many times as many views as the default region a region takes until little is unseen; 1 to 4."""
     if region.name == "near":
         return 1.0
-    views = region.views(_TRIED[-1], SIDE, SIDE, seed)
-    askers = region.unseen_views(_ASKERS, SIDE, SIDE, seed + 1)
+    views = region.views(_TRIED[-1], _SIDE, _SIDE, seed)
+    askers = region.unseen_views(_ASKERS, _SIDE, _SIDE, seed + 1)
     coverage, before = Coverage(surfaces, []), 0
     for count in _TRIED:
         coverage.add(views[before:count])
@@ -50,12 +52,11 @@ def views_of(region: Region, stages: Sequence[Stage], seed: int) -> list[tuple[C
 
     Views larger than a frame may be are cut to a random part.
     """
-    scales = [stage.scale for stage in stages for _ in range(stage.views)]
-    sides = [stage.side for stage in stages for _ in range(stage.views)]
-    whole = region.views(len(scales), SIDE, SIDE, seed)
+    stage_of = [stage for stage in stages for _ in range(stage.views)]
+    homes = region.views(len(stage_of), _SIDE, _SIDE, seed)
     return [
-        (_part(camera.resized(SIDE * scale, SIDE * scale), side, [seed, index]), scale)
-        for index, (camera, scale, side) in enumerate(zip(whole, scales, sides, strict=True))
+        (_part(home.resized(stage.whole, stage.whole), stage.side, [seed, index]), stage.scale)
+        for index, (home, stage) in enumerate(zip(homes, stage_of, strict=True))
     ]
 
 
@@ -98,7 +99,7 @@ def stated_error(frames: GrowingFrames) -> float:
 def _asked(frames: GrowingFrames) -> list[int]:
     """Some views, evenly spaced over all."""
     count = len(frames.samples)
-    return sorted({round(share) for share in np.linspace(0, count - 1, ASKED)})
+    return sorted({round(share) for share in np.linspace(0, count - 1, _ASKED)})
 
 
 def _share_left(frames: GrowingFrames) -> float:

@@ -11,13 +11,13 @@ from hybrid.frame.renderer import Renderer
 from hybrid.frame.settings import FrameSettings
 from hybrid.output.images import write_png, write_srgb
 from hybrid.pictures.weights import weights_picture
+from hybrid.preparation.quick import make_quick_forest
 from hybrid.quickstart.judged import judged_quality, judged_views
 from hybrid.quickstart.page import write_page
 from hybrid.runtime.machine import machine
 from hybrid.runtime.progress import progress_bar
 from hybrid.sweeps.comparison import compare
 from hybrid.training.held_out import held_out_quality
-from hybrid.training.quick import make_quick_forest
 from pathtrace.dataset.views import unseen_views
 from pathtrace.scene.scene import Scene
 

@@ -27,8 +27,8 @@ from splat.training.views import TrainingView, at_resolution, finest_focal, pixe
 
 # Share of the steps before the forest is built.
 _ALONE = 0.4
-# The same where the finest layer is known from an earlier training.
-_ALONE_AGAIN = 0.3
+# The same where the finest layer is known from an earlier training, and grows by what that did not know.
+_ALONE_AGAIN = 0.6
 # Share of the later steps that the finest layer gets: it has four times the pixels of the next one, and it
 # is what the viewer sees nearest to the gaze.
 _FINEST = 0.6

@@ -45,8 +45,8 @@ def endurance(
     select(backend)
     from hybrid.bench.endurance import bench_endurance
     from hybrid.frame.live import LiveRenderer
+    from hybrid.preparation.quick import forest_for
     from hybrid.runtime.machine import machine
-    from hybrid.training.quick import forest_for
 
     loaded = loaded_scene(scene)
     settings = replace(INTERACTIVE, camera=sized(loaded.camera, size))

@@ -45,8 +45,8 @@ def gaze(
     select(backend)
     from hybrid.bench.gaze import bench_gaze, gazes_across
     from hybrid.bench.periphery import display_camera
+    from hybrid.preparation.quick import forest_for
     from hybrid.runtime.machine import machine
-    from hybrid.training.quick import forest_for
 
     path = gazes_across(settings.display, fov_b, step, span)
     loaded = loaded_scene(scene)

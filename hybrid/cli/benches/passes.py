@@ -40,8 +40,8 @@ def passes(
     from dataclasses import replace
 
     from hybrid.bench.passes import bench_passes
+    from hybrid.preparation.quick import forest_for
     from hybrid.runtime.machine import machine
-    from hybrid.training.quick import forest_for
 
     loaded = loaded_scene(scene)
     settings = replace(settings, camera=sized(loaded.camera, size))

@@ -35,8 +35,8 @@ def periphery(
     settings = FrameSettings(fov_a=fov_b, fov_b=fov_b, display=display)
     select(backend)
     from hybrid.bench.periphery import bench_periphery, display_camera
+    from hybrid.preparation.quick import forest_for
     from hybrid.runtime.machine import machine
-    from hybrid.training.quick import forest_for
 
     loaded = loaded_scene(scene)
     found = forest_for(loaded, forest)

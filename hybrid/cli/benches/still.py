@@ -47,8 +47,8 @@ def still(
     select(backend)
     from hybrid.bench.still import bench_still
     from hybrid.frame.live import LiveRenderer
+    from hybrid.preparation.quick import forest_for
     from hybrid.runtime.machine import machine
-    from hybrid.training.quick import forest_for
 
     loaded = loaded_scene(scene)
     settings = replace(INTERACTIVE, gaze=at, camera=sized(loaded.camera, size))

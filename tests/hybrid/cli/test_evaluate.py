@@ -14,7 +14,7 @@ from hybrid.evaluation.keys import HALVES_KEY
 from hybrid.evaluation.settings import EvaluationSettings
 from hybrid.frame.settings import FrameSettings
 from hybrid.measure.metrics import installed
-from hybrid.training import quick
+from hybrid.preparation import quick
 from splat.io.forest_file import load_forest, save_forest
 from tests.hybrid.command import run
 

@@ -143,7 +143,7 @@ def test_without_a_forest_none_is_trained_before_the_refusal(monkeypatch, tmp_pa
     def forbidden(*_):
         raise AssertionError("trained")
 
-    monkeypatch.setattr("hybrid.training.quick.make_quick_forest", forbidden)
+    monkeypatch.setattr("hybrid.preparation.quick.make_quick_forest", forbidden)
     assert run(monkeypatch, "render", "cornell", "-o", tmp_path / "a.png", "--target-jod", 9) == 2
     assert "run: hybrid sweep cornell --over trade --size" in capsys.readouterr().err
 

@@ -24,10 +24,8 @@ from hybrid.interactive.gaze_input import GazeInput
 from hybrid.interactive.prepare import prepared
 from hybrid.interactive.request import View
 from hybrid.runtime.memory import resident_memory
-from hybrid.training import quick
-from pathtrace.dataset.settings import CaptureSettings
 from splat.io.forest_file import load_forest
-from splat.training.trainer import TrainingSettings
+from tests.hybrid.preparation.tiny import make_tiny
 
 SIZE = 320, 240
 _PATIENCE = 120.0
@@ -84,8 +82,7 @@ def key(window: Window, which: Qt.Key) -> None:
 
 def trains(folder: Path, closes: float) -> dict[str, object]:
     """Trains a missing forest while the window stays responsive; or closes the window before that is done."""
-    quick.QUICK_CAPTURE = CaptureSettings(views=5, held_out=3, width=32, height=32, spp=2, held_out_spp=4)
-    quick.QUICK_TRAINING = TrainingSettings(iterations=60, gaussians=400, degree=1, layers=2)
+    make_tiny(setattr)
     window, said, beats = window_of("cornell", None, folder), [], [time.monotonic()]
     window._thread.progress.connect(lambda activity, done, total: said.append(activity))
     window.show()

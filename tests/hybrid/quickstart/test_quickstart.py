@@ -12,18 +12,16 @@ from compose.image.colour import bytes_from_radiance
 from hybrid.frame.settings import FrameSettings
 from hybrid.measure.metrics import registration
 from hybrid.output.images import read_exr
+from hybrid.preparation.quick import QuickForest
 from hybrid.quickstart import quickstart as module
 from hybrid.quickstart.quickstart import quickstart
 from hybrid.store.cache import newest_forest
-from hybrid.training import quick
-from hybrid.training.quick import QuickForest
 from pathtrace.dataset.frames import read_frame_set
-from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.dataset.views import unseen_views
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
-from splat.training.trainer import TrainingSettings
 from tests.extremes import extreme
+from tests.hybrid.preparation.tiny import make_tiny
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
 SIDE = 128
@@ -35,9 +33,7 @@ WRITTEN = {"index.html", "hybrid.exr", "hybrid.png", "reference.png", "splat.png
 @pytest.fixture
 def tiny(monkeypatch):
     """Settings that take seconds."""
-    capture = CaptureSettings(views=4, held_out=1, width=32, height=32, spp=2, held_out_spp=4)
-    monkeypatch.setattr(quick, "QUICK_CAPTURE", capture)
-    monkeypatch.setattr(quick, "QUICK_TRAINING", TrainingSettings(iterations=20, gaussians=500, layers=2))
+    make_tiny(monkeypatch.setattr)
     for name, value in (("SIZE", SIDE), ("_REFERENCE_SPP", 4), ("_REPEATS", 3), ("_WARM_UP", 1)):
         monkeypatch.setattr(module, name, value)
 
@@ -45,13 +41,13 @@ def tiny(monkeypatch):
 def test_from_nothing_to_images_and_a_page(tiny, tmp_path):
     scene, folder = load_scene("room"), tmp_path / "out"
     result = quickstart(scene, folder, FrameSettings(fov_a=30, fov_b=20, spp=2), 3)
-    assert {path.name for path in folder.iterdir()} == WRITTEN | {"frames-3", "quick-3.safetensors"}
+    assert {path.name for path in folder.iterdir()} == WRITTEN | {"prepared-3"}
     composite = np.stack([read_exr(folder / "hybrid.exr")[f"composite.{c}"] for c in "RGB"], axis=2)
     shown = {path.stem: np.asarray(Image.open(path)) for path in folder.glob("*.png")}
     assert {image.shape for image in shown.values()} == {(SIDE, SIDE, 3)}
     np.testing.assert_array_equal(shown["hybrid"], bytes_from_radiance(composite))
     assert not np.array_equal(shown["reference"], shown["splat"])
-    assert newest_forest(scene).name == "quick-3.safetensors"
+    assert newest_forest(scene).name == "prepared-3.safetensors"
     check_result(result)
     assert result["registration_px"] > 0
     page = (folder / "index.html").read_text()

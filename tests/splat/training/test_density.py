@@ -74,7 +74,7 @@ def test_pixels_without_a_surface_are_not_drawn():
     """They have a thousand times the error of the others, which get all 90 new ones nevertheless."""
     view = wall(0.0)
     view.distance[: SIZE // 2] = np.inf
-    density = DensityControl(100, 10, 100)
+    density = DensityControl(100, 10, 460)
     error = torch.ones(SIZE, SIZE)
     error[: SIZE // 2] = 1000.0
     density.observe(0, error)

@@ -1,0 +1,127 @@
+"""Preparations from nothing, interrupted, and refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from compose.base.errors import UserError
+from hybrid.preparation import preparation as module
+from hybrid.preparation.preparation import prepare
+from hybrid.preparation.settings import PreparationSettings
+from hybrid.runtime.progress import no_bars
+from hybrid.store.cache import newest_forest
+from pathtrace.dataset.frames import read_frame_set
+from pathtrace.scene.scene import load_scene
+from splat.io.forest_file import load_forest
+from tests.extremes import extreme
+from tests.hybrid.preparation.tiny import make_tiny
+
+pytestmark = pytest.mark.usefixtures("backend", "own_home")
+DRAFT = PreparationSettings(quality="draft", held_out=2, size=(32, 32))
+
+
+@pytest.fixture
+def scene(monkeypatch):
+    make_tiny(monkeypatch.setattr)
+    return load_scene("cornell")
+
+
+def facts_without_times(facts):
+    rows = [{name: row[name] for name in row if name != "seconds"} for row in facts["curve"]]
+    return {**facts, "seconds": 0, "curve": rows, "forest": ""}
+
+
+def test_from_nothing_to_a_forest(scene, tmp_path):
+    prepared = prepare(scene, DRAFT, no_bars, tmp_path)
+    facts = prepared.facts
+    assert (facts["scene"], facts["region"]) == ("cornell", "near")
+    assert facts["spp"] == {"mean": 8, "least": 8, "most": 8}
+    assert [row["gaussians"] for row in facts["curve"]][-1] == facts["gaussians"] <= 500
+    assert 0 < facts["curve"][0]["seconds"] < facts["curve"][1]["seconds"] <= facts["seconds"]
+    assert facts["splat"] == {name: facts["curve"][-1][name] for name in ("psnr", "ssim")}
+    assert facts["curve"][0]["psnr"] < facts["curve"][1]["psnr"]
+    assert 10 < facts["frame_error_db"] < 60
+    assert len(read_frame_set(tmp_path / "frames").training) == 6
+    assert newest_forest(scene) is not None
+    assert len(read_frame_set(tmp_path / "fusion").held_out) == 3
+    assert prepared.forest.digest() == load_forest(tmp_path / "forest.safetensors").digest()
+
+
+def test_further_stages_have_frames_of_a_higher_resolution(scene, tmp_path):
+    """The finest layer is that of frames of 64 x 64 pixels; there is one layer more."""
+    prepared = prepare(scene, replace(DRAFT, quality="standard"), no_bars, tmp_path)
+    sizes = [entry.size for entry in read_frame_set(tmp_path / "frames").training]
+    assert sizes == [(32, 32)] * 6 + [(64, 64)] * 2
+    assert len(prepared.forest.counts) == 3
+    assert prepared.forest.trained_focal == pytest.approx(scene.camera.resized(64, 64).fy)
+
+
+@extreme(
+    "a preparation interrupted in every part",
+    given="Ctrl-C while frames are traced, while a forest is trained, and while the fusion is fitted",
+    expected="the files of a preparation that was not interrupted",
+)
+def test_an_interrupted_preparation_resumes(scene, tmp_path, monkeypatch, got):
+    whole = prepare(scene, DRAFT, no_bars, tmp_path / "whole")
+    grow, train, fit = module.GrowingFrames.grow, module.train, module.with_fusion
+    interruptions = 0
+
+    def once(name, owner, function):
+        def interrupted(*given, **named):
+            nonlocal interruptions
+            monkeypatch.setattr(owner, name, function)
+            interruptions += 1
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(owner, name, interrupted)
+
+    for name, owner, function in (
+        ("grow", module.GrowingFrames, grow),
+        ("train", module, train),
+        ("with_fusion", module, fit),
+    ):
+        once(name, owner, function)
+        with pytest.raises(KeyboardInterrupt):
+            prepare(scene, DRAFT, no_bars, tmp_path / "other")
+    resumed = prepare(scene, DRAFT, no_bars, tmp_path / "other")
+    assert got(interruptions) == 3
+    assert facts_without_times(resumed.facts) == facts_without_times(whole.facts)
+    assert resumed.forest.digest() == whole.forest.digest()
+
+
+@extreme(
+    "a quality that cannot be reached",
+    given="hybrid prepare --psnr 90",
+    expected="a line that says what can be; the forest is kept",
+)
+def test_a_target_out_of_reach_is_refused_with_what_can_be_reached(scene, tmp_path, monkeypatch, got):
+    monkeypatch.setattr(module, "_MOST_STAGES", 1)
+    with pytest.raises(UserError, match=r"90 dB cannot be reached; .* dB are") as refusal:
+        prepare(scene, replace(DRAFT, psnr=90.0), no_bars, tmp_path)
+    assert "\n" not in got(str(refusal.value))
+    assert newest_forest(scene) is not None
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"quality": "best"}, "--quality best: must be draft, standard, high"),
+        ({"minutes": 0.0}, "--minutes 0: must be over 0"),
+        ({"minutes": float("nan")}, "--minutes nan"),
+        ({"psnr": -1.0}, "--psnr -1"),
+        ({"minutes": 1.0, "psnr": 30.0}, "give one of them"),
+        ({"psnr": 30.0, "held_out": 0}, "requires held-out views"),
+        ({"held_out": -1}, "--held-out -1"),
+    ],
+)
+def test_settings_out_of_range_are_refused(given, message):
+    with pytest.raises(UserError, match=message):
+        PreparationSettings(**given)
+
+
+def test_without_held_out_views_nothing_is_judged(scene, tmp_path):
+    facts = prepare(scene, replace(DRAFT, held_out=0, minutes=0.01), no_bars, tmp_path).facts
+    assert facts["splat"] == {}
+    assert [set(row) for row in facts["curve"]] == [{"seconds", "gaussians"}]

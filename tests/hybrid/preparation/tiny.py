@@ -1,0 +1,24 @@
+"""Preparations that take seconds."""
+
+from __future__ import annotations
+
+from hybrid.preparation import preparation, stages
+from hybrid.preparation.stages import Stage
+from pathtrace.dataset.settings import CaptureSettings
+
+STAGES = (
+    Stage(views=4, scale=1, spp=4, gaussians=300, steps=15, seconds=2),
+    Stage(views=2, scale=1, spp=8, gaussians=500, steps=30, seconds=3),
+    Stage(views=2, scale=2, spp=16, gaussians=700, steps=30, seconds=4),
+)
+FUSION = CaptureSettings(views=1, held_out=3, width=32, height=32, spp=1, held_out_spp=4)
+
+
+def make_tiny(patch) -> None:
+    """Makes all preparations tiny, by a function that sets an attribute, such as that of monkeypatch."""
+    patch(stages, "STAGES", STAGES)
+    patch(stages, "SIDE", 32)
+    patch(stages, "_COARSEST", 16)
+    patch(stages, "QUALITIES", {"draft": 2, "standard": 3, "high": 4})
+    patch(preparation, "QUALITIES", stages.QUALITIES)
+    patch(preparation, "FUSION_CAPTURE", FUSION)
