@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from compose.camera.camera import Array, Camera
 from pathtrace.scene.surfaces import Surfaces
+
+_Indices = NDArray[np.int64]
 
 # Frame in which coverage is looked up: 16 by 9 rays, or as many in other shapes.
 _RAYS = 144
@@ -31,11 +34,23 @@ class Coverage:
     """
 
     def __init__(self, surfaces: Surfaces, cameras: list[Camera]):
-        self._surfaces, self._cameras = surfaces, list(cameras)
+        self._surfaces = surfaces
+        self._transforms, self._positions = np.zeros((0, 3, 4)), np.zeros((0, 3))
+        self._intrinsics = np.zeros((0, 6))
+        self.add(cameras)
 
     def add(self, cameras: list[Camera]) -> None:
         """Adds views."""
-        self._cameras += cameras
+        if not cameras:
+            return
+        transforms = np.array([camera.world_to_camera[:3] for camera in cameras])
+        self._transforms = np.concatenate([self._transforms, transforms])
+        positions = np.array([camera.position for camera in cameras])
+        self._positions = np.concatenate([self._positions, positions])
+        intrinsics = np.array(
+            [(c.width, c.height, c.fx, c.fy, c.cx, c.cy) for c in cameras], dtype=np.float64
+        )
+        self._intrinsics = np.concatenate([self._intrinsics, intrinsics])
 
     def map(self, camera: Camera) -> Array:
         """(h, w) how well a camera's frame is covered, from 0 (unseen) to 1 (seen as finely or finer).
@@ -55,53 +70,60 @@ class Coverage:
         distance[is_sky] = _SKY * self._extent(camera)
         points = camera.position + rays * distance[:, None]
         normal[is_sky] = -rays[is_sky]
-        wanted = _resolution(camera, points, normal)
-        best = np.zeros(len(rays))
-        for view in self._cameras:
-            np.maximum(best, self._shown(view, points, normal, is_sky, wanted, best), out=best)
+        wanted = _resolution(camera.fx, camera.fy, camera.height, camera.position - points, normal)
+        view, point = self._pairs(points)
+        _, heights, fx, fy, _, _ = self._intrinsics[view].T
+        ways = self._positions[view] - points[point]
+        shown = _resolution(fx, fy, heights, ways, normal[point])
+        ratio = np.minimum(shown / np.maximum(wanted[point], 1e-300), 1)
+        ratio[~self._are_visible(ways, self._positions[view], is_sky[point])] = 0
+        best = np.zeros(len(points))
+        np.maximum.at(best, point, ratio)
         return best.reshape(height, width)
 
     def share(self, camera: Camera, least: float = _LEAST) -> float:
         """Share of a camera's frame that is covered at that ratio of resolutions or more, 0..1."""
         return float(np.mean(self.map(camera) >= least))
 
-    def _shown(
-        self, view: Camera, points: Array, normal: Array, is_sky: Array, wanted: Array, best: Array
-    ) -> Array:
-        """(N,) ratio at which a view shows points (N, 3), at most 1; 0 where that is not above `best`."""
-        pixel, depth = view.project(points)
-        within = (depth > 0) & (pixel >= 0).all(axis=1)
-        within &= (pixel[:, 0] < view.width) & (pixel[:, 1] < view.height)
-        shown = np.zeros(len(points))
-        index = np.flatnonzero(within)
-        resolution = _resolution(view, points[index], normal[index])
-        ratio = np.minimum(resolution / np.maximum(wanted[index], 1e-300), 1)
-        index, ratio = index[ratio > best[index]], ratio[ratio > best[index]]
-        ways = points[index] - view.position
+    def _pairs(self, points: Array) -> tuple[_Indices, _Indices]:
+        """Index of the view and of the point wherever one of points (N, 3) lies in a view's frame."""
+        local = np.einsum("vij,nj->vni", self._transforms[:, :, :3], points)
+        local += self._transforms[:, None, :, 3]
+        depth = local[:, :, 2]
+        width, height, fx, fy, cx, cy = (column[:, None] for column in self._intrinsics.T)
+        # Multiplied by the depth, which may be zero.
+        x, y = fx * local[:, :, 0] + cx * depth, fy * local[:, :, 1] + cy * depth
+        within = (depth > 0) & (x >= 0) & (y >= 0) & (x < width * depth) & (y < height * depth)
+        view, point = np.nonzero(within)
+        return view, point
+
+    def _are_visible(self, ways: Array, positions: Array, is_sky: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(M,) whether nothing hides points from views, given the ways (M, 3) from points to views."""
         length = np.linalg.norm(ways, axis=1)
-        free = self._surfaces.distance(
-            np.repeat(view.position[None], len(index), axis=0), ways / length[:, None]
-        )
-        visible = np.where(is_sky[index], np.isinf(free), free >= (1 - _TOUCH) * length)
-        shown[index[visible]] = ratio[visible]
-        return shown
+        free = self._surfaces.distance(positions, -ways / length[:, None])
+        return np.where(is_sky, np.isinf(free), free >= (1 - _TOUCH) * length)
 
     def _extent(self, camera: Camera) -> float:
         """A length that the distances between the camera, the views and the surfaces do not exceed by far."""
-        positions = np.array([view.position for view in [camera, *self._cameras]])
+        positions = np.concatenate([self._positions, camera.position[None]])
         low, high = self._surfaces.bounds
         box = np.linalg.norm(high - low) if np.isfinite(low).all() else 0.0
         return max(float(np.ptp(positions, axis=0).max()), float(box), 1e-30)
 
 
-def _resolution(camera: Camera, points: Array, normal: Array) -> Array:
-    """(N,) frame heights per unit of length along surfaces at points (N, 3) with unit normals (N, 3).
+def _resolution(
+    fx: Array | float, fy: Array | float, height: Array | float, ways: Array, normal: Array
+) -> Array:
+    """(N,) frame heights per unit of length along surfaces with unit normals (N, 3).
 
     Seen at a slant, a surface keeps its resolution along one axis and loses it along the other: this is the
     geometric mean. A surface seen from behind has none.
+
+    Args:
+        fx, fy, height: of the frames, in pixels.
+        ways: (N, 3) from the surfaces to the views.
+        normal: (N, 3) of the surfaces.
     """
-    ways = camera.position - points
     length = np.linalg.norm(ways, axis=1)
     cosine = np.sum(ways * normal, axis=1) / length
-    focal = np.sqrt(camera.fx * camera.fy) / camera.height
-    return focal / length * np.sqrt(np.clip(cosine, 0, 1))
+    return np.sqrt(fx * fy) / height / length * np.sqrt(np.clip(cosine, 0, 1))
