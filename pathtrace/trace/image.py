@@ -35,7 +35,13 @@ class TracedImage:
 
 
 def trace_image(
-    tracer: Tracer, camera: Camera, positions: FilmPositions, columns: int, spp: int, seed: int
+    tracer: Tracer,
+    camera: Camera,
+    positions: FilmPositions,
+    columns: int,
+    spp: int,
+    seed: int,
+    least_auxiliary: int = 0,
 ) -> TracedImage:
     """Radiance with `spp` samples per pixel, and auxiliary features with as many as go with that.
 
@@ -46,8 +52,9 @@ def trace_image(
         columns: W, the width of the image.
         spp: samples per pixel.
         seed: same seed, same image.
+        least_auxiliary: samples per pixel that auxiliary features have at least; they guide the denoiser.
     """
-    traced, features = tracer.trace_with_features(camera, positions, spp, seed)
+    traced, features = tracer.trace_with_features(camera, positions, spp, seed, least_auxiliary)
     channels = traced.radiance, features.albedo, features.normal
     return TracedImage(*(_image(image, columns) for image in channels))
 

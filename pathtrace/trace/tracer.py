@@ -167,10 +167,13 @@ class Tracer:
         return Traced(means[:3], means[3:6], found)
 
     def trace_with_features(
-        self, camera: Camera, positions: FilmPositions, spp: int, seed: int
+        self, camera: Camera, positions: FilmPositions, spp: int, seed: int, least: int = 0
     ) -> tuple[Traced, AuxiliaryFeatures]:
-        """As `trace`, and auxiliary features over as many sample positions as go with `spp` samples."""
-        wanted = auxiliary_spp(spp)
+        """As `trace`, and auxiliary features over as many sample positions as go with `spp` samples.
+
+        Features have at least `least` samples, if that is more.
+        """
+        wanted = max(auxiliary_spp(spp), least)
         traced = self.trace(camera, positions, spp, seed, features=features_along(spp))
         if traced.features is None:
             return traced, self.auxiliary(camera, positions, wanted, seed)

@@ -67,6 +67,17 @@ def test_a_traced_image_has_radiance_and_features_of_one_seed(view):
     assert not np.array_equal(trace_image(*view, spp=6, seed=4).radiance, traced.radiance)
 
 
+@pytest.mark.parametrize(
+    ("spp", "least", "wanted"), [(1, 0, 4), (2, 16, 16), (6, 32, 32), (20, 8, 16), (20, 24, 24)]
+)
+def test_auxiliary_features_may_have_more_samples_than_radiance(view, spp, least, wanted):
+    traced = trace_image(*view, spp, seed=3, least_auxiliary=least)
+    np.testing.assert_array_equal(traced.radiance, radiance_image(*view, spp, 3))
+    albedo, normal = auxiliary_images(*view, wanted, pattern=3)
+    np.testing.assert_allclose(traced.albedo, albedo, atol=1e-5)
+    np.testing.assert_allclose(traced.normal, normal, atol=1e-5)
+
+
 def test_positions_may_have_different_numbers_of_samples(view):
     """Where there are 64 times as many samples, there is less noise."""
     counts = np.where(np.arange(WIDTH * HEIGHT) % 2, 64, 1)
