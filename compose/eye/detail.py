@@ -22,9 +22,6 @@ from compose.eye.steps import Step, detail_steps
 # drawn nearly everywhere; without any they would pop. Where saliency affects the level, boundaries move
 # faster than the gaze, and the second fraction applies.
 _FADE, _FADE_BY_SALIENCY = 0.22, 0.25
-# Octaves by which rates begin early. At the cut-off only full contrast is visible, which images do not have
-# there: half an octave below it, all under 30 % is still invisible (Geisler and Perry 1998, Eq. 1).
-_EARLY = 0.5
 # Gaussians show detail faithfully up to this fraction of the Nyquist frequency of their training pixels.
 _FAITHFUL = 0.5
 _NYQUIST = 0.5  # cycles per pixel
@@ -129,8 +126,7 @@ def detail_map(
         for e in (edge, straight)
     )
     fade = _FADE if acuity_model.relative else _FADE_BY_SALIENCY
-    early = 0.0 if acuity_model.relative else _EARLY
-    steps = detail_steps(finest, ahead, layers.finest_rates, layers.lowest, fade, early)
+    steps = detail_steps(finest, ahead, layers.finest_rates, layers.lowest, fade)
     return DetailMap(
         width,
         height,

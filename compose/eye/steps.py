@@ -25,12 +25,7 @@ class Step:
 
 
 def detail_steps(
-    finest: float,
-    ahead: float,
-    finest_rates: tuple[int, ...],
-    lowest: int,
-    fade: float,
-    early: float = 0.0,
+    finest: float, ahead: float, finest_rates: tuple[int, ...], lowest: int, fade: float
 ) -> tuple[Step, ...]:
     """What is drawn as the cut-off falls: layer after layer, each at one rate.
 
@@ -46,7 +41,6 @@ def detail_steps(
         finest_rates: finest rate that is worth its samples, for each of layers 1 to L.
         lowest: coarsest layer that may be drawn.
         fade: fraction of an octave over which a step fades in.
-        early: octaves by which a rate begins before its samples carry all that is resolved.
 
     Returns:
         Steps from fine to coarse; the first one has no beginning.
@@ -54,15 +48,14 @@ def detail_steps(
     layers = len(finest_rates)
     steps = [Step(-np.inf, layers, finest_rates[-1])]
     first = -np.log2(finest) - fade if lowest < layers else np.inf
-    # A rate carries frequencies up to half its samples: rate r would begin at 1 + r octaves.
-    begins = 1.0 - early
+    # A rate carries frequencies up to half its samples: rate r begins at 1 + r octaves.
     for rate in range(steps[0].rate + 1, COARSEST_RATE + 1):
-        if lowest == layers or begins + rate + fade <= -np.log2(ahead) - fade:
-            steps.append(Step(begins + rate, layers, rate))
+        if lowest == layers or 1 + rate + fade <= -np.log2(ahead) - fade:
+            steps.append(Step(1.0 + rate, layers, rate))
     for layer in range(layers - 1, lowest - 1, -1):
         below = layers - 1 - layer
-        carried = min(int(np.floor(below - np.log2(ahead) - begins)), COARSEST_RATE)
+        carried = min(int(np.floor(below - np.log2(ahead) - 1)), COARSEST_RATE)
         steps.append(Step(first + below, layer, max(carried, steps[-1].rate, finest_rates[layer - 1])))
     for rate in range(steps[-1].rate + 1, COARSEST_RATE + 1):
-        steps.append(Step(max(begins + rate, steps[-1].octaves + fade), lowest, rate))
+        steps.append(Step(max(1.0 + rate, steps[-1].octaves + fade), lowest, rate))
     return tuple(steps)

@@ -45,14 +45,6 @@ def test_the_finest_layer_loses_samples_before_the_next_one_begins():
     assert pairs(narrow)[:4] == [(2, 0), (2, 1), (2, 2), (1, 3)]
 
 
-def test_rates_begin_early():
-    """By half an octave: of one layer, and where they come with the next one."""
-    steps = detail_steps(0.25, 0.25, (0,), 1, 0.25, 0.5)
-    assert [step.octaves for step in steps[1:]] == [1.5, 2.5, 3.5, 4.5]
-    assert pairs(detail_steps(0.17, 0.17, (0, 0), 1, 0.25))[:3] == [(2, 0), (2, 1), (1, 1)]
-    assert pairs(detail_steps(0.17, 0.17, (0, 0), 1, 0.25, 0.5))[:3] == [(2, 0), (2, 1), (1, 2)]
-
-
 def test_boundaries_follow_the_gaze_and_rates_do_not():
     straight = detail_steps(0.25, 0.25, (3, 2, 1, 0), 1, 0.22)
     aside = detail_steps(0.2, 0.25, (3, 2, 1, 0), 1, 0.22)
