@@ -21,7 +21,7 @@ from compose.eye.steps import Step, detail_steps
 # Fraction of an octave over which one step turns into the next. Over a whole octave two of them would be
 # drawn nearly everywhere; without any they would pop. Where saliency affects the level, boundaries move
 # faster than the gaze, and the second fraction applies.
-_FADE, _FADE_BY_SALIENCY = 0.22, 0.5
+_FADE, _FADE_BY_SALIENCY = 0.22, 0.25
 # Gaussians show detail faithfully up to this fraction of the Nyquist frequency of their training pixels.
 _FAITHFUL = 0.5
 _NYQUIST = 0.5  # cycles per pixel

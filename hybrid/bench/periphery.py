@@ -49,8 +49,9 @@ def bench_periphery(
 ) -> list[dict[str, Any]]:
     """One row per gaze and acuity model, whose passes are interleaved with those at full level and rate.
 
-    A pass is everything from the gaze to the composited image of what lies outside fov-b. Footprints and
-    saliency depend on the camera alone and are kept while it stands still.
+    A pass is everything from the gaze to the composited image of what lies outside fov-b. Footprints depend
+    on the camera alone and are kept while it stands still; saliency is kept as in the window, where a moving
+    camera has that of an earlier view which showed nearly the same.
 
     Args:
         forest, camera: what is drawn.
@@ -76,7 +77,7 @@ def bench_periphery(
             times: Times = {name: [] for name in ACUITY_MODELS}
             for turn in turns:
                 view = _moved(camera, turn * _STEP) if moving else camera
-                drawn = _passes(peripheries, at_gaze, view, times if turn >= 0 else None)
+                drawn = _passes(peripheries, at_gaze, view, times if turn >= 0 else None, moving)
                 done = (2 * number + len(kinds)) * len(turns) + turn + warm_up + 1
                 progress(done, 2 * len(GAZES) * len(turns))
             kinds.append(times)
@@ -91,6 +92,7 @@ def _passes(
     models: Sequence[FrameSettings],
     camera: Camera,
     times: Times | None,
+    moving: bool,
 ) -> dict[str, SplatImage]:
     """The periphery once with each acuity model, by its name; adds their times."""
     drawn = {}
@@ -98,7 +100,7 @@ def _passes(
         region = settings.foveation.region(camera.width, camera.height)
         start = time.perf_counter()
         name = settings.acuity_model
-        drawn[name] = periphery.draw(camera, periphery.detail(camera, settings), region)
+        drawn[name] = periphery.draw(camera, periphery.detail(camera, settings, moving), region)
         dr.sync_thread()
         if times is not None:
             times[name].append((time.perf_counter() - start) * 1000)

@@ -80,7 +80,8 @@ class ForestFootprints:
             self._layers.clear()
             # Rounded up, since the filter's width changes with the gaze.
             self._key = camera.key, 2.0 ** np.ceil(np.log2(blur))
-        new = [n for n in layers if n not in self._layers]
+        # A layer at two rates is two images of the same nodes.
+        new = [n for n in dict.fromkeys(layers) if n not in self._layers]
         for n in new:
             self._layers[n] = self._visible(self._place.camera(camera), n, self._key[1])
         if new:

@@ -96,6 +96,18 @@ def test_a_camera_is_projected_once(arrays):
     assert cache.layers(replace(camera, fx=camera.fx + 1), 1.0, [2])[0] is not first
 
 
+def test_a_layer_at_two_rates_is_projected_once(arrays, monkeypatch):
+    cache, projected_layers = ForestFootprints(arrays, small_forest()), []
+    visible = cache._visible
+    monkeypatch.setattr(
+        cache, "_visible", lambda camera, n, blur: projected_layers.append(n) or visible(camera, n, blur)
+    )
+    first, second, third = cache.layers(frame_camera(), 1.0, [3, 3, 2])
+    assert projected_layers == [3, 2]
+    assert first is second
+    assert first is not third
+
+
 def test_nothing_in_sight_is_none(arrays):
     g = gaussians(n=20, degree=0)
     g.means[2] -= 100
