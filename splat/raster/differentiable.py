@@ -91,14 +91,26 @@ def render_differentiable(
 
 
 def parameters_from(arrays: Arrays, gaussians: Gaussians) -> Parameters:
-    """The Gaussians' rows as Dr.Jit floats; on the CPU they share the tensors' memory."""
-    rows = lambda tensor: [arrays.from_torch(row) for row in tensor]  # noqa: E731
+    """The Gaussians' rows as Dr.Jit floats, read from the tensors by whichever kernels use them.
+
+    Arrays that share a row's memory would be other kernels for every number of Gaussians: most rows do not
+    start where vectors are aligned, and Dr.Jit compiles that in.
+    """
+    count, Float = len(gaussians), arrays.plain.Float
+    column, stride = dr.arange(arrays.plain.UInt, count), arrays.number(count)
+
+    def rows(tensor: torch.Tensor) -> list[Any]:
+        flat = dr.detach(arrays.from_torch(tensor), preserve_type=False)
+        found = [dr.gather(Float, flat, column + stride * k) for k in range(tensor.numel() // count)]
+        return [arrays.ad.Float(row) for row in found]
+
+    sh = rows(gaussians.sh)
     return Parameters(
         rows(gaussians.means),
         rows(gaussians.log_scales),
         rows(gaussians.rotations),
-        arrays.from_torch(gaussians.opacity_logits),
-        [rows(coefficient) for coefficient in gaussians.sh],
+        rows(gaussians.opacity_logits)[0],
+        [sh[k : k + 3] for k in range(0, len(sh), 3)],
     )
 
 
@@ -146,12 +158,19 @@ class _Render(torch.autograd.Function):
             dr.accum_grad(value, by_value)
         dr.enqueue(dr.ADMode.Backward, projected.differentiable())
         dr.traverse(dr.ADMode.Backward)
-        by_leaf = [dr.grad(leaf) for leaf in leaves]
-        dr.eval(by_leaf)
-        rows = [arrays.to_torch(g, gradient.device) for g in by_leaf]
-        results, first = [], 0
-        for shape in shapes:
-            count = int(np.prod(shape[:-1]))
-            results.append(torch.stack(rows[first : first + count]).reshape(shape))
-            first += count
+        block = arrays.to_torch(_block(arrays, [dr.grad(leaf) for leaf in leaves]), gradient.device)
+        sizes = [int(np.prod(shape)) for shape in shapes]
+        results = [part.reshape(s) for part, s in zip(block.split(sizes), shapes, strict=True)]
         return (None, None, None, *results)
+
+
+def _block(arrays: Arrays, rows: list[Any]) -> Any:
+    """Rows of one width, one after another in one array, which the kernel that computes them writes."""
+    count = dr.width(rows[0])
+    block = dr.empty(arrays.plain.Float, len(rows) * count)
+    column, stride = dr.arange(arrays.plain.UInt, count), arrays.number(count)
+    for k, row in enumerate(rows):
+        values = dr.detach(row, preserve_type=False)
+        dr.scatter(block, values, column + stride * k, mode=dr.ReduceMode.Permute)
+    dr.eval(block)
+    return block
