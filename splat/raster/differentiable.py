@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
-from compose.base.arrays import Arrays, BackendName
+from compose.base.arrays import ALIGNED_FLOATS, Arrays, BackendName
 from compose.camera.camera import Camera
 from compose.camera.place import WORLD, Place
 from splat.model.gaussians import Gaussians
@@ -91,27 +91,20 @@ def render_differentiable(
 
 
 def parameters_from(arrays: Arrays, gaussians: Gaussians) -> Parameters:
-    """The Gaussians' rows as Dr.Jit floats, read from the tensors by whichever kernels use them.
+    """The Gaussians' rows as Dr.Jit floats, in a copy whose rows start where vectors are aligned.
 
-    Arrays that share a row's memory would be other kernels for every number of Gaussians: most rows do not
-    start where vectors are aligned, and Dr.Jit compiles that in.
+    In the tensors themselves most rows do not, and Dr.Jit would compile other kernels for other numbers of
+    Gaussians. Loads by index need no alignment, but take four times as long as the copy.
     """
-    count, Float = len(gaussians), arrays.plain.Float
-    column, stride = dr.arange(arrays.plain.UInt, count), arrays.number(count)
-
-    def rows(tensor: torch.Tensor) -> list[Any]:
-        flat = dr.detach(arrays.from_torch(tensor), preserve_type=False)
-        found = [dr.gather(Float, flat, column + stride * k) for k in range(tensor.numel() // count)]
-        return [arrays.ad.Float(row) for row in found]
-
-    sh = rows(gaussians.sh)
-    return Parameters(
-        rows(gaussians.means),
-        rows(gaussians.log_scales),
-        rows(gaussians.rotations),
-        rows(gaussians.opacity_logits)[0],
-        [sh[k : k + 3] for k in range(0, len(sh), 3)],
-    )
+    count, device = len(gaussians), gaussians.means.device
+    tensors = [tensor.detach().reshape(-1, count) for _, tensor in gaussians.tensors()]
+    stride = -(-count // ALIGNED_FLOATS) * ALIGNED_FLOATS
+    copy = torch.empty(sum(map(len, tensors)), stride, device=device)
+    torch.cat(tensors, out=copy[:, :count])
+    rows = [arrays.from_torch(row[:count]) for row in copy]
+    means, log_scales, rotations, sh = rows[:3], rows[3:6], rows[6:10], rows[11:]
+    coefficients = [sh[k : k + 3] for k in range(0, len(sh), 3)]
+    return Parameters(means, log_scales, rotations, rows[10], coefficients)
 
 
 @lru_cache
@@ -158,19 +151,9 @@ class _Render(torch.autograd.Function):
             dr.accum_grad(value, by_value)
         dr.enqueue(dr.ADMode.Backward, projected.differentiable())
         dr.traverse(dr.ADMode.Backward)
-        block = arrays.to_torch(_block(arrays, [dr.grad(leaf) for leaf in leaves]), gradient.device)
+        by_leaf = [dr.grad(leaf) for leaf in leaves]
+        dr.eval(by_leaf)
+        block = torch.cat([arrays.to_torch(row, gradient.device) for row in by_leaf])
         sizes = [int(np.prod(shape)) for shape in shapes]
         results = [part.reshape(s) for part, s in zip(block.split(sizes), shapes, strict=True)]
         return (None, None, None, *results)
-
-
-def _block(arrays: Arrays, rows: list[Any]) -> Any:
-    """Rows of one width, one after another in one array, which the kernel that computes them writes."""
-    count = dr.width(rows[0])
-    block = dr.empty(arrays.plain.Float, len(rows) * count)
-    column, stride = dr.arange(arrays.plain.UInt, count), arrays.number(count)
-    for k, row in enumerate(rows):
-        values = dr.detach(row, preserve_type=False)
-        dr.scatter(block, values, column + stride * k, mode=dr.ReduceMode.Permute)
-    dr.eval(block)
-    return block
