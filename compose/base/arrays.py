@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 BackendName = Literal["llvm", "cuda"]
 # Bytes. Dr.Jit compiles other kernels for arrays that do not start at a multiple of it.
 _ALIGNMENT = 64
+# So many floats lie between two places where an array may start.
+ALIGNED_FLOATS = _ALIGNMENT // 4
 # From so many keys per bucket on, sorting by one large digit is quicker than by two small ones.
 _KEYS_PER_BUCKET = 4
 

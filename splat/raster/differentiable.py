@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
-from compose.base.arrays import Arrays, BackendName
+from compose.base.arrays import ALIGNED_FLOATS, Arrays, BackendName
 from compose.camera.camera import Camera
 from compose.camera.place import WORLD, Place
 from splat.model.gaussians import Gaussians
@@ -91,15 +91,20 @@ def render_differentiable(
 
 
 def parameters_from(arrays: Arrays, gaussians: Gaussians) -> Parameters:
-    """The Gaussians' rows as Dr.Jit floats; on the CPU they share the tensors' memory."""
-    rows = lambda tensor: [arrays.from_torch(row) for row in tensor]  # noqa: E731
-    return Parameters(
-        rows(gaussians.means),
-        rows(gaussians.log_scales),
-        rows(gaussians.rotations),
-        arrays.from_torch(gaussians.opacity_logits),
-        [rows(coefficient) for coefficient in gaussians.sh],
-    )
+    """The Gaussians' rows as Dr.Jit floats, in a copy whose rows start where vectors are aligned.
+
+    In the tensors themselves most rows do not, and Dr.Jit would compile other kernels for other numbers of
+    Gaussians. Loads by index need no alignment, but take four times as long as the copy.
+    """
+    count, device = len(gaussians), gaussians.means.device
+    tensors = [tensor.detach().reshape(-1, count) for _, tensor in gaussians.tensors()]
+    stride = -(-count // ALIGNED_FLOATS) * ALIGNED_FLOATS
+    copy = torch.empty(sum(map(len, tensors)), stride, device=device)
+    torch.cat(tensors, out=copy[:, :count])
+    rows = [arrays.from_torch(row[:count]) for row in copy]
+    means, log_scales, rotations, sh = rows[:3], rows[3:6], rows[6:10], rows[11:]
+    coefficients = [sh[k : k + 3] for k in range(0, len(sh), 3)]
+    return Parameters(means, log_scales, rotations, rows[10], coefficients)
 
 
 @lru_cache
@@ -148,10 +153,7 @@ class _Render(torch.autograd.Function):
         dr.traverse(dr.ADMode.Backward)
         by_leaf = [dr.grad(leaf) for leaf in leaves]
         dr.eval(by_leaf)
-        rows = [arrays.to_torch(g, gradient.device) for g in by_leaf]
-        results, first = [], 0
-        for shape in shapes:
-            count = int(np.prod(shape[:-1]))
-            results.append(torch.stack(rows[first : first + count]).reshape(shape))
-            first += count
+        block = torch.cat([arrays.to_torch(row, gradient.device) for row in by_leaf])
+        sizes = [int(np.prod(shape)) for shape in shapes]
+        results = [part.reshape(s) for part, s in zip(block.split(sizes), shapes, strict=True)]
         return (None, None, None, *results)

@@ -42,7 +42,7 @@ class LayerTraining:
     def __init__(self, arrays: Arrays, views: list[TrainingView], steps: int, seed: list[int]):
         self.views, self.done, self.skipped, self.begun = views, 0, 0, False
         self._arrays, self._steps, self._seed = arrays, steps, seed
-        self._targets = [Target(torch.from_numpy(v.radiance)) for v in views]
+        self._targets = [Target(arrays, torch.from_numpy(v.radiance)) for v in views]
         self._pixel = pixel_footprint(views)
 
     def begin(self, layer: Layer, final_count: int) -> None:

@@ -1,84 +1,181 @@
-"""The training loss, with the structural similarity in it."""
+"""The training loss, with the structural similarity in it.
+
+Value and gradient come out of the same kernels: of a loss that is computed at every step, both are needed.
+"""
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Callable
+from typing import Any
 
+import drjit as dr
 import torch
+from torch.autograd.function import once_differentiable
 
-from splat.model.perceptual import logarithmic_from_radiance
+from compose.base.arrays import Arrays
+from splat.training.window import CHANNELS, TAPS, across, blur, down, transposed
 
-_WINDOW = 11
-_SIGMA = 1.5
 # Smaller images do not hold the similarity's window.
-SMALLEST_SIDE = _WINDOW
+SMALLEST_SIDE = TAPS
 _C1, _C2 = 0.01**2, 0.03**2
 SSIM_WEIGHT = 0.2
+# The sRGB curve: where its straight part ends, and that part's slope.
+_STRAIGHT, _SLOPE = 0.0031308, 12.92
+_BRIGHT_SLOPE = 1.055 / 2.4
 
 
-@lru_cache(maxsize=8)
-def _blur_matrix(size: int) -> torch.Tensor:
-    """(size - 10, size) band matrix that applies a Gaussian window of 11 taps over the valid region."""
-    offset = torch.arange(_WINDOW, dtype=torch.float32) - _WINDOW // 2
-    weights = torch.exp(-(offset**2) / (2 * _SIGMA**2))
-    matrix = torch.zeros(size - _WINDOW + 1, size)
-    for tap, weight in enumerate(weights / weights.sum()):
-        matrix.diagonal(tap).fill_(weight)
-    return matrix
-
-
-def _blur(maps: torch.Tensor) -> torch.Tensor:
-    """Applies the window to maps (C, H, W); returns (C, H - 10, W - 10).
-
-    The separable window is two matrix products: on two cores torch's convolution with the same window takes
-    70 ms forward and 165 ms backward for 256 x 256 pixels, the products a tenth of that.
-    """
-    rows, columns = _blur_matrix(maps.shape[1]).to(maps), _blur_matrix(maps.shape[2]).to(maps)
-    return rows @ (maps @ columns.T)
+# What is stored at an index of a map, from the means of the window there.
+Finish = Callable[[Any, list[Any]], list[Any]]
 
 
 class Target:
     """A frame to match, with the terms of the similarity that depend on it alone.
 
     Args:
+        arrays: the backend's array types, on whose device the loss is computed.
         radiance: (H, W, 3) linear, both sides at least 11 pixels.
-
-    Attributes:
-        seen: (H, W, 3) the frame on the loss's scale.
-        mean, variance: (3, H - 10, W - 10) of each window.
     """
 
-    def __init__(self, radiance: torch.Tensor):
-        self.seen = logarithmic_from_radiance(radiance)
-        planes = self.seen.permute(2, 0, 1)
+    def __init__(self, arrays: Arrays, radiance: torch.Tensor):
+        self._arrays = arrays
+        self._height, self._width = radiance.shape[:2]
+        seen, _ = _logarithmic(_flat(arrays, radiance))
         # Variances do not depend on where zero is. With zero amid the frame's own values, little cancels in
         # them; where all is very bright, rounding would otherwise exceed the similarity's constants.
-        self._zero = planes.mean(dim=(1, 2), keepdim=True)
-        self._planes = planes - self._zero
-        self.mean, square = _blur(torch.cat([self._planes, self._planes * self._planes])).split(3)
-        self.variance = square - self.mean**2
-        self._level = self.mean + self._zero
+        means = arrays.to_torch(seen, torch.device("cpu")).reshape(-1, CHANNELS).double().mean(dim=0)
+        self._zero = arrays.plain.Float(means.float().numpy())
+        self._seen = seen - self._zero_at(dr.arange(arrays.plain.UInt, dr.width(seen)))
+        dr.eval(self._seen)
+        self._mean, self._variance = self._windows(self._seen, lambda _, m: [m[0], m[1] - m[0] * m[0]])
 
     def loss(self, rendered: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """(1 - w) L1 + w (1 - SSIM), on a scale for lamps beside shadows (Fov-GS Eq. 4).
 
         Args:
-            rendered: (H, W, 3) linear radiance.
+            rendered: (H, W, 3) float32, linear radiance.
 
         Returns:
             The loss, and the absolute error per pixel (H, W), which has no gradient.
         """
-        seen = logarithmic_from_radiance(rendered)
-        difference = (seen - self.seen).abs()
-        loss = (1 - SSIM_WEIGHT) * difference.mean() + SSIM_WEIGHT * (1 - self.ssim(seen))
-        return loss, difference.detach().mean(dim=-1)
+        loss, error = _Loss.apply(self, rendered)
+        return loss, error
 
-    def ssim(self, seen: torch.Tensor) -> torch.Tensor:
-        """Mean structural similarity with an image (H, W, 3) on the loss's scale (Wang et al. 2004)."""
-        a, b = seen.permute(2, 0, 1) - self._zero, self._planes
-        mean, square, product = _blur(torch.cat([a, a * a, a * b])).split(3)
-        covariance, variance = product - mean * self.mean, square - mean**2
-        level = mean + self._zero
-        numerator = (2 * level * self._level + _C1) * (2 * covariance + _C2)
-        denominator = (level**2 + self._level**2 + _C1) * (variance + self.variance + _C2)
-        return (numerator / denominator).mean()
+    def loss_and_gradient(self, rendered: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Loss, error per pixel (H, W), and the derivative of the loss by the radiance (H, W, 3)."""
+        UInt = self._arrays.plain.UInt
+        radiance = _flat(self._arrays, rendered)
+        seen, slope = _logarithmic(radiance)
+        seen = seen - self._zero_at(dr.arange(UInt, dr.width(radiance)))
+        distance = dr.abs(seen - self._seen)
+        dr.eval(seen, slope, distance)
+        error = dr.block_sum(distance, CHANNELS) / CHANNELS
+        dissimilarity, *flow = self._compared(seen)
+        # Means of as many numbers as there are.
+        by_distance = (1 - SSIM_WEIGHT) / dr.width(seen)
+        by_similarity = -SSIM_WEIGHT / dr.width(dissimilarity)
+        gradient = self._gradient(flow, seen, slope, by_distance, by_similarity)
+        loss = by_distance * dr.sum(distance) - by_similarity * dr.sum(dissimilarity)
+        dr.eval(error, loss)
+        there = lambda array: self._arrays.to_torch(array, rendered.device)  # noqa: E731
+        return (
+            there(loss)[0],
+            there(error).reshape(rendered.shape[:2]),
+            there(gradient).reshape(rendered.shape),
+        )
+
+    def _windows(self, seen: Any, finish: Finish) -> list[Any]:
+        """What `finish` makes of the means of an image, of its square and of its product with the target."""
+        Float = self._arrays.plain.Float
+
+        def load(index: Any, inside: Any) -> list[Any]:
+            a = dr.gather(Float, seen, index, inside)
+            return [a, a * a, a * dr.gather(Float, self._seen, index, inside)]
+
+        width, height = self._width, self._height
+        rows = blur(self._arrays, across(width, height), load)
+        return blur(self._arrays, down(width - TAPS + 1, height), self._loaded(rows), finish)
+
+    def _compared(self, seen: Any) -> list[Any]:
+        """Per window 1 - SSIM, and SSIM's derivatives by the three means of `_windows`."""
+        Float = self._arrays.plain.Float
+
+        def finish(index: Any, means: list[Any]) -> list[Any]:
+            mean, square, product = means
+            own_mean, own_variance = (
+                dr.gather(Float, self._mean, index),
+                dr.gather(Float, self._variance, index),
+            )
+            zero = self._zero_at(index)
+            level, own_level = mean + zero, own_mean + zero
+            light = dr.fma(level, level, dr.fma(own_level, own_level, _C1))
+            contrast = dr.fma(-mean, mean, square) + own_variance + _C2
+            by_light, by_contrast = dr.rcp(light), dr.rcp(contrast)
+            alike = dr.fma(2 * level, own_level, _C1) * by_light
+            structure = dr.fma(2, dr.fma(-mean, own_mean, product), _C2) * by_contrast
+            similarity = alike * structure
+            by_square, by_product = -similarity * by_contrast, 2 * alike * by_contrast
+            by_level = 2 * (own_level * structure - similarity * level) * by_light
+            by_mean = by_level - by_product * own_mean - 2 * by_square * mean
+            return [1 - similarity, by_mean, by_square, by_product]
+
+        return self._windows(seen, finish)
+
+    def _gradient(
+        self, flow: list[Any], seen: Any, slope: Any, by_distance: float, by_similarity: float
+    ) -> Any:
+        """Derivative of the loss by the radiance from SSIM's derivatives by the means of `_windows`."""
+        arrays, width, height = self._arrays, self._width, self._height
+        Float, shares = (
+            arrays.plain.Float,
+            [dr.opaque(arrays.plain.Float, v) for v in (by_distance, by_similarity)],
+        )
+
+        def finish(index: Any, sums: list[Any]) -> list[Any]:
+            a, b = dr.gather(Float, seen, index), dr.gather(Float, self._seen, index)
+            by_seen = dr.fma(2 * a, sums[1], dr.fma(b, sums[2], sums[0]))
+            sign = dr.select(a > b, shares[0], dr.select(a < b, -shares[0], 0))
+            return [dr.fma(shares[1], by_seen, sign) * dr.gather(Float, slope, index)]
+
+        rows = blur(arrays, transposed(down(width - TAPS + 1, height)), self._loaded(flow))
+        return blur(arrays, transposed(across(width, height)), self._loaded(rows), finish)[0]
+
+    def _loaded(self, maps: list[Any]) -> Any:
+        Float = self._arrays.plain.Float
+        return lambda index, inside: [dr.gather(Float, values, index, inside) for values in maps]
+
+    def _zero_at(self, index: Any) -> Any:
+        return dr.gather(self._arrays.plain.Float, self._zero, index % CHANNELS)
+
+
+class _Loss(torch.autograd.Function):
+    """The bridge: torch holds the image, Dr.Jit computes loss and gradient."""
+
+    @staticmethod
+    def forward(  # type: ignore[override]
+        ctx: Any, target: Target, rendered: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        loss, error, gradient = target.loss_and_gradient(rendered)
+        ctx.save_for_backward(gradient)
+        ctx.mark_non_differentiable(error)
+        return loss, error
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, by_loss: torch.Tensor, _: torch.Tensor) -> tuple[None, torch.Tensor]:
+        (gradient,) = ctx.saved_tensors
+        return None, gradient * by_loss
+
+
+def _flat(arrays: Arrays, image: torch.Tensor) -> Any:
+    return dr.detach(arrays.from_torch(image), preserve_type=False)
+
+
+def _logarithmic(radiance: Any) -> tuple[Any, Any]:
+    """The scale of `splat.model.perceptual.logarithmic_from_radiance`, and its slope."""
+    middle = dr.maximum(dr.minimum(radiance, 1), _STRAIGHT)
+    power = dr.exp2(dr.log2(middle) * (1 / 2.4))
+    above = dr.maximum(radiance, 1)
+    seen = dr.select(radiance > 1, dr.fma(_BRIGHT_SLOPE, dr.log(above), 1), dr.fma(1.055, power, -0.055))
+    slope = _BRIGHT_SLOPE * dr.select(radiance > 1, dr.rcp(above), power * dr.rcp(middle))
+    is_dark = radiance <= _STRAIGHT
+    return dr.select(is_dark, _SLOPE * radiance, seen), dr.select(is_dark, _SLOPE, slope)

@@ -136,6 +136,14 @@ def test_rows_lie_in_the_order_of_the_tensors(arrays):
     np.testing.assert_array_equal(rows, tensors.numpy())
 
 
+@pytest.mark.parametrize("n", [1, 16, 23])
+def test_rows_start_where_vectors_are_aligned(arrays, n):
+    """Whatever their number: the same kernels serve all."""
+    leaves = parameters_from(arrays, gaussians(n=n, degree=1)).leaves()
+    addresses = [arrays.to_torch(row, torch.device("cpu")).data_ptr() for row in leaves]
+    assert [address % 64 for address in addresses] == [0] * len(leaves)
+
+
 def test_the_backend_follows_the_tensors(arrays):
     g, cam = gaussians(), camera()
     image = render(g, cam)

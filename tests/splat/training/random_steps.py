@@ -36,7 +36,7 @@ def random_steps(arrays: Arrays, count: int, seed: int) -> Iterator[Step]:
     for start in range(-(-count // _STEPS_PER_START)):
         rng = np.random.default_rng([seed, start])
         optimizer = GaussianOptimizer(_gaussians(rng), float(10 ** rng.uniform(-5, 1)))
-        camera, target = _camera(rng), Target(torch.from_numpy(_radiance(rng)))
+        camera, target = _camera(rng), Target(arrays, torch.from_numpy(_radiance(rng)))
         for number in range(_STEPS_PER_START):
             loss, _ = target.loss(render_differentiable(arrays, optimizer.gaussians, camera))
             taken = optimizer.step(loss, number / _STEPS_PER_START)

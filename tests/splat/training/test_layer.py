@@ -50,7 +50,7 @@ def test_steps_lower_the_loss(arrays):
         losses = []
         for view in WALLS:
             image = render_differentiable(arrays, training.layer.gaussians, view.camera)
-            losses.append(Target(torch.from_numpy(view.radiance)).loss(image)[0].item())
+            losses.append(Target(arrays, torch.from_numpy(view.radiance)).loss(image)[0].item())
         return sum(losses)
 
     before = error()
