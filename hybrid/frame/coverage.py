@@ -26,6 +26,8 @@ _MOST_RAYS = 2048
 # Distance from which the nearest training view saw a point, over that from which it is seen now: up to the
 # first, splats show it well; from the second on they are blurred and out of shape.
 _NEAR, _FAR = 1.6, 2.4
+# Cells beside what is not known that count as such.
+_BORDER = 2
 # Opacity of splats up to which a pixel counts as unknown, and from which on as known, where nothing is known
 # of training views.
 _EMPTY, _FULL = 0.5, 0.9
@@ -56,8 +58,8 @@ class Coverage:
     def of(self, camera: Camera, tracer: Tracer) -> NDArray[np.float32]:
         """(rows, columns) how well the splats show each cell of a frame, 0 where not at all to 1.
 
-        Cells beside one that is not known count as that one, since Gaussians smear there. A single cell that
-        differs from those around it counts as these do.
+        Up to two cells beside one that is not known count as that one, since few views showed what is there,
+        and Gaussians smear. A single cell that differs from those around it counts as these do.
 
         Args:
             camera: the view.
@@ -70,7 +72,8 @@ class Coverage:
         if tracer.scene.mitsuba.environment() is None:
             # Darkness, which splats show as well as paths do.
             known[_is_sky(points, camera).reshape(known.shape)] = 1
-        return minimum_filter(median_filter(known, 3, mode="nearest"), 3, mode="nearest")
+        plain = median_filter(known, 3, mode="nearest")
+        return minimum_filter(plain, 2 * _BORDER + 1, mode="nearest")
 
     def _of_points(self, points: NDArray[np.float32], camera: Camera, tracer: Tracer) -> NDArray[np.float32]:
         """(N,) how well the training views saw points (N, 3) of a view."""

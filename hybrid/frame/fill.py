@@ -182,11 +182,19 @@ def _light(
     traced, features = tracer.trace_with_features(camera, box_positions(x, y, *sizes), effort.light_spp, seed)
     # Denoising takes as long as the rectangle is large.
     box = tuple(slice(int(at.min()), int(at.max()) + 1) for at in (rows, columns))
-    images = []
-    for channels in (traced.radiance, features.albedo, features.normal):
-        image = np.zeros((height, width, 3), dtype=np.float32)
-        image[rows, columns] = interleaved(channels)
-        images.append(image[box])
+    radiance, albedo, normal = (
+        _image(channels, (height, width), (rows, columns))[box]
+        for channels in (traced.radiance, features.albedo, features.normal)
+    )
     light = np.zeros((height, width, 3), dtype=np.float32)
-    light[box] = denoise(*images, effort.quick) / (images[1] + _ALBEDO_OFFSET)
+    light[box] = denoise(radiance, albedo, normal, effort.quick) / (albedo + _ALBEDO_OFFSET)
     return light
+
+
+def _image(
+    channels: list[Any], shape: tuple[int, int], pixels: tuple[NDArray[np.int64], NDArray[np.int64]]
+) -> Image:
+    """(*shape, 3) image of three (N,) channels at N pixels, 0 elsewhere."""
+    image = np.zeros((*shape, 3), dtype=np.float32)
+    image[pixels] = interleaved(channels)
+    return image
