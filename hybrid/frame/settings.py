@@ -180,5 +180,5 @@ DEFAULTS = FrameSettings()
 INTERACTIVE = FrameSettings(fov_a=15.0, fov_b=11.25, spp=1)
 # An evaluation compares methods where samples are scarce.
 EVALUATION = FrameSettings(spp=1)
-# A sweep times what Foveated Path Culling times: samples without denoising.
+# A sweep times what Foveated Path Culling times: samples without denoising, in the disc alone.
 SWEEP = FrameSettings(spp=1, fovea=FoveaMode.RAW, fill=False)

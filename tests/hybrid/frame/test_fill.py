@@ -144,7 +144,7 @@ def test_a_forest_that_does_not_name_its_views_is_judged_by_its_opacity(room, vi
     # The dot is in the middle.
     known = Coverage(arrays, dot).of(view.resized(640, 640), Tracer(room))
     assert known.shape == (40, 40)
-    assert known[20, 20] == 1
+    assert known[20, 20] > 0.5
     assert known[:8].max() == 0
 
 
