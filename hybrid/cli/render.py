@@ -228,6 +228,7 @@ def _render_frame(
     return _facts(scene, settings) | {
         "nodes_drawn": frame.nodes_drawn,
         "pixels_excluded": frame.fovea.excluded,
+        "filled": frame.filled,
         "milliseconds": milliseconds,
     }
 

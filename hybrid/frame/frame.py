@@ -15,6 +15,7 @@ from compose.eye.detail import DetailMap
 from compose.fovea.region import FoveaRegion
 from compose.image.colour import Image
 from hybrid.frame.aovs import aovs_of
+from hybrid.frame.fill import Fill
 from hybrid.frame.fovea import FoveaImage
 from hybrid.frame.settings import FrameSettings
 from hybrid.frame.underlay import Underlay
@@ -39,14 +40,15 @@ class Frame:
         composite: (H, W, 3) linear radiance, the frame itself.
         settings: how it was made, as resolved for its camera.
         camera: the view.
-        periphery: (H, W, 3) the splats; black in tiles that the fovea hides.
+        periphery: (H, W, 3) the splats, and what was filled; black in tiles that the fovea hides.
         detail: the detail that the viewer resolves in each part of the frame.
         nodes_drawn: Gaussians drawn in the periphery, counted once per layer image.
         fovea: the disc and what it was made from.
         underlay: the splats under the disc, if fused.
         region: the disc's pixels and the weights of the blend; for a raw fovea, the pixels with samples.
-        milliseconds: per pass (region, detail, splat, underlay, trace, fovea, blend), and in total.
+        milliseconds: per pass (region, detail, splat, fill, underlay, trace, fovea, blend), and in total.
         source: renders further AOVs when the frame is saved.
+        fill: what was path-traced because the forest does not know it; None if it knows all of the frame.
     """
 
     composite: Image
@@ -60,6 +62,12 @@ class Frame:
     region: FoveaRegion
     milliseconds: dict[str, float]
     source: AovSource = field(repr=False, compare=False)
+    fill: Fill | None = None
+
+    @property
+    def filled(self) -> float:
+        """Share of the frame, 0 to 1, that was path-traced because the forest does not know it."""
+        return 0.0 if self.fill is None else self.fill.share
 
     def of_disc(self, values: NDArray[np.float32]) -> Image:
         """(H, W, C) image of values (D, C) of the region's pixels, black elsewhere."""
@@ -68,13 +76,18 @@ class Frame:
     def aovs(self) -> dict[str, NDArray[np.float32]]:
         """The images that the frame consists of, by name: the layers of its EXR file.
 
-        Beside the AOVs of `aovs_of`, these are splat, (H, W, 3) the finest layer over the whole frame, and
-        depth, (H, W) along the view axis; both are rendered now.
+        Beside the AOVs of `aovs_of`, these are splat, (H, W, 3) the finest layer over the whole frame,
+        depth, (H, W) along the view axis, both rendered now, and coverage, (H, W) what the forest knows: 1
+        where nothing was filled.
         """
         splats, depth = self.source.splats(self.settings), self.source.depth(self.camera)
+        coverage = np.ones(depth.shape, dtype=np.float32)
+        if self.fill is not None:
+            coverage -= self.fill.region.weight_image()
         return aovs_of(self.composite, self.settings, self.detail, self.region, self.fovea) | {
             "splat": splats,
             "depth": depth,
+            "coverage": coverage,
         }
 
     def save(self, path: Path | str) -> None:

@@ -16,7 +16,7 @@ _PREFIX = "fusion."
 def attach_fusion(forest: Forest, fusion: Fusion) -> Forest:
     """The forest with a fitted network attached, which its file then contains."""
     state = {_PREFIX + name: tensor.clone() for name, tensor in fusion.state_dict().items()}
-    return replace(forest, attached=state)
+    return replace(forest, attached={**forest.attached, **state})
 
 
 def fusion_of(forest: Forest) -> Fusion | None:

@@ -8,6 +8,7 @@ from compose.base.seeds import require_seed
 from compose.blend.blend import blend
 from compose.camera.camera import Camera
 from compose.eye.detail import DetailMap
+from hybrid.frame.fill import MOVING, Fill
 from hybrid.frame.fovea import FoveaImage
 from hybrid.frame.frame import Frame
 from hybrid.frame.renderer import Renderer
@@ -46,12 +47,14 @@ class LiveRenderer(Renderer):
         still, self._last_camera = camera == self._last_camera, camera
         detail = self.periphery.detail(camera, settings, moving=not still)
         clock.lap("region")
-        if still:
-            underlay: Underlay | None = self._still_underlay(camera, settings, detail)
-        else:
-            underlay = self.underlay(camera, settings, disc)
-        clock.lap("underlay")
         self._relight(settings)
+        fill = self._fill_now(camera, settings, seed, still)
+        clock.lap("fill")
+        if still:
+            underlay: Underlay | None = self._still_underlay(camera, settings, detail, fill)
+        else:
+            underlay = self.underlay(camera, settings, disc, fill)
+        clock.lap("underlay")
         region, samples = maker.trace(settings.fovea, camera, disc, settings.spp, seed, underlay, quick=True)
         clock.lap("trace")
         fovea = maker.image(settings.fovea, region, samples, None, underlay, quick=True)
@@ -60,12 +63,24 @@ class LiveRenderer(Renderer):
             drawn = self.periphery.draw_still(camera, settings, detail, disc)
         else:
             drawn = self.periphery.draw(camera, detail, disc)
-        periphery = drawn.image()
+        periphery = drawn.image() if fill is None else fill.over(drawn.image())
         clock.lap("splat")
         composite = blend(periphery, fovea.radiance, region)
         clock.lap("blend")
         parts = periphery, detail, drawn.nodes, fovea, underlay, region, clock.milliseconds()
-        return Frame(composite, settings, camera, *parts, self)
+        return Frame(composite, settings, camera, *parts, self, fill)
+
+    def _fill_now(self, camera: Camera, settings: FrameSettings, seed: int, still: bool) -> Fill | None:
+        """As `_fill`: quickly while the camera moves, and once when it stands still."""
+        if not settings.fill:
+            return None
+        integrator = settings.used_integrator
+        # Until all light is renewed, what was traced before is old.
+        if still and self.light_renewed == 1:
+            return self._filler.kept(
+                camera, self.tracer, lambda: self.tracer_of(integrator), integrator, seed
+            )
+        return self._filler.fill(camera, self.tracer, lambda: self.tracer_of(integrator), MOVING, seed)
 
     def refined(self, frame: Frame, spp: int, seed: int, quick: bool) -> Frame:
         """A frame with further samples in its disc.
@@ -91,8 +106,11 @@ class LiveRenderer(Renderer):
         clock.lap("fovea")
         return fovea
 
-    def _still_underlay(self, camera: Camera, settings: FrameSettings, detail: DetailMap) -> Underlay:
+    def _still_underlay(
+        self, camera: Camera, settings: FrameSettings, detail: DetailMap, fill: Fill | None
+    ) -> Underlay:
         radiance = self.periphery.whole_still(camera, settings, detail)
+        radiance = radiance if fill is None else fill.over(radiance)
         return Underlay(camera, radiance, self.periphery.enlargement(camera, settings))
 
     def forget(self) -> None:

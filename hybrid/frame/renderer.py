@@ -11,6 +11,7 @@ from compose.camera.camera import Camera
 from compose.fovea.mode import FoveaMode
 from compose.fovea.region import FoveaRegion
 from compose.image.colour import Image
+from hybrid.frame.fill import STILL, Fill, Filler
 from hybrid.frame.fovea import Fovea
 from hybrid.frame.frame import Frame
 from hybrid.frame.fusion import fusion_of
@@ -59,6 +60,7 @@ class Renderer:
         self.scene = scene
         self.tracer = Tracer(scene, roulette_depth=roulette_depth)
         self.periphery = Periphery(device_arrays(), forest)
+        self._filler = Filler(device_arrays(), forest)
         self._fusion, self._history, self._roulette_depth = fusion_of(forest), history, roulette_depth
         self._foveas: dict[Integrator, Fovea] = {}
         self._cached: CachedTracer | None = None
@@ -105,6 +107,7 @@ class Renderer:
 
     def forget(self) -> None:
         """Drops the samples of earlier frames."""
+        self._filler.forget()
         for fovea in self._foveas.values():
             fovea.disc.forget()
 
@@ -142,9 +145,12 @@ class Renderer:
         drawn = self.periphery.draw(camera, detail, disc)
         periphery = drawn.image()
         clock.lap("splat")
-        underlay = self.underlay(camera, settings, disc)
-        clock.lap("underlay")
         self._relight(settings)
+        fill = self._fill(camera, settings, seed)
+        periphery = periphery if fill is None else fill.over(periphery)
+        clock.lap("fill")
+        underlay = self.underlay(camera, settings, disc, fill)
+        clock.lap("underlay")
         region, samples = maker.trace(settings.fovea, camera, disc, settings.spp, seed, underlay)
         clock.lap("trace")
         fovea = maker.image(settings.fovea, region, samples, periphery, underlay)
@@ -152,22 +158,34 @@ class Renderer:
         composite = blend(periphery, fovea.radiance, region)
         clock.lap("blend")
         parts = periphery, detail, drawn.nodes, fovea, underlay, region, clock.milliseconds()
-        return Frame(composite, settings, camera, *parts, self)
+        return Frame(composite, settings, camera, *parts, self, fill)
 
-    def underlay(self, camera: Camera, settings: FrameSettings, disc: FoveaRegion) -> Underlay | None:
-        """The splats under the disc; None unless the settings fuse them with it."""
+    def _fill(self, camera: Camera, settings: FrameSettings, seed: int) -> Fill | None:
+        """What is path-traced where the forest does not know the view; None if it knows all of it."""
+        if not settings.fill:
+            return None
+        integrator = settings.used_integrator
+        return self._filler.fill(camera, self.tracer, lambda: self.tracer_of(integrator), STILL, seed)
+
+    def underlay(
+        self, camera: Camera, settings: FrameSettings, disc: FoveaRegion, fill: Fill | None = None
+    ) -> Underlay | None:
+        """The splats under the disc, with what is filled; None unless the settings fuse them with it."""
         if settings.fovea is not FoveaMode.FUSED:
             return None
         radiance = self.periphery.under_disc(camera, settings, disc).image()
+        radiance = radiance if fill is None else fill.over(radiance)
         return Underlay(camera, radiance, self.periphery.enlargement(camera, settings))
 
     def disc_alone(self, settings: FrameSettings, seed: int) -> Image:
         """(D, 3) linear radiance of a frame's disc, without rendering a periphery; D as in its region."""
         camera, settings = settings.resolved(self.scene.camera)
         disc = settings.foveation.region(camera.width, camera.height)
-        underlay = self.underlay(camera, settings, disc)
         maker = self.fovea_of(settings)
         self._relight(settings)
+        fused = settings.fovea is FoveaMode.FUSED
+        fill = self._fill(camera, settings, seed) if fused else None
+        underlay = self.underlay(camera, settings, disc, fill)
         region, samples = maker.trace(settings.fovea, camera, disc, settings.spp, seed, underlay)
         surroundings = np.zeros((region.height, region.width, 3), dtype=np.float32)
         return maker.image(settings.fovea, region, samples, surroundings, underlay).radiance

@@ -68,6 +68,7 @@ class FrameSettings:
         display: what the frame is shown on, around the display's centre.
         camera: the view; None for the scene's own.
         integrator: how paths are traced; None for unbiased paths in a raw fovea and cached ones in others.
+        fill: whether what the forest does not know is path-traced, at a lower resolution.
 
     Raises:
         UserError: a value is out of range or unknown.
@@ -85,6 +86,7 @@ class FrameSettings:
     display: Converted[Display | str, Display] = Converted(_display, DISPLAYS["desktop"])
     camera: Camera | None = None
     integrator: Converted[Integrator | str | None, Integrator | None] = Converted(_integrator, None)
+    fill: bool = True
 
     def __post_init__(self) -> None:
         acuity_model_named(self.acuity_model)
@@ -164,6 +166,7 @@ class FrameSettings:
             "display": asdict(self.display),
             "camera": None if self.camera is None else self.camera.key.hex(),
             "integrator": self.used_integrator.value,
+            "fill": self.fill,
         }
 
 
@@ -177,5 +180,5 @@ DEFAULTS = FrameSettings()
 INTERACTIVE = FrameSettings(fov_a=15.0, fov_b=11.25, spp=1)
 # An evaluation compares methods where samples are scarce.
 EVALUATION = FrameSettings(spp=1)
-# A sweep times what Foveated Path Culling times: samples without denoising.
-SWEEP = FrameSettings(spp=1, fovea=FoveaMode.RAW)
+# A sweep times what Foveated Path Culling times: samples without denoising, in the disc alone.
+SWEEP = FrameSettings(spp=1, fovea=FoveaMode.RAW, fill=False)

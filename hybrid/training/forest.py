@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from compose.base.errors import UserError
+from hybrid.frame.trained_views import attach_views
 from hybrid.runtime.device import device_arrays
 from hybrid.runtime.interrupts import interrupts_between_steps
 from hybrid.runtime.progress import console, no_progress
@@ -104,6 +105,7 @@ def train(
     forest = with_fusion(
         frames, forest, settings.seed, lambda done, _: progress(settings.iterations + done, total)
     )
+    forest = attach_views(forest, [view.camera for view in views])
     save_forest(path, forest)
     report(LeftOut(trainer.dropped, trainer.skipped))
     checkpoint.unlink(missing_ok=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from hybrid.frame.trained_views import attach_views
 from pathtrace.dataset.rendering import render_frame
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.tracer import Tracer
@@ -18,12 +19,16 @@ from tests import small
 
 
 def rough_forest(scene: Scene, degree: int = 0) -> Forest:
-    """Three layers of untrained Gaussians: a rough picture of the scene, enough to blend with."""
+    """Three layers of untrained Gaussians: a rough picture of the scene, enough to blend with.
+
+    They claim to know more than any frame shows, so that nothing is filled.
+    """
     frame = render_frame(Tracer(scene), scene.camera, 4, 0)
     view = TrainingView(scene.camera, frame.radiance, frame.unfolded, frame.normal)
     gaussians = seed_from_views([view], 500, degree, small.rng())
     layers = build_forest(static_layer(gaussians), 0.05, 3)
-    return forest_of(layers, scene.camera.fy, scene.name, scene.hash)
+    forest = forest_of(layers, scene.camera.fy, scene.name, scene.hash)
+    return attach_views(forest, [scene.camera.resized(4 * scene.camera.width, scene.camera.height)])
 
 
 def white_dot(point: tuple[float, float, float], focal: float = 50.0, opacity_logit: float = 8.0) -> Forest:

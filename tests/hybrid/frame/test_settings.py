@@ -32,6 +32,7 @@ OTHERS = {
     "display": Display(1920, 1080, 55.0, 100.0),
     "camera": CAMERA,
     "integrator": Integrator.PATH,
+    "fill": False,
 }
 
 
@@ -51,7 +52,7 @@ def test_the_defaults_are_those_of_a_single_frame():
     [
         (INTERACTIVE, {"fov_a": 15.0, "fov_b": 11.25, "spp": 1}),
         (EVALUATION, {"spp": 1}),
-        (SWEEP, {"spp": 1, "fovea": FoveaMode.RAW}),
+        (SWEEP, {"spp": 1, "fovea": FoveaMode.RAW, "fill": False}),
     ],
 )
 def test_other_uses_change_few_of_the_defaults(preset, changed):

@@ -1,0 +1,92 @@
+"""What a set of views has seen: how finely the best of them showed each point."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.arrays import Arrays, uploaded
+from compose.camera.camera import Camera
+
+# Relative difference of depths up to which a point is visible: what is not hidden may lie a little deeper
+# than what the four rays around it hit.
+_TOLERANCE = 0.02
+# Floats per view: rows of its world-to-camera transform, then focal lengths and centre in cells of its map,
+# and the size of its pixels at depth 1.
+_VIEW = 17
+
+
+class SeenSurfaces:
+    """The surfaces that views see, each view as a small depth map.
+
+    Args:
+        arrays: the backend's array types.
+        cameras: V views.
+        depths: (V, h, w) depth along the view axis at the centres of h x w cells of each view's frame; where
+            there is nothing, a distance beyond everything that is asked for.
+
+    Raises:
+        ValueError: there is not one map per view, or no view.
+    """
+
+    def __init__(self, arrays: Arrays, cameras: Sequence[Camera], depths: NDArray[np.float32]):
+        if not cameras or depths.ndim != 3 or len(depths) != len(cameras) or not depths.size:
+            raise ValueError(f"depth maps of shape {depths.shape} for {len(cameras)} views")
+        self._arrays = arrays
+        self._count, self._rows, self._columns = (arrays.number(side) for side in depths.shape)
+        self._depths = uploaded(arrays.plain.Float, depths.astype(np.float32))
+        self._views = uploaded(
+            arrays.plain.Float, np.stack([_floats(camera, *depths.shape[1:]) for camera in cameras])
+        )
+        dr.eval(self._count, self._rows, self._columns, self._depths, self._views)
+
+    def finest(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(N,) size in the world of the finest pixel that shows each point (N, 3); inf where no view does."""
+        x, y, z = (uploaded(self._arrays.plain.Float, points[:, k].astype(np.float32)) for k in range(3))
+        # Arguments of the loop's function: it changes none of them.
+        found = _finest(
+            self._arrays.plain, (x, y, z), self._views, self._depths, self._count, (self._rows, self._columns)
+        )
+        dr.eval(found)
+        values: NDArray[np.float32] = found.numpy()
+        return values
+
+
+def _floats(camera: Camera, rows: int, columns: int) -> NDArray[np.float32]:
+    across, down = columns / camera.width, rows / camera.height
+    numbers = camera.fx * across, camera.fy * down, camera.cx * across, camera.cy * down, 1 / camera.fy
+    return np.concatenate([camera.world_to_camera[:3].ravel(), numbers]).astype(np.float32)
+
+
+@dr.syntax
+def _finest(plain: Any, point: tuple[Any, ...], views: Any, depths: Any, count: Any, shape: Any) -> Any:
+    """As `SeenSurfaces.finest`; `views` and `depths` flat, `shape` (rows, columns) of each map."""
+    x, y, z = point
+    rows, columns = shape
+    best = dr.full(plain.Float, dr.inf, dr.width(x))
+    view = dr.zeros(plain.UInt, dr.width(x))
+    while dr.hint(view < count, exclude=[x, y, z, views, depths, count, rows, columns]):
+        v = [dr.gather(plain.Float, views, view * _VIEW + k) for k in range(_VIEW)]
+        local_x = dr.fma(v[0], x, dr.fma(v[1], y, dr.fma(v[2], z, v[3])))
+        local_y = dr.fma(v[4], x, dr.fma(v[5], y, dr.fma(v[6], z, v[7])))
+        depth = dr.fma(v[8], x, dr.fma(v[9], y, dr.fma(v[10], z, v[11])))
+        column = dr.fma(v[12], local_x / depth, v[14])
+        row = dr.fma(v[13], local_y / depth, v[15])
+        inside = (depth > 0) & (column >= 0) & (row >= 0)
+        inside &= (column < plain.Float(columns)) & (row < plain.Float(rows))
+        # The four cells whose centres lie around the point, or the nearest ones within the map.
+        left, top = (plain.Int(dr.floor(value - 0.5)) for value in (column, row))
+        deepest = plain.Float(0)
+        for k in range(4):
+            i = plain.UInt(dr.clip(top + k // 2, 0, plain.Int(rows) - 1))
+            j = plain.UInt(dr.clip(left + k % 2, 0, plain.Int(columns) - 1))
+            there = dr.gather(plain.Float, depths, (view * rows + i) * columns + j, inside)
+            deepest = dr.maximum(deepest, there)
+        visible = inside & (depth <= deepest * (1 + _TOLERANCE))
+        best = dr.select(visible, dr.minimum(best, depth * v[16]), best)
+        view += 1
+    return best
