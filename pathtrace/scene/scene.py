@@ -16,6 +16,7 @@ from pathtrace.scene.fingerprint import dictionary_fingerprint, fingerprint_at_d
 from pathtrace.scene.loading import Source, load_mitsuba_dictionary, load_mitsuba_xml
 from pathtrace.scene.ordering import with_ordered_shapes
 from pathtrace.scene.sensor import camera_of_sensor
+from pathtrace.scene.sunsky import balanced_dictionary
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,8 @@ def load_scene(source: str | Path | dict[str, Any], max_depth: int | None = None
     """
     if isinstance(source, dict):
         name, own_depth = "dictionary", DEFAULT_MAX_DEPTH
-        loaded, content = load_mitsuba_dictionary(name, source), Source(name, source)
+        content = Source(name, balanced := balanced_dictionary(source))
+        loaded = load_mitsuba_dictionary(name, balanced)
         fingerprint = dictionary_fingerprint(source)
     else:
         path = scene_file(source)
