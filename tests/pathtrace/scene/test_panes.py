@@ -10,8 +10,6 @@ from compose.base.errors import UserError
 from pathtrace.scene.panes import pane_faces
 from pathtrace.scene.scene import load_scene
 from pathtrace.scene.tessellation import triangles_of
-from pathtrace.trace.film import frame_positions, interleaved
-from pathtrace.trace.tracer import Tracer
 from tests import small
 from tests.extremes import extreme
 
@@ -67,27 +65,3 @@ def test_it_is_part_of_the_hash_and_refused_without_panes():
     assert thin.thin_glass
     with pytest.raises(UserError, match="no panes of glass"):
         load_scene(small.corner(), thin_glass=True)
-
-
-def mean_and_error(description: dict, spp: int, thin: bool) -> tuple[float, float]:
-    loaded = load_scene(description, thin_glass=thin)
-    traced = Tracer(loaded).trace(loaded.camera, frame_positions(loaded.camera), spp, 1)
-    radiance, squares = (interleaved(channels) for channels in (traced.radiance, traced.squares))
-    variance = np.maximum(squares - radiance**2, 0).mean()
-    return float(radiance.mean()), float(np.sqrt(variance / spp / len(radiance)))
-
-
-def test_thin_dielectrics_are_unbiased_and_less_noisy():
-    """The one thing that shadow rays leave out is nothing: such glass does not shift light."""
-    pane = slab(0.0001, "thindielectric") | {"type": "rectangle"}
-    plain, its_error = mean_and_error(scene(pane), 512, False)
-    thin, error = mean_and_error(scene(pane), 128, True)
-    assert abs(thin - plain) < 4 * np.hypot(error, its_error)
-    assert error < its_error
-
-
-def test_slabs_keep_nearly_all_their_light():
-    plain, its_error = mean_and_error(scene(slab(0.02)), 512, False)
-    thin, error = mean_and_error(scene(slab(0.02)), 128, True)
-    assert abs(thin / plain - 1) < 0.03 + 4 * np.hypot(error, its_error) / plain
-    assert error < its_error
