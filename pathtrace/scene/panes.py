@@ -35,18 +35,27 @@ def with_thin_glass(scene: Any) -> int:
     `dielectric` without a medium inside, or if it is of `thindielectric` already. Each face of a slab passes
     as much light along its normal as it did, and within 3 % as much up to 60 degrees from it.
     """
-    count = 0
-    for shape in scene.shapes():
-        kind = shape.bsdf().class_name()
-        if kind == "ThinDielectric":
-            count += 1
-        elif kind == "SmoothDielectric" and not shape.is_medium_transition():
-            faces = _faces(shape)
-            glass = _thin(shape.bsdf(), faces) if faces else None
-            if glass is not None:
-                shape.set_bsdf(glass)
-                count += 1
-    return count
+    panes = pane_shapes(scene)
+    for shape in panes:
+        if not _is_thin(shape):
+            shape.set_bsdf(_thin(shape.bsdf(), _faces(shape)))
+    return len(panes)
+
+
+def pane_shapes(scene: Any) -> list[Any]:
+    """The shapes of a Mitsuba scene that are panes of glass, as `with_thin_glass` understands them."""
+    return [shape for shape in scene.shapes() if _is_thin(shape) or _can_be_thin(shape)]
+
+
+def _is_thin(shape: Any) -> bool:
+    return bool(shape.bsdf().class_name() == "ThinDielectric")
+
+
+def _can_be_thin(shape: Any) -> bool:
+    if shape.bsdf().class_name() != "SmoothDielectric" or shape.is_medium_transition():
+        return False
+    faces = _faces(shape)
+    return faces > 0 and _thin(shape.bsdf(), faces) is not None
 
 
 def pane_faces(triangles: Array) -> int:
