@@ -21,23 +21,28 @@ Progress = Callable[[int, int], None]
 
 
 def load_scene(
-    source: str | Path | dict[str, Any], *, max_depth: int | None = None, backend: str = "auto"
+    source: str | Path | dict[str, Any],
+    *,
+    max_depth: int | None = None,
+    thin_glass: bool = False,
+    backend: str = "auto",
 ) -> Scene:
     """Loads a scene. The first call in a process also selects the backend.
 
     Args:
         source: name of a bundled scene, path of a Mitsuba 3 XML file, or scene dictionary.
         max_depth: path depth; the scene's own if None.
+        thin_glass: whether panes of glass let shadow rays pass; such a scene has a hash of its own.
         backend: auto (CUDA if available), cuda or llvm; it cannot change within a process.
 
     Raises:
-        UserError: the scene is missing, Mitsuba refuses it, it has no perspective camera or no light, or the
-            backend is not available.
+        UserError: the scene is missing, Mitsuba refuses it, it has no perspective camera or no light, the
+            backend is not available, or thin glass is asked for and there is no pane.
     """
     select_backend(backend)
     from pathtrace.scene.scene import load_scene as load
 
-    return load(source, max_depth)
+    return load(source, max_depth, thin_glass)
 
 
 def capture(

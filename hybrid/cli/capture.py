@@ -18,6 +18,7 @@ from hybrid.cli.options import (
     MaxDepth,
     SceneName,
     Seed,
+    ThinGlass,
     loaded_scene,
     require_size,
     select,
@@ -60,6 +61,7 @@ def capture(
         ),
     ] = Integrator.CACHED.value,
     max_depth: MaxDepth = None,
+    thin_glass: ThinGlass = False,
     seed: Seed = 0,
     backend: Backend = "auto",
     json_file: Json = None,
@@ -76,7 +78,7 @@ def capture(
     require_size(size)
     is_cached = integrator_named(integrator) is Integrator.CACHED
     start = time.perf_counter()
-    loaded = loaded_scene(scene, max_depth)
+    loaded = loaded_scene(scene, max_depth, thin_glass)
     cache = cache_for(loaded, progress_bar) if is_cached else None
     with progress_bar("capture (samples)") as bar:
         found = run(loaded, Path(frames), settings, bar, cache)

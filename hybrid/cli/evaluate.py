@@ -24,6 +24,7 @@ from hybrid.cli.options import (
     SceneName,
     Seed,
     Spp,
+    ThinGlass,
     fill_irradiance,
     loaded_scene,
     require_size,
@@ -79,6 +80,7 @@ def evaluate(
         ),
     ] = _DEFAULTS.repeats,
     display: DisplayName = "desktop",
+    thin_glass: ThinGlass = False,
     seed: Seed = 0,
     backend: Backend = "auto",
     json_file: Json = None,
@@ -99,7 +101,7 @@ def evaluate(
     from hybrid.store.identity import require_scene
     from splat.io.forest_file import load_forest
 
-    loaded = loaded_scene(scene)
+    loaded = loaded_scene(scene, None, thin_glass)
     if baseline_forest is not None:
         # Refused before any bar appears, and before a forest is trained.
         require_scene(load_forest(baseline_forest), loaded.name, loaded.hash, baseline_forest)

@@ -151,6 +151,14 @@ MaxDepth = Annotated[
         rich_help_panel=INPUT,
     ),
 ]
+ThinGlass = Annotated[
+    bool,
+    typer.Option(
+        "--thin-glass",
+        help="Panes of glass let shadow rays pass: far less noise where light comes through them.",
+        rich_help_panel=INPUT,
+    ),
+]
 Repeats = Annotated[
     int, typer.Option(help="Measured frames per row.", min=3, max=MOST_FRAMES, rich_help_panel=MEASUREMENT)
 ]
@@ -197,11 +205,11 @@ def select(backend: str) -> None:
     select_backend(backend)
 
 
-def loaded_scene(source: str, max_depth: int | None = None) -> Scene:
+def loaded_scene(source: str, max_depth: int | None = None, thin_glass: bool = False) -> Scene:
     """A scene by a bundled name or from a Mitsuba XML file."""
     from pathtrace.scene.scene import load_scene
 
-    return load_scene(source, max_depth)
+    return load_scene(source, max_depth, thin_glass)
 
 
 def fill_irradiance(scene: Scene, settings: FrameSettings) -> None:

@@ -28,6 +28,7 @@ from hybrid.cli.options import (
     Seed,
     Size,
     Spp,
+    ThinGlass,
     fill_irradiance,
     finite,
     loaded_scene,
@@ -100,6 +101,7 @@ def render(
         typer.Option(metavar="FILE", help="Also a PNG that shows level, rate and eccentricity."),
     ] = None,
     max_depth: MaxDepth = None,
+    thin_glass: ThinGlass = False,
     seed: Seed = 0,
     backend: Backend = "auto",
     json_file: Json = None,
@@ -124,7 +126,7 @@ def render(
     select(backend)
     from hybrid.preparation.quick import forest_for
 
-    loaded = loaded_scene(scene, max_depth)
+    loaded = loaded_scene(scene, max_depth, thin_glass)
     view = _view(loaded, camera, size, is_video=trace is not None)
     pixels = view.width, view.height
     command = measuring_command(scene, forest, pixels, settings, display, backend)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from compose.base.arrays import uploaded
 from pathtrace.cache.cells import Grid, Points, cell_names_jit, names_of
+from pathtrace.cache.shadows import transmittance
 from pathtrace.cache.table import Table, find
 
 # Level of the cells that have chances of their own, and samples of each light that such a cell has at least.
@@ -164,10 +165,11 @@ class Lights:
     Args:
         scene: a Mitsuba scene.
         arrays: of the choice.
+        thin_glass: whether shadow rays pass panes of it.
     """
 
-    def __init__(self, scene: Any, arrays: tuple[Any, ...]):
-        self._scene = scene
+    def __init__(self, scene: Any, arrays: tuple[Any, ...], thin_glass: bool = False):
+        self._scene, self._thin_glass = scene, thin_glass
         self._grid, self._table, self._rows, self._numbers, self._chances, self._running = arrays
         self._count = len(scene.emitters())
         self._emitters = scene.emitters_dr()
@@ -193,9 +195,12 @@ class Lights:
         light.pdf = dr.select(lit, light.pdf * chance, 0)
         return light, dr.select(lit, emitted / chance, 0)
 
-    def visible(self, hit: Any, light: Any, active: Any) -> Any:
-        """Mask of the sampled places on lights that nothing hides, by shadow rays."""
-        return active & ~self._scene.ray_test(hit.spawn_ray_to(light.p), active)
+    def arriving(self, hit: Any, light: Any, emitted: Any, active: Any) -> Any:
+        """What arrives of that which sampled places on lights emit, by shadow rays; 0 where it is hidden."""
+        if self._thin_glass:
+            return emitted * transmittance(self._scene, hit, light.p, active)
+        seen = active & ~self._scene.ray_test(hit.spawn_ray_to(light.p), active)
+        return dr.select(seen, emitted, 0)
 
     def pdf(self, before: Any, row: Any, found: Any, active: Any) -> Any:
         """As Mitsuba's `Scene.pdf_emitter_direction`."""

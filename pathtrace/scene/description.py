@@ -10,6 +10,7 @@ from pathlib import Path
 from pathtrace.scene.fingerprint import file_fingerprint
 from pathtrace.scene.plugins import require_own_plugins
 from pathtrace.scene.references import References
+from pathtrace.scene.sunsky import balance_xml
 from pathtrace.scene.xml import parse_xml
 
 # Beyond this path depth, hardly any energy is left in a closed room.
@@ -51,6 +52,7 @@ def read_description(path: Path) -> SceneDescription:
     references = References.of(path, root)
     require_own_plugins(path, references.plugins, [path.parent, *references.folders])
     fingerprint = file_fingerprint(path, root, references)
+    balance_xml(root)
     return SceneDescription(ET.tostring(root, encoding="unicode"), fingerprint, depth)
 
 

@@ -68,6 +68,11 @@ def dictionary_fingerprint(description: dict[str, Any]) -> str:
     return hashlib.sha256(repr(description).encode()).hexdigest()
 
 
+def fingerprint_with_thin_glass(fingerprint: str) -> str:
+    """Hash of a scene whose panes let shadow rays pass: images of it show slightly other light."""
+    return hashlib.sha256(f"{fingerprint} with thin glass".encode()).hexdigest()
+
+
 def fingerprint_at_depth(fingerprint: str, depth: int) -> str:
     """Hash of a scene whose path depth is not its own: images at another depth show other light."""
     return hashlib.sha256(f"{fingerprint} at depth {depth}".encode()).hexdigest()

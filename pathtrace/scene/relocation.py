@@ -9,11 +9,12 @@ import numpy as np
 
 from compose.camera.camera import Array
 from compose.camera.place import Place
+from pathtrace.scene.sunsky import PLUGIN as BALANCED_SUNSKY
 
 # What scales with its to_world alone; for other plugins, another unit of length would change how they look.
 _SHAPES = ("obj", "ply", "serialized", "cube", "rectangle", "disk", "sphere", "cylinder", "instance")
 _POINTS = ("point", "spot")
-_ENDLESS = ("constant", "envmap", "directional", "sunsky", "sun", "sky")
+_ENDLESS = ("constant", "envmap", "directional", "sunsky", "sun", "sky", BALANCED_SUNSKY)
 # Where float32 has this many steps to a power of two.
 _STEPS = 2.0**23
 

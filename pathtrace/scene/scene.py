@@ -12,10 +12,16 @@ from compose.camera.place import WORLD, Place
 from pathtrace.scene.bundled import scene_file
 from pathtrace.scene.coordinates import fingerprint_in, in_good_coordinates
 from pathtrace.scene.description import DEFAULT_MAX_DEPTH, read_description
-from pathtrace.scene.fingerprint import dictionary_fingerprint, fingerprint_at_depth
+from pathtrace.scene.fingerprint import (
+    dictionary_fingerprint,
+    fingerprint_at_depth,
+    fingerprint_with_thin_glass,
+)
 from pathtrace.scene.loading import Source, load_mitsuba_dictionary, load_mitsuba_xml
 from pathtrace.scene.ordering import with_ordered_shapes
+from pathtrace.scene.panes import with_thin_glass
 from pathtrace.scene.sensor import camera_of_sensor
+from pathtrace.scene.sunsky import balanced_dictionary
 
 
 @dataclass(frozen=True)
@@ -29,11 +35,12 @@ class Scene:
         name: its name in files and reports.
         hash: SHA-256 of the scene's description, of every file that it names, and of the path depth if that
             is not the scene's own, since images at another depth show other light, and of its coordinates if
-            these are not the world's.
+            these are not the world's, and of thin glass.
         mitsuba: the Mitsuba scene, in the scene's coordinates.
         camera: the scene's own camera at its own film size, in the scene's coordinates.
         max_depth: path depth: the one requested, else the scene's own, else 8.
         place: the scene's coordinates; `place.camera` converts cameras of the world to them.
+        thin_glass: whether panes of glass let shadow rays pass (pathtrace.scene.panes).
     """
 
     name: str
@@ -42,6 +49,7 @@ class Scene:
     camera: Camera
     max_depth: int
     place: Place = WORLD
+    thin_glass: bool = False
 
     @property
     def triangles(self) -> int:
@@ -49,21 +57,27 @@ class Scene:
         return sum(shape.face_count() for shape in self.mitsuba.shapes() if shape.is_mesh())
 
 
-def load_scene(source: str | Path | dict[str, Any], max_depth: int | None = None) -> Scene:
+def load_scene(
+    source: str | Path | dict[str, Any], max_depth: int | None = None, thin_glass: bool = False
+) -> Scene:
     """Loads a scene and checks that it can be rendered.
 
     Args:
         source: a bundled scene's name, the path of a Mitsuba 3 XML file or of a folder with a scene.xml, or
             a scene dictionary as for `mitsuba.load_dict`.
         max_depth: path depth, at least 1, instead of the scene's own.
+        thin_glass: whether panes of glass pass light straight on, so that shadow rays reach lights behind
+            them: with far less noise, but without the shift of what is seen through thick ones.
 
     Raises:
-        UserError: the scene is missing, refused by Mitsuba, has no perspective camera or no light, or is too
-            small or too far from the origin for Mitsuba and cannot be moved or scaled.
+        UserError: the scene is missing, refused by Mitsuba, has no perspective camera or no light, has no
+            panes of the thin glass that is asked for, or is too small or too far from the origin for Mitsuba
+            and cannot be moved or scaled.
     """
     if isinstance(source, dict):
         name, own_depth = "dictionary", DEFAULT_MAX_DEPTH
-        loaded, content = load_mitsuba_dictionary(name, source), Source(name, source)
+        content = Source(name, balanced := balanced_dictionary(source))
+        loaded = load_mitsuba_dictionary(name, balanced)
         fingerprint = dictionary_fingerprint(source)
     else:
         path = scene_file(source)
@@ -82,4 +96,8 @@ def load_scene(source: str | Path | dict[str, Any], max_depth: int | None = None
     camera = camera_of_sensor(loaded.sensors()[0], content.name)
     loaded, camera, place = in_good_coordinates(content, loaded, camera)
     fingerprint = fingerprint_in(place, fingerprint)
-    return Scene(name, fingerprint, with_ordered_shapes(loaded), camera, depth, place)
+    if thin_glass:
+        if not with_thin_glass(loaded):
+            raise UserError(f"{content.name}: thin glass: the scene has no panes of glass; leave it out")
+        fingerprint = fingerprint_with_thin_glass(fingerprint)
+    return Scene(name, fingerprint, with_ordered_shapes(loaded), camera, depth, place, thin_glass)

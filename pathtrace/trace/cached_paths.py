@@ -30,11 +30,14 @@ class PathSettings:
         max_depth: number of path segments at most; below 0 for no bound.
         roulette_depth: depth from which Russian roulette may end paths.
         shadow_rays: at the first surface that scatters light; 1 at all others.
+        thin_glass: whether thin glass lets shadow rays pass. Paths pass it as if it were not there: it does
+            not count as a path segment, and what lies behind it is sampled as a light and as a direction.
     """
 
     max_depth: int
     roulette_depth: int
     shadow_rays: int
+    thin_glass: bool = False
 
 
 @dr.syntax
@@ -65,7 +68,7 @@ def path_radiance(
     # Of the vertex before: where it is, how its direction was sampled, and how many samples its light had.
     before, pdf = dr.zeros(mi.SurfaceInteraction3f), mi.Float(1)
     specular, light_samples = mi.Bool(True), mi.Float(1)
-    lights, row = Lights(scene, cache.lights), mi.UInt32(0)
+    lights, row = Lights(scene, cache.lights, settings.thin_glass), mi.UInt32(0)
     depth, scattered, spread = mi.UInt32(0), mi.Bool(False), mi.Float(0)
     while dr.hint(active, exclude=[settings, sequences, cache, lights]):
         emitted = _emitted(scene, lights, hit, before, row, pdf / light_samples, specular, active)
@@ -87,19 +90,31 @@ def path_radiance(
         radiance += dr.select(share > 0, throughput * reflected * share * irradiance * dr.inv_pi, 0)
         # What the cache does not stand for goes on, or is found by shadow rays.
         lit = rough & (~known | shows_lights(flags))
-        row = lights.row(hit.p, side, lit)
+        here = lights.row(hit.p, side, lit)
         count = dr.select(first, mi.UInt32(settings.shadow_rays), 1)
-        radiance += throughput * _direct(lights, sampler, sequences, hit, row, first, count, known, lit)
+        radiance += throughput * _direct(lights, sampler, sequences, hit, here, first, count, known, lit)
         active &= sampler.next_1d(active) >= share
         throughput = dr.select(active, throughput * reflected, throughput)
-        before, pdf, light_samples = hit, sample.pdf, mi.Float(count)
-        specular = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+        delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+        passes = _passes(settings, sample)
+        # What passes thin glass still comes from the vertex before it.
+        before, row = dr.select(passes, before, hit), dr.select(passes, row, here)
+        pdf = dr.select(passes, pdf, sample.pdf)
+        light_samples = dr.select(passes, light_samples, mi.Float(count))
+        specular = dr.select(passes, specular, delta)
         ray = hit.spawn_ray(hit.to_world(sample.wo))
-        scattered |= active & ~specular
-        depth += 1
+        scattered |= active & ~delta
+        depth += dr.select(passes, mi.UInt32(0), mi.UInt32(1))
         throughput, active = _roulette(sampler, throughput, depth >= settings.roulette_depth, active)
         hit = scene.ray_intersect(ray, mi.RayFlags.All, False, active)
     return radiance
+
+
+def _passes(settings: PathSettings, sample: Any) -> Any:
+    """Mask of the samples, Mitsuba's of BSDFs, that pass thin glass."""
+    if settings.thin_glass:
+        return mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
+    return mi.Bool(False)
 
 
 def _emitted(
@@ -168,7 +183,6 @@ def _direct(
         share = dr.select(light.delta, 1, share / (share + scatter_pdf))
         cached = irradiance_share(flags, hit.wi, hit.to_local(light.d), scatter_pdf)
         share *= dr.select(known, 1 - cached, 1)
-        seen = lights.visible(hit, light, seen & (share > 0))
-        direct += dr.select(seen, reflectance * emitted * share, 0)
+        direct += reflectance * share * lights.arriving(hit, light, emitted, seen & (share > 0))
         number += 1
     return direct / mi.Float(count)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from compose.camera.camera import Camera
 from pathtrace.base.frozen import Frozen
 from pathtrace.cache.cache import CacheArrays, IrradianceCache
+from pathtrace.cache.cells import Grid
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.cached_paths import PathSettings, path_radiance
 from pathtrace.trace.film import FilmPositions
@@ -42,6 +43,8 @@ RUSSIAN_ROULETTE_DEPTH = 5
 _UNBENT = 1e-5
 # Shadow rays at the first surface of paths that end in a cache.
 _SHADOW_RAYS = 2
+# Of a cache without cells.
+_ANY_GRID = Grid(np.zeros(3, dtype=np.float32), 1.0)
 # With fewer samples, the noise of the auxiliary features shows in what they guide; each costs a twentieth of
 # a path.
 _MIN_AUXILIARY_SPP, _MAX_AUXILIARY_SPP = 4, 16
@@ -95,6 +98,8 @@ def features_along(spp: int) -> bool:
 class Tracer:
     """Traces one scene with Mitsuba's `path` (multiple importance sampling of lights and BSDFs).
 
+    Where thin glass lets shadow rays pass, paths of the same kind that do not end in a cache stand in for it.
+
     Args:
         scene: the scene.
         max_depth: path depth; the scene's own by default.
@@ -117,14 +122,20 @@ class Tracer:
         self._clear = has_clear_surfaces(scene.mitsuba)
         # Frozen per tracer: the scene is part of the recording.
         # In a cache without cells, no path could end.
-        self._known = cache.arrays(scene.mitsuba) if cache is not None and len(cache.cells) else None
-        self._settings = PathSettings(depth, roulette_depth, _SHADOW_RAYS)
+        known = cache if cache is not None and len(cache.cells) else None
+        self._relit = known is not None
+        shadow_rays = _SHADOW_RAYS if self._relit else 1
+        if scene.thin_glass:
+            # Mitsuba's `path` has no shadow rays that pass it.
+            known = known or IrradianceCache.empty(_ANY_GRID, len(scene.mitsuba.emitters()))
+        self._known = known.arrays(scene.mitsuba) if known is not None else None
+        self._settings = PathSettings(depth, roulette_depth, shadow_rays, scene.thin_glass)
         self._trace_radiance = Frozen(self._radiance if self._known is None else self._cached_radiance)
         self._trace_auxiliary = Frozen(self._auxiliary)
 
     def relight(self, cache: IrradianceCache) -> None:
         """Lets paths end in other light of the cache that this tracer was made with."""
-        if self._known is not None:
+        if self._known is not None and self._relit:
             self._known = cache.relit(self._known)
 
     def trace(

@@ -120,7 +120,7 @@ def test_light_is_that_of_mitsubas_choice_and_densities_agree():
 
     def shadowed(at, point):
         light, emitted = lights.sample(at, row, point, mi.Bool(True))
-        return light, dr.select(lights.visible(at, light, light.pdf > 0), emitted, 0)
+        return light, lights.arriving(at, light, emitted, light.pdf > 0)
 
     own, light = irradiance(shadowed, scene, count)
     other, _ = irradiance(lambda at, point: scene.sample_emitter_direction(at, point, True), scene, count)

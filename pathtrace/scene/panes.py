@@ -1,0 +1,153 @@
+"""Panes of glass: found by their shape, and made to pass light straight on.
+
+A pane with parallel faces shifts what is seen through it by a part of its thickness and turns nothing. With
+`thindielectric`, which leaves out that shift, shadow rays may pass it; through `dielectric` none does, and
+light behind it is found by chance alone.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from pathtrace.scene.tessellation import triangles_of
+
+Array = NDArray[np.float64]
+
+# Thickness of a pane at most, as a share of its smaller side, and of its size for a single sheet.
+_THIN, _FLAT = 0.1, 1e-4
+# Cosine from which a face is parallel to the pane, and share of the area that such faces have at least.
+_PARALLEL, _FACES = 0.9998, 0.8
+# Vertices are the same if they round to the same number of this many steps to the shape's size.
+_STEPS = 1e6
+_COLOURS = ("specular_reflectance", "specular_transmittance")
+
+
+def with_thin_glass(scene: Any) -> int:
+    """Makes the panes of a Mitsuba scene pass light straight on, in place; returns how many shapes are panes.
+
+    A shape is one if all its connected parts are thin slabs with parallel faces, or flat sheets, of clear
+    `dielectric` without a medium inside, or if it is of `thindielectric` already. Each face of a slab passes
+    as much light along its normal as it did, and within 3 % as much up to 60 degrees from it.
+    """
+    panes = pane_shapes(scene)
+    for shape in panes:
+        if not _is_thin(shape):
+            shape.set_bsdf(_thin(shape.bsdf(), _faces(shape)))
+    return len(panes)
+
+
+def pane_shapes(scene: Any) -> list[Any]:
+    """The shapes of a Mitsuba scene that are panes of glass, as `with_thin_glass` understands them."""
+    return [shape for shape in scene.shapes() if _is_thin(shape) or _can_be_thin(shape)]
+
+
+def _is_thin(shape: Any) -> bool:
+    return bool(shape.bsdf().class_name() == "ThinDielectric")
+
+
+def _can_be_thin(shape: Any) -> bool:
+    if shape.bsdf().class_name() != "SmoothDielectric" or shape.is_medium_transition():
+        return False
+    faces = _faces(shape)
+    return faces > 0 and _thin(shape.bsdf(), faces) is not None
+
+
+def pane_faces(triangles: Array) -> int:
+    """How many faces each connected part of a shape has, if all of them are panes: 2, 1 for sheets, else 0.
+
+    Args:
+        triangles: (M, 3, 3) corners.
+    """
+    if not len(triangles):
+        return 0
+    faces = {_part_faces(part) for part in _parts(triangles)}
+    return faces.pop() if len(faces) == 1 else 0
+
+
+def _faces(shape: Any) -> int:
+    triangles = triangles_of(shape)
+    return 0 if triangles is None else pane_faces(triangles)
+
+
+def _parts(triangles: Array) -> list[Array]:
+    """The connected parts of a shape."""
+    corners = triangles.reshape(-1, 3)
+    size = np.ptp(corners, axis=0).max() or 1.0
+    _, vertex = np.unique(
+        np.round((corners - corners.min(axis=0)) / size * _STEPS), axis=0, return_inverse=True
+    )
+    vertex = vertex.reshape(-1, 3)
+    ends = np.concatenate([vertex[:, :2], vertex[:, 1:]])
+    count = int(vertex.max()) + 1
+    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
+    _, label = connected_components(graph, directed=False)
+    of_triangle = label[vertex[:, 0]]
+    return [triangles[of_triangle == one] for one in np.unique(of_triangle)]
+
+
+def _part_faces(triangles: Array) -> int:
+    """2 for a slab, 1 for a sheet, 0 for anything else; triangles of a connected part (M, 3, 3)."""
+    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    area = np.linalg.norm(across, axis=1)
+    if not area.sum() > 0:
+        return 0
+    normal = across[area.argmax()] / area.max()
+    along = across @ normal
+    parallel = np.abs(along) >= _PARALLEL * area
+    if area[parallel].sum() < _FACES * area.sum():
+        return 0
+    corners = triangles.reshape(-1, 3)
+    flat = corners - np.outer(corners @ normal, normal)
+    middle = flat - flat.mean(axis=0)
+    sides = np.linalg.svd(middle, compute_uv=False, full_matrices=False)[:2]
+    axes = np.linalg.svd(middle, full_matrices=False)[2][:2]
+    smaller = min(np.ptp(middle @ axis) for axis in axes) if sides.min() > 0 else 0.0
+    thickness = np.ptp(corners @ normal)
+    if thickness <= _FLAT * smaller:
+        return 1
+    height = (triangles[parallel] @ normal).mean(axis=1) - (corners @ normal).min()
+    outer = np.minimum(height, thickness - height) <= 0.01 * thickness
+    front = height > thickness / 2
+    whole = (
+        0.99 * area[parallel][front].sum()
+        <= area[parallel][~front].sum()
+        <= 1.01 * area[parallel][front].sum()
+    )
+    return 2 if thickness <= _THIN * smaller and outer.all() and whole else 0
+
+
+def _thin(glass: Any, faces: int) -> Any:
+    """A `thindielectric` that stands for one of the faces of a pane; None if its colour is a texture."""
+    parameters = mi.traverse(glass)
+    given = {name for name in _COLOURS if any(key.startswith(name) for key in parameters.keys())}  # noqa: SIM118
+    if any(f"{name}.value" not in parameters for name in given):
+        return None
+    colours = {
+        name: {"type": "rgb", "value": np.ravel(np.array(parameters[f"{name}.value"])).tolist()}
+        for name in given
+    }
+    colours = {name: {**one, "value": (one["value"] * 3)[:3]} for name, one in colours.items()}
+    ratio = float(np.ravel(parameters["eta"])[0])
+    return mi.load_dict(
+        {"type": "thindielectric", "int_ior": _index(ratio, faces), "ext_ior": 1.0, **colours}
+    )
+
+
+def _index(ratio: float, faces: int) -> float:
+    """Index of refraction of the `thindielectric` for one of the faces of a pane of a given one.
+
+    A `thindielectric` stands for both faces of its pane: it reflects r = 2 R / (1 + R), where one face
+    reflects R. For a slab, which has two of them, r must be the reflectance of one face.
+    """
+    ratio = max(ratio, 1 / ratio)
+    if faces == 1:
+        return ratio
+    face = ((ratio - 1) / (ratio + 1)) ** 2
+    root = float(np.sqrt(face / (2 - face)))
+    return (1 + root) / (1 - root)
