@@ -17,6 +17,7 @@ from hybrid.cli.options import (
     MaxDepth,
     SceneName,
     Seed,
+    ThinGlass,
     loaded_scene,
     require_size,
     select,
@@ -52,6 +53,7 @@ def prepare(
     ] = 1,
     size: FixedSize = (256, 256),
     max_depth: MaxDepth = None,
+    thin_glass: ThinGlass = False,
     seed: Seed = 0,
     backend: Backend = "auto",
     json_file: Json = None,
@@ -68,7 +70,7 @@ def prepare(
 
     if forest is not None:
         check_writable(forest)
-    prepared = run(loaded_scene(scene, max_depth), settings, started=started)
+    prepared = run(loaded_scene(scene, max_depth, thin_glass), settings, started=started)
     facts = prepared.facts
     if forest is not None:
         shutil.copyfile(facts["forest"], forest)

@@ -26,6 +26,7 @@ from pathtrace.dataset.frames import read_frame_set
 from pathtrace.dataset.growing import GrowingFrames
 from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.region.region import Region, region_of
+from pathtrace.scene.difficulties import light_difficulties
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.surfaces import Surfaces
 from pathtrace.trace.integrator import Integrator
@@ -78,6 +79,8 @@ def prepare(
     """
     settings = settings or PreparationSettings()
     start = time.perf_counter() if started is None else started
+    for difficulty in light_difficulties(scene):
+        console.print(str(difficulty), soft_wrap=True)
     surfaces = Surfaces(scene)
     region = region_of(scene, surfaces, settings.region)
     identity = {"scene": scene.hash, "region": region.identity(), **asdict(settings)}

@@ -10,8 +10,9 @@ SIDE = 256
 _LARGEST_SIDE = 512
 # Fewer samples leave the denoiser nothing to go by.
 _LEAST_SPP = 4
-# Side in pixels of what a whole view measures at the resolution of the coarsest layer.
-_COARSEST = 32
+# Side in pixels of what a whole view measures at the resolution of the coarsest layer: what sees less detail
+# than that is hardly part of any frame, with any display or acuity model.
+_COARSEST = 64
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Stage:
 
     @property
     def layers(self) -> int:
-        """Layers of the forest after this stage; the coarsest shows a whole view in about 32 pixels."""
+        """Layers of the forest after this stage; the coarsest shows a whole view in about 64 pixels."""
         return max(1, (self.whole // _COARSEST).bit_length())
 
     def spp_at(self, scale: int) -> int:

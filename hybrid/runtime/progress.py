@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol, TypeAlias
@@ -43,9 +44,16 @@ def no_bars(title: str) -> Iterator[Bar]:
     yield lambda done, total, step="": None
 
 
+# Between two lines where no bar can be drawn, in seconds.
+_LINE_EVERY = 15.0
+
+
 @contextmanager
 def progress_bar(title: str) -> Iterator[Bar]:
-    """A progress bar for one job, with the elapsed time and the time left."""
+    """A progress bar for one job, with the elapsed time and the time left; a line now and then in a file."""
+    if not console.is_terminal:
+        yield _lines(title)
+        return
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -59,3 +67,22 @@ def progress_bar(title: str) -> Iterator[Bar]:
         yield lambda done, total, step="": bar.update(
             task, completed=done, total=total, description=f"{title} {step}".rstrip()
         )
+
+
+def _lines(title: str) -> Bar:
+    """Writes a line when some time has passed since the last one."""
+    start = last = time.perf_counter()
+
+    def bar(done: int, total: int, step: str = "") -> None:
+        nonlocal last
+        now = time.perf_counter()
+        if now - last < _LINE_EVERY or not done:
+            return
+        last = now
+        left = (now - start) * max(0, total - done) / done
+        job = f"{title} {step}".rstrip()
+        console.print(
+            f"{job}: {done} of {total}, {now - start:.0f} s, about {left:.0f} s left", soft_wrap=True
+        )
+
+    return bar

@@ -39,3 +39,16 @@ def test_results_and_bars_do_not_mix(capsys):
     progress.console.print("a bar")
     assert progress.console.stderr
     assert capsys.readouterr().out == ""
+
+
+def test_a_file_gets_a_line_now_and_then(monkeypatch):
+    screen, clock = io.StringIO(), iter([0.0, 5.0, 20.0, 22.0, 40.0])
+    monkeypatch.setattr(progress, "console", Console(file=screen, width=40))
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: next(clock))
+    with progress_bar("capture (samples)") as bar:
+        for done in (1, 4, 5, 10):
+            bar(done, 10)
+    assert screen.getvalue().splitlines() == [
+        "capture (samples): 4 of 10, 20 s, about 30 s left",
+        "capture (samples): 10 of 10, 40 s, about 0 s left",
+    ]

@@ -68,7 +68,7 @@ def test_views_share_the_seeds():
 
 
 def test_few_seeds_are_wide():
-    """A quarter of the seeds are about twice as wide: gaps are as random as the seeds, and wider at the edges."""
+    """A quarter of the seeds are about twice as wide: gaps are random, and wider at the edges."""
     widths = []
     for count in (64, 256):
         seeds = seed_from_views(WALLS[1:2], count, 0, np.random.default_rng(0))
