@@ -28,11 +28,13 @@ if TYPE_CHECKING:
     from hybrid.api.scenes import load_forest as load_forest
     from hybrid.api.scenes import load_frames as load_frames
     from hybrid.api.scenes import load_scene as load_scene
+    from hybrid.api.scenes import prepare as prepare
     from hybrid.api.scenes import train as train
     from hybrid.evaluation.settings import EvaluationSettings as EvaluationSettings
     from hybrid.frame.frame import Frame as Frame
     from hybrid.frame.renderer import Renderer as Renderer
     from hybrid.frame.settings import FrameSettings as FrameSettings
+    from hybrid.preparation.settings import PreparationSettings as PreparationSettings
     from pathtrace.base.backend import select_backend as select_backend
     from pathtrace.dataset.frames import FrameSet as FrameSet
     from pathtrace.dataset.settings import CaptureSettings as CaptureSettings
@@ -51,6 +53,7 @@ _MODULES = {
     "FrameSet": "pathtrace.dataset.frames",
     "FrameSettings": "hybrid.frame.settings",
     "Gaze": "compose.eye.gaze",
+    "PreparationSettings": "hybrid.preparation.settings",
     "Renderer": "hybrid.frame.renderer",
     "Scene": "pathtrace.scene.scene",
     "TrainingSettings": "splat.training.trainer",
@@ -60,6 +63,7 @@ _MODULES = {
     "load_forest": "hybrid.api.scenes",
     "load_frames": "hybrid.api.scenes",
     "load_scene": "hybrid.api.scenes",
+    "prepare": "hybrid.api.scenes",
     "select_backend": "pathtrace.base.backend",
     "train": "hybrid.api.scenes",
 }

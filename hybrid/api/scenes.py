@@ -10,6 +10,7 @@ from hybrid.runtime.progress import no_progress
 from pathtrace.base.backend import select_backend
 
 if TYPE_CHECKING:
+    from hybrid.preparation.settings import PreparationSettings
     from pathtrace.dataset.frames import FrameSet
     from pathtrace.dataset.settings import CaptureSettings
     from pathtrace.scene.scene import Scene
@@ -76,6 +77,29 @@ def capture(
     frames = run(scene, Path(folder), settings or CaptureSettings(), progress, cache)
     keep_receipt(frames)
     return frames
+
+
+def prepare(
+    scene: Scene, settings: PreparationSettings | None = None, path: Path | str | None = None
+) -> Forest:
+    """Captures and trains in turns, from nothing to a forest, without telling how far it is.
+
+    Args:
+        scene: what to prepare.
+        settings: how far, and in which region; the defaults of PreparationSettings if None.
+        path: forest file to write; the forest becomes the newest one of its scene in any case.
+
+    Raises:
+        UserError: the region has no free space, a target cannot be reached, or a file cannot be written.
+    """
+    from hybrid.preparation.preparation import prepare as run
+    from hybrid.runtime.progress import no_bars
+    from splat.io.forest_file import save_forest
+
+    forest = run(scene, settings, no_bars).forest
+    if path is not None:
+        save_forest(Path(path), forest)
+    return forest
 
 
 def load_frames(folder: Path | str) -> FrameSet:

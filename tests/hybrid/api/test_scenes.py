@@ -8,6 +8,7 @@ import hybrid
 from hybrid.api import scenes
 from splat.io.forest_file import load_forest
 from tests import small
+from tests.hybrid.preparation.tiny import make_tiny
 
 CAPTURE = {"views": 2, "held_out": 1, "width": 24, "height": 24, "spp": 2, "held_out_spp": 4}
 TRAINING = {"iterations": 2, "gaussians": 200, "layers": 1, "degree": 0}
@@ -30,6 +31,15 @@ def test_scenes_that_cannot_be_loaded_are_user_errors(backend, tmp_path):
         scenes.load_scene("nowhere.xml")
     with pytest.raises(hybrid.UserError, match="backend metal: must be auto, cuda or llvm"):
         scenes.load_scene("cornell", backend="metal")
+
+
+def test_a_scene_is_prepared_in_one_call(backend, own_home, monkeypatch, tmp_path):
+    make_tiny(monkeypatch.setattr)
+    scene = scenes.load_scene("cornell")
+    settings = hybrid.PreparationSettings(quality="draft", held_out=0)
+    forest = scenes.prepare(scene, settings, tmp_path / "a.forest")
+    assert load_forest(tmp_path / "a.forest").digest() == forest.digest()
+    assert forest.scene_hash == scene.hash
 
 
 def test_from_a_scene_to_a_forest(backend, tmp_path):
