@@ -32,14 +32,14 @@ def _wall(start: float, end: float) -> dict[str, Any]:
     }
 
 
-def rooms(gap: float) -> dict[str, Any]:
+def rooms(gap: float, x: float = -2.0) -> dict[str, Any]:
     """Rooms from x = -4 to 1 and from 1 to 4, 3 high and 4 deep, with a slit between them, up to the top.
 
-    The camera is in the larger one, at x = -2, and looks at the slit.
+    The camera is in the larger one, at x, and looks at the slit.
     """
     return {
         "type": "scene",
-        "sensor": camera([-2, 0, 0], [0, 0, 0]),
+        "sensor": camera([x, 0, 0], [x + 2, 0, 0]),
         "shell": shell(4, 1.5, 2),
         "left": _wall(-2, -gap / 2),
         "right": _wall(gap / 2, 2),

@@ -38,6 +38,12 @@ def test_a_slit_narrower_than_a_viewer_is_no_door(gap):
     assert not space.contains(np.array([[2.0, 0, 0], [3, 1, 1]])).any()
 
 
+def test_no_step_leads_through_a_slit():
+    """Wherever the wall lies between the nodes of the lattice: also half-way, clear of both."""
+    for x in np.linspace(-2.3, -2.0, 6):
+        assert space_of(boxes.rooms(0.12, x)).nodes[:, 0].max() < 1
+
+
 def test_points_are_free_or_not(reachable, joined):
     scene, _ = joined
     inside = [[-3.0, 0, 0], [3, 1, -1], [1, 0, 0], [-0.5, -1, 1.5]]
