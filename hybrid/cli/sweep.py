@@ -20,6 +20,7 @@ from hybrid.cli.options import (
     Json,
     Repeats,
     SceneName,
+    ThinGlass,
     WarmUp,
     fill_irradiance,
     loaded_scene,
@@ -116,6 +117,7 @@ def sweep(
             rich_help_panel=MEASUREMENT,
         ),
     ] = None,
+    thin_glass: ThinGlass = False,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
@@ -132,7 +134,7 @@ def sweep(
     from hybrid.sweeps.setting import Setting
     from hybrid.sweeps.sweep import sweep as run
 
-    loaded = loaded_scene(scene)
+    loaded = loaded_scene(scene, None, thin_glass)
     if report is not None:
         _check_report(report, loaded.name)
     base = Setting(sized(loaded.camera, size), settings)
