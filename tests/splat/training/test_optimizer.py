@@ -37,10 +37,10 @@ def test_it_starts_from_copies():
 @pytest.mark.parametrize(
     ("progress", "rates"),
     [
-        (0.0, {"means": 0.15, "log_scales": 0.01, "rotations": 0.004, "opacity_logits": 0.05}),
+        (0.0, {"means": 0.15, "log_scales": 0.05, "rotations": 0.004, "opacity_logits": 0.05}),
         # Half-way between the ends on a logarithmic scale: the root of their product.
-        (0.5, {"means": 0.03, "log_scales": 0.00447214, "rotations": 0.002, "opacity_logits": 0.0223607}),
-        (1.0, {"means": 0.006, "log_scales": 0.002, "rotations": 0.001, "opacity_logits": 0.01}),
+        (0.5, {"means": 0.03, "log_scales": 0.0223607, "rotations": 0.002, "opacity_logits": 0.0223607}),
+        (1.0, {"means": 0.006, "log_scales": 0.01, "rotations": 0.001, "opacity_logits": 0.01}),
     ],
 )
 def test_the_first_step_is_as_long_as_the_rate(progress, rates):
