@@ -18,8 +18,8 @@ _RATES = {
     "log_scales": (0.05, 0.01),
     "rotations": (0.004, 0.001),
     "opacity_logits": (0.05, 0.01),
-    "sh_constant": (0.008, 0.0012),
-    "sh_directional": (0.0008, 0.0002),
+    "sh_constant": (0.016, 0.0024),
+    "sh_directional": (0.0016, 0.0004),
 }
 _GEOMETRY = ("means", "log_scales", "rotations", "opacity_logits")
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")
