@@ -11,15 +11,16 @@ from splat.model.gaussians import Gaussians
 from splat.model.remoteness import remoteness
 
 # Learning rates at the start and at the end, exponential between them. Those of 3D Gaussian splatting are
-# for 30,000 steps; with a tenth of the steps the positions need larger ones. Positions are in units of
-# the size of a pixel at the views' median distance.
+# for 30,000 steps; with a tenth of the steps the positions need larger ones, and the sizes above all: seeds
+# are as wide as the gaps between them, whatever the detail there. Positions are in units of the size of a
+# pixel at the views' median distance.
 _RATES = {
     "means": (0.15, 0.006),
-    "log_scales": (0.01, 0.002),
+    "log_scales": (0.05, 0.01),
     "rotations": (0.004, 0.001),
     "opacity_logits": (0.05, 0.01),
-    "sh_constant": (0.008, 0.0012),
-    "sh_directional": (0.0008, 0.0002),
+    "sh_constant": (0.016, 0.0024),
+    "sh_directional": (0.0016, 0.0004),
 }
 _GEOMETRY = ("means", "log_scales", "rotations", "opacity_logits")
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")

@@ -37,10 +37,10 @@ def test_it_starts_from_copies():
 @pytest.mark.parametrize(
     ("progress", "rates"),
     [
-        (0.0, {"means": 0.15, "log_scales": 0.01, "rotations": 0.004, "opacity_logits": 0.05}),
+        (0.0, {"means": 0.15, "log_scales": 0.05, "rotations": 0.004, "opacity_logits": 0.05}),
         # Half-way between the ends on a logarithmic scale: the root of their product.
-        (0.5, {"means": 0.03, "log_scales": 0.00447214, "rotations": 0.002, "opacity_logits": 0.0223607}),
-        (1.0, {"means": 0.006, "log_scales": 0.002, "rotations": 0.001, "opacity_logits": 0.01}),
+        (0.5, {"means": 0.03, "log_scales": 0.0223607, "rotations": 0.002, "opacity_logits": 0.0223607}),
+        (1.0, {"means": 0.006, "log_scales": 0.01, "rotations": 0.001, "opacity_logits": 0.01}),
     ],
 )
 def test_the_first_step_is_as_long_as_the_rate(progress, rates):
@@ -51,7 +51,7 @@ def test_the_first_step_is_as_long_as_the_rate(progress, rates):
         unit = 0.2 if name == "means" else 1.0
         expected = getattr(g, name) - unit * rate * getattr(g, name).sign()
         torch.testing.assert_close(getattr(moved, name), expected, rtol=1e-4, atol=1e-6)
-    constant, directional = {0.0: (0.008, 0.0008), 0.5: (0.00309839, 0.0004), 1.0: (0.0012, 0.0002)}[progress]
+    constant, directional = {0.0: (0.016, 0.0016), 0.5: (0.00619677, 0.0008), 1.0: (0.0024, 0.0004)}[progress]
     torch.testing.assert_close(moved.sh[0], g.sh[0] - constant * g.sh[0].sign(), rtol=1e-4, atol=1e-6)
     torch.testing.assert_close(moved.sh[1:], g.sh[1:] - directional * g.sh[1:].sign(), rtol=1e-4, atol=1e-6)
 
