@@ -1,4 +1,7 @@
-"""What a set of views has seen: how finely the best of them showed each point."""
+"""What a set of views has seen: how finely the best of them showed each point.
+
+One view alone does not tell how far away a point is: it takes a few that agree.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,8 @@ from compose.camera.camera import Camera
 # Relative difference of depths up to which a point is visible: what is not hidden may lie a little deeper
 # than what the four rays around it hit.
 _TOLERANCE = 0.02
+# Views, if there are as many, that must have seen a point at least as finely as it is said to be seen.
+_VIEWS = 3
 # Floats per view: rows of its world-to-camera transform, then focal lengths and centre in cells of its map,
 # and the size of its pixels at depth 1.
 _VIEW = 17
@@ -36,7 +41,7 @@ class SeenSurfaces:
     def __init__(self, arrays: Arrays, cameras: Sequence[Camera], depths: NDArray[np.float32]):
         if not cameras or depths.ndim != 3 or len(depths) != len(cameras) or not depths.size:
             raise ValueError(f"depth maps of shape {depths.shape} for {len(cameras)} views")
-        self._arrays = arrays
+        self._arrays, self._views_given = arrays, len(cameras)
         self._count, self._rows, self._columns = (arrays.number(side) for side in depths.shape)
         self._depths = uploaded(arrays.plain.Float, depths.astype(np.float32))
         self._views = uploaded(
@@ -45,14 +50,17 @@ class SeenSurfaces:
         dr.eval(self._count, self._rows, self._columns, self._depths, self._views)
 
     def finest(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(N,) size in the world of the finest pixel that shows each point (N, 3); inf where no view does."""
+        """(N,) size in the world of the third-finest pixel that shows each point (N, 3).
+
+        Of less than three views, it is that of the coarsest; inf where too few views show the point.
+        """
         x, y, z = (uploaded(self._arrays.plain.Float, points[:, k].astype(np.float32)) for k in range(3))
         # Arguments of the loop's function: it changes none of them.
         found = _finest(
             self._arrays.plain, (x, y, z), self._views, self._depths, self._count, (self._rows, self._columns)
         )
         dr.eval(found)
-        values: NDArray[np.float32] = found.numpy()
+        values: NDArray[np.float32] = found[min(_VIEWS, self._views_given) - 1].numpy()
         return values
 
 
@@ -64,10 +72,18 @@ def _floats(camera: Camera, rows: int, columns: int) -> NDArray[np.float32]:
 
 @dr.syntax
 def _finest(plain: Any, point: tuple[Any, ...], views: Any, depths: Any, count: Any, shape: Any) -> Any:
-    """As `SeenSurfaces.finest`; `views` and `depths` flat, `shape` (rows, columns) of each map."""
+    """Sizes of the three finest pixels that show a point; inf where there are fewer.
+
+    Args:
+        plain: the module of array types.
+        point: three (N,) Floats.
+        views, depths: flat Floats.
+        count: of the views.
+        shape: rows and columns of each map.
+    """
     x, y, z = point
     rows, columns = shape
-    best = dr.full(plain.Float, dr.inf, dr.width(x))
+    best, second, third = (dr.full(plain.Float, dr.inf, dr.width(x)) for _ in range(_VIEWS))
     view = dr.zeros(plain.UInt, dr.width(x))
     while dr.hint(view < count, exclude=[x, y, z, views, depths, count, rows, columns]):
         v = [dr.gather(plain.Float, views, view * _VIEW + k) for k in range(_VIEW)]
@@ -87,6 +103,9 @@ def _finest(plain: Any, point: tuple[Any, ...], views: Any, depths: Any, count: 
             there = dr.gather(plain.Float, depths, (view * rows + i) * columns + j, inside)
             deepest = dr.maximum(deepest, there)
         visible = inside & (depth <= deepest * (1 + _TOLERANCE))
-        best = dr.select(visible, dr.minimum(best, depth * v[16]), best)
+        size = dr.select(visible, depth * v[16], dr.inf)
+        third = dr.minimum(third, dr.maximum(second, size))
+        second = dr.minimum(second, dr.maximum(best, size))
+        best = dr.minimum(best, size)
         view += 1
-    return best
+    return best, second, third

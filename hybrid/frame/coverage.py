@@ -23,7 +23,7 @@ from splat.raster.tiles import TILE
 _MAP = 64
 # Rays by which a view is tried, at most: where there are more tiles, a ray stands for several of them.
 _MOST_RAYS = 2048
-# Distance from which the nearest training view saw a point, over that from which it is seen now: up to the
+# Distance from which a few training views saw a point, over that from which it is seen now: up to the
 # first, splats show it well; from the second on they are blurred and out of shape.
 _NEAR, _FAR = 1.6, 2.4
 # Cells beside what is not known that count as such.

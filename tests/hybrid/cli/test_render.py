@@ -72,6 +72,7 @@ def test_the_frame_is_that_of_the_options(render, made, tmp_path):
         "acuity_model": "fov-gs",
         "nodes_drawn": frame.nodes_drawn,
         "pixels_excluded": 0,
+        "filled": 0.0,
     }
 
 
