@@ -68,8 +68,8 @@ class GaussianOptimizer:
         loss.backward()
         if not self._is_finite():
             return False
-        # The unit is the size of a pixel at the median distance. Far away a pixel is larger, and so is a step;
-        # added there, it would be lost in rounding.
+        # The unit is the size of a pixel at the median distance. Far away a pixel is larger, and a step of
+        # this length would be lost in rounding.
         means = self._leaves["means"].detach()
         larger = remoteness(means)
         means /= larger
