@@ -20,6 +20,8 @@ _INITIAL_OPACITY = 0.5
 # Of the first seeds, which have to hide what lies behind the surface: a forest of half transparent ones is
 # dark, and takes hundreds of steps to get out of it.
 _COVERING_OPACITY = 0.9
+# Share of all pixels up to which what hits nothing may be edges of surfaces, with nothing behind them.
+_LEAST_SKY = 1e-3
 # Pixels of a view, about, that tell in which directions the sky is seen, and as many for surfaces.
 _DIRECTIONS = 1000
 # Standard deviation of a seed, as a share of the distance to its neighbours.
@@ -73,9 +75,10 @@ def _covering(seeds: Gaussians) -> Gaussians:
 
 
 def _sky_around(views: list[TrainingView], degree: int) -> Gaussians:
-    """Seeds of the sky in all directions; none if no view shows any."""
+    """Seeds of the sky in all directions; none if the views show hardly any."""
     sky, surface = ([_some_directions(view, wanted) for view in views] for wanted in (True, False))
-    if not any(len(rays) for rays, _ in sky):
+    far = sum(len(view.sky_pixels) for view in views)
+    if far <= _LEAST_SKY * sum(view.distance.size for view in views):
         return Gaussians.none(degree)
     rays, radiance = (np.concatenate(part) for part in zip(*sky, strict=True))
     return whole_sky(rays, radiance, np.concatenate([rays for rays, _ in surface]), degree)
@@ -83,8 +86,7 @@ def _sky_around(views: list[TrainingView], degree: int) -> Gaussians:
 
 def _some_directions(view: TrainingView, sky: bool) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """Some directions (M, 3) in which a view shows the sky, or else a surface, and their radiance (M, 3)."""
-    seen = view.surface_pixels
-    seen = seen[(view.distance.ravel()[seen] >= view.sky) == sky]
+    seen = view.sky_pixels if sky else np.setdiff1d(view.surface_pixels, view.sky_pixels)
     seen = seen[:: max(1, len(seen) // _DIRECTIONS)]
     return view.rays(seen), view.radiance.reshape(-1, 3)[seen]
 

@@ -77,8 +77,8 @@ class GaussianOptimizer:
             return False
         for group, part in zip(self._adam.param_groups, self._parts(_gradient).values(), strict=True):
             group["params"][0].grad = part
-        # The unit is the size of a pixel at the median distance. Far away, a pixel is larger, and so is a
-        # step; added there, it would be lost in rounding.
+        # The unit is the size of a pixel at the median distance. Far away a pixel is larger, and a step of
+        # this length would be lost in rounding.
         means = self._leaves["means"].detach()
         larger = remoteness(means)
         means /= larger

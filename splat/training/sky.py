@@ -20,6 +20,8 @@ from splat.model.perceptual import perceptual_from_radiance
 SKY_DISTANCE = 1e5
 # Share of the median radiance of a frame below which nothing is drawn.
 _DARK = 1e-3
+# Share of dark pixels, among those that hit nothing, above which there is no sky, but a void.
+_MOST_DARK = 0.8
 # Pixels around those that see nothing at all that are not the sky: what is bright there belongs to an edge.
 _EDGE = 2
 # Directions of the whole sphere in which there is a Gaussian behind all others if they show the sky.
@@ -49,6 +51,8 @@ def shows_sky(radiance: NDArray[np.float32], distance: NDArray[np.float32]) -> N
     brightness = radiance.max(axis=2)
     lit = brightness > 0
     dark = brightness <= (_DARK * np.median(brightness[lit]) if lit.any() else 0)
+    if dark[missed].mean() > _MOST_DARK:
+        return np.zeros_like(missed)
     nothing = binary_dilation(missed & dark, np.ones((2 * _EDGE + 1,) * 2))
     return np.asarray(missed & ~nothing)
 

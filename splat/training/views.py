@@ -50,10 +50,15 @@ class TrainingView:
         return np.flatnonzero(np.isfinite(distance) & (distance > 0))
 
     @property
+    def sky_pixels(self) -> NDArray[np.int64]:
+        """Row-major indices of the pixels that show the sky; none in a view of the world."""
+        distance = self.distance.ravel()
+        return np.flatnonzero(np.isfinite(distance) & (distance >= self.sky))
+
+    @property
     def some_surface_pixels(self) -> NDArray[np.int64]:
         """An even part of the pixels that show a surface and not the sky, enough for a median."""
-        seen = self.surface_pixels
-        seen = seen[self.distance.ravel()[seen] < self.sky]
+        seen = np.setdiff1d(self.surface_pixels, self.sky_pixels, assume_unique=True)
         return seen[:: max(1, len(seen) // _SAMPLED)]
 
     def points(self, pixels: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -72,7 +72,7 @@ def test_a_spoilt_frame_is_left_out_and_said(frames, tmp_path, capsys, got):
         for values, message, name, given in [
             ({"radiance": np.nan}, "none of 3 frames holds only finite", "all captured frames spoilt", "NaN"),
             (
-                {"unfolded": np.inf},
+                {"unfolded": np.inf, "depth": np.inf},
                 "no frame shows a surface",
                 "all captured frames of the sky",
                 "inf as distance",

@@ -35,6 +35,10 @@ def test_the_void_is_none_nor_are_edges_before_it():
     view = in_the_open(0.0, ground=True)
     radiance = np.where(HITS_NOTHING[..., None], 0, view.radiance).astype(np.float32)
     assert not shows_sky(radiance, view.distance).any()
+    # Not even one that is all edges: most of what hits nothing is dark.
+    dotted = radiance.copy()
+    dotted[::16, ::16] = 0.2
+    assert not shows_sky(dotted, view.distance).any()
     # A pixel at the edge of the ground, of which some samples see the ground.
     last = int(np.flatnonzero(HITS_NOTHING.all(axis=1))[-1])
     radiance[last] = 0.2
@@ -74,6 +78,16 @@ def test_closed_scenes_are_as_before():
     )
     seeds = seed_from_views([placed(view, PLACE) for view in WALLS], 200, 0, np.random.default_rng(0))
     assert len(seeds) == 200
+
+
+def test_a_few_bright_pixels_are_no_sky():
+    """One pixel of a thousand: seeds of all directions come with a sky only."""
+    views = [placed(view, PLACE) for view in WALLS]
+    for count, there in ((1, False), (9, True)):
+        for view in views:
+            view.distance.ravel()[:count] = SKY_DISTANCE
+        seeds = seed_from_views(views, 200, 0, np.random.default_rng(0))
+        assert (float(seeds.means.norm(dim=0).max()) > SKY_DISTANCE * 1.1) == there
 
 
 def test_the_whole_sky_is_what_is_not_ground():
