@@ -77,7 +77,7 @@ class Stage:
 
 STAGES = (
     Stage(views=32, scale=1, spp=4, gaussians=25_000, steps=110, seconds=16),
-    Stage(views=16, scale=1, spp=16, gaussians=32_000, steps=600, seconds=60),
+    Stage(views=16, scale=1, spp=12, gaussians=36_000, steps=850, seconds=55),
     Stage(views=16, scale=1, spp=32, gaussians=45_000, steps=1000, seconds=110),
     Stage(views=40, scale=2, spp=32, gaussians=90_000, steps=1200, seconds=180),
     Stage(views=60, scale=4, spp=64, gaussians=150_000, steps=1500, seconds=280),

@@ -31,6 +31,9 @@ _DIRECTIONS = 96
 UNSEEN_SEED = 7919
 # Views between the scene's own camera and those at the border, which few views can do without.
 _BEFORE_BORDER = 7
+# The same, before such from elsewhere than the scene's own camera.
+_BEFORE_OUTER = 15
+_OUTER_TRIES = 20
 # Views turned further than all others, in units of the largest yaw and pitch: without them, hardly any frame
 # would show what lies at the edge of every other view.
 BORDER = tuple((x, y) for x in (-1.6, 0.0, 1.6) for y in (-1.6, 0.0, 1.6) if (x, y) != (0.0, 0.0))
@@ -85,6 +88,20 @@ class Neighbourhood:
         """The scene's own camera, turned to the border of what other views see."""
         views = [_moved(self.home, np.zeros(3), x * self.share, y * self.share) for x, y in BORDER]
         return [view for view in views if self._is_usable(view)]
+
+    def outer(self, seed: int) -> list[Camera]:
+        """The same from elsewhere at the edge of the neighbourhood, where other things are hidden."""
+        rng = np.random.default_rng([seed, len(BORDER)])
+        views = []
+        for x, y in BORDER:
+            for _ in range(_OUTER_TRIES):
+                direction = rng.normal(size=3)
+                offset = direction / np.linalg.norm(direction) * self.radius
+                view = _moved(self.home, offset, x * self.share, y * self.share)
+                if self._is_usable(view):
+                    views.append(view)
+                    break
+        return views
 
     def spread(self, count: int, seed: int) -> list[Camera]:
         """Views spread evenly over positions and directions; UserError if there is no space for them."""
@@ -141,11 +158,15 @@ class NearRegion:
         return {"kind": "near"}
 
     def views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
-        """Views to train on: the scene's own camera, a few around it, the border, then more around it."""
+        """Views to train on: the scene's own camera and views around it; some of these show the border."""
         around = Neighbourhood.of(self.scene, self.surfaces, width, height)
         border = around.border()[: max(0, count - 1 - _BEFORE_BORDER)]
-        spread = around.spread(max(0, count - 1 - len(border)), seed)
-        return [around.home, *spread[:_BEFORE_BORDER], *border, *spread[_BEFORE_BORDER:]][:count]
+        first, second = _BEFORE_BORDER, _BEFORE_OUTER
+        outer = around.outer(seed)[: max(0, count - 1 - second - len(border))]
+        spread = around.spread(max(0, count - 1 - len(border) - len(outer)), seed)
+        return [around.home, *spread[:first], *border, *spread[first:second], *outer, *spread[second:]][
+            :count
+        ]
 
     def unseen_views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
         """Views to judge by."""
