@@ -13,7 +13,7 @@ import numpy as np
 from compose.base.errors import UserError
 from compose.base.files import write_whole
 from compose.base.json_file import read_json
-from compose.camera.camera import Camera
+from compose.camera.camera import RIGID_TOLERANCE, Camera
 from compose.camera.serialization import camera_from_json, camera_to_json
 from compose.image.colour import Image
 from pathtrace.dataset.exr import CapturedFrame, read_frame, read_radiance, write_frame, write_radiance
@@ -248,9 +248,11 @@ class GrowingFrames:
 
 
 def _is_same(stored: Camera, camera: Camera) -> bool:
-    """Whether a camera is one that was written and read, which rounds its pose."""
+    """Whether a camera is one that was written and read: its pose may be a little less than rigid."""
     numbers = [(c.width, c.height, c.fx, c.fy, c.cx, c.cy) for c in (stored, camera)]
-    return numbers[0] == numbers[1] and np.allclose(stored.world_to_camera, camera.world_to_camera)
+    return numbers[0] == numbers[1] and np.allclose(
+        stored.world_to_camera, camera.world_to_camera, rtol=2 * RIGID_TOLERANCE, atol=2 * RIGID_TOLERANCE
+    )
 
 
 def _counts(spp: int) -> tuple[int, int]:
