@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -125,7 +126,7 @@ def sweep(
     given = dict(zip(_DEFAULTS, (fovea, size, fov_a, fov_b, spp, acuity_model, reference_spp), strict=True))
     values = _completed(over, given)
     named = {name: values[name] for name in ("fov_a", "fov_b", "spp", "fovea", "acuity_model")}
-    settings = FrameSettings(**named, display=display, integrator=integrator)
+    settings = replace(SWEEP, **named, display=display, integrator=integrator)
     if settings.fov_a == 0:
         raise UserError("--fov-a 0.0: there is no fovea to time")
     select(backend)

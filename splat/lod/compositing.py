@@ -14,7 +14,6 @@ from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from splat.lod.image import SplatImage
 from splat.lod.layer_images import AtlasEntry, Mask
-from splat.lod.sharpening import sharpened
 from splat.raster.blocks import PIXEL
 from splat.raster.records import RecordLayout, Records
 from splat.raster.tiles import TILE, TileGrid
@@ -140,7 +139,6 @@ class _Sources:
     def __init__(self, arrays: Arrays, entries: Sequence[AtlasEntry], atlas: SplatImage, camera: Camera):
         self.arrays, self._stride = arrays, arrays.number(atlas.stride)
         self._samples = Records(arrays, PIXEL, [atlas.radiance])
-        self._sharpened = sharpened(arrays, entries, atlas, camera)
         self._size = arrays.number(camera.width), arrays.number(camera.height)
         self._tops = arrays.plain.UInt(np.array([entry.top for entry in entries], dtype=np.uint32))
         weights = np.stack([entry.image.weight for entry in entries])
@@ -186,7 +184,7 @@ class _Sources:
         return weights
 
     def _interpolated(self, block: _Block, rate: int, top: Any) -> list[list[Any]]:
-        """Red, green, blue of each pixel of a block, linear between the sharpened samples around it.
+        """Red, green, blue of each pixel of a block, linear between the samples around it.
 
         Args:
             block: the pixels.
@@ -223,7 +221,7 @@ class _Sources:
         Int, UInt = self.arrays.plain.Int, self.arrays.plain.UInt
         last_x, last_y = (Int((size + ((1 << rate) - 1)) >> rate) - 1 for size in self._size)
         index = (top + UInt(dr.clip(y, 0, last_y))) * self._stride + UInt(dr.clip(x, 0, last_x))
-        sample = (self._sharpened if rate else self._samples).at(index)
+        sample = self._samples.at(index)
         return [sample.red, sample.green, sample.blue]
 
 

@@ -59,15 +59,11 @@ def pack_atlas(images: Sequence[LayerImage], wanted: Mask, tile: int) -> list[At
     for image in images:
         cells = covered_cells(image.weight) & wanted
         if cells.any():
-            tiles = _resized(_reached(cells, image.rate), TILE, tile << image.rate)
+            # At lower rates, a pixel at the border of a cell looks up samples beyond it.
+            tiles = _resized(_grown(cells) if image.rate else cells, TILE, tile << image.rate)
             entries.append(AtlasEntry(image, top, tiles, cells))
             top += tiles.shape[0] * tile
     return entries
-
-
-def reach(rate: int) -> int:
-    """Distance in pixels within which samples count for a pixel: the next ones and their neighbours."""
-    return 2 << rate if rate else 0
 
 
 def covered_cells(weight: Lattice) -> Mask:
@@ -91,19 +87,12 @@ def _resized(mask: Mask, cell: int, tile: int) -> Mask:
     return np.asarray(padded.reshape(rows, size, columns, size).any(axis=(1, 3)))
 
 
-def _reached(cells: Mask, rate: int) -> Mask:
-    """Cells whose samples the pixels of some cells look up."""
-    for _ in range(-(-reach(rate) // TILE)):
-        cells = grown(cells)
-    return cells
-
-
-def grown(mask: Mask) -> Mask:
+def _grown(mask: Mask) -> Mask:
     """The mask and the eight neighbours of each of its cells."""
     tall = mask.copy()
     tall[1:] |= mask[:-1]
     tall[:-1] |= mask[1:]
-    wide = tall.copy()
-    wide[:, 1:] |= tall[:, :-1]
-    wide[:, :-1] |= tall[:, 1:]
-    return wide
+    grown = tall.copy()
+    grown[:, 1:] |= tall[:, :-1]
+    grown[:, :-1] |= tall[:, 1:]
+    return grown

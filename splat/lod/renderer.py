@@ -24,7 +24,7 @@ from compose.camera.camera import Camera
 from splat.lod.compositing import composite
 from splat.lod.footprints import ForestFootprints
 from splat.lod.image import SplatImage, black_image
-from splat.lod.layer_images import AtlasEntry, Lattice, LayerImage, pack_atlas, reach
+from splat.lod.layer_images import AtlasEntry, Lattice, LayerImage, pack_atlas
 from splat.lod.selection import touching
 from splat.model.forest import Forest
 from splat.raster.binning import Candidates, TileBounds
@@ -144,7 +144,8 @@ class ForestRenderer:
         ]
         layers = [entry.image.layer for entry in entries]
         visible = self._footprints.layers(camera, max(blurs, default=1.0), layers)
-        margins = [float(reach(entry.image.rate)) for entry in entries]
+        # At lower rates pixels look up samples that lie up to one sample away.
+        margins = [2.0**entry.image.rate if entry.image.rate else 0.0 for entry in entries]
         masks = [
             None if nodes is None else touching(self.arrays, nodes, entry.cells, blur, margin)
             for entry, nodes, blur, margin in zip(entries, visible, blurs, margins, strict=True)

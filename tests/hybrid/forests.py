@@ -13,7 +13,7 @@ from splat.model.building import build_forest
 from splat.model.forest import Forest, forest_of
 from splat.model.gaussians import Gaussians
 from splat.model.layer import static_layer
-from splat.training.initialization import seed_from_views
+from splat.training.initialization import seed_at
 from splat.training.views import TrainingView
 from tests import small
 
@@ -25,7 +25,10 @@ def rough_forest(scene: Scene, degree: int = 0) -> Forest:
     """
     frame = render_frame(Tracer(scene), scene.camera, 4, 0)
     view = TrainingView(scene.camera, frame.radiance, frame.unfolded, frame.normal)
-    gaussians = seed_from_views([view], 500, degree, small.rng())
+    pixels = scene.camera.width * scene.camera.height
+    chosen = small.rng().choice(pixels, min(500, pixels), replace=False)
+    # Half transparent, and with gaps: as in the middle of a training.
+    gaussians = seed_at(view, chosen, 0.6 * float(np.sqrt(pixels / 500)), degree)
     layers = build_forest(static_layer(gaussians), 0.05, 3)
     forest = forest_of(layers, scene.camera.fy, scene.name, scene.hash)
     return attach_views(forest, [scene.camera.resized(4 * scene.camera.width, scene.camera.height)])

@@ -24,7 +24,7 @@ from tests.properties.effort import tried
 from tests.properties.random_scenes import random_scene
 from tests.properties.similar import Similarity, scaling
 
-RAW = FrameSettings(gaze=(0.4, 0.6), fov_a=40, fov_b=20, spp=4, fovea="raw")
+RAW = FrameSettings(gaze=(0.4, 0.6), fov_a=40, fov_b=20, spp=4, fovea="raw", fill=False)
 
 
 def splats_scaled_look_the_same(seed: int, scale: float) -> None:

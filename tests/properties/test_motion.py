@@ -24,7 +24,7 @@ from tests.properties.random_scenes import random_scene
 from tests.properties.similar import random_motion
 
 SEEDS = st.integers(0, 10_000)
-RAW = FrameSettings(gaze=(0.4, 0.6), fov_a=40, fov_b=20, spp=4, fovea="raw")
+RAW = FrameSettings(gaze=(0.4, 0.6), fov_a=40, fov_b=20, spp=4, fovea="raw", fill=False)
 
 
 def moved_looks_the_same(seed: int) -> None:

@@ -26,7 +26,7 @@ from tests.properties.effort import tried
 from tests.properties.random_scenes import random_scene
 from tests.properties.similar import brighter, brighter_gaussians
 
-SETTINGS = FrameSettings(gaze=(0.4, 0.6), fov_a=60, fov_b=40, spp=8, acuity_model="none")
+SETTINGS = FrameSettings(gaze=(0.4, 0.6), fov_a=60, fov_b=40, spp=8, acuity_model="none", fill=False)
 RAW = replace(SETTINGS, fovea="raw")
 
 

@@ -32,6 +32,7 @@ from hybrid.cli.doctor import doctor
 from hybrid.cli.evaluate import evaluate
 from hybrid.cli.exchange import export_ply, import_ply
 from hybrid.cli.main import app, main
+from hybrid.cli.prepare import prepare
 from hybrid.cli.quickstart import quickstart
 from hybrid.cli.render import render
 from hybrid.cli.scenes import scenes
@@ -44,6 +45,7 @@ COMMANDS = {
     "doctor": doctor,
     "scenes": scenes,
     "quickstart": quickstart,
+    "prepare": prepare,
     "capture": capture,
     "train": train,
     "render": render,

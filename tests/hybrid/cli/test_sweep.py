@@ -50,7 +50,7 @@ def test_every_option_reaches_the_sweep(sweep):
     code, given = sweep(*options)
     assert code == 0
     camera = load_scene("cornell").camera.resized(40, 30)
-    settings = FrameSettings(fov_a=30, fov_b=10, spp=3, fovea="fused", display="hmd")
+    settings = FrameSettings(fov_a=30, fov_b=10, spp=3, fovea="fused", display="hmd", fill=False)
     assert given == [("acuity", camera, settings, Effort(4, 5, 6))]
     code, given = sweep("--over", "band", "--acuity-model", "fov-gs")
     assert code == 0

@@ -118,7 +118,7 @@ def test_a_missing_forest_is_trained_while_the_window_responds(screen, made, tmp
     seen = driven("trains", screen, made, tmp_path, 0)
     assert seen["shown"]
     assert seen["error"] is None
-    assert {"capture (samples)", "train (steps)"} <= set(seen["said"])
+    assert {"stage 1: frames (samples)", "stage 2: forest (steps)"} <= set(seen["said"])
     assert seen["pause"] < 2
 
 

@@ -99,7 +99,7 @@ def test_what_cannot_be_measured_is_left_out(tiny, made, monkeypatch, tmp_path):
 def check_result(result: dict[str, Any]) -> None:
     facts = {"scene": "room", "width": SIDE, "height": SIDE, "spp": 2, "fov_a": 30, "fov_b": 20}
     assert {key: result[key] for key in facts} == facts
-    assert set(result["seconds"]) == {"capture", "train", "render", "total"}
+    assert set(result["seconds"]) == {"prepare", "render", "total"}
     assert result["seconds"]["total"] > result["seconds"]["render"] > 0
     assert [row["layer"] for row in result["layers"]] == [1, 2]
     assert result["splat"] == {metric: result["layers"][-1][metric] for metric in ("psnr", "ssim")}

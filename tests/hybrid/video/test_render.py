@@ -23,7 +23,7 @@ from tests.hybrid.forests import white_dot
 av = pytest.importorskip("av", reason="videos require PyAV")
 TRACE = GazeTrace((0.0, 0.5, 1.0), (Gaze(0.25, 0.5), Gaze(0.75, 0.5), Gaze(0.75, 0.5)))
 IDENTITY = {"of": "this test"}
-PASSES = ["region", "detail", "splat", "underlay", "trace", "fovea", "blend", "total"]
+PASSES = ["region", "detail", "splat", "fill", "underlay", "trace", "fovea", "blend", "total"]
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,9 @@ def scene(backend) -> Scene:
 
 @pytest.fixture(scope="module")
 def settings(scene) -> FrameSettings:
-    return FrameSettings(fov_a=30, fov_b=30, spp=1, fovea="raw", camera=scene.camera.resized(64, 48))
+    return FrameSettings(
+        fov_a=30, fov_b=30, spp=1, fovea="raw", fill=False, camera=scene.camera.resized(64, 48)
+    )
 
 
 def rendered(scene, settings, path, trace=TRACE, fps=8, seed=0, identity=IDENTITY, progress=None):

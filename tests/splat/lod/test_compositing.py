@@ -6,13 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.ndimage import map_coordinates
 
 from splat.lod.compositing import composite
 from splat.lod.image import SplatImage
 from splat.lod.layer_images import AtlasEntry, LayerImage
-from tests.extremes import extreme
-from tests.splat.lod.views import CELLS, CORNERS, HEIGHT, WIDTH, everything, frame_camera, ramp, sharpened
+from tests.splat.lod.views import CELLS, CORNERS, HEIGHT, WIDTH, everything, frame_camera, ramp
 
 STRIDE = 160
 
@@ -47,34 +45,15 @@ def pixels() -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("rate", [0, 1, 2, 3, 4])
 def test_linear_images_are_interpolated_exactly(arrays, rate):
-    """Except near the border, where samples lack neighbours."""
+    """Except at the border, where pixels beyond the last sample's centre take its value."""
     frame = composited(arrays, [entry(rate, 0, ramp(1, 1))], [samples(rate, 0.5, -0.25, 3.0)])
     x, y = pixels()
     side = 1 << rate
+    # Outer samples' centres in the frame.
+    last_x, last_y = ((-(-n // side) - 0.5) * side for n in (WIDTH, HEIGHT))
+    x, y = np.clip(x, side / 2, last_x), np.clip(y, side / 2, last_y)
     plane = 0.5 * x - 0.25 * y + 3
-    # The centres of the samples that have neighbours on all sides.
-    first = 1.5 * side if rate else 0
-    last_x, last_y = ((-(-n // side)) * side - first for n in (WIDTH, HEIGHT))
-    inner = (x >= first) & (y >= first) & (x <= last_x) & (y <= last_y)
-    expected = np.stack([plane, y, -plane], axis=-1)
-    np.testing.assert_allclose(frame[inner], expected[inner], atol=1e-3)
-
-
-@pytest.mark.parametrize("rate", [1, 2, 3, 4])
-def test_samples_are_sharpened_before_they_are_interpolated(arrays, rate):
-    """Random samples with lamps among them, in part of the cells."""
-    rng, side = np.random.default_rng(rate), 1 << rate
-    rows, columns = -(-HEIGHT // side), -(-WIDTH // side)
-    block = np.zeros((rows, STRIDE, 4), np.float32)
-    block[:, :columns] = rng.random((rows, columns, 1)) ** 8 * 50
-    cells = everything()
-    cells[:, :4] = False
-    frame = composited(arrays, [entry(rate, 0, ramp(1, 1), cells)], [block])[..., 0]
-    x, y = pixels()
-    values = sharpened(block[:, :columns, :1])[..., 0]
-    expected = map_coordinates(values, [y / side - 0.5, x / side - 0.5], order=1, mode="nearest")
-    np.testing.assert_allclose(frame[:, 64:], expected[:, 64:], rtol=1e-4, atol=1e-4)
-    assert (frame >= 0).all()
+    np.testing.assert_allclose(frame, np.stack([plane, y, -plane], axis=-1), atol=1e-3)
 
 
 @pytest.mark.parametrize("rates", [(0, 0), (0, 1), (2, 0), (3, 3), (1, 4)])
@@ -87,14 +66,6 @@ def test_weights_mix_two_images(arrays, rates):
     x, y = pixels()
     weight = 0.5 * x / (16 * CELLS[1]) + 0.5 * y / (16 * CELLS[0])
     np.testing.assert_allclose(frame[..., 0], 1 + 9 * weight, atol=1e-4)
-
-
-@extreme("lamp beside black", given="samples of 1e6 and 1e-3 at rate 2", expected="no pixel below 0.00075")
-def test_no_pixel_beside_a_lamp_is_black(arrays, got):
-    block = np.full((HEIGHT // 4, STRIDE, 4), 1e-3, np.float32)
-    block[10, 10] = 1e6
-    frame = composited(arrays, [entry(2, 0, ramp(1, 1))], [block])
-    assert got(float(frame.min()), ".5f") >= 0.00075 * (1 - 1e-5)
 
 
 def test_cells_show_the_entries_that_cover_them(arrays):
@@ -139,5 +110,5 @@ def test_other_frames_share_the_kernels_values(arrays):
     weight = np.ones((4, 5), np.float32)
     small = composite(arrays, [entry(1, 0, weight, np.ones((3, 4), bool))], image, camera).image()
     assert small.shape == (48, 64, 3)
-    # The last sample inside the smaller frame has no neighbours there.
-    np.testing.assert_array_equal(small[:45, :61], whole[:45, :61])
+    # The last pixel lies beyond the last sample inside the smaller frame.
+    np.testing.assert_array_equal(small[:47, :63], whole[:47, :63])

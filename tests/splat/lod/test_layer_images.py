@@ -46,23 +46,23 @@ def test_images_that_do_not_show_are_left_out():
     np.testing.assert_array_equal(entries[0].tiles, wanted)
 
 
-@pytest.mark.parametrize(("tile", "rate"), [(16, 0), (8, 0), (8, 1), (16, 1), (8, 2), (8, 3), (8, 4)])
+@pytest.mark.parametrize(("tile", "rate"), [(16, 0), (8, 0), (8, 1), (16, 1), (8, 2), (8, 3)])
 @pytest.mark.parametrize("corner", [(0, 0), (2, 3), (4, 6)])
 def test_tiles_hold_the_samples_of_all_covered_pixels(tile, rate, corner):
-    """Also those that a pixel at a border interpolates with, and their neighbours; and not much more."""
+    """Also those that a pixel at a border interpolates with; and not much more."""
     (entry,) = pack_atlas([LayerImage(1, rate, weight(corner))], np.ones((4, 6), bool), tile)
     pixels = entry.cells.repeat(16, axis=0).repeat(16, axis=1)
     side, (height, width) = 1 << rate, pixels.shape
     for y, x in np.argwhere(pixels):
         low = [int(np.floor((p + 0.5) / side - 0.5)) for p in (y, x)] if rate else [y, x]
-        for dy in (-1, 0, 1, 2) if rate else (0,):
-            for dx in (-1, 0, 1, 2) if rate else (0,):
+        for dy in (0, 1) if rate else (0,):
+            for dx in (0, 1) if rate else (0,):
                 v = np.clip(low[0] + dy, 0, -(-height // side) - 1)
                 u = np.clip(low[1] + dx, 0, -(-width // side) - 1)
                 assert entry.tiles[v // tile, u // tile]
     covered = entry.tiles.sum() * (tile << rate) ** 2
-    # The cells, a ring of cells around them at lower rates, two at the lowest, and rounding up to tiles.
-    assert covered <= ((2 + 2 * bool(rate) + 2 * (rate > 3)) * 16 + 2 * (tile << rate)) ** 2
+    # The cells, a ring of cells around them at lower rates, and rounding up to tiles.
+    assert covered <= ((2 + 2 * bool(rate)) * 16 + 2 * (tile << rate)) ** 2
 
 
 def test_full_rate_needs_no_ring():

@@ -25,7 +25,6 @@ from tests.splat.lod.views import (
     no_cutoff,
     ramp,
     sampled,
-    sharpened,
     small_forest,
 )
 from tests.splat.samples import gaussians
@@ -46,12 +45,11 @@ def lattice_at(lattice: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def twin(forest: Forest, camera: Camera, images: list[LayerImage], variances: list[float]) -> np.ndarray:
-    """Samples, sharpened and interpolated linearly, times weights, pixel by pixel."""
+    """Samples, interpolated linearly, times weights, pixel by pixel."""
     x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
     total = np.zeros((HEIGHT, WIDTH, 3))
     for image, variance in zip(images, variances, strict=True):
         samples = sampled(forest, camera, image.layer, image.rate, variance)
-        samples = sharpened(samples) if image.rate else samples
         size = 1 << image.rate
         position = [y / size - 0.5, x / size - 0.5]
         weight = lattice_at(image.weight, x, y)

@@ -61,11 +61,3 @@ def sampled(forest: Forest, camera: Camera, layer: int, rate: int, variance) -> 
     g = reference.double(forest.layers[layer - 1].gaussians)
     splats = reference.project(g, small, variance / size**2)
     return reference.blend(splats, -(-camera.width // size), -(-camera.height // size)).numpy()
-
-
-def sharpened(samples: np.ndarray) -> np.ndarray:
-    """Samples (h, w, channels) less a twelfth of their Laplacian, at most a quarter of themselves."""
-    padded = np.pad(samples.astype(np.float64), ((1, 1), (1, 1), (0, 0)), mode="edge")
-    around = padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]
-    change = (4 * samples - around) / 12
-    return samples + np.clip(change, -np.abs(samples) / 4, np.abs(samples) / 4)

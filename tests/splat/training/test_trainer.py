@@ -36,12 +36,14 @@ def trained(arrays) -> Trainer:
 def often(monkeypatch) -> None:
     """Density control every 10 steps."""
     monkeypatch.setattr(density, "_EVERY", 10)
+    monkeypatch.setattr(density, "_CHANGES", 1)
 
 
 @pytest.fixture(scope="module")
 def short(arrays) -> Trainer:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(density, "_EVERY", 10)
+        patch.setattr(density, "_CHANGES", 1)
         trainer = Trainer(arrays, WALLS, SHORT)
         trainer.run()
     return trainer

@@ -18,7 +18,7 @@ def test_each_pass_of_each_mode_is_timed(made, monkeypatch, tmp_path, capsys):
     assert run(monkeypatch, *common, "--size", 96, 64, "--repeats", 3, "--warm-up", 1) == 0
     rows = {row["mode"]: row for row in json.loads(out.read_text())}
     assert list(rows) == ["raw", "denoised", "fused"]
-    names = ["region", "detail", "splat", "underlay", "trace", "fovea", "blend", "total"]
+    names = ["region", "detail", "splat", "fill", "underlay", "trace", "fovea", "blend", "total"]
     for row in rows.values():
         assert (row["width"], row["height"], row["spp"], row["repeats"]) == (96, 64, 2, 3)
         passes = row["passes"]
@@ -27,5 +27,5 @@ def test_each_pass_of_each_mode_is_timed(made, monkeypatch, tmp_path, capsys):
     assert rows["fused"]["passes"]["fovea"]["p50"] > 10 * rows["raw"]["passes"]["fovea"]["p50"]
     assert rows["fused"]["share_of_tracing"] > rows["raw"]["share_of_tracing"]
     shown = capsys.readouterr().out.splitlines()
-    assert shown[0].split()[1:9] == names
+    assert shown[0].split()[1:10] == names
     assert [line.split()[0] for line in shown[1:]] == list(rows)
