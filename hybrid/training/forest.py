@@ -19,6 +19,7 @@ from hybrid.training.fusion import fusion_steps, with_fusion
 from pathtrace.dataset.exr import read_frame
 from pathtrace.dataset.frames import FrameEntry, FrameSet
 from splat.io.forest_file import save_forest
+from splat.model.check import check_forest
 from splat.model.forest import Forest, forest_of
 from splat.training.sky import shows_sky
 from splat.training.trainer import Trainer, TrainingSettings, most_layers
@@ -102,6 +103,7 @@ def train(
     )
     if not forest.nodes.gaussians.is_finite():
         raise RuntimeError("training ended with numbers that are not finite")
+    check_forest(forest.layers)
     forest = with_fusion(
         frames, forest, settings.seed, lambda done, _: progress(settings.iterations + done, total)
     )

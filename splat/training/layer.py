@@ -64,8 +64,11 @@ class LayerTraining:
         detached = {name: tensor.detach() for name, tensor in self._optimizer.gaussians.tensors()}
         return replace(self._tree, gaussians=Gaussians(**detached))
 
-    def step(self) -> torch.Tensor | None:
+    def step(self, grows: bool = True) -> torch.Tensor | None:
         """Takes one optimizer step on one frame.
+
+        Args:
+            grows: whether density control may change the nodes.
 
         Returns:
             If density control changed the nodes: (N,) the index that each former node has now, -1 if it was
@@ -79,7 +82,7 @@ class LayerTraining:
             self._density.observe(index, error)
         else:
             self.skipped += 1
-        due = self._density.is_due(self.done)
+        due = grows and self._density.is_due(self.done)
         self.done += 1
         return self._change_density() if due else None
 

@@ -157,7 +157,8 @@ class Trainer:
             settled = settle([training.layer for training in self._layers])
             for training, layer in zip(self._layers, settled, strict=True):
                 training.extend(layer)
-        moved = self._layers[index].step()
+        # Changes would break trees that are settled.
+        moved = self._layers[index].step(grows=self.iteration < self._settling)
         if moved is not None and index + 1 < len(self._layers) and self._layers[index + 1].begun:
             # Children of removed nodes get other parents when the trees are settled.
             below = self._layers[index + 1]

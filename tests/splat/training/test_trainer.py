@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from splat.model.check import check_forest
+from splat.model.forest import forest_of
 from splat.model.perceptual import perceptual_from_radiance
 from splat.raster.differentiable import render_differentiable
 from splat.training import density
@@ -197,3 +198,17 @@ def test_the_coarsest_layer_holds_the_similaritys_window():
     """11 pixels are one layer, 22 two, 43 still two, 44 three; the shorter side counts."""
     sizes = [(10, 50), (11, 11), (21, 30), (22, 22), (43, 99), (99, 44), (0, 5)]
     assert [most_layers(*size) for size in sizes] == [0, 1, 1, 2, 2, 3, 0]
+
+
+@pytest.mark.parametrize("iterations", [12, 40, 120])
+def test_a_training_goes_on_from_a_forest(arrays, short, monkeypatch, iterations):
+    """Trees stay whole, though density control changes nodes as often as it may."""
+    monkeypatch.setattr(density, "_EVERY", 1)
+    start = forest_of(short.forest(), WALLS[0].camera.fy, "", "", short.place)
+    settings = replace(SHORT, iterations=iterations, gaussians=600)
+    trainer = Trainer(arrays, WALLS, settings, start)
+    assert equal(trainer._layers[-1].layer.gaussians, start.finest)
+    trainer.run()
+    check_forest(trainer.forest())
+    assert len(trainer.forest()[-1]) > len(start.finest)
+    assert trainer.place == start.place
