@@ -202,12 +202,14 @@ def test_the_coarsest_layer_holds_the_similaritys_window():
 
 @pytest.mark.parametrize("iterations", [12, 40, 120])
 def test_a_training_goes_on_from_a_forest(arrays, short, monkeypatch, iterations):
-    """Trees stay whole, though density control changes nodes as often as it may."""
+    """Trees stay whole, though nodes vanish after they have settled, and density control acts at every step."""
     monkeypatch.setattr(density, "_EVERY", 1)
     start = forest_of(short.forest(), WALLS[0].camera.fy, "", "", short.place)
     settings = replace(SHORT, iterations=iterations, gaussians=600)
     trainer = Trainer(arrays, WALLS, settings, start)
     assert equal(trainer._layers[-1].layer.gaussians, start.finest)
+    trainer.run(until=trainer._settling + 1)
+    trainer._layers[0].layer.gaussians.opacity_logits[[0, 5, 6]] = -50.0
     trainer.run()
     check_forest(trainer.forest())
     assert len(trainer.forest()[-1]) > len(start.finest)
