@@ -48,9 +48,6 @@ def prepare(
             help="Views that judge; their time is not counted.", max=_MOST_VIEWS, rich_help_panel=MEASUREMENT
         ),
     ] = 4,
-    held_out_seed: Annotated[
-        int, typer.Option("--held-out-seed", help="Chooses these views.", rich_help_panel=MEASUREMENT)
-    ] = 1,
     size: FixedSize = (256, 256),
     max_depth: MaxDepth = None,
     thin_glass: ThinGlass = False,
@@ -62,7 +59,7 @@ def prepare(
     started = time.perf_counter()
     from hybrid.preparation.settings import PreparationSettings
 
-    settings = PreparationSettings(region, quality, minutes, psnr, held_out, held_out_seed, size, seed)
+    settings = PreparationSettings(region, quality, minutes, psnr, held_out, size, seed)
     require_size(size)
     select(backend)
     from hybrid.output.images import check_writable

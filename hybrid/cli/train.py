@@ -71,6 +71,7 @@ def train(
     rows, verdicts = held_out_quality(found, trained), fusion_verdicts(trained)
     facts = {"scene": found.scene_name, "layers": rows, "trees": trained.counts[0], "fusion": verdicts}
     facts["left_out"] = asdict(left_out[0])
+    facts["splat"] = {name: rows[-1][name] for name in ("psnr", "ssim") if name in rows[-1]}
     write_json(json_file, {**facts, "iterations": iterations, "seconds": seconds})
     print(f"{sum(trained.counts):,} nodes in {trained.counts[0]:,} trees in {seconds:.0f} s")
     for row in rows:

@@ -143,7 +143,7 @@ class _Job:
         wanted = self._settings
         with self._not_counted():
             cameras = (
-                self._region.unseen_views(wanted.held_out, *wanted.size, wanted.held_out_seed)
+                self._region.unseen_views(wanted.held_out, *wanted.size, wanted.seed)
                 if wanted.held_out
                 else []
             )

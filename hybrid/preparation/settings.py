@@ -21,9 +21,9 @@ class PreparationSettings:
         minutes: time to use, over 0.
         psnr: dB on held-out views to reach, over 0.
         held_out: number of views that judge; none of them is trained on. Their time is not counted.
-        held_out_seed: of these views.
         size: width and height of these views in pixels.
-        seed: same seed, same forest on the same machine, unless time decides how far it comes.
+        seed: of the views, trained on and held out, and of all else; same seed, same forest on the same
+            machine, unless time decides how far it comes.
 
     Raises:
         UserError: a value is out of range, or minutes and psnr are both given.
@@ -34,7 +34,6 @@ class PreparationSettings:
     minutes: float | None = None
     psnr: float | None = None
     held_out: int = 4
-    held_out_seed: int = 1
     size: tuple[int, int] = (SIDE, SIDE)
     seed: int = 0
 
@@ -52,4 +51,3 @@ class PreparationSettings:
         if self.psnr is not None and not self.held_out:
             raise UserError("--psnr: requires held-out views, which --held-out 0 leaves out")
         require_seed(self.seed)
-        require_seed(self.held_out_seed)

@@ -32,6 +32,7 @@ def test_a_forest_is_written_stored_and_measured(made, monkeypatch, tmp_path, ca
     assert row["layers"][1]["nodes"] > row["layers"][0]["nodes"] == row["trees"] > 50
     assert row["seconds"] > 0
     assert row["left_out"] == {"frames": 0, "steps": 0}
+    assert row["splat"] == {name: row["layers"][-1][name] for name in ("psnr", "ssim")}
     assert (row["scene"], row["iterations"]) == ("cornell", 40)
     stored = newest_forest(load_scene("cornell"))
     assert stored.name == "f.safetensors"

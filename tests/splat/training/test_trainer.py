@@ -202,7 +202,7 @@ def test_the_coarsest_layer_holds_the_similaritys_window():
 
 @pytest.mark.parametrize("iterations", [12, 40, 120])
 def test_a_training_goes_on_from_a_forest(arrays, short, monkeypatch, iterations):
-    """Trees stay whole, though nodes vanish after they have settled, and density control acts at every step."""
+    """Trees stay whole, though nodes vanish after they settled, and density control acts at every step."""
     monkeypatch.setattr(density, "_EVERY", 1)
     start = forest_of(short.forest(), WALLS[0].camera.fy, "", "", short.place)
     settings = replace(SHORT, iterations=iterations, gaussians=600)
