@@ -270,7 +270,7 @@ class _Job:
             )
 
     def _seconds(self) -> float:
-        """Seconds that count, over all sessions of the job."""
+        """Seconds that count, over all runs of the job."""
         return float(self._spent + time.perf_counter() - self._since)
 
     @contextmanager
