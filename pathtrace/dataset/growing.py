@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from compose.camera.camera import RIGID_TOLERANCE, Camera
 from compose.camera.serialization import camera_from_json, camera_to_json
 from compose.image.colour import Image
 from pathtrace.dataset.exr import CapturedFrame, read_frame, read_radiance, write_frame, write_radiance
+from pathtrace.dataset.frame_error import joined
 from pathtrace.dataset.frames import FORMAT_VERSION
 from pathtrace.dataset.rendering import geometry_of
 from pathtrace.dataset.transforms import described_scene
@@ -82,18 +83,21 @@ class GrowingFrames:
 
     def radiance(self, view: int) -> Image:
         """(H, W, 3) denoised radiance of a view."""
-        camera = self.camera(view)
-        path = self.folder / self._entries[view]["file_path"]
-        return read_frame(path, (camera.width, camera.height)).radiance
+        return self._stored_frame(self._entries[view]).radiance
 
     def halves(self, view: int) -> tuple[TracedImage, TracedImage]:
-        """The two independent halves of a view's samples, with the features of both."""
+        """The two independent halves of a view's samples, each with the features of both."""
         entry = self._entries[view]
-        camera = camera_from_json(entry)
-        size = camera.width, camera.height
-        frame = read_frame(self.folder / entry["file_path"], size)
+        return self._halves(entry, self._stored_frame(entry))
+
+    def _halves(self, entry: dict[str, Any], frame: CapturedFrame) -> tuple[TracedImage, TracedImage]:
+        size = frame.depth.shape[::-1]
         one, other = (read_radiance(self.folder / name, size) for name in entry["halves"])
         return TracedImage(one, frame.albedo, frame.normal), TracedImage(other, frame.albedo, frame.normal)
+
+    def _stored_frame(self, entry: dict[str, Any]) -> CapturedFrame:
+        camera = camera_from_json(entry)
+        return read_frame(self.folder / entry["file_path"], (camera.width, camera.height))
 
     def grow(self, wanted: Sequence[Wanted], progress: Callable[[int, int], None]) -> None:
         """Adds the views that are not there yet, and the samples that views lack.
@@ -142,58 +146,35 @@ class GrowingFrames:
         if self._is_complete(entry, view.camera):
             return entry
         seed = self._seed * _VIEW_SEED_STEP * _HALF_SEED_STEP + index * _VIEW_SEED_STEP
-        halves, features = self._traced(view.camera, added, (seed + number * _PASS_SEED_STEP) % 2**32)
-        if before is not None:
-            halves, features = self._joined(before, view.camera, halves, features, added)
-        weights = _shares(had + added)
-        radiance = sum(weight * half for weight, half in zip(weights, halves, strict=True))
-        frame = self._frame(view.camera, TracedImage(radiance, *features), before)
+        halves = self._traced(view.camera, added, (seed + number * _PASS_SEED_STEP) % 2**32)
+        earlier = self._stored_frame(before) if before else None
+        if before and earlier:
+            known = np.float32(had / (had + added))
+            pairs = zip(self._halves(before, earlier), halves, strict=True)
+            one, other = (_mixed(old, new, known) for old, new in pairs)
+            halves = one, other
+        frame = self._frame(view.camera, joined(*halves), earlier)
         for file, half in zip(entry["halves"], halves, strict=True):
-            write_radiance(self.folder / file, half)
+            write_radiance(self.folder / file, half.radiance)
         # Last: a frame that is there has its halves.
         write_frame(self.folder / entry["file_path"], frame)
         return entry
 
-    def _traced(self, camera: Camera, spp: int, seed: int) -> tuple[list[Image], list[Image]]:
-        """Radiance of two independent halves of new samples, and the features of all of them."""
-        positions, counts = frame_positions(camera), _counts(spp)
-        found = [
-            trace_image(self._tracer, camera, positions, camera.width, count, (seed + half) % 2**32)
-            for half, count in zip((0, _HALF_SEED_STEP), counts, strict=True)
-        ]
-        features = [
-            sum(share * getattr(one, name) for share, one in zip(_shares(spp), found, strict=True))
-            for name in ("albedo", "normal")
-        ]
-        return [one.radiance for one in found], features
+    def _traced(self, camera: Camera, spp: int, seed: int) -> tuple[TracedImage, TracedImage]:
+        """Two independent halves of new samples."""
+        positions = frame_positions(camera)
+        one, other = (
+            trace_image(self._tracer, camera, positions, camera.width, spp // 2, (seed + half) % 2**32)
+            for half in (0, _HALF_SEED_STEP)
+        )
+        return one, other
 
-    def _joined(
-        self, before: dict[str, Any], camera: Camera, halves: list[Image], features: list[Image], added: int
-    ) -> tuple[list[Image], list[Image]]:
-        """New samples together with those that the view had."""
-        size, had = (camera.width, camera.height), before["samples"]
-        earlier = [read_radiance(self.folder / name, size) for name in before["halves"]]
-        joined = [
-            (old * old_count + new * new_count) / np.float32(old_count + new_count)
-            for old, new, old_count, new_count in zip(
-                earlier, halves, _counts(had), _counts(added), strict=True
-            )
-        ]
-        frame = read_frame(self.folder / before["file_path"], size)
-        known = np.float32(had / (had + added))
-        return joined, [
-            known * old + (1 - known) * new
-            for old, new in zip((frame.albedo, frame.normal), features, strict=True)
-        ]
-
-    def _frame(self, camera: Camera, traced: TracedImage, before: dict[str, Any] | None) -> CapturedFrame:
+    def _frame(self, camera: Camera, traced: TracedImage, earlier: CapturedFrame | None) -> CapturedFrame:
         """The denoised frame, with the geometry that an earlier pass found or its own."""
-        if before is None:
-            return CapturedFrame(
-                traced.denoised(), traced.albedo, traced.normal, *geometry_of(self._tracer, camera)
-            )
-        earlier = read_frame(self.folder / before["file_path"], (camera.width, camera.height))
-        return replace(earlier, radiance=traced.denoised(), albedo=traced.albedo, normal=traced.normal)
+        shading = traced.denoised(), traced.albedo, traced.normal
+        if earlier is None:
+            return CapturedFrame(*shading, *geometry_of(self._tracer, camera))
+        return CapturedFrame(*shading, earlier.depth, earlier.unfolded, earlier.shape)
 
     def _is_complete(self, entry: dict[str, Any], camera: Camera) -> bool:
         """Whether an interrupted pass came as far as this view: then its frame, written last, is intact."""
@@ -255,14 +236,10 @@ def _is_same(stored: Camera, camera: Camera) -> bool:
     )
 
 
-def _counts(spp: int) -> tuple[int, int]:
-    """Samples of each half."""
-    return spp - spp // 2, spp // 2
-
-
-def _shares(spp: int) -> Iterator[np.float32]:
-    """Share of all samples that each half has."""
-    return (np.float32(count / spp) for count in _counts(spp))
+def _mixed(old: TracedImage, new: TracedImage, known: np.float32) -> TracedImage:
+    """Earlier samples, with their share of all, and new ones."""
+    names = ("radiance", "albedo", "normal")
+    return TracedImage(*(known * getattr(old, name) + (1 - known) * getattr(new, name) for name in names))
 
 
 def _files(entries: list[dict[str, Any]]) -> list[str]:
