@@ -24,6 +24,7 @@ from hybrid.cli.options import (
     SceneName,
     Seed,
     Spp,
+    ThinGlass,
     finite,
     require_size,
     write_json,
@@ -101,6 +102,7 @@ def demo(
         ),
     ] = 0.0,
     display: DisplayName = "desktop",
+    thin_glass: ThinGlass = False,
     seed: Seed = 0,
     backend: Backend = "auto",
     json_file: Json = None,
@@ -128,7 +130,7 @@ def demo(
     from hybrid.demo.run import WindowOptions, run_window
 
     options = WindowOptions(size, latency / 1000, out, target, bench, load)
-    found, summary = run_window(scene, forest, backend, settings, trace, options)
+    found, summary = run_window(scene, forest, backend, settings, trace, options, thin_glass)
     write_json(json_file, found)
     if bench is not None:
         print(summary)

@@ -221,14 +221,16 @@ def fill_irradiance(scene: Scene, settings: FrameSettings) -> None:
         cache_for(scene, progress_bar)
 
 
-def matching(scene: str, frames: Path, forest: Path) -> tuple[Scene, FrameSet, Forest]:
+def matching(
+    scene: str, frames: Path, forest: Path, thin_glass: bool = False
+) -> tuple[Scene, FrameSet, Forest]:
     """A scene, its frame set and its forest; refuses those of another scene."""
     from hybrid.store.identity import require_scene
     from pathtrace.dataset.frames import read_frame_set
     from splat.io.forest_file import load_forest
 
     captured, found = read_frame_set(frames), load_forest(forest)
-    loaded = loaded_scene(scene)
+    loaded = loaded_scene(scene, None, thin_glass)
     require_scene(captured, loaded.name, loaded.hash, frames)
     require_scene(found, loaded.name, loaded.hash, forest)
     return loaded, captured, found

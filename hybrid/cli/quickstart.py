@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from compose.base.errors import UserError
-from hybrid.cli.options import Backend, FovA, FovB, Json, Seed, loaded_scene, select, write_json
+from hybrid.cli.options import Backend, FovA, FovB, Json, Seed, ThinGlass, loaded_scene, select, write_json
 from hybrid.frame.settings import DEFAULTS, FrameSettings
 
 
@@ -19,6 +19,7 @@ def quickstart(
     ),
     fov_a: FovA = DEFAULTS.fov_a,
     fov_b: FovB = DEFAULTS.fov_b,
+    thin_glass: ThinGlass = False,
     seed: Seed = 0,
     backend: Backend = "auto",
     json_file: Json = None,
@@ -33,7 +34,7 @@ def quickstart(
     if not len(settings.foveation.region(SIZE, SIZE).pixels):
         raise UserError(f"--fov-a {fov_a}: there is no fovea to show, it holds no pixel of {SIZE} x {SIZE}")
     check_writable(out / "result.json")
-    result = run(loaded_scene(scene), out, settings, seed)
+    result = run(loaded_scene(scene, None, thin_glass), out, settings, seed)
     write_json(out / "result.json", result)
     write_json(json_file, result)
     print(

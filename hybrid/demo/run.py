@@ -49,6 +49,7 @@ def run_window(
     settings: FrameSettings,
     trace: GazeTrace | None,
     options: WindowOptions,
+    thin_glass: bool = False,
 ) -> tuple[dict[str, Any], str]:
     """Runs the window until it is closed.
 
@@ -59,6 +60,7 @@ def run_window(
         settings: initial settings of the frames.
         trace: replayed instead of the mouse; None for the mouse.
         options: how the window runs.
+        thin_glass: whether panes of glass let shadow rays pass.
 
     Returns:
         What was measured (see `figures`; `target`, see `steadiness`), and a summary of it for people.
@@ -69,7 +71,8 @@ def run_window(
     application = QApplication(sys.argv[:1])
     measures = options.bench is not None
     # Training would take minutes of a measurement that is expected to take seconds.
-    thread = RenderThread(partial(prepared, scene, forest, backend, not measures, settings))
+    source = partial(prepared, scene, forest, backend, not measures, settings, thin_glass=thin_glass)
+    thread = RenderThread(source)
     gaze = GazeInput(options.latency, trace)
     window = Window(thread, settings, options.target_fps, options.size, gaze, options.folder, measures)
     bench = None

@@ -20,7 +20,13 @@ from pathtrace.trace.integrator import Integrator
 
 
 def prepared(
-    scene: str, forest: Path | None, backend: str, trains: bool, settings: FrameSettings, report: Report
+    scene: str,
+    forest: Path | None,
+    backend: str,
+    trains: bool,
+    settings: FrameSettings,
+    report: Report,
+    thin_glass: bool = False,
 ) -> FrameSource:
     """The source of a scene's frames.
 
@@ -31,6 +37,7 @@ def prepared(
         trains: whether to train a forest if there is none.
         settings: of the first frame.
         report: called with the activity, steps done and steps in total.
+        thin_glass: whether panes of glass let shadow rays pass.
 
     Raises:
         UserError: the scene or the forest is missing, or they do not belong together.
@@ -42,7 +49,7 @@ def prepared(
 
     # Before the scene is loaded, since the backend decides what it is loaded into.
     select_backend(backend)
-    loaded = load_scene(scene)
+    loaded = load_scene(scene, thin_glass=thin_glass)
     if not trains and forest is None and newest_forest(loaded) is None:
         raise UserError(f"{scene}: there is no forest yet; run hybrid demo {scene} first, which trains one")
     found = forest_for(loaded, forest, bars)

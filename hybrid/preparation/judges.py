@@ -51,13 +51,16 @@ class Judges:
             progress(number + 1, len(cameras))
 
     def quality(self, forest: Forest) -> dict[str, float]:
-        """Mean PSNR in dB and SSIM of the finest layer over the views; empty if there are none."""
+        """psnr in dB and ssim of the finest layer, means over the views, and least_psnr; empty without."""
         renderer, found = ForestRenderer(device_arrays(), forest), []
         for camera, file in zip(self._cameras, self._files, strict=True):
             truth = read_frame(file, (camera.width, camera.height)).radiance
             if np.isfinite(truth).all():
                 found.append(quality(renderer.render_layer(camera, len(forest.counts)).image(), truth))
-        return {name: float(np.mean([row[name] for row in found])) for name in ("psnr", "ssim") if found}
+        if not found:
+            return {}
+        mean = {name: float(np.mean([row[name] for row in found])) for name in ("psnr", "ssim")}
+        return {**mean, "least_psnr": min(row["psnr"] for row in found)}
 
 
 def _is_intact(file: Path, camera: Camera) -> bool:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from compose.base.errors import UserError
 from hybrid.frame.irradiance import cache_for
+from hybrid.preparation.clock import Clock
+from hybrid.preparation.convergence import CONVERGED_DB, Pass, converging_seconds
 from hybrid.preparation.judges import Judges
+from hybrid.preparation.planner import Planner
 from hybrid.preparation.settings import PreparationSettings
-from hybrid.preparation.stages import QUALITIES, Stage, next_stage
 from hybrid.preparation.views import breadth_of, stated_error, views_of, wanted_of
 from hybrid.runtime.progress import Bars, console, progress_bar
 from hybrid.store.cache import scene_folder, store_forest
@@ -37,12 +39,6 @@ from splat.training.trainer import TrainingSettings
 
 # What the fusion is fitted to: views with unbiased frames, and parts of them.
 FUSION_CAPTURE = CaptureSettings(views=1, held_out=4, spp=1, held_out_spp=64)
-# Seconds that fitting the fusion takes where stages take as long as they say; left out of a shorter job.
-_FUSION_SECONDS = 45.0
-# Stages after which a target is given up, and the least gain in dB for which another stage is begun.
-_MOST_STAGES, _LEAST_GAIN = 8, 0.15
-# Before that, more views and pixels may bring more than the last stage did.
-_LEAST_STAGES = 3
 
 
 @dataclass(frozen=True)
@@ -86,9 +82,13 @@ def prepare(
     identity = {"scene": scene.hash, "region": region.identity(), **asdict(settings)}
     folder = folder or scene_folder(scene.name, scene.hash) / f"prepared-{short_hash(identity)}"
     folder.mkdir(parents=True, exist_ok=True)
-    return _Job(scene, region, surfaces, settings, bars, folder, Journal(folder / "job.json", identity)).run(
-        start
-    )
+    journal = Journal(folder / "job.json", identity)
+    clock = Clock(journal, start)
+    try:
+        return _Job(scene, region, surfaces, settings, bars, folder, journal, clock).run()
+    finally:
+        # An interrupted job continues with the time that it took so far.
+        clock.keep()
 
 
 class _Job:
@@ -103,130 +103,98 @@ class _Job:
         bars: Bars,
         folder: Path,
         journal: Journal,
+        clock: Clock,
     ):
-        self._scene, self._region, self._surfaces, self._settings = scene, region, surfaces, settings
-        self._bars, self._folder, self._journal = bars, folder, journal
-        self._spent: float = journal.once("seconds", lambda: 0.0)
-        self._stages: list[Stage] = []
+        self._scene, self._region, self._settings = scene, region, settings
+        self._bars, self._folder, self._journal, self._clock = bars, folder, journal, clock
+        breadth = journal.once("breadth", lambda: breadth_of(region, surfaces, settings.seed))
+        self._planner = Planner(settings, journal, clock, breadth)
+        self._passes: list[Pass] = []
         self._curve: list[dict[str, Any]] = []
 
-    def run(self, start: float) -> Prepared:
-        """Does what is left to do; time counts from `start`."""
-        self._since = start
-        try:
-            return self._run()
-        finally:
-            # An interrupted job continues with the time that it took so far.
-            self._journal["seconds"] = self._seconds()
-
-    def _run(self) -> Prepared:
+    def run(self) -> Prepared:
+        """Does what is left to do."""
         tracer = Tracer(self._scene, cache=cache_for(self._scene, self._bars))
         frames = GrowingFrames(self._folder / "frames", tracer, Integrator.CACHED.value, self._settings.seed)
         judges, forest = self._judges(tracer), None
-        breadth = self._journal.once(
-            "breadth", lambda: breadth_of(self._region, self._surfaces, self._settings.seed)
-        )
-        while (stage := self._next(breadth)) is not None:
-            self._stages.append(stage)
-            forest = self._staged(frames, stage, forest)
+        while self._planner.begin(self._curve):
+            forest = self._staged(frames, forest)
             self._judge(judges, forest)
         assert forest is not None
-        self._journal.once("frame_error_db", lambda: stated_error(frames))
         forest = self._with_fusion(forest)
         store_forest(forest, self._folder.name)
         facts = self._facts(forest, frames)
+        self._say_converging(facts)
         self._require_target(facts)
         return Prepared(forest, facts)
 
+    @property
+    def _number(self) -> int:
+        """Of the stage, from 0."""
+        return len(self._planner.stages) - 1
+
     def _judges(self, tracer: Tracer) -> Judges:
         """The held-out views; their time does not count."""
-        wanted = self._settings
-        with self._not_counted():
-            cameras = (
-                self._region.unseen_views(wanted.held_out, *wanted.size, wanted.seed)
-                if wanted.held_out
-                else []
-            )
-            with self._bars("held-out views") as bar:
-                return Judges(self._folder / "held-out", tracer, cameras, bar)
+        count, size, seed = self._settings.held_out, self._settings.size, self._settings.seed
+        with self._clock.stopped(), self._bars("held-out views") as bar:
+            cameras = self._region.unseen_views(count, *size, seed) if count else []
+            return Judges(self._folder / "held-out", tracer, cameras, bar)
 
-    def _next(self, breadth: float) -> Stage | None:
-        """The next stage as the journal has it, else as it is planned now; None at the end."""
-        number = len(self._stages)
-        planned = self._journal.once(f"stage {number}", lambda: self._planned(number, breadth))
-        return Stage(**planned) if planned else None
-
-    def _planned(self, number: int, breadth: float) -> dict[str, Any] | None:
-        if self._is_enough(number):
-            return None
-        left = None
-        if self._settings.minutes is not None:
-            left = 60 * self._settings.minutes - self._seconds()
-            left -= _FUSION_SECONDS * self._pace() if self._fits_fusion else 0
-        stage = next_stage(number, breadth, self._pace(), left)
-        return asdict(stage) if stage else None
-
-    def _is_enough(self, number: int) -> bool:
-        """Whether what was asked for is reached, or no more is to be had."""
-        if not number:
-            return False
-        found = [row["psnr"] for row in self._curve if "psnr" in row]
-        gained = len(found) < _LEAST_STAGES or found[-1] - found[-2] >= _LEAST_GAIN
-        if self._settings.psnr is not None:
-            return found[-1] >= self._settings.psnr or not gained or number >= _MOST_STAGES
-        if self._settings.minutes is not None:
-            return number >= _MOST_STAGES
-        return number >= QUALITIES[self._settings.quality] or not gained
-
-    @property
-    def _fits_fusion(self) -> bool:
-        minutes = self._settings.minutes
-        return minutes is None or 60 * minutes > 2 * _FUSION_SECONDS
-
-    def _pace(self) -> float:
-        """Seconds that stages took, over those that they take by their description; 1 before the first."""
-        described = sum(stage.seconds for stage in self._stages)
-        taken = sum(self._journal[f"seconds {number}"] for number in range(len(self._stages)))
-        return taken / described if described else 1.0
-
-    def _staged(self, frames: GrowingFrames, stage: Stage, before: Forest | None) -> Forest:
-        """The forest after the last of the stages; trained now, unless it is in the folder."""
-        number = len(self._stages) - 1
+    def _staged(self, frames: GrowingFrames, before: Forest | None) -> Forest:
+        """The forest after a stage; trained now, unless it is in the folder."""
+        number = self._number
         path = self._folder / f"stage-{number}.safetensors"
-        if f"seconds {number}" in self._journal and path.is_file():
+        if self._planner.is_finished and path.is_file():
+            self._passes.append(Pass(**self._journal[f"pass {number}"]))
             return load_forest(path)
-        start = self._seconds()
-        views = views_of(self._region, self._stages, self._settings.seed)
+        start = self._clock.seconds()
+        stages = self._planner.stages
+        views = views_of(self._region, stages, self._settings.seed)
         with self._bars(f"stage {number + 1}: frames (samples)") as bar:
-            wanted = wanted_of(frames, views, stage, before)
-            frames.grow(wanted, bar)
-        settings = TrainingSettings(
-            stage.steps, stage.gaussians, stage.layers if number else 1, seed=self._settings.seed + number
-        )
-        with self._bars(f"stage {number + 1}: forest (steps)") as bar:
-            forest = train(read_frame_set(frames.folder), path, settings, bar, start=before)
+            frames.grow(wanted_of(frames, views, stages[-1], before), bar)
+        traced = self._journal.once(f"pass {number}", lambda: asdict(self._pass(frames, start)))
+        self._passes.append(Pass(**traced))
+        forest = self._trained(frames, path, before)
         if number:
             store_forest(forest, self._folder.name)
-        self._journal[f"seconds {number}"] = self._seconds() - start
+        self._planner.finished(self._clock.seconds() - start)
+        return forest
+
+    def _pass(self, frames: GrowingFrames, start: float) -> Pass:
+        """What the pass over the frames has brought that began at `start`."""
+        before = self._passes[-1].seconds if self._passes else 0.0
+        seconds = before + self._clock.seconds() - start
+        return Pass(float(np.mean(frames.samples)), stated_error(frames), seconds)
+
+    def _trained(self, frames: GrowingFrames, path: Path, before: Forest | None) -> Forest:
+        """The forest of a stage, in as many steps as there is time for."""
+        stage, number, start = self._planner.stages[-1], self._number, self._clock.seconds()
+        layers = stage.layers if number else 1
+        seed = self._settings.seed + number
+        settings = TrainingSettings(self._planner.steps(), stage.gaussians, layers, seed=seed)
+        with self._bars(f"stage {number + 1}: forest (steps)") as bar:
+            forest = train(read_frame_set(frames.folder), path, settings, bar, start=before)
+        self._planner.trained(self._clock.seconds() - start)
         return forest
 
     def _judge(self, judges: Judges, forest: Forest) -> None:
         """Adds a row to the curve."""
-        number = len(self._stages) - 1
+        number = self._number
 
         def row() -> dict[str, Any]:
-            seconds = self._seconds()
-            with self._not_counted():
+            seconds = self._clock.seconds()
+            with self._clock.stopped():
                 found = judges.quality(forest)
             return {"seconds": seconds, **found, "gaussians": len(forest.finest)}
 
         self._curve.append(self._journal.once(f"quality {number}", row))
         shown = self._curve[-1]
-        quality = (
-            f", held-out views {shown['psnr']:.2f} dB, SSIM {shown['ssim']:.4f}" if "psnr" in shown else ""
-        )
+        quality = ""
+        if "psnr" in shown:
+            psnr, least, ssim = (shown[name] for name in ("psnr", "least_psnr", "ssim"))
+            quality = f", held-out views {psnr:.2f} dB, least {least:.2f} dB, SSIM {ssim:.4f}"
         console.print(
-            f"{shown['seconds']:.0f} s: {sum(stage.views for stage in self._stages)} views, "
+            f"{shown['seconds']:.0f} s: {sum(stage.views for stage in self._planner.stages)} views, "
             f"{shown['gaussians']:,} Gaussians{quality}",
             soft_wrap=True,
         )
@@ -236,7 +204,7 @@ class _Job:
         path = self._folder / "forest.safetensors"
         if path.is_file():
             return load_forest(path)
-        if self._fits_fusion:
+        if self._planner.fits_fusion:
             cache = cache_for(self._scene)
             with self._bars("fusion: frames (samples)") as bar:
                 examples = capture(self._scene, self._folder / "fusion", FUSION_CAPTURE, bar, cache)
@@ -250,15 +218,27 @@ class _Job:
         return {
             "scene": self._scene.name,
             "region": self._region.name,
-            "seconds": self._journal.once("total", self._seconds),
+            "seconds": self._journal.once("total", self._clock.seconds),
             "gaussians": len(forest.finest),
             "views": len(samples),
             "spp": {"mean": sum(samples) / len(samples), "least": min(samples), "most": max(samples)},
-            "frame_error_db": self._journal["frame_error_db"],
-            "splat": {name: last[name] for name in ("psnr", "ssim") if name in last},
+            "frame_error_db": self._passes[-1].error_db,
+            "converging_seconds": converging_seconds(self._passes),
+            "splat": {name: last[name] for name in ("psnr", "ssim", "least_psnr") if name in last},
             "curve": self._curve,
             "forest": str(self._folder / "forest.safetensors"),
         }
+
+    def _say_converging(self, facts: dict[str, Any]) -> None:
+        """Names frames that are noisier than a forest is likely to be wrong, and what would help."""
+        if facts["converging_seconds"] is not None:
+            last = self._passes[-1]
+            console.print(
+                f"{self._scene.name}: light converges slowly; frames have {last.error_db:.1f} dB after "
+                f"{last.seconds:.0f} s of tracing, {CONVERGED_DB:g} dB would take about "
+                f"{facts['converging_seconds']:.0f} s",
+                soft_wrap=True,
+            )
 
     def _require_target(self, facts: dict[str, Any]) -> None:
         """UserError if a target was not reached; the forest is kept."""
@@ -268,16 +248,3 @@ class _Job:
                 f"{self._scene.name}: {wanted:g} dB cannot be reached; {found:.2f} dB are, in "
                 f"{facts['seconds']:.0f} s, from frames of {facts['frame_error_db']:.1f} dB; it is kept"
             )
-
-    def _seconds(self) -> float:
-        """Seconds that count, over all runs of the job."""
-        return float(self._spent + time.perf_counter() - self._since)
-
-    @contextmanager
-    def _not_counted(self) -> Iterator[None]:
-        """Stops the clock."""
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self._since += time.perf_counter() - start

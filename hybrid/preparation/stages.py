@@ -10,6 +10,11 @@ SIDE = 256
 _LARGEST_SIDE = 512
 # Fewer samples leave the denoiser nothing to go by.
 _LEAST_SPP = 4
+# Gaussians that take as long in a step as all else does, and how much longer steps with larger frames take.
+_GAUSSIANS_OF_A_STEP, _OF_MORE_PIXELS = 90_000, 1.7
+# What there is to model grows with this power of the views that a region takes: some surfaces take many views
+# to be seen at all, behind and between things.
+_SURFACES = 0.7
 # Side in pixels of what a whole view measures at the resolution of the coarsest layer: what sees less detail
 # than that is hardly part of any frame, with any display or acuity model.
 _COARSEST = 64
@@ -52,17 +57,39 @@ class Stage:
         return max(1, (self.whole // _COARSEST).bit_length())
 
     def spp_at(self, scale: int) -> int:
-        """Samples per pixel that views at some scale have after this stage."""
-        return max(_LEAST_SPP, self.spp // scale**2)
+        """Samples per pixel that views at some scale are worth in this stage; 0 where no more are."""
+        # Frames of far larger pixels hardly matter for what the new ones show.
+        return max(_LEAST_SPP, self.spp // scale**2) if 2 * scale >= self.scale else 0
+
+    @property
+    def step_cost(self) -> float:
+        """What a step takes, in no unit: a part that is the same for all, and one per Gaussian."""
+        return (1 + self.gaussians / _GAUSSIANS_OF_A_STEP) * (_OF_MORE_PIXELS if self.side > SIDE else 1)
+
+    def affordable_steps(self, seconds: float, last: Stage, last_seconds: float) -> int:
+        """Steps that fit in a time, at most those of the stage; at least a tenth of them.
+
+        Args:
+            seconds: the time.
+            last: the stage before.
+            last_seconds: what a step of that took.
+        """
+        step_seconds = last_seconds * self.step_cost / last.step_cost
+        return max(min(self.steps, int(seconds / step_seconds)), -(-self.steps // 10))
 
     def of_breadth(self, breadth: float) -> Stage:
-        """The stage for a region that takes some times as many views to show as the default one."""
+        """The stage for a region that takes some times as many views to show as the default one.
+
+        There, forests lack views rather than samples, so that more views have fewer samples each.
+        """
+        surfaces = breadth**_SURFACES
         return replace(
             self,
             views=round(self.views * breadth),
-            gaussians=round(self.gaussians * breadth),
+            spp=max(_LEAST_SPP * self.scale**2, round(self.spp / breadth)),
+            gaussians=round(self.gaussians * surfaces),
             steps=round(self.steps * breadth**0.5),
-            seconds=self.seconds * breadth,
+            seconds=self.seconds * surfaces,
         )
 
     def shortened(self, share: float) -> Stage:

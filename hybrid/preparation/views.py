@@ -26,14 +26,13 @@ _ASKED = 6
 # it.
 _WORTHWHILE = 0.1
 # Views that the default region takes at first; how many that see enough is tried in these numbers.
-_ORDINARY, _TRIED = 32, (32, 48, 64, 96, 128)
-_ENOUGH = 0.9
-_ASKERS = 12
-_MOST_BREADTH = 4.0
+_ORDINARY, _TRIED = 32, (32, 48, 64, 96, 128, 192, 256, 384)
+_ENOUGH = 0.95
+_ASKERS = 24
 
 
 def breadth_of(region: Region, surfaces: Surfaces, seed: int) -> float:
-    """How many times as many views as the default region a region takes until little is unseen; 1 to 4."""
+    """How many times as many views as the default region a region takes until little is unseen; 1 to 12."""
     if region.name == "near":
         return 1.0
     views = region.views(_TRIED[-1], _SIDE, _SIDE, seed)
@@ -44,7 +43,7 @@ def breadth_of(region: Region, surfaces: Surfaces, seed: int) -> float:
         before = count
         if np.mean([coverage.share(view) for view in askers]) >= _ENOUGH:
             break
-    return min(_MOST_BREADTH, before / _ORDINARY)
+    return before / _ORDINARY
 
 
 def views_of(region: Region, stages: Sequence[Stage], seed: int) -> list[tuple[Camera, int]]:

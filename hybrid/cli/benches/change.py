@@ -13,6 +13,7 @@ from hybrid.cli.options import (
     ReferenceSpp,
     SceneName,
     Spp,
+    ThinGlass,
     loaded_scene,
     matching,
     select,
@@ -27,6 +28,7 @@ def change(
     forest: ForestArgument,
     spp: Spp = 16,
     reference_spp: ReferenceSpp = 512,
+    thin_glass: ThinGlass = False,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
@@ -34,7 +36,7 @@ def change(
     select(backend)
     from hybrid.bench.change import bench_change
 
-    _, captured, found = matching(scene, frames, forest)
+    _, captured, found = matching(scene, frames, forest, thin_glass)
     with progress_bar("bench (frames)") as bar:
         rows = bench_change(partial(loaded_scene, scene), captured, found, spp, reference_spp, bar)
     print("change            method        PSNR    SSIM    FLIP    JOD")

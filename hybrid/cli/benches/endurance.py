@@ -14,6 +14,7 @@ from hybrid.cli.options import (
     Json,
     SceneName,
     Seed,
+    ThinGlass,
     loaded_scene,
     require_size,
     select,
@@ -34,6 +35,7 @@ def endurance(
     forest: ForestFile = None,
     size: FixedSize = (640, 480),
     frames: Annotated[int, typer.Option(help="Frames to render.", min=1)] = 20_000,
+    thin_glass: ThinGlass = False,
     seed: Seed = 0,
     backend: Backend = "auto",
     json_file: Json = None,
@@ -48,7 +50,7 @@ def endurance(
     from hybrid.preparation.quick import forest_for
     from hybrid.runtime.machine import machine
 
-    loaded = loaded_scene(scene)
+    loaded = loaded_scene(scene, None, thin_glass)
     settings = replace(INTERACTIVE, camera=sized(loaded.camera, size))
     trace = simulated(settings.display, *size, _TRACE, seed)
     renderer = LiveRenderer(loaded, forest_for(loaded, forest))

@@ -15,6 +15,7 @@ from hybrid.cli.options import (
     Json,
     ReferenceSpp,
     SceneName,
+    ThinGlass,
     matching,
     select,
     write_json,
@@ -39,6 +40,7 @@ def fusion(
         int, typer.Option(help="Runs of each.", min=1, max=1000, rich_help_panel=MEASUREMENT)
     ] = 2,
     reference_spp: ReferenceSpp = 1024,
+    thin_glass: ThinGlass = False,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
@@ -47,7 +49,7 @@ def fusion(
     from hybrid.bench.fusion import FusionEffort, bench_fusion
 
     effort = FusionEffort(tuple(spp or (1, 2, 4, 16, 64)), tuple(scale or (1, 2)), seeds, reference_spp)
-    loaded, captured, found = matching(scene, frames, forest)
+    loaded, captured, found = matching(scene, frames, forest, thin_glass)
     with progress_bar("bench (crops)") as bar:
         rows = bench_fusion(loaded, captured, found, effort, bar)
     print("scale   spp  method           PSNR    SSIM    FLIP    JOD   reference")

@@ -14,6 +14,7 @@ from hybrid.cli.options import (
     FovB,
     Json,
     SceneName,
+    ThinGlass,
     finite,
     loaded_scene,
     select,
@@ -35,6 +36,7 @@ def gaze(
         float,
         typer.Option(help="Degrees from the first frame to the last.", min=0.1, max=160, callback=finite),
     ] = 20.0,
+    thin_glass: ThinGlass = False,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
@@ -49,7 +51,7 @@ def gaze(
     from hybrid.runtime.machine import machine
 
     path = gazes_across(settings.display, fov_b, step, span)
-    loaded = loaded_scene(scene)
+    loaded = loaded_scene(scene, None, thin_glass)
     found = forest_for(loaded, forest)
     camera = display_camera(loaded.camera, settings.display)
     with progress_bar("bench (frames)") as bar:

@@ -10,6 +10,7 @@ from hybrid.cli.options import (
     Repeats,
     SceneName,
     Size,
+    ThinGlass,
     loaded_scene,
     select,
     sized,
@@ -24,6 +25,7 @@ def integrator(
     reference_spp: ReferenceSpp = 1024,
     repeats: Repeats = 7,
     max_depth: MaxDepth = None,
+    thin_glass: ThinGlass = False,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
@@ -32,7 +34,7 @@ def integrator(
     from hybrid.bench.integrator import bench_integrator
     from hybrid.runtime.machine import machine
 
-    loaded = loaded_scene(scene, max_depth)
+    loaded = loaded_scene(scene, max_depth, thin_glass)
     with progress_bar("bench (samples)") as bar:
         found = bench_integrator(loaded, sized(loaded.camera, size), reference_spp, repeats, bar)
     cache = found["cache"]

@@ -10,6 +10,7 @@ from hybrid.cli.options import (
     Json,
     ReferenceSpp,
     SceneName,
+    ThinGlass,
     matching,
     select,
     write_json,
@@ -22,6 +23,7 @@ def motion(
     frames: FramesFolder,
     forest: ForestArgument,
     reference_spp: ReferenceSpp = 512,
+    thin_glass: ThinGlass = False,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
@@ -29,7 +31,7 @@ def motion(
     select(backend)
     from hybrid.bench.motion import bench_motion
 
-    loaded, captured, found = matching(scene, frames, forest)
+    loaded, captured, found = matching(scene, frames, forest, thin_glass)
     with progress_bar("bench (walks)") as bar:
         rows = bench_motion(loaded, captured, found, reference_spp, bar)
     print("fovea     method                  PSNR    SSIM    FLIP    JOD   pixels without history")

@@ -12,6 +12,7 @@ from hybrid.cli.options import (
     SceneName,
     Size,
     Spp,
+    ThinGlass,
     WarmUp,
     loaded_scene,
     select,
@@ -31,6 +32,7 @@ def passes(
     spp: Spp = 2,
     repeats: Repeats = 15,
     warm_up: WarmUp = 3,
+    thin_glass: ThinGlass = False,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
@@ -43,7 +45,7 @@ def passes(
     from hybrid.preparation.quick import forest_for
     from hybrid.runtime.machine import machine
 
-    loaded = loaded_scene(scene)
+    loaded = loaded_scene(scene, None, thin_glass)
     settings = replace(settings, camera=sized(loaded.camera, size))
     found = forest_for(loaded, forest)
     with progress_bar("bench (rounds)") as bar:

@@ -12,6 +12,7 @@ from hybrid.cli.options import (
     Json,
     Repeats,
     SceneName,
+    ThinGlass,
     WarmUp,
     loaded_scene,
     select,
@@ -28,6 +29,7 @@ def periphery(
     fov_b: FovB = 20.0,
     repeats: Repeats = 20,
     warm_up: WarmUp = 5,
+    thin_glass: ThinGlass = False,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
@@ -38,7 +40,7 @@ def periphery(
     from hybrid.preparation.quick import forest_for
     from hybrid.runtime.machine import machine
 
-    loaded = loaded_scene(scene)
+    loaded = loaded_scene(scene, None, thin_glass)
     found = forest_for(loaded, forest)
     camera = display_camera(loaded.camera, settings.display)
     with progress_bar("bench (rounds)") as bar:

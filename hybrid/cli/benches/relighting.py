@@ -9,6 +9,7 @@ from hybrid.cli.options import (
     ReferenceSpp,
     SceneName,
     Size,
+    ThinGlass,
     loaded_scene,
     select,
     sized,
@@ -22,6 +23,7 @@ def relighting(
     size: Size = (256, 256),
     reference_spp: ReferenceSpp = 512,
     max_depth: MaxDepth = None,
+    thin_glass: ThinGlass = False,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
@@ -31,7 +33,7 @@ def relighting(
     from hybrid.frame.irradiance import filled_cache
     from hybrid.runtime.machine import machine
 
-    loaded = loaded_scene(scene, max_depth)
+    loaded = loaded_scene(scene, max_depth, thin_glass)
     with progress_bar("bench (samples)") as bar:
         found = bench_relighting(loaded, sized(loaded.camera, size), filled_cache(loaded), reference_spp, bar)
     if found["rows"]:

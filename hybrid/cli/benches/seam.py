@@ -11,6 +11,7 @@ from hybrid.cli.options import (
     ReferenceSpp,
     SceneName,
     Spp,
+    ThinGlass,
     matching,
     select,
     write_json,
@@ -26,6 +27,7 @@ def seam(
     display: DisplayName = "desktop",
     spp: Spp = 2,
     reference_spp: ReferenceSpp = 512,
+    thin_glass: ThinGlass = False,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
@@ -35,7 +37,7 @@ def seam(
     from hybrid.bench.seam import bench_seam
     from hybrid.measure.metrics.fovvideovdp import INSTALL
 
-    loaded, captured, found = matching(scene, frames, forest)
+    loaded, captured, found = matching(scene, frames, forest, thin_glass)
     with progress_bar("bench (views)") as bar:
         rows = bench_seam(loaded, captured, found, settings, reference_spp, bar)
     print("fovea     inner against outer side   the same by sectors    JOD of the band")

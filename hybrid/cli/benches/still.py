@@ -16,6 +16,7 @@ from hybrid.cli.options import (
     Json,
     ReferenceSpp,
     SceneName,
+    ThinGlass,
     finite,
     loaded_scene,
     select,
@@ -36,6 +37,7 @@ def still(
         typer.Option(help="Time for which nothing moves.", min=1, max=MOST_SECONDS, callback=finite),
     ] = 20.0,
     reference_spp: ReferenceSpp = 1024,
+    thin_glass: ThinGlass = False,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
@@ -50,7 +52,7 @@ def still(
     from hybrid.preparation.quick import forest_for
     from hybrid.runtime.machine import machine
 
-    loaded = loaded_scene(scene)
+    loaded = loaded_scene(scene, None, thin_glass)
     settings = replace(INTERACTIVE, gaze=at, camera=sized(loaded.camera, size))
     renderer = LiveRenderer(loaded, forest_for(loaded, forest))
     with progress_bar("bench (seconds)") as bar:

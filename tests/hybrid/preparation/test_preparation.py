@@ -40,7 +40,7 @@ def test_from_nothing_to_a_forest(scene, tmp_path):
     assert facts["spp"] == {"mean": 8, "least": 8, "most": 8}
     assert [row["gaussians"] for row in facts["curve"]][-1] == facts["gaussians"] <= 500
     assert 0 < facts["curve"][0]["seconds"] < facts["curve"][1]["seconds"] <= facts["seconds"]
-    assert facts["splat"] == {name: facts["curve"][-1][name] for name in ("psnr", "ssim")}
+    assert facts["splat"] == {name: facts["curve"][-1][name] for name in ("psnr", "ssim", "least_psnr")}
     assert facts["curve"][0]["psnr"] < facts["curve"][1]["psnr"]
     assert 10 < facts["frame_error_db"] < 60
     assert len(read_frame_set(tmp_path / "frames").training) == 6

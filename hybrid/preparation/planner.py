@@ -1,0 +1,109 @@
+"""Plans a preparation: stage after stage, until what was asked for is reached or the time is up."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from hybrid.preparation.clock import Clock
+from hybrid.preparation.settings import PreparationSettings
+from hybrid.preparation.stages import QUALITIES, Stage, next_stage
+from hybrid.store.journal import Journal
+
+# Seconds that fitting the fusion takes where stages take as long as they say; left out of a shorter job.
+_FUSION_SECONDS = 45.0
+# Stages after which a target is given up, and the least gain in dB for which another stage is begun.
+_MOST_STAGES, _LEAST_GAIN = 8, 0.15
+# Before that, more views and pixels may bring more than the last stage did.
+_LEAST_STAGES = 3
+
+
+class Planner:
+    """Decides what to do next; what it has decided once is in the journal, and stays.
+
+    Args:
+        settings: what was asked for.
+        journal: of the job.
+        clock: of the job.
+        breadth: of the region (hybrid.preparation.views.breadth_of).
+
+    Attributes:
+        stages: those begun.
+    """
+
+    def __init__(self, settings: PreparationSettings, journal: Journal, clock: Clock, breadth: float):
+        self._settings, self._journal, self._clock, self._breadth = settings, journal, clock, breadth
+        self.stages: list[Stage] = []
+
+    def begin(self, curve: list[dict[str, Any]]) -> bool:
+        """Begins the next stage, unless the last one was enough.
+
+        Args:
+            curve: held-out quality after each stage so far: rows with `psnr`, if there are held-out views.
+        """
+        number = len(self.stages)
+        planned = self._journal.once(f"stage {number}", lambda: self._planned(number, curve))
+        if planned:
+            self.stages.append(Stage(**planned))
+        return bool(planned)
+
+    def steps(self) -> int:
+        """Training steps of the last stage, for which its frames have left the time."""
+        return self._journal.once(f"steps {len(self.stages) - 1}", self._affordable)
+
+    def trained(self, seconds: float) -> None:
+        """Takes down how long these steps took."""
+        self._journal[f"step seconds {len(self.stages) - 1}"] = seconds / self.steps()
+
+    def finished(self, seconds: float) -> None:
+        """Takes down how long the last stage took."""
+        self._journal[f"seconds {len(self.stages) - 1}"] = seconds
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the last stage was finished, perhaps in an earlier run."""
+        return f"seconds {len(self.stages) - 1}" in self._journal
+
+    @property
+    def fits_fusion(self) -> bool:
+        """Whether there is time for a fusion."""
+        minutes = self._settings.minutes
+        return minutes is None or 60 * minutes > 2 * _FUSION_SECONDS
+
+    def _planned(self, number: int, curve: list[dict[str, Any]]) -> dict[str, Any] | None:
+        if number and self._is_enough(number, [row["psnr"] for row in curve if "psnr" in row]):
+            return None
+        stage = next_stage(number, self._breadth, self._pace(), self._left())
+        return asdict(stage) if stage else None
+
+    def _is_enough(self, number: int, psnr: list[float]) -> bool:
+        """Whether what was asked for is reached, or no more is to be had."""
+        gained = len(psnr) < _LEAST_STAGES or psnr[-1] - psnr[-2] >= _LEAST_GAIN
+        if self._settings.psnr is not None:
+            return psnr[-1] >= self._settings.psnr or not gained or number >= _MOST_STAGES
+        if self._settings.minutes is not None:
+            return number >= _MOST_STAGES
+        return number >= QUALITIES[self._settings.quality] or not gained
+
+    def _affordable(self) -> int:
+        stage, left = self.stages[-1], self._left()
+        if left is None or len(self.stages) == 1:
+            return stage.steps
+        last = self._journal[f"step seconds {len(self.stages) - 2}"]
+        return stage.affordable_steps(left, self.stages[-2], last)
+
+    def _left(self) -> float | None:
+        """Seconds left for stages; None if time does not matter."""
+        if self._settings.minutes is None:
+            return None
+        fusion = _FUSION_SECONDS * self._pace() if self.fits_fusion else 0.0
+        return 60 * self._settings.minutes - self._clock.seconds() - fusion
+
+    def _pace(self) -> float:
+        """Seconds that finished stages took, over those of their description; 1 before the first."""
+        taken = [
+            (self._journal[f"seconds {number}"], stage.seconds)
+            for number, stage in enumerate(self.stages)
+            if f"seconds {number}" in self._journal
+        ]
+        return sum(seconds for seconds, _ in taken) / sum(own for _, own in taken) if taken else 1.0
