@@ -16,7 +16,7 @@ from torch import Tensor
 
 # Cells: samples per pixel, and sides of the splats' pixels in pixels of the image.
 COUNTS = (1, 2, 4, 16, 64)
-ENLARGEMENTS = (1, 2, 4)
+ENLARGEMENTS = (0.5, 1, 2, 4)
 # What is mixed, in the order of the shares.
 MIXED = ("network", "denoised", "splat")
 # Shares are looked up in steps of this fraction of a doubling of the sample count.
@@ -81,7 +81,7 @@ def _steps() -> Tensor:
     return torch.stack([_weights(COUNTS, 2 ** (step / _STEPS)) for step in range(last + 1)])
 
 
-def _weights(knots: tuple[int, ...], at: float) -> Tensor:
+def _weights(knots: tuple[float, ...], at: float) -> Tensor:
     """(len(knots),) weights that interpolate over the logarithm of knots; constant beyond the ends."""
     weights = torch.zeros(len(knots))
     at = min(max(at, knots[0]), knots[-1])

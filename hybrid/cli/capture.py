@@ -74,7 +74,7 @@ def capture(
     from pathtrace.dataset.settings import CaptureSettings
 
     with user_errors():
-        settings = CaptureSettings(views, held_out, *size, spp, held_out_spp, seed)
+        settings = CaptureSettings(views, held_out, *size, spp, held_out_spp, seed=seed)
     require_size(size)
     is_cached = integrator_named(integrator) is Integrator.CACHED
     start = time.perf_counter()

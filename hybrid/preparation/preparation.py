@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -207,11 +207,16 @@ class _Job:
         if self._planner.fits_fusion:
             cache = cache_for(self._scene)
             with self._bars("fusion: frames (samples)") as bar:
-                examples = capture(self._scene, self._folder / "fusion", FUSION_CAPTURE, bar, cache)
+                examples = capture(self._scene, self._folder / "fusion", self._examples(), bar, cache)
             with self._bars("fusion (steps)") as bar:
                 forest = with_fusion(examples, forest, self._settings.seed, bar)
         save_forest(path, forest)
         return forest
+
+    def _examples(self) -> CaptureSettings:
+        """What the fusion is fitted to: also close-ups with pixels of the splats' size and half of it."""
+        scale = max(2, self._planner.stages[-1].scale)
+        return replace(FUSION_CAPTURE, close_ups=(scale, 2 * scale), seed=self._settings.seed)
 
     def _facts(self, forest: Forest, frames: GrowingFrames) -> dict[str, Any]:
         samples, last = frames.samples, self._curve[-1]

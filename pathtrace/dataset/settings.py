@@ -17,6 +17,7 @@ class CaptureSettings:
         width, height: frame size in pixels.
         spp: samples per pixel of a training view, which is denoised afterwards.
         held_out_spp: samples per pixel of a held-out view, which is denoised as well, at least 2.
+        close_ups: multiples of the resolution at which parts of held-out views are rendered, too.
         seed: same seed, same frames; from 0 to compose.base.seeds.MOST_SEED.
 
     Raises:
@@ -30,6 +31,7 @@ class CaptureSettings:
     height: int = 256
     spp: int = 32
     held_out_spp: int = 256
+    close_ups: tuple[int, ...] = (2, 4)
     seed: int = 0
 
     def __post_init__(self) -> None:

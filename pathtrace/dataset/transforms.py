@@ -27,8 +27,6 @@ from pathtrace.trace.integrator import Integrator
 
 # Samples per pixel of the estimates stored with some held-out views: what a fovea may be traced with.
 _ESTIMATE_SPP = (1, 2, 4, 16, 64)
-# Close-ups of those views show a part at a multiple of the resolution, half as wide and high as the view.
-_CLOSE_UP_FACTORS = (2, 4)
 
 
 def describe_capture(
@@ -61,7 +59,7 @@ def describe_capture(
     close_ups = [
         _close_up(cameras[index], index, factor, settings.held_out_spp, rng)
         for index in sorted(fitted)
-        for factor in _CLOSE_UP_FACTORS
+        for factor in settings.close_ups
     ]
     return {
         "camera_model": "OPENCV",

@@ -26,11 +26,13 @@ def test_broad_regions_have_more_views_of_no_more_samples_in_all(stage, breadth)
 def test_a_stage_for_which_little_time_is_left_is_shorter_or_left_out():
     stage = STAGES[1]
     half = next_stage(1, 1.0, 1.0, stage.seconds / 2)
-    assert half is not None and half.steps == stage.steps / 2
+    assert half is not None
+    assert half.steps == stage.steps / 2
     assert next_stage(1, 1.0, 1.0, stage.seconds / 10) is None
     assert next_stage(0, 1.0, 1.0, 0.0) == STAGES[0]
 
 
 def test_after_the_last_stage_samples_double():
     further = next_stage(len(STAGES), 1.0, 1.0, None)
-    assert further is not None and further.spp == 2 * STAGES[-1].spp
+    assert further is not None
+    assert further.spp == 2 * STAGES[-1].spp
