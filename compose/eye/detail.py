@@ -51,6 +51,8 @@ class DetailMap:
         layers: L.
         eccentricity: (rows + 1, columns + 1) in degrees.
         cutoff: (rows + 1, columns + 1) highest frequency that is resolved, in cycles per pixel, at most 0.5.
+        low_pass: (rows + 1, columns + 1) highest frequency to keep. With Fov-GS's acuity model the cut-off
+            (Eq. 8); with others all that the samples carry: blurring further saves no time, and shows.
         steps: what is drawn, from fine to coarse.
         step_index: (rows + 1, columns + 1) index into the steps, 0 for the first; between two whole numbers
             both steps are blended.
@@ -61,6 +63,7 @@ class DetailMap:
     layers: int
     eccentricity: Lattice
     cutoff: Lattice
+    low_pass: Lattice
     steps: tuple[Step, ...]
     step_index: Lattice
 
@@ -127,12 +130,14 @@ def detail_map(
     )
     fade = _FADE if acuity_model.relative else _FADE_BY_SALIENCY
     steps = detail_steps(finest, ahead, layers.finest_rates, layers.lowest, fade)
+    resolved = np.minimum(cutoff, _NYQUIST).astype(np.float32)
     return DetailMap(
         width,
         height,
         len(layers.finest_rates),
         angle.astype(np.float32),
-        np.minimum(cutoff, _NYQUIST).astype(np.float32),
+        resolved,
+        resolved if acuity_model.relative else np.full_like(resolved, _NYQUIST),
         steps,
         _step_index(deciding, steps, fade),
     )

@@ -92,7 +92,7 @@ class Periphery:
             LayerImage(step.layer, step.rate, detail.weight(number))
             for number, step in enumerate(detail.steps)
         ]
-        return self._renderer.render(camera, pictures, detail.cutoff, region.peripheral_tiles(TILE))
+        return self._renderer.render(camera, pictures, detail.low_pass, region.peripheral_tiles(TILE))
 
     def draw_still(
         self, camera: Camera, settings: FrameSettings, detail: DetailMap, region: FoveaRegion

@@ -14,7 +14,7 @@ from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from splat.lod.image import SplatImage
 from splat.lod.layer_images import AtlasEntry, Mask
-from splat.raster.blocks import PIXEL
+from splat.raster.blocks import CHANNELS, PIXEL
 from splat.raster.records import RecordLayout, Records
 from splat.raster.tiles import TILE, TileGrid
 
@@ -28,7 +28,13 @@ _ENTRIES_AT_ONCE = 8
 _CORNERS = RecordLayout((4,), top_left=1, top_right=1, bottom_left=1, bottom_right=1)
 
 
-def composite(arrays: Arrays, entries: Sequence[AtlasEntry], atlas: SplatImage, camera: Camera) -> SplatImage:
+def composite(
+    arrays: Arrays,
+    entries: Sequence[AtlasEntry],
+    atlas: SplatImage,
+    camera: Camera,
+    left_out: Mask | None = None,
+) -> SplatImage:
     """The frame, black in cells in which no entry has a weight.
 
     Args:
@@ -36,23 +42,31 @@ def composite(arrays: Arrays, entries: Sequence[AtlasEntry], atlas: SplatImage, 
         entries: of the atlas, at least one; their weights sum to 1 in every cell in which any has one.
         atlas: the entries' samples.
         camera: the view.
+        left_out: (rows, columns) cells that are not written and stay black: somebody else draws there, into a
+            frame that has the rasterizer's channels.
     """
-    UInt, grid = arrays.plain.UInt, TileGrid(camera.width, camera.height)
-    frame = dr.empty(arrays.plain.Float, grid.padded_width * grid.padded_height * 3)
+    Float, UInt, grid = arrays.plain.Float, arrays.plain.UInt, TileGrid(camera.width, camera.height)
+    channels, new = (3, dr.empty) if left_out is None else (CHANNELS, dr.zeros)
+    frame = new(arrays.plain.Float, grid.padded_width * grid.padded_height * channels)
     covered = np.stack([entry.cells.ravel() for entry in entries])
     sources = _Sources(arrays, entries, atlas, camera)
     stride = arrays.number(grid.padded_width)
     # Cells that need the same rates share their instructions, whichever entries those come from.
-    for group in _groups(covered, [entry.image.rate for entry in entries]):
+    for group in _groups(covered, [entry.image.rate for entry in entries], left_out):
+        if left_out is not None and not group.rates:
+            continue  # is black already
         block = _Block(arrays, UInt(group.cells), arrays.number(grid.columns))
         values = sources.mixed(block, group.rates, [UInt(numbers) for numbers in group.entries])
+        if channels == CHANNELS:
+            values = [v for p in range(len(values) // 3) for v in (*values[3 * p : 3 * p + 3], Float(1))]
         for chunk in range(len(values) // 4):
-            pixel = (block.y + chunk // 3) * stride + block.x
+            pixel = (block.y + chunk // channels) * stride + block.x
             part = arrays.plain.ArrayXf(values[4 * chunk : 4 * chunk + 4])
-            dr.scatter(frame, part, pixel * 3 // 4 + chunk % 3, mode=dr.ReduceMode.Permute)
+            target = pixel * channels // 4 + chunk % channels
+            dr.scatter(frame, part, target, mode=dr.ReduceMode.Permute)
     # Only now: scatters that are evaluated together become one kernel.
     dr.eval(frame)
-    return SplatImage(frame, camera.width, camera.height, grid.padded_width, 3, atlas.nodes)
+    return SplatImage(frame, camera.width, camera.height, grid.padded_width, channels, atlas.nodes)
 
 
 @dataclass(frozen=True)
@@ -70,12 +84,13 @@ class _Group:
     entries: list[NDArray[np.uint32]]
 
 
-def _groups(covered: Mask, rates: Sequence[int]) -> list[_Group]:
-    """Groups all cells by the rates of the entries that cover them.
+def _groups(covered: Mask, rates: Sequence[int], left_out: Mask | None) -> list[_Group]:
+    """Groups cells by the rates of the entries that cover them.
 
     Args:
         covered: (entries, cells) bool.
         rates: of the entries.
+        left_out: (rows, columns) cells that belong to no group.
     """
     combination, members = _combinations(covered)
     # For each combination of entries: which group it belongs to, and the entries' numbers in it.
@@ -87,8 +102,12 @@ def _groups(covered: Mask, rates: Sequence[int]) -> list[_Group]:
         group_of[k] = groups.setdefault(tuple(rates[n] for n in numbers), len(groups))
         number_of[: len(numbers), k] = numbers
     group, found = group_of[combination], []
+    if left_out is not None:
+        group[left_out.ravel()] = -1
     for key, number in groups.items():
         cells = np.flatnonzero(group == number)
+        if not len(cells):
+            continue
         entries = [row[combination[cells]] for row in number_of[: len(key)]]
         found.append(_Group(list(key), cells.astype(np.uint32), entries))
     return found

@@ -24,7 +24,7 @@ from compose.camera.camera import Camera
 from splat.lod.compositing import composite
 from splat.lod.footprints import ForestFootprints
 from splat.lod.image import SplatImage, black_image
-from splat.lod.layer_images import AtlasEntry, Lattice, LayerImage, pack_atlas
+from splat.lod.layer_images import AtlasEntry, Lattice, LayerImage, Mask, pack_atlas
 from splat.lod.selection import touching
 from splat.model.forest import Forest
 from splat.raster.binning import Candidates, TileBounds
@@ -36,6 +36,8 @@ from splat.raster.tiles import TILE, TileGrid
 
 # Side of a tile in samples, where samples are larger than pixels: few splats cover many of those.
 _COARSE_TILE = 8
+# Share of the wanted cells from which the cells of a single image are drawn where they belong.
+_WORTHWHILE = 0.1
 # Filters of this width, as a multiple of the filter at the pixel grid, leave nothing but the faintest haze.
 _WIDEST_BLUR = 1e9
 # What splats need to know of their atlas entry: samples per pixel, minimum width of the filter as a multiple
@@ -71,12 +73,22 @@ class ForestRenderer:
             ValueError: the forest has no such layer, or a cut-off is negative or not a number.
         """
         images = [image for image in images if bool((image.weight > 0).any())]
+        own, alone = _largest_alone(images, wanted)
+        frame = self._composited(camera, images, cutoff, wanted & ~alone, alone)
+        if own is None:
+            return frame
+        return self.draw_atlas(camera, pack_atlas([own], alone, TILE), cutoff, TILE, frame)
+
+    def _composited(
+        self, camera: Camera, images: Sequence[LayerImage], cutoff: Lattice, wanted: Mask, left_out: Mask
+    ) -> SplatImage:
+        """The cells in which images are drawn at a lower rate or mixed; black elsewhere."""
         tile = tile_side(image.rate for image in images)
         entries = pack_atlas(images, wanted, tile)
         atlas = self.draw_atlas(camera, entries, cutoff, tile)
-        if not atlas.nodes or _is_frame(entries):
+        if not atlas.nodes:
             return atlas
-        return composite(self.arrays, entries, atlas, camera)
+        return composite(self.arrays, entries, atlas, camera, left_out if left_out.any() else None)
 
     def render_layer(self, camera: Camera, layer: int, rate: int = 0) -> SplatImage:
         """Renders one layer over the whole frame: its samples, (H / 2^rate, W / 2^rate) rounded up.
@@ -93,7 +105,12 @@ class ForestRenderer:
         return replace(samples, width=-(-camera.width >> rate), height=-(-camera.height >> rate))
 
     def draw_atlas(
-        self, camera: Camera, entries: Sequence[AtlasEntry], cutoff: Lattice, tile: int
+        self,
+        camera: Camera,
+        entries: Sequence[AtlasEntry],
+        cutoff: Lattice,
+        tile: int,
+        frame: SplatImage | None = None,
     ) -> SplatImage:
         """Renders the atlas; a black image of the frame's size if no node shows in any entry.
 
@@ -102,21 +119,26 @@ class ForestRenderer:
             entries: of the atlas.
             cutoff: as in `render`.
             tile: side of the rasterizer's tiles, in samples.
+            frame: what a single entry at full rate is drawn into, instead of an atlas of its own; used up.
         """
         self._check(entries, cutoff)
         # A cut-off of 0 is that of the widest filter.
         cutoff = np.maximum(cutoff, 0.5 / _WIDEST_BLUR, dtype=np.float32)
         chosen = self._chosen(camera, entries, cutoff)
         if not any(dr.width(index) for index in chosen):
-            return black_image(self.arrays, camera, 0)
+            return frame or black_image(self.arrays, camera, 0)
         splats, bounds = self._splats(camera, entries, chosen, cutoff, tile)
         columns = max(entry.tiles.shape[1] for entry in entries)
         wider = [np.pad(entry.tiles, ((0, 0), (0, columns - entry.tiles.shape[1]))) for entry in entries]
         mask = np.vstack(wider)
         grid = TileGrid(columns * tile, mask.shape[0] * tile, tile)
         parts = Parts(Candidates(self.arrays, splats, grid, mask, bounds, in_order=True))
-        image = rasterize_parts(self.arrays, splats, parts)
-        nodes = dr.width(splats.x)
+        into, nodes = None, dr.width(splats.x)
+        if frame is not None and frame.nodes:
+            # What keeps its place in the frame need not be copied there.
+            into, nodes = frame.radiance, nodes + frame.nodes
+            frame.radiance = None
+        image = rasterize_parts(self.arrays, splats, parts, into)
         return SplatImage(image, camera.width, camera.height, grid.padded_width, CHANNELS, nodes)
 
     def _check(self, entries: Sequence[AtlasEntry], cutoff: Lattice) -> None:
@@ -224,7 +246,15 @@ def _interpolated(arrays: Arrays, lattice: Lattice, x: Any, y: Any) -> Any:
     return dr.lerp(dr.lerp(at(0), at(1), fu), dr.lerp(at(columns), at(columns + 1), fu), fv)
 
 
-def _is_frame(entries: Sequence[AtlasEntry]) -> bool:
-    """Whether the atlas is the frame itself: a single image at full rate with weight 1 everywhere."""
-    image = entries[0].image
-    return len(entries) == 1 and image.rate == 0 and bool((image.weight == 1).all())
+def _largest_alone(images: Sequence[LayerImage], wanted: Mask) -> tuple[LayerImage | None, Mask]:
+    """The image at full rate that is alone in most wanted cells, and those; None if that are few."""
+    found = [(image, _is_alone(image.weight) & wanted) for image in images if image.rate == 0]
+    best = max(found, key=lambda one: np.count_nonzero(one[1]), default=None)
+    if best is None or np.count_nonzero(best[1]) < _WORTHWHILE * np.count_nonzero(wanted):
+        return None, np.zeros_like(wanted)
+    return best
+
+
+def _is_alone(weight: Lattice) -> Mask:
+    """(rows, columns) cells in which a weight, given at their corners, is 1 everywhere."""
+    return np.minimum.reduce([weight[:-1, :-1], weight[1:, :-1], weight[:-1, 1:], weight[1:, 1:]]) >= 1

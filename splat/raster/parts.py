@@ -77,10 +77,11 @@ class Parts:
         return self._only is not None
 
 
-def rasterize_parts(arrays: Arrays, splats: Splats, parts: Parts) -> Any:
+def rasterize_parts(arrays: Arrays, splats: Splats, parts: Parts, image: Any = None) -> Any:
     """Renders linear radiance and opacity, as `rasterize` does."""
     size = parts.grid.padded_width * parts.grid.padded_height * CHANNELS
-    image = None if parts.is_single else dr.zeros(arrays.plain.Float, size)
+    if image is None and not parts.is_single:
+        image = dr.zeros(arrays.plain.Float, size)
     for bins in parts:
         image = rasterize(arrays, splats, bins, image)
     return image

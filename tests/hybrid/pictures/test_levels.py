@@ -26,7 +26,7 @@ def mixed(steps: list[Step], index: np.ndarray | float, eccentricity: np.ndarray
     """Steps at the corners of cells, by index."""
     corners = (HEIGHT // 16 + 1, WIDTH // 16 + 1)
     full = [np.full(corners, value, dtype=np.float32) for value in (eccentricity, 0.5, index)]
-    return DetailMap(WIDTH, HEIGHT, 3, full[0], full[1], tuple(steps), full[2])
+    return DetailMap(WIDTH, HEIGHT, 3, full[0], full[1], full[1], tuple(steps), full[2])
 
 
 def noise(seed: int = 0) -> np.ndarray:
@@ -61,7 +61,7 @@ def test_black_keeps_some_of_the_colour():
 
 def test_a_single_layer_is_shown_in_one_colour():
     corners = np.zeros((HEIGHT // 16 + 1, WIDTH // 16 + 1), dtype=np.float32)
-    only = DetailMap(WIDTH, HEIGHT, 1, corners, corners, (Step(0.0, 1, 0),), corners)
+    only = DetailMap(WIDTH, HEIGHT, 1, corners, corners, corners, (Step(0.0, 1, 0),), corners)
     assert len(np.unique(levels_picture(grey(1.0), only, NOWHERE).reshape(-1, 3), axis=0)) == 1
 
 
@@ -94,7 +94,7 @@ def test_blocks_at_the_edge_are_means_of_what_is_there():
     frame = np.zeros((height, width, 3), dtype=np.float32)
     frame[:, :80] = 1
     corners = np.zeros((5, 7), dtype=np.float32)
-    detail = DetailMap(width, height, 3, corners, corners, (Step(0.0, 2, 4),), corners)
+    detail = DetailMap(width, height, 3, corners, corners, corners, (Step(0.0, 2, 4),), corners)
     nowhere = Foveation(Gaze(), 0, 0).region(width, height)
     picture = levels_picture(frame, detail, nowhere)
     assert picture.shape == (height, width, 3)

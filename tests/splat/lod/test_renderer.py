@@ -15,6 +15,7 @@ from splat.lod.renderer import ForestRenderer, finest_frequency, tile_side
 from splat.model.forest import Forest, forest_of
 from splat.model.layer import static_layer
 from splat.raster.projection import PIXEL_FILTER
+from splat.raster.tiles import TILE
 from tests.splat.lod.views import (
     CELLS,
     CORNERS,
@@ -92,6 +93,21 @@ def test_a_composited_frame_equals_its_twin(arrays, forest, camera, case, cutoff
     expected = twin(forest, camera, images, filters(forest, camera, images, cutoff))
     np.testing.assert_allclose(frame.image(), expected, atol=1e-3)
     assert frame.nodes > 0
+
+
+def test_cells_of_a_single_image_at_full_rate_are_drawn_in_place(arrays, forest, camera):
+    """Left of the middle there is one image, and right of it two, or nothing that is wanted."""
+    fine = np.clip(ramp(3, -2), 0, 1)
+    images = [LayerImage(3, 0, fine), LayerImage(2, 1, 1 - fine)]
+    expected = twin(forest, camera, images, filters(forest, camera, images, 0.5))
+    renderer = ForestRenderer(arrays, forest)
+    frame = renderer.render(camera, images, no_cutoff(), everything())
+    np.testing.assert_allclose(frame.image(), expected, atol=1e-3)
+    wanted = everything()
+    wanted[:2] = False
+    part = renderer.render(camera, images, no_cutoff(), wanted).image()
+    assert (part[: 2 * TILE] == 0).all()
+    np.testing.assert_allclose(part[2 * TILE :], expected[2 * TILE :], atol=1e-3)
 
 
 def test_three_images_at_two_rates_meet_in_a_cell(arrays, forest, camera):
