@@ -30,7 +30,7 @@ def fusion_of(forest: Forest) -> Fusion | None:
         return None
     fusion = Fusion()
     try:
-        fusion.load_state_dict({**state, **_with_all_enlargements(fusion, state)})
+        fusion.load_state_dict(state)
     except RuntimeError as error:
         raise UserError(
             "the forest's fusion network is damaged or of another version; train the forest again"
@@ -40,13 +40,3 @@ def fusion_of(forest: Forest) -> Fusion | None:
     # On a CPU this layout takes two thirds of the time of contiguous weights.
     fusion = fusion.requires_grad_(False).eval()
     return fusion.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-
-
-def _with_all_enlargements(fusion: Fusion, state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Shares and gains of a forest that was made when no enlargement below 1 was tried: as with 1."""
-    found = {}
-    for name in ("shares", "gains"):
-        lacking = getattr(fusion, name).shape[2] - state[name].shape[2] if name in state else 0
-        if lacking == 1:
-            found[name] = torch.cat([state[name][:, :, :1], state[name]], 2)
-    return found

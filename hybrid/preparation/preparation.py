@@ -39,6 +39,9 @@ from splat.training.trainer import TrainingSettings
 
 # What the fusion is fitted to: views with unbiased frames, and parts of them.
 FUSION_CAPTURE = CaptureSettings(views=1, held_out=4, spp=1, held_out_spp=64)
+# The resolutions of these parts, by the scale of the finest frames: around that of the splats, and twice as
+# fine, since a display may show splats larger than they were trained.
+_CLOSE_UPS = {1: (2, 4), 2: (2, 3, 4), 4: (3, 4, 5, 6, 8)}
 
 
 @dataclass(frozen=True)
@@ -214,9 +217,9 @@ class _Job:
         return forest
 
     def _examples(self) -> CaptureSettings:
-        """What the fusion is fitted to: also close-ups with pixels of the splats' size and half of it."""
-        scale = max(2, self._planner.stages[-1].scale)
-        return replace(FUSION_CAPTURE, close_ups=(scale, 2 * scale), seed=self._settings.seed)
+        """What the fusion is fitted to."""
+        close_ups = _CLOSE_UPS[self._planner.stages[-1].scale]
+        return replace(FUSION_CAPTURE, close_ups=close_ups, seed=self._settings.seed)
 
     def _facts(self, forest: Forest, frames: GrowingFrames) -> dict[str, Any]:
         samples, last = frames.samples, self._curve[-1]

@@ -24,7 +24,7 @@ def at(quick: bool, count: float, enlargement: float) -> float:
 
 def test_before_anything_is_tried_all_is_the_network():
     shares = all_of_network()
-    assert shares.shape == (2, 5, 3, 3)
+    assert shares.shape == (2, 5, 4, 3)
     assert (shares.sum(-1) == 1).all()
     assert (shares[..., 0] == 1).all()
 
@@ -38,7 +38,7 @@ def test_in_a_cell_its_own_shares_hold(quick, i, count, j, enlargement):
 
 @pytest.mark.parametrize(
     ("count", "enlargement", "expected"),
-    [(8, 1, 25), (2**0.5, 1, 5), (1, 2**0.5, 0.5), (4, 2**1.5, 21.5), (0, 1, 0), (1e9, 100, 42), (1, 0.1, 0)],
+    [(8, 1, 26), (2**0.5, 1, 6), (1, 2**0.5, 1.5), (4, 2**1.5, 22.5), (0, 1, 1), (1e9, 100, 43), (1, 0.1, 0)],
 )
 def test_between_cells_shares_are_interpolated_and_beyond_them_constant(count, enlargement, expected):
     assert at(False, count, enlargement) == pytest.approx(expected, abs=0.7 if count == 8 else 0.01)

@@ -30,7 +30,7 @@ from tests.hybrid.forests import rough_forest
 from tests.hybrid.training.conftest import ignore
 
 # Found where fitting is replaced.
-PROOF = Proof(all_of_network().numpy(), np.zeros((2, 5, 3), np.float32))
+PROOF = Proof(all_of_network().numpy(), np.zeros((2, 5, 4), np.float32))
 
 
 @pytest.fixture(scope="module")
