@@ -46,6 +46,8 @@ if TYPE_CHECKING:
     from pathtrace.scene.scene import Scene
     from splat.model.forest import Forest
 
+# Share of a view that the forest does not know, beyond which the user is told.
+_MUCH_FILLED = 0.25
 _FPS = 30
 
 
@@ -227,6 +229,11 @@ def _render_frame(
         write_srgb(detail, detail_picture(frame.composite, frame.detail, frame.region))
     camera, milliseconds = frame.camera, frame.milliseconds
     print(f"{output}: {camera.width} x {camera.height}, {milliseconds['total']:.0f} ms")
+    if frame.filled > _MUCH_FILLED:
+        print(
+            f"the forest was not prepared for {frame.filled:.0%} of this view, which is path-traced at a "
+            "lower resolution; hybrid prepare --region reachable prepares for all that can be reached"
+        )
     return _facts(scene, settings) | {
         "nodes_drawn": frame.nodes_drawn,
         "pixels_excluded": frame.fovea.excluded,

@@ -16,11 +16,13 @@ from compose.eye.gaze_trace import GazeTrace
 from hybrid.cli.render import render as command
 from hybrid.frame.renderer import Renderer
 from hybrid.frame.settings import DEFAULTS, FrameSettings
+from hybrid.frame.trained_views import attach_views
 from hybrid.output.images import read_exr
 from hybrid.video import render as video
 from pathtrace.scene.scene import load_scene
-from splat.io.forest_file import load_forest
+from splat.io.forest_file import load_forest, save_forest
 from tests.conftest import real_file
+from tests.extremes import extreme
 from tests.hybrid.command import TINY_CAPTURE, TINY_TRAINING, run
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
@@ -132,6 +134,22 @@ def test_a_camera_may_come_from_a_file(render, made, tmp_path):
     np.testing.assert_array_equal(read_exr(tmp_path / "a.exr")["R"], expected.composite[..., 0])
     assert render(*none, "--size", 48, 40, "-o", tmp_path / "a.png") == 0
     assert Image.open(tmp_path / "a.png").size == (48, 40)
+
+
+@extreme(
+    "a view that a forest was not prepared for",
+    given="hybrid render with a forest whose only training view looks the other way",
+    expected="the frame, and one line that says how much of it the forest does not know",
+)
+def test_a_view_that_the_forest_was_not_prepared_for_is_named(made, monkeypatch, tmp_path, capsys, got):
+    camera = load_scene("cornell").camera.resized(40, 40)
+    behind = replace(camera, world_to_camera=np.diag([-1.0, 1, -1, 1]) @ camera.world_to_camera)
+    save_forest(tmp_path / "a.forest", attach_views(load_forest(made / "box.forest"), [behind]))
+    given = ["--forest", tmp_path / "a.forest", "--size", 40, 40, "-o", tmp_path / "a.png"]
+    assert run(monkeypatch, "render", "cornell", *given) == 0
+    said = capsys.readouterr().out.splitlines()[-1]
+    assert said.startswith("the forest was not prepared for ")
+    got(said)
 
 
 def test_without_a_name_the_newest_forest_of_the_scene_is_used(made, monkeypatch, tmp_path, capsys):
