@@ -7,10 +7,10 @@ from typing import Any
 
 from hybrid.preparation.clock import Clock
 from hybrid.preparation.settings import PreparationSettings
-from hybrid.preparation.stages import QUALITIES, Stage, next_stage
+from hybrid.preparation.stages import QUALITIES, Stage, expected_seconds, next_stage
 from hybrid.store.journal import Journal
 
-# Seconds that fitting the fusion takes where stages take as long as they say; left out of a shorter job.
+# Seconds that fitting the fusion takes where stages take as long as expected; left out of a shorter job.
 _FUSION_SECONDS = 45.0
 # Stages after which a target is given up, and the least gain in dB for which another stage is begun.
 _MOST_STAGES, _LEAST_GAIN = 8, 0.15
@@ -73,7 +73,7 @@ class Planner:
     def _planned(self, number: int, curve: list[dict[str, Any]]) -> dict[str, Any] | None:
         if number and self._is_enough(number, [row["psnr"] for row in curve if "psnr" in row]):
             return None
-        stage = next_stage(number, self._breadth, self._pace(), self._left())
+        stage = next_stage(self.stages, self._breadth, self._pace(), self._left())
         return asdict(stage) if stage else None
 
     def _is_enough(self, number: int, psnr: list[float]) -> bool:
@@ -100,9 +100,9 @@ class Planner:
         return 60 * self._settings.minutes - self._clock.seconds() - fusion
 
     def _pace(self) -> float:
-        """Seconds that finished stages took, over those of their description; 1 before the first."""
+        """Seconds that finished stages took, over the expected ones; 1 before the first."""
         taken = [
-            (self._journal[f"seconds {number}"], stage.seconds)
+            (self._journal[f"seconds {number}"], expected_seconds(stage, self.stages[:number]))
             for number, stage in enumerate(self.stages)
             if f"seconds {number}" in self._journal
         ]

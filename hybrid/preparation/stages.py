@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 # Pixels of a side of a frame at scale 1.
@@ -10,7 +11,9 @@ SIDE = 256
 _LARGEST_SIDE = 512
 # Fewer samples leave the denoiser nothing to go by.
 _LEAST_SPP = 4
-# Gaussians that take as long in a step as all else does, and how much longer steps with larger frames take.
+# What things take on two cores of an AMD EPYC, in the scene `room`: samples traced in a second; a step in
+# seconds, without Gaussians; how many of these take as long again; and how much longer larger frames take.
+_SAMPLES_PER_SECOND, _STEP_SECONDS = 1.3e6, 0.024
 _GAUSSIANS_OF_A_STEP, _OF_MORE_PIXELS = 90_000, 1.7
 # What there is to model grows with this power of the views that a region takes: some surfaces take many views
 # to be seen at all, behind and between things.
@@ -30,8 +33,6 @@ class Stage:
         spp: samples per pixel that views at scale 1 have afterwards; those with smaller pixels have fewer.
         gaussians: in the finest layer at the end.
         steps: of the optimizer, over all layers.
-        seconds: what it takes on two cores of an AMD EPYC, in the scene `room`: what the next one takes
-            elsewhere is told from how much longer the last one took.
     """
 
     views: int
@@ -39,7 +40,6 @@ class Stage:
     spp: int
     gaussians: int
     steps: int
-    seconds: float
 
     @property
     def whole(self) -> int:
@@ -63,8 +63,9 @@ class Stage:
 
     @property
     def step_cost(self) -> float:
-        """What a step takes, in no unit: a part that is the same for all, and one per Gaussian."""
-        return (1 + self.gaussians / _GAUSSIANS_OF_A_STEP) * (_OF_MORE_PIXELS if self.side > SIDE else 1)
+        """Seconds that a step takes, as `expected_seconds`."""
+        of_pixels = _OF_MORE_PIXELS if self.side > SIDE else 1
+        return _STEP_SECONDS * (1 + self.gaussians / _GAUSSIANS_OF_A_STEP) * of_pixels
 
     def affordable_steps(self, seconds: float, last: Stage, last_seconds: float) -> int:
         """Steps that fit in a time, at most those of the stage; at least a tenth of them.
@@ -86,10 +87,9 @@ class Stage:
         return replace(
             self,
             views=round(self.views * breadth),
-            spp=max(_LEAST_SPP * self.scale**2, round(self.spp / breadth)),
+            spp=max(_LEAST_SPP, round(self.spp / breadth)),
             gaussians=round(self.gaussians * surfaces),
             steps=round(self.steps * breadth**0.5),
-            seconds=self.seconds * surfaces,
         )
 
     def shortened(self, share: float) -> Stage:
@@ -98,16 +98,15 @@ class Stage:
             self,
             views=round(self.views * share),
             steps=max(1, round(self.steps * share)),
-            seconds=self.seconds * share,
         )
 
 
 STAGES = (
-    Stage(views=32, scale=1, spp=4, gaussians=25_000, steps=110, seconds=16),
-    Stage(views=16, scale=1, spp=12, gaussians=36_000, steps=850, seconds=55),
-    Stage(views=16, scale=1, spp=32, gaussians=45_000, steps=1000, seconds=110),
-    Stage(views=40, scale=2, spp=32, gaussians=90_000, steps=1200, seconds=180),
-    Stage(views=60, scale=4, spp=64, gaussians=150_000, steps=1500, seconds=280),
+    Stage(views=32, scale=1, spp=4, gaussians=25_000, steps=110),
+    Stage(views=16, scale=1, spp=12, gaussians=36_000, steps=850),
+    Stage(views=16, scale=1, spp=32, gaussians=45_000, steps=1000),
+    Stage(views=40, scale=2, spp=32, gaussians=90_000, steps=1200),
+    Stage(views=60, scale=4, spp=64, gaussians=150_000, steps=1500),
 )
 # Number of stages by quality.
 QUALITIES = {"draft": 2, "standard": 4, "high": 5}
@@ -115,15 +114,26 @@ QUALITIES = {"draft": 2, "standard": 4, "high": 5}
 _LEAST_SHARE = 0.3
 
 
-def next_stage(number: int, breadth: float, pace: float, left: float | None) -> Stage | None:
+def expected_seconds(stage: Stage, before: Sequence[Stage]) -> float:
+    """Seconds that a stage takes after others, on the machine and in the scene that this was measured on."""
+    samples = stage.views * stage.side**2 * stage.spp_at(stage.scale)
+    for number, earlier in enumerate(before):
+        had = max(one.spp_at(earlier.scale) for one in before[number:])
+        lacking = max(0, stage.spp_at(earlier.scale) - had)
+        samples += earlier.views * earlier.side**2 * lacking
+    return samples / _SAMPLES_PER_SECOND + stage.steps * stage.step_cost
+
+
+def next_stage(before: Sequence[Stage], breadth: float, pace: float, left: float | None) -> Stage | None:
     """The stage to do next; None if there is no time for one.
 
     Args:
-        number: of stages done.
+        before: the stages done.
         breadth: of the region, as of `Stage.of_breadth`.
-        pace: seconds that the stages done took, over those that they take by their description.
+        pace: seconds that the stages done took, over the expected ones.
         left: seconds; None if they do not matter.
     """
+    number = len(before)
     if number >= len(STAGES):
         # More of the same: the finest frames elsewhere, all samples doubled.
         last = STAGES[-1]
@@ -132,7 +142,7 @@ def next_stage(number: int, breadth: float, pace: float, left: float | None) -> 
         stage = STAGES[number].of_breadth(breadth)
     if left is None or number == 0:
         return stage
-    share = left / (stage.seconds * pace)
+    share = left / (expected_seconds(stage, before) * pace)
     if share < _LEAST_SHARE:
         return None
     return stage if share >= 1 else stage.shortened(share)

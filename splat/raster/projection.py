@@ -25,9 +25,10 @@ from splat.raster.harmonics import perceptual_radiance, radiance_from_perceptual
 PIXEL_FILTER = 0.1
 # A Gaussian seen edge-on has no area before it is filtered; without a floor its gradient divides by zero.
 _COMPENSATION_FLOOR = 2.5e-5
-# The projection is linearized no further out than at this multiple of the half field of view: beyond it,
-# Gaussians beside the camera would smear over the whole frame.
-_TANGENT_LIMIT = 1.3
+# The projection is linearized no further out than at the border of the frame, and Gaussians beyond it as seen
+# from there: at their own tangent, those beside the camera would smear over the whole frame. Kerbl et al. go
+# out to 1.3 times the half field of view, which leaves a haze where viewers stand near a wall.
+_TANGENT_LIMIT = 1.0
 # Gaussians nearer to the camera are not drawn. In their own unit of length (compose.camera.place), so that
 # neither this nor the range of depths that are told apart depends on the size of a scene.
 NEAR = 0.01

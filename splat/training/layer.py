@@ -16,7 +16,11 @@ from splat.raster.projection import PIXEL_FILTER
 from splat.training.density import DensityControl
 from splat.training.loss import Target
 from splat.training.optimizer import GaussianOptimizer
+from splat.training.sizes import largest_log_scales
 from splat.training.views import TrainingView, pixel_footprint
+
+# Steps from one look at the sizes to the next.
+_LIMITED_EVERY = 25
 
 
 class LayerTraining:
@@ -82,6 +86,9 @@ class LayerTraining:
             self._density.observe(index, error)
         else:
             self.skipped += 1
+        if self.done % _LIMITED_EVERY == _LIMITED_EVERY - 1:
+            means = self._optimizer.gaussians.means
+            self._optimizer.limit_scales(largest_log_scales(means, self.views))
         due = grows and self._density.is_due(self.done)
         self.done += 1
         return self._change_density() if due else None

@@ -86,6 +86,11 @@ class GaussianOptimizer:
         means *= larger
         return True
 
+    def limit_scales(self, largest: torch.Tensor) -> None:
+        """Makes scales smaller whose logarithms exceed (N,) largest ones."""
+        scales = self._leaves["log_scales"].detach()
+        torch.minimum(scales, largest, out=scales)
+
     def _is_finite(self) -> bool:
         """Whether all gradients are finite, and their squares, of which the moments are made."""
         found = [_gradient(leaf).reshape(-1) for leaf in self._leaves.values() if leaf.numel()]

@@ -7,9 +7,9 @@ from hybrid.preparation.stages import Stage
 from pathtrace.dataset.settings import CaptureSettings
 
 STAGES = (
-    Stage(views=4, scale=1, spp=4, gaussians=300, steps=15, seconds=2),
-    Stage(views=2, scale=1, spp=8, gaussians=500, steps=30, seconds=3),
-    Stage(views=2, scale=2, spp=16, gaussians=700, steps=30, seconds=4),
+    Stage(views=4, scale=1, spp=4, gaussians=300, steps=15),
+    Stage(views=2, scale=1, spp=8, gaussians=500, steps=30),
+    Stage(views=2, scale=2, spp=16, gaussians=700, steps=30),
 )
 FUSION = CaptureSettings(views=1, held_out=3, width=32, height=32, spp=1, held_out_spp=4)
 

@@ -70,7 +70,7 @@ def project(g: Gaussians, camera: Camera, low_pass: float | torch.Tensor) -> dic
     safe = torch.where(seen, z, torch.ones_like(z))
     tangent = local[:2] / safe
     centre = torch.stack([camera.fx * tangent[0] + camera.cx, camera.fy * tangent[1] + camera.cy])
-    limit = 1.3 * torch.tensor(
+    limit = torch.tensor(
         [
             max(camera.cx, camera.width - camera.cx) / camera.fx,
             max(camera.cy, camera.height - camera.cy) / camera.fy,
