@@ -43,6 +43,18 @@ def test_a_gaussian_seen_edge_on_keeps_half_a_percent(arrays):
     assert numbers(splats, "opacity")[0] == pytest.approx(0.5 * 0.005, rel=1e-5)
 
 
+def test_a_disc_on_a_wall_beside_the_viewer_is_outside_where_its_ellipsoid_is(arrays):
+    """3.33 standard deviations around it miss the frame: seen from the frame's left border, of tangent -0.5,
+    those of x + 0.5 z are 0.1 around -0.45. Linearized farther out, the disc would reach into the frame."""
+    disc = white_dot(0.1, 0.2)
+    disc.means[0], disc.log_scales[0] = -0.5, np.log(0.005)
+    cam = Camera(np.eye(4), 40, 40, 40.0, 40.0, 20.0, 20.0)
+    raw = footprints(parameters_from(arrays, disc), cam)
+    deviation = np.hypot(0.005, 0.5 * 0.2)
+    assert numbers(raw, "x")[0] / np.sqrt(numbers(raw, "xx")[0]) == pytest.approx(-0.45 / deviation, rel=1e-4)
+    assert numbers(raw, "x")[0] + 3.33 * np.sqrt(numbers(raw, "xx")[0]) < 0
+
+
 def test_a_low_pass_may_differ_per_gaussian(arrays):
     g, cam = gaussians(n=2), camera()
     parameters = parameters_from(arrays, g)
