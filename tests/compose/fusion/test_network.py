@@ -28,8 +28,8 @@ def test_networks_in_files_depend_on_names_and_shapes():
         "relate.bias": (24,),
         "judge.weight": (36, 24, 3, 3),
         "judge.bias": (36,),
-        "shares": (2, 5, 3, 3),
-        "gains": (2, 5, 3),
+        "shares": (2, 5, 4, 3),
+        "gains": (2, 5, 4),
     }
     assert list(OUTPUTS.widths.items()) == [("weights", 3), ("texture_gains", 3), ("colour_gains", 3)]
 

@@ -60,13 +60,13 @@ def test_independent_parents_of_equal_quality_are_averaged(useless):
     """Their mean has half the squared error: 3 dB."""
     found = prove([with_parents(seed, 0.05, 0.05) for seed in range(4)], 0, ignore)
     np.testing.assert_allclose(found.shares[..., 1:], 0.5, atol=0.1)
-    assert found.gains == pytest.approx(np.full((2, 5, 3), 3.0), abs=0.5)
+    assert found.gains == pytest.approx(np.full((2, 5, 4), 3.0), abs=0.5)
 
 
 @pytest.mark.parametrize(("denoised", "splat", "better"), [(0.02, 0.4, 1), (0.4, 0.02, 2)])
 def test_of_parents_that_cannot_be_improved_the_better_one_is_shown_alone(useless, denoised, splat, better):
     found = prove([with_parents(seed, denoised, splat) for seed in range(4)], 0, ignore)
-    np.testing.assert_array_equal(found.shares, np.broadcast_to(np.eye(3)[better], (2, 5, 3, 3)))
+    np.testing.assert_array_equal(found.shares, np.broadcast_to(np.eye(3)[better], (2, 5, 4, 3)))
     assert (found.gains == 0).all()
 
 
@@ -132,7 +132,7 @@ def test_noise_of_the_references_does_not_raise_the_stated_gain(useless):
     """The mean of two independent parents has half their squared error, whoever measures it."""
     views = [with_noisy_reference(with_parents(seed, 0.05, 0.05), 100 + seed) for seed in range(12)]
     found = prove(views, 0, ignore)
-    assert found.gains == pytest.approx(np.full((2, 5, 3), 3.0), abs=1.0)
+    assert found.gains == pytest.approx(np.full((2, 5, 4), 3.0), abs=1.0)
 
 
 def test_progress_runs_over_both_trials(useless):

@@ -48,10 +48,10 @@ def test_each_pixel_has_the_shares_of_its_count():
     count = torch.tensor([[1.0, 2.0], [4.0, 64.0]])[None, None]
     found = shares_at(numbered(), False, count, 1.0)
     assert found.shape == (1, 3, 2, 2)
-    torch.testing.assert_close(found[0, 1], torch.tensor([[0.0, 10.0], [20.0, 40.0]]))
+    torch.testing.assert_close(found[0, 1], torch.tensor([[1.0, 11.0], [21.0, 41.0]]))
 
 
 def test_the_nearest_cell_is_that_of_the_least_ratio():
-    assert Cell.of(True, 6, 1.3) == Cell(True, 2, 0)
-    assert Cell.of(False, 12, 3) == Cell(False, 3, 2)
-    assert Cell.of(False, 0, 9).index == (0, 0, 2)
+    assert Cell.of(True, 6, 1.3) == Cell(True, 2, 1)
+    assert Cell.of(False, 12, 3) == Cell(False, 3, 3)
+    assert Cell.of(False, 0, 9).index == (0, 0, 3)
