@@ -63,6 +63,15 @@ def geisler_perry(eccentricity: Array) -> Array:
     return 2.3 * np.log(64) / (0.106 * (np.asarray(eccentricity, dtype=np.float64) + 2.3))
 
 
+def fovvideovdp(eccentricity: Array) -> Array:
+    """Cut-off in cycles per degree at which FovVideoVDP just sees full contrast (Mantiuk et al. 2021).
+
+    A fit to its sensitivity, in the form of a minimum angle of resolution: 32, 14.3, 10.3 and
+    8.3 cycles per degree at 0, 10, 20 and 30 degrees, within 2 % of the metric's.
+    """
+    return 1 / (1 / 32 + 0.00672 * np.asarray(eccentricity, dtype=np.float64) ** 0.76)
+
+
 def unlimited(eccentricity: Array) -> Array:
     """Infinity: no cut-off, everything is drawn in full detail."""
     return np.full(np.shape(eccentricity), np.inf)
@@ -72,6 +81,7 @@ ACUITY_MODELS = {
     "fov-gs": AcuityModel(fov_gs, relative=True),
     "stelacsf": AcuityModel(stelacsf),
     "geisler-perry": AcuityModel(geisler_perry),
+    "fovvideovdp": AcuityModel(fovvideovdp),
     "none": AcuityModel(unlimited),
 }
 

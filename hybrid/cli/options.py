@@ -122,7 +122,7 @@ AcuityModelName = Annotated[
     str,
     typer.Option(
         "--acuity-model",
-        help="What the eye resolves: geisler-perry, stelacsf, fov-gs, or none for full detail everywhere.",
+        help="What the eye resolves: fovvideovdp, geisler-perry, stelacsf, fov-gs, or none for all.",
         rich_help_panel=VIEWER,
     ),
 ]

@@ -95,7 +95,7 @@ def sweep(
     acuity_model: Annotated[
         str | None,
         typer.Option(
-            help="geisler-perry, stelacsf, fov-gs or none; set by acuity. "
+            help="fovvideovdp, geisler-perry, stelacsf, fov-gs or none; set by acuity. "
             f"Default: {_DEFAULTS['acuity_model']}.",
             rich_help_panel=VIEWER,
         ),

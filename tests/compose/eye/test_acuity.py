@@ -45,6 +45,12 @@ def test_cutoffs_at_0_10_20_30_degrees(name, expected):
     np.testing.assert_allclose(ACUITY_MODELS[name].cutoff(np.array([0.0, 10, 20, 30])), expected, rtol=1e-4)
 
 
+def test_fovvideovdp_sees_what_the_metric_does():
+    """Its own table, at full contrast."""
+    found = ACUITY_MODELS["fovvideovdp"].cutoff(np.array([0.0, 10, 20, 30]))
+    np.testing.assert_allclose(found, [32, 14.3, 10.3, 8.4], rtol=0.02)
+
+
 def test_geisler_perry_sees_full_contrast_at_the_cutoff():
     """Their contrast threshold CT0 exp(alpha f (e + e2) / e2) is 1 there."""
     eccentricity = np.linspace(0, 80, 50)
@@ -73,6 +79,6 @@ def test_models_by_name():
 
 def test_an_unknown_model_is_refused_by_name():
     with pytest.raises(
-        UserError, match=r"^acuity model blur: must be fov-gs, stelacsf, geisler-perry, none$"
+        UserError, match=r"^acuity model blur: must be fov-gs, stelacsf, geisler-perry, fovvideovdp, none$"
     ):
         acuity_model_named("blur")

@@ -47,7 +47,7 @@ def test_a_gaze_that_stays_changes_nothing_and_one_that_jumps_does(backend):
     still, jumping = (
         bench_gaze(forest, camera, settings, path, lambda *step: done.append(step)) for path in paths
     )
-    assert [row["acuity_model"] for row in still] == ["fov-gs", "stelacsf", "geisler-perry"]
+    assert [row["acuity_model"] for row in still] == ["fov-gs", "stelacsf", "geisler-perry", "fovvideovdp"]
     assert all(row["change_max"] == row["change_p99_9"] == 0 for row in still)
     assert max(row["change_max"] for row in jumping) > 1
     for row in jumping:

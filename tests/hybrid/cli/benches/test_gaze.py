@@ -17,7 +17,7 @@ def test_the_change_per_step_is_measured_for_each_acuity_model(made, display, mo
     common = ["bench", command.__name__, "cornell", "--forest", made / "box.forest", "--display", display]
     assert run(monkeypatch, *common, "--step", 2, "--span", 6, "--json", out) == 0
     rows = json.loads(out.read_text())
-    assert [row["acuity_model"] for row in rows] == ["fov-gs", "stelacsf", "geisler-perry"]
+    assert [row["acuity_model"] for row in rows] == ["fov-gs", "stelacsf", "geisler-perry", "fovvideovdp"]
     for row in rows:
         assert 0 <= row["median_change_p99_9"] <= row["change_p99_9"] <= row["change_max"] < 255
         assert (row["step_degrees"], row["span_degrees"], row["scene"]) == (2, 6, "cornell")

@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from compose.eye.acuity import ACUITY_MODELS
 from hybrid.cli.benches.periphery import periphery as command
 from tests.hybrid.command import run
 
@@ -17,10 +18,10 @@ def test_there_is_a_row_per_acuity_model_and_gaze(made, display, monkeypatch, tm
     common = ["bench", command.__name__, "cornell", "--forest", made / "box.forest", "--display", display]
     assert run(monkeypatch, *common, "--repeats", 3, "--warm-up", 1, "--json", out) == 0
     rows = json.loads(out.read_text())
-    assert [(row["acuity_model"], row["gaze"]) for row in rows[:4]] == [
-        (acuity_model, [0.5, 0.5]) for acuity_model in ("fov-gs", "stelacsf", "geisler-perry", "none")
+    assert [(row["acuity_model"], row["gaze"]) for row in rows[:5]] == [
+        (acuity_model, [0.5, 0.5]) for acuity_model in ACUITY_MODELS
     ]
-    assert len(rows) == 8
+    assert len(rows) == 10
     for row in rows:
         names = "acuity_model gaze width height periphery_ms full_ms ratio nodes_drawn jod ssim scene machine"
         assert set(names.split()) <= set(row)
