@@ -17,7 +17,7 @@ from compose.fusion.parents import Parents
 
 # Side of a training patch, and least side of an example, in pixels.
 LEAST_SIZE = _PATCH = 64
-ITERATIONS = 1200
+ITERATIONS = 600
 _BATCH = 6
 _RATE = 4e-3
 # Share of patches whose splats are made wrong, so that the network learns to notice a world that has changed.

@@ -25,7 +25,7 @@ from compose.fusion.network import Fusion
 from compose.fusion.shares import COUNTS, ENLARGEMENTS, MIXED, Cell
 
 # Steps of a trial network: enough to tell what the final one will be worth, at less than half of its time.
-TRIAL_ITERATIONS = 500
+TRIAL_ITERATIONS = 250
 # Trials are compared in blocks of this many pixels, each relative to the better parent's error there: views
 # and parts of views in which all errors are large must not decide alone.
 _BLOCK = 64

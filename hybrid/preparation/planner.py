@@ -11,7 +11,7 @@ from hybrid.preparation.stages import QUALITIES, Stage, expected_seconds, next_s
 from hybrid.store.journal import Journal
 
 # Seconds that fitting the fusion takes where stages take as long as expected; left out of a shorter job.
-_FUSION_SECONDS = 45.0
+_FUSION_SECONDS = 50.0
 # Stages after which a target is given up, and the least gain in dB for which another stage is begun.
 _MOST_STAGES, _LEAST_GAIN = 8, 0.15
 # Before that, more views and pixels may bring more than the last stage did.
