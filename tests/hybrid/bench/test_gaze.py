@@ -55,4 +55,4 @@ def test_a_gaze_that_stays_changes_nothing_and_one_that_jumps_does(backend):
         assert row["median_change_p99_9"] == pytest.approx(row["change_p99_9"] / 2)
         assert row["change_max"] >= row["change_p99_9"]
         assert (row["width"], row["height"], row["layers"]) == (100, 100, list(forest.counts))
-    assert done[-1] == (9, 9)
+    assert done[-1] == (12, 12)

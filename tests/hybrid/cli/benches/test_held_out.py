@@ -18,9 +18,9 @@ def test_only_the_periphery_is_replaced(made, monkeypatch, tmp_path, capsys):
     common = ["bench", name, made / "frames", made / "box.forest", "--json", out]
     assert run(monkeypatch, *common, "--fov-b", 20) == 0
     rows = json.loads(out.read_text())
-    assert [row["views"] for row in rows] == [3] * 4
+    assert [row["views"] for row in rows] == [3] * 5
     shown = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in shown[1:5]] == [row["acuity_model"] for row in rows]
+    assert [line.split()[0] for line in shown[1:6]] == [row["acuity_model"] for row in rows]
     assert run(monkeypatch, *common, "--fov-b", 100) == 0
     whole = json.loads(out.read_text())
     for part, same in zip(rows, whole, strict=True):

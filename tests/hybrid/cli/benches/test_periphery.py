@@ -32,4 +32,4 @@ def test_there_is_a_row_per_acuity_model_and_gaze(made, display, monkeypatch, tm
             assert row["ratio"] == 1
             assert row["ssim"] == pytest.approx(1)
     shown = capsys.readouterr().out.splitlines()
-    assert [line.split()[2] for line in shown[2:10]] == [row["acuity_model"] for row in rows]
+    assert [line.split()[2] for line in shown[2:12]] == [row["acuity_model"] for row in rows]
