@@ -66,7 +66,7 @@ def describe_capture(
         **_intrinsics(cameras[0]),
         "format_version": FORMAT_VERSION,
         "scene": described_scene(scene),
-        "settings": asdict(settings),
+        "settings": {**asdict(settings), "close_ups": list(settings.close_ups)},
         "integrator": integrator.value,
         "frames": frames,
         # Not among the frames, all of which other programs would train on.

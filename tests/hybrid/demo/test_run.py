@@ -40,8 +40,15 @@ def source(monkeypatch, backend) -> Source:
     source = Source()
 
     def prepared(
-        scene: str, forest: Path, backend: str, trains: bool, settings: object, report: object
+        scene: str,
+        forest: Path,
+        backend: str,
+        trains: bool,
+        settings: object,
+        report: object,
+        thin_glass: bool,
     ) -> Source:
+        assert not thin_glass
         assert (scene, forest, backend, trains, settings) == ("box", FOREST, "auto", False, INTERACTIVE)
         return source
 
@@ -82,7 +89,7 @@ def test_a_late_trace_a_target_and_a_load_are_measured(source, monkeypatch, tmp_
 
 
 def test_what_ends_the_renderer_is_raised(application, monkeypatch, tmp_path):
-    def fails(*arguments: object) -> Source:
+    def fails(*arguments: object, **options: object) -> Source:
         raise UserError("no-such-scene: there is no such scene")
 
     monkeypatch.setattr(run, "prepared", fails)

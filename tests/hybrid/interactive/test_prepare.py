@@ -31,7 +31,7 @@ def test_the_backend_is_selected_before_the_scene_is_loaded(made, monkeypatch):
     done: list[str] = []
     load = prepare.load_scene
     monkeypatch.setattr(prepare, "select_backend", done.append)
-    monkeypatch.setattr(prepare, "load_scene", lambda name: done.append(name) or load(name))
+    monkeypatch.setattr(prepare, "load_scene", lambda name, **_: done.append(name) or load(name))
     prepared("cornell", made / "box.forest", "llvm", False, RAW, silent)
     assert done == ["llvm", "cornell"]
 

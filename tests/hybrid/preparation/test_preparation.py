@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from compose.base.errors import UserError
+from hybrid.preparation import planner
 from hybrid.preparation import preparation as module
 from hybrid.preparation.preparation import prepare
 from hybrid.preparation.settings import PreparationSettings
@@ -30,7 +31,7 @@ def scene(monkeypatch):
 
 def facts_without_times(facts):
     rows = [{name: row[name] for name in row if name != "seconds"} for row in facts["curve"]]
-    return {**facts, "seconds": 0, "curve": rows, "forest": ""}
+    return {**facts, "seconds": 0, "converging_seconds": 0, "curve": rows, "forest": ""}
 
 
 def test_from_nothing_to_a_forest(scene, tmp_path):
@@ -97,7 +98,7 @@ def test_an_interrupted_preparation_resumes(scene, tmp_path, monkeypatch, got):
     expected="a line that says what can be; the forest is kept",
 )
 def test_a_target_out_of_reach_is_refused_with_what_can_be_reached(scene, tmp_path, monkeypatch, got):
-    monkeypatch.setattr(module, "_MOST_STAGES", 1)
+    monkeypatch.setattr(planner, "_MOST_STAGES", 1)
     with pytest.raises(UserError, match=r"90 dB cannot be reached; .* dB are") as refusal:
         prepare(scene, replace(DRAFT, psnr=90.0), no_bars, tmp_path)
     assert "\n" not in got(str(refusal.value))

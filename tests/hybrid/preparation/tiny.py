@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hybrid.preparation import preparation, stages
+from hybrid.preparation import planner, preparation, stages
 from hybrid.preparation.stages import Stage
 from pathtrace.dataset.settings import CaptureSettings
 
@@ -20,5 +20,5 @@ def make_tiny(patch) -> None:
     patch(stages, "SIDE", 32)
     patch(stages, "_COARSEST", 16)
     patch(stages, "QUALITIES", {"draft": 2, "standard": 3, "high": 4})
-    patch(preparation, "QUALITIES", stages.QUALITIES)
+    patch(planner, "QUALITIES", stages.QUALITIES)
     patch(preparation, "FUSION_CAPTURE", FUSION)

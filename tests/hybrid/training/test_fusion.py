@@ -155,7 +155,7 @@ def test_frames_without_examples_leave_the_forest_as_it_is(frames, large, forest
     for without in (frames, bare):
         assert fusion_steps(without) == 0
         assert with_fusion(without, forest, 0, ignore) is forest
-    assert fusion_steps(large) == fitting.ITERATIONS + 2 * proof.TRIAL_ITERATIONS == 2200
+    assert fusion_steps(large) == fitting.ITERATIONS + 2 * proof.TRIAL_ITERATIONS == 1100
 
 
 def test_close_ups_belong_to_the_view_that_they_are_parts_of(large):
@@ -182,9 +182,9 @@ def test_large_views_are_learnt_from_in_parts(large, examples):
 def test_verdicts_say_what_is_shown(forest):
     assert fusion_verdicts(forest) == []
     fusion = Fusion()
-    fusion.shares[1, 2, 0] = torch.tensor([0.25, 0.25, 0.5])
-    fusion.gains[1, 2, 0] = 1.5
+    fusion.shares[1, 2, 1] = torch.tensor([0.25, 0.25, 0.5])
+    fusion.gains[1, 2, 1] = 1.5
     rows = fusion_verdicts(attach_fusion(forest, fusion))
-    assert len(rows) == 30
+    assert len(rows) == 40
     (row,) = (row for row in rows if row["quick"] and row["spp"] == 4 and row["enlargement"] == 1)
     assert (row["network"], row["denoised"], row["splat"], row["gain_db"]) == (0.25, 0.25, 0.5, 1.5)
