@@ -68,7 +68,12 @@ def pack_atlas(images: Sequence[LayerImage], wanted: Mask, tile: int) -> list[At
 
 def covered_cells(weight: Lattice) -> Mask:
     """(rows, columns) cells in which a weight, given at their corners, is not 0 everywhere."""
-    return np.maximum.reduce([weight[:-1, :-1], weight[1:, :-1], weight[:-1, 1:], weight[1:, 1:]]) > 0
+    return np.maximum.reduce(at_corners(weight)) > 0
+
+
+def at_corners(lattice: Lattice) -> list[Lattice]:
+    """A lattice at the four corners of each cell, (rows, columns) each."""
+    return [lattice[:-1, :-1], lattice[1:, :-1], lattice[:-1, 1:], lattice[1:, 1:]]
 
 
 def _resized(mask: Mask, cell: int, tile: int) -> Mask:

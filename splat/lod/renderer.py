@@ -24,7 +24,7 @@ from compose.camera.camera import Camera
 from splat.lod.compositing import composite
 from splat.lod.footprints import ForestFootprints
 from splat.lod.image import SplatImage, black_image
-from splat.lod.layer_images import AtlasEntry, Lattice, LayerImage, Mask, pack_atlas
+from splat.lod.layer_images import AtlasEntry, Lattice, LayerImage, Mask, at_corners, pack_atlas
 from splat.lod.selection import touching
 from splat.model.forest import Forest
 from splat.raster.binning import Candidates, TileBounds
@@ -159,7 +159,7 @@ class ForestRenderer:
 
     def _chosen(self, camera: Camera, entries: Sequence[AtlasEntry], cutoff: Lattice) -> list[Any]:
         """For each entry, indices of its layer's footprints that may show in its cells."""
-        lowest = np.minimum.reduce([cutoff[:-1, :-1], cutoff[1:, :-1], cutoff[:-1, 1:], cutoff[1:, 1:]])
+        lowest = np.minimum.reduce(at_corners(cutoff))
         blurs = [
             max(0.5 / float(lowest[entry.cells].min()), self._least_blur(camera, entry.image))
             for entry in entries
@@ -257,4 +257,4 @@ def _largest_alone(images: Sequence[LayerImage], wanted: Mask) -> tuple[LayerIma
 
 def _is_alone(weight: Lattice) -> Mask:
     """(rows, columns) cells in which a weight, given at their corners, is 1 everywhere."""
-    return np.minimum.reduce([weight[:-1, :-1], weight[1:, :-1], weight[:-1, 1:], weight[1:, 1:]]) >= 1
+    return np.minimum.reduce(at_corners(weight)) >= 1

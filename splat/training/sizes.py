@@ -10,12 +10,11 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
+from splat.raster.projection import NEAR
 from splat.training.views import TrainingView
 
 # Longest axis, as a standard deviation, over the distance from the nearest training view.
 _LARGEST = 0.12
-# Nearer than this, in units of the views' place, nothing is drawn anyway.
-_NEAREST = 0.01
 
 
 def largest_log_scales(means: torch.Tensor, views: list[TrainingView]) -> torch.Tensor:
@@ -23,8 +22,8 @@ def largest_log_scales(means: torch.Tensor, views: list[TrainingView]) -> torch.
 
     Args:
         means: (3, N) centres.
-        views: in the same coordinates.
+        views: in the same coordinates. What is nearer to one than the near plane is not drawn anyway.
     """
     eyes = cKDTree(np.stack([view.camera.position for view in views]))
     distance, _ = eyes.query(means.detach().T.double().numpy(), workers=-1)
-    return torch.from_numpy(np.log(_LARGEST * np.maximum(distance, _NEAREST))).float()
+    return torch.from_numpy(np.log(_LARGEST * np.maximum(distance, NEAR))).float()
