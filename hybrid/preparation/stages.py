@@ -92,8 +92,8 @@ class Stage:
             steps=round(self.steps * breadth**0.5),
         )
 
-    def shortened(self, share: float) -> Stage:
-        """The stage in a share of its time: fewer new views and fewer steps."""
+    def in_time(self, share: float) -> Stage:
+        """The stage in some share of its time, or multiple of it: that many of its new views and steps."""
         return replace(
             self,
             views=round(self.views * share),
@@ -124,8 +124,19 @@ def expected_seconds(stage: Stage, before: Sequence[Stage]) -> float:
     return samples / _SAMPLES_PER_SECOND + stage.steps * stage.step_cost
 
 
+def _planned_stage(number: int, breadth: float) -> Stage:
+    if number < len(STAGES):
+        return STAGES[number].of_breadth(breadth)
+    # More of the same: the finest frames elsewhere, all samples doubled.
+    last = STAGES[-1]
+    return replace(last, spp=last.spp * 2 ** (number - len(STAGES) + 1)).of_breadth(breadth)
+
+
 def next_stage(before: Sequence[Stage], breadth: float, pace: float, left: float | None) -> Stage | None:
     """The stage to do next; None if there is no time for one.
+
+    It is stretched over the time that would be left without use: a stage that has too little time is worse
+    than none, since each begins with large steps again.
 
     Args:
         before: the stages done.
@@ -133,16 +144,14 @@ def next_stage(before: Sequence[Stage], breadth: float, pace: float, left: float
         pace: seconds that the stages done took, over the expected ones.
         left: seconds; None if they do not matter.
     """
-    number = len(before)
-    if number >= len(STAGES):
-        # More of the same: the finest frames elsewhere, all samples doubled.
-        last = STAGES[-1]
-        stage = replace(last, spp=last.spp * 2 ** (number - len(STAGES) + 1)).of_breadth(breadth)
-    else:
-        stage = STAGES[number].of_breadth(breadth)
-    if left is None or number == 0:
+    stage = _planned_stage(len(before), breadth)
+    if left is None or not before:
         return stage
-    share = left / (expected_seconds(stage, before) * pace)
+    seconds = expected_seconds(stage, before) * pace
+    share = left / seconds
     if share < _LEAST_SHARE:
         return None
-    return stage if share >= 1 else stage.shortened(share)
+    following = _planned_stage(len(before) + 1, breadth)
+    of_following = expected_seconds(following, [*before, stage]) * pace
+    another_fits = left - seconds >= _LEAST_SHARE * of_following
+    return stage if another_fits else stage.in_time(share)

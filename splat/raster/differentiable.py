@@ -91,20 +91,25 @@ def render_differentiable(
 
 
 def parameters_from(arrays: Arrays, gaussians: Gaussians) -> Parameters:
-    """The Gaussians' rows as Dr.Jit floats, in a copy whose rows start where vectors are aligned.
+    """The Gaussians' rows as Dr.Jit floats, in a copy."""
+    rows = aligned_rows(arrays, [tensor for _, tensor in gaussians.tensors()])
+    means, log_scales, rotations, sh = rows[:3], rows[3:6], rows[6:10], rows[11:]
+    coefficients = [sh[k : k + 3] for k in range(0, len(sh), 3)]
+    return Parameters(means, log_scales, rotations, rows[10], coefficients)
+
+
+def aligned_rows(arrays: Arrays, tensors: list[torch.Tensor]) -> list[Any]:
+    """The rows of tensors (..., N) as Dr.Jit floats, in a copy whose rows start where vectors are aligned.
 
     In the tensors themselves most rows do not, and Dr.Jit would compile other kernels for other numbers of
     Gaussians. Loads by index need no alignment, but take four times as long as the copy.
     """
-    count, device = len(gaussians), gaussians.means.device
-    tensors = [tensor.detach().reshape(-1, count) for _, tensor in gaussians.tensors()]
+    count = tensors[0].shape[-1]
+    flat = [tensor.detach().reshape(-1, count) for tensor in tensors]
     stride = -(-count // ALIGNED_FLOATS) * ALIGNED_FLOATS
-    copy = torch.empty(sum(map(len, tensors)), stride, device=device)
-    torch.cat(tensors, out=copy[:, :count])
-    rows = [arrays.from_torch(row[:count]) for row in copy]
-    means, log_scales, rotations, sh = rows[:3], rows[3:6], rows[6:10], rows[11:]
-    coefficients = [sh[k : k + 3] for k in range(0, len(sh), 3)]
-    return Parameters(means, log_scales, rotations, rows[10], coefficients)
+    copy = torch.empty(sum(map(len, flat)), stride, device=flat[0].device)
+    torch.cat(flat, out=copy[:, :count])
+    return [arrays.from_torch(row[:count]) for row in copy]
 
 
 @lru_cache

@@ -9,15 +9,16 @@ import numpy as np
 import torch
 
 from compose.base.arrays import Arrays
-from splat.model.gaussians import Gaussians
 from splat.model.layer import LABELS, NO_PARENT, Layer, concatenated_layers, static_layer
 from splat.raster.differentiable import render_differentiable
 from splat.raster.projection import PIXEL_FILTER
 from splat.training.density import DensityControl
 from splat.training.loss import Target
 from splat.training.optimizer import GaussianOptimizer
+from splat.training.order import order_of_views
 from splat.training.sizes import largest_log_scales
 from splat.training.views import TrainingView, pixel_footprint
+from splat.training.visible import visible
 
 # Steps from one look at the sizes to the next.
 _LIMITED_EVERY = 25
@@ -42,6 +43,8 @@ class LayerTraining:
     _tree: Layer
     _optimizer: GaussianOptimizer
     _density: DensityControl
+    # Views of the round of steps that is under way.
+    _order: torch.Tensor
 
     def __init__(self, arrays: Arrays, views: list[TrainingView], steps: int, seed: list[int]):
         self.views, self.done, self.skipped, self.begun = views, 0, 0, False
@@ -65,8 +68,7 @@ class LayerTraining:
     @property
     def layer(self) -> Layer:
         """The nodes as they are now, without gradients."""
-        detached = {name: tensor.detach() for name, tensor in self._optimizer.gaussians.tensors()}
-        return replace(self._tree, gaussians=Gaussians(**detached))
+        return replace(self._tree, gaussians=self._optimizer.gaussians)
 
     def step(self, grows: bool = True) -> torch.Tensor | None:
         """Takes one optimizer step on one frame.
@@ -80,7 +82,8 @@ class LayerTraining:
         """
         index = self._view_of(self.done)
         camera = self.views[index].camera
-        image = render_differentiable(self._arrays, self._optimizer.gaussians, camera, PIXEL_FILTER)
+        shown = visible(self._arrays, self._optimizer.gaussians, camera)
+        image = render_differentiable(self._arrays, self._optimizer.chosen(shown), camera, PIXEL_FILTER)
         loss, error = self._targets[index].loss(image)
         if self._optimizer.step(loss, self.done / self._steps):
             self._density.observe(index, error)
@@ -105,9 +108,12 @@ class LayerTraining:
         return now
 
     def _view_of(self, step: int) -> int:
-        """The view of a step: each one once per round, in a new random order every round."""
+        """The view of a step: in the first round each one once, later in proportion to their errors."""
         turn, position = divmod(step, len(self.views))
-        return int(np.random.default_rng([*self._seed, 2, turn]).permutation(len(self.views))[position])
+        if position == 0:
+            rng = np.random.default_rng([*self._seed, 2, turn])
+            self._order = torch.from_numpy(order_of_views(self._density.view_errors(len(self.views)), rng))
+        return int(self._order[position])
 
     def state(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
         """Everything that the next step depends on: tensors, and numbers."""
@@ -115,6 +121,7 @@ class LayerTraining:
             return {}, {"done": 0}
         counts = {"initial": self._density.initial_count, "final": self._density.final_count}
         tensors = dict(self._tree.labels()) | self._optimizer.state() | self._density.state()
+        tensors |= {"order": self._order} if self.done else {}
         return tensors, {"done": self.done, "skipped": self.skipped, **counts}
 
     def restore(self, tensors: dict[str, torch.Tensor], numbers: dict[str, Any]) -> None:
@@ -131,3 +138,5 @@ class LayerTraining:
         self._density = DensityControl(self._steps, int(numbers["initial"]), int(numbers["final"]))
         self._density.restore(tensors)
         self.done, self.skipped = int(numbers["done"]), int(numbers["skipped"])
+        if self.done:
+            self._order = tensors["order"]

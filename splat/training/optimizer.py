@@ -1,29 +1,27 @@
-"""Adam on the parameters of Gaussians whose number changes during training."""
+"""Adam on the parameters of Gaussians: each step moves those that a view shows, and no others.
+
+Of a scene with many rooms, a view shows few Gaussians. Moved by their momentum while nothing is known of
+them, the others would drift; and most of a step would be spent on them.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import torch
 
 from splat.model.gaussians import Gaussians
 from splat.model.remoteness import remoteness
 
-# Learning rates at the start and at the end, exponential between them. Those of 3D Gaussian splatting are
-# for 30,000 steps; with a tenth of the steps the positions need larger ones, and the sizes above all: seeds
-# are as wide as the gaps between them, whatever the detail there. Positions are in units of the size of a
-# pixel at the views' median distance.
-_RATES = {
-    "means": (0.15, 0.006),
-    "log_scales": (0.05, 0.01),
-    "rotations": (0.004, 0.001),
-    "opacity_logits": (0.05, 0.01),
-    "sh_constant": (0.016, 0.0024),
-    "sh_directional": (0.0016, 0.0004),
-}
-_GEOMETRY = ("means", "log_scales", "rotations", "opacity_logits")
-_MOMENTS = ("step", "exp_avg", "exp_avg_sq")
+# Learning rates at the start and at the end, exponential between them, and the number of rows that have them.
+# Those of 3D Gaussian splatting are for 30,000 steps; with a tenth of the steps the positions need larger
+# ones, and the sizes above all: seeds are as wide as the gaps between them, whatever the detail there.
+# Positions are in units of the size of a pixel at the views' median distance.
+_MEANS, _SCALES, _ROTATIONS, _OPACITY = (0.15, 0.006), (0.05, 0.01), (0.004, 0.001), (0.05, 0.01)
+_CONSTANT, _DIRECTIONAL = (0.016, 0.0024), (0.0016, 0.0004)
+# Decay of the moments, and what keeps their quotient finite (Kingma and Ba 2015).
+_FIRST_DECAY, _SECOND_DECAY, _LEAST = 0.9, 0.999, 1e-15
+_STATE = ("values", "first_moments", "second_moments", "steps")
 
 
 class GaussianOptimizer:
@@ -39,26 +37,29 @@ class GaussianOptimizer:
         self._start(gaussians)
 
     def _start(self, gaussians: Gaussians) -> None:
-        self._leaves = {n: t.clone().contiguous().requires_grad_() for n, t in gaussians.tensors()}
-        groups = [{"params": [part], "name": name} for name, part in self._parts(torch.Tensor.detach).items()]
-        self._adam = torch.optim.Adam(groups, lr=0.0, betas=(0.9, 0.999), eps=1e-15, fused=True)
+        # One row per number that a Gaussian has.
+        self._values = _rows(gaussians)
+        self._first_moments, self._second_moments = (torch.zeros_like(self._values) for _ in range(2))
+        self._steps = torch.zeros(len(gaussians))
+        self._leaves, self._chosen = gaussians, torch.zeros(0, dtype=torch.int64)
 
     @property
     def gaussians(self) -> Gaussians:
-        """The Gaussians as they are now; gradients flow to the optimized tensors."""
-        return Gaussians(**self._leaves)
+        """The Gaussians as they are now, without gradients; shares memory."""
+        return _gaussians(self._values)
 
-    def _parts(self, of: Callable[[torch.Tensor], torch.Tensor]) -> dict[str, torch.Tensor]:
-        """By the name of its learning rate, each part of what `of` gives for the leaves, in their memory."""
-        parts = {name: of(self._leaves[name]) for name in _GEOMETRY}
-        sh = of(self._leaves["sh"])
-        return parts | {"sh_constant": sh[:1], "sh_directional": sh[1:]}
+    def chosen(self, index: torch.Tensor) -> Gaussians:
+        """The Gaussians at an index (M,), copied; the next step moves these, by the gradients they get."""
+        self._chosen = index
+        leaves = _gaussians(self._values.index_select(1, index))
+        self._leaves = Gaussians(**{name: part.detach().requires_grad_() for name, part in leaves.tensors()})
+        return self._leaves
 
     def step(self, loss: torch.Tensor, progress: float) -> bool:
         """Takes one step down the gradient of a loss, unless that is not finite.
 
         Args:
-            loss: computed from `gaussians`.
+            loss: computed from what `chosen` returned.
             progress: share of the training that is done, 0..1, which sets the learning rates.
 
         Returns:
@@ -66,40 +67,38 @@ class GaussianOptimizer:
         """
         if not bool(torch.isfinite(loss)):
             return False
-        for group in self._adam.param_groups:
-            start, end = _RATES[group["name"]]
-            unit = self._pixel if group["name"] == "means" else 1.0
-            group["lr"] = unit * math.exp((1 - progress) * math.log(start) + progress * math.log(end))
-        for leaf in self._leaves.values():
-            leaf.grad = None
         loss.backward()
-        if not self._is_finite():
+        gradient = torch.cat([_gradient(leaf) for _, leaf in self._leaves.tensors()])
+        if not _has_finite_squares(gradient):
             return False
-        for group, part in zip(self._adam.param_groups, self._parts(_gradient).values(), strict=True):
-            group["params"][0].grad = part
-        # The unit is the size of a pixel at the median distance. Far away a pixel is larger, and a step of
-        # this length would be lost in rounding.
-        means = self._leaves["means"].detach()
-        larger = remoteness(means)
-        means /= larger
-        self._adam.step()
-        means *= larger
+        index = self._chosen
+        steps = self._steps.index_select(0, index).add_(1)
+        first = self._first_moments.index_select(1, index).lerp_(gradient, 1 - _FIRST_DECAY)
+        second = self._second_moments.index_select(1, index).mul_(_SECOND_DECAY)
+        second.addcmul_(gradient, gradient, value=1 - _SECOND_DECAY)
+        self._steps.index_copy_(0, index, steps)
+        self._first_moments.index_copy_(1, index, first)
+        self._second_moments.index_copy_(1, index, second)
+        # Each Gaussian's moments are means over its own steps.
+        deviation = second.div_(1 - _SECOND_DECAY**steps).sqrt_().add_(_LEAST)
+        move = first.div_(1 - _FIRST_DECAY**steps).div_(deviation).mul_(self._rates(progress))
+        # The unit is the size of a pixel at the median distance; far away a pixel is larger.
+        move[:3] *= remoteness(self._leaves.means.detach())
+        self._values.index_copy_(1, index, self._values.index_select(1, index).sub_(move))
         return True
+
+    def _rates(self, progress: float) -> torch.Tensor:
+        """(R, 1) learning rate of each row."""
+        means = tuple(self._pixel * rate for rate in _MEANS)
+        ends = [means] * 3 + [_SCALES] * 3 + [_ROTATIONS] * 4 + [_OPACITY] + [_CONSTANT] * 3
+        ends += [_DIRECTIONAL] * (len(self._values) - len(ends))
+        start, end = torch.tensor(ends).log().T
+        return torch.lerp(start, end, progress).exp()[:, None]
 
     def limit_scales(self, largest: torch.Tensor) -> None:
         """Makes scales smaller whose logarithms exceed (N,) largest ones."""
-        scales = self._leaves["log_scales"].detach()
+        scales = self.gaussians.log_scales
         torch.minimum(scales, largest, out=scales)
-
-    def _is_finite(self) -> bool:
-        """Whether all gradients are finite, and their squares, of which the moments are made."""
-        found = [_gradient(leaf).reshape(-1) for leaf in self._leaves.values() if leaf.numel()]
-        # Where a sum of squares is finite, each of them is; it takes a tenth of the time of a maximum.
-        if all(bool(torch.isfinite(torch.dot(gradient, gradient))) for gradient in found):
-            return True
-        # A maximum is NaN if any of its numbers is.
-        largest = [torch.linalg.vector_norm(gradient, torch.inf) for gradient in found]
-        return bool(torch.isfinite(torch.stack(largest).square()).all())
 
     def replace(self, gaussians: Gaussians, kept: torch.Tensor) -> None:
         """Continues with other Gaussians.
@@ -108,44 +107,49 @@ class GaussianOptimizer:
             gaussians: M or more, the first M of which were optimized before and keep their moments.
             kept: (M,) the indices they had.
         """
-        before = self._adam
+        before = self.state()
         self._start(gaussians)
-        for old, new in zip(before.param_groups, self._adam.param_groups, strict=True):
-            state = before.state.get(old["params"][0])
-            if state:
-                leaf = new["params"][0]
-                grown = {"step": state["step"].clone()}
-                for moment in ("exp_avg", "exp_avg_sq"):
-                    grown[moment] = torch.zeros_like(leaf)
-                    grown[moment][..., : len(kept)] = state[moment][..., kept]
-                self._adam.state[leaf] = grown
+        for name in _STATE[1:]:
+            self.state()[name][..., : len(kept)] = before[name][..., kept]
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Tensors for a checkpoint: parameters and moments."""
-        tensors = {}
-        for group in self._adam.param_groups:
-            name, leaf = group["name"], group["params"][0]
-            tensors[f"leaf.{name}"] = leaf.detach()
-            for moment, value in self._adam.state.get(leaf, {}).items():
-                tensors[f"adam.{moment}.{name}"] = value
-        return tensors
+        """Tensors for a checkpoint: parameters and moments; they share memory."""
+        return {name: getattr(self, f"_{name}") for name in _STATE}
 
     @classmethod
     def restored(cls, tensors: dict[str, torch.Tensor], pixel: float) -> GaussianOptimizer:
         """The optimizer whose `state` these tensors are; other tensors are ignored."""
-        optimizer = cls(_gaussians({name: tensors[f"leaf.{name}"] for name in _RATES}), pixel)
-        for group in optimizer._adam.param_groups:
-            name = group["name"]
-            if f"adam.step.{name}" in tensors:
-                moments = {moment: tensors[f"adam.{moment}.{name}"] for moment in _MOMENTS}
-                optimizer._adam.state[group["params"][0]] = moments
+        optimizer = cls(_gaussians(tensors["values"]), pixel)
+        for name in _STATE[1:]:
+            optimizer.state()[name][:] = tensors[name]
         return optimizer
 
 
+def _rows(gaussians: Gaussians) -> torch.Tensor:
+    """(R, N) all numbers of N Gaussians, copied."""
+    return torch.cat([_flat(tensor.detach()) for _, tensor in gaussians.tensors()])
+
+
+def _gaussians(rows: torch.Tensor) -> Gaussians:
+    """The Gaussians whose `_rows` these are; shares memory."""
+    return Gaussians(rows[:3], rows[3:6], rows[6:10], rows[10], rows[11:].unflatten(0, (-1, 3)))
+
+
 def _gradient(leaf: torch.Tensor) -> torch.Tensor:
-    return torch.zeros_like(leaf) if leaf.grad is None else leaf.grad
+    """(rows, M) derivative by a tensor (..., M); 0 where nothing depends on it."""
+    return _flat(torch.zeros_like(leaf) if leaf.grad is None else leaf.grad)
 
 
-def _gaussians(parts: dict[str, torch.Tensor]) -> Gaussians:
-    sh = torch.cat([parts["sh_constant"], parts["sh_directional"]])
-    return Gaussians(**{name: parts[name] for name in _GEOMETRY}, sh=sh)
+def _flat(tensor: torch.Tensor) -> torch.Tensor:
+    """(rows, N) of (..., N)."""
+    return tensor.reshape(math.prod(tensor.shape[:-1]), tensor.shape[-1])
+
+
+def _has_finite_squares(gradient: torch.Tensor) -> bool:
+    """Whether a gradient is finite, and its square, of which the moments are made."""
+    flat = gradient.reshape(-1)
+    # Where a sum of squares is finite, each of them is; it takes a tenth of the time of a maximum.
+    if bool(torch.isfinite(torch.dot(flat, flat))):
+        return True
+    # A maximum is NaN if any of its numbers is.
+    return bool(torch.isfinite(torch.linalg.vector_norm(flat, torch.inf).square()))
