@@ -12,9 +12,12 @@ _LARGEST_SIDE = 512
 # Fewer samples leave the denoiser nothing to go by.
 _LEAST_SPP = 4
 # What things take on two cores of an AMD EPYC, in the scene `room`: samples traced in a second; a step in
-# seconds, without Gaussians; how many of these take as long again; and how much longer larger frames take.
-_SAMPLES_PER_SECOND, _STEP_SECONDS = 1.3e6, 0.024
-_GAUSSIANS_OF_A_STEP, _OF_MORE_PIXELS = 90_000, 1.7
+# seconds, without Gaussians; how many that the view shows take as long again; and how much longer larger
+# frames take without Gaussians.
+_SAMPLES_PER_SECOND, _STEP_SECONDS = 1.3e6, 0.015
+_GAUSSIANS_OF_A_STEP, _OF_MORE_PIXELS = 18_000, 4.0
+# Share of all Gaussians that a view of the default region shows, and how it falls with the breadth of others.
+_SHOWN, _SHOWN_LESS = 0.56, 0.65
 # What there is to model grows with this power of the views that a region takes: some surfaces take many views
 # to be seen at all, behind and between things.
 _SURFACES = 0.7
@@ -33,6 +36,7 @@ class Stage:
         spp: samples per pixel that views at scale 1 have afterwards; those with smaller pixels have fewer.
         gaussians: in the finest layer at the end.
         steps: of the optimizer, over all layers.
+        breadth: of the region that it is for.
     """
 
     views: int
@@ -40,6 +44,7 @@ class Stage:
     spp: int
     gaussians: int
     steps: int
+    breadth: float = 1.0
 
     @property
     def whole(self) -> int:
@@ -65,7 +70,8 @@ class Stage:
     def step_cost(self) -> float:
         """Seconds that a step takes, as `expected_seconds`."""
         of_pixels = _OF_MORE_PIXELS if self.side > SIDE else 1
-        return _STEP_SECONDS * (1 + self.gaussians / _GAUSSIANS_OF_A_STEP) * of_pixels
+        shown = self.gaussians * _SHOWN / self.breadth**_SHOWN_LESS
+        return _STEP_SECONDS * (of_pixels + shown / _GAUSSIANS_OF_A_STEP)
 
     def affordable_steps(self, seconds: float, last: Stage, last_seconds: float) -> int:
         """Steps that fit in a time, at most those of the stage; at least a tenth of them.
@@ -90,6 +96,7 @@ class Stage:
             spp=max(_LEAST_SPP, round(self.spp / breadth)),
             gaussians=round(self.gaussians * surfaces),
             steps=round(self.steps * breadth**0.5),
+            breadth=breadth,
         )
 
     def in_time(self, share: float) -> Stage:

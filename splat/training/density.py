@@ -43,7 +43,9 @@ class DensityControl:
 
     def view_errors(self, count: int) -> NDArray[np.float64]:
         """(count,) mean of each view's latest error; NaN for one that was not seen yet."""
-        return np.array([float(self._errors[v].mean()) if v in self._errors else np.nan for v in range(count)])
+        return np.array(
+            [float(self._errors[v].mean()) if v in self._errors else np.nan for v in range(count)]
+        )
 
     def is_due(self, iteration: int) -> bool:
         """Whether the set changes after this iteration, counted from 0."""

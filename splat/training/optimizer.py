@@ -80,8 +80,8 @@ class GaussianOptimizer:
         self._first_moments.index_copy_(1, index, first)
         self._second_moments.index_copy_(1, index, second)
         # Each Gaussian's moments are means over its own steps.
-        deviation = second.div_(1 - _SECOND_DECAY**steps).sqrt_().add_(_LEAST)
-        move = first.div_(1 - _FIRST_DECAY**steps).div_(deviation).mul_(self._rates(progress))
+        deviation = second.div_(_share_seen(_SECOND_DECAY, steps)).sqrt_().add_(_LEAST)
+        move = first.div_(_share_seen(_FIRST_DECAY, steps)).div_(deviation).mul_(self._rates(progress))
         # The unit is the size of a pixel at the median distance; far away a pixel is larger.
         move[:3] *= remoteness(self._leaves.means.detach())
         self._values.index_copy_(1, index, self._values.index_select(1, index).sub_(move))
@@ -143,6 +143,11 @@ def _gradient(leaf: torch.Tensor) -> torch.Tensor:
 def _flat(tensor: torch.Tensor) -> torch.Tensor:
     """(rows, N) of (..., N)."""
     return tensor.reshape(math.prod(tensor.shape[:-1]), tensor.shape[-1])
+
+
+def _share_seen(decay: float, steps: torch.Tensor) -> torch.Tensor:
+    """1 - decay^steps: the weight in a moment of the gradients so far."""
+    return torch.expm1(steps * math.log(decay)).neg_()
 
 
 def _has_finite_squares(gradient: torch.Tensor) -> bool:

@@ -38,7 +38,8 @@ def random_steps(arrays: Arrays, count: int, seed: int) -> Iterator[Step]:
         optimizer = GaussianOptimizer(_gaussians(rng), float(10 ** rng.uniform(-5, 1)))
         camera, target = _camera(rng), Target(arrays, torch.from_numpy(_radiance(rng)))
         for number in range(_STEPS_PER_START):
-            loss, _ = target.loss(render_differentiable(arrays, optimizer.gaussians, camera))
+            chosen = optimizer.chosen(torch.arange(len(optimizer.gaussians)))
+            loss, _ = target.loss(render_differentiable(arrays, chosen, camera))
             taken = optimizer.step(loss, number / _STEPS_PER_START)
             yield Step(taken, all(bool(torch.isfinite(t).all()) for t in optimizer.state().values()))
 

@@ -200,7 +200,7 @@ def test_a_layer_keeps_a_node_when_all_turn_transparent(arrays):
     settings = replace(SETTINGS, iterations=400)
     trainer = Trainer(arrays, uniform(0.0), settings)
     trainer.run(until=99)
-    trainer._layers[-1]._optimizer._leaves["opacity_logits"].data.fill_(-50.0)
+    trainer.forest()[-1].gaussians.opacity_logits.fill_(-50.0)
     trainer.run(until=100)
     assert len(trainer.forest()[-1]) >= 1
     check_forest(trainer.forest())
@@ -219,17 +219,18 @@ def test_a_layer_keeps_a_node_when_all_turn_transparent(arrays):
 )
 def test_a_step_that_is_not_finite_changes_nothing(factor, got):
     optimizer = GaussianOptimizer(random_gaussians(n=20), 0.01)
-    assert optimizer.step(optimizer.gaussians.means.square().sum(), 0.0)
+    everything = torch.arange(20)
+    assert optimizer.step(optimizer.chosen(everything).means.square().sum(), 0.0)
     before = {name: tensor.clone() for name, tensor in optimizer.state().items()}
     # In the loss itself, then in its gradient alone.
-    assert not optimizer.step(optimizer.gaussians.means.square().sum() * factor, 0.0)
-    leaf = optimizer._leaves["sh"]
+    assert not optimizer.step(optimizer.chosen(everything).means.square().sum() * factor, 0.0)
+    leaf = optimizer.chosen(everything).sh
     handle = leaf.register_hook(lambda gradient: gradient * factor)
-    taken = got(optimizer.step(optimizer.gaussians.sh.square().sum(), 0.0))
+    taken = got(optimizer.step(leaf.square().sum(), 0.0))
     handle.remove()
     assert not taken
     assert all(torch.equal(tensor, before[name]) for name, tensor in optimizer.state().items())
-    assert optimizer.step(optimizer.gaussians.means.square().sum(), 0.0)
+    assert optimizer.step(optimizer.chosen(everything).means.square().sum(), 0.0)
 
 
 def test_skipped_steps_are_counted_and_kept_in_checkpoints(arrays, monkeypatch):
