@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from hybrid.cli.options import (
+    INPUT,
     MEASUREMENT,
     Backend,
     FixedSize,
@@ -51,6 +52,14 @@ def prepare(
     size: FixedSize = (256, 256),
     max_depth: MaxDepth = None,
     thin_glass: ThinGlass = False,
+    clamp_indirect: Annotated[
+        float | None,
+        typer.Option(
+            help="Most radiance that indirect light adds to a path of a training frame at once: fewer "
+            "fireflies, darker caustics.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
     seed: Seed = 0,
     backend: Backend = "auto",
     json_file: Json = None,
@@ -59,7 +68,7 @@ def prepare(
     started = time.perf_counter()
     from hybrid.preparation.settings import PreparationSettings
 
-    settings = PreparationSettings(region, quality, minutes, psnr, held_out, size, seed)
+    settings = PreparationSettings(region, quality, minutes, psnr, held_out, size, clamp_indirect, seed)
     require_size(size)
     select(backend)
     from hybrid.output.images import check_writable

@@ -11,6 +11,7 @@ import numpy as np
 
 from compose.base.errors import UserError
 from hybrid.frame.irradiance import cache_for
+from hybrid.preparation.clamping import clamping_bias
 from hybrid.preparation.clock import Clock
 from hybrid.preparation.convergence import CONVERGED_DB, Pass, converging_seconds
 from hybrid.preparation.judges import Judges
@@ -42,6 +43,8 @@ FUSION_CAPTURE = CaptureSettings(views=1, held_out=4, spp=1, held_out_spp=64)
 # The resolutions of these parts, by the scale of the finest frames: around that of the splats, and twice as
 # fine, since a display may show splats larger than they were trained.
 _CLOSE_UPS = {1: (2, 4), 2: (2, 3, 4), 4: (3, 4, 5, 6, 8)}
+# Views in which the bias of bounded light is measured.
+_JUDGED_BIAS = 6
 
 
 @dataclass(frozen=True)
@@ -118,7 +121,8 @@ class _Job:
     def run(self) -> Prepared:
         """Does what is left to do."""
         tracer = Tracer(self._scene, cache=cache_for(self._scene, self._bars))
-        frames = GrowingFrames(self._folder / "frames", tracer, Integrator.CACHED.value, self._settings.seed)
+        bounded = self._bounded(tracer)
+        frames = GrowingFrames(self._folder / "frames", bounded, Integrator.CACHED.value, self._settings.seed)
         judges, forest = self._judges(tracer), None
         while self._planner.begin(self._curve):
             forest = self._staged(frames, forest)
@@ -127,9 +131,27 @@ class _Job:
         forest = self._with_fusion(forest)
         store_forest(forest, self._folder.name)
         facts = self._facts(forest, frames)
+        facts["clamping_bias"] = self._clamping_bias(bounded, tracer)
         self._say_converging(facts)
         self._require_target(facts)
         return Prepared(forest, facts)
+
+    def _bounded(self, tracer: Tracer) -> Tracer:
+        """The tracer of the training frames."""
+        most = self._settings.most_indirect
+        return (
+            tracer if most is None else Tracer(self._scene, cache=cache_for(self._scene), most_indirect=most)
+        )
+
+    def _clamping_bias(self, bounded: Tracer, tracer: Tracer) -> float | None:
+        """Share of the radiance that training frames lack because indirect light was bounded; None if not."""
+        if bounded is tracer:
+            return None
+        with self._clock.stopped():
+            cameras = self._region.views(_JUDGED_BIAS, *self._settings.size, self._settings.seed)
+            share = clamping_bias(bounded, tracer, cameras, self._settings.seed)
+        console.print(f"bounding indirect light removed {100 * share:.2g} % of the radiance", soft_wrap=True)
+        return share
 
     @property
     def _number(self) -> int:

@@ -22,6 +22,8 @@ class PreparationSettings:
         psnr: dB on held-out views to reach, over 0.
         held_out: number of views that judge; none of them is trained on. Their time is not counted.
         size: width and height of these views in pixels.
+        most_indirect: bound on what indirect light adds to a path of a training frame at once, over 0; none
+            by default. Held-out views have no such bound.
         seed: of the views, trained on and held out, and of all else; same seed, same forest on the same
             machine, unless time decides how far it comes.
 
@@ -35,6 +37,7 @@ class PreparationSettings:
     psnr: float | None = None
     held_out: int = 4
     size: tuple[int, int] = (SIDE, SIDE)
+    most_indirect: float | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -50,4 +53,6 @@ class PreparationSettings:
             raise UserError(f"--held-out {self.held_out}: must not be negative")
         if self.psnr is not None and not self.held_out:
             raise UserError("--psnr: requires held-out views, which --held-out 0 leaves out")
+        if self.most_indirect is not None and not 0 < self.most_indirect < float("inf"):
+            raise UserError(f"--clamp-indirect {self.most_indirect:g}: must be a radiance over 0")
         require_seed(self.seed)

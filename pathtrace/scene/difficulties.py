@@ -56,7 +56,10 @@ def light_difficulties(scene: Scene) -> list[Difficulty]:
     shapes = [shape for shape in scene.mitsuba.shapes() if not shape.is_emitter() and shape not in panes]
     smooth = [shape for shape in shapes if _focuses(shape)]
     if small and smooth:
-        remedy = "smooth surfaces focus light of a small source, which is found by chance; take more samples"
+        remedy = (
+            "smooth surfaces focus light of a small source, which is found by chance; more samples show it, "
+            "--clamp-indirect of `hybrid prepare` bounds it"
+        )
         found.append(Difficulty("caustics", _names(smooth), remedy))
     return found
 

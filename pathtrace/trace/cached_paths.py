@@ -32,12 +32,15 @@ class PathSettings:
         shadow_rays: at the first surface that scatters light; 1 at all others.
         thin_glass: whether thin glass lets shadow rays pass. Paths pass it as if it were not there: it does
             not count as a path segment, and what lies behind it is sampled as a light and as a direction.
+        most_indirect: what indirect light of the first surface that scatters may add to a path at once, in
+            the largest of its channels; None for no bound, without which the result is unbiased.
     """
 
     max_depth: int
     roulette_depth: int
     shadow_rays: int
     thin_glass: bool = False
+    most_indirect: float | None = None
 
 
 @dr.syntax
@@ -70,9 +73,11 @@ def path_radiance(
     specular, light_samples = mi.Bool(True), mi.Float(1)
     lights, row = Lights(scene, cache.lights, settings.thin_glass), mi.UInt32(0)
     depth, scattered, spread = mi.UInt32(0), mi.Bool(False), mi.Float(0)
+    # Whether what is hit sheds indirect light on the first surface that scatters.
+    indirect = mi.Bool(False)
     while dr.hint(active, exclude=[settings, sequences, cache, lights]):
         emitted = _emitted(scene, lights, hit, before, row, pdf / light_samples, specular, active)
-        radiance += throughput * emitted
+        radiance += _bounded(settings, throughput * emitted, indirect)
         active &= hit.is_valid() & (depth + 1 < depths)
         spread += dr.select(specular, 0, _step(hit, ray, pdf))
         side = dr.select(dr.dot(hit.n, ray.d) < 0, hit.n, -hit.n)
@@ -87,12 +92,14 @@ def path_radiance(
         left, jitter = depths - depth - 1, sampler.next_2d(active)
         known, irradiance = look_up(cache.irradiance, hit.p, side, dr.square(spread), left, jitter, asks)
         share = dr.select(known, sampled_share(flags, hit.wi, sample), 0)
-        radiance += dr.select(share > 0, throughput * reflected * share * irradiance * dr.inv_pi, 0)
+        stored = dr.select(share > 0, throughput * reflected * share * irradiance * dr.inv_pi, 0)
+        radiance += _bounded(settings, stored, scattered)
         # What the cache does not stand for goes on, or is found by shadow rays.
         lit = rough & (~known | shows_lights(flags))
         here = lights.row(hit.p, side, lit)
         count = dr.select(first, mi.UInt32(settings.shadow_rays), 1)
-        radiance += throughput * _direct(lights, sampler, sequences, hit, here, first, count, known, lit)
+        direct = _direct(lights, sampler, sequences, hit, here, first, count, known, lit)
+        radiance += _bounded(settings, throughput * direct, scattered)
         active &= sampler.next_1d(active) >= share
         throughput = dr.select(active, throughput * reflected, throughput)
         delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
@@ -103,11 +110,20 @@ def path_radiance(
         light_samples = dr.select(passes, light_samples, mi.Float(count))
         specular = dr.select(passes, specular, delta)
         ray = hit.spawn_ray(hit.to_world(sample.wo))
+        indirect |= scattered & ~passes
         scattered |= active & ~delta
         depth += dr.select(passes, mi.UInt32(0), mi.UInt32(1))
         throughput, active = _roulette(sampler, throughput, depth >= settings.roulette_depth, active)
         hit = scene.ray_intersect(ray, mi.RayFlags.All, False, active)
     return radiance
+
+
+def _bounded(settings: PathSettings, added: Any, indirect: Any) -> Any:
+    """N colours that are added to paths, made darker where they are indirect light beyond the bound."""
+    if settings.most_indirect is None:
+        return added
+    scale = settings.most_indirect * dr.rcp(dr.maximum(dr.max(added), settings.most_indirect))
+    return dr.select(indirect, added * scale, added)
 
 
 def _passes(settings: PathSettings, sample: Any) -> Any:

@@ -98,7 +98,8 @@ def features_along(spp: int) -> bool:
 class Tracer:
     """Traces one scene with Mitsuba's `path` (multiple importance sampling of lights and BSDFs).
 
-    Where thin glass lets shadow rays pass, paths of the same kind that do not end in a cache stand in for it.
+    Where thin glass lets shadow rays pass, or indirect light is bounded, paths of the same kind that do not
+    end in a cache stand in for it.
 
     Args:
         scene: the scene.
@@ -107,6 +108,8 @@ class Tracer:
             quicker and noisier.
         cache: irradiance of the scene, in which paths end (pathtrace.trace.cached_paths): quicker, with less
             noise, but biased. Without it, the result is unbiased.
+        most_indirect: bound on what indirect light adds to a path at once (PathSettings), over 0: without
+            fireflies, but biased.
     """
 
     def __init__(
@@ -115,6 +118,7 @@ class Tracer:
         max_depth: int | None = None,
         roulette_depth: int = RUSSIAN_ROULETTE_DEPTH,
         cache: IrradianceCache | None = None,
+        most_indirect: float | None = None,
     ):
         self.scene = scene
         depth = max_depth or scene.max_depth
@@ -125,11 +129,11 @@ class Tracer:
         known = cache if cache is not None and len(cache.cells) else None
         self._relit = known is not None
         shadow_rays = _SHADOW_RAYS if self._relit else 1
-        if scene.thin_glass:
-            # Mitsuba's `path` has no shadow rays that pass it.
+        if scene.thin_glass or most_indirect is not None:
+            # Mitsuba's `path` has no shadow rays that pass glass, and no bound.
             known = known or IrradianceCache.empty(_ANY_GRID, len(scene.mitsuba.emitters()))
         self._known = known.arrays(scene.mitsuba) if known is not None else None
-        self._settings = PathSettings(depth, roulette_depth, shadow_rays, scene.thin_glass)
+        self._settings = PathSettings(depth, roulette_depth, shadow_rays, scene.thin_glass, most_indirect)
         self._trace_radiance = Frozen(self._radiance if self._known is None else self._cached_radiance)
         self._trace_auxiliary = Frozen(self._auxiliary)
 

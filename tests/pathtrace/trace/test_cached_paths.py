@@ -115,3 +115,50 @@ def test_more_shadow_rays_mean_less_noise():
     empty = IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), 3)
     one, four = (samples(scene, PathSettings(2, 5, rays), empty, 1 << 15).var() for rays in (1, 4))
     assert four < 0.6 * one
+
+
+def lit_by_a_caustic() -> dict:
+    """A glass ball between a small lamp and the floor: light that only scattered paths find, by chance."""
+    scene = room({"type": "dielectric"})
+    del scene["spot"]
+    scene["small"] = {
+        "type": "sphere",
+        "center": [0.3, 0.9, 0.2],
+        "radius": 0.06,
+        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 300.0}},
+    }
+    return scene
+
+
+def test_a_bound_that_nothing_exceeds_changes_nothing():
+    scene = load_scene(room({"type": "diffuse"}))
+    cache = IrradianceCache.empty(Grid(np.zeros(3, np.float32), 1.0), len(scene.mitsuba.emitters()))
+    free = samples(scene, PathSettings(6, 5, 1), cache, 4096)
+    np.testing.assert_array_equal(samples(scene, PathSettings(6, 5, 1, False, 1e6), cache, 4096), free)
+
+
+def test_a_bound_holds_for_each_contribution_and_removes_fireflies():
+    scene = load_scene(lit_by_a_caustic())
+    cache = IrradianceCache.empty(Grid(np.zeros(3, np.float32), 1.0), len(scene.mitsuba.emitters()))
+    # The tracer counts the few samples that are not finite as black.
+    free, bounded = (
+        np.nan_to_num(samples(scene, PathSettings(6, 9, 1, False, most), cache, 1 << 18), posinf=0)
+        for most in (None, 2.0)
+    )
+    assert (bounded <= free * (1 + 1e-5) + 1e-5).all()
+    # Paths of six segments add indirect light five times at most.
+    is_firefly = free.max(axis=1) - bounded.max(axis=1) > 20
+    assert 3 < is_firefly.sum() < 300
+    assert 0.001 < 1 - bounded.mean() / free.mean() < 0.5
+
+
+def test_what_is_seen_directly_or_lit_directly_has_no_bound():
+    """Two segments: the lamp itself, and surfaces in its direct light."""
+    scene = load_scene(lit_by_a_caustic())
+    camera, positions = scene.camera, frame_positions(scene.camera)
+    direct = [
+        interleaved(Tracer(scene, max_depth=2, most_indirect=most).trace(camera, positions, 4, 0).radiance)
+        for most in (1e-3, 1e9)
+    ]
+    np.testing.assert_allclose(direct[0], direct[1], rtol=1e-5, atol=1e-6)
+    assert direct[0].max() > 1.0
