@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from hybrid.measure.metrics.similarity import quality
 from hybrid.runtime.device import device_arrays
-from pathtrace.dataset.exr import read_frame, write_frame
+from pathtrace.dataset.exr import is_intact, read_frame, write_frame
 from pathtrace.dataset.rendering import render_frame
 from pathtrace.trace.tracer import Tracer
 from splat.lod.renderer import ForestRenderer
@@ -46,7 +45,7 @@ class Judges:
         self._cameras, self._files = cameras, [folder / f"{n:04d}.exr" for n in range(len(cameras))]
         folder.mkdir(parents=True, exist_ok=True)
         for number, (camera, file) in enumerate(zip(cameras, self._files, strict=True)):
-            if not _is_intact(file, camera):
+            if not is_intact(read_frame, file, camera):
                 write_frame(file, render_frame(tracer, camera, _SPP, _SEED + number))
             progress(number + 1, len(cameras))
 
@@ -61,11 +60,3 @@ class Judges:
             return {}
         mean = {name: float(np.mean([row[name] for row in found])) for name in ("psnr", "ssim")}
         return {**mean, "least_psnr": min(row["psnr"] for row in found)}
-
-
-def _is_intact(file: Path, camera: Camera) -> bool:
-    try:
-        read_frame(file, (camera.width, camera.height))
-    except UserError:
-        return False
-    return True

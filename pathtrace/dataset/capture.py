@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
-import numpy as np
-
-from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.camera.serialization import camera_from_json
-from compose.image.colour import Image
 from pathtrace.cache.cache import IrradianceCache
 from pathtrace.dataset.exr import (
-    CapturedFrame,
+    is_intact,
     read_estimate,
     read_frame,
     read_radiance,
@@ -29,14 +25,11 @@ from pathtrace.dataset.transforms import describe_capture, write_description
 from pathtrace.dataset.views import choose_views
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.surfaces import Surfaces
-from pathtrace.trace.image import TracedImage
 from pathtrace.trace.integrator import Integrator
 from pathtrace.trace.tracer import Tracer
 
 # Keeps the seeds of different captures apart: far more than one capture has frames.
 _CAPTURE_SEED_STEP = 100_003
-# What the files of a view hold.
-_Captured: TypeAlias = CapturedFrame | TracedImage | Image
 
 
 def capture(
@@ -108,7 +101,7 @@ def _samples(entry: dict[str, Any], camera: Camera) -> int:
 def _write_estimates(tracer: Tracer, folder: Path, entry: dict[str, Any], camera: Camera, seed: int) -> None:
     """Renders and writes those estimates of one view that are not there, or damaged."""
     files = {e["samples"]: folder / e["file_path"] for e in entry["estimates"]}
-    lacking = {spp: file for spp, file in files.items() if not _is_intact(read_estimate, file, camera)}
+    lacking = {spp: file for spp, file in files.items() if not is_intact(read_estimate, file, camera)}
     estimates = render_estimates(tracer, camera, tuple(files), seed, lacking)
     for file, estimate in zip(lacking.values(), estimates, strict=True):
         write_estimate(file, estimate)
@@ -117,9 +110,9 @@ def _write_estimates(tracer: Tracer, folder: Path, entry: dict[str, Any], camera
 def _write_frame(tracer: Tracer, folder: Path, entry: dict[str, Any], camera: Camera, seed: int) -> None:
     """Renders one view and writes what of it and its halves is not there, or damaged."""
     file, halves = folder / entry["file_path"], [folder / name for name in entry["halves"]]
-    lacking = [half for half in halves if not _is_intact(read_radiance, half, camera)]
-    is_intact = _is_intact(read_frame, file, camera)
-    if is_intact and not lacking:
+    lacking = [half for half in halves if not is_intact(read_radiance, half, camera)]
+    has_frame = is_intact(read_frame, file, camera)
+    if has_frame and not lacking:
         return
     if halves:
         frame, radiances = render_with_halves(tracer, camera, entry["samples"], seed)
@@ -128,16 +121,5 @@ def _write_frame(tracer: Tracer, folder: Path, entry: dict[str, Any], camera: Ca
                 write_radiance(half, radiance)
     else:
         frame = render_frame(tracer, camera, entry["samples"], seed)
-    if not is_intact:
+    if not has_frame:
         write_frame(file, frame)
-
-
-def _is_intact(read: Callable[[Path, tuple[int, int]], _Captured], file: Path, camera: Camera) -> bool:
-    """Whether a file can be read as what it must be, at the size of its view, and is of use to a training."""
-    try:
-        found = read(file, (camera.width, camera.height))
-    except UserError:
-        return False
-    images = [found] if isinstance(found, np.ndarray) else [found.radiance, found.albedo, found.normal]
-    distances = [found.depth, found.unfolded] if isinstance(found, CapturedFrame) else []
-    return all(np.isfinite(one).all() for one in images) and not any(np.isnan(one).any() for one in distances)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.errors import UserError, one_line
+from compose.camera.camera import Camera
 from compose.image.colour import Image
 from compose.image.exr import read_channels, write_channels
 from pathtrace.trace.image import TracedImage
@@ -38,6 +39,10 @@ class CapturedFrame:
     depth: Image
     unfolded: Image
     shape: NDArray[np.int32]
+
+
+# What the files of a view hold.
+_Captured: TypeAlias = CapturedFrame | TracedImage | Image
 
 
 def write_frame(path: Path, frame: CapturedFrame) -> None:
@@ -124,6 +129,17 @@ def read_radiance(path: Path, size: tuple[int, int] | None = None) -> Image:
         UserError: the file is missing, damaged, of another size, or has no radiance.
     """
     return _checked(path, size, lambda channels: _stacked(channels, "", "RGB"))
+
+
+def is_intact(read: Callable[[Path, tuple[int, int]], _Captured], file: Path, camera: Camera) -> bool:
+    """Whether a file can be read as what it must be, at the size of its view, and is of use to a training."""
+    try:
+        found = read(file, (camera.width, camera.height))
+    except UserError:
+        return False
+    images = [found] if isinstance(found, np.ndarray) else [found.radiance, found.albedo, found.normal]
+    distances = [found.depth, found.unfolded] if isinstance(found, CapturedFrame) else []
+    return all(np.isfinite(one).all() for one in images) and not any(np.isnan(one).any() for one in distances)
 
 
 def _checked(

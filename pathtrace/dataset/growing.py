@@ -16,7 +16,14 @@ from compose.base.json_file import read_json
 from compose.camera.camera import RIGID_TOLERANCE, Camera
 from compose.camera.serialization import camera_from_json, camera_to_json
 from compose.image.colour import Image
-from pathtrace.dataset.exr import CapturedFrame, read_frame, read_radiance, write_frame, write_radiance
+from pathtrace.dataset.exr import (
+    CapturedFrame,
+    is_intact,
+    read_frame,
+    read_radiance,
+    write_frame,
+    write_radiance,
+)
 from pathtrace.dataset.frame_error import joined
 from pathtrace.dataset.frames import FORMAT_VERSION
 from pathtrace.dataset.rendering import geometry_of
@@ -178,14 +185,8 @@ class GrowingFrames:
 
     def _is_complete(self, entry: dict[str, Any], camera: Camera) -> bool:
         """Whether an interrupted pass came as far as this view: then its frame, written last, is intact."""
-        size = camera.width, camera.height
-        try:
-            read_frame(self.folder / entry["file_path"], size)
-            for half in entry["halves"]:
-                read_radiance(self.folder / half, size)
-        except UserError:
-            return False
-        return True
+        halves = (is_intact(read_radiance, self.folder / half, camera) for half in entry["halves"])
+        return is_intact(read_frame, self.folder / entry["file_path"], camera) and all(halves)
 
     def _keep(self, entries: list[dict[str, Any]]) -> None:
         """Writes the description of a complete pass; files of earlier passes go."""

@@ -171,7 +171,7 @@ def _flat(arrays: Arrays, image: torch.Tensor) -> Any:
 
 
 def _logarithmic(radiance: Any) -> tuple[Any, Any]:
-    """The scale of `splat.model.perceptual.logarithmic_from_radiance`, and its slope."""
+    """The sRGB curve up to 1 and a logarithm above, so that lamps do not rule the loss; and its slope."""
     middle = dr.maximum(dr.minimum(radiance, 1), _STRAIGHT)
     power = dr.exp2(dr.log2(middle) * (1 / 2.4))
     above = dr.maximum(radiance, 1)

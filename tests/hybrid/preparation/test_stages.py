@@ -35,6 +35,26 @@ def test_a_stage_for_which_little_time_is_left_is_shorter_or_left_out():
     assert next_stage([], 1.0, 1.0, 0.0) == STAGES[0]
 
 
+def test_a_stage_is_stretched_over_time_in_which_no_further_one_fits():
+    stage, before = STAGES[1], STAGES[:1]
+    seconds = expected_seconds(stage, before)
+    following = expected_seconds(STAGES[2], [*before, stage])
+    longer = next_stage(before, 1.0, 1.0, seconds + 0.2 * following)
+    assert longer is not None
+    assert longer.steps == pytest.approx(stage.steps * (1 + 0.2 * following / seconds), abs=1)
+    assert longer.views > stage.views
+    assert longer.gaussians == stage.gaussians
+    assert next_stage(before, 1.0, 1.0, seconds + 0.4 * following) == stage
+
+
+def test_steps_cost_what_a_view_shows():
+    """In a broad region most Gaussians are elsewhere."""
+    for stage in STAGES:
+        broad = stage.of_breadth(12.0)
+        assert broad.gaussians > 5 * stage.gaussians
+        assert broad.step_cost == pytest.approx(stage.step_cost, rel=0.15)
+
+
 def test_after_the_last_stage_samples_double():
     further = next_stage(STAGES, 1.0, 1.0, None)
     assert further is not None

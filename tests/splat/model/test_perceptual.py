@@ -1,16 +1,15 @@
-"""The curves have their published values and are smooth where their parts meet."""
+"""The curve has its published values and is smooth where its parts meet."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 import torch
 
-from splat.model.perceptual import logarithmic_from_radiance, perceptual_from_radiance
+from splat.model.perceptual import perceptual_from_radiance
 from splat.raster.harmonics import radiance_from_perceptual
 
 
-def test_the_curves_are_each_others_inverse(arrays):
+def test_the_curve_and_that_of_the_kernels_are_each_others_inverse(arrays):
     radiance = torch.tensor([0.0, 0.001, 0.2, 1.0, 7.0, 12_000.0])
     back = radiance_from_perceptual(arrays.plain.Float(perceptual_from_radiance(radiance))).torch()
     torch.testing.assert_close(back.cpu(), radiance, rtol=1e-4, atol=1e-7)
@@ -23,17 +22,8 @@ def test_the_perceptual_curve_is_that_of_srgb():
     np.testing.assert_allclose(perceptual_from_radiance(radiance), expected, atol=5e-3, rtol=1e-4)
 
 
-def test_the_logarithmic_curve_bears_lamps():
-    """sRGB up to 1; a radiance of e lies 1.055 / 2.4 above 1, and so does each further factor of e."""
-    dark = torch.linspace(0, 1, 50)
-    assert torch.equal(logarithmic_from_radiance(dark), perceptual_from_radiance(dark))
-    bright = logarithmic_from_radiance(torch.tensor([np.e, np.e**2, np.e**3]))
-    np.testing.assert_allclose(bright, 1 + 1.055 / 2.4 * np.arange(1, 4), rtol=1e-6)
-
-
-@pytest.mark.parametrize("curve", [perceptual_from_radiance, logarithmic_from_radiance])
-def test_gradients_are_finite_everywhere(curve):
+def test_gradients_are_finite_everywhere():
     radiance = torch.tensor([0.0, 0.0031308, 1.0, 1e4], requires_grad=True)
-    curve(radiance).sum().backward()
+    perceptual_from_radiance(radiance).sum().backward()
     assert torch.isfinite(radiance.grad).all()
     assert (radiance.grad > 0).all()

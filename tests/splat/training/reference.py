@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from splat.model.perceptual import logarithmic_from_radiance
+from splat.model.perceptual import perceptual_from_radiance
 from splat.training.loss import SSIM_WEIGHT
 from splat.training.window import WEIGHTS
 
@@ -28,7 +28,14 @@ def ssim(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     return (numerator / ((level**2 + own_level**2 + 0.01**2) * (variance + own_variance + 0.03**2))).mean()
 
 
+def logarithmic(radiance: torch.Tensor) -> torch.Tensor:
+    """The sRGB curve up to 1 and a logarithm of the same slope above, so that lamps do not rule a loss."""
+    slope = 1.055 / 2.4
+    bright = 1 + slope * torch.log(radiance.clamp(min=1.0))
+    return torch.where(radiance > 1.0, bright, perceptual_from_radiance(radiance.clamp(max=1.0)))
+
+
 def loss(rendered: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     """The training loss of an image (H, W, 3), float64, against another."""
-    a, b = logarithmic_from_radiance(rendered), logarithmic_from_radiance(target)
+    a, b = logarithmic(rendered), logarithmic(target)
     return (1 - SSIM_WEIGHT) * (a - b).abs().mean() + SSIM_WEIGHT * (1 - ssim(a, b))
