@@ -14,10 +14,10 @@ _LEAST_SPP = 4
 # What things take on two cores of an AMD EPYC, in the scene `room`: samples traced in a second; a step in
 # seconds, without Gaussians; how many that the view shows take as long again; and how much longer larger
 # frames take without Gaussians.
-_SAMPLES_PER_SECOND, _STEP_SECONDS = 1.3e6, 0.015
+_SAMPLES_PER_SECOND, _STEP_SECONDS = 1.6e6, 0.015
 # Seconds that the first stage takes besides, for kernels that are compiled and files that are read first.
 _STARTING_SECONDS = 5.0
-_GAUSSIANS_OF_A_STEP, _OF_MORE_PIXELS = 18_000, 4.0
+_GAUSSIANS_OF_A_STEP, _OF_MORE_PIXELS = 18_000, 2.0
 # Share of all Gaussians that a view of the default region shows, and how it falls with the breadth of others.
 _SHOWN, _SHOWN_LESS = 0.56, 0.65
 # What there is to model grows with this power of the views that a region takes: some surfaces take many views

@@ -13,10 +13,10 @@ import torch
 from splat.model.gaussians import Gaussians
 from splat.model.remoteness import remoteness
 
-# Learning rates at the start and at the end, exponential between them, and the number of rows that have them.
-# Those of 3D Gaussian splatting are for 30,000 steps; with a tenth of the steps the positions need larger
-# ones, and the sizes above all: seeds are as wide as the gaps between them, whatever the detail there.
-# Positions are in units of the size of a pixel at the views' median distance.
+# Learning rates at the start and at the end, exponential between them. Those of 3D Gaussian splatting are
+# for 30,000 steps; with a tenth of the steps the positions need larger ones, and the sizes above all: seeds
+# are as wide as the gaps between them, whatever the detail there. Positions are in units of the size of a
+# pixel at the views' median distance.
 _MEANS, _SCALES, _ROTATIONS, _OPACITY = (0.15, 0.006), (0.05, 0.01), (0.004, 0.001), (0.05, 0.01)
 _CONSTANT, _DIRECTIONAL = (0.016, 0.0024), (0.0016, 0.0004)
 # Decay of the moments, and what keeps their quotient finite (Kingma and Ba 2015).
