@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from compose.base.errors import UserError
@@ -13,6 +14,7 @@ from hybrid.preparation.preparation import prepare
 from hybrid.preparation.settings import PreparationSettings
 from hybrid.runtime.progress import no_bars
 from hybrid.store.cache import newest_forest
+from pathtrace.dataset.exr import read_frame
 from pathtrace.dataset.frames import read_frame_set
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
@@ -115,11 +117,29 @@ def test_a_target_out_of_reach_is_refused_with_what_can_be_reached(scene, tmp_pa
         ({"minutes": 1.0, "psnr": 30.0}, "give one of them"),
         ({"psnr": 30.0, "held_out": 0}, "requires held-out views"),
         ({"held_out": -1}, "--held-out -1"),
+        ({"most_indirect": 0.0}, "--clamp-indirect 0: must be a radiance over 0"),
+        ({"most_indirect": float("inf")}, "--clamp-indirect inf"),
     ],
 )
 def test_settings_out_of_range_are_refused(given, message):
     with pytest.raises(UserError, match=message):
         PreparationSettings(**given)
+
+
+@extreme(
+    "a bound on nearly all indirect light",
+    given="hybrid prepare --clamp-indirect 1e-6",
+    expected="a forest, and the share of the radiance that is missing in its frames",
+)
+def test_bounded_light_is_missing_in_the_frames_and_stated(scene, tmp_path, got):
+    settings = replace(DRAFT, held_out=0, minutes=0.01)
+    free = prepare(scene, settings, no_bars, tmp_path / "free")
+    bounded = prepare(scene, replace(settings, most_indirect=1e-6), no_bars, tmp_path / "bounded")
+    assert free.facts["clamping_bias"] is None
+    assert 0 < got(bounded.facts["clamping_bias"]) < 1
+    frames = {name: (tmp_path / name / "frames").rglob("*-1.exr") for name in ("free", "bounded")}
+    means = [np.mean([read_frame(file).radiance.mean() for file in files]) for files in frames.values()]
+    assert means[1] < means[0]
 
 
 def test_without_held_out_views_nothing_is_judged(scene, tmp_path):
