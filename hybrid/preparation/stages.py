@@ -15,8 +15,6 @@ _LEAST_SPP = 4
 # seconds, without Gaussians; how many that the view shows take as long again; and how much longer larger
 # frames take without Gaussians.
 _SAMPLES_PER_SECOND, _STEP_SECONDS = 1.6e6, 0.015
-# Seconds that the first stage takes besides, for kernels that are compiled and files that are read first.
-_STARTING_SECONDS = 5.0
 _GAUSSIANS_OF_A_STEP, _OF_MORE_PIXELS = 18_000, 2.0
 # Share of all Gaussians that a view of the default region shows, and how it falls with the breadth of others.
 _SHOWN, _SHOWN_LESS = 0.56, 0.65
@@ -130,8 +128,7 @@ def expected_seconds(stage: Stage, before: Sequence[Stage]) -> float:
         had = max(one.spp_at(earlier.scale) for one in before[number:])
         lacking = max(0, stage.spp_at(earlier.scale) - had)
         samples += earlier.views * earlier.side**2 * lacking
-    starting = 0.0 if before else _STARTING_SECONDS
-    return starting + samples / _SAMPLES_PER_SECOND + stage.steps * stage.step_cost
+    return samples / _SAMPLES_PER_SECOND + stage.steps * stage.step_cost
 
 
 def _planned_stage(number: int, breadth: float) -> Stage:

@@ -131,7 +131,8 @@ def test_settings_out_of_range_are_refused(given, message):
     given="hybrid prepare --clamp-indirect 1e-6",
     expected="a forest, and the share of the radiance that is missing in its frames",
 )
-def test_bounded_light_is_missing_in_the_frames_and_stated(scene, tmp_path, got):
+def test_bounded_light_is_missing_in_the_frames_and_stated(scene, tmp_path, monkeypatch, got):
+    monkeypatch.setattr(planner, "_MOST_STAGES", 1)
     settings = replace(DRAFT, held_out=0, minutes=0.01)
     free = prepare(scene, settings, no_bars, tmp_path / "free")
     bounded = prepare(scene, replace(settings, most_indirect=1e-6), no_bars, tmp_path / "bounded")
@@ -142,7 +143,8 @@ def test_bounded_light_is_missing_in_the_frames_and_stated(scene, tmp_path, got)
     assert means[1] < means[0]
 
 
-def test_without_held_out_views_nothing_is_judged(scene, tmp_path):
+def test_without_held_out_views_nothing_is_judged(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(planner, "_MOST_STAGES", 1)
     facts = prepare(scene, replace(DRAFT, held_out=0, minutes=0.01), no_bars, tmp_path).facts
     assert facts["splat"] == {}
     assert [set(row) for row in facts["curve"]] == [{"seconds", "gaussians"}]
