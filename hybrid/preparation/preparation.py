@@ -120,8 +120,10 @@ class _Job:
 
     def run(self) -> Prepared:
         """Does what is left to do."""
-        tracer = Tracer(self._scene, cache=cache_for(self._scene, self._bars))
-        bounded = self._bounded(tracer)
+        cache, most = cache_for(self._scene, self._bars), self._settings.most_indirect
+        tracer = Tracer(self._scene, cache=cache)
+        # Of the training frames.
+        bounded = tracer if most is None else Tracer(self._scene, cache=cache, most_indirect=most)
         frames = GrowingFrames(self._folder / "frames", bounded, Integrator.CACHED.value, self._settings.seed)
         judges, forest = self._judges(tracer), None
         while self._planner.begin(self._curve):
@@ -135,13 +137,6 @@ class _Job:
         self._say_converging(facts)
         self._require_target(facts)
         return Prepared(forest, facts)
-
-    def _bounded(self, tracer: Tracer) -> Tracer:
-        """The tracer of the training frames."""
-        most = self._settings.most_indirect
-        return (
-            tracer if most is None else Tracer(self._scene, cache=cache_for(self._scene), most_indirect=most)
-        )
 
     def _clamping_bias(self, bounded: Tracer, tracer: Tracer) -> float | None:
         """Share of the radiance that training frames lack because indirect light was bounded; None if not."""

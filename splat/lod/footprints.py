@@ -14,11 +14,9 @@ from compose.camera.camera import Camera
 from splat.model.forest import Forest
 from splat.model.gaussians import Gaussians
 from splat.raster.binning import depth_order
-from splat.raster.projection import PIXEL_FILTER, Footprints, Parameters, footprints, view_position
+from splat.raster.projection import PIXEL_FILTER, Footprints, Parameters, footprints, may_show
 from splat.raster.records import RecordLayout, Records, concatenated_records
 
-# Standard deviations at which the most opaque Gaussian falls to 1/255.
-_REACH = 3.33
 # The fields of `Footprints`. One float is spare.
 _FOOTPRINT = RecordLayout(
     (8, 4), x=1, y=1, xx=1, xy=1, yy=1, conditional=1, opacity=1, red=1, green=1, blue=1, depth=1
@@ -111,13 +109,8 @@ class ForestFootprints:
         bounds, plain = self._bounds[layer - 1], self.arrays.plain
         if not dr.width(bounds.size):
             return None
-        seen, x, y, spread = view_position(self.arrays, bounds.means, camera)
-        reach = _REACH * dr.sqrt(dr.square(bounds.size * spread) + PIXEL_FILTER * blur**2)
-        half_width, half_height = (dr.opaque(plain.Float, side / 2) for side in (camera.width, camera.height))
-        seen &= (dr.abs(x - half_width) < half_width + reach) & (
-            dr.abs(y - half_height) < half_height + reach
-        )
-        index = dr.compress(seen)
+        low_pass = PIXEL_FILTER * blur**2
+        index = dr.compress(may_show(self.arrays, bounds.means, bounds.size, camera, low_pass))
         if not dr.width(index):
             return None
         raw = footprints(self._nodes.parameters(index + bounds.first), camera)

@@ -40,6 +40,8 @@ _NARROWEST = 1e-12
 # exp of it fits float32, and its reciprocal, too. A scale that large exceeds _LONGEST, an opacity that small
 # is invisible.
 _LARGEST_EXPONENT = 80.0
+# Standard deviations at which the most opaque Gaussian falls to 1/255.
+_REACH = 3.33
 # Vectors no longer than this have no direction.
 _SHORTEST = 1e-30
 
@@ -264,6 +266,25 @@ def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any
     tilt = dr.square(dr.minimum(dr.abs(tx), limit_x)) + dr.square(dr.minimum(dr.abs(ty), limit_y))
     spread = inverse_z * dr.sqrt(1 + tilt) * dr.maximum(fx, fy)
     return seen, dr.fma(tx, fx, cx), dr.fma(ty, fy, cy), spread
+
+
+def may_show(arrays: Arrays, means: list[Any], size: Any, camera: Camera, low_pass: float) -> Any:
+    """Mask (N,) of all Gaussians that are drawn in a camera's frame, and of some beside it.
+
+    Args:
+        arrays: the backend's array types.
+        means: three rows, in the coordinates of the camera.
+        size: (N,) longest axis, as a standard deviation.
+        camera: the view.
+        low_pass: variance in px^2 of the filter on the screen.
+    """
+    seen, x, y, spread = view_position(arrays, means, camera)
+    reach = _REACH * dr.sqrt(dr.square(size * spread) + low_pass)
+    half_width, half_height = (
+        dr.opaque(arrays.plain.Float, side / 2) for side in (camera.width, camera.height)
+    )
+    within = dr.abs(x - half_width) < half_width + reach
+    return seen & within & (dr.abs(y - half_height) < half_height + reach)
 
 
 def _opaque(number: type, camera: Camera) -> tuple[list[Any], list[Any], list[Any], list[Any]]:

@@ -41,7 +41,7 @@ class GaussianOptimizer:
         self._values = _rows(gaussians)
         self._first_moments, self._second_moments = (torch.zeros_like(self._values) for _ in range(2))
         self._steps = torch.zeros(len(gaussians))
-        self._leaves, self._chosen = gaussians, torch.zeros(0, dtype=torch.int64)
+        self.chosen(torch.zeros(0, dtype=torch.int64))
 
     @property
     def gaussians(self) -> Gaussians:
@@ -50,8 +50,8 @@ class GaussianOptimizer:
 
     def chosen(self, index: torch.Tensor) -> Gaussians:
         """The Gaussians at an index (M,), copied; the next step moves these, by the gradients they get."""
-        self._chosen = index
-        leaves = _gaussians(self._values.index_select(1, index))
+        self._chosen, self._chosen_values = index, self._values.index_select(1, index)
+        leaves = _gaussians(self._chosen_values)
         self._leaves = Gaussians(**{name: part.detach().requires_grad_() for name, part in leaves.tensors()})
         return self._leaves
 
@@ -84,7 +84,7 @@ class GaussianOptimizer:
         move = first.div_(_share_seen(_FIRST_DECAY, steps)).div_(deviation).mul_(self._rates(progress))
         # The unit is the size of a pixel at the median distance; far away a pixel is larger.
         move[:3] *= remoteness(self._leaves.means.detach())
-        self._values.index_copy_(1, index, self._values.index_select(1, index).sub_(move))
+        self._values.index_copy_(1, index, self._chosen_values - move)
         return True
 
     def _rates(self, progress: float) -> torch.Tensor:
