@@ -41,8 +41,10 @@ ACUITY_LIMIT = 1 / 48
 ACUITY_SLOPE = 0.022  # 1.32 arcmin per degree
 # How much more is resolved where the image draws attention (Fov-GS, Eq. 9).
 SALIENCY_GAIN = 0.4
-# The default model; docs/measured/periphery.md has the comparison.
-DEFAULT_ACUITY_MODEL = "geisler-perry"
+# The models of frames that must look right and of frames that must be quick, as compared in
+# docs/measured/periphery.md.
+DEFAULT_ACUITY_MODEL = "fovvideovdp"
+QUICK_ACUITY_MODEL = "geisler-perry"
 
 
 def minimum_angle(eccentricity: Array) -> Array:

@@ -7,7 +7,7 @@ from typing import Any
 
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
-from compose.eye.acuity import DEFAULT_ACUITY_MODEL, acuity_model_named
+from compose.eye.acuity import DEFAULT_ACUITY_MODEL, QUICK_ACUITY_MODEL, acuity_model_named
 from compose.eye.display import DISPLAYS, Display, display_named
 from compose.eye.gaze import FURTHEST, Gaze
 from compose.eye.steps import COARSEST_RATE
@@ -177,7 +177,7 @@ def _scaled(scale: float, *sides: int) -> tuple[int, ...]:
 # The defaults of single frames and, below, of other uses.
 DEFAULTS = FrameSettings()
 # The window: a small disc at the lowest sample count, because samples add up while nothing moves.
-INTERACTIVE = FrameSettings(fov_a=15.0, fov_b=11.25, spp=1)
+INTERACTIVE = FrameSettings(fov_a=15.0, fov_b=11.25, spp=1, acuity_model=QUICK_ACUITY_MODEL)
 # An evaluation compares methods where samples are scarce.
 EVALUATION = FrameSettings(spp=1)
 # A sweep times what Foveated Path Culling times: samples without denoising, in the disc alone.

@@ -89,7 +89,7 @@ def test_fovea_radii_and_samples_are_chosen_and_all_else_is_as_asked(render, mad
     code, used, _ = render(*target, "--gaze", 0.2, 0.3, "--fov-a", 50, "--spp", 9)
     assert code == 0
     assert (used["fovea"], used["spp"], used["fov_a"], used["fov_b"]) == ("raw", spp, 10 * spp, 5 * spp)
-    assert (used["width"], used["height"], used["acuity_model"]) == (48, 40, "geisler-perry")
+    assert (used["width"], used["height"], used["acuity_model"]) == (48, 40, "fovvideovdp")
 
 
 def test_what_was_chosen_is_shown(render, made):

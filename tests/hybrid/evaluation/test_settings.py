@@ -36,7 +36,7 @@ def test_evaluation_json_has_all_settings_but_the_display():
         "fov_a": 30,
         "fov_b": 10,
         "spp": 2,
-        "acuity_model": "geisler-perry",
+        "acuity_model": "fovvideovdp",
         "integrator": "cached",
         "width": 64,
         "height": 48,

@@ -42,7 +42,7 @@ def test_the_defaults_are_those_of_a_single_frame():
     assert settings.gaze == Gaze(0.5, 0.5)
     assert (settings.fov_a, settings.fov_b, settings.spp) == (20, 15, 4)
     assert settings.fovea is FoveaMode.FUSED
-    assert settings.acuity_model == "geisler-perry"
+    assert settings.acuity_model == "fovvideovdp"
     assert (settings.layers, settings.rate, settings.scale, settings.camera) == (None, 0, 1, None)
     assert settings.display == DISPLAYS["desktop"]
 
@@ -50,7 +50,7 @@ def test_the_defaults_are_those_of_a_single_frame():
 @pytest.mark.parametrize(
     ("preset", "changed"),
     [
-        (INTERACTIVE, {"fov_a": 15.0, "fov_b": 11.25, "spp": 1}),
+        (INTERACTIVE, {"fov_a": 15.0, "fov_b": 11.25, "spp": 1, "acuity_model": "geisler-perry"}),
         (EVALUATION, {"spp": 1}),
         (SWEEP, {"spp": 1, "fovea": FoveaMode.RAW, "fill": False}),
     ],
