@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 from hybrid.preparation.clock import Clock
 from hybrid.preparation.settings import PreparationSettings
-from hybrid.preparation.stages import QUALITIES, Stage, expected_seconds, next_stage
+from hybrid.preparation.stages import QUALITIES, Stage
+from hybrid.preparation.timing import AS_EXPECTED, Seconds, affordable_steps, expected_seconds, next_stage
 from hybrid.store.journal import Journal
 
 # Seconds that fitting the fusion takes where stages take as long as expected; left out of a shorter job.
@@ -44,6 +45,7 @@ class Planner:
         number = len(self.stages)
         planned = self._journal.once(f"stage {number}", lambda: self._planned(number, curve))
         if planned:
+            self._journal.once(f"began {number}", self._clock.seconds)
             self.stages.append(Stage(**planned))
         return bool(planned)
 
@@ -51,18 +53,24 @@ class Planner:
         """Training steps of the last stage, for which its frames have left the time."""
         return self._journal.once(f"steps {len(self.stages) - 1}", self._affordable)
 
-    def trained(self, seconds: float) -> None:
-        """Takes down how long these steps took."""
-        self._journal[f"step seconds {len(self.stages) - 1}"] = seconds / self.steps()
+    def framed(self) -> float:
+        """Takes down that the last stage has its frames; returns the seconds that they took."""
+        number = len(self.stages) - 1
+        return self._journal.once(f"frame seconds {number}", lambda: self._since_begin(number))
 
-    def finished(self, seconds: float) -> None:
-        """Takes down how long the last stage took."""
-        self._journal[f"seconds {len(self.stages) - 1}"] = seconds
+    def trained(self) -> None:
+        """Takes down that the last stage is finished."""
+        number = len(self.stages) - 1
+        self._journal[f"training seconds {number}"] = self._since_begin(number) - self.framed()
+
+    def _since_begin(self, number: int) -> float:
+        """Seconds since a stage began, in all runs of the job."""
+        return self._clock.seconds() - self._journal[f"began {number}"]
 
     @property
     def is_finished(self) -> bool:
         """Whether the last stage was finished, perhaps in an earlier run."""
-        return f"seconds {len(self.stages) - 1}" in self._journal
+        return f"training seconds {len(self.stages) - 1}" in self._journal
 
     @property
     def fits_fusion(self) -> bool:
@@ -86,24 +94,31 @@ class Planner:
         return number >= QUALITIES[self._settings.quality] or not gained
 
     def _affordable(self) -> int:
-        stage, left = self.stages[-1], self._left()
-        if left is None or len(self.stages) == 1:
+        stage, before, left = self.stages[-1], self.stages[:-1], self._left()
+        if left is None or not before:
             return stage.steps
-        last = self._journal[f"step seconds {len(self.stages) - 2}"]
-        return stage.affordable_steps(left, self.stages[-2], last)
+        return affordable_steps(stage, before, left, self._pace())
 
     def _left(self) -> float | None:
         """Seconds left for stages; None if time does not matter."""
         if self._settings.minutes is None:
             return None
-        fusion = _FUSION_SECONDS * self._pace() if self.fits_fusion else 0.0
+        fusion = _FUSION_SECONDS * self._pace().frames if self.fits_fusion else 0.0
         return 60 * self._settings.minutes - self._clock.seconds() - fusion
 
-    def _pace(self) -> float:
-        """Seconds that finished stages took, over the expected ones; 1 before the first."""
-        taken = [
-            (self._journal[f"seconds {number}"], expected_seconds(stage, self.stages[:number]))
-            for number, stage in enumerate(self.stages)
-            if f"seconds {number}" in self._journal
-        ]
-        return sum(seconds for seconds, _ in taken) / sum(own for _, own in taken) if taken else 1.0
+    def _pace(self) -> Seconds:
+        """Seconds that finished stages took, over the expected ones; as expected before the first."""
+        expected, taken = Seconds(0.0, 0.0), Seconds(0.0, 0.0)
+        for number, stage in enumerate(self.stages):
+            if f"training seconds {number}" in self._journal:
+                own = expected_seconds(
+                    replace(stage, steps=self._journal[f"steps {number}"]), self.stages[:number]
+                )
+                expected = Seconds(expected.frames + own.frames, expected.training + own.training)
+                frames, training = (
+                    self._journal[f"{part} seconds {number}"] for part in ("frame", "training")
+                )
+                taken = Seconds(taken.frames + frames, taken.training + training)
+        if not expected.frames:
+            return AS_EXPECTED
+        return Seconds(taken.frames / expected.frames, taken.training / expected.training)

@@ -167,34 +167,32 @@ class _Job:
         if self._planner.is_finished and path.is_file():
             self._passes.append(Pass(**self._journal[f"pass {number}"]))
             return load_forest(path)
-        start = self._clock.seconds()
         stages = self._planner.stages
         views = views_of(self._region, stages, self._settings.seed)
         with self._bars(f"stage {number + 1}: frames (samples)") as bar:
             frames.grow(wanted_of(frames, views, stages[-1], before), bar)
-        traced = self._journal.once(f"pass {number}", lambda: asdict(self._pass(frames, start)))
+        seconds = self._planner.framed()
+        traced = self._journal.once(f"pass {number}", lambda: asdict(self._pass(frames, seconds)))
         self._passes.append(Pass(**traced))
         forest = self._trained(frames, path, before)
         if number:
             store_forest(forest, self._folder.name)
-        self._planner.finished(self._clock.seconds() - start)
         return forest
 
-    def _pass(self, frames: GrowingFrames, start: float) -> Pass:
-        """What the pass over the frames has brought that began at `start`."""
+    def _pass(self, frames: GrowingFrames, seconds: float) -> Pass:
+        """What the last pass over the frames has brought, which took some seconds."""
         before = self._passes[-1].seconds if self._passes else 0.0
-        seconds = before + self._clock.seconds() - start
-        return Pass(float(np.mean(frames.samples)), stated_error(frames), seconds)
+        return Pass(float(np.mean(frames.samples)), stated_error(frames), before + seconds)
 
     def _trained(self, frames: GrowingFrames, path: Path, before: Forest | None) -> Forest:
         """The forest of a stage, in as many steps as there is time for."""
-        stage, number, start = self._planner.stages[-1], self._number, self._clock.seconds()
+        stage, number = self._planner.stages[-1], self._number
         layers = stage.layers if number else 1
         seed = self._settings.seed + number
         settings = TrainingSettings(self._planner.steps(), stage.gaussians, layers, seed=seed)
         with self._bars(f"stage {number + 1}: forest (steps)") as bar:
             forest = train(read_frame_set(frames.folder), path, settings, bar, start=before)
-        self._planner.trained(self._clock.seconds() - start)
+        self._planner.trained()
         return forest
 
     def _judge(self, judges: Judges, forest: Forest) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 # Pixels of a side of a frame at scale 1.
@@ -11,13 +10,6 @@ SIDE = 256
 _LARGEST_SIDE = 512
 # Fewer samples leave the denoiser nothing to go by.
 _LEAST_SPP = 4
-# What things take on two cores of an AMD EPYC, in the scene `room`: samples traced in a second; a step in
-# seconds, without Gaussians; how many that the view shows take as long again; and how much longer larger
-# frames take without Gaussians.
-_SAMPLES_PER_SECOND, _STEP_SECONDS = 1.6e6, 0.015
-_GAUSSIANS_OF_A_STEP, _OF_MORE_PIXELS = 18_000, 2.0
-# Share of all Gaussians that a view of the default region shows, and how it falls with the breadth of others.
-_SHOWN, _SHOWN_LESS = 0.56, 0.65
 # What there is to model grows with this power of the views that a region takes: some surfaces take many views
 # to be seen at all, behind and between things.
 _SURFACES = 0.7
@@ -66,24 +58,6 @@ class Stage:
         # Frames of far larger pixels hardly matter for what the new ones show.
         return max(_LEAST_SPP, self.spp // scale**2) if 2 * scale >= self.scale else 0
 
-    @property
-    def step_cost(self) -> float:
-        """Seconds that a step takes, as `expected_seconds`."""
-        of_pixels = _OF_MORE_PIXELS if self.side > SIDE else 1
-        shown = self.gaussians * _SHOWN / self.breadth**_SHOWN_LESS
-        return _STEP_SECONDS * (of_pixels + shown / _GAUSSIANS_OF_A_STEP)
-
-    def affordable_steps(self, seconds: float, last: Stage, last_seconds: float) -> int:
-        """Steps that fit in a time, at most those of the stage; at least a tenth of them.
-
-        Args:
-            seconds: the time.
-            last: the stage before.
-            last_seconds: what a step of that took.
-        """
-        step_seconds = last_seconds * self.step_cost / last.step_cost
-        return max(min(self.steps, int(seconds / step_seconds)), -(-self.steps // 10))
-
     def of_breadth(self, breadth: float) -> Stage:
         """The stage for a region that takes some times as many views to show as the default one.
 
@@ -117,48 +91,12 @@ STAGES = (
 )
 # Number of stages by quality.
 QUALITIES = {"draft": 2, "standard": 4, "high": 5}
-# A stage that would get a smaller share of its time is not begun.
-_LEAST_SHARE = 0.3
 
 
-def expected_seconds(stage: Stage, before: Sequence[Stage]) -> float:
-    """Seconds that a stage takes after others, on the machine and in the scene that this was measured on."""
-    samples = stage.views * stage.side**2 * stage.spp_at(stage.scale)
-    for number, earlier in enumerate(before):
-        had = max(one.spp_at(earlier.scale) for one in before[number:])
-        lacking = max(0, stage.spp_at(earlier.scale) - had)
-        samples += earlier.views * earlier.side**2 * lacking
-    return samples / _SAMPLES_PER_SECOND + stage.steps * stage.step_cost
-
-
-def _planned_stage(number: int, breadth: float) -> Stage:
+def planned_stage(number: int, breadth: float) -> Stage:
+    """The stage of a number from 0 in a region of some breadth, if there is time for all of it."""
     if number < len(STAGES):
         return STAGES[number].of_breadth(breadth)
     # More of the same: the finest frames elsewhere, all samples doubled.
     last = STAGES[-1]
     return replace(last, spp=last.spp * 2 ** (number - len(STAGES) + 1)).of_breadth(breadth)
-
-
-def next_stage(before: Sequence[Stage], breadth: float, pace: float, left: float | None) -> Stage | None:
-    """The stage to do next; None if there is no time for one.
-
-    It is stretched over the time that would be left without use: a stage that has too little time is worse
-    than none, since each begins with large steps again.
-
-    Args:
-        before: the stages done.
-        breadth: of the region, as of `Stage.of_breadth`.
-        pace: seconds that the stages done took, over the expected ones.
-        left: seconds; None if they do not matter.
-    """
-    stage = _planned_stage(len(before), breadth)
-    if left is None or not before:
-        return stage
-    seconds = expected_seconds(stage, before) * pace
-    share = left / seconds
-    if share < _LEAST_SHARE:
-        return None
-    following = _planned_stage(len(before) + 1, breadth)
-    of_following = expected_seconds(following, [*before, stage]) * pace
-    another_fits = left - seconds >= _LEAST_SHARE * of_following
-    return stage if another_fits else stage.in_time(share)

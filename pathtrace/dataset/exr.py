@@ -28,8 +28,8 @@ class CapturedFrame:
         albedo: (H, W, 3).
         normal: (H, W, 3) shading normal in world space.
         depth: (H, W) along the view axis to the first surface; inf where nothing is hit.
-        unfolded: (H, W) distance along the ray, continued through mirrors; inf where nothing is hit, and
-            for the sky in a flat mirror or behind a pane.
+        unfolded: (H, W) distance along the ray, continued through flat mirrors and panes; inf
+            where nothing is hit, and for the sky in a flat mirror or behind a pane.
         shape: (H, W) int32 shape index; -1 where nothing is hit.
     """
 

@@ -71,9 +71,9 @@ class Hits:
 
     Attributes:
         distance: (N,) float32, along the unit ray; inf where nothing is hit.
-        unfolded: (N,) float32, the same, continued through smooth mirrors and glass to the first rough
-            surface, which is how far away things in a mirror appear to be; inf where nothing is hit, and for
-            the sky in a flat mirror or behind a pane.
+        unfolded: (N,) float32, the same, continued through flat mirrors and panes to the first rough surface,
+            which is how far away things in a mirror appear to be; inf where nothing is hit, and for the sky
+            in a flat mirror or behind a pane.
         shape: (N,) int32, index of the shape in the scene; -1 where nothing is hit.
     """
 
@@ -238,10 +238,14 @@ class Tracer:
         found = first_hits(self.scene.mitsuba, ray, mi.Bool(True))
         distance = dr.select(found.surface.is_valid(), found.surface.t, dr.inf)
         shapes = dr.reinterpret_array(mi.UInt32, found.surface.shape)
-        # In what is curved, the sky appears to be near: only flat surfaces show it as it is.
-        unbent = found.flat | (dr.dot(found.last.wi, ray.d) < _UNBENT - 1)
-        beyond = ~found.surface.is_valid() | (~found.last.is_valid() & unbent)
-        unfolded = dr.select(beyond, dr.inf, found.unfolded)
+        # What is seen in curved mirrors, or refracted as in the edge of a pane, moves with the viewer: it is
+        # on the glass rather than as far away as the light has come.
+        # Mitsuba has the direction in world space where nothing is hit, in that of the surface elsewhere.
+        last = found.last
+        back = dr.select(last.is_valid(), last.to_world(last.wi), last.wi)
+        unbent = found.flat | (dr.dot(back, ray.d) < _UNBENT - 1)
+        beyond = ~found.surface.is_valid() | (~last.is_valid() & unbent)
+        unfolded = dr.select(beyond, dr.inf, dr.select(unbent, found.unfolded, distance))
         dr.eval(distance, unfolded, shapes)
         registry = {_registered(shape): i for i, shape in enumerate(self.scene.mitsuba.shapes())}
         pointers, inverse = np.unique(shapes.numpy(), return_inverse=True)

@@ -338,9 +338,8 @@ def test_hits_lie_on_the_surfaces():
     assert on_board.any()
     assert on_ball.any()
     assert (on_back | on_board | on_ball).mean() > 0.95
-    # The ball is a mirror: what it shows lies farther away than its surface.
-    assert (hits.unfolded[on_ball] >= hits.distance[on_ball]).all()
-    assert (hits.unfolded[on_ball] > hits.distance[on_ball] + 0.1).mean() > 0.2
+    # The ball is a mirror, in which everything seems to lie near its surface.
+    assert (hits.unfolded[on_ball] == hits.distance[on_ball]).mean() > 0.99
     # Each surface is one shape of the scene, at its index.
     for mask, centre in ((on_back, [0, 0, 2]), (on_board, [-0.6, 0.1, 1.2]), (on_ball, [0.5, -0.1, 1.0])):
         (index,) = set(hits.shape[mask].tolist())
@@ -405,6 +404,35 @@ def test_the_sky_is_as_far_away_in_what_is_flat(shape, beyond):
     # A ray that grazes a ball is hardly bent.
     assert (np.isinf(hits.unfolded[hit]) == beyond).mean() > 0.99
     assert np.isinf(hits.unfolded[~hit]).all()
+
+
+def test_panes_show_what_is_behind_them_and_their_edges_lie_where_they_are():
+    """A glass plate before a wall: through its face, one sees the wall; its edge bends what it shows."""
+    plate = {
+        "type": "cube",
+        "to_world": mi.ScalarTransform4f().translate([-0.3, 0, 0.4]).scale([0.3, 0.2, 0.05]),
+        "bsdf": {"type": "dielectric"},
+    }
+    wall = {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().translate([0, 0, 1]).rotate([0, 1, 0], 180).scale(5),
+    }
+    shapes = {"sky": {"type": "constant"}, "plate": plate, "wall": wall}
+    scene = load_scene({"type": "scene", "sensor": small.sensor(128, 128), **shapes})
+    hits = Tracer(scene).hits(scene.camera, frame_positions(scene.camera))
+    rays = scene.camera.rays(scene.camera.pixel_centres())
+    to_wall = (1 - scene.camera.position[2]) / rays[:, 2]
+    on_plate = hits.distance < 0.9 * to_wall
+    points = scene.camera.position + rays * hits.distance[:, None]
+    face = on_plate & (np.abs(points[:, 2] - 0.35) < 1e-4)
+    edge = on_plate & (np.abs(points[:, 0]) < 1e-4)
+    assert face.any()
+    assert edge.any()
+    np.testing.assert_array_equal(hits.unfolded[edge], hits.distance[edge])
+    # Within what the plate shifts the ray by; from some of the face, one looks at an edge from inside.
+    behind = np.abs(hits.unfolded[face] - to_wall[face]) < 0.1
+    assert behind.mean() > 0.8
+    assert (hits.unfolded[face] == hits.distance[face])[~behind].all()
 
 
 def test_rays_that_hit_nothing_have_no_shape():

@@ -1,0 +1,90 @@
+"""How long stages take, and which fit in the time that is left."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from hybrid.preparation.stages import STAGES
+from hybrid.preparation.timing import (
+    AS_EXPECTED,
+    Seconds,
+    affordable_steps,
+    expected_seconds,
+    next_stage,
+    step_seconds,
+)
+
+STAGE, BEFORE = STAGES[1], STAGES[:1]
+SECONDS = expected_seconds(STAGE, BEFORE).at(AS_EXPECTED)
+
+
+def test_a_stage_for_which_little_time_is_left_is_shorter_or_left_out():
+    half = next_stage(BEFORE, 1.0, AS_EXPECTED, 0.6 * SECONDS)
+    assert half is not None
+    assert 0.3 * STAGE.steps < half.steps < 0.6 * STAGE.steps
+    assert expected_seconds(half, BEFORE).at(AS_EXPECTED) == pytest.approx(0.6 * SECONDS, rel=0.02)
+    assert next_stage(BEFORE, 1.0, AS_EXPECTED, SECONDS / 10) is None
+    assert next_stage([], 1.0, AS_EXPECTED, 0.0) == STAGES[0]
+
+
+def test_a_stage_is_stretched_over_time_in_which_no_further_one_fits():
+    following = expected_seconds(STAGES[2], [*BEFORE, STAGE]).at(AS_EXPECTED)
+    longer = next_stage(BEFORE, 1.0, AS_EXPECTED, SECONDS + 0.2 * following)
+    assert longer is not None
+    assert longer.steps > STAGE.steps
+    assert longer.views > STAGE.views
+    assert longer.gaussians == STAGE.gaussians
+    assert expected_seconds(longer, BEFORE).at(AS_EXPECTED) == pytest.approx(
+        SECONDS + 0.2 * following, rel=0.02
+    )
+    assert next_stage(BEFORE, 1.0, AS_EXPECTED, SECONDS + 0.8 * following) == STAGE
+
+
+def test_where_frames_take_longer_than_expected_there_are_fewer_and_steps_keep_their_share():
+    """Further samples of earlier views take as long however short the stage is."""
+    slow = Seconds(3.0, 1.0)
+    stage, before = STAGES[4], STAGES[:4]
+    left = 0.8 * expected_seconds(stage, before).at(slow)
+    shorter = next_stage(before, 1.0, slow, left)
+    assert shorter is not None
+    frames_done = left - slow.frames * expected_seconds(shorter, before).frames
+    assert affordable_steps(shorter, before, frames_done, slow) == pytest.approx(shorter.steps, rel=0.02)
+
+
+def test_steps_cost_what_a_view_shows():
+    """In a broad region most Gaussians are elsewhere."""
+    for stage in STAGES:
+        broad = stage.of_breadth(12.0)
+        assert broad.gaussians > 5 * stage.gaussians
+        assert step_seconds(broad) == pytest.approx(step_seconds(stage), rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("number", "frames", "training"),
+    [(0, 7.2, 4.2), (1, 15.5, 27), (3, 45, 86)],
+    ids=["first", "second", "fine"],
+)
+def test_a_stage_is_expected_to_take_what_it_took(number, frames, training):
+    """On the machine that this was measured on.
+
+    The third stage is left out: it takes less where further samples do not pay, which is not known before.
+    """
+    expected = expected_seconds(STAGES[number], STAGES[:number])
+    assert expected.frames == pytest.approx(frames, rel=0.2)
+    assert expected.training == pytest.approx(training, rel=0.2)
+
+
+def test_samples_that_views_have_already_are_not_traced_again():
+    again = replace(STAGES[2], views=0, steps=0)
+    assert expected_seconds(again, STAGES[:3]).frames == 0
+
+
+def test_steps_fit_in_the_time_that_frames_have_left():
+    steps = affordable_steps(STAGE, BEFORE, 30.0, AS_EXPECTED)
+    training = expected_seconds(replace(STAGE, steps=steps), BEFORE).training
+    assert training == pytest.approx(30, rel=0.01) or steps == STAGE.steps
+    assert affordable_steps(STAGE, BEFORE, 15.0, Seconds(1.0, 0.5)) == steps
+    assert affordable_steps(STAGE, BEFORE, 1e6, AS_EXPECTED) == STAGE.steps
+    assert affordable_steps(STAGE, BEFORE, -5, AS_EXPECTED) == STAGE.steps / 10
