@@ -10,6 +10,7 @@ its picture is 62, 49, 38 and 26 dB from the unscaled one, moved by 10, 100, 1e3
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,13 +31,16 @@ _TOLERANCE = 1e-3
 _ORDINARY_SIZE, _ORDINARY_DISTANCE = 1.0, 20.0
 
 
-def in_good_coordinates(source: Source, loaded: Any, camera: Camera) -> tuple[Any, Camera, Place]:
+def in_good_coordinates(
+    source: Source, loaded: Any, camera: Camera, apart: Collection[str] = ()
+) -> tuple[Any, Camera, Place]:
     """A scene in coordinates in which Mitsuba can trace it, with its camera and its place.
 
     Args:
         source: what it was loaded from.
         loaded: the Mitsuba scene in the coordinates of its file.
         camera: its own.
+        apart: ids of shapes that are not to be merged with others.
 
     Raises:
         UserError: the scene cannot be moved or scaled as far as it would have to be.
@@ -45,7 +49,7 @@ def in_good_coordinates(source: Source, loaded: Any, camera: Camera) -> tuple[An
         return loaded, camera, WORLD
     unit = 1.0
     while True:
-        moved, place, step = load_mitsuba_in_place(source, unit)
+        moved, place, step = load_mitsuba_in_place(source, unit, apart)
         own = camera_of_sensor(moved.sensors()[0], source.name)
         distance = _distance(moved, own)
         if not 0 < distance < np.inf:

@@ -73,6 +73,11 @@ def fingerprint_with_thin_glass(fingerprint: str) -> str:
     return hashlib.sha256(f"{fingerprint} with thin glass".encode()).hexdigest()
 
 
+def fingerprint_in_motion(fingerprint: str, motion: str) -> str:
+    """Hash of a scene that moves, with the hash of its motion: it looks alike at no time for sure."""
+    return hashlib.sha256(f"{fingerprint} moving by {motion}".encode()).hexdigest()
+
+
 def fingerprint_at_depth(fingerprint: str, depth: int) -> str:
     """Hash of a scene whose path depth is not its own: images at another depth show other light."""
     return hashlib.sha256(f"{fingerprint} at depth {depth}".encode()).hexdigest()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,12 +30,15 @@ class Source:
     folder: Path | None = None
 
 
-def load_mitsuba_in_place(source: Source, unit: float) -> tuple[Any, Place, float]:
+def load_mitsuba_in_place(
+    source: Source, unit: float, apart: Collection[str] = ()
+) -> tuple[Any, Place, float]:
     """A Mitsuba scene in coordinates of its own, whose origin is the first camera.
 
     Args:
         source: of the scene.
         unit: of length, in world space.
+        apart: ids of shapes that are not to be merged with others.
 
     Returns:
         The scene, its place, and the step of float32 at vertices that a mesh file holds far from the origin.
@@ -43,23 +46,15 @@ def load_mitsuba_in_place(source: Source, unit: float) -> tuple[Any, Place, floa
     Raises:
         UserError: Mitsuba refuses the scene, or it has a part that cannot be moved or scaled.
     """
-    configuration = mi.parser.ParserConfig(mi.variant())
     found: list[tuple[Place, float]] = []
 
-    def load() -> Any:
-        if isinstance(source.content, dict):
-            state = mi.parser.parse_dict(configuration, source.content)
-        else:
-            state = mi.parser.parse_string(configuration, source.content)
+    def moved(state: Any) -> None:
         x, y, z = camera_position(state).tolist()
         found.append((Place((x, y, z), unit), coarsest_step(state)))
         relocate(state, found[0][0])
-        mi.parser.transform_all(configuration, state)
-        loaded = mi.parser.instantiate(configuration, state)
-        return loaded[0] if isinstance(loaded, list) and len(loaded) == 1 else loaded
 
     try:
-        scene = _checked(source.name, load if source.folder is None else lambda: _in(source.folder, load))
+        scene = _parsed(source, apart, moved)
     except UserError as error:
         if isinstance(error.__cause__, ImmovableError):
             raise UserError(
@@ -71,24 +66,58 @@ def load_mitsuba_in_place(source: Source, unit: float) -> tuple[Any, Place, floa
     return scene, *found[0]
 
 
-def load_mitsuba_dictionary(name: str, description: dict[str, Any]) -> Any:
-    """A Mitsuba scene from a dictionary; `name` stands in error messages.
+def load_mitsuba(source: Source, apart: Collection[str] = ()) -> Any:
+    """A Mitsuba scene, whose meshes Mitsuba merges, by which tracing is twice as fast.
+
+    Args:
+        source: of the scene.
+        apart: ids of shapes that are not to be merged with others; these keep their ids.
 
     Raises:
         UserError: Mitsuba refuses it, or it is not a scene.
     """
-    return _checked(name, lambda: mi.load_dict(description))
+    return _parsed(source, apart, lambda state: None)
 
 
-def load_mitsuba_xml(path: Path, text: str) -> Any:
-    """A Mitsuba scene from XML text, which names files relative to the folder of `path`.
+def _parsed(source: Source, apart: Collection[str], changed: Callable[[Any], None]) -> Any:
+    """A Mitsuba scene from its parsed description, which is changed before anything is made of it."""
+    configuration = mi.parser.ParserConfig(mi.variant())
 
-    Mitsuba merges its meshes, by which tracing is twice as fast; shapes can no longer be told apart.
+    def load() -> Any:
+        if isinstance(source.content, dict):
+            state = mi.parser.parse_dict(configuration, source.content)
+        else:
+            state = mi.parser.parse_string(configuration, source.content)
+        changed(state)
+        _simplify(configuration, state, apart)
+        loaded = mi.parser.instantiate(configuration, state)
+        return loaded[0] if isinstance(loaded, list) and len(loaded) == 1 else loaded
 
-    Raises:
-        UserError: Mitsuba refuses it, or it is not a scene.
-    """
-    return _checked(str(path), lambda: _in(path.parent, lambda: mi.load_string(text)))
+    return _checked(source.name, load if source.folder is None else lambda: _in(source.folder, load))
+
+
+def _simplify(configuration: Any, state: Any, apart: Collection[str]) -> None:
+    """Mitsuba's own simplifications of a parsed scene, but for shapes that are to stay as they are."""
+    if not apart:
+        mi.parser.transform_all(configuration, state)
+        return
+    mi.parser.transform_upgrade(configuration, state)
+    mi.parser.transform_resolve(configuration, state)
+    root = state.root.props
+    # Mitsuba merges what hangs on the scene.
+    held = {
+        key: root[key]
+        for key in root.keys()  # noqa: SIM118 - not a dictionary
+        if root.type(key) == mi.Properties.Type.ResolvedReference
+        and state.nodes[root[key].index()].props.id() in apart
+    }
+    for key in held:
+        del root[key]
+    mi.parser.transform_merge_equivalent(configuration, state)
+    mi.parser.transform_merge_meshes(configuration, state)
+    for key, reference in held.items():
+        root[key] = reference
+    mi.parser.transform_reorder(configuration, state)
 
 
 def _checked(source: str, load: Callable[[], Any]) -> Any:

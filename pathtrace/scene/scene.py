@@ -9,15 +9,18 @@ from typing import Any
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.camera.place import WORLD, Place
+from pathtrace.motion.motion_file import read_motion
 from pathtrace.scene.bundled import scene_file
 from pathtrace.scene.coordinates import fingerprint_in, in_good_coordinates
 from pathtrace.scene.description import DEFAULT_MAX_DEPTH, read_description
 from pathtrace.scene.fingerprint import (
     dictionary_fingerprint,
     fingerprint_at_depth,
+    fingerprint_in_motion,
     fingerprint_with_thin_glass,
 )
-from pathtrace.scene.loading import Source, load_mitsuba_dictionary, load_mitsuba_xml
+from pathtrace.scene.loading import Source, load_mitsuba
+from pathtrace.scene.moving import MovingScene
 from pathtrace.scene.ordering import with_ordered_shapes
 from pathtrace.scene.panes import with_thin_glass
 from pathtrace.scene.sensor import camera_of_sensor
@@ -41,6 +44,7 @@ class Scene:
         max_depth: path depth: the one requested, else the scene's own, else 8.
         place: the scene's coordinates; `place.camera` converts cameras of the world to them.
         thin_glass: whether panes of glass let shadow rays pass (pathtrace.scene.panes).
+        moving: what moves in it; None if nothing does.
     """
 
     name: str
@@ -50,6 +54,17 @@ class Scene:
     max_depth: int
     place: Place = WORLD
     thin_glass: bool = False
+    moving: MovingScene | None = None
+
+    def set_time(self, time: float) -> None:
+        """Shows the scene at a time from 0 to 1, in place; when it is loaded, it is at 0.
+
+        Raises:
+            UserError: the time is out of range, or nothing moves.
+        """
+        if self.moving is None:
+            raise UserError(f"{self.name}: nothing moves in this scene; it has no motion file")
+        self.moving.set_time(time)
 
     @property
     def triangles(self) -> int:
@@ -58,7 +73,10 @@ class Scene:
 
 
 def load_scene(
-    source: str | Path | dict[str, Any], max_depth: int | None = None, thin_glass: bool = False
+    source: str | Path | dict[str, Any],
+    max_depth: int | None = None,
+    thin_glass: bool = False,
+    motion: Path | None = None,
 ) -> Scene:
     """Loads a scene and checks that it can be rendered.
 
@@ -68,24 +86,29 @@ def load_scene(
         max_depth: path depth, at least 1, instead of the scene's own.
         thin_glass: whether panes of glass pass light straight on, so that shadow rays reach lights behind
             them: with far less noise, but without the shift of what is seen through thick ones.
+        motion: a motion file (pathtrace.motion.motion_file); by default the one beside the scene's file whose
+            name ends in .motion.json instead of .xml, if there is one.
 
     Raises:
         UserError: the scene is missing, refused by Mitsuba, has no perspective camera or no light, has no
             panes of the thin glass that is asked for, or is too small or too far from the origin for Mitsuba
-            and cannot be moved or scaled.
+            and cannot be moved or scaled; or its motion is damaged, or not of this scene.
     """
     if isinstance(source, dict):
         name, own_depth = "dictionary", DEFAULT_MAX_DEPTH
-        content = Source(name, balanced := balanced_dictionary(source))
-        loaded = load_mitsuba_dictionary(name, balanced)
+        content = Source(name, balanced_dictionary(source))
         fingerprint = dictionary_fingerprint(source)
     else:
         path = scene_file(source)
         name = path.parent.name if path.stem == "scene" else path.stem
         description = read_description(path)
         own_depth, fingerprint = description.max_depth, description.fingerprint
-        loaded = load_mitsuba_xml(path, description.text)
         content = Source(str(source), description.text, path.parent)
+        beside = path.with_suffix(".motion.json")
+        motion = beside if motion is None and beside.is_file() else motion
+    moves = None if motion is None else read_motion(motion)
+    apart = frozenset(() if moves is None else (*moves.shapes, *moves.lights))
+    loaded = load_mitsuba(content, apart)
     if not loaded.sensors():
         raise UserError(f"{content.name}: the scene has no camera; add a <sensor type='perspective'>")
     if not loaded.emitters():
@@ -94,10 +117,15 @@ def load_scene(
     if depth != own_depth:
         fingerprint = fingerprint_at_depth(fingerprint, depth)
     camera = camera_of_sensor(loaded.sensors()[0], content.name)
-    loaded, camera, place = in_good_coordinates(content, loaded, camera)
+    loaded, camera, place = in_good_coordinates(content, loaded, camera, apart)
     fingerprint = fingerprint_in(place, fingerprint)
     if thin_glass:
         if not with_thin_glass(loaded):
             raise UserError(f"{content.name}: thin glass: the scene has no panes of glass; leave it out")
         fingerprint = fingerprint_with_thin_glass(fingerprint)
-    return Scene(name, fingerprint, with_ordered_shapes(loaded), camera, depth, place, thin_glass)
+    ordered, names = with_ordered_shapes(loaded)
+    if moves is None:
+        return Scene(name, fingerprint, ordered, camera, depth, place, thin_glass)
+    moving = MovingScene(ordered, moves, names, place, name)
+    fingerprint = fingerprint_in_motion(fingerprint, moves.fingerprint)
+    return Scene(name, fingerprint, ordered, camera, depth, place, thin_glass, moving)

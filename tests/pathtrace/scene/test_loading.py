@@ -6,7 +6,7 @@ import mitsuba as mi
 import pytest
 
 from compose.base.errors import UserError
-from pathtrace.scene.loading import load_mitsuba_dictionary, load_mitsuba_xml
+from pathtrace.scene.loading import Source, load_mitsuba
 
 pytestmark = pytest.mark.usefixtures("backend")
 MESH = """<scene version="3.0.0">
@@ -26,7 +26,7 @@ def test_files_are_relative_to_the_scenes_folder(tmp_path):
     for folder, faces in (("one", 1), ("two", 2)):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "triangle.obj").write_text(TRIANGLE + "f 1 3 2\n" * (faces - 1))
-        scene = load_mitsuba_xml(tmp_path / folder / "scene.xml", MESH)
+        scene = load_mitsuba(Source("scene", MESH, tmp_path / folder))
         assert scene.shapes()[0].face_count() == faces
         assert search_path() == before
 
@@ -34,7 +34,7 @@ def test_files_are_relative_to_the_scenes_folder(tmp_path):
 def test_the_search_path_is_restored_after_a_refusal(tmp_path):
     before = search_path()
     with pytest.raises(UserError):
-        load_mitsuba_xml(tmp_path / "scene.xml", MESH)
+        load_mitsuba(Source("scene", MESH, tmp_path))
     assert search_path() == before
 
 
@@ -47,13 +47,13 @@ def test_the_search_path_is_restored_after_a_refusal(tmp_path):
 )
 def test_a_refusal_is_one_line_that_names_the_file(tmp_path, text, complaint):
     with pytest.raises(UserError, match=complaint) as caught:
-        load_mitsuba_xml(tmp_path / "bad.xml", text)
+        load_mitsuba(Source(str(tmp_path / "bad.xml"), text, tmp_path))
     assert str(caught.value).startswith(f"{tmp_path / 'bad.xml'}: ")
     assert "\n" not in str(caught.value)
 
 
 def test_dictionaries_load_and_are_refused_alike():
-    assert len(load_mitsuba_dictionary("mine", {"type": "scene", "s": {"type": "sphere"}}).shapes()) == 1
+    assert len(load_mitsuba(Source("mine", {"type": "scene", "s": {"type": "sphere"}})).shapes()) == 1
     for description in ({"type": "sphere"}, {"type": "scene", "s": {"type": "nonsense"}}):
         with pytest.raises(UserError, match=r"^mine: [^\n]*$"):
-            load_mitsuba_dictionary("mine", description)
+            load_mitsuba(Source("mine", description))

@@ -9,7 +9,7 @@ import pytest
 
 from compose.base.errors import UserError
 from pathtrace.scene.description import read_description
-from pathtrace.scene.loading import load_mitsuba_xml
+from pathtrace.scene.loading import Source, load_mitsuba
 from pathtrace.scene.references import References
 from pathtrace.scene.scene import load_scene
 from pathtrace.scene.xml import parse_xml
@@ -82,7 +82,7 @@ def test_a_file_that_is_loaded_indirectly_belongs_to_the_hash(name, backend, tmp
     for x in (0.0, 0.5):
         file = scene(tmp_path, content, {**files, meshes[0]: OBJ.format(x)})
         # Mitsuba does load it.
-        assert load_mitsuba_xml(file, file.read_text()).shapes()
+        assert load_mitsuba(Source(str(file), file.read_text(), file.parent)).shapes()
         found.add(fingerprint(file))
     assert len(found) == 2
 

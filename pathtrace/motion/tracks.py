@@ -1,0 +1,146 @@
+"""Tracks: where a shape, or a light, is at a time from 0 to 1."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pathtrace.motion.formula import Formula
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """A rigid pose at a time, as the way there from where the scene's file has the shape.
+
+    Attributes:
+        time: 0 to 1.
+        translate: (x, y, z), after the rotation.
+        degrees: of the rotation around the track's axis; any number, so that wheels turn more than once.
+    """
+
+    time: float
+    translate: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    degrees: float = 0.0
+
+
+@dataclass(frozen=True)
+class RigidTrack:
+    """Rigid motion: translation and angle are linear between keyframes, and constant beyond them.
+
+    Attributes:
+        keyframes: at least one, in the order of their times.
+        axis: (x, y, z), unit, that the shape turns around.
+        about: (x, y, z), a point on the axis where the shape is at rest.
+
+    Raises:
+        ValueError: keyframes are missing or out of order.
+    """
+
+    keyframes: tuple[Keyframe, ...]
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    about: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        require_ordered([key.time for key in self.keyframes])
+
+    def pose(self, time: float) -> Array:
+        """(4, 4) rigid transform from rest to a time, in the coordinates of the scene's file."""
+        times = [key.time for key in self.keyframes]
+        turn = np.radians(np.interp(time, times, [key.degrees for key in self.keyframes]))
+        shift = between(time, times, [key.translate for key in self.keyframes])
+        x, y, z = self.axis
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        # Rodrigues' formula.
+        rotation = np.eye(3) + np.sin(turn) * cross + (1 - np.cos(turn)) * cross @ cross
+        pose = np.eye(4)
+        pose[:3, :3] = rotation
+        pose[:3, 3] = np.array(self.about) - rotation @ np.array(self.about) + shift
+        return pose
+
+
+@dataclass(frozen=True)
+class FormulaTrack:
+    """Vertices that move by a formula, in the coordinates of the scene's file."""
+
+    formula: Formula
+
+
+@dataclass(frozen=True)
+class MeshTrack:
+    """Vertices that go from mesh to mesh, linearly, in equal times from 0 to 1.
+
+    Attributes:
+        files: at least two mesh files whose vertices are in the coordinates of the scene's file, as many and
+            in the same order as those of the shape.
+    """
+
+    files: tuple[Path, ...]
+
+
+ShapeTrack = RigidTrack | FormulaTrack | MeshTrack
+
+
+@dataclass(frozen=True)
+class Brightness:
+    """How bright a light is at a time, as a multiple of what the scene's file has."""
+
+    time: float
+    factor: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class LightTrack:
+    """A light whose radiance changes, linearly between keyframes, and constant beyond them.
+
+    Raises:
+        ValueError: keyframes are missing or out of order.
+    """
+
+    keyframes: tuple[Brightness, ...]
+
+    def __post_init__(self) -> None:
+        require_ordered([key.time for key in self.keyframes])
+
+    def factor(self, time: float) -> Array:
+        """(3,) factor of red, green and blue at a time."""
+        return between(time, [key.time for key in self.keyframes], [key.factor for key in self.keyframes])
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What moves in a scene.
+
+    Attributes:
+        seconds: that the time from 0 to 1 takes.
+        shapes: tracks by the id of the shape, or of a light that is no shape and has a place.
+        lights: tracks of radiance by the id of the light, or of the shape that shines.
+        fingerprint: hash of the file and of all meshes that it names.
+    """
+
+    seconds: float
+    shapes: dict[str, ShapeTrack]
+    lights: dict[str, LightTrack]
+    fingerprint: str
+
+
+def between(time: float, times: Sequence[float], values: Sequence[Sequence[float]]) -> Array:
+    """Values interpolated at a time, each component linearly."""
+    return np.array([np.interp(time, times, column) for column in np.asarray(values, dtype=np.float64).T])
+
+
+def require_ordered(times: Sequence[float]) -> None:
+    """ValueError unless there are times, from 0 to 1, in ascending order."""
+    if not times:
+        raise ValueError("no keyframes")
+    outside = [time for time in times if not 0 <= time <= 1]
+    if outside:
+        raise ValueError(f"a keyframe has t = {outside[0]:g}; must be from 0 to 1")
+    if any(later <= earlier for earlier, later in pairwise(times)):
+        raise ValueError("keyframes are out of order; t must ascend")

@@ -1,0 +1,235 @@
+"""Moves what has a track in a loaded scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from compose.base.errors import UserError, one_line
+from compose.camera.place import Place
+from pathtrace.motion.tracks import FormulaTrack, LightTrack, MeshTrack, Motion, RigidTrack, ShapeTrack
+
+Array = NDArray[np.float64]
+
+_POSITIONS, _NORMALS, _TO_WORLD, _POSITION = "vertex_positions", "vertex_normals", "to_world", "position"
+# What a light's brightness is called, in that order.
+_BRIGHTNESS = ("radiance", "intensity", "irradiance", "scale")
+
+
+class MovingScene:
+    """A Mitsuba scene in which shapes and lights follow their tracks; it is at t = 0 at first.
+
+    Only what has another place than before is touched, and no kernel is compiled again.
+
+    Args:
+        scene: the Mitsuba scene; it is changed in place.
+        motion: the tracks.
+        names: the id that a shape or light of the scene has, by the one that it has in the scene's file.
+        place: the scene's coordinates.
+        source: name of the scene, for error messages.
+
+    Attributes:
+        motion: as given.
+        time: what the scene shows, from 0 to 1.
+
+    Raises:
+        UserError: a track is for a shape or light that does not exist or cannot move that way.
+    """
+
+    def __init__(self, scene: Any, motion: Motion, names: dict[str, str], place: Place, source: str):
+        self.motion, self.time = motion, 0.0
+        self._parameters = mi.traverse(scene)
+        self._place, self._source = place, source
+        self._parts: list[Callable[[float], dict[str, Any]]] = []
+        self._shown: dict[str, bytes] = {}
+        for name, track in motion.shapes.items():
+            self._parts.append(self._moving(name, self._key(name, names, "shape or light"), track))
+        for name, light in motion.lights.items():
+            self._parts.append(self._shining(name, self._key(name, names, "light"), light))
+        self._show(0.0)
+
+    def set_time(self, time: float) -> None:
+        """Shows the scene at a time.
+
+        Raises:
+            UserError: the time is not from 0 to 1.
+        """
+        if not 0 <= time <= 1:
+            raise UserError(f"time {time:g}: must be from 0 to 1")
+        if time != self.time:
+            self._show(time)
+            self.time = time
+
+    def _show(self, time: float) -> None:
+        for part in self._parts:
+            for key, value in part(time).items():
+                content = np.asarray(value, dtype=np.float64).tobytes()
+                if self._shown.get(key) != content:
+                    self._set(key, value)
+                    self._shown[key] = content
+        self._parameters.update()
+
+    def _set(self, key: str, value: Array) -> None:
+        """Gives a parameter a value, that of vertices in the memory that they have.
+
+        A frozen function may go on reading the memory that they had when it was recorded (Dr.Jit 1.5).
+        """
+        if key.endswith((_POSITIONS, _NORMALS)):
+            torch.from_dlpack(self._parameters[key])[:] = torch.from_numpy(value.astype(np.float32))
+            self._parameters.set_dirty(key)
+        else:
+            self._parameters[key] = _like(self._parameters[key], value)
+
+    def _key(self, name: str, names: dict[str, str], what: str) -> str:
+        if name not in names:
+            raise self._refused(name, f"there is no such {what} in the scene")
+        return names[name]
+
+    def _refused(self, name: str, why: str) -> UserError:
+        return UserError(f"{self._source}: motion of {one_line(name)}: {why}")
+
+    def _has(self, key: str) -> bool:
+        return key in self._parameters.properties
+
+    def _moving(self, name: str, key: str, track: ShapeTrack) -> Callable[[float], dict[str, Any]]:
+        """What a track makes of a shape's, or light's, parameters."""
+        positions = f"{key}.{_POSITIONS}"
+        if self._has(positions):
+            rest = np.reshape(self._parameters[positions].numpy(), (-1, 3)).astype(np.float64)
+            if isinstance(track, RigidTrack):
+                return self._rigid_mesh(key, rest, track)
+            return self._deforming_mesh(key, self._vertices(name, rest, track))
+        if not isinstance(track, RigidTrack):
+            raise self._refused(name, "it has no vertices; must have keyframes")
+        for kind in (_TO_WORLD, _POSITION):
+            if self._has(f"{key}.{kind}"):
+                return self._rigid(f"{key}.{kind}", track)
+        raise self._refused(name, "it has no place that could change")
+
+    def _deforming_mesh(self, key: str, at: Callable[[float], Array]) -> Callable[[float], dict[str, Any]]:
+        positions, normals = f"{key}.{_POSITIONS}", f"{key}.{_NORMALS}"
+        if not self._has_normals(key):
+            return lambda time: {positions: at(time).ravel()}
+        faces = np.reshape(self._parameters[f"{key}.faces"].numpy(), (-1, 3)).astype(np.int64)
+
+        def moved(time: float) -> dict[str, Any]:
+            vertices = at(time)
+            # Mitsuba would put its own into other memory.
+            return {positions: vertices.ravel(), normals: _vertex_normals(vertices, faces).ravel()}
+
+        return moved
+
+    def _has_normals(self, key: str) -> bool:
+        return self._has(f"{key}.{_NORMALS}") and len(self._parameters[f"{key}.{_NORMALS}"]) > 0
+
+    def _rigid_mesh(self, key: str, rest: Array, track: RigidTrack) -> Callable[[float], dict[str, Any]]:
+        positions, normals = f"{key}.{_POSITIONS}", f"{key}.{_NORMALS}"
+        upright = np.reshape(self._parameters[normals].numpy(), (-1, 3)) if self._has_normals(key) else None
+
+        def at(time: float) -> dict[str, Any]:
+            pose = self._pose(track, time)
+            moved = {positions: (rest @ pose[:3, :3].T + pose[:3, 3]).ravel()}
+            if upright is not None:
+                moved[normals] = (upright @ pose[:3, :3].T).ravel()
+            return moved
+
+        return at
+
+    def _rigid(self, key: str, track: RigidTrack) -> Callable[[float], dict[str, Any]]:
+        """For shapes and lights without vertices."""
+        rest = self._parameters[key]
+        if key.endswith(_POSITION):
+            point = np.ravel(rest).astype(np.float64)
+            return lambda time: {key: (self._pose(track, time) @ [*point, 1])[:3]}
+        matrix = np.array(rest.matrix, dtype=np.float64).reshape(4, 4)
+        return lambda time: {key: self._pose(track, time) @ matrix}
+
+    def _vertices(self, name: str, rest: Array, track: FormulaTrack | MeshTrack) -> Callable[[float], Array]:
+        """Positions (N, 3) of a shape's vertices in the scene's coordinates, as a function of time."""
+        origin, unit = np.array(self._place.origin), self._place.unit
+        if isinstance(track, FormulaTrack):
+            in_file = self._place.in_world(rest)
+
+            def by_formula(time: float) -> Array:
+                try:
+                    return (track.formula.positions(in_file, time) - origin) / unit
+                except ValueError as error:
+                    raise self._refused(name, str(error)) from error
+
+            return by_formula
+        meshes = [(self._mesh(name, file, len(rest)) - origin) / unit for file in track.files]
+
+        def between_meshes(time: float) -> Array:
+            at = time * (len(meshes) - 1)
+            first = min(int(at), len(meshes) - 2)
+            return meshes[first] + (at - first) * (meshes[first + 1] - meshes[first])
+
+        return between_meshes
+
+    def _mesh(self, name: str, file: Any, count: int) -> Array:
+        """Vertices (N, 3) of a mesh file."""
+        kind = file.suffix.lower().lstrip(".")
+        if kind not in ("ply", "obj"):
+            raise self._refused(name, f"{file}: must be a PLY or OBJ file")
+        try:
+            loaded = mi.load_dict({"type": kind, "filename": str(file)})
+        except Exception as error:
+            raise self._refused(name, f"{file}: cannot be read ({one_line(error)})") from error
+        vertices = np.reshape(mi.traverse(loaded)[_POSITIONS].numpy(), (-1, 3)).astype(np.float64)
+        if len(vertices) != count:
+            raise self._refused(name, f"{file}: has {len(vertices):,} vertices; the shape has {count:,}")
+        return vertices
+
+    def _pose(self, track: RigidTrack, time: float) -> Array:
+        """(4, 4) from rest to a time in the scene's coordinates."""
+        pose = track.pose(time)
+        origin = np.array(self._place.origin)
+        pose[:3, 3] = (pose[:3, :3] @ origin + pose[:3, 3] - origin) / self._place.unit
+        return pose
+
+    def _shining(self, name: str, key: str, track: LightTrack) -> Callable[[float], dict[str, Any]]:
+        """What a track makes of a light's brightness; `key` may be that of the shape that shines."""
+        prefixes = (key, f"{key}.emitter")
+        found = [
+            f"{prefix}.{kind}{value}"
+            for prefix in prefixes
+            for kind in _BRIGHTNESS
+            for value in (".value", "")
+            if self._has(f"{prefix}.{kind}{value}")
+        ]
+        if not found:
+            raise self._refused(name, "it has no radiance that could change")
+        rest = np.ravel(self._parameters[found[0]]).astype(np.float64)
+
+        def at(time: float) -> dict[str, Any]:
+            factor = track.factor(time)
+            if len(rest) == 1 and np.ptp(factor):
+                raise self._refused(name, "its radiance has no colour; factor must be one number")
+            return {found[0]: rest * (factor if len(rest) == 3 else factor[0])}
+
+        return at
+
+
+def _vertex_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
+    """(N, 3) normals of vertices (N, 3): those of their faces (F, 3), weighed by area."""
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    of_faces = np.cross(b - a, c - a)
+    sums = np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(sums, faces[:, corner], of_faces)
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.where(lengths > 0, sums / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0])
+
+
+def _like(old: Any, value: Array) -> Any:
+    """A value in the type that a parameter has."""
+    if isinstance(value, np.ndarray) and value.shape == (4, 4):
+        return type(old)(value.tolist())
+    if len(np.ravel(value)) in (1, 3) and not isinstance(old, mi.Float):
+        return type(old)(*np.ravel(value).tolist())
+    return type(old)(np.ascontiguousarray(value, dtype=np.float32))
