@@ -39,7 +39,7 @@ from write_scenes import (
 )
 
 BALL_RADIUS, BALL_START, BALL_WAY = 0.12, (1.95, 2.72, 0.132), 2.4
-PINWHEEL = (2.0, 3.05, 1.25)
+PINWHEEL = (4.2, 2.45, 1.3)
 SHEET_TOP, SHEET_HEIGHT, SHEET_WIDTH = 1.75, 1.15, 1.6
 
 
@@ -58,9 +58,9 @@ def glider() -> Mesh:
 
 
 def pinwheel(at: Point) -> Mesh:
-    """Four slanted blades around an axis along y."""
-    blade = box([0.03, -0.006, -0.05], [0.3, 0.006, 0.05]).turned(25, "x")
-    blades = [blade.turned(90 * quarter, "y") for quarter in range(4)]
+    """Four slanted blades around an axis along x."""
+    blade = box([-0.006, 0.03, -0.05], [0.006, 0.3, 0.05]).turned(25, "y")
+    blades = [blade.turned(90 * quarter, "x") for quarter in range(4)]
     return merge([*blades, sphere([0, 0, 0], 0.04, 16)]).moved(at)
 
 
@@ -93,7 +93,7 @@ def room_motion() -> dict[str, Any]:
                 ],
             },
             "pinwheel_shape": {
-                "axis": [0, 1, 0],
+                "axis": [1, 0, 0],
                 "about": list(PINWHEEL),
                 "keyframes": [{"t": 0}, {"t": 1, "degrees": 720}],
             },

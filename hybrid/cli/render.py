@@ -95,6 +95,16 @@ def render(
             rich_help_panel=FRAME,
         ),
     ] = None,
+    time: Annotated[
+        float,
+        typer.Option(
+            help="Time from 0 to 1 that is shown of a scene that moves.",
+            min=0,
+            max=1,
+            callback=finite,
+            rich_help_panel=FRAME,
+        ),
+    ] = DEFAULTS.time,
     acuity_model: AcuityModelName = DEFAULTS.acuity_model,
     layers: Layers = None,
     display: DisplayName = "desktop",
@@ -119,6 +129,7 @@ def render(
         layers,
         display=display,
         integrator=integrator,
+        time=time,
     )
     _check_layers(layers)
     _check_outputs(output, detail, gaze_trace is not None)
@@ -129,6 +140,8 @@ def render(
     from hybrid.preparation.quick import forest_for
 
     loaded = loaded_scene(scene, max_depth, thin_glass)
+    if time and loaded.moving is None:
+        raise UserError(f"--time: nothing moves in {scene}; it has no motion file")
     view = _view(loaded, camera, size, is_video=trace is not None)
     pixels = view.width, view.height
     command = measuring_command(scene, forest, pixels, settings, display, backend)
@@ -277,6 +290,7 @@ def _facts(scene: Scene, settings: FrameSettings) -> dict[str, Any]:
         "spp": settings.spp,
         "fov_a": settings.fov_a,
         "fov_b": settings.fov_b,
+        "time": settings.time,
         "fovea": settings.fovea.value,
         "integrator": settings.used_integrator.value,
         "unbiased": settings.is_unbiased,

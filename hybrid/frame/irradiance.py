@@ -42,13 +42,15 @@ def cache_for(scene: Scene, bars: Bars = no_bars) -> IrradianceCache:
 def filled_cache(
     scene: Scene, progress: Callable[[int, int], None] = no_progress, seed: int = 0
 ) -> IrradianceCache:
-    """A cache filled for views around the scene's own camera.
+    """A cache filled for views around the scene's own camera; of a scene that moves, at time 0.
 
     Args:
         scene: the scene.
         progress: called with steps done and steps in total.
         seed: same seed, same cache on the same machine.
     """
+    if scene.moving is not None:
+        scene.set_time(0.0)
     camera = scene.camera
     try:
         views = choose_views(scene, Surfaces(scene), _VIEWS, camera.width, camera.height, 0)

@@ -36,15 +36,16 @@ class LiveRenderer(Renderer):
 
     def __init__(self, scene: Scene, forest: Forest):
         super().__init__(scene, forest, history=True, roulette_depth=_ROULETTE_DEPTH)
-        self._last_camera: Camera | None = None
+        # Camera and time.
+        self._last_view: tuple[Camera, float] | None = None
 
     def frame(self, settings: FrameSettings = INTERACTIVE, seed: int = 0) -> Frame:
         """One frame, as from `Renderer.frame`; what depends on the camera alone is kept until it moves."""
         seed = require_seed(seed)
         maker, clock = self.fovea_of(settings), Clock()
-        camera, settings = settings.resolved(self.scene.camera)
+        camera, settings = self._begun(settings)
         disc = settings.foveation.region(camera.width, camera.height)
-        still, self._last_camera = camera == self._last_camera, camera
+        still, self._last_view = (camera, settings.time) == self._last_view, (camera, settings.time)
         detail = self.periphery.detail(camera, settings, moving=not still)
         clock.lap("region")
         self._relight(settings)
@@ -116,4 +117,4 @@ class LiveRenderer(Renderer):
     def forget(self) -> None:
         """Drops everything that is known from earlier frames."""
         super().forget()
-        self._last_camera = None
+        self._last_view = None

@@ -41,6 +41,14 @@ class Periphery:
         self._saliency = ViewSaliency(self._renderer, forest)
         # What the layers of the last still view were drawn for; their images; the finest one as a whole.
         self._kept: tuple[tuple[object, ...], CachedLayerImages, Image] | None = None
+        self._time = 0.0
+
+    def set_time(self, time: float) -> None:
+        """Shows the forest at a time from 0 to 1 in what is drawn from now on."""
+        if time != self._time:
+            self._time, self._kept = time, None
+            self._renderer.set_time(time)
+            self._saliency.forget()
 
     def layers_of(self, settings: FrameSettings) -> tuple[int, int]:
         """Coarsest and finest layer that may be drawn with these settings.

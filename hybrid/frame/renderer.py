@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.errors import UserError
 from compose.base.seeds import require_seed
 from compose.blend.blend import blend
 from compose.camera.camera import Camera
@@ -64,7 +65,7 @@ class Renderer:
         self._fusion, self._history, self._roulette_depth = fusion_of(forest), history, roulette_depth
         self._foveas: dict[Integrator, Fovea] = {}
         self._cached: CachedTracer | None = None
-        self._as_loaded = True
+        self._as_loaded, self._time = True, 0.0
 
     def tracer_of(self, integrator: Integrator) -> Tracer:
         """The scene's tracer with an integrator; `tracer` is the unbiased one."""
@@ -137,7 +138,7 @@ class Renderer:
         """
         seed = require_seed(seed)
         maker, clock = self.fovea_of(settings), Clock()
-        camera, settings = settings.resolved(self.scene.camera)
+        camera, settings = self._begun(settings)
         disc = settings.foveation.region(camera.width, camera.height)
         clock.lap("region")
         detail = self.periphery.detail(camera, settings)
@@ -160,6 +161,20 @@ class Renderer:
         parts = periphery, detail, drawn.nodes, fovea, underlay, region, clock.milliseconds()
         return Frame(composite, settings, camera, *parts, self, fill)
 
+    def _begun(self, settings: FrameSettings) -> tuple[Camera, FrameSettings]:
+        """The camera and the settings of a frame; scene and forest show its time from now on."""
+        camera, settings = settings.resolved(self.scene.camera)
+        moving = self.scene.moving
+        if moving is None and settings.time:
+            raise UserError(f"time {settings.time:g}: nothing moves in {self.scene.name}")
+        if moving is not None and moving.time != settings.time:
+            self.scene.set_time(settings.time)
+        if moving is not None and self._time != settings.time:
+            self._time = settings.time
+            self.forget()
+        self.periphery.set_time(settings.time)
+        return camera, settings
+
     def _fill(self, camera: Camera, settings: FrameSettings, seed: int) -> Fill | None:
         """What is path-traced where the forest does not know the view; None if it knows all of it."""
         if not settings.fill:
@@ -179,7 +194,7 @@ class Renderer:
 
     def disc_alone(self, settings: FrameSettings, seed: int) -> Image:
         """(D, 3) linear radiance of a frame's disc, without rendering a periphery; D as in its region."""
-        camera, settings = settings.resolved(self.scene.camera)
+        camera, settings = self._begun(settings)
         disc = settings.foveation.region(camera.width, camera.height)
         maker = self.fovea_of(settings)
         self._relight(settings)
@@ -198,7 +213,7 @@ class Renderer:
 
     def splats(self, settings: FrameSettings = DEFAULTS) -> Image:
         """(H, W, 3) the finest allowed layer over the whole frame, including what a fovea would hide."""
-        camera, settings = settings.resolved(self.scene.camera)
+        camera, settings = self._begun(settings)
         return self.periphery.whole(camera, settings)
 
     def depth(self, camera: Camera) -> NDArray[np.float32]:

@@ -51,6 +51,10 @@ class ViewSaliency:
         self._points = forest.place.in_world(means[:, :: -(-means.shape[1] // _LANDMARKS)].T)
         self._kept: _Kept | None = None
 
+    def forget(self) -> None:
+        """Says that the forest looks different now."""
+        self._kept = None
+
     def of(self, camera: Camera, nearly: bool = False) -> NDArray[np.float32]:
         """(rows + 1, columns + 1) saliency in 0..1 at the corners of the detail map's cells.
 

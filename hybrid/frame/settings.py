@@ -69,6 +69,7 @@ class FrameSettings:
         camera: the view; None for the scene's own.
         integrator: how paths are traced; None for unbiased paths in a raw fovea and cached ones in others.
         fill: whether what the forest does not know is path-traced, at a lower resolution.
+        time: that the frame shows of a scene that moves, from 0 to 1.
 
     Raises:
         UserError: a value is out of range or unknown.
@@ -87,6 +88,7 @@ class FrameSettings:
     camera: Camera | None = None
     integrator: Converted[Integrator | str | None, Integrator | None] = Converted(_integrator, None)
     fill: bool = True
+    time: float = 0.0
 
     def __post_init__(self) -> None:
         acuity_model_named(self.acuity_model)
@@ -100,6 +102,8 @@ class FrameSettings:
             raise UserError(f"rate {self.rate}: must be a whole number from 0 to {COARSEST_RATE}")
         if not 0 < self.scale <= 1:
             raise UserError(f"scale {self.scale}: must be above 0 and at most 1")
+        if not 0 <= self.time <= 1:
+            raise UserError(f"time {self.time:g}: must be from 0 to 1")
 
     @property
     def used_integrator(self) -> Integrator:
@@ -167,6 +171,7 @@ class FrameSettings:
             "camera": None if self.camera is None else self.camera.key.hex(),
             "integrator": self.used_integrator.value,
             "fill": self.fill,
+            "time": self.time,
         }
 
 

@@ -33,6 +33,7 @@ class Judges:
         folder: for their files.
         tracer: traces the scene.
         cameras: the views.
+        times: that they show.
         progress: called with frames done and frames in total.
 
     Raises:
@@ -40,19 +41,28 @@ class Judges:
     """
 
     def __init__(
-        self, folder: Path, tracer: Tracer, cameras: list[Camera], progress: Callable[[int, int], None]
+        self,
+        folder: Path,
+        tracer: Tracer,
+        cameras: list[Camera],
+        times: list[float],
+        progress: Callable[[int, int], None],
     ):
-        self._cameras, self._files = cameras, [folder / f"{n:04d}.exr" for n in range(len(cameras))]
+        self._cameras, self._times = cameras, times
+        self._files = [folder / f"{n:04d}.exr" for n in range(len(cameras))]
         folder.mkdir(parents=True, exist_ok=True)
         for number, (camera, file) in enumerate(zip(cameras, self._files, strict=True)):
             if not is_intact(read_frame, file, camera):
+                if tracer.scene.moving is not None:
+                    tracer.scene.set_time(times[number])
                 write_frame(file, render_frame(tracer, camera, _SPP, _SEED + number))
             progress(number + 1, len(cameras))
 
     def quality(self, forest: Forest) -> dict[str, float]:
         """psnr in dB and ssim of the finest layer, means over the views, and least_psnr; empty without."""
         renderer, found = ForestRenderer(device_arrays(), forest), []
-        for camera, file in zip(self._cameras, self._files, strict=True):
+        for camera, time, file in zip(self._cameras, self._times, self._files, strict=True):
+            renderer.set_time(time)
             truth = read_frame(file, (camera.width, camera.height)).radiance
             if np.isfinite(truth).all():
                 found.append(quality(renderer.render_layer(camera, len(forest.counts)).image(), truth))

@@ -17,7 +17,7 @@ from hybrid.preparation.convergence import CONVERGED_DB, Pass, converging_second
 from hybrid.preparation.judges import Judges
 from hybrid.preparation.planner import Planner
 from hybrid.preparation.settings import PreparationSettings
-from hybrid.preparation.views import breadth_of, stated_error, views_of, wanted_of
+from hybrid.preparation.views import breadth_of, stated_error, time_of, views_of, wanted_of
 from hybrid.runtime.progress import Bars, console, progress_bar
 from hybrid.store.cache import scene_folder, store_forest
 from hybrid.store.identity import short_hash
@@ -158,7 +158,9 @@ class _Job:
         count, size, seed = self._settings.held_out, self._settings.size, self._settings.seed
         with self._clock.stopped(), self._bars("held-out views") as bar:
             cameras = self._region.unseen_views(count, *size, seed) if count else []
-            return Judges(self._folder / "held-out", tracer, cameras, bar)
+            # Half a step from those of training views.
+            times = [time_of(number + 0.5) if self._scene.moving else 0.0 for number in range(count)]
+            return Judges(self._folder / "held-out", tracer, cameras, times, bar)
 
     def _staged(self, frames: GrowingFrames, before: Forest | None) -> Forest:
         """The forest after a stage; trained now, unless it is in the folder."""

@@ -29,6 +29,8 @@ _WORTHWHILE = 0.1
 _ORDINARY, _TRIED = 32, (32, 48, 64, 96, 128, 192, 256, 384)
 _ENOUGH = 0.95
 _ASKERS = 24
+# Multiples of the golden ratio, modulo 1, are evenly spread however many they are.
+_GOLDEN = (5**0.5 - 1) / 2
 
 
 def breadth_of(region: Region, surfaces: Surfaces, seed: int) -> float:
@@ -66,6 +68,11 @@ def _part(camera: Camera, side: int, seed: list[int]) -> Camera:
     return camera.cropped(left, top, side, side)
 
 
+def time_of(number: float) -> float:
+    """The time from 0 to 1 that a view shows of a scene that moves; views have all times alike."""
+    return (0.5 + number * _GOLDEN) % 1
+
+
 def wanted_of(
     frames: GrowingFrames, views: list[tuple[Camera, int]], stage: Stage, forest: Forest | None
 ) -> list[Wanted]:
@@ -77,7 +84,7 @@ def wanted_of(
         stage: the stage.
         forest: as it is; None if there is none yet.
     """
-    had = frames.samples
+    had, moves = frames.samples, frames.moves
     aimed = [stage.spp_at(scale) for _, scale in views]
     if forest is not None and had:
         renderer, share = ForestRenderer(device_arrays(), forest), _share_left(frames)
@@ -85,7 +92,7 @@ def wanted_of(
             if samples < aimed[number] and not _is_worthwhile(frames, number, renderer, share):
                 aimed[number] = samples
     return [
-        Wanted(camera, max(spp, *had[number : number + 1], 2))
+        Wanted(camera, max(spp, *had[number : number + 1], 2), time_of(number) if moves else 0.0)
         for number, ((camera, _), spp) in enumerate(zip(views, aimed, strict=True))
     ]
 
@@ -117,6 +124,7 @@ def _noise(frames: GrowingFrames, number: int) -> float:
 def _is_worthwhile(frames: GrowingFrames, number: int, renderer: ForestRenderer, share: float) -> bool:
     """Whether a frame's own error is a noticeable part of its difference from the forest."""
     frame = frames.radiance(number)
+    renderer.set_time(frames.time(number))
     shown = renderer.render_layer(frames.camera(number), len(renderer.forest.counts)).image()
     difference = float(np.mean((srgb_from_radiance(shown) - srgb_from_radiance(frame)) ** 2))
     return share * _noise(frames, number) > _WORTHWHILE * difference

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from compose.base.errors import UserError
 from hybrid.frame.trained_views import attach_views
@@ -18,9 +19,11 @@ from hybrid.training.checkpoint import checkpoint_path, restore_checkpoint, save
 from hybrid.training.fusion import fusion_steps, with_fusion
 from pathtrace.dataset.exr import read_frame
 from pathtrace.dataset.frames import FrameEntry, FrameSet
+from pathtrace.motion.course import Course
 from splat.io.forest_file import save_forest
 from splat.model.check import check_forest
 from splat.model.forest import Forest, forest_of
+from splat.model.motion import RigidMotion
 from splat.training.sky import shows_sky
 from splat.training.trainer import Trainer, TrainingSettings, most_layers
 from splat.training.views import TrainingView, finest_focal
@@ -51,8 +54,8 @@ def say_left_out(left_out: LeftOut) -> None:
         )
 
 
-def training_view(entry: FrameEntry) -> TrainingView:
-    """A captured frame as a training view."""
+def training_view(entry: FrameEntry, courses: Sequence[Course] = ()) -> TrainingView:
+    """A captured frame as a training view; `courses` are those of its frame set."""
     frame = read_frame(entry.file, entry.size)
     camera = entry.camera
     cosine = (camera.rays(camera.pixel_centres()) @ camera.camera_to_world[:3, 2]).reshape(frame.depth.shape)
@@ -62,7 +65,23 @@ def training_view(entry: FrameEntry) -> TrainingView:
     distance = np.where(empty, frame.depth / cosine, frame.unfolded).astype(np.float32)
     reflected = distance * cosine > frame.depth * 1.001
     normal = np.where(reflected[..., None], 0, frame.normal).astype(np.float32)
-    return TrainingView(camera, frame.radiance, distance, normal)
+    instance = None
+    if courses:
+        instance = np.full(frame.shape.shape, -1, dtype=np.int32)
+        for number, course in enumerate(courses):
+            instance[frame.shape == course.shape] = number
+    return TrainingView(camera, frame.radiance, distance, normal, time=entry.time, instance=instance)
+
+
+def motion_of(courses: Sequence[Course]) -> RigidMotion | None:
+    """The motion of the instances that have courses; None if nothing moves."""
+    if not courses:
+        return None
+    rotations, shifts = (
+        np.stack([getattr(course, name) for course in courses], axis=1) for name in ("rotations", "shifts")
+    )
+    centres = np.stack([course.centre for course in courses])
+    return RigidMotion(*(torch.from_numpy(part) for part in (rotations, centres, shifts)))
 
 
 def train(
@@ -89,9 +108,9 @@ def train(
     """
     settings = settings or TrainingSettings()
     _require_enough(frames, settings)
-    views = [training_view(entry) for entry in frames.training]
+    views = [training_view(entry, frames.courses) for entry in frames.training]
     try:
-        trainer = Trainer(device_arrays(), views, settings, start)
+        trainer = Trainer(device_arrays(), views, settings, start, motion_of(frames.courses))
     except ValueError as error:
         raise UserError(f"{frames.folder}: {error}") from error
     checkpoint = checkpoint_path(path)
@@ -99,7 +118,12 @@ def train(
     total = settings.iterations + fusion_steps(frames)
     _run(trainer, lambda: save_checkpoint(trainer, checkpoint, frames), lambda done: progress(done, total))
     forest = forest_of(
-        trainer.forest(), finest_focal(views), frames.scene_name, frames.scene_hash, trainer.place
+        trainer.forest(),
+        finest_focal(views),
+        frames.scene_name,
+        frames.scene_hash,
+        trainer.place,
+        trainer.motion,
     )
     if not forest.nodes.gaussians.is_finite():
         raise RuntimeError("training ended with numbers that are not finite")

@@ -26,12 +26,15 @@ def held_out_quality(frames: FrameSet, forest: Forest) -> list[dict[str, Any]]:
     """
     renderer = ForestRenderer(device_arrays(), forest)
     # A frame that is not finite tells nothing: its PSNR would be NaN, and the mean as well.
-    views = [view for view in (training_view(entry) for entry in frames.held_out) if view.is_finite]
+    views = [
+        view for view in (training_view(entry, frames.courses) for entry in frames.held_out) if view.is_finite
+    ]
     rows: list[dict[str, Any]] = []
     for number, count in enumerate(forest.counts, start=1):
         factor = 2 ** (len(forest.counts) - number)
         found = []
         for view in (reduced(view, factor) for view in views):
+            renderer.set_time(view.time)
             found.append(quality(renderer.render_layer(view.camera, number).image(), view.radiance))
         means = {name: float(np.mean([row[name] for row in found])) for name in found[0]} if found else {}
         rows.append({"layer": number, "nodes": count, **means})

@@ -16,6 +16,7 @@ from compose.base.json_file import MOST_BYTES, parse_json
 from compose.base.scene_names import claimed_scene
 from compose.camera.camera import Camera
 from compose.camera.serialization import camera_from_json
+from pathtrace.motion.course import Course, course_from_json
 
 FORMAT_VERSION = 3
 # Bytes, of any part of a path on common systems.
@@ -33,6 +34,7 @@ class FrameEntry:
         held_out: whether training must not see it.
         estimates: files of noisy estimates of the same view by their samples per pixel; may be empty.
         halves: files of the radiance of two independent halves of the samples, if there are estimates.
+        time: that it shows, from 0 to 1.
     """
 
     camera: Camera
@@ -41,6 +43,7 @@ class FrameEntry:
     held_out: bool
     estimates: dict[int, Path]
     halves: tuple[Path, ...] = ()
+    time: float = 0.0
 
     @property
     def size(self) -> tuple[int, int]:
@@ -59,6 +62,7 @@ class FrameSet:
         entries: the frames, training and held-out ones.
         close_ups: parts of held-out views at a multiple of their resolution.
         integrator: name of the one that training frames and estimates were traced with.
+        courses: of the shapes that move rigidly.
     """
 
     folder: Path
@@ -68,6 +72,7 @@ class FrameSet:
     entries: list[FrameEntry]
     close_ups: list[FrameEntry]
     integrator: str
+    courses: tuple[Course, ...] = ()
 
     @property
     def training(self) -> list[FrameEntry]:
@@ -104,10 +109,12 @@ def read_frame_set(folder: Path) -> FrameSet:
         )
         scene = claimed_scene(document["scene"]["name"], document["scene"]["hash"])
         integrator = str(document["integrator"])
+        courses = tuple(course_from_json(course) for course in document.get("courses", ()))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UserError(f"{path}: not the description of a frame set ({one_line(repr(error))})") from error
     _check_files(folder, entries + close_ups)
-    return FrameSet(folder, hashlib.sha256(text.encode()).hexdigest(), *scene, entries, close_ups, integrator)
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    return FrameSet(folder, digest, *scene, entries, close_ups, integrator, courses)
 
 
 def _check_files(folder: Path, entries: list[FrameEntry]) -> None:
@@ -130,6 +137,7 @@ def _entry(folder: Path, frame: dict[str, Any]) -> FrameEntry:
         bool(frame["held_out"]),
         {_samples(e): _inside(folder, e["file_path"]) for e in frame["estimates"]},
         tuple(_inside(folder, half) for half in frame["halves"]),
+        _time(frame),
     )
 
 
@@ -139,6 +147,14 @@ def _inside(folder: Path, name: Any) -> Path:
     if not is_name or Path(name).is_absolute() or ".." in Path(name).parts:
         raise ValueError(f"{str(name)[:80]!r} is not the name of a file in the folder")
     return folder / name
+
+
+def _time(frame: dict[str, Any]) -> float:
+    """The time that a frame shows; ValueError if it is not from 0 to 1."""
+    time = float(frame.get("time", 0.0))
+    if not 0 <= time <= 1:
+        raise ValueError(f"time {time:g}: must be from 0 to 1")
+    return time
 
 
 def _samples(entry: dict[str, Any]) -> int:

@@ -27,7 +27,7 @@ from pathtrace.dataset.exr import (
 from pathtrace.dataset.frame_error import joined
 from pathtrace.dataset.frames import FORMAT_VERSION
 from pathtrace.dataset.rendering import geometry_of
-from pathtrace.dataset.transforms import described_scene
+from pathtrace.dataset.transforms import described_motion, described_scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.image import TracedImage, trace_image
 from pathtrace.trace.tracer import Tracer
@@ -45,10 +45,12 @@ class Wanted:
     Attributes:
         camera: the view.
         spp: samples per pixel that it is to have at least, 2 or more.
+        time: that it shows, from 0 to 1, of a scene that moves.
     """
 
     camera: Camera
     spp: int
+    time: float = 0.0
 
 
 class GrowingFrames:
@@ -76,13 +78,23 @@ class GrowingFrames:
             "scene": described_scene(tracer.scene),
             "settings": {"seed": seed},
             "integrator": integrator,
+            **described_motion(tracer.scene),
         }
         self._entries: list[dict[str, Any]] = self._stored()
+
+    @property
+    def moves(self) -> bool:
+        """Whether the scene moves."""
+        return self._tracer.scene.moving is not None
 
     @property
     def samples(self) -> list[int]:
         """Samples per pixel of each view."""
         return [entry["samples"] for entry in self._entries]
+
+    def time(self, view: int) -> float:
+        """The time that a view shows."""
+        return float(self._entries[view]["time"])
 
     def camera(self, view: int) -> Camera:
         """The camera of a view."""
@@ -143,7 +155,7 @@ class GrowingFrames:
         entry = {
             "file_path": f"{name}.exr",
             **camera_to_json(view.camera),
-            "time": 0.0,
+            "time": view.time,
             "samples": had + added,
             "passes": number,
             "held_out": False,
@@ -152,6 +164,8 @@ class GrowingFrames:
         }
         if self._is_complete(entry, view.camera):
             return entry
+        if self.moves:
+            self._tracer.scene.set_time(view.time)
         seed = self._seed * _VIEW_SEED_STEP * _HALF_SEED_STEP + index * _VIEW_SEED_STEP
         halves = self._traced(view.camera, added, (seed + number * _PASS_SEED_STEP) % 2**32)
         earlier = self._stored_frame(before) if before else None
@@ -225,7 +239,9 @@ class GrowingFrames:
     def _require_same(self, wanted: Sequence[Wanted]) -> None:
         """ValueError if the views that are there are not the first of those wanted."""
         known = [self.camera(view) for view in range(len(self._entries))]
-        if len(wanted) < len(known) or not all(map(_is_same, known, [view.camera for view in wanted])):
+        times = [entry["time"] for entry in self._entries]
+        same = all(map(_is_same, known, [view.camera for view in wanted]))
+        if len(wanted) < len(known) or not same or times != [view.time for view in wanted[: len(times)]]:
             raise ValueError("views of a frame set that grows must stay as they are")
 
 

@@ -80,6 +80,13 @@ def described_scene(scene: Scene) -> dict[str, Any]:
     return {"name": scene.name, "hash": scene.hash, "max_depth": scene.max_depth, **place}
 
 
+def described_motion(scene: Scene) -> dict[str, Any]:
+    """What moves rigidly, in transforms.json; nothing of a scene that stands still."""
+    return (
+        {} if scene.moving is None else {"courses": [course.as_json() for course in scene.moving.courses()]}
+    )
+
+
 def write_description(folder: Path, document: dict[str, Any]) -> None:
     """Writes transforms.json and makes the folder of the frames; keeps an equal file.
 

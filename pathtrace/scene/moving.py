@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 
 from compose.base.errors import UserError, one_line
 from compose.camera.place import Place
+from pathtrace.motion.course import Course, course_of_poses
 from pathtrace.motion.tracks import FormulaTrack, LightTrack, MeshTrack, Motion, RigidTrack, ShapeTrack
 
 Array = NDArray[np.float64]
 
 _POSITIONS, _NORMALS, _TO_WORLD, _POSITION = "vertex_positions", "vertex_normals", "to_world", "position"
+# Poses of a course: linear between them, a turn of ten times is off by next to nothing.
+_STEPS = 129
 # What a light's brightness is called, in that order.
 _BRIGHTNESS = ("radiance", "intensity", "irradiance", "scale")
 
@@ -43,6 +46,7 @@ class MovingScene:
 
     def __init__(self, scene: Any, motion: Motion, names: dict[str, str], place: Place, source: str):
         self.motion, self.time = motion, 0.0
+        self._scene, self._names = scene, names
         self._parameters = mi.traverse(scene)
         self._place, self._source = place, source
         self._parts: list[Callable[[float], dict[str, Any]]] = []
@@ -64,6 +68,17 @@ class MovingScene:
         if time != self.time:
             self._show(time)
             self.time = time
+
+    def courses(self, steps: int = _STEPS) -> list[Course]:
+        """The courses of all shapes that move rigidly, in the scene's coordinates."""
+        index = {shape.id(): number for number, shape in enumerate(self._scene.shapes())}
+        found = []
+        for name, track in self.motion.shapes.items():
+            if isinstance(track, RigidTrack) and self._names[name] in index:
+                poses = np.stack([self._pose(track, time) for time in np.linspace(0, 1, steps)])
+                centre = (np.array(track.about) - np.array(self._place.origin)) / self._place.unit
+                found.append(course_of_poses(name, index[self._names[name]], poses, centre))
+        return found
 
     def _show(self, time: float) -> None:
         for part in self._parts:

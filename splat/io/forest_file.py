@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,10 @@ from splat.model.check import check_forest
 from splat.model.forest import Forest
 from splat.model.gaussians import Gaussians
 from splat.model.layer import LABELS, Layer
+from splat.model.motion import RigidMotion
 
-_ATTACHED = "attached."
+_ATTACHED, _MOTION = "attached.", "motion."
+_UNIT_TOLERANCE = 1e-6
 _TYPES = {"parent": torch.int32, "semantic": torch.int32, "dynamic": torch.bool}
 # Each one halves the resolution of the one below.
 _MOST_LAYERS = 32
@@ -45,6 +48,8 @@ def save_forest(path: str | Path, forest: Forest) -> None:
     tensors = {name: tensor.detach().cpu() for name, tensor in nodes.gaussians.tensors()}
     tensors |= dict(nodes.labels())
     tensors |= {_ATTACHED + name: tensor for name, tensor in forest.attached.items()}
+    motion = {} if forest.motion is None else forest.motion.tensors()
+    tensors |= {_MOTION + name: tensor for name, tensor in motion.items()}
     save_tensors(Path(path), tensors, metadata)
 
 
@@ -66,8 +71,9 @@ def load_forest(path: str | Path) -> Forest:
             _counts(metadata["layers"]),
             float(metadata["trained_focal"]),
             *claimed_scene(metadata["scene_name"], metadata["scene_hash"]),
-            {n.removeprefix(_ATTACHED): t for n, t in tensors.items() if n.startswith(_ATTACHED)},
+            _under(_ATTACHED, tensors),
             _place(metadata),
+            _motion(tensors),
         )
         check_forest(forest.layers)
     except (KeyError, TypeError, ValueError) as error:
@@ -75,6 +81,24 @@ def load_forest(path: str | Path) -> Forest:
     if not gaussians.is_finite() or not 0 < forest.trained_focal < math.inf:
         raise UserError(f"{path}: the forest holds numbers that are not finite; train it again")
     return forest
+
+
+def _under(prefix: str, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """The tensors whose names have a prefix, without it."""
+    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+
+
+def _motion(tensors: dict[str, torch.Tensor]) -> RigidMotion | None:
+    """The motion of the instances; None in a file that has none."""
+    found = _under(_MOTION, tensors)
+    if not found:
+        return None
+    motion = RigidMotion(**{field.name: found[field.name] for field in fields(RigidMotion)})
+    if not all(bool(torch.isfinite(tensor).all()) for tensor in motion.tensors().values()):
+        raise ValueError("a motion that is not finite")
+    if not bool(((motion.rotations.norm(dim=2) - 1).abs() < _UNIT_TOLERANCE).all()):
+        raise ValueError("a motion whose rotations are not unit quaternions")
+    return motion
 
 
 def _place(metadata: dict[str, Any]) -> Place:

@@ -8,11 +8,13 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
+import torch
 
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from splat.model.forest import Forest
 from splat.model.gaussians import Gaussians
+from splat.model.motion import posed
 from splat.raster.binning import depth_order
 from splat.raster.projection import PIXEL_FILTER, Footprints, Parameters, footprints, may_show
 from splat.raster.records import RecordLayout, Records, concatenated_records
@@ -54,10 +56,14 @@ class ForestFootprints:
 
     def __init__(self, arrays: Arrays, forest: Forest):
         self.arrays, self._place = arrays, forest.place
+        self._forest, self._time = forest, 0.0
+        self._dynamic = _dynamic_nodes(forest)
         self._nodes = _NodeTable(arrays, forest.nodes.gaussians)
         first = np.cumsum([0, *forest.counts])
         self._bounds = [
-            _LayerBounds(arrays, forest.nodes.gaussians, int(first[n]), int(first[n + 1]))
+            _LayerBounds(
+                arrays, forest.nodes.gaussians, int(first[n]), int(first[n + 1]), bool(len(self._dynamic))
+            )
             for n in range(len(forest.counts))
         ]
         self._key: tuple[bytes, float] | None = None
@@ -65,6 +71,18 @@ class ForestFootprints:
         # The records of all cached layers, and where each layer begins among them.
         self._records: Records | None = None
         self._first: dict[int, Any] = {}
+
+    def set_time(self, time: float) -> None:
+        """Moves the dynamic nodes to where they are at a time from 0 to 1; nothing if there are none."""
+        if self._forest.motion is None or not len(self._dynamic) or time == self._time:
+            return
+        self._time, self._key = time, None
+        nodes = self._forest.nodes
+        gaussians = nodes.gaussians.select(self._dynamic)
+        moved = posed(gaussians, nodes.semantic[self._dynamic], self._forest.motion.at(time))
+        self._nodes.move(self._dynamic, moved)
+        for bounds in self._bounds:
+            bounds.move(self._dynamic, moved)
 
     def layers(self, camera: Camera, blur: float, layers: Sequence[int]) -> list[LayerFootprints | None]:
         """The nodes of some layers that may show in a camera's frame; None for a layer without any.
@@ -123,6 +141,18 @@ class ForestFootprints:
         return LayerFootprints(near.x, near.y, near.xx, near.yy, extent, ordered)
 
 
+def _dynamic_nodes(forest: Forest) -> torch.Tensor:
+    """Indices of the nodes that move; none in a forest without a motion."""
+    if forest.motion is None:
+        return torch.zeros(0, dtype=torch.int64)
+    return torch.nonzero(forest.nodes.semantic >= 0)[:, 0]
+
+
+def _row(arrays: Arrays, values: torch.Tensor) -> Any:
+    """A tensor (N,) as a Dr.Jit float without gradient."""
+    return dr.detach(arrays.from_torch(values.contiguous()), preserve_type=False)
+
+
 class _LayerBounds:
     """Where the N nodes of one layer are and how large: enough to tell which ones may show.
 
@@ -132,11 +162,22 @@ class _LayerBounds:
         size: (N,) longest axis, as a standard deviation.
     """
 
-    def __init__(self, arrays: Arrays, gaussians: Gaussians, first: int, end: int):
-        plain = lambda row: dr.detach(arrays.from_torch(row), preserve_type=False)  # noqa: E731
+    def __init__(self, arrays: Arrays, gaussians: Gaussians, first: int, end: int, moves: bool):
+        self._arrays, self._range = arrays, (first, end)
         self.first = arrays.number(first)
-        self.means = [plain(row) for row in gaussians.means[:, first:end]]
-        self.size = plain(gaussians.log_scales[:, first:end].max(dim=0).values.exp())
+        # Shared with the forest, which is at rest.
+        means = gaussians.means.clone() if moves else gaussians.means
+        self.means = [_row(arrays, row) for row in means[:, first:end]]
+        self.size = _row(arrays, gaussians.log_scales[:, first:end].max(dim=0).values.exp())
+
+    def move(self, nodes: torch.Tensor, gaussians: Gaussians) -> None:
+        """Moves those of some nodes (M,) of the forest that are in this layer to where Gaussians (M) are."""
+        first, end = self._range
+        own = torch.nonzero((nodes >= first) & (nodes < end))[:, 0]
+        if len(own):
+            index = self._arrays.plain.UInt((nodes[own] - first).numpy())
+            for row, values in zip(self.means, gaussians.means[:, own], strict=True):
+                dr.scatter(row, _row(self._arrays, values), index, mode=dr.ReduceMode.Permute)
 
 
 class _NodeTable:
@@ -149,8 +190,16 @@ class _NodeTable:
         loads = -(-sum(widths.values()) // _NODE_LOAD)
         layout = RecordLayout([_NODE_LOAD] * loads, (), **widths)
         tensors = {name: t.reshape(widths[name], len(gaussians)).numpy() for name, t in gaussians.tensors()}
-        self._coefficients = coefficients
+        self._arrays, self._coefficients = arrays, coefficients
         self._records = layout.upload(arrays, **tensors)
+
+    def move(self, nodes: torch.Tensor, gaussians: Gaussians) -> None:
+        """Moves and turns some nodes (M,) of the forest to where Gaussians (M) are."""
+        index = self._arrays.plain.UInt(nodes.numpy())
+        rows = {"means": gaussians.means, "rotations": gaussians.rotations}
+        self._records.write(
+            index, **{name: [_row(self._arrays, row) for row in tensor] for name, tensor in rows.items()}
+        )
 
     def parameters(self, index: Any) -> Parameters:
         """Parameters of the nodes at an index (M,)."""

@@ -57,6 +57,10 @@ class ForestRenderer:
         self.arrays, self.forest = arrays, forest
         self._footprints = ForestFootprints(arrays, forest)
 
+    def set_time(self, time: float) -> None:
+        """Shows the forest at a time from 0 to 1; forests in which nothing moves look alike at all times."""
+        self._footprints.set_time(time)
+
     def render(
         self, camera: Camera, images: Sequence[LayerImage], cutoff: Lattice, wanted: NDArray[np.bool_]
     ) -> SplatImage:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from compose.camera.place import WORLD, Place
 from splat.model.gaussians import Gaussians
 from splat.model.layer import Layer, concatenated_layers
+from splat.model.motion import RigidMotion
 from splat.model.rows import means_of
 from splat.model.z_curve import z_curve_order
 
@@ -33,9 +34,12 @@ class Forest:
         scene_name, scene_hash: the scene that those frames show.
         attached: further tensors that were fitted to this forest, by name; stored with it, not interpreted.
         place: the coordinates of the nodes; those of the world by default.
+        motion: of the instances that dynamic nodes belong to, in the same coordinates; None if nothing moves.
+            The nodes are those at rest.
 
     Raises:
-        ValueError: there are no layers, or their counts do not sum to the number of nodes.
+        ValueError: there are no layers, their counts do not sum to the number of nodes, or a node belongs to
+            an instance without a motion.
     """
 
     nodes: Layer
@@ -45,12 +49,17 @@ class Forest:
     scene_hash: str
     attached: dict[str, torch.Tensor] = field(default_factory=dict)
     place: Place = WORLD
+    motion: RigidMotion | None = None
 
     def __post_init__(self) -> None:
         if not self.counts:
             raise ValueError("the forest has zero layers")
         if sum(self.counts) != len(self.nodes):
             raise ValueError(f"layers of {self.counts} nodes do not make up {len(self.nodes)}")
+        if self.motion is not None and len(self.nodes):
+            last = int(self.nodes.semantic.max())
+            if last >= len(self.motion):
+                raise ValueError(f"nodes of instance {last}; there are motions of {len(self.motion)}")
 
     @property
     def layers(self) -> list[Layer]:
@@ -72,13 +81,20 @@ class Forest:
         # Forests in the world's own coordinates keep the hash that they had before there were others.
         place = (self.place,) if self.place != WORLD else ()
         state = hashlib.sha256(repr((self.counts, self.trained_focal, *place)).encode())
-        for tensor in [tensor for _, tensor in self.nodes.gaussians.tensors()] + list(self.attached.values()):
+        motion = () if self.motion is None else (self.nodes.semantic, *self.motion.tensors().values())
+        own = [tensor for _, tensor in self.nodes.gaussians.tensors()]
+        for tensor in [*own, *self.attached.values(), *motion]:
             state.update(np.ascontiguousarray(tensor.detach().numpy()).tobytes())
         return state.hexdigest()[:16]
 
 
 def forest_of(
-    layers: list[Layer], trained_focal: float, scene_name: str, scene_hash: str, place: Place = WORLD
+    layers: list[Layer],
+    trained_focal: float,
+    scene_name: str,
+    scene_hash: str,
+    place: Place = WORLD,
+    motion: RigidMotion | None = None,
 ) -> Forest:
     """Builds a forest from its layers, coarsest first; `place` says in which coordinates they are.
 
@@ -98,4 +114,4 @@ def forest_of(
         arranged.append(moved)
     counts = tuple(len(layer) for layer in layers)
     nodes = concatenated_layers(arranged)
-    return Forest(nodes, counts, trained_focal, scene_name, scene_hash, place=place)
+    return Forest(nodes, counts, trained_focal, scene_name, scene_hash, place=place, motion=motion)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -68,6 +68,11 @@ def static_layer(gaussians: Gaussians) -> Layer:
         torch.full((n,), BACKGROUND, dtype=torch.int32),
         torch.zeros(n, dtype=torch.bool),
     )
+
+
+def without_parents(layer: Layer) -> Layer:
+    """The nodes with their labels, as the only layer that there is."""
+    return replace(layer, parent=torch.full_like(layer.parent, NO_PARENT))
 
 
 def concatenated_layers(parts: list[Layer]) -> Layer:

@@ -175,6 +175,20 @@ class Records:
             found[name] = value
         return SimpleNamespace(**found)
 
+    def write(self, index: Any, **values: Any) -> None:
+        """Overwrites some slots of the records at an index (M,), in which no record comes twice.
+
+        Args:
+            index: of the records.
+            values: by slot a list of as many floats (M,) as it is wide; no integers.
+        """
+        for name, rows in values.items():
+            slot = self.layout.slots[name]
+            for number, row in zip(range(slot.start, slot.stop), rows, strict=True):
+                packet = next(p for p in self.layout.packets if p.floats.start <= number < p.floats.stop)
+                place = packet.index(index) * packet.size + (number - packet.floats.start)
+                dr.scatter(self.tables[packet.table], row, place, mode=dr.ReduceMode.Permute)
+
     def gathered(self, index: Any) -> Records:
         """Copies of the records at an index (M,), in that order."""
         return self.layout.scattered(self.arrays, self._packets(index), dr.width(index))

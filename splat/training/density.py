@@ -11,7 +11,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from splat.model.gaussians import Gaussians, concatenated
+from splat.model.gaussians import Gaussians
+from splat.model.layer import Layer, concatenated_layers, static_layer
+from splat.model.motion import RigidMotion
 from splat.training.initialization import seed_at
 from splat.training.views import TrainingView
 
@@ -30,10 +32,14 @@ class DensityControl:
         iterations: length of the training in steps.
         initial_count: Gaussians at the start.
         final_count: Gaussians at the end.
+        motion: of the instances that views show; None if nothing moves.
     """
 
-    def __init__(self, iterations: int, initial_count: int, final_count: int):
+    def __init__(
+        self, iterations: int, initial_count: int, final_count: int, motion: RigidMotion | None = None
+    ):
         self.iterations, self.initial_count, self.final_count = iterations, initial_count, final_count
+        self._motion = motion
         self._every = max(1, min(_EVERY, int((_LAST - _FIRST) * iterations) // _CHANGES))
         self._errors: dict[int, torch.Tensor] = {}
 
@@ -54,7 +60,7 @@ class DensityControl:
 
     def change(
         self, gaussians: Gaussians, views: list[TrainingView], rng: np.random.Generator
-    ) -> tuple[torch.Tensor, Gaussians]:
+    ) -> tuple[torch.Tensor, Layer]:
         """Chooses what stays and what is new.
 
         Args:
@@ -63,7 +69,7 @@ class DensityControl:
             rng: draws the pixels of the new ones.
 
         Returns:
-            Indices (M,) of the Gaussians that stay, and the new Gaussians.
+            Indices (M,) of the Gaussians that stay, and the new nodes, at rest.
         """
         opacity = torch.sigmoid(gaussians.opacity_logits)
         finite = torch.isfinite(gaussians.means).all(dim=0) & torch.isfinite(gaussians.log_scales).all(dim=0)
@@ -76,20 +82,17 @@ class DensityControl:
         target = min(self.final_count, len(gaussians) + step)
         return kept, self._added(target - len(kept), views, gaussians.degree, rng)
 
-    def _added(
-        self, count: int, views: list[TrainingView], degree: int, rng: np.random.Generator
-    ) -> Gaussians:
-        """New Gaussians, shared among the views in proportion to their mean errors."""
+    def _added(self, count: int, views: list[TrainingView], degree: int, rng: np.random.Generator) -> Layer:
+        """New nodes, shared among the views in proportion to their mean errors."""
         seen = sorted(self._errors)
         # The small term makes the shares equal, rather than 0 / 0, if there is no error at all.
         weights = np.array([float(self._errors[v].mean()) for v in seen]) + 1e-9
         shares = rng.multinomial(max(0, count), weights / weights.sum()) if seen else np.zeros(0, int)
-        parts = [Gaussians.none(degree)]
-        parts += [
-            seed_at(views[view], _draw(self._errors[view], views[view], int(share), rng), _SIZE, degree)
-            for view, share in zip(seen, shares, strict=True)
-        ]
-        return concatenated(parts)
+        parts = [static_layer(Gaussians.none(degree))]
+        for view, share in zip(seen, shares, strict=True):
+            pixels = _draw(self._errors[view], views[view], int(share), rng)
+            parts.append(seed_at(views[view], pixels, _SIZE, degree, self._motion))
+        return concatenated_layers(parts)
 
     def state(self) -> dict[str, torch.Tensor]:
         """Tensors for a checkpoint."""

@@ -9,7 +9,9 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from splat.model.gaussians import SH_DC, Gaussians, concatenated, sh_count
+from splat.model.gaussians import SH_DC, Gaussians, sh_count
+from splat.model.layer import Layer, concatenated_layers, static_layer
+from splat.model.motion import RigidMotion, posed
 from splat.model.perceptual import perceptual_from_radiance
 from splat.training.sky import rotation_to, whole_sky
 from splat.training.views import TrainingView
@@ -32,9 +34,13 @@ _NARROWEST, _WIDEST = 0.3, 8.0
 
 
 def seed_from_views(
-    views: list[TrainingView], count: int, degree: int, rng: np.random.Generator
-) -> Gaussians:
-    """Seeds at `count` random pixels of all views, wide enough to cover the surfaces together.
+    views: list[TrainingView],
+    count: int,
+    degree: int,
+    rng: np.random.Generator,
+    motion: RigidMotion | None = None,
+) -> Layer:
+    """Seeds at `count` random pixels of all views, wide enough to cover the surfaces together, and at rest.
 
     Pixels that show no surface give no seed; if one does, there is at least one seed. Where views show the
     sky, there are further ones behind those, for all of it.
@@ -49,9 +55,11 @@ def seed_from_views(
     for view, share in zip(views, shares, strict=True):
         total = view.distance.size
         chosen = rng.choice(total, min(int(share), total), replace=False)
-        parts.append(seed_at(view, chosen, size, degree))
-    seeds = concatenated([_covering(concatenated(parts)), _sky_around(views, degree)])
-    return seeds if len(seeds) else _first_seed(views, size, degree, rng)
+        parts.append(seed_at(view, chosen, size, degree, motion))
+    seeds = concatenated_layers(parts)
+    seeds = replace(seeds, gaussians=_covering(seeds.gaussians))
+    seeds = concatenated_layers([seeds, static_layer(_sky_around(views, degree))])
+    return seeds if len(seeds) else _first_seed(views, size, degree, rng, motion)
 
 
 def _covering(seeds: Gaussians) -> Gaussians:
@@ -91,24 +99,37 @@ def _some_directions(view: TrainingView, sky: bool) -> tuple[NDArray[np.float64]
     return view.rays(seen), view.radiance.reshape(-1, 3)[seen]
 
 
-def _first_seed(views: list[TrainingView], size: float, degree: int, rng: np.random.Generator) -> Gaussians:
+def _first_seed(
+    views: list[TrainingView],
+    size: float,
+    degree: int,
+    rng: np.random.Generator,
+    motion: RigidMotion | None,
+) -> Layer:
     """One seed, where hardly any pixel shows a surface and no random one did; none if there is no surface."""
     view = max(views, key=lambda view: len(view.surface_pixels))
     surface = view.surface_pixels
-    return seed_at(view, rng.choice(surface, 1) if len(surface) else surface, size, degree)
+    return seed_at(view, rng.choice(surface, 1) if len(surface) else surface, size, degree, motion)
 
 
-def seed_at(view: TrainingView, pixels: NDArray[np.int64], size: float, degree: int) -> Gaussians:
-    """Seeds at pixels of one view.
+def seed_at(
+    view: TrainingView,
+    pixels: NDArray[np.int64],
+    size: float,
+    degree: int,
+    motion: RigidMotion | None = None,
+) -> Layer:
+    """Seeds at pixels of one view, labelled by the instances that these show.
 
     Args:
         view: the frame.
         pixels: (M,) row-major indices; pixels that show no surface give no seed.
         size: standard deviation in pixels of that frame.
         degree: of the spherical harmonics, of which only the constant one is set.
+        motion: of the instances; seeds of these are where they are at rest.
 
     Returns:
-        At most M Gaussians.
+        At most M nodes without parents.
     """
     distance = view.distance.ravel()[pixels]
     pixels = pixels[np.isfinite(distance) & (distance > 0)]
@@ -120,10 +141,15 @@ def seed_at(view: TrainingView, pixels: NDArray[np.int64], size: float, degree: 
     sh = torch.zeros(sh_count(degree), 3, n)
     sh[0] = (perceptual_from_radiance(radiance.clamp(min=0)) - 0.5) / SH_DC
     normals = view.normal.reshape(-1, 3)[pixels]
-    return Gaussians(
+    seeds = Gaussians(
         torch.from_numpy(means.T.astype(np.float32).copy()),
         torch.from_numpy(np.log(scales).astype(np.float32)),
         torch.from_numpy(rotation_to(normals).T.astype(np.float32).copy()),
         torch.full((n,), float(np.log(_INITIAL_OPACITY / (1 - _INITIAL_OPACITY)))),
         sh,
     )
+    if motion is None:
+        return static_layer(seeds)
+    instance = torch.from_numpy(view.instances(pixels))
+    seeds = posed(seeds, instance, motion.at(view.time).inverse())
+    return replace(static_layer(seeds), semantic=instance, dynamic=instance >= 0)

@@ -9,7 +9,9 @@ import numpy as np
 import torch
 
 from compose.base.arrays import Arrays
-from splat.model.layer import LABELS, NO_PARENT, Layer, concatenated_layers, static_layer
+from splat.model.gaussians import Gaussians
+from splat.model.layer import LABELS, NO_PARENT, Layer, concatenated_layers
+from splat.model.motion import RigidMotion, posed
 from splat.raster.differentiable import render_differentiable
 from splat.raster.projection import PIXEL_FILTER
 from splat.training.density import DensityControl
@@ -32,6 +34,7 @@ class LayerTraining:
         views: frames at this layer's resolution.
         steps: how many steps this layer gets in total.
         seed: determines the order of the views and the new Gaussians.
+        motion: of the instances that views show; None if nothing moves.
 
     Attributes:
         views: as given.
@@ -46,7 +49,15 @@ class LayerTraining:
     # Views of the round of steps that is under way.
     _order: torch.Tensor
 
-    def __init__(self, arrays: Arrays, views: list[TrainingView], steps: int, seed: list[int]):
+    def __init__(
+        self,
+        arrays: Arrays,
+        views: list[TrainingView],
+        steps: int,
+        seed: list[int],
+        motion: RigidMotion | None = None,
+    ):
+        self._motion = motion
         self.views, self.done, self.skipped, self.begun = views, 0, 0, False
         self._arrays, self._steps, self._seed = arrays, steps, seed
         self._targets = [Target(arrays, torch.from_numpy(v.radiance)) for v in views]
@@ -56,7 +67,7 @@ class LayerTraining:
         """Starts from the given nodes; density control brings their number to the final one."""
         self._tree, self.begun = layer, True
         self._optimizer = GaussianOptimizer(layer.gaussians, self._pixel)
-        self._density = DensityControl(self._steps, len(layer), final_count)
+        self._density = DensityControl(self._steps, len(layer), final_count, self._motion)
 
     def extend(self, layer: Layer) -> None:
         """Continues with the same nodes, possibly with other parents, and with new nodes after them."""
@@ -81,9 +92,11 @@ class LayerTraining:
             removed.
         """
         index = self._view_of(self.done)
-        camera = self.views[index].camera
-        shown = visible(self._arrays, self._optimizer.gaussians, camera)
-        image = render_differentiable(self._arrays, self._optimizer.chosen(shown), camera, PIXEL_FILTER)
+        camera, time = self.views[index].camera, self.views[index].time
+        semantic = self._tree.semantic
+        shown = visible(self._arrays, self._posed(self._optimizer.gaussians, semantic, time), camera)
+        chosen = self._posed(self._optimizer.chosen(shown), semantic[shown], time)
+        image = render_differentiable(self._arrays, chosen, camera, PIXEL_FILTER)
         loss, error = self._targets[index].loss(image)
         if self._optimizer.step(loss, self.done / self._steps):
             self._density.observe(index, error)
@@ -96,12 +109,18 @@ class LayerTraining:
         self.done += 1
         return self._change_density() if due else None
 
+    def _posed(self, gaussians: Gaussians, semantic: torch.Tensor, time: float) -> Gaussians:
+        """Gaussians of some instances (N,) where they are at a time."""
+        if self._motion is None:
+            return gaussians
+        return posed(gaussians, semantic, self._motion.at(time))
+
     def _change_density(self) -> torch.Tensor:
         """Removes and adds nodes; returns the index (N,) that each former node has now, -1 if removed."""
         before = self.layer
         rng = np.random.default_rng([*self._seed, 1, self.done])
         kept, added = self._density.change(before.gaussians, self.views, rng)
-        self._tree = concatenated_layers([before.select(kept), static_layer(added)])
+        self._tree = concatenated_layers([before.select(kept), added])
         self._optimizer.replace(self._tree.gaussians, kept)
         now = torch.full((len(before),), NO_PARENT, dtype=torch.int32)
         now[kept] = torch.arange(len(kept), dtype=torch.int32)
@@ -135,7 +154,9 @@ class LayerTraining:
         self._optimizer = GaussianOptimizer.restored(tensors, self._pixel)
         gaussians = self._optimizer.gaussians
         self._tree, self.begun = Layer(gaussians, *(tensors[name] for name in LABELS)), True
-        self._density = DensityControl(self._steps, int(numbers["initial"]), int(numbers["final"]))
+        self._density = DensityControl(
+            self._steps, int(numbers["initial"]), int(numbers["final"]), self._motion
+        )
         self._density.restore(tensors)
         self.done, self.skipped = int(numbers["done"]), int(numbers["skipped"])
         if self.done:

@@ -17,7 +17,8 @@ from compose.base.arrays import Arrays
 from compose.base.seeds import require_seed
 from splat.model.building import build_forest
 from splat.model.forest import Forest
-from splat.model.layer import NO_PARENT, Layer, static_layer
+from splat.model.layer import NO_PARENT, Layer, without_parents
+from splat.model.motion import RigidMotion
 from splat.model.settling import settle
 from splat.training.density import INITIAL_SHARE
 from splat.training.initialization import seed_from_views
@@ -82,10 +83,12 @@ class Trainer:
             left out.
         settings: of the training.
         start: whose finest layer to go on from, instead of seeds on the surfaces that the views show.
+        motion: of the instances that the views show, in world space; None if nothing moves.
 
     Attributes:
         settings: as given.
         place: the coordinates in which the Gaussians are trained.
+        motion: of the instances, in these coordinates.
         dropped: number of frames that were left out.
         iteration: steps so far.
 
@@ -99,6 +102,7 @@ class Trainer:
         views: list[TrainingView],
         settings: TrainingSettings,
         start: Forest | None = None,
+        motion: RigidMotion | None = None,
     ):
         self.settings = settings
         finite = [view for view in views if view.is_finite]
@@ -106,6 +110,7 @@ class Trainer:
         _require_enough(views, finite, settings)
         self.place = place_of(finite) if start is None else start.place
         views = [placed(view, self.place) for view in finite]
+        self.motion = None if motion is None else motion.placed(self.place)
         self._pixel = pixel_footprint(at_resolution(views, 0, strictly=True))
         self._schedule = training_schedule(settings, _ALONE if start is None else _ALONE_AGAIN)
         self._layers = [
@@ -114,6 +119,7 @@ class Trainer:
                 at_resolution(views, settings.layers - 1 - index),
                 max(1, int(np.count_nonzero(self._schedule == index))),
                 [settings.seed, index],
+                self.motion,
             )
             for index in range(settings.layers)
         ]
@@ -121,8 +127,11 @@ class Trainer:
         self._settling = int(_SETTLED * settings.iterations)
         rng = np.random.default_rng([settings.seed, 0])
         first = max(1, int(settings.gaussians * INITIAL_SHARE))
-        known = seed_from_views(views, first, settings.degree, rng) if start is None else start.finest
-        self._layers[-1].begin(static_layer(known), max(settings.gaussians, len(known)))
+        if start is None:
+            known = seed_from_views(views, first, settings.degree, rng, self.motion)
+        else:
+            known = without_parents(start.layers[-1])
+        self._layers[-1].begin(known, max(settings.gaussians, len(known)))
 
     def run(self, progress: Callable[[int], None] = lambda done: None, until: int | None = None) -> None:
         """Trains up to iteration `until`, by default to the end.

@@ -28,6 +28,8 @@ class TrainingView:
             surface appears behind it; inf where nothing is hit.
         normal: (H, W, 3) float32 in world space, zero where it is unknown.
         sky: distance of pixels that show the sky, and no surface; inf for a view of the world.
+        time: that the view shows, from 0 to 1.
+        instance: (H, W) int32, which instance that moves a pixel shows, -1 for none; None if nothing moves.
     """
 
     camera: Camera
@@ -35,12 +37,20 @@ class TrainingView:
     distance: NDArray[np.float32]
     normal: NDArray[np.float32]
     sky: float = np.inf
+    time: float = 0.0
+    instance: NDArray[np.int32] | None = None
 
     @property
     def is_finite(self) -> bool:
         """Whether it can be learnt from: finite radiance and normals, distances that are numbers or inf."""
         finite = np.isfinite(self.radiance).all() and np.isfinite(self.normal).all()
         return bool(finite and (self.distance >= 0).all())
+
+    def instances(self, pixels: NDArray[np.int64]) -> NDArray[np.int32]:
+        """(M,) instances that pixels show, row-major indices (M,); -1 for none."""
+        if self.instance is None:
+            return np.full(len(pixels), -1, dtype=np.int32)
+        return self.instance.ravel()[pixels]
 
     @property
     def surface_pixels(self) -> NDArray[np.int64]:
@@ -105,12 +115,12 @@ def placed(view: TrainingView, place: Place) -> TrainingView:
     if far.any():
         rays = view.camera.rays(view.camera.pixel_centres()).reshape(normal.shape)
         normal = np.where(far[..., None], -rays, normal).astype(np.float32)
-    return TrainingView(
-        place.camera(view.camera),
-        view.radiance,
-        np.where(far, SKY_DISTANCE, distance).astype(np.float32),
-        normal,
-        SKY_DISTANCE,
+    return replace(
+        view,
+        camera=place.camera(view.camera),
+        distance=np.where(far, SKY_DISTANCE, distance).astype(np.float32),
+        normal=normal,
+        sky=SKY_DISTANCE,
     )
 
 
@@ -157,12 +167,13 @@ def reduced(view: TrainingView, factor: int) -> TrainingView:
     radiance = radiance.reshape(height, factor, width, factor, 3).mean(axis=(1, 3))
     # A mean of distances would lie between a table's edge and the floor; the middle one lies on one of them.
     middle = np.s_[factor // 2 : height * factor : factor, factor // 2 : width * factor : factor]
-    return TrainingView(
-        _reduced_camera(camera, factor),
-        np.ascontiguousarray(radiance),
-        np.ascontiguousarray(view.distance[middle]),
-        np.ascontiguousarray(view.normal[middle]),
-        view.sky,
+    return replace(
+        view,
+        camera=_reduced_camera(camera, factor),
+        radiance=np.ascontiguousarray(radiance),
+        distance=np.ascontiguousarray(view.distance[middle]),
+        normal=np.ascontiguousarray(view.normal[middle]),
+        instance=None if view.instance is None else np.ascontiguousarray(view.instance[middle]),
     )
 
 

@@ -28,8 +28,8 @@ def rough_forest(scene: Scene, degree: int = 0) -> Forest:
     pixels = scene.camera.width * scene.camera.height
     chosen = small.rng().choice(pixels, min(500, pixels), replace=False)
     # Half transparent, and with gaps: as in the middle of a training.
-    gaussians = seed_at(view, chosen, 0.6 * float(np.sqrt(pixels / 500)), degree)
-    layers = build_forest(static_layer(gaussians), 0.05, 3)
+    seeds = seed_at(view, chosen, 0.6 * float(np.sqrt(pixels / 500)), degree)
+    layers = build_forest(seeds, 0.05, 3)
     forest = forest_of(layers, scene.camera.fy, scene.name, scene.hash)
     return attach_views(forest, [scene.camera.resized(4 * scene.camera.width, scene.camera.height)])
 

@@ -66,7 +66,7 @@ def size_in_full(path: Path) -> int:
 def seeds(camera: Camera, frame: CapturedFrame, normal: NDArray[np.float32]) -> Gaussians:
     """The Gaussians that training would begin with."""
     view = TrainingView(camera, frame.radiance, frame.unfolded, normal)
-    return seed_from_views([view], _SEEDS_OF_SPLATS, 0, np.random.default_rng(0))
+    return seed_from_views([view], _SEEDS_OF_SPLATS, 0, np.random.default_rng(0)).gaussians
 
 
 def relative(found: NDArray[np.float32], expected: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -68,6 +68,7 @@ def test_the_frame_is_that_of_the_options(render, made, tmp_path):
         "spp": 3,
         "fov_a": 30,
         "fov_b": 10,
+        "time": 0.0,
         "fovea": "denoised",
         "integrator": "cached",
         "unbiased": False,

@@ -15,7 +15,6 @@ from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.tracer import Tracer
 from splat.model.building import build_forest
 from splat.model.forest import Forest, forest_of
-from splat.model.layer import static_layer
 from splat.training.initialization import seed_from_views
 from splat.training.views import TrainingView, pixel_footprint, place_of
 from splat.training.views import placed as placed_view
@@ -32,7 +31,7 @@ def forest_in_its_place(scene: Scene) -> Forest:
     view = TrainingView(scene.camera, frame.radiance, frame.unfolded, frame.normal)
     place = place_of([view])
     view = placed_view(view, place)
-    seeds = static_layer(seed_from_views([view], 500, 0, small.rng()))
+    seeds = seed_from_views([view], 500, 0, small.rng())
     layers = build_forest(seeds, pixel_footprint([view]), 3)
     return forest_of(layers, scene.camera.fy, scene.name, scene.hash, place)
 

@@ -33,6 +33,7 @@ OTHERS = {
     "camera": CAMERA,
     "integrator": Integrator.PATH,
     "fill": False,
+    "time": 0.5,
 }
 
 
@@ -100,6 +101,9 @@ def test_a_display_may_be_named_or_described_in_a_file(tmp_path):
         ({"rate": -1}, "rate -1: must be a whole number from 0 to 4"),
         ({"rate": 5}, "rate 5: must be"),
         ({"rate": 0.5}, "rate 0.5: must be a whole number"),
+        ({"time": -0.1}, "time -0.1: must be from 0 to 1"),
+        ({"time": 1.1}, "time 1.1: must be from 0 to 1"),
+        ({"time": float("nan")}, "time nan: must be from 0 to 1"),
         ({"scale": 0.0}, "scale 0.0: must be above 0 and at most 1"),
         ({"scale": 1.01}, "scale 1.01: must be"),
         ({"scale": float("nan")}, "scale nan: must be"),

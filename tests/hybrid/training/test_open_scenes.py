@@ -26,7 +26,7 @@ def meadow(backend):
 def test_the_meadow_lies_under_a_sky(meadow, monkeypatch):
     camera, frame = meadow
     monkeypatch.setattr(module, "read_frame", lambda file, size: frame)
-    view = training_view(SimpleNamespace(file=None, size=(64, 64), camera=camera))
+    view = training_view(SimpleNamespace(file=None, size=(64, 64), camera=camera, time=0.0))
     sky = np.isinf(view.distance)
     # The pond shows the sky, and lies below the horizon.
     assert 0.2 < np.isinf(frame.depth).mean() < sky.mean() < 0.6
@@ -40,5 +40,5 @@ def test_a_mirror_that_shows_nothing_is_where_it_is(meadow, monkeypatch):
     camera, frame = meadow
     dark = replace(frame, radiance=np.where(np.isinf(frame.unfolded)[..., None], 0, frame.radiance))
     monkeypatch.setattr(module, "read_frame", lambda file, size: dark)
-    view = training_view(SimpleNamespace(file=None, size=(64, 64), camera=camera))
+    view = training_view(SimpleNamespace(file=None, size=(64, 64), camera=camera, time=0.0))
     np.testing.assert_array_equal(np.isinf(view.distance), np.isinf(frame.depth))

@@ -89,6 +89,8 @@ def test_every_missing_file_is_noticed(tmp_path, document, name):
         ({"scene": {"name": "attic"}}, "not the description of a frame set"),
         ({"w": "wide"}, "not the description of a frame set"),
         ({"w": 0}, "not the description of a frame set"),
+        ({"time": 1.5}, "not the description of a frame set .*time 1.5: must be from 0 to 1"),
+        ({"courses": [{"name": "door"}]}, "not the description of a frame set"),
     ],
 )
 def test_other_documents_are_refused(tmp_path, document, change, complaint):

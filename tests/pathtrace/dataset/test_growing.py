@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from compose.base.errors import UserError
+from pathtrace.dataset.exr import read_frame
 from pathtrace.dataset.frames import read_frame_set
 from pathtrace.dataset.growing import GrowingFrames, Wanted
 from pathtrace.scene.scene import Scene, load_scene
@@ -17,6 +19,7 @@ from pathtrace.trace.integrator import Integrator
 from pathtrace.trace.tracer import Tracer
 from tests import small
 from tests.extremes import extreme
+from tests.moving import moving_corner
 
 FIRST, MORE = (4, 4), (8, 4, 6)
 
@@ -140,3 +143,36 @@ def test_views_that_are_there_cannot_change(scene, tracer, tmp_path):
         with pytest.raises(ValueError, match="must stay"):
             frames.grow(views, silent)
     assert json.loads((tmp_path / "transforms.json").read_text(encoding="utf-8"))["frames"][0]["samples"] == 4
+
+
+def test_views_of_a_scene_that_moves_show_their_times(tmp_path):
+    """In whatever order they were traced; a view keeps its time."""
+    scene = moving_corner(tmp_path)
+    tracer, camera = Tracer(scene), scene.camera.resized(24, 16)
+    views = [Wanted(camera, 2, time) for time in (0.0, 1.0, 0.5)]
+    once = frames_in(tmp_path / "once", tracer)
+    once.grow(views, silent)
+    twice = frames_in(tmp_path / "twice", tracer)
+    twice.grow(views[:1], silent)
+    twice.grow(views, silent)
+    for view in range(3):
+        np.testing.assert_array_equal(once.radiance(view), twice.radiance(view))
+    found = read_frame_set(tmp_path / "once")
+    assert (
+        [entry.time for entry in found.training] == [once.time(view) for view in range(3)] == [0.0, 1.0, 0.5]
+    )
+    (course,) = found.courses
+    assert course.name == "board"
+    columns = [np.nonzero(read_frame(entry.file).shape == course.shape)[1].mean() for entry in found.training]
+    # Its x axis points to the left.
+    assert columns[0] > columns[2] > columns[1]
+    with pytest.raises(ValueError, match="must stay as they are"):
+        once.grow([replace(views[0], time=0.3), *views[1:]], silent)
+
+
+def test_frames_of_a_scene_that_stands_still_have_no_courses(scene, tracer, tmp_path):
+    frames = frames_in(tmp_path, tracer)
+    frames.grow(wanted(scene, (2,)), silent)
+    assert not frames.moves
+    found = read_frame_set(tmp_path)
+    assert (found.courses, found.training[0].time) == ((), 0.0)

@@ -9,6 +9,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from compose.base.errors import UserError
 from pathtrace.scene.scene import Scene, load_scene
@@ -271,3 +272,22 @@ def test_dictionaries_can_be_given_a_motion(tmp_path):
     before = hits(scene)
     scene.set_time(1.0)
     assert 0.02 < (np.abs(hits(scene) - before).max(axis=1) > 1e-3).mean() < 0.3
+
+
+def test_courses_say_where_shapes_are(tmp_path):
+    """Those that move rigidly: what is seen on one, taken back to rest by its course, is on it at rest."""
+    turning = keys(
+        {"t": 0}, {"t": 1, "translate": [0, 0.3, 0], "degrees": 40}, axis=[1, 2, 0], about=[1, 0, 0]
+    )
+    motion = {"shapes": {"right": turning, "lamp": RIGHT, "left": {"formula": ["x", "y", "z"]}}}
+    scene = loaded(tmp_path, motion)
+    assert scene.moving is not None
+    (course,) = scene.moving.courses(5)
+    assert course.name == "right"
+    scene.set_time(0.75)
+    found = Tracer(scene).hits(scene.camera, frame_positions(scene.camera))
+    points = hits(scene)[found.shape == course.shape]
+    assert len(points) > 50
+    turn = Rotation.from_quat(course.rotations[3][[1, 2, 3, 0]])
+    at_rest = turn.inv().apply(points - course.centre - course.shifts[3]) + course.centre
+    np.testing.assert_allclose(np.abs(at_rest - [1, 0, 0]).max(axis=1), 0.3, atol=1e-4)

@@ -117,3 +117,19 @@ def test_wrong_names_are_refused(arrays):
             layout.upload(arrays, **{name: [1.0] for name in values})
     with pytest.raises(ValueError, match="can only be packed on the device"):
         RecordLayout((1,), ("n",), n=1).upload(arrays, n=[1])
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_some_slots_of_some_records_are_overwritten(arrays, name):
+    layout, singles = made(*LAYOUTS[name])
+    packed = values(arrays, singles, 20)
+    records = layout.pack(arrays, **packed)
+    index, new = np.array([3, 19, 0], dtype=np.uint32), np.arange(9, dtype=np.float32).reshape(3, 3)
+    records.write(arrays.plain.UInt(index), vector=[arrays.plain.Float(row) for row in new])
+    found = records.at(dr.arange(arrays.plain.UInt, 20))
+    for k in range(3):
+        expected = packed["vector"][k].numpy().copy()
+        expected[index] = new[k]
+        np.testing.assert_array_equal(found.vector[k].numpy(), expected)
+    for slot in packed.keys() - {"vector"}:
+        np.testing.assert_array_equal(getattr(found, slot).numpy(), packed[slot].numpy())

@@ -12,7 +12,7 @@ from tests.splat.training.frames import SIZE, WALLS, wall
 
 
 def seeds(count: int):
-    return seed_at(WALLS[0], np.arange(count), 0.6, degree=1)
+    return seed_at(WALLS[0], np.arange(count), 0.6, degree=1).gaussians
 
 
 def control(initial: int, final: int, iterations: int = 1000) -> DensityControl:
@@ -49,7 +49,7 @@ def test_transparent_and_broken_gaussians_are_removed_and_replaced():
     kept, added = control(50, 50).change(g, WALLS, np.random.default_rng(0))
     assert sorted(set(range(50)) - set(kept.tolist())) == [3, 7, 9]
     assert len(added) == 3
-    assert added.degree == 1
+    assert added.gaussians.degree == 1
 
 
 def test_the_number_never_passes_the_final_one():
@@ -66,7 +66,7 @@ def test_new_ones_go_where_the_error_is():
     error[2, 3], error[4, 1], error[5, 5] = 1.0, 3.0, 100.0
     density.observe(0, error)
     _, added = density.change(seeds(10), [view], np.random.default_rng(0))
-    position, _ = view.camera.project(added.means.T.double().numpy())
+    position, _ = view.camera.project(added.gaussians.means.T.double().numpy())
     np.testing.assert_allclose(sorted(position.tolist()), [[1.5, 4.5], [3.5, 2.5]], atol=1e-4)
 
 
@@ -91,7 +91,7 @@ def test_pixels_are_drawn_in_proportion_to_their_error():
     above = total = 0
     for seed in range(5):
         _, added = density.change(seeds(10), [WALLS[1]], np.random.default_rng(seed))
-        position, _ = WALLS[1].camera.project(added.means.T.double().numpy())
+        position, _ = WALLS[1].camera.project(added.gaussians.means.T.double().numpy())
         above, total = above + (position[:, 1] < SIZE / 2).sum(), total + len(added)
     assert total == 400
     # Five standard deviations.
@@ -106,7 +106,7 @@ def test_views_share_in_proportion_to_their_mean_error():
     from_first = total = 0
     for seed in range(5):
         _, added = density.change(seeds(10), WALLS, np.random.default_rng(seed))
-        x, _ = WALLS[0].camera.project(added.means.T.double().numpy())
+        x, _ = WALLS[0].camera.project(added.gaussians.means.T.double().numpy())
         # Seeds of the first view lie at its pixels' centres.
         centred = np.abs(x - np.floor(x) - 0.5).max(axis=1) < 1e-3
         from_first, total = from_first + centred.sum(), total + len(added)

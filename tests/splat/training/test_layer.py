@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from splat.model.layer import concatenated_layers, static_layer
+from splat.model.layer import concatenated_layers
 from splat.raster.differentiable import render_differentiable
 from splat.training import density
 from splat.training.initialization import seed_from_views
@@ -29,7 +29,7 @@ def density_control_after_ten_steps(monkeypatch) -> None:
 def begun(arrays, final: int = 300) -> LayerTraining:
     training = LayerTraining(arrays, WALLS, STEPS, [5, 1])
     seeds = seed_from_views(WALLS, 150, 1, np.random.default_rng(0))
-    training.begin(static_layer(seeds), final)
+    training.begin(seeds, final)
     return training
 
 
@@ -42,7 +42,7 @@ def test_views_come_once_per_round_in_random_order(arrays):
     again = begun(arrays)
     assert rounds[4] == [again._view_of(12 + k) for k in range(3)]
     other = LayerTraining(arrays, WALLS, STEPS, [6, 1])
-    other.begin(static_layer(seed_from_views(WALLS, 150, 1, np.random.default_rng(0))), 300)
+    other.begin(seed_from_views(WALLS, 150, 1, np.random.default_rng(0)), 300)
     assert rounds != [[other._view_of(3 * n + k) for k in range(3)] for n in range(20)]
 
 
@@ -89,10 +89,10 @@ def test_extension_keeps_the_nodes_and_adds_new_ones(arrays):
         training.step()
     before = training.layer
     new = seed_from_views(WALLS[:1], 4, 1, np.random.default_rng(1))
-    training.extend(concatenated_layers([before, static_layer(new)]))
+    training.extend(concatenated_layers([before, new]))
     assert len(training.layer) == 154
     assert equal(training.layer.gaussians.select(torch.arange(150)), before.gaussians)
-    assert equal(training.layer.gaussians.select(torch.arange(150, 154)), new)
+    assert equal(training.layer.gaussians.select(torch.arange(150, 154)), new.gaussians)
     # The same nodes with other parents.
     parents = torch.arange(154, dtype=torch.int32)
     training.extend(replace(training.layer, parent=parents))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from splat.model.layer import static_layer
 from splat.training.initialization import seed_at
 from splat.training.layer import LayerTraining
 from splat.training.sizes import largest_log_scales
@@ -26,9 +25,9 @@ def test_the_nearest_view_decides():
 def test_training_keeps_them_small(arrays):
     """One of two hundred seeds is as large as the wall."""
     seeds = seed_at(WALLS[0], np.arange(0, 1000, 5), 0.6, degree=1)
-    seeds.log_scales[:, 7] = 2.0
+    seeds.gaussians.log_scales[:, 7] = 2.0
     training = LayerTraining(arrays, WALLS, 60, [0, 0])
-    training.begin(static_layer(seeds), len(seeds))
+    training.begin(seeds, len(seeds))
     for _ in range(30):
         training.step(grows=False)
     found = training.layer.gaussians

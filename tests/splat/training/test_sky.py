@@ -86,7 +86,7 @@ def test_a_few_bright_pixels_are_no_sky():
     for count, there in ((1, False), (9, True)):
         for view in views:
             view.distance.ravel()[:count] = SKY_DISTANCE
-        seeds = seed_from_views(views, 200, 0, np.random.default_rng(0))
+        seeds = seed_from_views(views, 200, 0, np.random.default_rng(0)).gaussians
         assert (float(seeds.means.norm(dim=0).max()) > SKY_DISTANCE * 1.1) == there
 
 

@@ -1,0 +1,81 @@
+"""Forests in which something moves, at a time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from splat.lod.layer_images import LayerImage
+from splat.lod.renderer import ForestRenderer
+from splat.model.forest import Forest
+from splat.model.motion import posed
+from tests.splat.lod.views import CORNERS, everything, frame_camera, no_cutoff, small_forest
+from tests.splat.model.test_motion import COUNT, random_motion
+
+
+def moving_forest() -> Forest:
+    """Every third tree moves, as one of the instances."""
+    forest = small_forest()
+    semantic: list[torch.Tensor] = []
+    for layer in forest.layers:
+        roots = torch.arange(len(layer)) % (3 * COUNT)
+        own = (
+            torch.where(roots < COUNT, roots, -1).int() if not semantic else semantic[-1][layer.parent.long()]
+        )
+        semantic.append(own)
+    labels = torch.cat(semantic)
+    nodes = replace(forest.nodes, semantic=labels, dynamic=labels >= 0)
+    motion = random_motion()[0]
+    return replace(forest, nodes=nodes, motion=replace(motion, shifts=0.3 * motion.shifts))
+
+
+def as_posed(forest: Forest, time: float) -> Forest:
+    """A forest that stands still as the other one is at a time."""
+    assert forest.motion is not None
+    gaussians = posed(forest.nodes.gaussians, forest.nodes.semantic, forest.motion.at(time))
+    return replace(forest, nodes=replace(forest.nodes, gaussians=gaussians), motion=None)
+
+
+@pytest.mark.parametrize("layer", [1, 2, 3])
+def test_a_forest_at_a_time_is_that_of_its_posed_nodes(arrays, layer):
+    forest, camera = moving_forest(), frame_camera()
+    renderer = ForestRenderer(arrays, forest)
+    rest = ForestRenderer(arrays, replace(forest, motion=None)).render_layer(camera, layer).image()
+    for time in (0.3, 0.7, 0.3, 1.0):
+        renderer.set_time(time)
+        found = renderer.render_layer(camera, layer).image()
+        expected = ForestRenderer(arrays, as_posed(forest, time)).render_layer(camera, layer).image()
+        np.testing.assert_allclose(found, expected, atol=1e-5)
+        assert np.abs(found - rest).max() > 0.05
+
+
+def test_layers_that_are_composited_move_as_well(arrays):
+    forest, camera = moving_forest(), frame_camera()
+    weight = np.full(CORNERS, 0.5, dtype=np.float32)
+    images = [LayerImage(2, 1, weight), LayerImage(3, 0, weight)]
+    renderer = ForestRenderer(arrays, forest)
+    renderer.render(camera, images, no_cutoff(), everything())
+    renderer.set_time(0.6)
+    found = renderer.render(camera, images, no_cutoff(), everything()).image()
+    still = ForestRenderer(arrays, as_posed(forest, 0.6))
+    np.testing.assert_allclose(
+        found, still.render(camera, images, no_cutoff(), everything()).image(), atol=1e-5
+    )
+
+
+def test_forests_without_motion_look_alike_at_all_times(arrays):
+    forest, camera = small_forest(), frame_camera()
+    renderer = ForestRenderer(arrays, forest)
+    before = renderer.render_layer(camera, 3).image()
+    renderer.set_time(0.5)
+    np.testing.assert_array_equal(renderer.render_layer(camera, 3).image(), before)
+
+
+def test_nodes_of_unknown_instances_are_refused():
+    forest = moving_forest()
+    nodes = replace(forest.nodes, semantic=forest.nodes.semantic + 1)
+    with pytest.raises(ValueError, match=f"nodes of instance {COUNT}; there are motions of {COUNT}"):
+        replace(forest, nodes=nodes)

@@ -1,0 +1,122 @@
+"""Rigid motion of instances, against SciPy's rotations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation, Slerp
+
+from compose.camera.place import Place
+from splat.model.motion import Poses, RigidMotion, posed
+from tests.splat.samples import gaussians
+
+STEPS, COUNT = 5, 3
+
+
+def wxyz(rotation: Rotation) -> np.ndarray:
+    return rotation.as_quat()[..., [3, 0, 1, 2]]
+
+
+def random_motion(seed: int = 1) -> tuple[RigidMotion, list[Rotation]]:
+    rng = np.random.default_rng(seed)
+    turns = [Rotation.from_rotvec(rng.normal(0, 0.7, (STEPS, 3))) for _ in range(COUNT)]
+    # Either sign of a quaternion is the same turn.
+    signs = rng.choice([-1, 1], (STEPS, COUNT, 1))
+    rotations = np.stack([wxyz(turn) for turn in turns], axis=1) * signs
+    motion = RigidMotion(
+        torch.from_numpy(rotations),
+        torch.from_numpy(rng.normal(size=(COUNT, 3))),
+        torch.from_numpy(rng.normal(size=(STEPS, COUNT, 3))),
+    )
+    return motion, turns
+
+
+@pytest.mark.parametrize("time", [0.0, 0.1, 0.25, 0.6, 1.0])
+def test_nodes_follow_the_course_of_their_instance(time):
+    motion, turns = random_motion()
+    g = gaussians("overlap", 40, 1)
+    instance = torch.from_numpy(np.random.default_rng(0).integers(-1, COUNT, 40).astype(np.int32))
+    found = posed(g, instance, motion.at(time))
+    times = np.linspace(0, 1, STEPS)
+    for node in range(40):
+        own = int(instance[node])
+        mean, turn = (
+            g.means[:, node].double().numpy(),
+            Rotation.from_quat(g.rotations[[1, 2, 3, 0], node].numpy()),
+        )
+        if own >= 0:
+            pose = Slerp(times, turns[own])(time)
+            shift = [np.interp(time, times, motion.shifts[:, own, axis].numpy()) for axis in range(3)]
+            centre = motion.centres[own].numpy()
+            mean, turn = pose.apply(mean - centre) + centre + shift, pose * turn
+        np.testing.assert_allclose(found.means[:, node], mean, atol=1e-5)
+        back = Rotation.from_quat(found.rotations[[1, 2, 3, 0], node].numpy())
+        assert (back.inv() * turn).magnitude() < 1e-5
+    for name in ("log_scales", "opacity_logits", "sh"):
+        assert getattr(found, name) is getattr(g, name)
+
+
+def test_the_inverse_brings_nodes_back_to_rest():
+    motion, _ = random_motion()
+    g = gaussians("overlap", 20, 1)
+    instance = torch.arange(20, dtype=torch.int32) % COUNT
+    poses = motion.at(0.35)
+    back = posed(posed(g, instance, poses), instance, poses.inverse())
+    np.testing.assert_allclose(back.means, g.means, atol=1e-5)
+    np.testing.assert_allclose(back.rotations, g.rotations, atol=1e-5)
+
+
+def test_gradients_are_those_of_finite_differences():
+    motion, _ = random_motion()
+    poses, instance = motion.at(0.45), torch.tensor([-1, 0, 1, 2, 0])
+    rng = np.random.default_rng(2)
+    means = torch.from_numpy(rng.normal(size=(3, 5))).requires_grad_()
+    rotations = torch.from_numpy(rng.normal(size=(4, 5))).requires_grad_()
+    g = gaussians("overlap", 5, 0)
+
+    def of(means: torch.Tensor, rotations: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        g.means, g.rotations = means, rotations
+        moved = posed(g, instance, poses)
+        return moved.means, moved.rotations
+
+    assert torch.autograd.gradcheck(of, (means, rotations))
+
+
+def test_a_motion_in_a_place_is_the_same_motion():
+    motion, _ = random_motion()
+    place = Place((3.0, -2.0, 1.0), 0.5)
+    origin = torch.tensor(place.origin, dtype=torch.float64)
+    points = torch.randn(3, COUNT, dtype=torch.float64)
+    world, own = motion.at(0.3), motion.placed(place).at(0.3)
+
+    def moved(points: torch.Tensor, poses: Poses) -> torch.Tensor:
+        g = gaussians("overlap", COUNT, 0)
+        g.means, g.rotations = points, torch.ones(4, COUNT, dtype=torch.float64)
+        return posed(g, torch.arange(COUNT), poses).means
+
+    in_place = moved((points - origin[:, None]) / place.unit, own)
+    torch.testing.assert_close(in_place * place.unit + origin[:, None], moved(points, world))
+
+
+@pytest.mark.parametrize(
+    ("name", "tensor", "said"),
+    [
+        ("rotations", torch.zeros(1, COUNT, 4, dtype=torch.float64), "1 poses; must be two or more"),
+        ("rotations", torch.zeros(STEPS, 4, dtype=torch.float64), "rotations is"),
+        ("centres", torch.zeros(COUNT + 1, 3, dtype=torch.float64), "centres is"),
+        ("shifts", torch.zeros(STEPS, COUNT, 3), "shifts is torch.float32"),
+    ],
+)
+def test_shapes_are_checked(name, tensor, said):
+    motion, _ = random_motion()
+    tensors = {"rotations": motion.rotations, "centres": motion.centres, "shifts": motion.shifts}
+    if name == "rotations" and tensor.ndim == 3:
+        tensors["shifts"] = motion.shifts[:1]
+    with pytest.raises(ValueError, match=said):
+        RigidMotion(**{**tensors, name: tensor})
+
+
+def test_forests_without_dynamic_nodes_are_not_copied():
+    g = gaussians("overlap", 10, 0)
+    assert posed(g, torch.full((10,), -1, dtype=torch.int32), random_motion()[0].at(0.5)) is g
