@@ -15,6 +15,7 @@ from hybrid.preparation.clamping import clamping_bias
 from hybrid.preparation.clock import Clock
 from hybrid.preparation.convergence import CONVERGED_DB, Pass, converging_seconds
 from hybrid.preparation.judges import Judges
+from hybrid.preparation.lighting import with_light_course
 from hybrid.preparation.planner import Planner
 from hybrid.preparation.settings import PreparationSettings
 from hybrid.preparation.views import breadth_of, stated_error, time_of, views_of, wanted_of
@@ -176,7 +177,7 @@ class _Job:
         seconds = self._planner.framed()
         traced = self._journal.once(f"pass {number}", lambda: asdict(self._pass(frames, seconds)))
         self._passes.append(Pass(**traced))
-        forest = self._trained(frames, path, before)
+        forest = self._lit(self._trained(frames, path, before), frames, path)
         if number:
             store_forest(forest, self._folder.name)
         return forest
@@ -195,6 +196,16 @@ class _Job:
         with self._bars(f"stage {number + 1}: forest (steps)") as bar:
             forest = train(read_frame_set(frames.folder), path, settings, bar, start=before)
         self._planner.trained()
+        return forest
+
+    def _lit(self, forest: Forest, frames: GrowingFrames, path: Path) -> Forest:
+        """The forest, written anew with how light changes on it if the scene moves."""
+        if self._scene.moving is None:
+            return forest
+        cameras = [frames.camera(view) for view in range(len(frames.samples))]
+        cache = cache_for(self._scene)
+        forest = with_light_course(forest, self._scene, cache, cameras, self._settings.seed, self._bars)
+        save_forest(path, forest)
         return forest
 
     def _judge(self, judges: Judges, forest: Forest) -> None:

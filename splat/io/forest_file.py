@@ -17,9 +17,10 @@ from splat.model.check import check_forest
 from splat.model.forest import Forest
 from splat.model.gaussians import Gaussians
 from splat.model.layer import LABELS, Layer
+from splat.model.light_course import LightCourse
 from splat.model.motion import RigidMotion
 
-_ATTACHED, _MOTION = "attached.", "motion."
+_ATTACHED, _MOTION, _LIGHT = "attached.", "motion.", "light."
 _UNIT_TOLERANCE = 1e-6
 _TYPES = {"parent": torch.int32, "semantic": torch.int32, "dynamic": torch.bool}
 # Each one halves the resolution of the one below.
@@ -50,6 +51,8 @@ def save_forest(path: str | Path, forest: Forest) -> None:
     tensors |= {_ATTACHED + name: tensor for name, tensor in forest.attached.items()}
     motion = {} if forest.motion is None else forest.motion.tensors()
     tensors |= {_MOTION + name: tensor for name, tensor in motion.items()}
+    light = {} if forest.light is None else forest.light.tensors()
+    tensors |= {_LIGHT + name: tensor for name, tensor in light.items()}
     save_tensors(Path(path), tensors, metadata)
 
 
@@ -74,6 +77,7 @@ def load_forest(path: str | Path) -> Forest:
             _under(_ATTACHED, tensors),
             _place(metadata),
             _motion(tensors),
+            _light(tensors),
         )
         check_forest(forest.layers)
     except (KeyError, TypeError, ValueError) as error:
@@ -99,6 +103,17 @@ def _motion(tensors: dict[str, torch.Tensor]) -> RigidMotion | None:
     if not bool(((motion.rotations.norm(dim=2) - 1).abs() < _UNIT_TOLERANCE).all()):
         raise ValueError("a motion whose rotations are not unit quaternions")
     return motion
+
+
+def _light(tensors: dict[str, torch.Tensor]) -> LightCourse | None:
+    """How the light of some nodes changes; None in a file that does not say so."""
+    found = _under(_LIGHT, tensors)
+    if not found:
+        return None
+    light = LightCourse(**{field.name: found[field.name] for field in fields(LightCourse)})
+    if not bool((torch.isfinite(light.factors) & (light.factors >= 0)).all()):
+        raise ValueError("factors of light that are not finite, or negative")
+    return light
 
 
 def _place(metadata: dict[str, Any]) -> Place:

@@ -14,6 +14,7 @@ from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from splat.model.forest import Forest
 from splat.model.gaussians import Gaussians
+from splat.model.light_course import in_light
 from splat.model.motion import posed
 from splat.raster.binning import depth_order
 from splat.raster.projection import PIXEL_FILTER, Footprints, Parameters, footprints, may_show
@@ -56,7 +57,7 @@ class ForestFootprints:
 
     def __init__(self, arrays: Arrays, forest: Forest):
         self.arrays, self._place = arrays, forest.place
-        self._forest, self._time = forest, 0.0
+        self._forest, self._time = forest, -1.0
         self._dynamic = _dynamic_nodes(forest)
         self._nodes = _NodeTable(arrays, forest.nodes.gaussians)
         first = np.cumsum([0, *forest.counts])
@@ -71,12 +72,30 @@ class ForestFootprints:
         # The records of all cached layers, and where each layer begins among them.
         self._records: Records | None = None
         self._first: dict[int, Any] = {}
+        self.set_time(0.0)
 
     def set_time(self, time: float) -> None:
-        """Moves the dynamic nodes to where they are at a time from 0 to 1; nothing if there are none."""
-        if self._forest.motion is None or not len(self._dynamic) or time == self._time:
+        """Shows the nodes as they are at a time from 0 to 1."""
+        if time == self._time:
             return
-        self._time, self._key = time, None
+        self._time = time
+        self._move(time)
+        self._light(time)
+
+    def _light(self, time: float) -> None:
+        """Gives nodes whose light changes the radiance that they have at a time."""
+        light = self._forest.light
+        if light is not None and len(light.nodes):
+            self._key = None
+            self._nodes.light(
+                light.nodes, in_light(self._forest.nodes.gaussians.sh[..., light.nodes], light.at(time))
+            )
+
+    def _move(self, time: float) -> None:
+        """Brings dynamic nodes to where they are at a time."""
+        if self._forest.motion is None or not len(self._dynamic):
+            return
+        self._key = None
         nodes = self._forest.nodes
         gaussians = nodes.gaussians.select(self._dynamic)
         moved = posed(gaussians, nodes.semantic[self._dynamic], self._forest.motion.at(time))
@@ -200,6 +219,11 @@ class _NodeTable:
         self._records.write(
             index, **{name: [_row(self._arrays, row) for row in tensor] for name, tensor in rows.items()}
         )
+
+    def light(self, nodes: torch.Tensor, sh: torch.Tensor) -> None:
+        """Gives some nodes (M,) of the forest other spherical harmonics (K, 3, M)."""
+        index = self._arrays.plain.UInt(nodes.numpy())
+        self._records.write(index, sh=[_row(self._arrays, row) for row in sh.flatten(0, 1)])
 
     def parameters(self, index: Any) -> Parameters:
         """Parameters of the nodes at an index (M,)."""

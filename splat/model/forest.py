@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from compose.camera.place import WORLD, Place
 from splat.model.gaussians import Gaussians
 from splat.model.layer import Layer, concatenated_layers
+from splat.model.light_course import LightCourse
 from splat.model.motion import RigidMotion
 from splat.model.rows import means_of
 from splat.model.z_curve import z_curve_order
@@ -36,10 +37,11 @@ class Forest:
         place: the coordinates of the nodes; those of the world by default.
         motion: of the instances that dynamic nodes belong to, in the same coordinates; None if nothing moves.
             The nodes are those at rest.
+        light: how the radiance of some nodes changes over time; None if it does not.
 
     Raises:
-        ValueError: there are no layers, their counts do not sum to the number of nodes, or a node belongs to
-            an instance without a motion.
+        ValueError: there are no layers, their counts do not sum to the number of nodes, a node belongs to an
+            instance without a motion, or light is of nodes that there are not.
     """
 
     nodes: Layer
@@ -50,6 +52,7 @@ class Forest:
     attached: dict[str, torch.Tensor] = field(default_factory=dict)
     place: Place = WORLD
     motion: RigidMotion | None = None
+    light: LightCourse | None = None
 
     def __post_init__(self) -> None:
         if not self.counts:
@@ -60,6 +63,10 @@ class Forest:
             last = int(self.nodes.semantic.max())
             if last >= len(self.motion):
                 raise ValueError(f"nodes of instance {last}; there are motions of {len(self.motion)}")
+        if self.light is not None and len(self.light.nodes):
+            first, last = int(self.light.nodes.min()), int(self.light.nodes.max())
+            if first < 0 or last >= len(self.nodes):
+                raise ValueError(f"light of nodes {first} to {last}; there are {len(self.nodes)}")
 
     @property
     def layers(self) -> list[Layer]:
@@ -82,8 +89,9 @@ class Forest:
         place = (self.place,) if self.place != WORLD else ()
         state = hashlib.sha256(repr((self.counts, self.trained_focal, *place)).encode())
         motion = () if self.motion is None else (self.nodes.semantic, *self.motion.tensors().values())
+        light = () if self.light is None else tuple(self.light.tensors().values())
         own = [tensor for _, tensor in self.nodes.gaussians.tensors()]
-        for tensor in [*own, *self.attached.values(), *motion]:
+        for tensor in [*own, *self.attached.values(), *motion, *light]:
             state.update(np.ascontiguousarray(tensor.detach().numpy()).tobytes())
         return state.hexdigest()[:16]
 

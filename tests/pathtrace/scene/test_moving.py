@@ -16,6 +16,7 @@ from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer
 from tests import small
+from tests.extremes import extreme
 
 pytestmark = pytest.mark.usefixtures("backend")
 
@@ -291,3 +292,68 @@ def test_courses_say_where_shapes_are(tmp_path):
     turn = Rotation.from_quat(course.rotations[3][[1, 2, 3, 0]])
     at_rest = turn.inv().apply(points - course.centre - course.shifts[3]) + course.centre
     np.testing.assert_allclose(np.abs(at_rest - [1, 0, 0]).max(axis=1), 0.3, atol=1e-4)
+
+
+def radiance(scene: Scene) -> np.ndarray:
+    traced = Tracer(scene).trace(scene.camera, frame_positions(scene.camera), 16)
+    return np.stack([channel.numpy() for channel in traced.radiance])
+
+
+@extreme(
+    "a shape that flies far away",
+    given="translated by 1e6 times its distance",
+    expected="a finite frame that does not show it",
+)
+def test_a_shape_may_leave_the_scene(tmp_path, got):
+    scene = loaded(tmp_path, {"shapes": {"right": keys({"t": 0}, {"t": 1, "translate": [0, 4e6, 0]})}})
+    scene.set_time(1.0)
+    shown = int((np.abs(hits(scene) - [1, 0, 0]) < 0.31).all(axis=1).sum())
+    assert got(shown) == 0
+    assert np.isfinite(radiance(scene)).all()
+
+
+@extreme(
+    "a shape that collapses to a point",
+    given="a formula that gives all vertices one place",
+    expected="a finite frame that does not show it",
+)
+def test_a_shape_may_vanish(tmp_path, got):
+    scene = loaded(
+        tmp_path, {"shapes": {"right": {"formula": ["1 + (x - 1) * (1 - t)", "y * (1 - t)", "z * (1 - t)"]}}}
+    )
+    scene.set_time(1.0)
+    points = hits(scene)
+    shown = int((np.abs(points - [1, 0, 0]) < 0.1).all(axis=1).sum())
+    assert got(shown) == 0
+    assert np.isfinite(radiance(scene)).all()
+
+
+@extreme("a light that goes out", given="factor 0 for the only light", expected="black, and finite")
+def test_the_only_light_may_go_out(tmp_path, got):
+    scene = loaded(tmp_path, {"lights": {"lamp": keys({"t": 0}, {"t": 1, "factor": 0})}})
+    assert radiance(scene).max() > 0.1
+    scene.set_time(1.0)
+    assert got(float(radiance(scene).max())) == 0
+
+
+@extreme(
+    "a shape that turns a million times",
+    given="degrees 3.6e8 from t = 0 to 1",
+    expected="at t = 1 where it was, to 1e-4",
+)
+def test_a_shape_may_turn_any_number_of_times(tmp_path, got):
+    track = keys({"t": 0}, {"t": 1, "degrees": 3.6e8}, about=[1, 0, 0])
+    scene = loaded(tmp_path, {"shapes": {"right": track}})
+    before = hits(scene)
+    scene.set_time(1.0)
+    assert got(float(np.abs(hits(scene) - before).max()), ".1g") < 1e-4
+
+
+@extreme("a motion file cut in half", given="the first half of its bytes", expected="refused in one line")
+def test_a_damaged_motion_is_refused(tmp_path, got):
+    loaded(tmp_path, {"shapes": {"right": RIGHT}})
+    file = tmp_path / "box.motion.json"
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    with pytest.raises(UserError, match="cannot be read") as refused:
+        load_scene(tmp_path / "box.xml")
+    assert "\n" not in got(str(refused.value).replace(str(tmp_path), ""))

@@ -11,6 +11,7 @@ import torch
 from splat.lod.layer_images import LayerImage
 from splat.lod.renderer import ForestRenderer
 from splat.model.forest import Forest
+from splat.model.light_course import LightCourse, in_light
 from splat.model.motion import posed
 from tests.splat.lod.views import CORNERS, everything, frame_camera, no_cutoff, small_forest
 from tests.splat.model.test_motion import COUNT, random_motion
@@ -64,6 +65,28 @@ def test_layers_that_are_composited_move_as_well(arrays):
     np.testing.assert_allclose(
         found, still.render(camera, images, no_cutoff(), everything()).image(), atol=1e-5
     )
+
+
+def test_nodes_have_the_light_of_the_time(arrays):
+    forest, camera = moving_forest(), frame_camera()
+    nodes = torch.arange(0, len(forest.nodes), 2)
+    factors = torch.rand(3, len(nodes), generator=torch.Generator().manual_seed(4)) * 2
+    lit = replace(forest, light=LightCourse(nodes, factors))
+    renderer = ForestRenderer(arrays, lit)
+    for time in (0.0, 0.7, 0.2):
+        renderer.set_time(time)
+        sh = forest.nodes.gaussians.sh.clone()
+        sh[..., nodes] = in_light(sh[..., nodes], lit.light.at(time))
+        shown = replace(forest, nodes=replace(forest.nodes, gaussians=replace(forest.nodes.gaussians, sh=sh)))
+        expected = ForestRenderer(arrays, as_posed(shown, time)).render_layer(camera, 3).image()
+        np.testing.assert_allclose(renderer.render_layer(camera, 3).image(), expected, atol=1e-4)
+
+
+def test_light_of_nodes_that_there_are_not_is_refused():
+    forest = moving_forest()
+    count = len(forest.nodes)
+    with pytest.raises(ValueError, match=f"light of nodes 0 to {count}; there are {count}"):
+        replace(forest, light=LightCourse(torch.tensor([0, count]), torch.ones(2, 2)))
 
 
 def test_forests_without_motion_look_alike_at_all_times(arrays):

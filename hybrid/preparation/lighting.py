@@ -1,0 +1,127 @@
+"""How the light on the nodes of a forest changes over time, as the path tracer finds it.
+
+Trained on frames of many times, a node has the radiance of most of them. The path tracer knows the irradiance
+where the node is, at any time: their ratio is the node's factor, and no step of training is spent on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import mitsuba as mi
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from compose.camera.camera import Camera
+from hybrid.runtime.progress import Bars
+from hybrid.training.forest import motion_of
+from pathtrace.cache.cache import IrradianceCache
+from pathtrace.cache.cells import Points
+from pathtrace.fill.over_time import irradiance_over_time
+from pathtrace.scene.scene import Scene
+from splat.model.forest import Forest
+from splat.model.light_course import LightCourse
+from splat.model.motion import Poses, RigidMotion, turned
+
+# Times at which irradiance is found.
+_TIMES = 33
+# Change of the factor from which a node has a course.
+_LEAST_CHANGE = 0.08
+# Largest factor: where there is no light most of the time, ratios mean nothing.
+_LARGEST = 8.0
+# Views from which nodes are looked for on surfaces, at most.
+_VIEWS = 48
+# A surface is that of a node within so many standard deviations, and this share of the distance.
+_REACH, _SHARE = 2.0, 2e-3
+# Irradiance that counts as none, as a share of the mean.
+_DARK = 1e-3
+
+
+def with_light_course(
+    forest: Forest, scene: Scene, cache: IrradianceCache, cameras: Sequence[Camera], seed: int, bars: Bars
+) -> Forest:
+    """The forest with factors for all nodes whose light changes; as it is if none does.
+
+    Args:
+        forest: of the scene.
+        scene: one that moves.
+        cache: of its irradiance at time 0.
+        cameras: of the training views, from which nodes are looked for on surfaces.
+        seed: same seed, same factors on the same machine.
+        bars: show the progress.
+    """
+    scene.set_time(0.0)
+    assert scene.moving is not None
+    motion, instance = motion_of(scene.moving.courses()), forest.nodes.semantic
+    means = torch.from_numpy(forest.place.in_world(forest.nodes.gaussians.means.detach().numpy().T))
+    start = means if motion is None else _moved(means, instance, motion.at(0.0))
+    reach = _REACH * forest.nodes.gaussians.log_scales.detach().max(dim=0).values.exp().numpy()
+    chosen = cameras[:: max(1, len(cameras) // _VIEWS)]
+    points, found = _on_surfaces(scene, start.numpy(), forest.place.unit * reach.astype(np.float64), chosen)
+    nodes = np.flatnonzero(found)
+    if not len(nodes):
+        return forest
+    points, of = points.take(nodes), instance[torch.from_numpy(nodes)]
+    times = np.linspace(0, 1, _TIMES).tolist()
+    with bars("light over time") as bar:
+        irradiance = irradiance_over_time(
+            scene, cache, lambda time: _points_at(points, of, motion, time), times, seed, bar
+        )
+    usual = np.median(irradiance, axis=0)
+    least = max(_DARK * float(usual.mean()), 1e-12)
+    factors = np.minimum((irradiance + least) / (usual + least), _LARGEST)
+    changes = np.ptp(factors, axis=0) > _LEAST_CHANGE
+    if not changes.any():
+        return forest
+    course = LightCourse(
+        torch.from_numpy(nodes[changes]), torch.from_numpy(factors[:, changes].astype(np.float32))
+    )
+    return replace(forest, light=course)
+
+
+def _on_surfaces(
+    scene: Scene, positions: NDArray[np.float64], reach: NDArray[np.float64], cameras: Sequence[Camera]
+) -> tuple[Points, NDArray[np.bool_]]:
+    """Points (N) of the scene's surfaces, as it is now, where nodes are; and which nodes have one."""
+    found = np.zeros(len(positions), dtype=bool)
+    place, normal = np.zeros((2, len(positions), 3), dtype=np.float32)
+    for camera in cameras:
+        pixels, depth = camera.project(positions)
+        inside = ((pixels >= 0) & (pixels < (camera.width, camera.height))).all(axis=1) & (depth > 0)
+        asked = np.flatnonzero(inside & ~found)
+        if not len(asked):
+            continue
+        way = positions[asked] - camera.position
+        distance = np.linalg.norm(way, axis=1)
+        direction = (way / distance[:, None]).astype(np.float32)
+        ray = mi.Ray3f(mi.Point3f(camera.position.astype(np.float32)), mi.Vector3f(direction.T))
+        hit = scene.mitsuba.ray_intersect(ray)
+        away, valid = hit.t.numpy(), hit.is_valid().numpy()
+        near = valid & (np.abs(away - distance) < reach[asked] + _SHARE * distance)
+        facing = hit.n.numpy().T
+        facing *= np.where((facing * direction).sum(axis=1) > 0, -1, 1)[:, None]
+        place[asked[near]], normal[asked[near]] = hit.p.numpy().T[near], facing[near]
+        found[asked[near]] = True
+    return Points(place, normal), found
+
+
+def _points_at(points: Points, instance: torch.Tensor, motion: RigidMotion | None, time: float) -> Points:
+    """Points at a time, from those at time 0."""
+    if motion is None or not bool((instance >= 0).any()):
+        return points
+    position, normal = (torch.from_numpy(part).double() for part in (points.position, points.normal))
+    start, now = motion.at(0.0), motion.at(time)
+    rest = _moved(position, instance, start.inverse())
+    turn, back = (Poses(poses.rotations, torch.zeros_like(poses.offsets)) for poses in (now, start.inverse()))
+    facing = _moved(_moved(normal, instance, back), instance, turn)
+    return Points(*(part.float().numpy() for part in (_moved(rest, instance, now), facing)))
+
+
+def _moved(points: torch.Tensor, instance: torch.Tensor, poses: Poses) -> torch.Tensor:
+    """Points (N, 3) of instances (N,) where poses bring them; those of none stay."""
+    moving = torch.nonzero(instance >= 0)[:, 0]
+    of = instance[moving].long()
+    moved = turned(poses.rotations[of].T, points[moving].T).T + poses.offsets[of]
+    return points.index_copy(0, moving, moved)

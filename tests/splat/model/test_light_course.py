@@ -1,0 +1,72 @@
+"""Factors on the radiance of nodes over time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from splat.model.gaussians import SH_DC
+from splat.model.light_course import LightCourse, in_light
+from splat.model.perceptual import perceptual_from_radiance, radiance_from_perceptual
+
+
+def course() -> LightCourse:
+    return LightCourse(torch.tensor([2, 5]), torch.tensor([[1.0, 0.5], [0.0, 0.5], [2.0, 1.5]]))
+
+
+def test_factors_are_linear_between_their_times():
+    for time, expected in (
+        (0.0, [1, 0.5]),
+        (0.25, [0.5, 0.5]),
+        (0.5, [0, 0.5]),
+        (0.9, [1.6, 1.3]),
+        (1.0, [2, 1.5]),
+    ):
+        torch.testing.assert_close(course().at(time), torch.tensor(expected, dtype=torch.float32))
+
+
+def test_the_perceptual_scale_is_inverted():
+    radiance = torch.logspace(-6, 4, 60)
+    torch.testing.assert_close(
+        radiance_from_perceptual(perceptual_from_radiance(radiance)), radiance, rtol=1e-4, atol=0
+    )
+
+
+def test_the_mean_radiance_has_the_factor():
+    """Against the curve in NumPy, below and above its bend and above 1."""
+    radiance = np.array([[0.001, 0.2, 7.0], [0.05, 0.5, 1.0], [0.004, 3.0, 30.0]])
+    factor = np.array([0.3, 1.0, 2.5])
+
+    def curve(value: np.ndarray) -> np.ndarray:
+        return np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+
+    sh = torch.from_numpy(np.random.default_rng(0).normal(0, 0.1, (4, 3, 3)))
+    sh[0] = torch.from_numpy((curve(radiance) - 0.5) / SH_DC)
+    found = in_light(sh, torch.from_numpy(factor))
+    np.testing.assert_allclose(0.5 + SH_DC * found[0], curve(radiance * factor), rtol=1e-6)
+    ratio = curve(radiance * factor) / curve(radiance)
+    np.testing.assert_allclose(found[1:], sh[1:] * torch.from_numpy(ratio), rtol=1e-6)
+
+
+def test_without_light_there_is_nothing_to_change():
+    sh = torch.full((1, 3, 2), -0.5 / SH_DC)
+    for factor in (0.0, 1.0, 8.0):
+        torch.testing.assert_close(in_light(sh, torch.full((2,), factor)), sh)
+    lit = torch.zeros(4, 3, 2)
+    torch.testing.assert_close(in_light(lit, torch.ones(2)), lit, atol=1e-6, rtol=0)
+    assert bool(torch.isfinite(in_light(lit, torch.zeros(2))).all())
+
+
+@pytest.mark.parametrize(
+    ("nodes", "factors", "said"),
+    [
+        (torch.tensor([1, 2]), torch.ones(3, 1), "nodes and factors of"),
+        (torch.tensor([1, 2]).int(), torch.ones(3, 2), "nodes and factors of"),
+        (torch.tensor([1, 2]), torch.ones(3, 2).double(), "nodes and factors of"),
+        (torch.tensor([1, 2]), torch.ones(1, 2), "factors at 1 times; must be two or more"),
+    ],
+)
+def test_shapes_are_checked(nodes, factors, said):
+    with pytest.raises(ValueError, match=said):
+        LightCourse(nodes, factors)
