@@ -67,6 +67,9 @@ def demo(
     simulate: Annotated[
         bool, typer.Option("--simulate", help="A simulated viewer looks around.", rich_help_panel=VIEWER)
     ] = False,
+    play: Annotated[
+        bool, typer.Option("--play", help="A scene that moves plays from the start.", rich_help_panel=VIEWER)
+    ] = False,
     latency: Annotated[
         float,
         typer.Option(
@@ -129,7 +132,7 @@ def demo(
     require_window()
     from hybrid.demo.run import WindowOptions, run_window
 
-    options = WindowOptions(size, latency / 1000, out, target, bench, load)
+    options = WindowOptions(size, latency / 1000, out, target, bench, load, play)
     found, summary = run_window(scene, forest, backend, settings, trace, options, thin_glass)
     write_json(json_file, found)
     if bench is not None:

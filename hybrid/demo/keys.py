@@ -37,6 +37,7 @@ class Command(Enum):
     HOME = "return to the scene's own camera"
     SAVE = "screenshot as PNG, its AOVs as EXR"
     RECORD = "record the gaze; again: save it as CSV"
+    PLAY = "play a scene that moves; again: pause it"
     RING = "ring around the disc"
     HUD = "frame times"
     CONTROLS = "controls"
@@ -51,6 +52,7 @@ COMMANDS: dict[int, Command | View] = {
     **{_Key(_Key.Key_1 + number): view for number, view in enumerate(View)},
     _Key.Key_P: Command.SAVE,
     _Key.Key_T: Command.RECORD,
+    _Key.Key_M: Command.PLAY,
     _Key.Key_G: Command.RING,
     _Key.Key_H: Command.HUD,
     _Key.Key_Tab: Command.CONTROLS,

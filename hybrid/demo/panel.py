@@ -9,12 +9,16 @@ from PySide6.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLabel, QSlider
 
 from compose.eye.acuity import ACUITY_MODELS
 from hybrid.frame.settings import FrameSettings
+from hybrid.interactive.playback import Playback
 from hybrid.interactive.request import View
 
 # Ends of the sliders: radii and scale in percent.
 _MOST_RADIUS, _MOST_SPP, _LEAST_SCALE, _MOST_RATE = 75, 16, 25, 3
 # Ends and default of the target, in frames per second.
 _LEAST_FPS, _MOST_FPS, _DEFAULT_FPS = 1, 120, 15
+# Speeds of a scene that moves, and steps of its time.
+_SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
+_TIME_STEPS = 1000
 # Widths of a slider in pixels, and of a list in letters.
 _SLIDER_WIDTH, _LETTERS = 100, 12
 
@@ -29,11 +33,18 @@ class Panel(QWidget):
         settings: initial settings; what no control changes stays as it is.
         target_fps: initial target, None for none.
         layers: of the forest.
+        playback: of a scene that moves; None for one that stands still, which has no controls of time.
     """
 
     changed = Signal()
 
-    def __init__(self, settings: FrameSettings, target_fps: float | None, layers: int):
+    def __init__(
+        self,
+        settings: FrameSettings,
+        target_fps: float | None,
+        layers: int,
+        playback: Playback | None = None,
+    ):
         super().__init__()
         self._form = QFormLayout(self)
         self._initial, self._initial_target = settings, target_fps
@@ -51,6 +62,9 @@ class Panel(QWidget):
         self.finest = self._slider("finest layer", 1, layers, high, "")
         self.rate = self._slider("finest rate", 0, _MOST_RATE, settings.rate, "")
         self.scale = self._slider("scale", _LEAST_SCALE, 100, round(100 * settings.scale), " %")
+        self.play: QCheckBox | None = None
+        if playback is not None:
+            self._add_time(playback)
         self.controlled = QCheckBox("keep FPS")
         self.controlled.setChecked(target_fps is not None)
         self.target = QSpinBox(minimum=_LEAST_FPS, maximum=_MOST_FPS)
@@ -62,6 +76,29 @@ class Panel(QWidget):
         self._connect()
         self._enable_manual(self.controlled.isChecked())
         self._chosen = replace(settings, layers=(low, high))
+
+    def _add_time(self, playback: Playback) -> None:
+        """Adds the controls of a scene that moves. They change no setting: the window asks the playback."""
+        self.play, self.speed, self.time = QCheckBox("play"), QComboBox(), QSlider(Qt.Orientation.Horizontal)
+        self.play.toggled.connect(lambda on: setattr(playback, "playing", on))
+        self.speed.addItems([f"{speed:g} x" for speed in _SPEEDS])
+        self.speed.setCurrentIndex(_SPEEDS.index(playback.speed))
+        self.speed.currentIndexChanged.connect(lambda n: setattr(playback, "speed", _SPEEDS[n]))
+        self.time.setRange(0, _TIME_STEPS)
+        self._time_label = QLabel("time 0.00")
+        self.time.valueChanged.connect(lambda value: playback.seek(value / _TIME_STEPS))
+        self.time.valueChanged.connect(
+            lambda value: self._time_label.setText(f"time {value / _TIME_STEPS:.2f}")
+        )
+        self._form.addRow(self.play, self.speed)
+        self._form.addRow(self._time_label, self.time)
+
+    def show_time(self, time: float) -> None:
+        """Moves the slider of a scene that moves, without seeking the time that it stands for."""
+        blocked = self.time.blockSignals(True)
+        self.time.setValue(round(time * _TIME_STEPS))
+        self.time.blockSignals(blocked)
+        self._time_label.setText(f"time {time:.2f}")
 
     def _connect(self) -> None:
         """Makes ends of ranges push each other, and reports changes of the target."""

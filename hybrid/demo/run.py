@@ -32,6 +32,7 @@ class WindowOptions:
         target_fps: frames per second to keep; None for no target.
         bench: seconds after which the window closes, with the mouse moving until then; None leaves it open.
         load: seconds of the bench for which another process keeps one core busy.
+        plays: whether a scene that moves plays from the start.
     """
 
     size: tuple[int, int]
@@ -40,6 +41,7 @@ class WindowOptions:
     target_fps: float | None = None
     bench: float | None = None
     load: float = 0.0
+    plays: bool = False
 
 
 def run_window(
@@ -74,7 +76,9 @@ def run_window(
     source = partial(prepared, scene, forest, backend, not measures, settings, thin_glass=thin_glass)
     thread = RenderThread(source)
     gaze = GazeInput(options.latency, trace)
-    window = Window(thread, settings, options.target_fps, options.size, gaze, options.folder, measures)
+    window = Window(
+        thread, settings, options.target_fps, options.size, gaze, options.folder, measures, options.plays
+    )
     bench = None
     if options.bench is not None:
         bench = WindowBench(window, options.bench, trace is None, options.load)

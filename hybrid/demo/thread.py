@@ -34,12 +34,14 @@ class Ready:
         camera: the scene's own.
         distance: median distance to what that camera sees, in units of the scene.
         layers: of the forest.
+        seconds: that the scene's motion takes; None if it stands still.
     """
 
     name: str
     camera: Camera
     distance: float
     layers: int
+    seconds: float | None = None
 
 
 class RenderThread(QThread):
@@ -84,7 +86,9 @@ class RenderThread(QThread):
         """Prepares and renders; Qt calls this on the new thread."""
         try:
             source = self._prepare(self._report)
-            self.ready.emit(Ready(source.name, source.camera, source.distance(), source.layers))
+            self.ready.emit(
+                Ready(source.name, source.camera, source.distance(), source.layers, source.seconds)
+            )
             self._serve(source, FrameLoop(source, partial(ladder_for, source, report=self._report)))
         except KeyboardInterrupt:
             pass  # the window was closed during preparation

@@ -24,6 +24,7 @@ from hybrid.frame.settings import FrameSettings
 from hybrid.interactive.files import unused_file
 from hybrid.interactive.gaze_input import GazeInput
 from hybrid.interactive.meter import Meter
+from hybrid.interactive.playback import Playback
 from hybrid.interactive.recording import GazeRecording
 from hybrid.interactive.request import Request, View
 from hybrid.interactive.shown import Shown
@@ -50,6 +51,7 @@ class Window(QMainWindow):
         gaze: where it comes from.
         folder: for screenshots and gaze traces.
         keeps_all: whether to keep the times of all frames.
+        plays: whether a scene that moves plays from the start.
 
     Attributes:
         canvas: shows the frame.
@@ -69,8 +71,10 @@ class Window(QMainWindow):
         gaze: GazeInput,
         folder: Path,
         keeps_all: bool = False,
+        plays: bool = False,
     ):
         super().__init__()
+        self._plays = plays
         self._thread, self._settings, self._target_fps = thread, settings, target_fps
         self._size, self._gaze, self._folder = size, gaze, folder
         self.canvas, self.meter = Canvas(QSize(*size)), Meter(keeps_all)
@@ -80,6 +84,7 @@ class Window(QMainWindow):
         self.shown: Shown | None = None
         self.error: Exception | None = None
         self._ready: Ready | None = None
+        self._playback: Playback | None = None
         self._held_gaze: Gaze | None = None
         self._held_keys = HeldKeys(time.perf_counter())
         self._recording = GazeRecording(folder)
@@ -129,7 +134,8 @@ class Window(QMainWindow):
         """Walks as far as keys are held, and asks for the frame that this and the gaze call for."""
         now = time.perf_counter()
         seconds = self._held_keys.elapsed(now)
-        interval = _TICK if self._held_keys or self._gaze.changes_by_itself else _REST
+        plays = self._playback is not None and self._playback.playing
+        interval = _TICK if self._held_keys or self._gaze.changes_by_itself or plays else _REST
         if self._timer.interval() != interval:
             self._timer.setInterval(interval)
         if self._ready is None or self.walker is None or self.panel is None:
@@ -139,6 +145,9 @@ class Window(QMainWindow):
         gaze = self._held_gaze or newest.gaze
         self._recording.add(now, gaze)
         settings = replace(self.panel.settings(), camera=self.walker.camera(*self._size), gaze=gaze)
+        if self._playback is not None:
+            settings = replace(settings, time=self._playback.at(now))
+            self.panel.show_time(settings.time)
         request = Request(settings, self.panel.view, newest.time, self.panel.target_fps)
         if request.same_frame(self.request):
             return
@@ -181,7 +190,8 @@ class Window(QMainWindow):
         self._ready = ready
         self.setWindowTitle(f"{ready.name} - hybrid")
         self.walker = Walker(ready.camera)
-        self.panel = panel = Panel(self._settings, self._target_fps, ready.layers)
+        self._playback = None if ready.seconds is None else Playback(ready.seconds)
+        self.panel = panel = Panel(self._settings, self._target_fps, ready.layers, self._playback)
         panel.changed.connect(self.tick)
         dock = controls_dock(panel)
         self.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, dock)
@@ -191,6 +201,9 @@ class Window(QMainWindow):
             Command.RECORD: lambda: self._say(self._recording.toggle(ready.name)),
             Command.CONTROLS: lambda: dock.setVisible(not dock.isVisible()),
         }
+        if panel.play is not None:
+            self._actions[Command.PLAY] = panel.play.toggle
+            panel.play.setChecked(self._plays)
         self._actions |= {view: partial(panel.views.setCurrentIndex, n) for n, view in enumerate(View)}
         self._bar.hide()
         # After Qt has laid out the controls.

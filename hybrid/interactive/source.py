@@ -58,6 +58,12 @@ class FrameSource:
         """Number of layers of the forest."""
         return len(self.renderer.periphery.forest.counts)
 
+    @property
+    def seconds(self) -> float | None:
+        """What the scene's motion takes; None if it stands still."""
+        moving = self.renderer.scene.moving
+        return None if moving is None else moving.motion.seconds
+
     def distance(self) -> float:
         """Median distance to what the scene's own camera sees, in scene units; 1 if it sees nothing."""
         distance = Surfaces(self.renderer.scene).median_distance(self.camera)

@@ -16,6 +16,7 @@ from hybrid.frame.settings import FrameSettings
 from hybrid.output.video import write_mp4
 from hybrid.runtime.interrupts import interrupts_between_steps
 from hybrid.video.frames import MOST_FRAMES, VideoFrames
+from pathtrace.scene.scene import Scene
 
 
 def render_video(
@@ -30,12 +31,14 @@ def render_video(
 ) -> list[dict[str, float]]:
     """Renders a video along a gaze trace; the file appears complete or not at all.
 
+    A scene that moves does so at its own speed, and begins anew when its time is over.
+
     Until it is complete, its frames are kept in a folder beside it, from which an interrupted video resumes.
 
     Args:
         path: MP4 file to write.
         renderer: of the frames; one with a history shows what the window shows.
-        settings: of the frames, except for the gaze.
+        settings: of the frames, except for the gaze; `time` is that of the first frame.
         trace: where the viewer looks.
         fps: frames per second.
         seed: of the first frame; each further frame has the next one, and after MOST_SEED comes 0.
@@ -63,9 +66,10 @@ def render_video(
         try:
             for number in range(len(frames.milliseconds), count):
                 progress(number, count)
-                frame = renderer.frame(
-                    replace(settings, gaze=trace.at(number / fps)), seed + number & MOST_SEED
-                )
+                seconds = number / fps
+                time = _time_after(seconds, renderer.scene, settings.time)
+                shown = replace(settings, gaze=trace.at(seconds), time=time)
+                frame = renderer.frame(shown, seed + number & MOST_SEED)
                 frames.add(bytes_from_radiance(frame.composite), frame.milliseconds, disc.history_state)
                 interrupted()
             # Encoding may be interrupted as well.
@@ -77,3 +81,8 @@ def render_video(
     write_mp4(path, frames.images(), (camera.width, camera.height), fps)
     frames.remove()
     return frames.milliseconds
+
+
+def _time_after(seconds: float, scene: Scene, start: float) -> float:
+    """The time, 0 to 1, that a scene shows some seconds after a start."""
+    return start if scene.moving is None else (start + seconds / scene.moving.motion.seconds) % 1

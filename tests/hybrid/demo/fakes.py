@@ -45,7 +45,7 @@ def shown(request: Request = REQUEST, image: np.ndarray | None = None, **other: 
 class Source:
     """Grey frames at once; files without content."""
 
-    name, camera, layers = "box", CAMERA, 3
+    name, camera, layers, seconds = "box", CAMERA, 3, None
 
     def __init__(self, finished: bool = True):
         self.finished = finished

@@ -15,6 +15,7 @@ from PySide6.QtWidgets import QLabel, QSlider, QWidget
 from compose.eye.acuity import ACUITY_MODELS
 from hybrid.demo.panel import Panel
 from hybrid.frame.settings import FrameSettings
+from hybrid.interactive.playback import Playback
 from hybrid.interactive.request import View
 
 pytestmark = pytest.mark.usefixtures("application")
@@ -167,3 +168,27 @@ def test_no_control_takes_keys_from_the_frame():
     panel = Panel(INITIAL, None, 4)
     policies = {control.focusPolicy() for control in panel.findChildren(QWidget)}
     assert policies == {Qt.FocusPolicy.NoFocus}
+
+
+def test_a_scene_that_moves_has_controls_of_its_time():
+    playback = Playback(4.0)
+    panel = Panel(INITIAL, None, 4, playback)
+    heard: list[None] = []
+    panel.changed.connect(lambda: heard.append(None))
+    assert panel.play is not None
+    panel.play.setChecked(True)
+    panel.speed.setCurrentText("0.25 x")
+    assert (playback.playing, playback.speed) == (True, 0.25)
+    panel.play.setChecked(False)
+    assert not playback.playing
+    panel.time.setValue(430)
+    assert playback.at(0.0) == pytest.approx(0.43)
+    # What is shown is not sought: it may be between two steps.
+    playback.seek(0.12345)
+    panel.show_time(0.12345)
+    assert panel.time.value() == 123
+    assert playback.at(0.0) == 0.12345
+    assert any(label.text() == "time 0.12" for label in panel.findChildren(QLabel))
+    assert not heard
+    assert panel.settings() == replace(INITIAL, layers=(1, 4))
+    assert Panel(INITIAL, None, 4).play is None

@@ -69,9 +69,9 @@ class Opened:
         self.window = Window(thread, INTERACTIVE, target_fps, (320, 240), gaze, folder)
         self.window.show()
 
-    def load(self) -> None:
+    def load(self, seconds: float | None = None) -> None:
         """Loads the scene, and lets Qt lay out the controls."""
-        self.thread.ready.emit(Ready("box", CAMERA, 2.0, 3))
+        self.thread.ready.emit(Ready("box", CAMERA, 2.0, 3, seconds))
         QApplication.processEvents()
         QApplication.processEvents()
 
@@ -350,6 +350,35 @@ def test_keys_show_and_hide_texts_ring_and_controls(opened, monkeypatch):
     assert dock.isHidden()
     opened.key(Key.Key_Tab)
     assert not dock.isHidden()
+
+
+def test_a_scene_that_moves_plays_and_pauses(make, clock):
+    window = make()
+    window.load(seconds=4.0)
+    assert window.asked().settings.time == 0
+    clock[0] += 1
+    window.window.tick()
+    assert window.asked() is None
+    window.key(Key.Key_M)
+    clock[0] += 1
+    window.window.tick()
+    assert window.asked().settings.time == pytest.approx(0.25)
+    assert window.window.panel.time.value() == 250
+    window.key(Key.Key_M)
+    clock[0] += 1
+    window.window.tick()
+    assert window.asked() is None
+    window.window.panel.time.setValue(800)
+    window.window.tick()
+    assert window.asked().settings.time == pytest.approx(0.8)
+
+
+def test_a_scene_that_stands_still_does_not_play(opened):
+    opened.asked()
+    opened.key(Key.Key_M)
+    opened.window.tick()
+    assert opened.asked() is None
+    assert opened.window.panel.play is None
 
 
 def test_the_frame_takes_the_place_of_hidden_controls(opened):

@@ -19,6 +19,7 @@ from hybrid.video.render import render_video
 from pathtrace.scene.scene import Scene, load_scene
 from tests import small
 from tests.hybrid.forests import white_dot
+from tests.moving import moving_corner
 
 av = pytest.importorskip("av", reason="videos require PyAV")
 TRACE = GazeTrace((0.0, 0.5, 1.0), (Gaze(0.25, 0.5), Gaze(0.75, 0.5), Gaze(0.75, 0.5)))
@@ -148,3 +149,17 @@ def test_seeds_of_a_video_stay_seeds(scene, settings, tmp_path):
     assert len(rendered(scene, settings, tmp_path / "a.mp4", short, seed=MOST_SEED)) == 2
     with pytest.raises(UserError, match=r"^seed -1: must be a whole number"):
         rendered(scene, settings, tmp_path / "b.mp4", short, seed=-1)
+
+
+def test_a_scene_that_moves_plays(tmp_path, settings):
+    """A lap takes a second: the frames of the second lap are those of the first."""
+    scene = moving_corner(tmp_path)
+    whole = replace(settings, fov_a=200, fov_b=200, time=0.25, spp=64)
+    folder = tmp_path / "video"
+    folder.mkdir()
+    trace = GazeTrace((0.0, 2.0), (Gaze(), Gaze()))
+    rendered(scene, whole, folder / "a.mp4", trace, fps=4)
+    frames = luma(folder / "a.mp4")
+    alike = [np.abs(frames[number] - frames[number + 4]).mean() for number in range(4)]
+    apart = [np.abs(frames[number] - frames[number + 1]).mean() for number in range(3)]
+    assert min(apart) > 1.5 * max(alike)
