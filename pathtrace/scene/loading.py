@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -76,12 +77,19 @@ def load_mitsuba(source: Source, apart: Collection[str] = ()) -> Any:
     Raises:
         UserError: Mitsuba refuses it, or it is not a scene.
     """
-    return _parsed(source, apart, lambda state: None)
+    if apart:
+        return _parsed(source, apart, lambda state: None)
+    # As this loads in parallel.
+    is_dictionary = isinstance(source.content, dict)
+    load = partial(mi.load_dict if is_dictionary else mi.load_string, source.content)
+    return _checked(source.name, load if source.folder is None else lambda: _in(source.folder, load))
 
 
 def _parsed(source: Source, apart: Collection[str], changed: Callable[[Any], None]) -> Any:
     """A Mitsuba scene from its parsed description, which is changed before anything is made of it."""
     configuration = mi.parser.ParserConfig(mi.variant())
+    # In parallel, Mitsuba 3.9.1 makes scenes of which Dr.Jit may stumble over the arrays later, and crash.
+    configuration.parallel = False
 
     def load() -> Any:
         if isinstance(source.content, dict):
@@ -103,6 +111,8 @@ def _simplify(configuration: Any, state: Any, apart: Collection[str]) -> None:
         return
     mi.parser.transform_upgrade(configuration, state)
     mi.parser.transform_resolve(configuration, state)
+    # While the whole scene is there: what does not hang on it would go on referring to what was merged.
+    mi.parser.transform_merge_equivalent(configuration, state)
     root = state.root.props
     # Mitsuba merges what hangs on the scene.
     held = {
@@ -113,7 +123,6 @@ def _simplify(configuration: Any, state: Any, apart: Collection[str]) -> None:
     }
     for key in held:
         del root[key]
-    mi.parser.transform_merge_equivalent(configuration, state)
     mi.parser.transform_merge_meshes(configuration, state)
     for key, reference in held.items():
         root[key] = reference

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
 
 import mitsuba as mi
 import numpy as np
@@ -16,6 +16,8 @@ from pathtrace.motion.course import Course, course_of_poses
 from pathtrace.motion.tracks import FormulaTrack, LightTrack, MeshTrack, Motion, RigidTrack, ShapeTrack
 
 Array = NDArray[np.float64]
+# Parameters by name that have a value of their own at a time.
+_Part: TypeAlias = Callable[[float], dict[str, Any]]
 
 _POSITIONS, _NORMALS, _TO_WORLD, _POSITION = "vertex_positions", "vertex_normals", "to_world", "position"
 # Poses of a course: linear between them, a turn of ten times is off by next to nothing.
@@ -48,13 +50,9 @@ class MovingScene:
         self.motion, self.time = motion, 0.0
         self._scene, self._names = scene, names
         self._parameters = mi.traverse(scene)
-        self._place, self._source = place, source
-        self._parts: list[Callable[[float], dict[str, Any]]] = []
+        self._tracked = _Tracked(self._parameters, names, place, source)
+        self._parts = self._tracked.parts(motion)
         self._shown: dict[str, bytes] = {}
-        for name, track in motion.shapes.items():
-            self._parts.append(self._moving(name, self._key(name, names, "shape or light"), track))
-        for name, light in motion.lights.items():
-            self._parts.append(self._shining(name, self._key(name, names, "light"), light))
         self._show(0.0)
 
     def set_time(self, time: float) -> None:
@@ -75,8 +73,8 @@ class MovingScene:
         found = []
         for name, track in self.motion.shapes.items():
             if isinstance(track, RigidTrack) and self._names[name] in index:
-                poses = np.stack([self._pose(track, time) for time in np.linspace(0, 1, steps)])
-                centre = (np.array(track.about) - np.array(self._place.origin)) / self._place.unit
+                poses = np.stack([self._tracked.pose(track, time) for time in np.linspace(0, 1, steps)])
+                centre = self._tracked.place_of(track.about)
                 found.append(course_of_poses(name, index[self._names[name]], poses, centre))
         return found
 
@@ -100,10 +98,39 @@ class MovingScene:
         else:
             self._parameters[key] = _like(self._parameters[key], value)
 
-    def _key(self, name: str, names: dict[str, str], what: str) -> str:
-        if name not in names:
+
+class _Tracked:
+    """What tracks make of a scene's parameters, as functions of time.
+
+    These functions hold it, and it holds none of them: whatever holds a Mitsuba scene must be freed at once,
+    and not by the garbage collector, which may come while Dr.Jit goes through all scenes.
+
+    Args:
+        parameters, names, place, source: as of `MovingScene`.
+    """
+
+    def __init__(self, parameters: Any, names: dict[str, str], place: Place, source: str):
+        self._parameters, self._names, self._place, self._source = parameters, names, place, source
+
+    def parts(self, motion: Motion) -> list[_Part]:
+        """What each track makes of the parameters."""
+        shapes = [
+            self._moving(name, self._key(name, "shape or light"), track)
+            for name, track in motion.shapes.items()
+        ]
+        lights = [
+            self._shining(name, self._key(name, "light"), track) for name, track in motion.lights.items()
+        ]
+        return shapes + lights
+
+    def place_of(self, point: Sequence[float]) -> Array:
+        """A point (3,) of the scene's file in the scene's coordinates."""
+        return (np.array(point) - np.array(self._place.origin)) / self._place.unit
+
+    def _key(self, name: str, what: str) -> str:
+        if name not in self._names:
             raise self._refused(name, f"there is no such {what} in the scene")
-        return names[name]
+        return self._names[name]
 
     def _refused(self, name: str, why: str) -> UserError:
         return UserError(f"{self._source}: motion of {one_line(name)}: {why}")
@@ -111,7 +138,7 @@ class MovingScene:
     def _has(self, key: str) -> bool:
         return key in self._parameters.properties
 
-    def _moving(self, name: str, key: str, track: ShapeTrack) -> Callable[[float], dict[str, Any]]:
+    def _moving(self, name: str, key: str, track: ShapeTrack) -> _Part:
         """What a track makes of a shape's, or light's, parameters."""
         positions = f"{key}.{_POSITIONS}"
         if self._has(positions):
@@ -126,7 +153,7 @@ class MovingScene:
                 return self._rigid(f"{key}.{kind}", track)
         raise self._refused(name, "it has no place that could change")
 
-    def _deforming_mesh(self, key: str, at: Callable[[float], Array]) -> Callable[[float], dict[str, Any]]:
+    def _deforming_mesh(self, key: str, at: Callable[[float], Array]) -> _Part:
         positions, normals = f"{key}.{_POSITIONS}", f"{key}.{_NORMALS}"
         if not self._has_normals(key):
             return lambda time: {positions: at(time).ravel()}
@@ -142,12 +169,12 @@ class MovingScene:
     def _has_normals(self, key: str) -> bool:
         return self._has(f"{key}.{_NORMALS}") and len(self._parameters[f"{key}.{_NORMALS}"]) > 0
 
-    def _rigid_mesh(self, key: str, rest: Array, track: RigidTrack) -> Callable[[float], dict[str, Any]]:
+    def _rigid_mesh(self, key: str, rest: Array, track: RigidTrack) -> _Part:
         positions, normals = f"{key}.{_POSITIONS}", f"{key}.{_NORMALS}"
         upright = np.reshape(self._parameters[normals].numpy(), (-1, 3)) if self._has_normals(key) else None
 
         def at(time: float) -> dict[str, Any]:
-            pose = self._pose(track, time)
+            pose = self.pose(track, time)
             moved = {positions: (rest @ pose[:3, :3].T + pose[:3, 3]).ravel()}
             if upright is not None:
                 moved[normals] = (upright @ pose[:3, :3].T).ravel()
@@ -155,14 +182,14 @@ class MovingScene:
 
         return at
 
-    def _rigid(self, key: str, track: RigidTrack) -> Callable[[float], dict[str, Any]]:
+    def _rigid(self, key: str, track: RigidTrack) -> _Part:
         """For shapes and lights without vertices."""
         rest = self._parameters[key]
         if key.endswith(_POSITION):
             point = np.ravel(rest).astype(np.float64)
-            return lambda time: {key: (self._pose(track, time) @ [*point, 1])[:3]}
+            return lambda time: {key: (self.pose(track, time) @ [*point, 1])[:3]}
         matrix = np.array(rest.matrix, dtype=np.float64).reshape(4, 4)
-        return lambda time: {key: self._pose(track, time) @ matrix}
+        return lambda time: {key: self.pose(track, time) @ matrix}
 
     def _vertices(self, name: str, rest: Array, track: FormulaTrack | MeshTrack) -> Callable[[float], Array]:
         """Positions (N, 3) of a shape's vertices in the scene's coordinates, as a function of time."""
@@ -200,14 +227,14 @@ class MovingScene:
             raise self._refused(name, f"{file}: has {len(vertices):,} vertices; the shape has {count:,}")
         return vertices
 
-    def _pose(self, track: RigidTrack, time: float) -> Array:
+    def pose(self, track: RigidTrack, time: float) -> Array:
         """(4, 4) from rest to a time in the scene's coordinates."""
         pose = track.pose(time)
         origin = np.array(self._place.origin)
         pose[:3, 3] = (pose[:3, :3] @ origin + pose[:3, 3] - origin) / self._place.unit
         return pose
 
-    def _shining(self, name: str, key: str, track: LightTrack) -> Callable[[float], dict[str, Any]]:
+    def _shining(self, name: str, key: str, track: LightTrack) -> _Part:
         """What a track makes of a light's brightness; `key` may be that of the shape that shines."""
         prefixes = (key, f"{key}.emitter")
         found = [
