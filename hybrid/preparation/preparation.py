@@ -177,7 +177,7 @@ class _Job:
         seconds = self._planner.framed()
         traced = self._journal.once(f"pass {number}", lambda: asdict(self._pass(frames, seconds)))
         self._passes.append(Pass(**traced))
-        forest = self._lit(self._trained(frames, path, before), frames, path)
+        forest = self._trained(frames, path, before)
         if number:
             store_forest(forest, self._folder.name)
         return forest
@@ -195,6 +195,7 @@ class _Job:
         settings = TrainingSettings(self._planner.steps(), stage.gaussians, layers, seed=seed)
         with self._bars(f"stage {number + 1}: forest (steps)") as bar:
             forest = train(read_frame_set(frames.folder), path, settings, bar, start=before)
+        forest = self._lit(forest, frames, path)
         self._planner.trained()
         return forest
 

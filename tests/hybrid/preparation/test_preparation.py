@@ -20,6 +20,7 @@ from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from tests.extremes import extreme
 from tests.hybrid.preparation.tiny import make_tiny
+from tests.moving import moving_corner
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
 DRAFT = PreparationSettings(quality="draft", held_out=2, size=(32, 32))
@@ -148,3 +149,21 @@ def test_without_held_out_views_nothing_is_judged(scene, tmp_path, monkeypatch):
     facts = prepare(scene, replace(DRAFT, held_out=0, minutes=0.01), no_bars, tmp_path).facts
     assert facts["splat"] == {}
     assert [set(row) for row in facts["curve"]] == [{"seconds", "gaussians"}]
+
+
+def test_a_scene_that_moves_is_prepared_for_all_times(monkeypatch, tmp_path):
+    """And again from what is there: the same forest."""
+    make_tiny(monkeypatch.setattr)
+    moving = moving_corner(tmp_path)
+    prepared = prepare(moving, DRAFT, no_bars, tmp_path / "job")
+    frames = read_frame_set(tmp_path / "job" / "frames")
+    times = [entry.time for entry in frames.training]
+    assert len(set(times)) == 6
+    assert max(times) - min(times) > 0.6
+    assert [course.name for course in frames.courses] == ["board"]
+    forest = prepared.forest
+    assert forest.motion is not None
+    assert set(forest.nodes.semantic.tolist()) == {-1, 0}
+    assert 5 < prepared.facts["splat"]["psnr"] < 60
+    again = prepare(moving_corner(tmp_path), DRAFT, no_bars, tmp_path / "job")
+    assert again.forest.digest() == forest.digest()
