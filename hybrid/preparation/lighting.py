@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
 from hybrid.runtime.progress import Bars
-from hybrid.training.forest import motion_of
 from pathtrace.cache.cache import IrradianceCache
 from pathtrace.cache.cells import Points
 from pathtrace.fill.over_time import irradiance_over_time
 from pathtrace.scene.scene import Scene
 from splat.model.forest import Forest
 from splat.model.light_course import LightCourse
-from splat.model.motion import Poses, RigidMotion, turned
 
 # Times at which irradiance is found.
 _TIMES = 33
@@ -42,7 +40,9 @@ _DARK = 1e-3
 def with_light_course(
     forest: Forest, scene: Scene, cache: IrradianceCache, cameras: Sequence[Camera], seed: int, bars: Bars
 ) -> Forest:
-    """The forest with factors for all nodes whose light changes; as it is if none does.
+    """The forest with factors for the still nodes whose light changes; as it is if none does.
+
+    Those that move have none: on thin shapes, lit from either side, factors did more harm than good.
 
     Args:
         forest: of the scene.
@@ -53,22 +53,17 @@ def with_light_course(
         bars: show the progress.
     """
     scene.set_time(0.0)
-    assert scene.moving is not None
-    motion, instance = motion_of(scene.moving.courses()), forest.nodes.semantic
-    means = torch.from_numpy(forest.place.in_world(forest.nodes.gaussians.means.detach().numpy().T))
-    start = means if motion is None else _moved(means, instance, motion.at(0.0))
-    reach = _REACH * forest.nodes.gaussians.log_scales.detach().max(dim=0).values.exp().numpy()
+    nodes = forest.nodes.gaussians
+    positions = forest.place.in_world(nodes.means.detach().numpy().T)
+    longest = nodes.log_scales.detach().max(dim=0).values.exp().double().numpy()
     chosen = cameras[:: max(1, len(cameras) // _VIEWS)]
-    points, found = _on_surfaces(scene, start.numpy(), forest.place.unit * reach.astype(np.float64), chosen)
-    nodes = np.flatnonzero(found)
-    if not len(nodes):
+    points, found = _on_still_surfaces(scene, positions, _REACH * forest.place.unit * longest, chosen)
+    still = np.flatnonzero(found & (forest.nodes.semantic.numpy() < 0))
+    if not len(still):
         return forest
-    points, of = points.take(nodes), instance[torch.from_numpy(nodes)]
     times = np.linspace(0, 1, _TIMES).tolist()
     with bars("light over time") as bar:
-        irradiance = irradiance_over_time(
-            scene, cache, lambda time: _points_at(points, of, motion, time), times, seed, bar
-        )
+        irradiance = irradiance_over_time(scene, cache, points.take(still), times, seed, bar)
     usual = np.median(irradiance, axis=0)
     least = max(_DARK * float(usual.mean()), 1e-12)
     factors = np.minimum((irradiance + least) / (usual + least), _LARGEST)
@@ -76,15 +71,16 @@ def with_light_course(
     if not changes.any():
         return forest
     course = LightCourse(
-        torch.from_numpy(nodes[changes]), torch.from_numpy(factors[:, changes].astype(np.float32))
+        torch.from_numpy(still[changes]), torch.from_numpy(factors[:, changes].astype(np.float32))
     )
     return replace(forest, light=course)
 
 
-def _on_surfaces(
+def _on_still_surfaces(
     scene: Scene, positions: NDArray[np.float64], reach: NDArray[np.float64], cameras: Sequence[Camera]
 ) -> tuple[Points, NDArray[np.bool_]]:
-    """Points (N) of the scene's surfaces, as it is now, where nodes are; and which nodes have one."""
+    """Points (N) of what stands still in a scene where nodes are; and which nodes have one."""
+    moving = [] if scene.moving is None else [mi.ShapePtr(shape) for shape in scene.moving.shapes]
     found = np.zeros(len(positions), dtype=bool)
     place, normal = np.zeros((2, len(positions), 3), dtype=np.float32)
     for camera in cameras:
@@ -98,30 +94,13 @@ def _on_surfaces(
         direction = (way / distance[:, None]).astype(np.float32)
         ray = mi.Ray3f(mi.Point3f(camera.position.astype(np.float32)), mi.Vector3f(direction.T))
         hit = scene.mitsuba.ray_intersect(ray)
-        away, valid = hit.t.numpy(), hit.is_valid().numpy()
+        valid = hit.is_valid()
+        for shape in moving:
+            valid &= hit.shape != shape
+        away, valid = hit.t.numpy(), valid.numpy()
         near = valid & (np.abs(away - distance) < reach[asked] + _SHARE * distance)
         facing = hit.n.numpy().T
         facing *= np.where((facing * direction).sum(axis=1) > 0, -1, 1)[:, None]
         place[asked[near]], normal[asked[near]] = hit.p.numpy().T[near], facing[near]
         found[asked[near]] = True
     return Points(place, normal), found
-
-
-def _points_at(points: Points, instance: torch.Tensor, motion: RigidMotion | None, time: float) -> Points:
-    """Points at a time, from those at time 0."""
-    if motion is None or not bool((instance >= 0).any()):
-        return points
-    position, normal = (torch.from_numpy(part).double() for part in (points.position, points.normal))
-    start, now = motion.at(0.0), motion.at(time)
-    rest = _moved(position, instance, start.inverse())
-    turn, back = (Poses(poses.rotations, torch.zeros_like(poses.offsets)) for poses in (now, start.inverse()))
-    facing = _moved(_moved(normal, instance, back), instance, turn)
-    return Points(*(part.float().numpy() for part in (_moved(rest, instance, now), facing)))
-
-
-def _moved(points: torch.Tensor, instance: torch.Tensor, poses: Poses) -> torch.Tensor:
-    """Points (N, 3) of instances (N,) where poses bring them; those of none stay."""
-    moving = torch.nonzero(instance >= 0)[:, 0]
-    of = instance[moving].long()
-    moved = turned(poses.rotations[of].T, points[moving].T).T + poses.offsets[of]
-    return points.index_copy(0, moving, moved)

@@ -25,7 +25,7 @@ _ANY_AREA = 1e9
 def irradiance_over_time(
     scene: Scene,
     cache: IrradianceCache,
-    points_at: Callable[[float], Points],
+    points: Points,
     times: Sequence[float],
     seed: int,
     progress: Callable[[int, int], None] = lambda done, total: None,
@@ -38,17 +38,16 @@ def irradiance_over_time(
     Args:
         scene: a scene that moves; afterwards it shows the last time.
         cache: of its irradiance at time 0.
-        points_at: the N points at a time.
+        points: N of them on what stands still.
         times: from 0 to 1.
         seed: same seed, same irradiance on the same machine.
         progress: called with times done and their number.
     """
     scene.set_time(0.0)
-    indirect = _indirect(scene, cache, points_at(0.0), seed)
+    indirect = _indirect(scene, cache, points, seed)
     found = np.empty((len(times), len(indirect)), dtype=np.float32)
     for number, time in enumerate(times):
         scene.set_time(time)
-        points = points_at(time)
         rounds = [gather_direct(scene.mitsuba, points, seed + n).irradiance for n in range(_ROUNDS)]
         found[number] = indirect + np.mean(rounds, axis=(0, 2))
         progress(number + 1, len(times))

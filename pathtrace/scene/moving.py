@@ -67,6 +67,12 @@ class MovingScene:
             self._show(time)
             self.time = time
 
+    @property
+    def shapes(self) -> list[Any]:
+        """The Mitsuba shapes that have a track, of whatever kind."""
+        tracked = {self._names[name] for name in self.motion.shapes}
+        return [shape for shape in self._scene.shapes() if shape.id() in tracked]
+
     def courses(self, steps: int = _STEPS) -> list[Course]:
         """The courses of all shapes that move rigidly, in the scene's coordinates."""
         index = {shape.id(): number for number, shape in enumerate(self._scene.shapes())}

@@ -35,9 +35,8 @@ def silent(title: str):
     yield lambda done, total, step="": None
 
 
-@pytest.fixture(scope="module")
-def scene(backend, tmp_path_factory) -> Scene:
-    """A wall, and a card that goes past between it and a lamp, beside the view."""
+def described() -> dict[str, Any]:
+    """A wall, and a card beside the view, between the wall and a lamp."""
 
     def square(z: float, side: float, grey: float, y: float = 0.0) -> dict[str, Any]:
         facing = mi.ScalarTransform4f().translate([0.2, y, z]).rotate([0, 1, 0], 180)
@@ -48,17 +47,22 @@ def scene(backend, tmp_path_factory) -> Scene:
             "bsdf": {"type": "diffuse", "reflectance": reflectance},
         }
 
-    file = tmp_path_factory.mktemp("scene") / "any.motion.json"
-    track = {"keyframes": [{"t": 0, "translate": [-4, 0, 0]}, {"t": 1, "translate": [4, 0, 0]}]}
-    file.write_text(json.dumps({"shapes": {"card": track}}))
-    description = {
+    return {
         "type": "scene",
         "sensor": small.sensor(48, 48),
         "wall": square(2, 4, 0.7),
         "card": square(0.5, 0.3, 0.4, y=1.7),
         "lamp": {"type": "point", "position": [0.2, 3.4, -1.0], "intensity": {"type": "rgb", "value": 60.0}},
     }
-    return load_scene(description, motion=file)
+
+
+@pytest.fixture(scope="module")
+def scene(backend, tmp_path_factory) -> Scene:
+    """The card goes past."""
+    file = tmp_path_factory.mktemp("scene") / "any.motion.json"
+    track = {"keyframes": [{"t": 0, "translate": [-4, 0, 0]}, {"t": 1, "translate": [4, 0, 0]}]}
+    file.write_text(json.dumps({"shapes": {"card": track}}))
+    return load_scene(described(), motion=file)
 
 
 @pytest.fixture(scope="module")
@@ -125,3 +129,20 @@ def test_where_no_light_changes_the_forest_stays_as_it_is(scene, forest):
     far = replace(forest, nodes=replace(forest.nodes, gaussians=replace(forest.nodes.gaussians)))
     far.nodes.gaussians.means = far.nodes.gaussians.means + 50
     assert with_light_course(far, scene, cache, away, 0, silent) is far
+
+
+def test_nodes_on_what_moves_have_no_factor(backend, tmp_path):
+    """Of a wall that hardly moves, in a shadow that passes; its nodes have no label, like those of a sheet."""
+    file = tmp_path / "any.motion.json"
+    across = {"keyframes": [{"t": 0, "translate": [-4, 0, 0]}, {"t": 1, "translate": [4, 0, 0]}]}
+    file.write_text(
+        json.dumps({"shapes": {"card": across, "wall": {"formula": ["x", "y", "z - 0.001 * t"]}}})
+    )
+    moving = load_scene(described(), motion=file)
+    assert moving.moving is not None
+    assert len(moving.moving.shapes) == 2
+    frame = render_frame(Tracer(moving), moving.camera, 4, 0)
+    view = TrainingView(moving.camera, frame.radiance, frame.unfolded, frame.normal)
+    own = forest_of([seed_at(view, np.arange(0, 2304, 5), 0.6, 0)], moving.camera.fy, "", "")
+    cache = fill_cache(moving, [moving.camera], points=1 << 10)
+    assert with_light_course(own, moving, cache, [moving.camera], 0, silent) is own

@@ -49,7 +49,7 @@ def test_irradiance_follows_a_shadow_that_moves(scene):
     place = np.stack([x, np.full_like(x, 0.05), np.full_like(x, 2)], axis=1)
     points = Points(place, np.tile(np.float32([0, 0, -1]), (len(x), 1)))
     times = [0.0, 0.45, 0.5, 0.6]
-    found = irradiance_over_time(scene, cache, lambda time: points, times, 3)
+    found = irradiance_over_time(scene, cache, points, times, 3)
     assert found.shape == (4, 31)
     way = place - [0, 0, -1.5]
     exact = 20 * way[:, 2] / np.linalg.norm(way, axis=1) ** 3
@@ -70,7 +70,7 @@ def test_the_same_seed_gives_the_same_irradiance(scene):
     seen = np.isfinite(hits.distance)
     place = camera.position + camera.rays(camera.pixel_centres())[seen] * hits.distance[seen, None]
     points = Points(place.astype(np.float32), np.tile(np.float32([0, 0, -1]), (seen.sum(), 1)))
-    one, other = (irradiance_over_time(scene, cache, lambda time: points, [0.2, 0.8], 5) for _ in range(2))
+    one, other = (irradiance_over_time(scene, cache, points, [0.2, 0.8], 5) for _ in range(2))
     np.testing.assert_array_equal(one, other)
     assert np.isfinite(one).all()
     assert (one >= 0).all()
