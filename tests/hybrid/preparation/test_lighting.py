@@ -132,12 +132,11 @@ def test_where_no_light_changes_the_forest_stays_as_it_is(scene, forest):
 
 
 def test_nodes_on_what_moves_have_no_factor(backend, tmp_path):
-    """Of a wall that hardly moves, in a shadow that passes; its nodes have no label, like those of a sheet."""
+    """Of a wall that hardly moves, under a shadow; its nodes have no label, like those of a sheet."""
     file = tmp_path / "any.motion.json"
     across = {"keyframes": [{"t": 0, "translate": [-4, 0, 0]}, {"t": 1, "translate": [4, 0, 0]}]}
-    file.write_text(
-        json.dumps({"shapes": {"card": across, "wall": {"formula": ["x", "y", "z - 0.001 * t"]}}})
-    )
+    nearly = {"keyframes": [{"t": 0}, {"t": 1, "translate": [0, 0, 0.001]}]}
+    file.write_text(json.dumps({"shapes": {"card": across, "wall": nearly}}))
     moving = load_scene(described(), motion=file)
     assert moving.moving is not None
     assert len(moving.moving.shapes) == 2
