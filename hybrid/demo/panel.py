@@ -85,11 +85,10 @@ class Panel(QWidget):
         self.speed.setCurrentIndex(_SPEEDS.index(playback.speed))
         self.speed.currentIndexChanged.connect(lambda n: setattr(playback, "speed", _SPEEDS[n]))
         self.time.setRange(0, _TIME_STEPS)
-        self._time_label = QLabel("time 0.00")
+        self._time_label = QLabel()
         self.time.valueChanged.connect(lambda value: playback.seek(value / _TIME_STEPS))
-        self.time.valueChanged.connect(
-            lambda value: self._time_label.setText(f"time {value / _TIME_STEPS:.2f}")
-        )
+        self.time.valueChanged.connect(lambda value: self.show_time(value / _TIME_STEPS))
+        self.show_time(0.0)
         self._form.addRow(self.play, self.speed)
         self._form.addRow(self._time_label, self.time)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -69,6 +70,8 @@ class Formula:
         return found
 
 
+# Of a scene that plays, the same formulas are asked for many times a second.
+@lru_cache
 def _parsed(text: str) -> ast.expr:
     if len(text) > _MOST_CHARACTERS:
         raise ValueError(f"formula of {len(text):,} characters; must have at most {_MOST_CHARACTERS:,}")

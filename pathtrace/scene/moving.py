@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from compose.base.errors import UserError, one_line
+from compose.base.steps import between_steps
 from compose.camera.place import Place
 from pathtrace.motion.course import Course, course_of_poses
 from pathtrace.motion.tracks import FormulaTrack, LightTrack, MeshTrack, Motion, RigidTrack, ShapeTrack
@@ -213,9 +214,8 @@ class _Tracked:
         meshes = [(self._mesh(name, file, len(rest)) - origin) / unit for file in track.files]
 
         def between_meshes(time: float) -> Array:
-            at = time * (len(meshes) - 1)
-            first = min(int(at), len(meshes) - 2)
-            return meshes[first] + (at - first) * (meshes[first + 1] - meshes[first])
+            first, share = between_steps(time, len(meshes))
+            return meshes[first] + share * (meshes[first + 1] - meshes[first])
 
         return between_meshes
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields
 
 import torch
 
+from compose.base.steps import between_steps
 from splat.model.gaussians import SH_DC
 from splat.model.perceptual import perceptual_from_radiance, radiance_from_perceptual
 
@@ -46,9 +47,8 @@ class LightCourse:
 
     def at(self, time: float) -> torch.Tensor:
         """(M,) factors at a time from 0 to 1."""
-        at = time * (len(self.factors) - 1)
-        first = min(int(at), len(self.factors) - 2)
-        return torch.lerp(self.factors[first], self.factors[first + 1], at - first)
+        first, share = between_steps(time, len(self.factors))
+        return torch.lerp(self.factors[first], self.factors[first + 1], share)
 
 
 def in_light(sh: torch.Tensor, factor: torch.Tensor) -> torch.Tensor:

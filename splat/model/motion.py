@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields, replace
 
 import torch
 
+from compose.base.steps import between_steps
 from compose.camera.place import Place
 from splat.model.gaussians import Gaussians
 
@@ -72,9 +73,7 @@ class RigidMotion:
 
     def at(self, time: float) -> Poses:
         """The poses at a time from 0 to 1."""
-        at = time * (len(self.rotations) - 1)
-        first = min(int(at), len(self.rotations) - 2)
-        share = at - first
+        first, share = between_steps(time, len(self.rotations))
         rotations = _between(self.rotations[first], self.rotations[first + 1], share)
         shifts = torch.lerp(self.shifts[first], self.shifts[first + 1], share)
         return Poses(rotations, self.centres + shifts - turned(rotations.T, self.centres.T).T)

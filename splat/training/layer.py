@@ -9,7 +9,6 @@ import numpy as np
 import torch
 
 from compose.base.arrays import Arrays
-from splat.model.gaussians import Gaussians
 from splat.model.layer import LABELS, NO_PARENT, Layer, concatenated_layers
 from splat.model.motion import RigidMotion, posed
 from splat.raster.differentiable import render_differentiable
@@ -93,9 +92,13 @@ class LayerTraining:
         """
         index = self._view_of(self.done)
         camera, time = self.views[index].camera, self.views[index].time
-        semantic = self._tree.semantic
-        shown = visible(self._arrays, self._posed(self._optimizer.gaussians, semantic, time), camera)
-        chosen = self._posed(self._optimizer.chosen(shown), semantic[shown], time)
+        semantic, gaussians = self._tree.semantic, self._optimizer.gaussians
+        poses = None if self._motion is None else self._motion.at(time)
+        shown = visible(
+            self._arrays, gaussians if poses is None else posed(gaussians, semantic, poses), camera
+        )
+        chosen = self._optimizer.chosen(shown)
+        chosen = chosen if poses is None else posed(chosen, semantic[shown], poses)
         image = render_differentiable(self._arrays, chosen, camera, PIXEL_FILTER)
         loss, error = self._targets[index].loss(image)
         if self._optimizer.step(loss, self.done / self._steps):
@@ -108,12 +111,6 @@ class LayerTraining:
         due = grows and self._density.is_due(self.done)
         self.done += 1
         return self._change_density() if due else None
-
-    def _posed(self, gaussians: Gaussians, semantic: torch.Tensor, time: float) -> Gaussians:
-        """Gaussians of some instances (N,) where they are at a time."""
-        if self._motion is None:
-            return gaussians
-        return posed(gaussians, semantic, self._motion.at(time))
 
     def _change_density(self) -> torch.Tensor:
         """Removes and adds nodes; returns the index (N,) that each former node has now, -1 if removed."""
