@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from typing import Any
 
 from hybrid.preparation.clock import Clock
 from hybrid.preparation.settings import PreparationSettings
-from hybrid.preparation.stages import QUALITIES, Stage
+from hybrid.preparation.stages import QUALITIES, Needs, Stage
 from hybrid.preparation.timing import AS_EXPECTED, Seconds, affordable_steps, expected_seconds, next_stage
 from hybrid.store.journal import Journal
 
@@ -51,6 +52,16 @@ class Planner:
             self.stages.append(Stage(**planned))
         return bool(planned)
 
+    def look(self, complexity: Callable[[], float]) -> None:
+        """Takes down what the first frames show, as of `Needs`: later stages have Gaussians for it."""
+        self._journal.once("complexity", complexity)
+
+    @property
+    def needs(self) -> Needs:
+        """Of the region and the scene, as far as known."""
+        complexity = self._journal["complexity"] if "complexity" in self._journal else 1.0
+        return Needs(self._breadth, complexity)
+
     def steps(self) -> int:
         """Training steps of the last stage, for which its frames have left the time."""
         return self._journal.once(f"steps {len(self.stages) - 1}", self._affordable)
@@ -83,7 +94,7 @@ class Planner:
     def _planned(self, number: int, curve: list[dict[str, Any]]) -> dict[str, Any] | None:
         if number and self._is_enough(number, [row["psnr"] for row in curve if "psnr" in row]):
             return None
-        stage = next_stage(self.stages, self._breadth, self._pace(), self._left())
+        stage = next_stage(self.stages, self.needs, self._pace(), self._left())
         return asdict(stage) if stage else None
 
     def _is_enough(self, number: int, psnr: list[float]) -> bool:

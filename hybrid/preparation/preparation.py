@@ -13,6 +13,7 @@ from compose.base.errors import UserError
 from hybrid.frame.irradiance import cache_for
 from hybrid.preparation.clamping import clamping_bias
 from hybrid.preparation.clock import Clock
+from hybrid.preparation.complexity import complexity_of
 from hybrid.preparation.convergence import CONVERGED_DB, Pass, converging_seconds
 from hybrid.preparation.judges import Judges
 from hybrid.preparation.lighting import with_light_course
@@ -175,6 +176,7 @@ class _Job:
         with self._bars(f"stage {number + 1}: frames (samples)") as bar:
             frames.grow(wanted_of(frames, views, stages[-1], before), bar)
         seconds = self._planner.framed()
+        self._planner.look(lambda: complexity_of(frames))
         traced = self._journal.once(f"pass {number}", lambda: asdict(self._pass(frames, seconds)))
         self._passes.append(Pass(**traced))
         forest = self._trained(frames, path, before)
@@ -257,6 +259,7 @@ class _Job:
             "region": self._region.name,
             "seconds": self._journal.once("total", self._clock.seconds),
             "gaussians": len(forest.finest),
+            "complexity": self._planner.needs.complexity,
             "views": len(samples),
             "spp": {"mean": sum(samples) / len(samples), "least": min(samples), "most": max(samples)},
             "frame_error_db": self._passes[-1].error_db,

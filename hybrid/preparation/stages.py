@@ -13,9 +13,24 @@ _LEAST_SPP = 4
 # What there is to model grows with this power of the views that a region takes: some surfaces take many views
 # to be seen at all, behind and between things.
 _SURFACES = 0.7
+# The same with the share of the frames that shows edges and texture, within a range that was tried.
+_DETAIL, _LEAST_GAUSSIANS, _MOST_GAUSSIANS = 0.7, 0.25, 1.5
 # Side in pixels of what a whole view measures at the resolution of the coarsest layer: what sees less detail
 # than that is hardly part of any frame, with any display or acuity model.
 _COARSEST = 64
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What a region and a scene take, over what the default region of `room` takes.
+
+    Attributes:
+        breadth: views of the region until little is unseen.
+        complexity: share of the frames that shows edges and texture; 1 before there are frames.
+    """
+
+    breadth: float = 1.0
+    complexity: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -58,6 +73,12 @@ class Stage:
         # Frames of far larger pixels hardly matter for what the new ones show.
         return max(_LEAST_SPP, self.spp // scale**2) if 2 * scale >= self.scale else 0
 
+    def for_needs(self, needs: Needs) -> Stage:
+        """The stage for a region and a scene other than those it is described for."""
+        gaussians = min(max(needs.complexity**_DETAIL, _LEAST_GAUSSIANS), _MOST_GAUSSIANS)
+        broad = self.of_breadth(needs.breadth)
+        return replace(broad, gaussians=round(broad.gaussians * gaussians))
+
     def of_breadth(self, breadth: float) -> Stage:
         """The stage for a region that takes some times as many views to show as the default one.
 
@@ -93,10 +114,10 @@ STAGES = (
 QUALITIES = {"draft": 2, "standard": 4, "high": 5}
 
 
-def planned_stage(number: int, breadth: float) -> Stage:
-    """The stage of a number from 0 in a region of some breadth, if there is time for all of it."""
+def planned_stage(number: int, needs: Needs) -> Stage:
+    """The stage of a number from 0, if there is time for all of it."""
     if number < len(STAGES):
-        return STAGES[number].of_breadth(breadth)
+        return STAGES[number].for_needs(needs)
     # More of the same: the finest frames elsewhere, all samples doubled.
     last = STAGES[-1]
-    return replace(last, spp=last.spp * 2 ** (number - len(STAGES) + 1)).of_breadth(breadth)
+    return replace(last, spp=last.spp * 2 ** (number - len(STAGES) + 1)).for_needs(needs)

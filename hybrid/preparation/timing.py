@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hybrid.preparation.stages import SIDE, Stage, planned_stage
+from hybrid.preparation.stages import SIDE, Needs, Stage, planned_stage
 
 # What things take on two cores of an AMD EPYC, in the scene `room`, in seconds: to trace and denoise a pixel,
 # and each of its samples; to read a pixel and make a target of it; to build trees of a Gaussian.
@@ -65,7 +65,7 @@ def step_seconds(stage: Stage) -> float:
     return _STEP * (of_pixels + shown / _GAUSSIANS_OF_A_STEP)
 
 
-def next_stage(before: Sequence[Stage], breadth: float, pace: Seconds, left: float | None) -> Stage | None:
+def next_stage(before: Sequence[Stage], needs: Needs, pace: Seconds, left: float | None) -> Stage | None:
     """The stage to do next; None if there is no time for one.
 
     It is stretched over the time that would be left without use: a stage that has too little time is worse
@@ -73,17 +73,17 @@ def next_stage(before: Sequence[Stage], breadth: float, pace: Seconds, left: flo
 
     Args:
         before: the stages done.
-        breadth: of the region, as of `Stage.of_breadth`.
+        needs: of the region and the scene.
         pace: of the stages done.
         left: seconds; None if they do not matter.
     """
-    stage = planned_stage(len(before), breadth)
+    stage = planned_stage(len(before), needs)
     if left is None or not before:
         return stage
     share = _share(stage, before, pace, left)
     if share < _LEAST_SHARE:
         return None
-    following = planned_stage(len(before) + 1, breadth)
+    following = planned_stage(len(before) + 1, needs)
     left_then = left - expected_seconds(stage, before).at(pace)
     another_fits = _share(following, [*before, stage], pace, left_then) >= _LEAST_SHARE
     return stage if another_fits else stage.in_time(share)

@@ -246,11 +246,15 @@ class GrowingFrames:
 
 
 def _is_same(stored: Camera, camera: Camera) -> bool:
-    """Whether a camera is one that was written and read: its pose may be a little less than rigid."""
+    """Whether a camera is one that was written and read: its pose may be a little less than rigid.
+
+    Such a pose, inverted, is off by as much more as it is farther from the origin.
+    """
     numbers = [(c.width, c.height, c.fx, c.fy, c.cx, c.cy) for c in (stored, camera)]
-    return numbers[0] == numbers[1] and np.allclose(
-        stored.world_to_camera, camera.world_to_camera, rtol=2 * RIGID_TOLERANCE, atol=2 * RIGID_TOLERANCE
-    )
+    tolerance = np.full((4, 4), 2 * RIGID_TOLERANCE)
+    tolerance[:3, 3] *= max(1.0, float(np.linalg.norm(camera.world_to_camera[:3, 3])))
+    off = np.abs(stored.world_to_camera - camera.world_to_camera)
+    return numbers[0] == numbers[1] and bool((off <= tolerance).all())
 
 
 def _mixed(old: TracedImage, new: TracedImage, known: np.float32) -> TracedImage:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
-from hybrid.preparation.stages import STAGES, planned_stage
+from hybrid.preparation.stages import STAGES, Needs, planned_stage
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -24,5 +26,19 @@ def test_broad_regions_have_more_views_of_no_more_samples_in_all(stage, breadth)
 
 
 def test_after_the_last_stage_samples_double():
-    assert [planned_stage(number, 1.0) for number in range(len(STAGES))] == list(STAGES)
-    assert planned_stage(len(STAGES), 1.0).spp == 2 * STAGES[-1].spp
+    assert [planned_stage(number, Needs()) for number in range(len(STAGES))] == list(STAGES)
+    assert planned_stage(len(STAGES), Needs()).spp == 2 * STAGES[-1].spp
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_simple_scenes_have_fewer_gaussians_and_nothing_else_less(stage):
+    simple, plain = stage.for_needs(Needs(complexity=0.4)), stage.for_needs(Needs())
+    assert 0.4 * plain.gaussians < simple.gaussians < 0.7 * plain.gaussians
+    assert replace(simple, gaussians=plain.gaussians) == plain == stage
+
+
+@pytest.mark.parametrize(("complexity", "least", "most"), [(0.0, 0.2, 0.3), (2.2, 1.2, 1.7)])
+def test_gaussians_of_empty_and_of_busy_scenes_are_bounded(complexity, least, most):
+    """All blocks of a frame can show detail, which is 2.2 times as many as in `room`."""
+    found = STAGES[2].for_needs(Needs(complexity=complexity)).gaussians
+    assert least < found / STAGES[2].gaussians < most

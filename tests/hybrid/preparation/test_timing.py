@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from hybrid.preparation.stages import STAGES
+from hybrid.preparation.stages import STAGES, Needs
 from hybrid.preparation.timing import (
     AS_EXPECTED,
     Seconds,
@@ -21,17 +21,17 @@ SECONDS = expected_seconds(STAGE, BEFORE).at(AS_EXPECTED)
 
 
 def test_a_stage_for_which_little_time_is_left_is_shorter_or_left_out():
-    half = next_stage(BEFORE, 1.0, AS_EXPECTED, 0.6 * SECONDS)
+    half = next_stage(BEFORE, Needs(), AS_EXPECTED, 0.6 * SECONDS)
     assert half is not None
     assert 0.3 * STAGE.steps < half.steps < 0.6 * STAGE.steps
     assert expected_seconds(half, BEFORE).at(AS_EXPECTED) == pytest.approx(0.6 * SECONDS, rel=0.02)
-    assert next_stage(BEFORE, 1.0, AS_EXPECTED, SECONDS / 10) is None
-    assert next_stage([], 1.0, AS_EXPECTED, 0.0) == STAGES[0]
+    assert next_stage(BEFORE, Needs(), AS_EXPECTED, SECONDS / 10) is None
+    assert next_stage([], Needs(), AS_EXPECTED, 0.0) == STAGES[0]
 
 
 def test_a_stage_is_stretched_over_time_in_which_no_further_one_fits():
     following = expected_seconds(STAGES[2], [*BEFORE, STAGE]).at(AS_EXPECTED)
-    longer = next_stage(BEFORE, 1.0, AS_EXPECTED, SECONDS + 0.2 * following)
+    longer = next_stage(BEFORE, Needs(), AS_EXPECTED, SECONDS + 0.2 * following)
     assert longer is not None
     assert longer.steps > STAGE.steps
     assert longer.views > STAGE.views
@@ -39,7 +39,7 @@ def test_a_stage_is_stretched_over_time_in_which_no_further_one_fits():
     assert expected_seconds(longer, BEFORE).at(AS_EXPECTED) == pytest.approx(
         SECONDS + 0.2 * following, rel=0.02
     )
-    assert next_stage(BEFORE, 1.0, AS_EXPECTED, SECONDS + 0.8 * following) == STAGE
+    assert next_stage(BEFORE, Needs(), AS_EXPECTED, SECONDS + 0.8 * following) == STAGE
 
 
 def test_where_frames_take_longer_than_expected_there_are_fewer_and_steps_keep_their_share():
@@ -47,7 +47,7 @@ def test_where_frames_take_longer_than_expected_there_are_fewer_and_steps_keep_t
     slow = Seconds(3.0, 1.0)
     stage, before = STAGES[4], STAGES[:4]
     left = 0.8 * expected_seconds(stage, before).at(slow)
-    shorter = next_stage(before, 1.0, slow, left)
+    shorter = next_stage(before, Needs(), slow, left)
     assert shorter is not None
     frames_done = left - slow.frames * expected_seconds(shorter, before).frames
     assert affordable_steps(shorter, before, frames_done, slow) == pytest.approx(shorter.steps, rel=0.02)

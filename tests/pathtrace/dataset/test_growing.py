@@ -145,6 +145,21 @@ def test_views_that_are_there_cannot_change(scene, tracer, tmp_path):
     assert json.loads((tmp_path / "transforms.json").read_text(encoding="utf-8"))["frames"][0]["samples"] == 4
 
 
+def test_poses_that_are_a_little_less_than_rigid_stay_as_they_are_far_from_the_origin(
+    scene, tracer, tmp_path
+):
+    """Scene files have rounded rotations; their inverses differ by as much as the distance multiplies."""
+    pose = scene.camera.world_to_camera.copy()
+    pose[0, :3] *= 1 + 2e-5
+    pose[:3, 3] = 300.0, -200.0, 500.0
+    camera = replace(scene.camera.resized(16, 8), world_to_camera=pose)
+    frames_in(tmp_path, tracer).grow([Wanted(camera, 2)], silent)
+    again = frames_in(tmp_path, tracer)
+    assert np.abs(again.camera(0).world_to_camera - pose).max() > 1e-3
+    again.grow([Wanted(camera, 4)], silent)
+    assert again.samples == [4]
+
+
 def test_views_of_a_scene_that_moves_show_their_times(tmp_path):
     """In whatever order they were traced; a view keeps its time."""
     scene = moving_corner(tmp_path)
