@@ -59,8 +59,9 @@ class Planner:
     @property
     def needs(self) -> Needs:
         """Of the region and the scene, as far as known."""
-        complexity = self._journal["complexity"] if "complexity" in self._journal else 1.0
-        return Needs(self._breadth, complexity)
+        if "complexity" not in self._journal:
+            return Needs(self._breadth)
+        return Needs(self._breadth, self._journal["complexity"])
 
     def steps(self) -> int:
         """Training steps of the last stage, for which its frames have left the time."""
