@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
+from compose.fovea.movers import ALWAYS, Moment
 from compose.fovea.record import RECORD
 from compose.fovea.samples import Floats
 
@@ -18,8 +19,11 @@ from compose.fovea.samples import Floats
 MOST_VIEWS = 16
 # Floats that tell where a sample is, loaded as one packet.
 _PLACE = 4
-# The last float of a place holds the view's number and the class of gloss.
-_GLOSS_BITS = 2
+# The last float of a place holds the mover, the view's number and the class of gloss: 20 bits of the 24 that
+# a float holds exactly.
+_GLOSS_BITS, _VIEW_BITS = 2, 4
+# Moments after which samples are dropped: light has changed since.
+MOST_MOMENTS = 4
 # Samples for which there is room at first: a disc of a small frame.
 _LEAST_ROOM = 1 << 12
 
@@ -30,15 +34,19 @@ class EarlierView:
 
     Attributes:
         records: (N, 16) (compose.fovea.record), at least one sample each.
-        position: (N, 3) of what was hit, in the world.
+        position: (N, 3) of what was hit, in the world; of what moves, where that is at rest.
         gloss: (N,) of what was hit.
+        mover: (N,) number of what was hit among what moves (compose.fovea.movers).
         viewpoint: (3,) position of the camera.
+        time: that it showed, from 0 to 1.
     """
 
     records: Floats
     position: Floats
     gloss: NDArray[np.uint8]
+    mover: NDArray[np.uint16]
     viewpoint: NDArray[np.float64]
+    time: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -46,14 +54,26 @@ class Places:
     """Where M samples of earlier views are, as Dr.Jit arrays of width M.
 
     Attributes:
-        position: three Floats, in the world.
+        position: three Floats, in the world; of what moves, at rest.
         gloss: UInt, class of gloss of what was hit.
         view: UInt, number of the view, less than MOST_VIEWS.
+        mover: UInt, number of what was hit among what moves.
     """
 
     position: list[Any]
     gloss: Any
     view: Any
+    mover: Any
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What is known of a view on the host: its number, number of samples, viewpoint and time."""
+
+    number: int
+    samples: int
+    viewpoint: NDArray[np.float64]
+    time: float
 
 
 class EarlierViews:
@@ -63,6 +83,9 @@ class EarlierViews:
 
     Args:
         arrays: the backend's array types.
+
+    Attributes:
+        moment: what is seen now.
     """
 
     def __init__(self, arrays: Arrays):
@@ -71,8 +94,8 @@ class EarlierViews:
 
     def clear(self) -> None:
         """Forgets all views."""
-        # For each view its number, how many samples it has, and where it was seen from.
-        self._views: deque[tuple[int, int, NDArray[np.float64]]] = deque()
+        self._views: deque[_Known] = deque()
+        self.moment = ALWAYS
         self._added = self._first = 0
         self._room = _LEAST_ROOM
         self._places, self._records = self._empty()
@@ -80,33 +103,49 @@ class EarlierViews:
     @property
     def samples(self) -> int:
         """Number of samples of all views."""
-        return sum(count for _, count, _ in self._views)
+        return sum(view.samples for view in self._views)
+
+    def show(self, moment: Moment) -> None:
+        """Says which moment is seen now."""
+        self.moment = moment
 
     def viewpoints(self) -> NDArray[np.float64]:
         """(MOST_VIEWS, 3) positions of the cameras by number of their view; far away where there is none."""
         found = np.full((MOST_VIEWS, 3), np.inf)
-        for number, _, viewpoint in self._views:
-            found[number] = viewpoint
+        for view in self._views:
+            found[view.number] = view.viewpoint
+        return found
+
+    def of_now(self) -> NDArray[np.bool_]:
+        """(MOST_VIEWS,) by number, whether a view shows the moment that is seen now."""
+        found = np.zeros(MOST_VIEWS, dtype=bool)
+        for view in self._views:
+            found[view.number] = view.time == self.moment.time
         return found
 
     def add(self, view: EarlierView) -> None:
-        """Adds a view; the oldest one makes room for it if there are MOST_VIEWS."""
+        """Adds a view; the oldest go where there are MOST_VIEWS, or MOST_MOMENTS other than now."""
         if len(self._views) == MOST_VIEWS:
-            _, dropped, _ = self._views.popleft()
-            self._first = (self._first + dropped) % self._room
+            self._drop_oldest()
+        while len({known.time for known in self._views} - {view.time, self.moment.time}) >= MOST_MOMENTS:
+            self._drop_oldest()
         number, size, before = self._added % MOST_VIEWS, len(view.records), self.samples
-        self._views.append((number, size, view.viewpoint))
+        self._views.append(_Known(number, size, view.viewpoint, view.time))
         self._added += 1
         if before + size > self._room:
             self._grow(before, before + size)
         if size:
             self._write(view, number, before)
 
+    def _drop_oldest(self) -> None:
+        self._first = (self._first + self._views.popleft().samples) % self._room
+
     def places(self, index: Any) -> Places:
         """Where the samples at an index (M,) are; the oldest view's first sample has index 0."""
         *position, tag = self._packet(self._places, _PLACE, self._slot(index))
         tag = self.arrays.plain.UInt(tag)
-        return Places(position, tag & ((1 << _GLOSS_BITS) - 1), tag >> _GLOSS_BITS)
+        gloss, view = tag & ((1 << _GLOSS_BITS) - 1), (tag >> _GLOSS_BITS) & (MOST_VIEWS - 1)
+        return Places(position, gloss, view, tag >> (_GLOSS_BITS + _VIEW_BITS))
 
     def records(self, index: Any) -> list[Any]:
         """Sixteen Floats (M,): the records of the samples at an index."""
@@ -146,7 +185,8 @@ class EarlierViews:
         size = len(view.records)
         row = dr.arange(plain.UInt, size)
         position, records = uploaded(plain.Float, view.position), uploaded(plain.Float, view.records)
-        tag = uploaded(plain.UInt, view.gloss.astype(np.uint32)) | self.arrays.number(number << _GLOSS_BITS)
+        tag = view.gloss.astype(np.uint32) | view.mover.astype(np.uint32) << (_GLOSS_BITS + _VIEW_BITS)
+        tag = uploaded(plain.UInt, tag) | self.arrays.number(number << _GLOSS_BITS)
         place = [dr.gather(plain.Float, position, row * 3 + i) for i in range(3)]
         slot = self._slot(row + self.arrays.number(start))
         self._scatter(plain.ArrayXf([*place, plain.Float(tag)]), self._packet(records, RECORD, row), slot)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from compose.fovea.earlier import EarlierView, EarlierViews
+from compose.fovea.movers import ALWAYS, Moment
 from compose.fovea.record import (
     ALBEDO,
     COUNT,
@@ -33,11 +34,13 @@ from compose.fovea.samples import Floats, Samples
 
 # Samples, and sample positions of auxiliary features, per pixel of an earlier view: old errors fade.
 _MOST_SAMPLES = 32.0
+# The same where something has moved since: light changes, too.
+_MOST_LATER = 2.0
 # Most sample positions in a pixel over which its auxiliary features are averaged.
 _MOST_POSITIONS = 64
-# What a view knows of a pixel besides what adds up: position and class of gloss of what its first sample hit.
-_HIT = 4
-_POINT, _GLOSS = slice(0, 3), 3
+# What a view knows of a pixel besides what adds up: of what its first sample hit, position, gloss and mover.
+_HIT = 5
+_POINT, _GLOSS, _MOVER = slice(0, 3), 3, 4
 # Columns of a view's records and hits by their keys in saved states; files of interrupted videos contain
 # these keys.
 _SAVED_RECORDS: dict[str, int | slice] = {
@@ -46,13 +49,15 @@ _SAVED_RECORDS: dict[str, int | slice] = {
     "places": POSITIONS,
     "guides": slice(ALBEDO.start, NORMAL.stop),
 }
-_SAVED_HITS: dict[str, int | slice] = {"position": _POINT, "gloss": _GLOSS}
+_SAVED_HITS: dict[str, int | slice] = {"position": _POINT, "gloss": _GLOSS, "mover": _MOVER}
+_SAVED_TYPES = {"gloss": np.uint8, "mover": np.uint16}
 
 
 class History:
     """Samples of all pixels of a view, as far as any have been traced.
 
-    It is valid for one world: make another history when the scene changes.
+    It is valid for one world: make another history when the scene changes. Where things move in it along
+    known courses, `show` says how far they are.
 
     Args:
         arrays: the backend's array types.
@@ -60,6 +65,7 @@ class History:
 
     def __init__(self, arrays: Arrays):
         self._view: _View | None = None
+        self._moment = ALWAYS
         self._earlier = EarlierViews(arrays)
         # What the earlier views contribute to the current one.
         self._past: Reprojected | None = None
@@ -72,19 +78,27 @@ class History:
         known = {key: view.records[:, column] for key, column in _SAVED_RECORDS.items()}
         known |= {key: view.hits[:, column] for key, column in _SAVED_HITS.items()}
         known = {key: values.copy() for key, values in known.items()}
-        return {**known, "gloss": known["gloss"].astype(np.uint8), "pattern": np.array([view.pattern])}
+        known |= {key: known[key].astype(kind) for key, kind in _SAVED_TYPES.items()}
+        moment = {"time": np.array([view.moment.time]), "poses": view.moment.poses}
+        return {**known, **moment, "pattern": np.array([view.pattern])}
 
     @staticmethod
     def restored(arrays: Arrays, camera: Camera, state: dict[str, NDArray[np.generic]]) -> History:
         """A history of a camera's view from the `state` of another one."""
         history = History(arrays)
-        view = history._view = _View.of(camera, int(state["pattern"][0]))  # type: ignore[call-overload]
+        history.show(Moment(float(state["time"][0]), state["poses"].astype(np.float64)))  # type: ignore[arg-type]
+        pattern = int(state["pattern"][0])  # type: ignore[call-overload]
+        view = history._view = _View.of(camera, history._moment, pattern)
         for key, column in _SAVED_RECORDS.items():
             view.records[:, column] = state[key]
         for key, column in _SAVED_HITS.items():
             view.hits[:, column] = state[key]
         view.known[:] = (view.records[:, COUNT] > 0) | (view.records[:, POSITIONS] > 0)
         return history
+
+    def show(self, moment: Moment) -> None:
+        """Says which moment is seen from now on."""
+        self._moment = moment
 
     def sampled(self, camera: Camera, pixels: NDArray[np.uint32], seed: int) -> tuple[NDArray[np.int64], int]:
         """(D,) number of samples that pixels (D,) have from this very camera, and the seed of their pattern.
@@ -130,7 +144,8 @@ class History:
         count, radiance, squares, albedo, normal = means(self._records(view, pixels))
         hits = view.hits.take(pixels, axis=0)
         gloss = hits[:, _GLOSS].astype(np.uint8)
-        return Samples(pixels, count, radiance, squares, albedo, normal, hits[:, _POINT], gloss)
+        mover = hits[:, _MOVER].astype(np.uint16)
+        return Samples(pixels, count, radiance, squares, albedo, normal, hits[:, _POINT], gloss, mover)
 
     def remember(self, new: Samples) -> None:
         """Adds samples of the current view."""
@@ -148,20 +163,24 @@ class History:
         return records
 
     def _view_of(self, camera: Camera) -> _View | None:
-        """The current view if it is this camera's."""
-        return self._view if self._view is not None and self._view.camera == camera else None
+        """The current view if it is this camera's at this time."""
+        view = self._view
+        if view is None or view.camera != camera or view.moment.time != self._moment.time:
+            return None
+        return view
 
     def _entered(self, camera: Camera, seen: Samples, seed: int) -> _View:
-        """The camera's view; the view before it, if of the same size, becomes an earlier one."""
+        """The camera's view now; the view before it, if of the same size, becomes an earlier one."""
         view = self._view
         if view is None or (view.camera.width, view.camera.height) != (camera.width, camera.height):
             self._earlier.clear()
             self._past = None
-            view = _View.of(camera, seed)
-        elif view.camera != camera:
-            self._earlier.add(view.as_earlier())
+            view = _View.of(camera, self._moment, seed)
+        elif self._view_of(camera) is None:
+            self._earlier.show(self._moment)
+            self._earlier.add(view.as_earlier(self._moment))
             self._past = reproject(self._earlier, camera, seen)
-            view.begin(camera, seed)
+            view.begin(camera, self._moment, seed)
         return view
 
 
@@ -171,41 +190,45 @@ class _View:
 
     Attributes:
         camera: the view.
+        moment: that it shows.
         pattern: seed of the pattern of its samples.
         records: (N, 16) (compose.fovea.record).
-        hits: (N, 4) position and class of gloss of what the first sample hit.
+        hits: (N, 5) position, class of gloss and mover of what the first sample hit.
         known: (N,) pixels of which anything is known.
     """
 
     camera: Camera
+    moment: Moment
     pattern: int
     records: Floats
     hits: Floats
     known: NDArray[np.bool_]
 
     @staticmethod
-    def of(camera: Camera, pattern: int) -> _View:
+    def of(camera: Camera, moment: Moment, pattern: int) -> _View:
         """A view from which nothing has been traced yet."""
         size = camera.width * camera.height
         records, hits = (np.zeros((size, width), dtype=np.float32) for width in (RECORD, _HIT))
-        return _View(camera, pattern, records, hits, np.zeros(size, dtype=bool))
+        return _View(camera, moment, pattern, records, hits, np.zeros(size, dtype=bool))
 
-    def begin(self, camera: Camera, pattern: int) -> None:
-        """Becomes the view of another camera, from which nothing has been traced yet.
+    def begin(self, camera: Camera, moment: Moment, pattern: int) -> None:
+        """Becomes the view of another camera or moment, of which nothing has been traced yet.
 
         The memory stays: as much of it anew in each frame takes longer than all that is written to it.
         """
         pixels = np.flatnonzero(self.known)
         self.records[pixels] = self.hits[pixels] = 0
         self.known[pixels] = False
-        self.camera, self.pattern = camera, pattern
+        self.camera, self.moment, self.pattern = camera, moment, pattern
 
     def add_features(self, seen: Samples, positions: int) -> None:
         """Adds auxiliary features."""
         pixels = seen.pixels
         records = self.records.take(pixels, axis=0)
         first = np.flatnonzero(records[:, POSITIONS] == 0)
-        self.hits[pixels[first]] = np.column_stack([seen.position[first], seen.gloss[first]])
+        self.hits[pixels[first]] = np.column_stack(
+            [seen.position[first], seen.gloss[first], seen.mover[first]]
+        )
         add_features(records, seen, positions)
         self.records[pixels] = records
         self.known[pixels] = True
@@ -217,10 +240,12 @@ class _View:
         self.records[new.pixels] = records
         self.known[new.pixels] = True
 
-    def as_earlier(self) -> EarlierView:
-        """The pixels that have samples."""
+    def as_earlier(self, now: Moment) -> EarlierView:
+        """The pixels that have samples, as they are worth now."""
         pixels = np.flatnonzero(self.known)
         pixels = pixels[self.records[pixels, COUNT] > 0]
         records, hits = self.records.take(pixels, axis=0), self.hits.take(pixels, axis=0)
-        limit(records, _MOST_SAMPLES)
-        return EarlierView(records, hits[:, _POINT], hits[:, _GLOSS].astype(np.uint8), self.camera.position)
+        limit(records, _MOST_SAMPLES if now.time == self.moment.time else _MOST_LATER)
+        gloss, mover = hits[:, _GLOSS].astype(np.uint8), hits[:, _MOVER].astype(np.uint16)
+        rest = self.moment.at_rest(hits[:, _POINT], mover)
+        return EarlierView(records, rest, gloss, mover, self.camera.position, self.moment.time)

@@ -7,7 +7,7 @@ by bit, on any number of threads.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from compose.base.arrays import Arrays, uploaded
 from compose.camera.camera import Camera
 from compose.fovea.earlier import EarlierViews, Places
+from compose.fovea.movers import UNSTEADY
 from compose.fovea.record import RECORD
 from compose.fovea.samples import Floats, Samples
 from compose.fovea.surfaces import SAME_SURFACE, VisibleSurfaces
@@ -27,6 +28,8 @@ from compose.image.gloss import DIFFUSE, GLOSSY
 _GLOSSY_COSINE, _SPECULAR_COSINE = np.cos(np.radians([8.0, 0.2])).tolist()
 # Distance along each axis up to which two viewpoints are the same.
 _SAME_VIEWPOINT = 1e-6
+# Of a view that shows what is seen now; with 1 more, from this very viewpoint.
+_NOW = 2
 # As a distance, infinity.
 _FARTHEST = 0x7F800000
 
@@ -103,7 +106,7 @@ def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) ->
     """Samples of earlier views in the rectangle of the visible surfaces."""
     arrays, plain = views.arrays, views.arrays.plain
     height, width = surfaces.shape
-    place = views.places(dr.arange(plain.UInt, views.samples))
+    place = _now(views, views.places(dr.arange(plain.UInt, views.samples)))
     sight = _relative(arrays, place, [dr.opaque(plain.Float64, side) for side in camera.position.tolist()])
     across, down, inside = _quarters(arrays, sight, camera, surfaces)
     pixel = (down >> 1) * arrays.number(width) + (across >> 1)
@@ -120,6 +123,20 @@ def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) ->
     dr.scatter_reduce(dr.ReduceOp.Min, front, bits, quarter)
     dr.eval(front)
     return _Arrivals(quarter, bits, certain, front)
+
+
+def _now(views: EarlierViews, place: Places) -> Places:
+    """The places where things are now, in float64 if any of them move."""
+    poses, plain = views.moment.poses, views.arrays.plain
+    if len(poses) == 1:
+        return place
+    # What is unsteady stays where it was: its samples are of use until the next moment.
+    mover = dr.select(place.mover < len(poses), place.mover, 0)
+    table = uploaded(plain.Float64, poses.reshape(-1, 12))
+    row = dr.gather(plain.ArrayXf64, table, mover, shape=(12, dr.width(mover)))
+    rest = [plain.Float64(at) for at in place.position]
+    position = [_product([row[4 * i + j] for j in range(3)], rest) + row[4 * i + 3] for i in range(3)]
+    return replace(place, position=position)
 
 
 def _summed(views: EarlierViews, arrivals: _Arrivals, pixels: int) -> Any:
@@ -202,14 +219,14 @@ def _compared(views: EarlierViews, place: Places, sight: list[Any], camera: Came
 
     Args:
         views: the earlier views.
-        place: of M samples.
+        place: of M samples, now.
         sight: three Float64 (M,), from the camera to the samples, in the world.
         camera: the view.
     """
-    plain, viewpoints = views.arrays.plain, views.viewpoints()
-    same = (np.abs(viewpoints - camera.position) < _SAME_VIEWPOINT).all(axis=1)
-    table = uploaded(plain.Float64, np.column_stack([viewpoints, same]))
-    *origin, certain = dr.gather(plain.ArrayXf64, table, place.view, shape=(4, dr.width(place.view)))
+    plain, viewpoints, now = views.arrays.plain, views.viewpoints(), views.of_now()
+    same = (np.abs(viewpoints - camera.position) < _SAME_VIEWPOINT).all(axis=1) & now
+    table = uploaded(plain.Float64, np.column_stack([viewpoints, same + _NOW * now]))
+    *origin, kind = dr.gather(plain.ArrayXf64, table, place.view, shape=(4, dr.width(place.view)))
     before = _relative(views.arrays, place, origin)
     # Compared by their squares, which takes no root; both cosines are positive.
     product = _product(before, sight)
@@ -217,7 +234,9 @@ def _compared(views: EarlierViews, place: Places, sight: list[Any], camera: Came
     unturned = (product > 0) & (
         product * product >= least * _product(before, before) * _product(sight, sight)
     )
-    return certain > 0, (place.gloss == DIFFUSE) | unturned
+    is_diffuse = place.gloss == DIFFUSE
+    lasting = (is_diffuse | unturned) & (kind >= _NOW) | is_diffuse & (place.mover != UNSTEADY)
+    return kind > _NOW, lasting
 
 
 def _product(one: list[Any], other: list[Any]) -> Any:

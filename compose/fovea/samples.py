@@ -22,6 +22,7 @@ class Samples:
         albedo, normal: (D, 3) means over sample positions in the pixel.
         position: (D, 3) in the world, where one of the samples appears to hit something; far away for sky.
         gloss: (D,) DIFFUSE, GLOSSY or SPECULAR (compose.image.gloss), of what it hits.
+        mover: (D,) number of what it hits among what moves (compose.fovea.movers); 0 if that stands still.
     """
 
     pixels: NDArray[np.uint32]
@@ -32,6 +33,7 @@ class Samples:
     normal: Floats
     position: Floats
     gloss: NDArray[np.uint8]
+    mover: NDArray[np.uint16]
 
     def variance(self) -> Floats:
         """(D, 3) variance of the mean radiance; inf where it is unknown.

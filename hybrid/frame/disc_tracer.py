@@ -12,6 +12,7 @@ from scipy.ndimage import uniform_filter
 from compose.camera.camera import Camera
 from compose.fovea.adaptive import allotted, disagreement
 from compose.fovea.history import History
+from compose.fovea.movers import Moment
 from compose.fovea.region import FoveaRegion
 from compose.fovea.samples import Samples, averaged_features, merged, put, taken
 from hybrid.frame.disc import parents_of
@@ -73,6 +74,11 @@ class DiscTracer:
         """Drops all samples of earlier frames."""
         if self._history is not None:
             self._history = History(device_arrays())
+
+    def show(self, moment: Moment) -> None:
+        """Says which moment of a scene that moves is traced from now on."""
+        if self._history is not None:
+            self._history.show(moment)
 
     def history_state(self) -> dict[str, NDArray[np.generic]]:
         """Arrays to save for `restore_history`; empty without a history."""
@@ -318,7 +324,8 @@ def _without_light(samples: Samples) -> Samples:
 def _dark(pixels: NDArray[np.uint32]) -> Samples:
     """Pixels about which nothing is known."""
     triple, gloss = np.zeros((len(pixels), 3), dtype=np.float32), np.zeros(len(pixels), dtype=np.uint8)
-    return Samples(pixels, triple[:, 0], triple, triple, triple, triple, triple, gloss)
+    mover = gloss.astype(np.uint16)
+    return Samples(pixels, triple[:, 0], triple, triple, triple, triple, triple, gloss, mover)
 
 
 def _sampled(pixels: NDArray[np.uint32], counts: int | NDArray[np.int64], traced: Traced) -> Samples:
@@ -339,4 +346,5 @@ def _showing(samples: Samples, seen: AuxiliaryFeatures) -> Samples:
         normal=interleaved(seen.normal),
         position=interleaved(seen.position),
         gloss=seen.gloss.numpy().astype(np.uint8),
+        mover=samples.mover if seen.mover is None else seen.mover.numpy().astype(np.uint16),
     )

@@ -23,6 +23,7 @@ from hybrid.frame.underlay import Underlay
 from hybrid.runtime.clock import Clock
 from hybrid.runtime.device import device_arrays
 from hybrid.store.identity import require_scene
+from pathtrace.scene.moving import MovingScene
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.integrator import Integrator
@@ -169,11 +170,17 @@ class Renderer:
             raise UserError(f"time {settings.time:g}: nothing moves in {self.scene.name}")
         if moving is not None and moving.time != settings.time:
             self.scene.set_time(settings.time)
-        if moving is not None and self._time != settings.time:
-            self._time = settings.time
-            self.forget()
+        if moving is not None:
+            self._follow(moving, settings)
         self.periphery.set_time(settings.time)
         return camera, settings
+
+    def _follow(self, moving: MovingScene, settings: FrameSettings) -> None:
+        """Lets what is known from earlier frames follow the scene."""
+        if self._time != settings.time:
+            self._time = settings.time
+            self._filler.forget()
+        self.fovea_of(settings).disc.show(moving.moment())
 
     def _fill(self, camera: Camera, settings: FrameSettings, seed: int) -> Fill | None:
         """What is path-traced where the forest does not know the view; None if it knows all of it."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from compose.base.errors import UserError, one_line
 from compose.base.steps import between_steps
 from compose.camera.place import Place
+from compose.fovea.movers import UNSTEADY, Moment
 from pathtrace.motion.course import Course, course_of_poses
 from pathtrace.motion.tracks import FormulaTrack, LightTrack, MeshTrack, Motion, RigidTrack, ShapeTrack
 
@@ -74,12 +75,25 @@ class MovingScene:
         tracked = {self._names[name] for name in self.motion.shapes}
         return [shape for shape in self._scene.shapes() if shape.id() in tracked]
 
+    def movers(self) -> list[tuple[Any, int]]:
+        """The Mitsuba shapes that have a track, with the numbers of their samples (compose.fovea.movers)."""
+        rigid = {self._names[name]: number for number, (name, _) in enumerate(self._rigid_tracks(), 1)}
+        return [(shape, rigid.get(shape.id(), UNSTEADY)) for shape in self.shapes]
+
+    def moment(self) -> Moment:
+        """The time that the scene shows, and where its movers are."""
+        poses = [self._tracked.pose(track, self.time)[:3] for _, track in self._rigid_tracks()]
+        return Moment(self.time, np.stack([np.eye(4)[:3], *poses]))
+
+    def _rigid_tracks(self) -> list[tuple[str, RigidTrack]]:
+        return [(name, track) for name, track in self.motion.shapes.items() if isinstance(track, RigidTrack)]
+
     def courses(self, steps: int = _STEPS) -> list[Course]:
         """The courses of all shapes that move rigidly, in the scene's coordinates."""
         index = {shape.id(): number for number, shape in enumerate(self._scene.shapes())}
         found = []
-        for name, track in self.motion.shapes.items():
-            if isinstance(track, RigidTrack) and self._names[name] in index:
+        for name, track in self._rigid_tracks():
+            if self._names[name] in index:
                 poses = np.stack([self._tracked.pose(track, time) for time in np.linspace(0, 1, steps)])
                 centre = self._tracked.place_of(track.about)
                 found.append(course_of_poses(name, index[self._names[name]], poses, centre))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
+from compose.fovea.movers import STILL, UNSTEADY
 from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
 
 # Distance of the sky: beyond any scene, for its square is about the largest number that float32 holds. Seen
@@ -51,12 +53,19 @@ class AuxiliaryFeatures:
         position: three (N,) arrays, apparent position in the world of what is seen: on the surface that is
             hit, or behind a flat mirror.
         gloss: (N,) class of gloss of what is seen: DIFFUSE, GLOSSY or SPECULAR of `compose.image.gloss`.
+        mover: (N,) its number among what moves (compose.fovea.movers); None where nothing does.
     """
 
     albedo: list[Any]
     normal: list[Any]
     position: list[Any]
     gloss: Any
+    mover: Any = None
+
+    @property
+    def of_first(self) -> list[Any]:
+        """The channels that several samples have from the first of them."""
+        return [*self.position, self.gloss, *([] if self.mover is None else [self.mover])]
 
     def averaged(self, other: AuxiliaryFeatures, share: float) -> AuxiliaryFeatures:
         """These features, with albedo and normal averaged over those of other samples with a share."""
@@ -64,7 +73,7 @@ class AuxiliaryFeatures:
             [dr.lerp(a, b, share) for a, b in zip(getattr(self, name), getattr(other, name), strict=True)]
             for name in ("albedo", "normal")
         )
-        return AuxiliaryFeatures(albedo, normal, self.position, self.gloss)
+        return replace(self, albedo=albedo, normal=normal)
 
 
 def has_clear_surfaces(scene: Any) -> bool:
@@ -123,7 +132,9 @@ def auxiliary_hits(scene: Any, ray: Any, active: Any, clear: bool) -> FirstHits:
     return first_hits(scene, ray, active, _AUXILIARY_BOUNCES if clear else 0)
 
 
-def auxiliary_features(hits: FirstHits, ray: Any, active: Any) -> AuxiliaryFeatures:
+def auxiliary_features(
+    hits: FirstHits, ray: Any, active: Any, movers: Sequence[tuple[int, int]] = ()
+) -> AuxiliaryFeatures:
     """Auxiliary features of what rays see, without antialiasing.
 
     Behind mirrors and clear glass, albedo and normal are those of what they show: denoising needs them there.
@@ -132,6 +143,7 @@ def auxiliary_features(hits: FirstHits, ray: Any, active: Any) -> AuxiliaryFeatu
         hits: of these rays.
         ray: N Mitsuba rays.
         active: (N,) mask of the rays that were followed.
+        movers: what moves: the numbers by which kernels know a shape, and which samples of it have.
     """
     hit, last = active & hits.surface.is_valid(), hits.last
     shown = active & last.is_valid()
@@ -143,6 +155,28 @@ def auxiliary_features(hits: FirstHits, ray: Any, active: Any) -> AuxiliaryFeatu
     delta, glossy = (mi.has_flag(kinds, kind) for kind in (mi.BSDFFlags.Delta, mi.BSDFFlags.Glossy))
     gloss = dr.select(delta, SPECULAR, dr.select(glossy, GLOSSY, mi.Float(DIFFUSE)))
     gloss = dr.select(hit & ~hits.flat, SPECULAR, dr.select(shown, gloss, DIFFUSE))
-    return AuxiliaryFeatures(
-        list(dr.select(shown, albedo, 0)), list(dr.select(shown, last.sh_frame.n, 0)), list(position), gloss
-    )
+    mean = list(dr.select(shown, albedo, 0)), list(dr.select(shown, last.sh_frame.n, 0))
+    return AuxiliaryFeatures(*mean, list(position), gloss, _mover(hits, hit, shown, movers))
+
+
+def _mover(hits: FirstHits, hit: Any, shown: Any, movers: Sequence[tuple[int, int]]) -> Any:
+    """What is seen among what moves; None if nothing does.
+
+    Args:
+        hits: of N rays.
+        hit, shown: (N,) whether a ray hit anything, and whether it ended on a surface.
+        movers: as of `auxiliary_features`.
+    """
+    if not movers:
+        return None
+    shape, number = dr.reinterpret_array(mi.UInt32, hits.surface.shape), mi.Float(STILL)
+    for registered, mover in movers:
+        number = dr.select(shape == registered, mi.Float(mover), number)
+    # In mirrors and behind glass, it is not the surface itself that is seen.
+    itself = shown & (hits.unfolded == hits.surface.t)
+    return dr.select(hit, dr.select(itself, number, mi.Float(UNSTEADY)), mi.Float(STILL))
+
+
+def registered(shape: Any) -> int:
+    """The number by which kernels know a shape."""
+    return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])

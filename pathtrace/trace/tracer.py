@@ -30,6 +30,7 @@ from pathtrace.trace.first_hit import (
     auxiliary_hits,
     first_hits,
     has_clear_surfaces,
+    registered,
 )
 from pathtrace.trace.lanes import Lanes
 from pathtrace.trace.rays import opaque_camera, ray_through
@@ -124,6 +125,7 @@ class Tracer:
         depth = max_depth or scene.max_depth
         self._path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": roulette_depth})
         self._clear = has_clear_surfaces(scene.mitsuba)
+        self._movers = _movers(scene)
         # Frozen per tracer: the scene is part of the recording.
         # In a cache without cells, no path could end.
         known = cache if cache is not None and len(cache.cells) else None
@@ -178,7 +180,7 @@ class Tracer:
         ]
         means = _joined([of_part for of_part, _ in parts])
         first = _joined([of_part for _, of_part in parts])
-        found = AuxiliaryFeatures(means[6:9], means[9:], first[:3], first[3]) if features else None
+        found = AuxiliaryFeatures(means[6:9], means[9:], first[:3], *first[3:]) if features else None
         return Traced(means[:3], means[3:6], found)
 
     def trace_with_features(
@@ -222,7 +224,7 @@ class Tracer:
         # All samples of a position at once, if they fit: their sum is the same however many parts there are.
         parts = [self._features(part) for part in batch.parts(max(1, _MAX_LANES // int(spp)))]
         found = _joined(parts)
-        return AuxiliaryFeatures(found[:3], found[3:6], found[6:9], found[9])
+        return AuxiliaryFeatures(found[:3], found[3:6], found[6:9], *found[9:])
 
     def hits(self, camera: Camera, positions: FilmPositions) -> Hits:
         """First hits of the rays through the centre of each position."""
@@ -247,7 +249,7 @@ class Tracer:
         beyond = ~found.surface.is_valid() | (~last.is_valid() & unbent)
         unfolded = dr.select(beyond, dr.inf, dr.select(unbent, found.unfolded, distance))
         dr.eval(distance, unfolded, shapes)
-        registry = {_registered(shape): i for i, shape in enumerate(self.scene.mitsuba.shapes())}
+        registry = {registered(shape): i for i, shape in enumerate(self.scene.mitsuba.shapes())}
         pointers, inverse = np.unique(shapes.numpy(), return_inverse=True)
         index = np.array([registry.get(int(pointer), -1) for pointer in pointers], dtype=np.int32)
         return Hits(distance.numpy(), unfolded.numpy(), index[inverse])
@@ -275,7 +277,7 @@ class Tracer:
         return means, first
 
     def _features(self, batch: _Batch) -> list[Any]:
-        """Albedo, normal, position and gloss of a batch."""
+        """Albedo, normal, position, gloss and, where something moves, mover of a batch."""
         sums: list[Any] = []
         first: list[Any] = []
         for share in batch.passes():
@@ -284,8 +286,7 @@ class Tracer:
             channels = share.lanes.sums([*features.albedo, *features.normal])
             sums = [a + b for a, b in zip(sums, channels, strict=True)] if sums else channels
             first = first or [
-                dr.gather(mi.Float, channel, share.lanes.first)
-                for channel in (*features.position, features.gloss)
+                dr.gather(mi.Float, channel, share.lanes.first) for channel in features.of_first
             ]
             dr.eval(sums, first)
         found = [*(channel / batch.spp for channel in sums), *first]
@@ -302,7 +303,7 @@ class Tracer:
 
         Returns:
             (N,) arrays each: sums of radiance and of its squares, and with `features` of albedo and normal;
-            with `features`, position and gloss.
+            with `features`, position, gloss and, where something moves, mover.
         """
         # Seeds of different frames and passes must not overlap; numpy's seed sequence mixes them.
         state = dr.opaque(mi.UInt32, _mixed(seeds))
@@ -328,7 +329,7 @@ class Tracer:
         ray = ray_through(camera, x, y)
         radiance, _, _ = self._path.sample(scene, sampler, ray, active=active)
         seen = auxiliary_hits(scene, ray, active, self._clear) if features else None
-        return _evaluated(radiance, sampler, seen, ray, active)
+        return self._evaluated(radiance, sampler, seen, ray, active)
 
     def _cached_radiance(
         self,
@@ -348,14 +349,38 @@ class Tracer:
         ray = ray_through(camera, x, y)
         seen = auxiliary_hits(scene, ray, active, self._clear and features)
         paths = scene, sampler, ray, seen.surface, active, self._settings, sequences, cache
-        return _evaluated(path_radiance(*paths), sampler, seen if features else None, ray, active)
+        return self._evaluated(path_radiance(*paths), sampler, seen if features else None, ray, active)
 
     def _auxiliary(self, scene: Any, x: Any, y: Any, active: Any, *camera: Any) -> AuxiliaryFeatures:
         """Auxiliary features of each lane; frozen."""
         ray = ray_through(camera, x, y)
-        features = _seen(auxiliary_hits(scene, ray, active, self._clear), ray, active)
+        features = self._seen(auxiliary_hits(scene, ray, active, self._clear), ray, active)
         dr.eval(features)
         return features
+
+    def _evaluated(
+        self, radiance: Any, sampler: Any, seen: FirstHits | None, ray: Any, active: Any
+    ) -> list[Any]:
+        """Three channels of radiance and, of what was seen, those of auxiliary features; computed."""
+        # A sample that is not finite counts as black: it would spoil its pixel's mean.
+        radiance = dr.select(dr.all(dr.isfinite(radiance)), radiance, 0)
+        # Without this evaluation, every later step would trace its own paths: three to four times the work.
+        sampler.schedule_state()
+        channels = [radiance.x, radiance.y, radiance.z]
+        if seen is not None:
+            features = self._seen(seen, ray, active)
+            channels += [*features.albedo, *features.normal, *features.of_first]
+        dr.eval(channels)
+        return channels
+
+    def _seen(self, hits: FirstHits, ray: Any, active: Any) -> AuxiliaryFeatures:
+        """Auxiliary features; albedo and normal that are not finite, as of damaged textures, count as 0."""
+        found = auxiliary_features(hits, ray, active, self._movers)
+        albedo, normal = (
+            [dr.select(dr.isfinite(channel), channel, 0) for channel in channels]
+            for channels in (found.albedo, found.normal)
+        )
+        return replace(found, albedo=albedo, normal=normal)
 
 
 @dataclass(frozen=True)
@@ -420,30 +445,6 @@ class _Batch:
         return x, y, active, *opaque_camera(self.camera)
 
 
-def _evaluated(radiance: Any, sampler: Any, seen: FirstHits | None, ray: Any, active: Any) -> list[Any]:
-    """Three channels of radiance and, of what was seen, albedo, normal, position and gloss; computed."""
-    # A sample that is not finite counts as black: it would spoil its pixel's mean.
-    radiance = dr.select(dr.all(dr.isfinite(radiance)), radiance, 0)
-    # Without this evaluation, every later step would trace its own paths: three to four times the work.
-    sampler.schedule_state()
-    channels = [radiance.x, radiance.y, radiance.z]
-    if seen is not None:
-        features = _seen(seen, ray, active)
-        channels += [*features.albedo, *features.normal, *features.position, features.gloss]
-    dr.eval(channels)
-    return channels
-
-
-def _seen(hits: FirstHits, ray: Any, active: Any) -> AuxiliaryFeatures:
-    """Auxiliary features; albedo and normal that are not finite, as those of damaged textures, count as 0."""
-    found = auxiliary_features(hits, ray, active)
-    albedo, normal = (
-        [dr.select(dr.isfinite(channel), channel, 0) for channel in channels]
-        for channels in (found.albedo, found.normal)
-    )
-    return replace(found, albedo=albedo, normal=normal)
-
-
 def _counts(given: int | NDArray[np.int64]) -> int | NDArray[np.int64]:
     """A number of samples as Python's integer, or (N,) numbers as numpy's."""
     return int(given) if np.ndim(given) == 0 else np.asarray(given, dtype=np.int64)
@@ -463,6 +464,7 @@ def _mixed(entropy: int | list[int]) -> int:
     return int(np.random.SeedSequence(entropy).generate_state(1)[0])
 
 
-def _registered(shape: Any) -> int:
-    """The number by which kernels know a shape."""
-    return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
+def _movers(scene: Scene) -> list[tuple[int, int]]:
+    """What moves: the numbers by which kernels know a shape, and which samples of it have."""
+    moving = scene.moving
+    return [] if moving is None else [(registered(shape), number) for shape, number in moving.movers()]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
 from compose.fovea.earlier import EarlierView
+from compose.fovea.movers import ALWAYS, UNSTEADY, Moment
 from compose.fovea.reprojection import Reprojected
 from compose.fovea.samples import Floats, Samples
 from compose.image.gloss import DIFFUSE, SPECULAR
@@ -21,19 +22,22 @@ _SAME_SURFACE = 0.005
 _LEAST_COSINE = np.cos(np.radians([180.0, 8.0, 0.2]))
 
 
-def plain_reproject(views: Iterable[EarlierView], camera: Camera, new: Samples) -> Reprojected | None:
+def plain_reproject(
+    views: Iterable[EarlierView], camera: Camera, new: Samples, moment: Moment = ALWAYS
+) -> Reprojected | None:
     """What earlier views contribute to a camera's view, without what no longer holds.
 
     Args:
         views: the earlier views, at least one.
         camera: the view.
         new: samples of it, which show the surfaces that are visible now.
+        moment: that they show.
 
     Returns:
         Sums over the rectangle around the new samples; None if no earlier sample holds.
     """
     surfaces = _Surfaces.of(camera, new)
-    arrivals = _Arrivals.joined([_arrivals(view, camera, surfaces) for view in views])
+    arrivals = _Arrivals.joined([_arrivals(view, camera, surfaces, moment) for view in views])
     if not len(arrivals.quarter):
         return None
     height, width = surfaces.nearest.shape
@@ -68,9 +72,11 @@ class _Arrivals:
         return _Arrivals(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Arrivals)))
 
 
-def _arrivals(view: EarlierView, camera: Camera, surfaces: _Surfaces) -> _Arrivals:
+def _arrivals(view: EarlierView, camera: Camera, surfaces: _Surfaces, moment: Moment) -> _Arrivals:
     """Samples of an earlier view in the rectangle of the visible surfaces, as far as they still hold."""
-    pixel, depth = camera.project(view.position.astype(np.float64))
+    pose = moment.poses[np.where(view.mover < len(moment.poses), view.mover, 0)]
+    position = np.einsum("nij,nj->ni", pose[:, :, :3], view.position.astype(np.float64)) + pose[:, :, 3]
+    pixel, depth = camera.project(position)
     height, width = surfaces.nearest.shape
     # In quarters of pixels: two along each axis.
     left, top = 2 * surfaces.columns.start, 2 * surfaces.rows.start
@@ -78,15 +84,18 @@ def _arrivals(view: EarlierView, camera: Camera, surfaces: _Surfaces) -> _Arriva
     inside = (depth > 0) & (across >= 0) & (across < 2 * width) & (down >= 0) & (down < 2 * height)
     kept = np.flatnonzero(inside)
     across, down = across[kept].astype(np.int64), down[kept].astype(np.int64)
-    sight, gloss = view.position[kept] - camera.position, view.gloss[kept]
+    sight, gloss = position[kept] - camera.position, view.gloss[kept]
     distance = _length(sight)
     # Whatever was visible from this very position still is.
-    certain = bool((np.abs(view.viewpoint - camera.position) < 1e-6).all())
+    is_now = view.time == moment.time
+    certain = is_now and bool((np.abs(view.viewpoint - camera.position) < 1e-6).all())
     if not certain:
         same = surfaces.contain(down // 2, across // 2, distance, gloss)
         shiny = np.flatnonzero(same & (gloss > DIFFUSE))
-        cosine = _cosine(view.position[kept[shiny]] - view.viewpoint, sight[shiny])
+        cosine = _cosine(position[kept[shiny]] - view.viewpoint, sight[shiny])
         same[shiny] = cosine >= _LEAST_COSINE[gloss[shiny]]
+        # Later, only what looks the same from everywhere does, if one knows where it is.
+        same &= is_now | ((gloss == DIFFUSE) & (view.mover[kept] != UNSTEADY))
         kept, across, down, distance = kept[same], across[same], down[same], distance[same]
     return _Arrivals(
         quarter=down * 2 * width + across,

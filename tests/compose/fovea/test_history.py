@@ -171,7 +171,8 @@ def test_a_saved_history_continues_the_view(arrays):
     first = part(samples(wall(view), np.array([0.1, 0.2, 0.3]), GLOSSY, count=3), slice(0, 500))
     added(history, view, first, seed=9)
     state = {name: values.copy() for name, values in history.state().items()}
-    assert set(state) == {"count", "light", "places", "guides", "position", "gloss", "pattern"}
+    hits, moment = {"position", "gloss", "mover"}, {"time", "poses"}
+    assert set(state) == {"count", "light", "places", "guides", "pattern"} | hits | moment
     restored = History.restored(arrays, view, state)
     second = samples(wall(view), np.array([0.5, 0.5, 0.9]))
     for wanted in (4, 8):

@@ -34,6 +34,7 @@ def earlier(
         records,
         np.array(points, dtype=np.float32),
         np.full(size, gloss, dtype=np.uint8),
+        np.zeros(size, dtype=np.uint16),
         viewpoint,
     )
 

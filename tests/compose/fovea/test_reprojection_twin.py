@@ -7,9 +7,11 @@ from dataclasses import fields, replace
 import drjit as dr
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from compose.camera.camera import Camera, camera_from_pose, look_at
 from compose.fovea.earlier import MOST_VIEWS, EarlierView, EarlierViews
+from compose.fovea.movers import ALWAYS, STILL, UNSTEADY, Moment
 from compose.fovea.record import RECORD
 from compose.fovea.reprojection import Reprojected, reproject
 from compose.fovea.samples import Samples
@@ -45,6 +47,12 @@ def gloss_of(position: np.ndarray) -> np.ndarray:
     return (np.floor(position[:, 0] * 3).astype(np.int64) % 3).astype(np.uint8)
 
 
+def mover_of(position: np.ndarray) -> np.ndarray:
+    """(D,) what moves, in other patches: nothing, two movers, or something unsteady."""
+    patch = np.floor(position[:, 1] * 3).astype(np.int64) % 4
+    return np.array([STILL, 1, 2, UNSTEADY], dtype=np.uint16)[patch]
+
+
 def disc(view: Camera, rng: np.random.Generator, radius: float, middle: tuple[float, float]) -> Samples:
     """New samples of a disc around a middle, radius and middle relative to the frame."""
     row, column = np.divmod(np.arange(view.width * view.height), view.width)
@@ -52,26 +60,34 @@ def disc(view: Camera, rng: np.random.Generator, radius: float, middle: tuple[fl
     pixels = np.flatnonzero(away < radius * view.height).astype(np.uint32)
     position = ground(view, pixels.astype(np.int64), rng).astype(np.float32)
     dark = np.zeros((len(pixels), 3), dtype=np.float32)
-    return Samples(pixels, dark[:, 0], dark, dark, dark, dark, position, gloss_of(position))
+    gloss, mover = gloss_of(position), mover_of(position)
+    return Samples(pixels, dark[:, 0], dark, dark, dark, dark, position, gloss, mover)
 
 
 def remembered(
-    view: Camera, rng: np.random.Generator, radius: float = 0.6, middle: tuple[float, float] = (0.5, 0.5)
+    view: Camera,
+    rng: np.random.Generator,
+    radius: float = 0.6,
+    middle: tuple[float, float] = (0.5, 0.5),
+    time: float = 0.0,
 ) -> EarlierView:
     """What was traced of a disc."""
     new = disc(view, rng, radius, middle)
     count = rng.integers(1, 33, len(new.pixels)).astype(np.float32)
     records = rng.lognormal(0, 2, (len(count), RECORD)) * count[:, None]
     records[:, 0], records[:, -1] = count, 0
-    return EarlierView(records.astype(np.float32), new.position, new.gloss, view.position)
+    return EarlierView(records.astype(np.float32), new.position, new.gloss, new.mover, view.position, time)
 
 
-def both(arrays, views: list[EarlierView], view: Camera, new: Samples) -> tuple[Reprojected, Reprojected]:
+def both(
+    arrays, views: list[EarlierView], view: Camera, new: Samples, moment: Moment = ALWAYS
+) -> tuple[Reprojected, Reprojected]:
     """What the kernels and the plain twin find."""
     known = EarlierViews(arrays)
+    known.show(moment)
     for earlier in views:
         known.add(earlier)
-    found, expected = reproject(known, view, new), plain_reproject(views, view, new)
+    found, expected = reproject(known, view, new), plain_reproject(views, view, new, moment)
     assert found is not None
     if expected is None:
         expected = replace(found, records=np.zeros_like(found.records))
@@ -156,7 +172,8 @@ def test_points_behind_and_at_the_camera_and_beyond_all_numbers(arrays):
         size = len(point)
         records = rng.random((size, RECORD)).astype(np.float32)
         records[:, 0] = 1
-        earlier = EarlierView(records, point, gloss_of(np.zeros((size, 3))), viewpoint)
+        at = np.zeros((size, 3))
+        earlier = EarlierView(records, point, gloss_of(at), mover_of(at), viewpoint)
         with np.errstate(all="ignore"):
             found, expected = both(arrays, [earlier], view, new)
         assert_equal(found, expected)
@@ -172,11 +189,13 @@ def test_points_on_the_borders_of_quarters(arrays):
     position = (view.position + centre * (4 / centre[:, 2:])).astype(np.float32)
     dark = np.zeros((len(every), 3), dtype=np.float32)
     gloss = np.zeros(len(every), dtype=np.uint8)
-    new = Samples(every.astype(np.uint32), dark[:, 0], dark, dark, dark, dark, position, gloss)
+    still = gloss.astype(np.uint16)
+    new = Samples(every.astype(np.uint32), dark[:, 0], dark, dark, dark, dark, position, gloss, still)
     x, y = np.meshgrid(np.arange(-4, 4.125, 0.125), np.arange(-2, 2.125, 0.125))
     point = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1).astype(np.float32)
     records = np.ones((len(point), RECORD), dtype=np.float32)
-    earlier = EarlierView(records, point, np.zeros(len(point), dtype=np.uint8), view.position)
+    gloss, still = np.zeros(len(point), dtype=np.uint8), np.zeros(len(point), dtype=np.uint16)
+    earlier = EarlierView(records, point, gloss, still, view.position)
     found, expected = both(arrays, [earlier], view, new)
     assert_equal(found, expected)
     # Four quarters per pixel, each with the point in its upper left corner.
@@ -219,3 +238,21 @@ def test_no_kernel_is_compiled_when_camera_gaze_or_sizes_change(arrays):
         kernels = [entry for entry in dr.kernel_history() if entry["type"] == dr.KernelType.JIT]
     assert kernels
     assert all(entry["cache_hit"] for entry in kernels)
+
+
+def moment(rng: np.random.Generator, time: float, size: float) -> Moment:
+    """Two movers, turned and shifted by about a size."""
+    turns = Rotation.from_rotvec(rng.normal(0, size, (2, 3))).as_matrix()
+    moved = np.concatenate([turns, rng.normal(0, size, (2, 3, 1))], axis=2)
+    return Moment(time, np.concatenate([np.eye(4)[None, :3], moved]))
+
+
+@pytest.mark.parametrize("size", [0.0, 0.01, 0.3])
+def test_movers_take_their_samples_along(arrays, size):
+    """Views of the same moment and of others, from the same viewpoint and from others."""
+    rng = small.rng(int(100 * size))
+    views = [eye(rng, 0.02), eye(rng, 0.02)]
+    known = [remembered(view, rng, time=time) for time in (0.1, 0.2, 0.4) for view in views]
+    for view in views:
+        new = disc(view, rng, 0.5, (0.5, 0.5))
+        assert_equal(*both(arrays, known, view, new, moment(rng, 0.4, size)))

@@ -25,6 +25,7 @@ def of_draws(draws: np.ndarray) -> Samples:
         triple,
         triple,
         np.full(size, count, dtype=np.uint8),
+        np.zeros(size, dtype=np.uint16),
     )
 
 

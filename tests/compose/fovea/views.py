@@ -24,7 +24,9 @@ def wall(view: Camera, z: np.ndarray | float = 0.0) -> np.ndarray:
     return view.position + rays * ((z - view.position[2]) / rays[:, 2])[:, None]
 
 
-def samples(position: np.ndarray, radiance: np.ndarray, gloss: int = DIFFUSE, count: float = 1) -> Samples:
+def samples(
+    position: np.ndarray, radiance: np.ndarray, gloss: int = DIFFUSE, count: float = 1, mover: int = 0
+) -> Samples:
     """Samples of the first D pixels that hit positions (D, 3); albedo and normal are the radiance, too."""
     size = len(position)
     flat = np.broadcast_to(np.asarray(radiance, dtype=np.float32), (size, 3)).astype(np.float32)
@@ -37,4 +39,5 @@ def samples(position: np.ndarray, radiance: np.ndarray, gloss: int = DIFFUSE, co
         flat,
         position.astype(np.float32),
         np.full(size, gloss, dtype=np.uint8),
+        np.full(size, mover, dtype=np.uint16),
     )

@@ -28,9 +28,8 @@ def samples(count: float) -> Samples:
     triples = [rng.uniform(size=(len(pixels), 3)).astype(np.float32) for _ in range(5)]
     radiance, squares, albedo, normal, position = triples
     counts = np.full(len(pixels), count, dtype=np.float32)
-    return Samples(
-        pixels, counts, radiance, squares + 1, albedo, normal, position, np.zeros(len(pixels), np.uint8)
-    )
+    gloss, mover = np.zeros(len(pixels), np.uint8), np.zeros(len(pixels), np.uint16)
+    return Samples(pixels, counts, radiance, squares + 1, albedo, normal, position, gloss, mover)
 
 
 @pytest.fixture
