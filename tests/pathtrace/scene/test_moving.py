@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from compose.base.errors import UserError
+from compose.fovea.movers import UNSTEADY
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer
@@ -273,6 +274,53 @@ def test_dictionaries_can_be_given_a_motion(tmp_path):
     before = hits(scene)
     scene.set_time(1.0)
     assert 0.02 < (np.abs(hits(scene) - before).max(axis=1) > 1e-3).mean() < 0.3
+
+
+def test_samples_tell_which_mover_they_show(tmp_path):
+    """Two that move rigidly, one that deforms, and a wall that stands still; at rest, all are in place."""
+    formula = {"formula": ["x", "y + 0.1 * t", "z"]}
+    turning = keys({"t": 0}, {"t": 1, "translate": [0, 0.5, 0], "degrees": 40}, about=[1, 0, 0])
+    motion = {"shapes": {"right": turning, "ball": RIGHT, "left": formula}}
+    scene = loaded(tmp_path, motion)
+    camera, at_start = scene.camera, hits(scene)
+    tracer, positions = Tracer(scene), frame_positions(camera)
+    scene.set_time(0.7)
+    points = hits(scene)
+    x, before_wall = points[:, 0], points[:, 2] < 1
+    expected = np.select(
+        [before_wall & (x > 0.5), before_wall & (x > -0.5), before_wall], [1, 2, UNSTEADY], 0
+    )
+    for features in (
+        tracer.auxiliary(camera, positions, 1, 0),
+        tracer.trace(camera, positions, 1, features=True).features,
+    ):
+        mover = features.mover.numpy()
+        # At silhouettes, samples beside the centre of a pixel may show something else.
+        assert (mover != expected).mean() < 0.06
+        assert set(np.unique(mover)) == {0, 1, 2, UNSTEADY}
+    rest = scene.moving.moment().at_rest(points.astype(np.float32), expected.astype(np.uint16))
+    np.testing.assert_allclose(np.linalg.norm(rest[expected == 2], axis=1), 0.2, atol=1e-4)
+    assert np.abs(rest[expected == 1] - [1, 0, 0]).max() < 0.3 + 1e-4
+    still = (expected == 0) & (at_start[:, 2] > 1)
+    np.testing.assert_allclose(rest[still], at_start[still], atol=1e-5)
+
+
+def test_what_a_mirror_shows_is_unsteady(tmp_path):
+    xml = XML.replace(
+        '<translate z="2"/></transform><ref id="white"/>',
+        '<translate z="2"/></transform><bsdf type="conductor"/>',
+    )
+    scene = loaded(tmp_path, {"shapes": {"right": RIGHT}}, xml)
+    features = Tracer(scene).auxiliary(scene.camera, frame_positions(scene.camera), 1, 0)
+    mover = features.mover.numpy().reshape(48, 48)
+    assert mover[2, 24] == UNSTEADY
+    assert mover[24, 24] == 0
+
+
+def test_where_nothing_moves_samples_know_of_no_movers(tmp_path):
+    (tmp_path / "box.xml").write_text(XML)
+    scene = load_scene(tmp_path / "box.xml")
+    assert Tracer(scene).auxiliary(scene.camera, frame_positions(scene.camera), 1, 0).mover is None
 
 
 def test_courses_say_where_shapes_are(tmp_path):
