@@ -12,6 +12,7 @@ from hybrid.cli.benches.gaze import gaze
 from hybrid.cli.benches.held_out import held_out
 from hybrid.cli.benches.integrator import integrator
 from hybrid.cli.benches.motion import motion
+from hybrid.cli.benches.moving import moving
 from hybrid.cli.benches.passes import passes
 from hybrid.cli.benches.periphery import periphery
 from hybrid.cli.benches.raster import raster
@@ -31,6 +32,7 @@ for command in (
     fusion,
     change,
     motion,
+    moving,
     seam,
     still,
     endurance,

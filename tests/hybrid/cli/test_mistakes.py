@@ -127,6 +127,7 @@ MISTAKES = {
         ["bench", "still", "cornell", "--gaze", "1.5", "0.5"],
         "gaze 1.5 0.5: lies outside the frame",
     ),
+    "a bench of what stands still": (["bench", "moving", "cornell"], "cornell: nothing moves in this scene"),
     "a bench of no size": (
         ["bench", "passes", "cornell", "--forest", "{made}/box.forest", "--size", "0", "64"],
         "--size 0 64: must be positive",

@@ -1,0 +1,57 @@
+"""`hybrid bench moving`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from hybrid.cli.options import (
+    Backend,
+    FixedSize,
+    ForestFile,
+    Json,
+    ReferenceSpp,
+    SceneName,
+    ThinGlass,
+    loaded_scene,
+    select,
+    sized,
+    write_json,
+)
+from hybrid.frame.settings import INTERACTIVE
+from hybrid.runtime.progress import progress_bar
+
+
+def moving(
+    scene: SceneName,
+    forest: ForestFile = None,
+    size: FixedSize = (320, 240),
+    reference_spp: ReferenceSpp = 256,
+    thin_glass: ThinGlass = False,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Play a scene that moves, as in the window, and compare its frames with other methods, by region."""
+    select(backend)
+    from hybrid.bench.moving import bench_moving, require_moving
+    from hybrid.preparation.quick import forest_for
+    from hybrid.runtime.machine import machine
+
+    loaded = loaded_scene(scene, None, thin_glass)
+    require_moving(loaded)
+    settings = replace(INTERACTIVE, camera=sized(loaded.camera, size))
+    found = forest_for(loaded, forest)
+    with progress_bar("bench (clips)") as bar:
+        rows = bench_moving(loaded, found, settings, reference_spp, bar)
+    _print(rows)
+    write_json(json_file, {"scene": loaded.name, "size": size, "rows": rows, "machine": machine()})
+
+
+def _print(rows: list[dict[str, Any]]) -> None:
+    names = list(dict.fromkeys(row["region"] for row in rows))
+    print(f"{'method':<23}" + "".join(f"{name:>11}" for name in names) + "     ms    p95  ratio")
+    for method in dict.fromkeys(row["method"] for row in rows):
+        own = {row["region"]: row for row in rows if row["method"] == method}
+        cells = "".join(f"{own[name]['psnr']:8.2f} dB" if name in own else " " * 11 for name in names)
+        first = next(iter(own.values()))
+        print(f"{method:<23}{cells}{first['ms']['p50']:7.1f}{first['ms']['p95']:7.1f}{first['ratio']:7.2f}")

@@ -1,0 +1,71 @@
+"""Methods that show a scene that plays, by region."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from compose.base.errors import UserError
+from compose.eye.gaze import Gaze
+from hybrid.bench import moving as module
+from hybrid.bench.moving import ALONE, HYBRID, SPLATS, TRACED, bench_moving
+from hybrid.frame.settings import INTERACTIVE
+from pathtrace.scene.scene import load_scene
+from pathtrace.trace.film import frame_positions
+from pathtrace.trace.tracer import Tracer
+from tests import small
+from tests.hybrid.forests import rough_forest
+from tests.moving import moving_corner
+
+
+def silent(done: int, total: int) -> None:
+    pass
+
+
+def test_every_method_has_a_row_for_each_region(backend, tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "_CLIPS", 2)
+    scene = moving_corner(tmp_path)
+    settings = replace(INTERACTIVE, camera=scene.camera.resized(64, 48))
+    rows = bench_moving(scene, rough_forest(scene), settings, 16, silent)
+    found = {(row["method"], row["region"]): row for row in rows}
+    names = {region for _, region in found}
+    assert {"whole", "foveal", "salient", "moving", "uncovered"} <= names
+    assert set(found) == {(method, name) for method in (HYBRID, ALONE, SPLATS, TRACED) for name in names}
+    assert found[HYBRID, "whole"]["ratio"] == 1
+    assert found[HYBRID, "whole"]["pixels"] == 2 * 64 * 48
+    assert all(0 < row["ms"]["p50"] <= row["ms"]["p95"] for row in rows)
+    # The disc is traced; rough splats are far from the truth.
+    assert found[HYBRID, "foveal"]["psnr"] > found[SPLATS, "foveal"]["psnr"] + 3
+
+
+def test_regions_are_what_moves_and_what_it_leaves(backend, tmp_path):
+    """The board goes aside."""
+    scene = moving_corner(tmp_path)
+    camera = scene.camera.resized(64, 48)
+    clip = module._clip(Tracer(scene), scene.moving, camera, 2, 16)
+    assert list(clip.times) == sorted(clip.times)
+    assert scene.moving.time == clip.times[-1]
+    board = Tracer(scene).hits(camera, frame_positions(camera)).shape.reshape(48, 64)
+    numbers = np.unique(board[clip.moves])
+    assert len(numbers) == 1
+    np.testing.assert_array_equal(board == numbers[0], clip.moves)
+    assert clip.uncovered.any()
+    assert not (clip.uncovered & clip.moves).any()
+    assert not (clip.shadow & (clip.moves | clip.uncovered)).any()
+    before = module._moves(Tracer(scene), scene.moving, camera, clip.times[-2])
+    was, left, now = (np.nonzero(mask)[1].mean() for mask in (before, clip.uncovered, clip.moves))
+    # What it has left lies where it came from.
+    assert (left - now) * (was - now) > 0
+    row, column = int(clip.gaze.y * 48), int(clip.gaze.x * 64)
+    assert clip.moves[row, column]
+
+
+def test_where_nothing_is_seen_to_move_the_gaze_rests_on_the_centre():
+    assert module._gaze_on(np.zeros((4, 6), dtype=bool)) == Gaze()
+
+
+def test_a_scene_that_stands_still_is_refused(backend):
+    with pytest.raises(UserError, match="nothing moves in this scene"):
+        module.require_moving(load_scene(small.corner()))
