@@ -19,7 +19,7 @@ from hybrid.preparation.judges import Judges
 from hybrid.preparation.lighting import with_light_course
 from hybrid.preparation.planner import Planner
 from hybrid.preparation.settings import PreparationSettings
-from hybrid.preparation.views import breadth_of, stated_error, time_of, views_of, wanted_of
+from hybrid.preparation.views import breadth_of, stated_error, views_of, wanted_of
 from hybrid.runtime.progress import Bars, console, progress_bar
 from hybrid.store.cache import scene_folder, store_forest
 from hybrid.store.identity import short_hash
@@ -30,6 +30,7 @@ from pathtrace.dataset.capture import capture
 from pathtrace.dataset.frames import read_frame_set
 from pathtrace.dataset.growing import GrowingFrames
 from pathtrace.dataset.settings import CaptureSettings
+from pathtrace.dataset.views import time_of
 from pathtrace.region.region import Region, region_of
 from pathtrace.scene.difficulties import light_difficulties
 from pathtrace.scene.scene import Scene

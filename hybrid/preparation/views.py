@@ -12,6 +12,7 @@ from hybrid.preparation.stages import Stage
 from hybrid.runtime.device import device_arrays
 from pathtrace.dataset.frame_error import frame_error, mean_frame_error
 from pathtrace.dataset.growing import GrowingFrames, Wanted
+from pathtrace.dataset.views import time_of
 from pathtrace.region.coverage import Coverage
 from pathtrace.region.region import Region
 from pathtrace.scene.surfaces import Surfaces
@@ -29,8 +30,6 @@ _WORTHWHILE = 0.1
 _ORDINARY, _TRIED = 32, (32, 48, 64, 96, 128, 192, 256, 384)
 _ENOUGH = 0.95
 _ASKERS = 24
-# Multiples of the golden ratio, modulo 1, are evenly spread however many they are.
-_GOLDEN = (5**0.5 - 1) / 2
 
 
 def breadth_of(region: Region, surfaces: Surfaces, seed: int) -> float:
@@ -66,11 +65,6 @@ def _part(camera: Camera, side: int, seed: list[int]) -> Camera:
     rng = np.random.default_rng(seed)
     left, top = (int(rng.integers(length - side + 1)) for length in (camera.width, camera.height))
     return camera.cropped(left, top, side, side)
-
-
-def time_of(number: float) -> float:
-    """The time from 0 to 1 that a view shows of a scene that moves; views have all times alike."""
-    return (0.5 + number * _GOLDEN) % 1
 
 
 def wanted_of(

@@ -112,6 +112,7 @@ def _examples(frames: FrameSet, forest: Forest, rng: np.random.Generator) -> Ite
         reference = Reference(read_frame(entry.file, entry.size).radiance, (one, other))
         if not _is_finite(reference.denoised, one, other):
             continue
+        renderer.set_time(entry.time)
         splat = np.array(renderer.render_layer(entry.camera, finest).image())
         enlargement = entry.camera.fy / forest.focal_of(finest)
         estimates = {spp: read_estimate(file, entry.size) for spp, file in entry.estimates.items()}

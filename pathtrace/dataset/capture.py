@@ -44,7 +44,8 @@ def capture(
     Views lie in free space around the scene's own camera, which is the first of them. The held-out ones are
     spaced evenly over the others. Two of three held-out views also have estimates, traced with fewer samples,
     two independent halves of their own samples, and close-ups at two and four times the resolution: what the
-    fusion is fitted to. Held-out frames are unbiased; close-ups, which measure nothing else, need not be.
+    fusion is fitted to. Held-out frames are unbiased; close-ups, which measure nothing else, need not be. Of
+    a scene that moves, views have times of their own, which the scene shows one after another.
 
     The folder gets a `transforms.json` in the Nerfstudio / instant-ngp convention and one multi-channel
     OpenEXR file per frame, estimate and close-up. Files are written atomically, and those that exist and are
@@ -86,6 +87,8 @@ def capture(
     for index, (entry, camera) in enumerate(zip(entries, cameras, strict=True)):
         # Each frame has a seed of its own, so that a resumed capture ends with the same frames.
         seed = settings.seed * _CAPTURE_SEED_STEP + index
+        if scene.moving is not None:
+            scene.set_time(entry["time"])
         _write_estimates(quick, folder, entry, camera, seed)
         _write_frame(tracers[index], folder, entry, camera, seed)
         progress(sum(samples[: index + 1]), sum(samples))

@@ -21,7 +21,7 @@ from compose.camera.place import WORLD
 from compose.camera.serialization import camera_to_json
 from pathtrace.dataset.frames import FORMAT_VERSION
 from pathtrace.dataset.settings import CaptureSettings
-from pathtrace.dataset.views import ViewSet
+from pathtrace.dataset.views import ViewSet, time_of
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.integrator import Integrator
 
@@ -52,12 +52,13 @@ def describe_capture(
             settings.held_out_spp if index in held_out else settings.spp,
             _estimate_spp(settings.held_out_spp) if index in fitted else [],
             index in held_out,
+            _time(scene, index),
         )
         for index, camera in enumerate(cameras)
     ]
     rng = np.random.default_rng(settings.seed)
     close_ups = [
-        _close_up(cameras[index], index, factor, settings.held_out_spp, rng)
+        _close_up(cameras[index], index, factor, settings.held_out_spp, _time(scene, index), rng)
         for index in sorted(fitted)
         for factor in settings.close_ups
     ]
@@ -68,6 +69,7 @@ def describe_capture(
         "scene": described_scene(scene),
         "settings": {**asdict(settings), "close_ups": list(settings.close_ups)},
         "integrator": integrator.value,
+        **described_motion(scene),
         "frames": frames,
         # Not among the frames, all of which other programs would train on.
         "close_ups": close_ups,
@@ -121,12 +123,19 @@ def _held_out(views: ViewSet, count: int) -> set[int]:
     return {len(views.fixed) + round((i + 1) * step) - 1 for i in range(count)}
 
 
-def _entry(camera: Camera, path: str, spp: int, estimate_spp: list[int], held_out: bool) -> dict[str, Any]:
+def _time(scene: Scene, index: int) -> float:
+    """The time that a view shows."""
+    return 0.0 if scene.moving is None else time_of(index)
+
+
+def _entry(
+    camera: Camera, path: str, spp: int, estimate_spp: list[int], held_out: bool, time: float
+) -> dict[str, Any]:
     """A frame of transforms.json; `path` has no extension."""
     return {
         "file_path": f"{path}.exr",
         "transform_matrix": camera_to_json(camera)["transform_matrix"],
-        "time": 0.0,
+        "time": time,
         "samples": spp,
         "held_out": held_out,
         "estimates": [{"samples": count, "file_path": f"{path}-{count}spp.exr"} for count in estimate_spp],
@@ -134,10 +143,12 @@ def _entry(camera: Camera, path: str, spp: int, estimate_spp: list[int], held_ou
     }
 
 
-def _close_up(camera: Camera, index: int, factor: int, spp: int, rng: np.random.Generator) -> dict[str, Any]:
+def _close_up(
+    camera: Camera, index: int, factor: int, spp: int, time: float, rng: np.random.Generator
+) -> dict[str, Any]:
     """A held-out view's close-up in transforms.json, with its own intrinsics."""
     part = _part_of(camera, factor, rng)
-    entry = _entry(part, f"frames/{index:04d}-closer{factor}", spp, _estimate_spp(spp), True)
+    entry = _entry(part, f"frames/{index:04d}-closer{factor}", spp, _estimate_spp(spp), True, time)
     return {**entry, **_intrinsics(part)}
 
 

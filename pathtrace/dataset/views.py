@@ -9,6 +9,9 @@ from pathtrace.region.near import BORDER, UNSEEN_SEED, Neighbourhood
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.surfaces import Surfaces
 
+# Multiples of the golden ratio, modulo 1, are evenly spread however many they are.
+_GOLDEN = (5**0.5 - 1) / 2
+
 
 @dataclass(frozen=True)
 class ViewSet:
@@ -50,3 +53,8 @@ def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, heigh
     if count > 2 * len(BORDER):
         fixed += neighbourhood.border()
     return ViewSet(fixed, neighbourhood.spread(count - len(fixed), seed))
+
+
+def time_of(number: float) -> float:
+    """The time from 0 to 1 that a view shows of a scene that moves; views have all times alike."""
+    return (0.5 + number * _GOLDEN) % 1

@@ -20,6 +20,7 @@ from hybrid.cli.benches.gaze import gaze
 from hybrid.cli.benches.held_out import held_out
 from hybrid.cli.benches.integrator import integrator
 from hybrid.cli.benches.motion import motion
+from hybrid.cli.benches.moving import moving
 from hybrid.cli.benches.passes import passes
 from hybrid.cli.benches.periphery import periphery
 from hybrid.cli.benches.raster import raster
@@ -66,6 +67,7 @@ BENCHES = {
     "fusion": fusion,
     "change": change,
     "motion": motion,
+    "moving": moving,
     "seam": seam,
     "still": still,
     "endurance": endurance,

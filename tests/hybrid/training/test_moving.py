@@ -12,11 +12,14 @@ from compose.base.errors import UserError
 from hybrid.frame.renderer import Renderer
 from hybrid.frame.settings import FrameSettings
 from hybrid.runtime.device import device_arrays
+from hybrid.training import fusion
 from hybrid.training.forest import motion_of, train, training_view
 from hybrid.training.held_out import held_out_quality
+from pathtrace.dataset.capture import capture
 from pathtrace.dataset.exr import read_frame
 from pathtrace.dataset.frames import FrameSet, read_frame_set
 from pathtrace.dataset.growing import GrowingFrames, Wanted
+from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer
@@ -167,3 +170,17 @@ def test_hits_follow_the_time(scene):
         found.append(tracer.hits(camera, frame_positions(camera)).distance)
     np.testing.assert_array_equal(found[0], found[2])
     assert np.mean(found[0] != found[1]) > 0.02
+
+
+def test_examples_of_the_fusion_show_splats_at_their_times(scene, forest, tmp_path):
+    settings = CaptureSettings(views=1, held_out=2, width=64, height=64, spp=1, held_out_spp=4, close_ups=())
+    captured = capture(scene, tmp_path, settings, ignore)
+    renderer = ForestRenderer(device_arrays(), forest)
+    times = set()
+    for example in fusion._examples(captured, forest, small.rng()):
+        entry = captured.held_out[example.view]
+        times.add(entry.time)
+        renderer.set_time(entry.time)
+        splat = renderer.render_layer(entry.camera, len(forest.counts)).image()
+        np.testing.assert_array_equal(example.parents.splat, splat)
+    assert len(times) == 2

@@ -17,8 +17,11 @@ from pathtrace.dataset.frames import FrameSet, read_frame_set
 from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.fill.fill import fill_cache
 from pathtrace.scene.scene import Scene, load_scene
+from pathtrace.trace.film import frame_positions
+from pathtrace.trace.tracer import Tracer
 from tests import small
 from tests.extremes import extreme
+from tests.moving import moving_corner
 
 SETTINGS = CaptureSettings(views=4, held_out=2, width=24, height=16, spp=2, held_out_spp=4)
 # Four views of 2 samples; two of 4 and an estimate of 1; four close-ups of these on a quarter of their size.
@@ -207,3 +210,21 @@ def test_a_damaged_description_is_refused_with_advice(scene, whole, tmp_path):
         UserError, match=r"transforms\.json: is damaged .*; delete it and capture with the same"
     ):
         capture(scene, tmp_path / "c", SETTINGS, lambda done, total: None)
+
+
+def test_views_of_a_scene_that_moves_show_their_own_times(tmp_path):
+    scene = moving_corner(tmp_path)
+    frames = capture(scene, tmp_path / "frames", SETTINGS, lambda done, total: None)
+    assert [course.name for course in frames.courses] == ["board"]
+    entries = frames.entries + frames.close_ups
+    assert len({entry.time for entry in frames.entries}) == 6
+    tracer, shown = Tracer(scene), 0
+    for entry in entries:
+        scene.set_time(entry.time)
+        shape = tracer.hits(entry.camera, frame_positions(entry.camera)).shape
+        np.testing.assert_array_equal(read_frame(entry.file).shape.ravel(), shape)
+        shown += bool((shape == frames.courses[0].shape).any())
+    assert shown > 3
+    # A part of a view shows what the view shows.
+    times = {entry.camera.camera_to_world.tobytes(): entry.time for entry in frames.held_out}
+    assert all(times[entry.camera.camera_to_world.tobytes()] == entry.time for entry in frames.close_ups)
