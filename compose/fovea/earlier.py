@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
-from compose.fovea.movers import ALWAYS, Moment
+from compose.fovea.movers import ALWAYS
 from compose.fovea.record import RECORD
 from compose.fovea.samples import Floats
 
@@ -21,7 +21,7 @@ MOST_VIEWS = 16
 _PLACE = 4
 # The last float of a place holds the mover, the view's number and the class of gloss: 20 bits of the 24 that
 # a float holds exactly.
-_GLOSS_BITS, _VIEW_BITS = 2, 4
+_GLOSS_BITS, _VIEW_BITS = 2, (MOST_VIEWS - 1).bit_length()
 # Moments after which samples are dropped, since light has changed. On `room-moving`, fused, two make what a
 # mover uncovers and its shadow 1 dB better than none, four make the shadow 1 dB worse.
 MOST_MOMENTS = 2
@@ -86,17 +86,16 @@ class EarlierViews:
         arrays: the backend's array types.
 
     Attributes:
-        moment: what is seen now.
+        moment: what is seen now; set before views of it are added.
     """
 
     def __init__(self, arrays: Arrays):
-        self.arrays = arrays
+        self.arrays, self.moment = arrays, ALWAYS
         self.clear()
 
     def clear(self) -> None:
         """Forgets all views."""
         self._views: deque[_Known] = deque()
-        self.moment = ALWAYS
         self._added = self._first = 0
         self._room = _LEAST_ROOM
         self._places, self._records = self._empty()
@@ -105,10 +104,6 @@ class EarlierViews:
     def samples(self) -> int:
         """Number of samples of all views."""
         return sum(view.samples for view in self._views)
-
-    def show(self, moment: Moment) -> None:
-        """Says which moment is seen now."""
-        self.moment = moment
 
     def viewpoints(self) -> NDArray[np.float64]:
         """(MOST_VIEWS, 3) positions of the cameras by number of their view; far away where there is none."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from compose.fovea.earlier import EarlierView, EarlierViews
-from compose.fovea.movers import ALWAYS, Moment
+from compose.fovea.movers import STILL, Moment
 from compose.fovea.record import (
     ALBEDO,
     COUNT,
@@ -65,7 +65,6 @@ class History:
 
     def __init__(self, arrays: Arrays):
         self._view: _View | None = None
-        self._moment = ALWAYS
         self._earlier = EarlierViews(arrays)
         # What the earlier views contribute to the current one.
         self._past: Reprojected | None = None
@@ -86,19 +85,21 @@ class History:
     def restored(arrays: Arrays, camera: Camera, state: dict[str, NDArray[np.generic]]) -> History:
         """A history of a camera's view from the `state` of another one."""
         history = History(arrays)
-        history.show(Moment(float(state["time"][0]), state["poses"].astype(np.float64)))  # type: ignore[arg-type]
+        # Files of videos that earlier versions began know of nothing that moves.
+        if "time" in state:
+            history.show(Moment(float(state["time"][0]), state["poses"].astype(np.float64)))  # type: ignore[arg-type]
         pattern = int(state["pattern"][0])  # type: ignore[call-overload]
-        view = history._view = _View.of(camera, history._moment, pattern)
+        view = history._view = _View.of(camera, history._earlier.moment, pattern)
         for key, column in _SAVED_RECORDS.items():
             view.records[:, column] = state[key]
         for key, column in _SAVED_HITS.items():
-            view.hits[:, column] = state[key]
+            view.hits[:, column] = state.get(key, STILL)
         view.known[:] = (view.records[:, COUNT] > 0) | (view.records[:, POSITIONS] > 0)
         return history
 
     def show(self, moment: Moment) -> None:
         """Says which moment is seen from now on."""
-        self._moment = moment
+        self._earlier.moment = moment
 
     def sampled(self, camera: Camera, pixels: NDArray[np.uint32], seed: int) -> tuple[NDArray[np.int64], int]:
         """(D,) number of samples that pixels (D,) have from this very camera, and the seed of their pattern.
@@ -165,7 +166,7 @@ class History:
     def _view_of(self, camera: Camera) -> _View | None:
         """The current view if it is this camera's at this time."""
         view = self._view
-        if view is None or view.camera != camera or view.moment.time != self._moment.time:
+        if view is None or view.camera != camera or view.moment.time != self._earlier.moment.time:
             return None
         return view
 
@@ -175,12 +176,11 @@ class History:
         if view is None or (view.camera.width, view.camera.height) != (camera.width, camera.height):
             self._earlier.clear()
             self._past = None
-            view = _View.of(camera, self._moment, seed)
+            view = _View.of(camera, self._earlier.moment, seed)
         elif self._view_of(camera) is None:
-            self._earlier.show(self._moment)
-            self._earlier.add(view.as_earlier(self._moment))
+            self._earlier.add(view.as_earlier(self._earlier.moment))
             self._past = reproject(self._earlier, camera, seen)
-            view.begin(camera, self._moment, seed)
+            view.begin(camera, self._earlier.moment, seed)
         return view
 
 

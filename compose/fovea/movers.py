@@ -27,6 +27,8 @@ class Moment:
 
     def at_rest(self, position: NDArray[np.float32], mover: NDArray[np.uint16]) -> NDArray[np.float32]:
         """Where points (D, 3) of movers (D,) are at rest; those that stand still or are unsteady stay."""
+        if len(self.poses) == 1:
+            return position
         rest = position.copy()
         moving = np.flatnonzero((mover != STILL) & (mover != UNSTEADY))
         pose = self.poses[mover[moving]]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,16 @@ from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image, luminance, srgb_from_radiance
+from hybrid.evaluation.equal_time import at_equal_time
+from hybrid.evaluation.families import enlarged
 from hybrid.frame.live import LiveRenderer
 from hybrid.frame.settings import FrameSettings
 from hybrid.measure.metrics.psnr import psnr_of_error
 from hybrid.measure.reference import REFERENCE_SEED, reference
 from hybrid.measure.regions import regions
 from hybrid.measure.timing import percentiles, ratio_of_medians
-from hybrid.methods.path_traced import Enlarged
+from hybrid.methods.hybrid import HybridMethod
+from hybrid.methods.method import Method
 from pathtrace.scene.moving import MovingScene
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.film import frame_positions
@@ -38,8 +42,8 @@ _SHADOW = 0.05
 _DARK = 1e-3
 # Frames of a clip that are not timed: the first ones wait for kernels.
 _WARM_UP = 2
-# Path-traced frames are made as large as takes the hybrid's time, within a share, in a few trials.
-_ALIKE, _TRIALS = 0.05, 5
+# Paths per pixel of the path-traced frames, from which their number at equal time is sought.
+_RAYS = 0.25
 
 
 def bench_moving(
@@ -59,8 +63,8 @@ def bench_moving(
 
     Returns:
         Rows of `method`, `region`, `psnr` of the pixels of all clips together, `ms` per frame (`p50`, `p95`)
-        and `ratio`, the hybrid's median over the method's. Path-traced frames are of that many pixels that
-        they take as long as the hybrid's; all of them are denoised.
+        and `ratio`, the hybrid's median over the method's. Path-traced frames are denoised, and of so many
+        pixels that they take as long as the hybrid's; they are left out if the smallest takes longer.
 
     Raises:
         UserError: nothing moves in the scene, or nothing that moves is ever seen.
@@ -91,6 +95,10 @@ def bench_moving(
         for (method, region), found in errors.items()
         if sum(map(len, found))
     ]
+
+
+# From settings with their time, and a seed, to a frame.
+_Frame = Callable[[FrameSettings, int], Image]
 
 
 @dataclass(frozen=True)
@@ -140,19 +148,21 @@ class _Methods:
 
     def __init__(self, renderer: LiveRenderer, settings: FrameSettings):
         self._renderer, self._settings = renderer, settings
-        self._traced: Enlarged | None = None
+        self._traced = self._as_slow()
 
     def played(self, clip: _Clip) -> dict[str, _Shown]:
         """The clip by each method in turn."""
         self._renderer.forget()
-        found = {HYBRID: self._timed(clip, self._frame)}
-        found[ALONE] = self._timed(clip, self._fresh_frame)
-        found[SPLATS] = self._timed(clip, lambda settings, _: self._renderer.splats(settings))
-        self._traced = self._traced or self._as_slow(clip, float(np.median(found[HYBRID].milliseconds)))
-        found[TRACED] = self._timed(clip, self._traced_frame)
-        return found
+        methods = {
+            HYBRID: self._frame,
+            ALONE: self._fresh_frame,
+            SPLATS: lambda settings, seed: self._renderer.splats(settings),
+        }
+        if self._traced is not None:
+            methods[TRACED] = partial(self._traced_frame, self._traced)
+        return {name: self._timed(clip, method) for name, method in methods.items()}
 
-    def _timed(self, clip: _Clip, method: Callable[[FrameSettings, int], Image]) -> _Shown:
+    def _timed(self, clip: _Clip, method: _Frame) -> _Shown:
         milliseconds, image = [], None
         for number, at in enumerate(clip.times):
             settings = replace(self._settings, time=at, gaze=clip.gaze)
@@ -169,22 +179,19 @@ class _Methods:
         self._renderer.forget()
         return self._frame(settings, seed)
 
-    def _traced_frame(self, settings: FrameSettings, seed: int) -> Image:
-        assert self._traced is not None
+    def _traced_frame(self, traced: Method, settings: FrameSettings, seed: int) -> Image:
         assert settings.camera is not None
         self._renderer.scene.set_time(settings.time)
-        return self._traced.render(settings.camera, settings.gaze, seed).image
+        return traced.render(settings.camera, settings.gaze, seed).image
 
-    def _as_slow(self, clip: _Clip, wanted: float) -> Enlarged:
-        """Path-traced frames of so many pixels that they take a time in milliseconds."""
-        tracer, share = self._renderer.tracer_of(Integrator.CACHED), 0.25
-        for _ in range(_TRIALS):
-            self._traced = Enlarged(tracer, share, 1, True)
-            taken = float(np.median(self._timed(clip, self._traced_frame).milliseconds))
-            if abs(taken / wanted - 1) < _ALIKE:
-                break
-            share = float(np.clip(share * wanted / taken, 1e-3, 1))
-        return Enlarged(tracer, share, 1, True)
+    def _as_slow(self) -> Method | None:
+        """Path-traced frames that take as long as the hybrid's; None if none do."""
+        tracer = self._renderer.tracer_of(Integrator.CACHED)
+        family = partial(enlarged, tracer, 1, denoised=True)
+        ours = HybridMethod(self._renderer, self._settings)
+        assert self._settings.camera is not None
+        rays = at_equal_time(family, ours, [self._settings.camera], self._settings.gaze, _RAYS)
+        return None if rays is None else family(rays)
 
 
 def require_moving(scene: Scene) -> MovingScene:

@@ -49,8 +49,7 @@ def filled_cache(
         progress: called with steps done and steps in total.
         seed: same seed, same cache on the same machine.
     """
-    if scene.moving is not None:
-        scene.set_time(0.0)
+    scene.show(0.0)
     camera = scene.camera
     try:
         views = choose_views(scene, Surfaces(scene), _VIEWS, camera.width, camera.height, 0)

@@ -166,21 +166,22 @@ class Renderer:
         """The camera and the settings of a frame; scene and forest show its time from now on."""
         camera, settings = settings.resolved(self.scene.camera)
         moving = self.scene.moving
-        if moving is None and settings.time:
-            raise UserError(f"time {settings.time:g}: nothing moves in {self.scene.name}")
-        if moving is not None and moving.time != settings.time:
-            self.scene.set_time(settings.time)
         if moving is not None:
-            self._follow(moving, settings)
+            self._follow(moving, settings.time)
+        elif settings.time:
+            raise UserError(f"time {settings.time:g}: nothing moves in {self.scene.name}")
         self.periphery.set_time(settings.time)
         return camera, settings
 
-    def _follow(self, moving: MovingScene, settings: FrameSettings) -> None:
-        """Lets what is known from earlier frames follow the scene."""
-        if self._time != settings.time:
-            self._time = settings.time
+    def _follow(self, moving: MovingScene, time: float) -> None:
+        """Shows the scene at a time, and lets what is known from earlier frames follow it."""
+        moving.set_time(time)
+        if self._time != time:
+            self._time = time
             self._filler.forget()
-        self.fovea_of(settings).disc.show(moving.moment())
+        moment = moving.moment()
+        for fovea in self._foveas.values():
+            fovea.disc.show(moment)
 
     def _fill(self, camera: Camera, settings: FrameSettings, seed: int) -> Fill | None:
         """What is path-traced where the forest does not know the view; None if it knows all of it."""
@@ -201,9 +202,10 @@ class Renderer:
 
     def disc_alone(self, settings: FrameSettings, seed: int) -> Image:
         """(D, 3) linear radiance of a frame's disc, without rendering a periphery; D as in its region."""
+        # First: a cache that is filled for it leaves the scene at another time.
+        maker = self.fovea_of(settings)
         camera, settings = self._begun(settings)
         disc = settings.foveation.region(camera.width, camera.height)
-        maker = self.fovea_of(settings)
         self._relight(settings)
         fused = settings.fovea is FoveaMode.FUSED
         fill = self._fill(camera, settings, seed) if fused else None

@@ -53,8 +53,7 @@ class Judges:
         folder.mkdir(parents=True, exist_ok=True)
         for number, (camera, file) in enumerate(zip(cameras, self._files, strict=True)):
             if not is_intact(read_frame, file, camera):
-                if tracer.scene.moving is not None:
-                    tracer.scene.set_time(times[number])
+                tracer.scene.show(times[number])
                 write_frame(file, render_frame(tracer, camera, _SPP, _SEED + number))
             progress(number + 1, len(cameras))
 

@@ -87,8 +87,7 @@ def capture(
     for index, (entry, camera) in enumerate(zip(entries, cameras, strict=True)):
         # Each frame has a seed of its own, so that a resumed capture ends with the same frames.
         seed = settings.seed * _CAPTURE_SEED_STEP + index
-        if scene.moving is not None:
-            scene.set_time(entry["time"])
+        scene.show(entry["time"])
         _write_estimates(quick, folder, entry, camera, seed)
         _write_frame(tracers[index], folder, entry, camera, seed)
         progress(sum(samples[: index + 1]), sum(samples))

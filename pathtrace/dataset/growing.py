@@ -164,8 +164,7 @@ class GrowingFrames:
         }
         if self._is_complete(entry, view.camera):
             return entry
-        if self.moves:
-            self._tracer.scene.set_time(view.time)
+        self._tracer.scene.show(view.time)
         seed = self._seed * _VIEW_SEED_STEP * _HALF_SEED_STEP + index * _VIEW_SEED_STEP
         halves = self._traced(view.camera, added, (seed + number * _PASS_SEED_STEP) % 2**32)
         earlier = self._stored_frame(before) if before else None

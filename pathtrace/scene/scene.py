@@ -66,6 +66,11 @@ class Scene:
             raise UserError(f"{self.name}: nothing moves in this scene; it has no motion file")
         self.moving.set_time(time)
 
+    def show(self, time: float) -> None:
+        """As `set_time`, of a scene that moves; one that stands still is the same at all times."""
+        if self.moving is not None:
+            self.moving.set_time(time)
+
     @property
     def triangles(self) -> int:
         """Number of triangles of all meshes; analytic shapes have none."""

@@ -51,9 +51,9 @@ def test_views_of_a_few_moments_before_are_kept(arrays):
     known = EarlierViews(arrays)
     for number in range(2 * MOST_MOMENTS):
         for _ in range(2):
-            known.show(Moment(0.1 * (number + 1), np.eye(4)[None, :3]))
+            known.moment = Moment(0.1 * (number + 1), np.eye(4)[None, :3])
             known.add(view(number, 5, 0.1 * number))
     assert known.samples == 5 * 2 * MOST_MOMENTS
     assert not known.of_now().any()
-    known.show(Moment(0.1 * (2 * MOST_MOMENTS - 1), np.eye(4)[None, :3]))
+    known.moment = Moment(0.1 * (2 * MOST_MOMENTS - 1), np.eye(4)[None, :3])
     assert known.of_now().sum() == 2

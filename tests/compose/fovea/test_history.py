@@ -185,6 +185,16 @@ def test_a_saved_history_continues_the_view(arrays):
         assert (getattr(one, field.name) == getattr(other, field.name)).all()
 
 
+def test_a_history_that_was_saved_before_things_could_move_is_restored(arrays):
+    history, view = History(arrays), camera()
+    added(history, view, samples(wall(view), np.array([0.1, 0.2, 0.3]), count=3))
+    state = {k: v for k, v in history.state().items() if k not in ("mover", "time", "poses")}
+    new = samples(wall(view), np.ones(3))
+    one, other = added(history, view, new), added(History.restored(arrays, view, state), view, new)
+    for field in fields(Samples):
+        np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name))
+
+
 @pytest.mark.parametrize("moved", [camera(x=0.31), camera(turn=3.7)], ids=["walk", "turn"])
 def test_samples_move_to_where_their_hit_points_are_visible(arrays, moved):
     """A wall painted with a slow wave: what arrives is what is there, to within half a pixel."""

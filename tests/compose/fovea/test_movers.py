@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from compose.fovea.history import History
 from compose.fovea.movers import ALWAYS, STILL, UNSTEADY, Moment
 from compose.fovea.samples import Samples
 from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
 from tests import small
-from tests.compose.fovea.views import SIZE, camera, samples, wall
+from tests.compose.fovea.views import SIZE, camera, random_moment, samples, wall
 
 
 def shifted(time: float, x: float) -> Moment:
@@ -31,13 +30,12 @@ def after(history: History, moment: Moment, new: Samples) -> Samples:
 
 def test_points_at_rest_are_where_their_pose_brings_them_back_from():
     rng = small.rng(4)
-    turns = Rotation.from_rotvec(rng.normal(0, 1, (2, 3))).as_matrix()
-    poses = np.concatenate([np.eye(4)[None, :3], np.dstack([turns, rng.normal(0, 1, (2, 3, 1))])])
+    moment = random_moment(rng, 0.5, 1.0)
     mover = np.array([STILL, 1, 2, UNSTEADY, 1], dtype=np.uint16)
     now = rng.normal(0, 1, (5, 3)).astype(np.float32)
-    rest = Moment(0.5, poses).at_rest(now, mover)
+    rest = moment.at_rest(now, mover)
     for point, before, number in zip(now, rest, mover, strict=True):
-        pose = poses[number] if number < 3 else poses[0]
+        pose = moment.poses[number if number < 3 else 0]
         np.testing.assert_allclose(pose[:, :3] @ before + pose[:, 3], point, atol=1e-6)
     np.testing.assert_array_equal(ALWAYS.at_rest(now, np.zeros(5, dtype=np.uint16)), now)
 

@@ -7,7 +7,6 @@ from dataclasses import fields, replace
 import drjit as dr
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from compose.camera.camera import Camera, camera_from_pose, look_at
 from compose.fovea.earlier import MOST_VIEWS, EarlierView, EarlierViews
@@ -17,6 +16,7 @@ from compose.fovea.reprojection import Reprojected, reproject
 from compose.fovea.samples import Samples
 from tests import small
 from tests.compose.fovea.plain_reprojection import plain_reproject
+from tests.compose.fovea.views import random_moment
 
 WIDTH, HEIGHT = 64, 40
 
@@ -84,7 +84,7 @@ def both(
 ) -> tuple[Reprojected, Reprojected]:
     """What the kernels and the plain twin find."""
     known = EarlierViews(arrays)
-    known.show(moment)
+    known.moment = moment
     for earlier in views:
         known.add(earlier)
     found, expected = reproject(known, view, new), plain_reproject(views, view, new, moment)
@@ -240,13 +240,6 @@ def test_no_kernel_is_compiled_when_camera_gaze_or_sizes_change(arrays):
     assert all(entry["cache_hit"] for entry in kernels)
 
 
-def moment(rng: np.random.Generator, time: float, size: float) -> Moment:
-    """Two movers, turned and shifted by about a size."""
-    turns = Rotation.from_rotvec(rng.normal(0, size, (2, 3))).as_matrix()
-    moved = np.concatenate([turns, rng.normal(0, size, (2, 3, 1))], axis=2)
-    return Moment(time, np.concatenate([np.eye(4)[None, :3], moved]))
-
-
 @pytest.mark.parametrize("size", [0.0, 0.01, 0.3])
 def test_movers_take_their_samples_along(arrays, size):
     """Views of the same moment and of others, from the same viewpoint and from others."""
@@ -255,4 +248,4 @@ def test_movers_take_their_samples_along(arrays, size):
     known = [remembered(view, rng, time=time) for time in (0.1, 0.2, 0.4) for view in views]
     for view in views:
         new = disc(view, rng, 0.5, (0.5, 0.5))
-        assert_equal(*both(arrays, known, view, new, moment(rng, 0.4, size)))
+        assert_equal(*both(arrays, known, view, new, random_moment(rng, 0.4, size)))

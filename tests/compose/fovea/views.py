@@ -1,10 +1,12 @@
-"""Cameras before a wall, and samples of it."""
+"""Cameras before a wall, samples of it, and moments of what moves."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from compose.camera.camera import Camera, look_at
+from compose.fovea.movers import Moment
 from compose.fovea.samples import Samples
 from compose.image.gloss import DIFFUSE
 
@@ -41,3 +43,10 @@ def samples(
         np.full(size, gloss, dtype=np.uint8),
         np.full(size, mover, dtype=np.uint16),
     )
+
+
+def random_moment(rng: np.random.Generator, time: float, size: float) -> Moment:
+    """Two movers, turned and shifted by about a size."""
+    turns = Rotation.from_rotvec(rng.normal(0, size, (2, 3))).as_matrix()
+    moved = np.concatenate([turns, rng.normal(0, size, (2, 3, 1))], axis=2)
+    return Moment(time, np.concatenate([np.eye(4)[None, :3], moved]))

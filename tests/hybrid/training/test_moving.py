@@ -9,6 +9,8 @@ import pytest
 import torch
 
 from compose.base.errors import UserError
+from hybrid.frame import renderer as renderer_module
+from hybrid.frame.irradiance import filled_cache
 from hybrid.frame.renderer import Renderer
 from hybrid.frame.settings import FrameSettings
 from hybrid.runtime.device import device_arrays
@@ -184,3 +186,18 @@ def test_examples_of_the_fusion_show_splats_at_their_times(scene, forest, tmp_pa
         splat = renderer.render_layer(entry.camera, len(forest.counts)).image()
         np.testing.assert_array_equal(example.parents.splat, splat)
     assert len(times) == 2
+
+
+def test_splats_alone_need_no_cache(scene, forest, monkeypatch):
+    """Nor do they leave the scene at another time."""
+    monkeypatch.setattr(renderer_module, "cache_for", None)
+    Renderer(scene, forest).splats(replace(SETTINGS, fovea="fused", time=0.4))
+    assert scene.moving is not None
+    assert scene.moving.time == 0.4
+
+
+def test_a_disc_alone_shows_its_time_though_the_cache_is_filled_for_it(scene, forest, monkeypatch):
+    monkeypatch.setattr(renderer_module, "cache_for", filled_cache)
+    settings = replace(SETTINGS, integrator="cached", time=0.7)
+    expected = Renderer(scene, forest).frame(settings, 5).fovea.radiance
+    np.testing.assert_array_equal(Renderer(scene, forest).disc_alone(settings, 5), expected)
