@@ -163,7 +163,7 @@ class _Tracked:
         """What a track makes of a shape's, or light's, parameters."""
         positions = f"{key}.{_POSITIONS}"
         if self._has(positions):
-            rest = np.reshape(self._parameters[positions].numpy(), (-1, 3)).astype(np.float64)
+            rest = self._rows(positions)
             if isinstance(track, RigidTrack):
                 return self._rigid_mesh(key, rest, track)
             return self._deforming_mesh(key, self._vertices(name, rest, track))
@@ -187,12 +187,16 @@ class _Tracked:
 
         return moved
 
+    def _rows(self, key: str) -> Array:
+        """(N, 3) what a parameter is now: a copy, since its memory is written to at each time."""
+        return np.reshape(self._parameters[key].numpy(), (-1, 3)).astype(np.float64)
+
     def _has_normals(self, key: str) -> bool:
         return self._has(f"{key}.{_NORMALS}") and len(self._parameters[f"{key}.{_NORMALS}"]) > 0
 
     def _rigid_mesh(self, key: str, rest: Array, track: RigidTrack) -> _Part:
         positions, normals = f"{key}.{_POSITIONS}", f"{key}.{_NORMALS}"
-        upright = np.reshape(self._parameters[normals].numpy(), (-1, 3)) if self._has_normals(key) else None
+        upright = self._rows(normals) if self._has_normals(key) else None
 
         def at(time: float) -> dict[str, Any]:
             pose = self.pose(track, time)

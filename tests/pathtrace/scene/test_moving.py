@@ -100,7 +100,9 @@ def test_normals_turn_with_the_shape(tmp_path):
     xml = XML.replace('<cube id="right">', '<cube id="right"><boolean name="face_normals" value="false"/>')
     track = keys({"t": 0}, {"t": 1, "degrees": 30}, axis=[0, 1, 0], about=[1, 0, 0])
     scene = loaded(tmp_path, {"shapes": {"right": track}}, xml)
-    scene.set_time(1.0)
+    # On ways there and back: what is written to the memory of normals must not become what they are at rest.
+    for time in (1.0, 0.5, 0.0, 1.0):
+        scene.set_time(time)
     camera = scene.camera
     features = Tracer(scene).auxiliary(camera, frame_positions(camera), 1, 0)
     normals = np.stack([part.numpy() for part in features.normal], axis=1)
