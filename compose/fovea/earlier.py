@@ -22,9 +22,8 @@ _PLACE = 4
 # The last float of a place holds the mover, the view's number and the class of gloss: 20 bits of the 24 that
 # a float holds exactly.
 _GLOSS_BITS, _VIEW_BITS = 2, (MOST_VIEWS - 1).bit_length()
-# Moments after which samples are dropped, since light has changed. On `room-moving`, fused, two make what a
-# mover uncovers and its shadow 1 dB better than none, four make the shadow 1 dB worse.
-MOST_MOMENTS = 2
+# Moments after which samples are dropped, since light has changed: shadows of two moments ago are seen.
+MOST_MOMENTS = 1
 # Samples for which there is room at first: a disc of a small frame.
 _LEAST_ROOM = 1 << 12
 

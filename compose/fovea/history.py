@@ -34,8 +34,9 @@ from compose.fovea.samples import Floats, Samples
 
 # Samples, and sample positions of auxiliary features, per pixel of an earlier view: old errors fade.
 _MOST_SAMPLES = 32.0
-# The same where something has moved since: light changes, too.
-_MOST_LATER = 2.0
+# The same where something has moved since: light changes, too. On `room-moving`, fused, half a sample makes
+# movers, what they uncover and their shadows 0.1 dB better than none; two make movers 1 dB worse.
+MOST_LATER = 0.5
 # Most sample positions in a pixel over which its auxiliary features are averaged.
 _MOST_POSITIONS = 64
 # What a view knows of a pixel besides what adds up: of what its first sample hit, position, gloss and mover.
@@ -245,7 +246,7 @@ class _View:
         pixels = np.flatnonzero(self.known)
         pixels = pixels[self.records[pixels, COUNT] > 0]
         records, hits = self.records.take(pixels, axis=0), self.hits.take(pixels, axis=0)
-        limit(records, _MOST_SAMPLES if now.time == self.moment.time else _MOST_LATER)
+        limit(records, _MOST_SAMPLES if now.time == self.moment.time else MOST_LATER)
         gloss, mover = hits[:, _GLOSS].astype(np.uint8), hits[:, _MOVER].astype(np.uint16)
         rest = self.moment.at_rest(hits[:, _POINT], mover)
         return EarlierView(records, rest, gloss, mover, self.camera.position, self.moment.time)
