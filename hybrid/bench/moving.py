@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -19,9 +19,11 @@ from hybrid.evaluation.equal_time import at_equal_time
 from hybrid.evaluation.families import enlarged
 from hybrid.frame.live import LiveRenderer
 from hybrid.frame.settings import FrameSettings
+from hybrid.measure.metrics.fovvideovdp import jod_of_video
 from hybrid.measure.metrics.psnr import psnr_of_error
+from hybrid.measure.metrics.registration import registration_px
 from hybrid.measure.reference import REFERENCE_SEED, reference
-from hybrid.measure.regions import regions
+from hybrid.measure.regions import Region, regions
 from hybrid.measure.timing import percentiles, ratio_of_medians
 from hybrid.methods.hybrid import HybridMethod
 from hybrid.methods.method import Method
@@ -32,6 +34,9 @@ from pathtrace.trace.integrator import Integrator
 from pathtrace.trace.tracer import Tracer
 from splat.model.forest import Forest
 
+MOVING = "moving"
+# Regions that are judged as videos, too.
+_AS_VIDEO = "whole", "foveal"
 HYBRID, ALONE, SPLATS, TRACED = "hybrid", "hybrid, no history", "splats alone", "path-traced, denoised"
 # Clips, spread over the time of the scene; frames of each, of which the last is judged; and of a second.
 _CLIPS, _FRAMES, _FRAMES_PER_SECOND = 6, 8, 13.0
@@ -62,9 +67,12 @@ def bench_moving(
         progress: called with clips done and clips in total.
 
     Returns:
-        Rows of `method`, `region`, `psnr` of the pixels of all clips together, `ms` per frame (`p50`, `p95`)
-        and `ratio`, the hybrid's median over the method's. Path-traced frames are denoised, and of so many
-        pixels that they take as long as the hybrid's; they are left out if the smallest takes longer.
+        Rows of `method`, `region`, `psnr` of the pixels of all clips together, `pixels`, `ms` per frame
+        (`p50`, `p95`) and `ratio`, the hybrid's median over the method's. Those of the whole frame and the
+        fovea have `jod`, the mean of the clips as videos, None if FovVideoVDP is not installed; those of what
+        moves have `registration_px`, the median shift of textured windows at least a quarter of which moves,
+        None if there are none. Path-traced frames are denoised, and of so many pixels that they take as long
+        as the hybrid's; they are left out if the smallest takes longer.
 
     Raises:
         UserError: nothing moves in the scene, or nothing that moves is ever seen.
@@ -73,27 +81,16 @@ def bench_moving(
     camera, _ = settings.resolved(scene.camera)
     renderer = LiveRenderer(scene, forest)
     methods = _Methods(renderer, replace(settings, camera=camera))
-    errors: dict[tuple[str, str], list[NDArray[np.float32]]] = {}
-    times: dict[str, list[float]] = {}
+    found: dict[str, _Found] = {}
     for number in range(_CLIPS):
         clip = _clip(renderer.tracer, moving, camera, number, reference_spp)
         for method, shown in methods.played(clip).items():
-            times.setdefault(method, []).extend(shown.milliseconds)
-            squares = _squares(shown.image, clip.truth)
-            for region, mask in clip.regions(settings).items():
-                errors.setdefault((method, region), []).append(squares[mask])
+            found.setdefault(method, _Found()).add(clip, shown, settings)
         progress(number + 1, _CLIPS)
     return [
-        {
-            "method": method,
-            "region": region,
-            "psnr": psnr_of_error(float(np.mean(np.concatenate(found), dtype=np.float64))),
-            "pixels": int(sum(map(len, found))),
-            "ms": percentiles(times[method], (50, 95)),
-            "ratio": ratio_of_medians(times[HYBRID], times[method]),
-        }
-        for (method, region), found in errors.items()
-        if sum(map(len, found))
+        {"method": method, **row, "ratio": ratio_of_medians(found[HYBRID].milliseconds, of.milliseconds)}
+        for method, of in found.items()
+        for row in of.rows()
     ]
 
 
@@ -108,34 +105,80 @@ class _Clip:
     Attributes:
         times: (T,) of the frames, from 0 to 1.
         gaze: on what moves.
-        truth: (H, W, 3) reference radiance.
+        truths: T of (H, W, 3) reference radiance.
         moves, uncovered, shadow: (H, W) what moves; what stands still and was hidden by what moves; and what
             stands still, was not hidden, and has another luminance than a few frames before.
     """
 
     times: Sequence[float]
     gaze: Gaze
-    truth: Image
+    truths: Sequence[Image]
     moves: NDArray[np.bool_]
     uncovered: NDArray[np.bool_]
     shadow: NDArray[np.bool_]
 
-    def regions(self, settings: FrameSettings) -> dict[str, NDArray[np.bool_]]:
-        """Masks (H, W) by name."""
+    @property
+    def truth(self) -> Image:
+        """(H, W, 3) reference radiance of the last frame."""
+        return self.truths[-1]
+
+    def regions(self, settings: FrameSettings) -> dict[str, Region]:
+        """Of the last frame, by name; those without a pixel are left out."""
         found = regions(replace(settings, gaze=self.gaze).foveation, self.truth)
-        return {name: found[name].mask for name in ("whole", "foveal", "salient")} | {
-            "moving": self.moves,
-            "uncovered": self.uncovered,
-            "shadow": self.shadow,
+        more = {MOVING: self.moves, "uncovered": self.uncovered, "shadow": self.shadow}
+        return {name: found[name] for name in (*_AS_VIDEO, "salient")} | {
+            name: Region.of(name, mask) for name, mask in more.items() if mask.any()
         }
 
 
 @dataclass(frozen=True)
 class _Shown:
-    """The last frame of a clip (H, W, 3), and milliseconds of those that are timed."""
+    """The frames of a clip, (H, W, 3) each, and milliseconds of those that are timed."""
 
-    image: Image
+    images: Sequence[Image]
     milliseconds: list[float]
+
+
+class _Found:
+    """What is found of one method, clip by clip.
+
+    Attributes:
+        milliseconds: of all timed frames.
+    """
+
+    def __init__(self) -> None:
+        self.milliseconds: list[float] = []
+        self._errors: dict[str, list[NDArray[np.float32]]] = {}
+        self._jods: dict[str, list[float | None]] = {}
+        self._shifts: list[float] = []
+
+    def add(self, clip: _Clip, shown: _Shown, settings: FrameSettings) -> None:
+        """Judges the last frame of a clip region by region, and all of them as a video."""
+        self.milliseconds += shown.milliseconds
+        squares, found = _squares(shown.images[-1], clip.truth), clip.regions(settings)
+        for name, region in found.items():
+            self._errors.setdefault(name, []).append(squares[region.mask])
+        for name in _AS_VIDEO:
+            score = _video_jod(clip, shown.images, found[name], settings)
+            self._jods.setdefault(name, []).append(score)
+        shift = registration_px(shown.images[-1], clip.truth, clip.moves)
+        self._shifts += [] if shift is None else [shift]
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """One per region."""
+        for name, errors in self._errors.items():
+            row = {
+                "region": name,
+                "psnr": psnr_of_error(float(np.mean(np.concatenate(errors), dtype=np.float64))),
+                "pixels": int(sum(map(len, errors))),
+                "ms": percentiles(self.milliseconds, (50, 95)),
+            }
+            if name in self._jods:
+                scores = [score for score in self._jods[name] if score is not None]
+                row["jod"] = float(np.mean(scores)) if scores else None
+            if name == MOVING:
+                row["registration_px"] = float(np.median(self._shifts)) if self._shifts else None
+            yield row
 
 
 class _Methods:
@@ -163,14 +206,13 @@ class _Methods:
         return {name: self._timed(clip, method) for name, method in methods.items()}
 
     def _timed(self, clip: _Clip, method: _Frame) -> _Shown:
-        milliseconds, image = [], None
+        milliseconds, images = [], []
         for number, at in enumerate(clip.times):
             settings = replace(self._settings, time=at, gaze=clip.gaze)
             start = time.perf_counter()
-            image = method(settings, number)
+            images.append(method(settings, number))
             milliseconds.append((time.perf_counter() - start) * 1000)
-        assert image is not None
-        return _Shown(image, milliseconds[_WARM_UP:])
+        return _Shown(images, milliseconds[_WARM_UP:])
 
     def _frame(self, settings: FrameSettings, seed: int) -> Image:
         return self._renderer.frame(settings, seed).composite
@@ -207,13 +249,15 @@ def _clip(tracer: Tracer, moving: MovingScene, camera: Camera, number: int, spp:
     times = [max(0.0, last - step * before) for before in range(_FRAMES - 1, -1, -1)]
     earlier = times[-1 - _UNCOVERED : -1]
     hidden = np.any([_moves(tracer, moving, camera, at) for at in earlier], axis=0)
-    moving.set_time(earlier[0])
-    before = _reference(tracer, camera, spp)
+    truths = []
+    for at in times:
+        moving.set_time(at)
+        truths.append(reference(tracer, camera, spp, REFERENCE_SEED).radiance)
     moves = _moves(tracer, moving, camera, last)
-    truth = _reference(tracer, camera, spp)
-    changed = np.abs(luminance(truth) - luminance(before)) > _SHADOW * (luminance(truth) + _DARK)
+    before, now = luminance(truths[-1 - _UNCOVERED]), luminance(truths[-1])
+    changed = np.abs(now - before) > _SHADOW * (now + _DARK)
     still = ~moves & ~hidden
-    return _Clip(times, _gaze_on(moves), truth, moves, hidden & ~moves, changed & still)
+    return _Clip(times, _gaze_on(moves), truths, moves, hidden & ~moves, changed & still)
 
 
 def _moves(tracer: Tracer, moving: MovingScene, camera: Camera, at: float) -> NDArray[np.bool_]:
@@ -223,10 +267,6 @@ def _moves(tracer: Tracer, moving: MovingScene, camera: Camera, at: float) -> ND
     numbers = [n for n, shape in enumerate(tracer.scene.mitsuba.shapes()) if shape.id() in tracked]
     found = tracer.hits(camera, frame_positions(camera)).shape
     return np.isin(found, numbers).reshape(camera.height, camera.width)
-
-
-def _reference(tracer: Tracer, camera: Camera, spp: int) -> Image:
-    return reference(tracer, camera, spp, REFERENCE_SEED).radiance
 
 
 def _gaze_on(moves: NDArray[np.bool_]) -> Gaze:
@@ -244,3 +284,16 @@ def _squares(image: Image, truth: Image) -> NDArray[np.float32]:
     """(H, W) mean squared errors of sRGB values."""
     errors = (srgb_from_radiance(image) - srgb_from_radiance(truth)) ** 2
     return np.asarray(errors.mean(axis=-1), dtype=np.float32)
+
+
+def _video_jod(clip: _Clip, images: Sequence[Image], region: Region, settings: FrameSettings) -> float | None:
+    """JOD of a clip as a video, of the box around a region, outside which nothing counts."""
+    height, width = region.mask.shape
+    x, y = clip.gaze.pixel(width, height)
+    rows, columns = region.box
+    gaze = Gaze(
+        (x - columns.start) / (columns.stop - columns.start), (y - rows.start) / (rows.stop - rows.start)
+    )
+    seen = [region.alone(image, truth)[region.box] for image, truth in zip(images, clip.truths, strict=True)]
+    truths = [truth[region.box] for truth in clip.truths]
+    return jod_of_video(seen, truths, _FRAMES_PER_SECOND, settings.display, gaze)

@@ -12,6 +12,7 @@ from hybrid.cli.options import (
     Json,
     ReferenceSpp,
     SceneName,
+    Spp,
     ThinGlass,
     loaded_scene,
     select,
@@ -26,7 +27,8 @@ def moving(
     scene: SceneName,
     forest: ForestFile = None,
     size: FixedSize = (320, 240),
-    reference_spp: ReferenceSpp = 256,
+    spp: Spp = INTERACTIVE.spp,
+    reference_spp: ReferenceSpp = 128,
     thin_glass: ThinGlass = False,
     backend: Backend = "auto",
     json_file: Json = None,
@@ -39,19 +41,28 @@ def moving(
 
     loaded = loaded_scene(scene, None, thin_glass)
     require_moving(loaded)
-    settings = replace(INTERACTIVE, camera=sized(loaded.camera, size))
+    settings = replace(INTERACTIVE, spp=spp, camera=sized(loaded.camera, size))
     found = forest_for(loaded, forest)
     with progress_bar("bench (clips)") as bar:
         rows = bench_moving(loaded, found, settings, reference_spp, bar)
     _print(rows)
-    write_json(json_file, {"scene": loaded.name, "size": size, "rows": rows, "machine": machine()})
+    write_json(
+        json_file, {"scene": loaded.name, "size": size, "spp": spp, "rows": rows, "machine": machine()}
+    )
 
 
 def _print(rows: list[dict[str, Any]]) -> None:
     names = list(dict.fromkeys(row["region"] for row in rows))
     print(f"{'method':<23}" + "".join(f"{name:>11}" for name in names) + "     ms    p95  ratio")
-    for method in dict.fromkeys(row["method"] for row in rows):
-        own = {row["region"]: row for row in rows if row["method"] == method}
+    by_method: dict[str, dict[str, dict[str, Any]]] = {}
+    for row in rows:
+        by_method.setdefault(row["method"], {})[row["region"]] = row
+    for method, own in by_method.items():
         cells = "".join(f"{own[name]['psnr']:8.2f} dB" if name in own else " " * 11 for name in names)
         first = next(iter(own.values()))
         print(f"{method:<23}{cells}{first['ms']['p50']:7.1f}{first['ms']['p95']:7.1f}{first['ratio']:7.2f}")
+    for method, own in by_method.items():
+        more = [f"{row['jod']:.2f} JOD ({name})" for name, row in own.items() if row.get("jod") is not None]
+        shift = own.get("moving", {}).get("registration_px")
+        more += [] if shift is None else [f"what moves is off by {shift:.2f} px"]
+        print(f"{method}: {', '.join(more)}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -40,10 +41,29 @@ def jod(image: Image, reference: Image, display: Display, gaze: Gaze) -> float |
     Raises:
         UserError: the two images cannot be compared.
     """
-    checked_pair(image, reference)
-    if min(image.shape[:2]) < _LEAST_SIZE or display.pixels_per_degree > _MOST_DENSITY:
+    return jod_of_video([image], [reference], 0.0, display, gaze)
+
+
+def jod_of_video(
+    images: Sequence[Image], references: Sequence[Image], rate: float, display: Display, gaze: Gaze
+) -> float | None:
+    """Quality of frames that follow each other, as of `jod` for a single one.
+
+    Args:
+        images, references: F of (H, W, 3) linear radiance each, at least one.
+        rate: frames per second; of no meaning for a single frame.
+        display, gaze: as of `jod`; the gaze rests.
+
+    Raises:
+        UserError: two images cannot be compared.
+        ValueError: there are not as many images as references.
+    """
+    for image, reference in zip(images, references, strict=True):
+        checked_pair(image, reference)
+    height, width = images[0].shape[:2]
+    if min(height, width) < _LEAST_SIZE or display.pixels_per_degree > _MOST_DENSITY:
         return None
-    shown, expected = srgb_from_radiance(image), srgb_from_radiance(reference)
+    shown, expected = (np.stack([srgb_from_radiance(one) for one in all_]) for all_ in (images, references))
     if _is_flat(shown) and _is_flat(expected) and not np.array_equal(shown, expected):
         return None
     try:
@@ -51,19 +71,19 @@ def jod(image: Image, reference: Image, display: Display, gaze: Gaze) -> float |
         import torch
     except ImportError:
         return None
-    height, width = image.shape[:2]
     score, _ = _metric(width, height, display).predict(
         shown,
         expected,
-        dim_order="HWC",
+        dim_order="FHWC",
+        frames_per_second=rate if len(images) > 1 else 0,
         fixation_point=torch.tensor(gaze.pixel(width, height)),
     )
     return float(score)
 
 
 def _is_flat(shown: Image) -> bool:
-    """Whether all pixels are equal."""
-    return bool((shown == shown[0, 0]).all())
+    """Whether all pixels of frames (F, H, W, 3) are equal."""
+    return bool((shown == shown[0, 0, 0]).all())
 
 
 @lru_cache(maxsize=8)
