@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +24,7 @@ from pathtrace.motion.course import Course
 from splat.io.forest_file import save_forest
 from splat.model.check import check_forest
 from splat.model.forest import Forest, forest_of
-from splat.model.motion import RigidMotion
+from splat.model.motion import Motion
 from splat.training.sky import shows_sky
 from splat.training.trainer import Trainer, TrainingSettings, most_layers
 from splat.training.views import TrainingView, finest_focal
@@ -68,12 +69,17 @@ def training_view(entry: FrameEntry, courses: Sequence[Course] = ()) -> Training
     instance = None
     if courses:
         instance = np.full(frame.shape.shape, -1, dtype=np.int32)
-        for number, course in enumerate(courses):
-            instance[frame.shape == course.shape] = number
+        for number, shape in enumerate(pieces_of(courses)):
+            instance[frame.shape == shape] = number
     return TrainingView(camera, frame.radiance, distance, normal, time=entry.time, instance=instance)
 
 
-def motion_of(courses: Sequence[Course]) -> RigidMotion | None:
+def pieces_of(courses: Sequence[Course]) -> dict[int, int]:
+    """Number of courses of each shape that has any, by its index, in their order."""
+    return dict(Counter(course.shape for course in courses))
+
+
+def motion_of(courses: Sequence[Course]) -> Motion | None:
     """The motion of the instances that have courses; None if nothing moves."""
     if not courses:
         return None
@@ -81,7 +87,8 @@ def motion_of(courses: Sequence[Course]) -> RigidMotion | None:
         np.stack([getattr(course, name) for course in courses], axis=1) for name in ("rotations", "shifts")
     )
     centres = np.stack([course.centre for course in courses])
-    return RigidMotion(*(torch.from_numpy(part) for part in (rotations, centres, shifts)))
+    pieces = np.array(list(pieces_of(courses).values()), dtype=np.int64)
+    return Motion(*(torch.from_numpy(part) for part in (rotations, centres, shifts, pieces)))
 
 
 def train(

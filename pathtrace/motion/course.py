@@ -1,4 +1,4 @@
-"""The course of a shape that moves rigidly, as poses in equal steps of time."""
+"""The course of what moves rigidly, a shape or a piece of one, as poses in equal steps of time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Course:
-    """Where a shape is over time.
+    """Where a shape, or a piece of one that deforms, is over time.
 
     Attributes:
         name: its id in the scene's file.

@@ -15,11 +15,14 @@ from compose.base.steps import between_steps
 from compose.camera.place import Place
 from compose.fovea.movers import UNSTEADY, Moment
 from pathtrace.motion.course import Course, course_of_poses
+from pathtrace.motion.pieces import courses_of_pieces
 from pathtrace.motion.tracks import FormulaTrack, LightTrack, MeshTrack, Motion, RigidTrack, ShapeTrack
 
 Array = NDArray[np.float64]
 # Parameters by name that have a value of their own at a time.
 _Part: TypeAlias = Callable[[float], dict[str, Any]]
+# Vertices (N, 3) at rest, and at a time.
+_Deformation: TypeAlias = tuple[Array, Callable[[float], Array]]
 
 _POSITIONS, _NORMALS, _TO_WORLD, _POSITION = "vertex_positions", "vertex_normals", "to_world", "position"
 # Poses of a course: linear between them, a turn of ten times is off by next to nothing.
@@ -54,6 +57,7 @@ class MovingScene:
         self._parameters = mi.traverse(scene)
         self._tracked = _Tracked(self._parameters, names, place, source)
         self._parts = self._tracked.parts(motion)
+        self._deforming = self._tracked.deforming(motion)
         self._shown: dict[str, bytes] = {}
         self._show(0.0)
 
@@ -89,14 +93,19 @@ class MovingScene:
         return [(name, track) for name, track in self.motion.shapes.items() if isinstance(track, RigidTrack)]
 
     def courses(self, steps: int = _STEPS) -> list[Course]:
-        """The courses of all shapes that move rigidly, in the scene's coordinates."""
+        """The courses of all shapes that move, of pieces of those that deform, in the scene's coordinates."""
         index = {shape.id(): number for number, shape in enumerate(self._scene.shapes())}
-        found = []
-        for name, track in self._rigid_tracks():
-            if self._names[name] in index:
-                poses = np.stack([self._tracked.pose(track, time) for time in np.linspace(0, 1, steps)])
-                centre = self._tracked.place_of(track.about)
-                found.append(course_of_poses(name, index[self._names[name]], poses, centre))
+        times, found = np.linspace(0, 1, steps), []
+        for name, track in self.motion.shapes.items():
+            number = index.get(self._names[name])
+            if number is None:
+                continue
+            if isinstance(track, RigidTrack):
+                poses = np.stack([self._tracked.pose(track, time) for time in times])
+                found.append(course_of_poses(name, number, poses, self._tracked.place_of(track.about)))
+            else:
+                rest, at = self._deforming[name]
+                found += courses_of_pieces(name, number, rest, np.stack([at(time) for time in times]))
         return found
 
     def _show(self, time: float) -> None:
@@ -143,6 +152,15 @@ class _Tracked:
             self._shining(name, self._key(name, "light"), track) for name, track in motion.lights.items()
         ]
         return shapes + lights
+
+    def deforming(self, motion: Motion) -> dict[str, _Deformation]:
+        """Vertices (N, 3) at rest of what deforms, and those at a time, by its name in the scene's file."""
+        found = {}
+        for name, track in motion.shapes.items():
+            if not isinstance(track, RigidTrack):
+                rest = self._rows(f"{self._names[name]}.{_POSITIONS}")
+                found[name] = rest, self._vertices(name, rest, track)
+        return found
 
     def place_of(self, point: Sequence[float]) -> Array:
         """A point (3,) of the scene's file in the scene's coordinates."""

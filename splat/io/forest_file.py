@@ -18,7 +18,7 @@ from splat.model.forest import Forest
 from splat.model.gaussians import Gaussians
 from splat.model.layer import LABELS, Layer
 from splat.model.light_course import LightCourse
-from splat.model.motion import RigidMotion
+from splat.model.motion import Motion
 
 _ATTACHED, _MOTION, _LIGHT = "attached.", "motion.", "light."
 _UNIT_TOLERANCE = 1e-6
@@ -92,12 +92,14 @@ def _under(prefix: str, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Ten
     return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
 
 
-def _motion(tensors: dict[str, torch.Tensor]) -> RigidMotion | None:
+def _motion(tensors: dict[str, torch.Tensor]) -> Motion | None:
     """The motion of the instances; None in a file that has none."""
     found = _under(_MOTION, tensors)
     if not found:
         return None
-    motion = RigidMotion(**{field.name: found[field.name] for field in fields(RigidMotion)})
+    # Files that earlier versions wrote know of instances of one piece only.
+    found.setdefault("pieces", torch.ones(len(found["centres"]), dtype=torch.int64))
+    motion = Motion(**{field.name: found[field.name] for field in fields(Motion)})
     if not all(bool(torch.isfinite(tensor).all()) for tensor in motion.tensors().values()):
         raise ValueError("a motion that is not finite")
     if not bool(((motion.rotations.norm(dim=2) - 1).abs() < _UNIT_TOLERANCE).all()):

@@ -1,7 +1,9 @@
-"""Rigid motion of instances: where the dynamic nodes of a forest are at a time.
+"""Motion of instances: where the dynamic nodes of a forest are at a time.
 
 Fov-GS deforms every dynamic Gaussian by a network (section 3.4). Where instances move rigidly, six numbers
-per instance and time say as much, at next to no cost.
+per instance and time say as much, at next to no cost. An instance that deforms consists of pieces that move
+nearly rigidly; each of its nodes follows the nearest of them (linear blend skinning, as the control points of
+SC-GS, Huang et al. 2024).
 """
 
 from __future__ import annotations
@@ -14,42 +16,84 @@ from compose.base.steps import between_steps
 from compose.camera.place import Place
 from splat.model.gaussians import Gaussians
 
+# Pieces that a node follows, at most.
+_FOLLOWED = 4
+# Distance that counts as none.
+_TINY = 1e-12
+
 
 @dataclass(frozen=True)
 class Poses:
-    """Where L instances are at one time: a point p at rest is at rotation p + offset.
+    """Where the P pieces of L instances are at one time: a point p at rest is at rotation p + offset.
 
     Attributes:
-        rotations: (L, 4) float64, unit quaternions (w, x, y, z).
-        offsets: (L, 3) float64.
+        rotations: (P, 4) float64, unit quaternions (w, x, y, z).
+        offsets: (P, 3) float64.
+        centres: (P, 3) float64, points at rest.
+        pieces: (L,) int64, number of pieces of each instance.
     """
 
     rotations: torch.Tensor
     offsets: torch.Tensor
+    centres: torch.Tensor
+    pieces: torch.Tensor
 
     def inverse(self) -> Poses:
-        """The way back to rest."""
+        """The way back to rest; exact for instances of one piece."""
         back = self.rotations * self.rotations.new_tensor([1, -1, -1, -1])
-        return Poses(back, -turned(back.T, self.offsets.T).T)
+        there = turned(self.rotations.T, self.centres.T).T + self.offsets
+        return Poses(back, -turned(back.T, self.offsets.T).T, there, self.pieces)
+
+    def followed(self, means: torch.Tensor, instance: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Which pieces points follow, and how much.
+
+        A piece's weight falls with the distance of its centre, to zero at that of the nearest piece which is
+        not followed any more: it changes without a jump along the instance.
+
+        Args:
+            means: (3, M) points at rest.
+            instance: (M,) that they belong to.
+
+        Returns:
+            (M, F) indices of pieces, and (M, F) weights, which sum to one.
+        """
+        first = torch.cumsum(self.pieces, 0) - self.pieces
+        if bool((self.pieces == 1).all()):
+            return first[instance][:, None], means.new_ones(len(instance), 1)
+        # (M, P); pieces of other instances are infinitely far.
+        distance = torch.cdist(means.T, self.centres.to(means.dtype))
+        own = torch.repeat_interleave(torch.arange(len(self.pieces)), self.pieces)
+        distance = torch.where(own == instance[:, None], distance, torch.inf)
+        near, index = distance.topk(min(_FOLLOWED + 1, distance.shape[1]), dim=1, largest=False)
+        # An instance with few pieces has them all followed. Infinities would have no gradient.
+        known = torch.isfinite(near)
+        farthest = 2 * torch.where(known, near, 0).amax(dim=1, keepdim=True).clamp(min=_TINY)
+        beyond = torch.where(known[:, -1:], near[:, -1:], farthest)
+        weights = (1 - torch.where(known, near, beyond) / beyond)[:, :_FOLLOWED].clamp(min=0) ** 2
+        # A point as far from all pieces as from the nearest follows all alike.
+        weights = weights + _TINY
+        return index[:, :_FOLLOWED], weights / weights.sum(dim=1, keepdim=True)
 
 
 @dataclass(frozen=True)
-class RigidMotion:
-    """The courses of L instances, from T poses each.
+class Motion:
+    """The courses of L instances of P pieces, from T poses each.
 
     Attributes:
-        rotations: (T, L, 4) float64, unit quaternions (w, x, y, z) from rest, at T equal steps of time from 0
+        rotations: (T, P, 4) float64, unit quaternions (w, x, y, z) from rest, at T equal steps of time from 0
             to 1; two or more.
-        centres: (L, 3) float64, points at rest; between two steps, they move in a straight line.
-        shifts: (T, L, 3) float64, how far the centres are from rest.
+        centres: (P, 3) float64, points at rest; between two steps, they move in a straight line.
+        shifts: (T, P, 3) float64, how far the centres are from rest.
+        pieces: (L,) int64, number of pieces of each instance, one or more; P in all.
 
     Raises:
-        ValueError: a tensor has the wrong shape or type.
+        ValueError: a tensor has the wrong shape or type, or pieces do not sum up.
     """
 
     rotations: torch.Tensor
     centres: torch.Tensor
     shifts: torch.Tensor
+    pieces: torch.Tensor
 
     def __post_init__(self) -> None:
         steps, count = self.rotations.shape[:2] if self.rotations.ndim == 3 else (0, 0)
@@ -62,6 +106,10 @@ class RigidMotion:
                 )
         if steps < 2:
             raise ValueError(f"{steps} poses; must be two or more")
+        if self.pieces.ndim != 1 or self.pieces.dtype != torch.int64 or bool((self.pieces < 1).any()):
+            raise ValueError("pieces must be int64 (L,), one or more each")
+        if int(self.pieces.sum()) != count:
+            raise ValueError(f"instances of {self.pieces.tolist()} pieces; there are poses of {count}")
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All numbers, by name."""
@@ -69,16 +117,17 @@ class RigidMotion:
 
     def __len__(self) -> int:
         """Number of instances."""
-        return len(self.centres)
+        return len(self.pieces)
 
     def at(self, time: float) -> Poses:
         """The poses at a time from 0 to 1."""
         first, share = between_steps(time, len(self.rotations))
         rotations = _between(self.rotations[first], self.rotations[first + 1], share)
         shifts = torch.lerp(self.shifts[first], self.shifts[first + 1], share)
-        return Poses(rotations, self.centres + shifts - turned(rotations.T, self.centres.T).T)
+        offsets = self.centres + shifts - turned(rotations.T, self.centres.T).T
+        return Poses(rotations, offsets, self.centres, self.pieces)
 
-    def placed(self, place: Place) -> RigidMotion:
+    def placed(self, place: Place) -> Motion:
         """The motion in the coordinates of a place, from that in world space."""
         origin = torch.tensor(place.origin, dtype=torch.float64)
         return replace(self, centres=(self.centres - origin) / place.unit, shifts=self.shifts / place.unit)
@@ -97,16 +146,36 @@ def posed(gaussians: Gaussians, instance: torch.Tensor, poses: Poses) -> Gaussia
     moving = torch.nonzero(instance >= 0)[:, 0]
     if not len(moving):
         return gaussians
-    of = instance[moving].long()
-    rotations = poses.rotations[of].T.to(gaussians.means.dtype)
-    offsets = poses.offsets[of].T.to(gaussians.means.dtype)
-    means = turned(rotations, gaussians.means[:, moving]) + offsets
+    of, means = instance[moving].long(), gaussians.means[:, moving]
+    index, weights = poses.followed(means, of)
+    means, rotations = _blended(poses, index, weights, means)
     orientations = multiplied(rotations, gaussians.rotations[:, moving])
     return replace(
         gaussians,
         means=gaussians.means.index_copy(1, moving, means),
         rotations=gaussians.rotations.index_copy(1, moving, orientations),
     )
+
+
+def _blended(
+    poses: Poses, index: torch.Tensor, weights: torch.Tensor, means: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Where points (3, M) are, and unit quaternions (4, M) by which they have turned.
+
+    Args:
+        poses: of the pieces.
+        index, weights: (M, F) pieces that they follow, and how much.
+        means: (3, M) at rest.
+    """
+    place, turn = torch.zeros_like(means), means.new_zeros(4, means.shape[1])
+    leading = poses.rotations[index[:, 0]].T.to(means.dtype)
+    for piece, weight in zip(index.T, weights.T, strict=True):
+        rotations, offsets = poses.rotations[piece].T.to(means.dtype), poses.offsets[piece].T.to(means.dtype)
+        place = place + weight * (turned(rotations, means) + offsets)
+        # Either sign of a quaternion is the same turn.
+        sign = torch.where((rotations * leading).sum(dim=0) < 0, -1.0, 1.0)
+        turn = turn + weight * sign * rotations
+    return place, turn / turn.norm(dim=0, keepdim=True)
 
 
 def turned(quaternions: torch.Tensor, points: torch.Tensor) -> torch.Tensor:

@@ -10,7 +10,7 @@ import torch
 
 from compose.base.arrays import Arrays
 from splat.model.layer import LABELS, NO_PARENT, Layer, concatenated_layers
-from splat.model.motion import RigidMotion, posed
+from splat.model.motion import Motion, posed
 from splat.raster.differentiable import render_differentiable
 from splat.raster.projection import PIXEL_FILTER
 from splat.training.density import DensityControl
@@ -54,7 +54,7 @@ class LayerTraining:
         views: list[TrainingView],
         steps: int,
         seed: list[int],
-        motion: RigidMotion | None = None,
+        motion: Motion | None = None,
     ):
         self._motion = motion
         self.views, self.done, self.skipped, self.begun = views, 0, 0, False

@@ -18,7 +18,7 @@ from compose.base.seeds import require_seed
 from splat.model.building import build_forest
 from splat.model.forest import Forest
 from splat.model.layer import NO_PARENT, Layer, without_parents
-from splat.model.motion import RigidMotion
+from splat.model.motion import Motion
 from splat.model.settling import settle
 from splat.training.density import INITIAL_SHARE
 from splat.training.initialization import seed_from_views
@@ -102,7 +102,7 @@ class Trainer:
         views: list[TrainingView],
         settings: TrainingSettings,
         start: Forest | None = None,
-        motion: RigidMotion | None = None,
+        motion: Motion | None = None,
     ):
         self.settings = settings
         finite = [view for view in views if view.is_finite]

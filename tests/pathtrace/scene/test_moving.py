@@ -330,7 +330,7 @@ def test_courses_say_where_shapes_are(tmp_path):
     turning = keys(
         {"t": 0}, {"t": 1, "translate": [0, 0.3, 0], "degrees": 40}, axis=[1, 2, 0], about=[1, 0, 0]
     )
-    motion = {"shapes": {"right": turning, "lamp": RIGHT, "left": {"formula": ["x", "y", "z"]}}}
+    motion = {"shapes": {"right": turning, "lamp": RIGHT}}
     scene = loaded(tmp_path, motion)
     assert scene.moving is not None
     (course,) = scene.moving.courses(5)
@@ -342,6 +342,19 @@ def test_courses_say_where_shapes_are(tmp_path):
     turn = Rotation.from_quat(course.rotations[3][[1, 2, 3, 0]])
     at_rest = turn.inv().apply(points - course.centre - course.shifts[3]) + course.centre
     np.testing.assert_allclose(np.abs(at_rest - [1, 0, 0]).max(axis=1), 0.3, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("formula", "pieces"),
+    [(["x", "y", "z"], 1), (["x", "y + 0.4 * t", "z"], 1), (["x", "y + t * x**2", "z"], 8)],
+)
+def test_what_deforms_has_as_many_pieces_as_it_requires(tmp_path, formula, pieces):
+    """A cube has eight vertices in different places."""
+    scene = loaded(tmp_path, {"shapes": {"left": {"formula": formula}}})
+    assert scene.moving is not None
+    courses = scene.moving.courses(5)
+    assert {course.name for course in courses} == {"left"}
+    assert len({tuple(course.centre) for course in courses}) == pieces
 
 
 def radiance(scene: Scene) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from splat.model.motion import RigidMotion, posed
+from splat.model.motion import Motion, posed
 from splat.raster.differentiable import render_differentiable
 from splat.training.trainer import Trainer, TrainingSettings
 from splat.training.views import TrainingView
@@ -19,13 +19,14 @@ WAY, TURN = 1.0, np.pi / 2
 CENTRE = np.array([-0.5, 0.0, -0.6])
 
 
-def motion(steps: int = 9) -> RigidMotion:
+def motion(steps: int = 9) -> Motion:
     times = np.linspace(0, 1, steps)
     rotations = np.zeros((steps, 1, 4))
     rotations[:, 0, 0], rotations[:, 0, 3] = np.cos(times * TURN / 2), np.sin(times * TURN / 2)
     shifts = np.zeros((steps, 1, 3))
     shifts[:, 0, 0] = times * WAY
-    return RigidMotion(torch.from_numpy(rotations), torch.from_numpy(CENTRE[None]), torch.from_numpy(shifts))
+    centres, one = torch.from_numpy(CENTRE[None]), torch.ones(1, dtype=torch.int64)
+    return Motion(torch.from_numpy(rotations), centres, torch.from_numpy(shifts), one)
 
 
 def scene(x: float, time: float) -> TrainingView:
