@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
@@ -45,6 +46,8 @@ _UNCOVERED = 4
 # Relative change of luminance over these frames from which on a still surface counts as in a moving shadow.
 _SHADOW = 0.05
 _DARK = 1e-3
+# Pixels up to which a still surface is beside a moving shadow.
+_BESIDE = 8
 # Frames of a clip that are not timed: the first ones wait for kernels.
 _WARM_UP = 2
 # Paths per pixel of the path-traced frames, from which their number at equal time is sought.
@@ -106,8 +109,9 @@ class _Clip:
         times: (T,) of the frames, from 0 to 1.
         gaze: on what moves.
         truths: T of (H, W, 3) reference radiance.
-        moves, uncovered, shadow: (H, W) what moves; what stands still and was hidden by what moves; and what
-            stands still, was not hidden, and has another luminance than a few frames before.
+        moves, uncovered, shadow, beside: (H, W) what moves; what stands still and was hidden by what moves;
+            what stands still, was not hidden, and has another luminance than a few frames before; and what is
+            close to that, stands still and has not changed.
     """
 
     times: Sequence[float]
@@ -116,6 +120,7 @@ class _Clip:
     moves: NDArray[np.bool_]
     uncovered: NDArray[np.bool_]
     shadow: NDArray[np.bool_]
+    beside: NDArray[np.bool_]
 
     @property
     def truth(self) -> Image:
@@ -125,7 +130,12 @@ class _Clip:
     def regions(self, settings: FrameSettings) -> dict[str, Region]:
         """Of the last frame, by name; those without a pixel are left out."""
         found = regions(replace(settings, gaze=self.gaze).foveation, self.truth)
-        more = {MOVING: self.moves, "uncovered": self.uncovered, "shadow": self.shadow}
+        more = {
+            MOVING: self.moves,
+            "uncovered": self.uncovered,
+            "shadow": self.shadow,
+            "beside": self.beside,
+        }
         return {name: found[name] for name in (*_AS_VIDEO, "salient")} | {
             name: Region.of(name, mask) for name, mask in more.items() if mask.any()
         }
@@ -257,7 +267,9 @@ def _clip(tracer: Tracer, moving: MovingScene, camera: Camera, number: int, spp:
     before, now = luminance(truths[-1 - _UNCOVERED]), luminance(truths[-1])
     changed = np.abs(now - before) > _SHADOW * (now + _DARK)
     still = ~moves & ~hidden
-    return _Clip(times, _gaze_on(moves), truths, moves, hidden & ~moves, changed & still)
+    shadow = changed & still
+    beside = binary_dilation(shadow, iterations=_BESIDE) & still & ~shadow
+    return _Clip(times, _gaze_on(moves), truths, moves, hidden & ~moves, shadow, beside)
 
 
 def _moves(tracer: Tracer, moving: MovingScene, camera: Camera, at: float) -> NDArray[np.bool_]:

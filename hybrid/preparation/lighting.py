@@ -1,7 +1,8 @@
 """How the light on the nodes of a forest changes over time, as the path tracer finds it.
 
-Trained on frames of many times, a node has the radiance of most of them. The path tracer knows the irradiance
-where the node is, at any time: their ratio is the node's factor, and no step of training is spent on it.
+Trained on frames of many times, a node has a radiance between the median and the mean of theirs. The path
+tracer knows the irradiance where the node is, at any time: their ratio is the node's factor, and no step of
+training is spent on it.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from pathtrace.scene.scene import Scene
 from splat.model.forest import Forest
 from splat.model.light_course import LightCourse
 
-# Times at which irradiance is found.
-_TIMES = 33
+# Times at which irradiance is found: so many in a second of the scene, within limits.
+_PER_SECOND, _LEAST_TIMES, _MOST_TIMES = 30, 33, 513
 # Change of the factor from which a node has a course.
 _LEAST_CHANGE = 0.08
 # Largest factor: where there is no light most of the time, ratios mean nothing.
@@ -35,6 +36,8 @@ _VIEWS = 48
 _REACH, _SHARE = 2.0, 2e-3
 # Irradiance that counts as none, as a share of the mean.
 _DARK = 1e-3
+# Of the curve on which training compares radiance, about.
+_GAMMA = 2.2
 
 
 def with_light_course(
@@ -61,12 +64,9 @@ def with_light_course(
     still = np.flatnonzero(found & (forest.nodes.semantic.numpy() < 0))
     if not len(still):
         return forest
-    times = np.linspace(0, 1, _TIMES).tolist()
     with bars("light over time") as bar:
-        irradiance = irradiance_over_time(scene, cache, points.take(still), times, seed, bar)
-    usual = np.median(irradiance, axis=0)
-    least = max(_DARK * float(usual.mean()), 1e-12)
-    factors = np.minimum((irradiance + least) / (usual + least), _LARGEST)
+        irradiance = irradiance_over_time(scene, cache, points.take(still), _times(scene), seed, bar)
+    factors = _of_usual(irradiance)
     changes = np.ptp(factors, axis=0) > _LEAST_CHANGE
     if not changes.any():
         return forest
@@ -74,6 +74,21 @@ def with_light_course(
         torch.from_numpy(still[changes]), torch.from_numpy(factors[:, changes].astype(np.float32))
     )
     return replace(forest, light=course)
+
+
+def _times(scene: Scene) -> list[float]:
+    seconds = 0.0 if scene.moving is None else scene.moving.motion.seconds
+    count = min(max(round(seconds * _PER_SECOND) + 1, _LEAST_TIMES), _MOST_TIMES)
+    return [float(time) for time in np.linspace(0, 1, count)]
+
+
+def _of_usual(irradiance: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Irradiance (T, N) over that which training has seen most of, up to a limit."""
+    seen = irradiance.astype(np.float64)
+    perceived = (seen ** (1 / _GAMMA)).mean(axis=0) ** _GAMMA
+    usual = (np.median(seen, axis=0) + perceived) / 2
+    least = max(_DARK * float(usual.mean()), 1e-12)
+    return np.minimum((seen + least) / (usual + least), _LARGEST)
 
 
 def _on_still_surfaces(
