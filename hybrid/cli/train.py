@@ -20,6 +20,7 @@ from hybrid.cli.options import (
     write_json,
 )
 from hybrid.runtime.progress import progress_bar
+from splat.model.motion_model import MotionModel
 
 _MOST_ITERATIONS = 10_000_000
 
@@ -35,6 +36,13 @@ def train(
     ] = 40_000,
     layers: Annotated[int, typer.Option(help="Layers of the forest; 1 for Gaussians without trees.")] = 4,
     degree: Annotated[int, typer.Option(help="Degree of the spherical harmonics, 0 to 3.")] = 2,
+    motion: Annotated[
+        MotionModel,
+        typer.Option(
+            help="What moves: by courses that the frames know, or deformed by a field that is learned, that "
+            "of D-GS (everything, or only what the frames show to move) or of 4DGS."
+        ),
+    ] = MotionModel.KNOWN,
     seed: Seed = 0,
     backend: Backend = "auto",
     json_file: Json = None,
@@ -52,7 +60,7 @@ def train(
     from splat.training.trainer import TrainingSettings
 
     with user_errors():
-        settings = TrainingSettings(iterations, gaussians, layers, degree, seed)
+        settings = TrainingSettings(iterations, gaussians, layers, degree, seed, motion)
     found = read_frame_set(frames)
     check_writable(forest)
     start = time.perf_counter()

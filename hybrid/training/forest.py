@@ -25,6 +25,7 @@ from splat.io.forest_file import save_forest
 from splat.model.check import check_forest
 from splat.model.forest import Forest, forest_of
 from splat.model.motion import Motion
+from splat.model.motion_model import MotionModel
 from splat.training.sky import shows_sky
 from splat.training.trainer import Trainer, TrainingSettings, most_layers
 from splat.training.views import TrainingView, finest_focal
@@ -117,7 +118,8 @@ def train(
     _require_enough(frames, settings)
     views = [training_view(entry, frames.courses) for entry in frames.training]
     try:
-        trainer = Trainer(device_arrays(), views, settings, start, motion_of(frames.courses))
+        known = motion_of(frames.courses) if settings.motion is MotionModel.KNOWN else None
+        trainer = Trainer(device_arrays(), views, settings, start, known)
     except ValueError as error:
         raise UserError(f"{frames.folder}: {error}") from error
     checkpoint = checkpoint_path(path)

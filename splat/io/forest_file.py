@@ -12,8 +12,10 @@ import torch
 from compose.base.errors import UserError, one_line
 from compose.base.scene_names import claimed_scene
 from compose.camera.place import WORLD, Place
+from splat.deformation.learned import LearnedMotion
 from splat.io.tensors import FORMAT_VERSION, PLACED_VERSION, load_metadata, load_tensors, save_tensors
 from splat.model.check import check_forest
+from splat.model.dynamics import Dynamics
 from splat.model.forest import Forest
 from splat.model.gaussians import Gaussians
 from splat.model.layer import LABELS, Layer
@@ -92,11 +94,18 @@ def _under(prefix: str, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Ten
     return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
 
 
-def _motion(tensors: dict[str, torch.Tensor]) -> Motion | None:
-    """The motion of the instances; None in a file that has none."""
+def _motion(tensors: dict[str, torch.Tensor]) -> Dynamics | None:
+    """The motion of the instances, known or learned; None in a file that has none."""
     found = _under(_MOTION, tensors)
     if not found:
         return None
+    if "centres" not in found:
+        if not all(bool(torch.isfinite(tensor).all()) for tensor in found.values()):
+            raise ValueError("a learned motion that is not finite")
+        try:
+            return LearnedMotion.restored(found)
+        except RuntimeError as error:
+            raise ValueError(f"a learned motion of no known kind: {one_line(error)}") from error
     # Files that earlier versions wrote know of instances of one piece only.
     found.setdefault("pieces", torch.ones(len(found["centres"]), dtype=torch.int64))
     motion = Motion(**{field.name: found[field.name] for field in fields(Motion)})

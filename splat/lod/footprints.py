@@ -15,7 +15,6 @@ from compose.camera.camera import Camera
 from splat.model.forest import Forest
 from splat.model.gaussians import Gaussians
 from splat.model.light_course import in_light
-from splat.model.motion import posed
 from splat.raster.binning import depth_order
 from splat.raster.projection import PIXEL_FILTER, Footprints, Parameters, footprints, may_show
 from splat.raster.records import RecordLayout, Records, concatenated_records
@@ -98,7 +97,8 @@ class ForestFootprints:
         self._key = None
         nodes = self._forest.nodes
         gaussians = nodes.gaussians.select(self._dynamic)
-        moved = posed(gaussians, nodes.semantic[self._dynamic], self._forest.motion.at(time))
+        with torch.no_grad():
+            moved = self._forest.motion.shown(gaussians, nodes.semantic[self._dynamic], time)
         self._nodes.move(self._dynamic, moved)
         for bounds in self._bounds:
             bounds.move(self._dynamic, moved)
@@ -187,7 +187,7 @@ class _LayerBounds:
         # Shared with the forest, which is at rest.
         means = gaussians.means.clone() if moves else gaussians.means
         self.means = [_row(arrays, row) for row in means[:, first:end]]
-        self.size = _row(arrays, gaussians.log_scales[:, first:end].max(dim=0).values.exp())
+        self.size = _row(arrays, _longest(gaussians)[first:end])
 
     def move(self, nodes: torch.Tensor, gaussians: Gaussians) -> None:
         """Moves those of some nodes (M,) of the forest that are in this layer to where Gaussians (M) are."""
@@ -195,8 +195,14 @@ class _LayerBounds:
         own = torch.nonzero((nodes >= first) & (nodes < end))[:, 0]
         if len(own):
             index = self._arrays.plain.UInt((nodes[own] - first).numpy())
-            for row, values in zip(self.means, gaussians.means[:, own], strict=True):
+            rows, sizes = [*self.means, self.size], _longest(gaussians)[None]
+            for row, values in zip(rows, torch.cat([gaussians.means, sizes])[:, own], strict=True):
                 dr.scatter(row, _row(self._arrays, values), index, mode=dr.ReduceMode.Permute)
+
+
+def _longest(gaussians: Gaussians) -> torch.Tensor:
+    """(N,) longest axis of Gaussians, as a standard deviation."""
+    return gaussians.log_scales.max(dim=0).values.exp()
 
 
 class _NodeTable:
@@ -213,9 +219,9 @@ class _NodeTable:
         self._records = layout.upload(arrays, **tensors)
 
     def move(self, nodes: torch.Tensor, gaussians: Gaussians) -> None:
-        """Moves and turns some nodes (M,) of the forest to where Gaussians (M) are."""
+        """Gives some nodes (M,) of the forest place, orientation and size of Gaussians (M)."""
         index = self._arrays.plain.UInt(nodes.numpy())
-        rows = {"means": gaussians.means, "rotations": gaussians.rotations}
+        rows = {name: getattr(gaussians, name) for name in ("means", "rotations", "log_scales")}
         self._records.write(
             index, **{name: [_row(self._arrays, row) for row in tensor] for name, tensor in rows.items()}
         )

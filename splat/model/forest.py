@@ -16,10 +16,10 @@ import torch
 from numpy.typing import NDArray
 
 from compose.camera.place import WORLD, Place
+from splat.model.dynamics import Dynamics
 from splat.model.gaussians import Gaussians
 from splat.model.layer import Layer, concatenated_layers
 from splat.model.light_course import LightCourse
-from splat.model.motion import Motion
 from splat.model.rows import means_of
 from splat.model.z_curve import z_curve_order
 
@@ -51,7 +51,7 @@ class Forest:
     scene_hash: str
     attached: dict[str, torch.Tensor] = field(default_factory=dict)
     place: Place = WORLD
-    motion: Motion | None = None
+    motion: Dynamics | None = None
     light: LightCourse | None = None
 
     def __post_init__(self) -> None:
@@ -102,7 +102,7 @@ def forest_of(
     scene_name: str,
     scene_hash: str,
     place: Place = WORLD,
-    motion: Motion | None = None,
+    motion: Dynamics | None = None,
 ) -> Forest:
     """Builds a forest from its layers, coarsest first; `place` says in which coordinates they are.
 

@@ -127,6 +127,14 @@ class Motion:
         offsets = self.centres + shifts - turned(rotations.T, self.centres.T).T
         return Poses(rotations, offsets, self.centres, self.pieces)
 
+    def shown(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
+        """As of `Dynamics`."""
+        return posed(gaussians, instance, self.at(time))
+
+    def at_rest(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
+        """As of `Dynamics`; exact for instances of one piece."""
+        return posed(gaussians, instance, self.at(time).inverse())
+
     def placed(self, place: Place) -> Motion:
         """The motion in the coordinates of a place, from that in world space."""
         origin = torch.tensor(place.origin, dtype=torch.float64)

@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from splat.model.dynamics import Dynamics
 from splat.model.gaussians import Gaussians
 from splat.model.layer import Layer, concatenated_layers, static_layer
-from splat.model.motion import Motion
 from splat.training.initialization import seed_at
 from splat.training.views import TrainingView
 
@@ -35,7 +35,7 @@ class DensityControl:
         motion: of the instances that views show; None if nothing moves.
     """
 
-    def __init__(self, iterations: int, initial_count: int, final_count: int, motion: Motion | None = None):
+    def __init__(self, iterations: int, initial_count: int, final_count: int, motion: Dynamics | None = None):
         self.iterations, self.initial_count, self.final_count = iterations, initial_count, final_count
         self._motion = motion
         self._every = max(1, min(_EVERY, int((_LAST - _FIRST) * iterations) // _CHANGES))

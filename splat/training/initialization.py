@@ -9,9 +9,9 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from splat.model.dynamics import Dynamics
 from splat.model.gaussians import SH_DC, Gaussians, sh_count
 from splat.model.layer import Layer, concatenated_layers, static_layer
-from splat.model.motion import Motion, posed
 from splat.model.perceptual import perceptual_from_radiance
 from splat.training.sky import rotation_to, whole_sky
 from splat.training.views import TrainingView
@@ -38,7 +38,7 @@ def seed_from_views(
     count: int,
     degree: int,
     rng: np.random.Generator,
-    motion: Motion | None = None,
+    motion: Dynamics | None = None,
 ) -> Layer:
     """Seeds at `count` random pixels of all views, wide enough to cover the surfaces together, and at rest.
 
@@ -104,7 +104,7 @@ def _first_seed(
     size: float,
     degree: int,
     rng: np.random.Generator,
-    motion: Motion | None,
+    motion: Dynamics | None,
 ) -> Layer:
     """One seed, where hardly any pixel shows a surface and no random one did; none if there is no surface."""
     view = max(views, key=lambda view: len(view.surface_pixels))
@@ -117,7 +117,7 @@ def seed_at(
     pixels: NDArray[np.int64],
     size: float,
     degree: int,
-    motion: Motion | None = None,
+    motion: Dynamics | None = None,
 ) -> Layer:
     """Seeds at pixels of one view, labelled by the instances that these show.
 
@@ -151,5 +151,5 @@ def seed_at(
     if motion is None:
         return static_layer(seeds)
     instance = torch.from_numpy(view.instances(pixels))
-    seeds = posed(seeds, instance, motion.at(view.time).inverse())
+    seeds = motion.at_rest(seeds, instance, view.time)
     return replace(static_layer(seeds), semantic=instance, dynamic=instance >= 0)

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from compose.base.arrays import Arrays
+from splat.model.dynamics import Dynamics
 from splat.model.layer import LABELS, NO_PARENT, Layer, concatenated_layers
-from splat.model.motion import Motion, posed
 from splat.raster.differentiable import render_differentiable
 from splat.raster.projection import PIXEL_FILTER
 from splat.training.density import DensityControl
@@ -39,6 +39,7 @@ class LayerTraining:
         views: as given.
         done: steps so far.
         skipped: those of them that changed nothing, because their loss or its gradient was not finite.
+        stepped: whether the last one changed something.
         begun: whether the layer has nodes.
     """
 
@@ -54,10 +55,11 @@ class LayerTraining:
         views: list[TrainingView],
         steps: int,
         seed: list[int],
-        motion: Motion | None = None,
+        motion: Dynamics | None = None,
     ):
         self._motion = motion
         self.views, self.done, self.skipped, self.begun = views, 0, 0, False
+        self.stepped = False
         self._arrays, self._steps, self._seed = arrays, steps, seed
         self._targets = [Target(arrays, torch.from_numpy(v.radiance)) for v in views]
         self._pixel = pixel_footprint(views)
@@ -93,15 +95,16 @@ class LayerTraining:
         index = self._view_of(self.done)
         camera, time = self.views[index].camera, self.views[index].time
         semantic, gaussians = self._tree.semantic, self._optimizer.gaussians
-        poses = None if self._motion is None else self._motion.at(time)
-        shown = visible(
-            self._arrays, gaussians if poses is None else posed(gaussians, semantic, poses), camera
-        )
+        with torch.no_grad():
+            moved = gaussians if self._motion is None else self._motion.shown(gaussians, semantic, time)
+        shown = visible(self._arrays, moved, camera)
         chosen = self._optimizer.chosen(shown)
-        chosen = chosen if poses is None else posed(chosen, semantic[shown], poses)
+        if self._motion is not None:
+            chosen = self._motion.shown(chosen, semantic[shown], time)
         image = render_differentiable(self._arrays, chosen, camera, PIXEL_FILTER)
         loss, error = self._targets[index].loss(image)
-        if self._optimizer.step(loss, self.done / self._steps):
+        self.stepped = self._optimizer.step(loss, self.done / self._steps)
+        if self.stepped:
             self._density.observe(index, error)
         else:
             self.skipped += 1

@@ -15,12 +15,16 @@ import torch
 
 from compose.base.arrays import Arrays
 from compose.base.seeds import require_seed
+from splat.deformation.learned import LearnedMotion
 from splat.model.building import build_forest
+from splat.model.dynamics import Dynamics
 from splat.model.forest import Forest
 from splat.model.layer import NO_PARENT, Layer, without_parents
 from splat.model.motion import Motion
+from splat.model.motion_model import MotionModel
 from splat.model.settling import settle
 from splat.training.density import INITIAL_SHARE
+from splat.training.field import FieldOptimizer
 from splat.training.initialization import seed_from_views
 from splat.training.layer import LayerTraining
 from splat.training.loss import SMALLEST_SIDE
@@ -35,6 +39,8 @@ _ALONE_AGAIN = 0.6
 _FINEST = 0.6
 # Share of the steps after which density control is finished in all layers and the trees stay as they are.
 _SETTLED = 0.8
+# Prefixes of a field's tensors in checkpoints.
+_FIELD, _MOMENTS = "field.", "field_moments."
 
 
 @dataclass(frozen=True)
@@ -47,6 +53,7 @@ class TrainingSettings:
         layers: L; 1 for Gaussians without trees.
         degree: of the spherical harmonics, 0 to 3.
         seed: the same seed gives the same forest; from 0 to compose.base.seeds.MOST_SEED.
+        motion: how what moves is modelled.
 
     Raises:
         UserError: the seed is out of range.
@@ -58,6 +65,7 @@ class TrainingSettings:
     layers: int = 4
     degree: int = 2
     seed: int = 0
+    motion: MotionModel = MotionModel.KNOWN
 
     def __post_init__(self) -> None:
         if self.iterations <= 0 or self.gaussians <= 0:
@@ -83,12 +91,13 @@ class Trainer:
             left out.
         settings: of the training.
         start: whose finest layer to go on from, instead of seeds on the surfaces that the views show.
-        motion: of the instances that the views show, in world space; None if nothing moves.
+        motion: of the instances that the views show, in world space; None if nothing moves, and if a field
+            learns it.
 
     Attributes:
         settings: as given.
         place: the coordinates in which the Gaussians are trained.
-        motion: of the instances, in these coordinates.
+        motion: of the instances, in these coordinates; known or learned.
         dropped: number of frames that were left out.
         iteration: steps so far.
 
@@ -109,8 +118,12 @@ class Trainer:
         self.dropped = len(views) - len(finite)
         _require_enough(views, finite, settings)
         self.place = place_of(finite) if start is None else start.place
-        views = [placed(view, self.place) for view in finite]
-        self.motion = None if motion is None else motion.placed(self.place)
+        views = [_labelled(placed(view, self.place), settings.motion) for view in finite]
+        self.motion: Dynamics | None = None if motion is None else motion.placed(self.place)
+        self._field: FieldOptimizer | None = None
+        if settings.motion.field is not None:
+            self.motion = learned = LearnedMotion.begun(settings.motion.field, *_box(views), settings.seed)
+            self._field = FieldOptimizer(learned, settings.iterations)
         self._pixel = pixel_footprint(at_resolution(views, 0, strictly=True))
         self._schedule = training_schedule(settings, _ALONE if start is None else _ALONE_AGAIN)
         self._layers = [
@@ -168,6 +181,8 @@ class Trainer:
                 training.extend(layer)
         # Changes would break trees that are settled.
         moved = self._layers[index].step(grows=self.iteration < self._settling)
+        if self._field is not None:
+            self._field.step(self.iteration, self._layers[index].stepped)
         if moved is not None and index + 1 < len(self._layers) and self._layers[index + 1].begun:
             # Children of removed nodes get other parents when the trees are settled.
             below = self._layers[index + 1]
@@ -191,6 +206,9 @@ class Trainer:
             own, counts = training.state()
             tensors |= {f"{index}.{name}": tensor for name, tensor in own.items()}
             numbers.append(counts)
+        if self._field is not None and self.motion is not None:
+            tensors |= {_FIELD + name: tensor for name, tensor in self.motion.tensors().items()}
+            tensors |= {_MOMENTS + name: tensor for name, tensor in self._field.state().items()}
         run = {"settings": asdict(self.settings), "origin": list(self.place.origin), "unit": self.place.unit}
         return tensors, {"iteration": self.iteration, **run, "layers": numbers}
 
@@ -207,9 +225,33 @@ class Trainer:
             raise ValueError("the checkpoint holds Gaussians in other coordinates")
         for index, (training, counts) in enumerate(zip(self._layers, numbers["layers"], strict=True)):
             prefix = f"{index}."
-            own = {n.removeprefix(prefix): t for n, t in tensors.items() if n.startswith(prefix)}
-            training.restore(own, counts)
+            training.restore(under(prefix, tensors), counts)
+        if self._field is not None and isinstance(self.motion, LearnedMotion):
+            self.motion.restore(under(_FIELD, tensors))
+            self._field.restore(under(_MOMENTS, tensors))
         self.iteration = int(numbers["iteration"])
+
+
+def under(prefix: str, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """The tensors whose names have a prefix, without it."""
+    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+
+
+def _labelled(view: TrainingView, motion: MotionModel) -> TrainingView:
+    """A view in which everything that is deformed is one instance, if it is by a field."""
+    if motion.field is None:
+        return view
+    if motion is not MotionModel.D_GS_OF_DYNAMIC or view.instance is None:
+        return replace(view, instance=np.zeros(view.distance.shape, dtype=np.int32))
+    return replace(view, instance=np.minimum(view.instance, 0))
+
+
+def _box(views: list[TrainingView]) -> tuple[torch.Tensor, torch.Tensor]:
+    """Corners (3,) of the box around the surfaces that views show, the sky apart."""
+    points = np.concatenate([view.points(view.some_surface_pixels) for view in views])
+    if not len(points):
+        return torch.zeros(3), torch.ones(3)
+    return torch.from_numpy(points.min(axis=0)).float(), torch.from_numpy(points.max(axis=0)).float()
 
 
 def _require_enough(

@@ -1,0 +1,32 @@
+"""How a training models what moves."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class FieldKind(str, Enum):
+    """Fields that deform Gaussians, by their names in files."""
+
+    D_GS = "d-gs"
+    HEX_PLANE = "4dgs"
+
+
+class MotionModel(str, Enum):
+    """Models of motion, by their names in commands."""
+
+    # Courses that frames know.
+    KNOWN = "known"
+    # A field that deforms every Gaussian, or only those that frames show to move.
+    D_GS = "d-gs"
+    D_GS_OF_DYNAMIC = "d-gs-dynamic"
+    HEX_PLANE = "4dgs"
+
+    @property
+    def field(self) -> FieldKind | None:
+        """Of a learned motion; None if it is known."""
+        return {
+            MotionModel.D_GS: FieldKind.D_GS,
+            MotionModel.D_GS_OF_DYNAMIC: FieldKind.D_GS,
+            MotionModel.HEX_PLANE: FieldKind.HEX_PLANE,
+        }.get(self)
