@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -60,6 +60,7 @@ def bench_moving(
     settings: FrameSettings,
     reference_spp: int,
     progress: Callable[[int, int], None],
+    against: Mapping[str, Forest] | None = None,
 ) -> list[dict[str, Any]]:
     """One row per method and region of a scene that plays, with the gaze on what moves most visibly.
 
@@ -68,6 +69,7 @@ def bench_moving(
         settings: of the frames, apart from gaze and time; with its camera.
         reference_spp: samples per pixel of the references.
         progress: called with clips done and clips in total.
+        against: further forests of the scene by their names, drawn as splats alone.
 
     Returns:
         Rows of `method`, `region`, `psnr` of the pixels of all clips together, `pixels`, `ms` per frame
@@ -83,7 +85,8 @@ def bench_moving(
     moving = require_moving(scene)
     camera, _ = settings.resolved(scene.camera)
     renderer = LiveRenderer(scene, forest)
-    methods = _Methods(renderer, replace(settings, camera=camera))
+    others = {name: LiveRenderer(scene, other) for name, other in (against or {}).items()}
+    methods = _Methods(renderer, others, replace(settings, camera=camera))
     found: dict[str, _Found] = {}
     for number in range(_CLIPS):
         clip = _clip(renderer.tracer, moving, camera, number, reference_spp)
@@ -196,11 +199,12 @@ class _Methods:
 
     Args:
         renderer: of the scene.
+        others: of the same scene with other forests, by their names.
         settings: of the frames.
     """
 
-    def __init__(self, renderer: LiveRenderer, settings: FrameSettings):
-        self._renderer, self._settings = renderer, settings
+    def __init__(self, renderer: LiveRenderer, others: Mapping[str, LiveRenderer], settings: FrameSettings):
+        self._renderer, self._others, self._settings = renderer, others, settings
         self._traced = self._as_slow()
 
     def played(self, clip: _Clip) -> dict[str, _Shown]:
@@ -209,8 +213,10 @@ class _Methods:
         methods = {
             HYBRID: self._frame,
             ALONE: self._fresh_frame,
-            SPLATS: lambda settings, seed: self._renderer.splats(settings),
+            **_splats(SPLATS, self._renderer),
         }
+        for name, other in self._others.items():
+            methods |= _splats(name, other)
         if self._traced is not None:
             methods[TRACED] = partial(self._traced_frame, self._traced)
         return {name: self._timed(clip, method) for name, method in methods.items()}
@@ -244,6 +250,14 @@ class _Methods:
         assert self._settings.camera is not None
         rays = at_equal_time(family, ours, [self._settings.camera], self._settings.gaze, _RAYS)
         return None if rays is None else family(rays)
+
+
+def _splats(name: str, renderer: LiveRenderer) -> dict[str, _Frame]:
+    """The finest layer of a forest over the whole frame; and, of one with layers, those chosen by acuity."""
+    found: dict[str, _Frame] = {name: lambda settings, seed: renderer.splats(settings)}
+    if len(renderer.periphery.forest.counts) > 1:
+        found[f"{name}, foveated"] = lambda settings, seed: renderer.foveated_splats(settings)
+    return found
 
 
 def require_moving(scene: Scene) -> MovingScene:

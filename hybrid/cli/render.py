@@ -43,6 +43,7 @@ from hybrid.runtime.progress import progress_bar
 if TYPE_CHECKING:
     from compose.camera.camera import Camera
     from compose.eye.gaze_trace import GazeTrace
+    from hybrid.frame.frame import Frame
     from pathtrace.scene.scene import Scene
     from splat.model.forest import Forest
 
@@ -105,6 +106,16 @@ def render(
             rich_help_panel=FRAME,
         ),
     ] = DEFAULTS.time,
+    eyes: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DISTANCE",
+            help="Render both eyes, so far apart in units of the scene: writes NAME-left and NAME-right.",
+            min=0,
+            callback=finite,
+            rich_help_panel=VIEWER,
+        ),
+    ] = None,
     acuity_model: AcuityModelName = DEFAULTS.acuity_model,
     layers: Layers = None,
     display: DisplayName = "desktop",
@@ -133,6 +144,8 @@ def render(
     )
     _check_layers(layers)
     _check_outputs(output, detail, gaze_trace is not None)
+    if eyes is not None and (gaze_trace is not None or detail is not None):
+        raise UserError("--eyes: only for a single frame, without --detail")
     trace = _loaded_trace(gaze_trace, gaze, fps)
     if target_ms is not None or target_jod is not None:
         _check_target({"--layers": layers, "--max-depth": max_depth})
@@ -152,7 +165,9 @@ def render(
     # Refused before anything is filled.
     settings.layers_of(len(found.counts))
     fill_irradiance(loaded, settings)
-    if trace is None:
+    if eyes is not None:
+        facts = _render_eyes(output, eyes, loaded, found, settings, seed)
+    elif trace is None:
         facts = _render_frame(output, detail, loaded, found, settings, seed)
     else:
         facts = _render_video(output, loaded, found, settings, trace, fps or _FPS, seed)
@@ -237,9 +252,30 @@ def _render_frame(
     from hybrid.pictures.levels import detail_picture
 
     frame = Renderer(scene, forest).frame(settings, seed)
-    frame.save(output)
     if detail is not None:
         write_srgb(detail, detail_picture(frame.composite, frame.detail, frame.region))
+    return _saved(frame, output, scene)
+
+
+def _render_eyes(
+    output: Path, distance: float, scene: Scene, forest: Forest, settings: FrameSettings, seed: int
+) -> dict[str, Any]:
+    """Renders and writes one frame for each eye; returns what was measured. What moves is moved once."""
+    from compose.camera.stereo import EYES
+    from compose.camera.stereo import eyes as eyes_of
+    from hybrid.frame.renderer import Renderer
+
+    renderer, found = Renderer(scene, forest), {}
+    camera, settings = settings.resolved(scene.camera)
+    for name, eye in zip(EYES, eyes_of(camera, distance / scene.place.unit), strict=True):
+        frame = renderer.frame(replace(settings, camera=eye), seed)
+        found[name] = _saved(frame, output.with_stem(f"{output.stem}-{name}"), scene)
+    return found
+
+
+def _saved(frame: Frame, output: Path, scene: Scene) -> dict[str, Any]:
+    """Writes a frame; returns what was measured."""
+    frame.save(output)
     camera, milliseconds = frame.camera, frame.milliseconds
     print(f"{output}: {camera.width} x {camera.height}, {milliseconds['total']:.0f} ms")
     if frame.filled > _MUCH_FILLED:
@@ -247,7 +283,7 @@ def _render_frame(
             f"the forest was not prepared for {frame.filled:.0%} of this view, which is path-traced at a "
             "lower resolution; hybrid prepare --region reachable prepares for all that can be reached"
         )
-    return _facts(scene, settings) | {
+    return _facts(scene, frame.settings) | {
         "nodes_drawn": frame.nodes_drawn,
         "pixels_excluded": frame.fovea.excluded,
         "filled": frame.filled,

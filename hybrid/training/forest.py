@@ -111,7 +111,8 @@ def train(
         start: whose finest layer to go on from.
 
     Raises:
-        UserError: there are no frames to train on, a frame is damaged, no frame is finite, none shows a
+        UserError: there are no frames to train on, a motion is to be learned from frames of a single time, a
+            frame is damaged, no frame is finite, none shows a
             surface, frames are too small for the layers, or the file cannot be written.
     """
     settings = settings or TrainingSettings()
@@ -151,6 +152,11 @@ def _require_enough(frames: FrameSet, settings: TrainingSettings) -> None:
     """Checks that there are frames, and that they are large enough for all layers."""
     if not frames.training:
         raise UserError(f"{frames.folder}: holds no frames to train on")
+    if settings.motion.field is not None and len({entry.time for entry in frames.training}) == 1:
+        raise UserError(
+            f"{frames.folder}: all frames show the same time; a motion ({settings.motion.value}) can only be "
+            "learned from frames of several times"
+        )
     camera = max((entry.camera for entry in frames.training), key=lambda camera: camera.fy)
     most = most_layers(camera.width, camera.height)
     if most < settings.layers:

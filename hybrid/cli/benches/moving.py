@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
 
 from hybrid.cli.options import (
     Backend,
@@ -29,6 +32,13 @@ def moving(
     size: FixedSize = (320, 240),
     spp: Spp = INTERACTIVE.spp,
     reference_spp: ReferenceSpp = 128,
+    against: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FOREST",
+            help="Forest to compare with, named by its file; drawn as splats alone. May be given repeatedly.",
+        ),
+    ] = None,
     thin_glass: ThinGlass = False,
     backend: Backend = "auto",
     json_file: Json = None,
@@ -38,13 +48,15 @@ def moving(
     from hybrid.bench.moving import bench_moving, require_moving
     from hybrid.preparation.quick import forest_for
     from hybrid.runtime.machine import machine
+    from splat.io.forest_file import load_forest
 
     loaded = loaded_scene(scene, None, thin_glass)
     require_moving(loaded)
     settings = replace(INTERACTIVE, spp=spp, camera=sized(loaded.camera, size))
     found = forest_for(loaded, forest)
+    others = {file.stem: load_forest(file) for file in against or ()}
     with progress_bar("bench (clips)") as bar:
-        rows = bench_moving(loaded, found, settings, reference_spp, bar)
+        rows = bench_moving(loaded, found, settings, reference_spp, bar, others)
     _print(rows)
     write_json(
         json_file, {"scene": loaded.name, "size": size, "spp": spp, "rows": rows, "machine": machine()}

@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from compose.camera.serialization import camera_from_json
+from compose.camera.stereo import eyes
 from compose.eye.gaze import Gaze
 from compose.eye.gaze_trace import GazeTrace
 from hybrid.cli.render import render as command
@@ -77,6 +78,28 @@ def test_the_frame_is_that_of_the_options(render, made, tmp_path):
         "pixels_excluded": 0,
         "filled": 0.0,
     }
+
+
+def test_both_eyes_are_written(render, made, tmp_path):
+    """Each is the frame of a camera of its own; at no distance, both are the same one."""
+    common = ["--size", 40, 30, "--seed", 5, "--json", tmp_path / "a.json"]
+    assert render(*common, "--eyes", 0.4, "-o", tmp_path / "a.exr") == 0
+    scene = load_scene("cornell")
+    renderer = Renderer(scene, load_forest(made / "box.forest"))
+    for name, camera in zip(("left", "right"), eyes(scene.camera.resized(40, 30), 0.4), strict=True):
+        found = read_exr(tmp_path / f"a-{name}.exr")["composite.G"]
+        expected = renderer.frame(replace(DEFAULTS, camera=camera), 5).composite[..., 1]
+        np.testing.assert_array_equal(found, expected)
+    assert set(json.loads((tmp_path / "a.json").read_text())) == {"left", "right"}
+    assert render(*common, "--eyes", 0, "-o", tmp_path / "b.exr") == 0
+    left, right = (read_exr(tmp_path / f"b-{name}.exr")["composite.G"] for name in ("left", "right"))
+    np.testing.assert_array_equal(left, right)
+
+
+def test_eyes_are_for_a_single_frame(render, trace, tmp_path, capsys):
+    assert render("--eyes", 0.1, "--gaze-trace", trace, "-o", tmp_path / "a.mp4") == 2
+    assert "--eyes: only for a single frame" in capsys.readouterr().err
+    assert not list(tmp_path.glob("a*.mp4"))
 
 
 def test_the_integrator_is_written_into_the_frame_and_its_facts(render, tmp_path):

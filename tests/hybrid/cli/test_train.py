@@ -74,3 +74,10 @@ def test_every_option_reaches_the_settings(options, expected, made, monkeypatch,
     monkeypatch.setattr(module, "train", train)
     assert run(monkeypatch, command.train.__name__, made / "frames", tmp_path / "f", *options) != 0
     assert given == [made / "frames", tmp_path / "f", expected]
+
+
+def test_a_motion_cannot_be_learned_from_frames_of_one_time(made, monkeypatch, tmp_path, capsys):
+    options = ["train", made / "frames", tmp_path / "f", *TINY_TRAINING, "--motion", "d-gs"]
+    assert run(monkeypatch, *options) == 2
+    assert "all frames show the same time; a motion (d-gs)" in capsys.readouterr().err
+    assert not (tmp_path / "f").exists()

@@ -25,9 +25,11 @@ from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer
+from splat.deformation.learned import LearnedMotion
 from splat.io.forest_file import load_forest, save_forest
 from splat.lod.renderer import ForestRenderer
 from splat.model.forest import Forest
+from splat.model.motion_model import MotionModel
 from splat.training.trainer import TrainingSettings
 from tests import small
 from tests.hybrid.training.conftest import ignore
@@ -201,3 +203,18 @@ def test_a_disc_alone_shows_its_time_though_the_cache_is_filled_for_it(scene, fo
     settings = replace(SETTINGS, integrator="cached", time=0.7)
     expected = Renderer(scene, forest).frame(settings, 5).fovea.radiance
     np.testing.assert_array_equal(Renderer(scene, forest).disc_alone(settings, 5), expected)
+
+
+def test_a_motion_that_is_learned_is_part_of_the_forest(frames, tmp_path):
+    """Whatever the frames know of it; all Gaussians are dynamic, and move."""
+    settings = TrainingSettings(
+        iterations=60, gaussians=400, layers=2, degree=0, motion=MotionModel.HEX_PLANE
+    )
+    trained = train(frames, tmp_path / "f", settings)
+    back = load_forest(tmp_path / "f")
+    assert isinstance(back.motion, LearnedMotion)
+    assert back.digest() == trained.digest()
+    assert bool(back.nodes.dynamic.all())
+    none = back.nodes.semantic
+    before, after = (back.motion.shown(back.nodes.gaussians, none, time).means for time in (0.0, 1.0))
+    assert float((after - before).abs().max()) > 0
