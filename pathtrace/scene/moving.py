@@ -16,13 +16,12 @@ from compose.camera.place import Place
 from compose.fovea.movers import UNSTEADY, Moment
 from pathtrace.motion.course import Course, course_of_poses
 from pathtrace.motion.pieces import courses_of_pieces
+from pathtrace.motion.symmetry import is_unchanged
 from pathtrace.motion.tracks import FormulaTrack, LightTrack, MeshTrack, Motion, RigidTrack, ShapeTrack
 
 Array = NDArray[np.float64]
 # Parameters by name that have a value of their own at a time.
 _Part: TypeAlias = Callable[[float], dict[str, Any]]
-# Vertices (N, 3) at rest, and at a time.
-_Deformation: TypeAlias = tuple[Array, Callable[[float], Array]]
 
 _POSITIONS, _NORMALS, _TO_WORLD, _POSITION = "vertex_positions", "vertex_normals", "to_world", "position"
 # Poses of a course: linear between them, a turn of ten times is off by next to nothing.
@@ -57,7 +56,7 @@ class MovingScene:
         self._parameters = mi.traverse(scene)
         self._tracked = _Tracked(self._parameters, names, place, source)
         self._parts = self._tracked.parts(motion)
-        self._deforming = self._tracked.deforming(motion)
+        self._rest = self._tracked.vertices_of(motion)
         self._shown: dict[str, bytes] = {}
         self._show(0.0)
 
@@ -93,18 +92,28 @@ class MovingScene:
         return [(name, track) for name, track in self.motion.shapes.items() if isinstance(track, RigidTrack)]
 
     def courses(self, steps: int = _STEPS) -> list[Course]:
-        """The courses of all shapes that move, of pieces of those that deform, in the scene's coordinates."""
-        index = {shape.id(): number for number, shape in enumerate(self._scene.shapes())}
+        """The courses of all shapes that move, of pieces of those that deform, in the scene's coordinates.
+
+        Turns that nobody sees are left out: those of a ball without a texture.
+        """
+        shapes = {shape.id(): (number, shape) for number, shape in enumerate(self._scene.shapes())}
         times, found = np.linspace(0, 1, steps), []
         for name, track in self.motion.shapes.items():
-            number = index.get(self._names[name])
-            if number is None:
+            if self._names[name] not in shapes:
                 continue
+            number, shape = shapes[self._names[name]]
             if isinstance(track, RigidTrack):
                 poses = np.stack([self._tracked.pose(track, time) for time in times])
-                found.append(course_of_poses(name, number, poses, self._tracked.place_of(track.about)))
+                centre = self._tracked.place_of(track.about)
+                rest = self._rest.get(name)
+                plain = None if _is_textured(shape) else rest
+                if plain is not None and self._tracked.is_round(name, plain, centre, poses):
+                    # Its highlights stay where they are while it turns.
+                    poses = _without_turns(poses, centre)
+                found.append(course_of_poses(name, number, poses, centre))
             else:
-                rest, at = self._deforming[name]
+                rest = self._rest[name]
+                at = self._tracked.deforming(name, rest, track)
                 found += courses_of_pieces(name, number, rest, np.stack([at(time) for time in times]))
         return found
 
@@ -153,14 +162,15 @@ class _Tracked:
         ]
         return shapes + lights
 
-    def deforming(self, motion: Motion) -> dict[str, _Deformation]:
-        """Vertices (N, 3) at rest of what deforms, and those at a time, by its name in the scene's file."""
-        found = {}
-        for name, track in motion.shapes.items():
-            if not isinstance(track, RigidTrack):
-                rest = self._rows(f"{self._names[name]}.{_POSITIONS}")
-                found[name] = rest, self._vertices(name, rest, track)
-        return found
+    def vertices_of(self, motion: Motion) -> dict[str, Array]:
+        """Vertices (N, 3) of each mesh with a track as they are now, by its name in the scene's file."""
+        keys = {name: f"{self._names[name]}.{_POSITIONS}" for name in motion.shapes}
+        return {name: self._rows(key) for name, key in keys.items() if self._has(key)}
+
+    def is_round(self, name: str, rest: Array, centre: Array, poses: Array) -> bool:
+        """Whether a mesh, with vertices (N, 3) at rest, looks the same however poses (T, 4, 4) turn it."""
+        faces = np.reshape(self._parameters[f"{self._names[name]}.faces"].numpy(), (-1, 3))
+        return is_unchanged(rest, faces.astype(np.int64), centre, poses[:, :3, :3])
 
     def place_of(self, point: Sequence[float]) -> Array:
         """A point (3,) of the scene's file in the scene's coordinates."""
@@ -184,7 +194,7 @@ class _Tracked:
             rest = self._rows(positions)
             if isinstance(track, RigidTrack):
                 return self._rigid_mesh(key, rest, track)
-            return self._deforming_mesh(key, self._vertices(name, rest, track))
+            return self._deforming_mesh(key, self.deforming(name, rest, track))
         if not isinstance(track, RigidTrack):
             raise self._refused(name, "it has no vertices; must have keyframes")
         for kind in (_TO_WORLD, _POSITION):
@@ -234,7 +244,7 @@ class _Tracked:
         matrix = np.array(rest.matrix, dtype=np.float64).reshape(4, 4)
         return lambda time: {key: self.pose(track, time) @ matrix}
 
-    def _vertices(self, name: str, rest: Array, track: FormulaTrack | MeshTrack) -> Callable[[float], Array]:
+    def deforming(self, name: str, rest: Array, track: FormulaTrack | MeshTrack) -> Callable[[float], Array]:
         """Positions (N, 3) of a shape's vertices in the scene's coordinates, as a function of time."""
         origin, unit = np.array(self._place.origin), self._place.unit
         if isinstance(track, FormulaTrack):
@@ -297,6 +307,20 @@ class _Tracked:
             return {found[0]: rest * (factor if len(rest) == 3 else factor[0])}
 
         return at
+
+
+def _is_textured(shape: Any) -> bool:
+    """Whether colours are painted on a shape, by an image or at its vertices."""
+    bsdf = shape.bsdf()
+    images = bsdf is not None and any(key.endswith(".data") for key in mi.traverse(bsdf).properties)
+    return images or any("_color" in key for key in mi.traverse(shape).properties)
+
+
+def _without_turns(poses: Array, centre: Array) -> Array:
+    """Poses (T, 4, 4) that bring a point where the given ones bring it, and turn nothing."""
+    found = np.tile(np.eye(4), (len(poses), 1, 1))
+    found[:, :3, 3] = poses[:, :3, :3] @ centre + poses[:, :3, 3] - centre
+    return found
 
 
 def _vertex_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:

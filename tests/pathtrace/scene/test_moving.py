@@ -344,6 +344,44 @@ def test_courses_say_where_shapes_are(tmp_path):
     np.testing.assert_allclose(np.abs(at_rest - [1, 0, 0]).max(axis=1), 0.3, atol=1e-4)
 
 
+BALL = """<shape type="ply" id="round"><string name="filename" value="ball.ply"/>{bsdf}</shape>"""
+IMAGE = """<bsdf type="diffuse"><texture type="bitmap" name="reflectance">
+  <string name="filename" value="image.png"/></texture></bsdf>"""
+
+
+@pytest.mark.parametrize(("bsdf", "turns"), [("<ref id='white'/>", False), (IMAGE, True)])
+def test_turns_that_nobody_sees_are_no_part_of_a_course(tmp_path, bsdf, turns):
+    """Those of a ball, unless an image is painted on it; it goes where it goes in either case."""
+    mi.util.write_bitmap(str(tmp_path / "image.png"), np.random.default_rng(0).random((4, 4, 3)))
+    write_ball(tmp_path / "ball.ply")
+    xml = XML.replace("</scene>", BALL.format(bsdf=bsdf) + "</scene>")
+    track = keys({"t": 0}, {"t": 1, "degrees": 90, "translate": [0.5, 0, 0]}, axis=[1, 0, 0])
+    scene = loaded(tmp_path, {"shapes": {"round": track}}, xml)
+    assert scene.moving is not None
+    (course,) = scene.moving.courses(3)
+    turned = Rotation.from_quat(course.rotations[:, [1, 2, 3, 0]]).magnitude()
+    np.testing.assert_allclose(turned, np.radians([0, 45, 90]) if turns else 0, atol=1e-6)
+    np.testing.assert_allclose(course.shifts[2], [0.5, 0, 0], atol=1e-6)
+
+
+def write_ball(file: Path) -> None:
+    """A ball of radius 0.3 around the origin, as triangles."""
+    u, v = np.meshgrid(np.linspace(0, np.pi, 33), np.linspace(0, 2 * np.pi, 65), indexing="ij")
+    points = 0.3 * np.stack([np.sin(u) * np.cos(v), np.sin(u) * np.sin(v), np.cos(u)], axis=-1)
+    row, column = (part.ravel() for part in np.indices((32, 64)))
+    corner = row * 65 + column
+    faces = np.concatenate(
+        [np.stack([corner, corner + 65, corner + 1], 1), np.stack([corner + 1, corner + 65, corner + 66], 1)]
+    )
+    mesh = mi.Mesh("ball", 33 * 65, len(faces), has_vertex_texcoords=True)
+    values = mi.traverse(mesh)
+    values["vertex_positions"] = points.astype(np.float32).ravel()
+    values["faces"] = faces.astype(np.uint32).ravel()
+    values["vertex_texcoords"] = np.stack([u, v], axis=-1).astype(np.float32).ravel()
+    values.update()
+    mesh.write_ply(str(file))
+
+
 @pytest.mark.parametrize(
     ("formula", "pieces"),
     [(["x", "y", "z"], 1), (["x", "y + 0.4 * t", "z"], 1), (["x", "y + t * x**2", "z"], 8)],
