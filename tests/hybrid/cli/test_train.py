@@ -76,8 +76,15 @@ def test_every_option_reaches_the_settings(options, expected, made, monkeypatch,
     assert given == [made / "frames", tmp_path / "f", expected]
 
 
-def test_a_motion_cannot_be_learned_from_frames_of_one_time(made, monkeypatch, tmp_path, capsys):
+@extreme(
+    "a motion learned from one time",
+    given="--motion d-gs, frames of a still scene",
+    expected="refused by name",
+)
+def test_a_motion_cannot_be_learned_from_frames_of_one_time(made, monkeypatch, tmp_path, capsys, got):
     options = ["train", made / "frames", tmp_path / "f", *TINY_TRAINING, "--motion", "d-gs"]
     assert run(monkeypatch, *options) == 2
-    assert "all frames show the same time; a motion (d-gs)" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "all frames show the same time; a motion (d-gs)" in said
+    got("refused")
     assert not (tmp_path / "f").exists()

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pathtrace.motion.pieces import courses_of_pieces
+from tests.extremes import extreme
 
 TIMES = np.linspace(0, 1, 5)
 
@@ -62,6 +63,19 @@ def test_a_shape_of_few_vertices_has_no_more_pieces_than_those(count):
     courses = courses_of_pieces("few", 0, rest, moved)
     assert 1 <= len(courses) <= count
     assert all(np.isfinite(course.rotations).all() for course in courses)
+
+
+@extreme(
+    "a sheet that collapses to a point and back",
+    given="all vertices in one place at half time",
+    expected="finite pieces, where the vertices are",
+)
+def test_a_sheet_may_vanish(got):
+    rest = sheet()
+    moved = np.stack([rest * (2 * t - 1) for t in TIMES])
+    courses = courses_of_pieces("sheet", 0, rest, moved)
+    assert all(np.isfinite(course.rotations).all() for course in courses)
+    assert got(max(float(np.abs(c.centre + c.shifts[2]).max()) for c in courses), ".1e") < 1e-9
 
 
 def small_shifts(count: int) -> np.ndarray:

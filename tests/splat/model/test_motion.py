@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from compose.camera.place import Place
 from splat.model.motion import Motion, Poses, posed
+from tests.extremes import extreme
 from tests.splat.samples import gaussians
 
 STEPS, COUNT = 5, 3
@@ -74,6 +75,22 @@ def test_nodes_of_what_deforms_follow_the_nearest_pieces():
         expected = point if own < 0 else plain_blend(motion, 2, own, point)
         np.testing.assert_allclose(found.means[:, node], expected, atol=2e-5)
     np.testing.assert_allclose(found.rotations.norm(dim=0), g.rotations.norm(dim=0), rtol=1e-5)
+
+
+@extreme(
+    "a node far from all pieces of what deforms",
+    given="a million times as far as they are from each other",
+    expected="finite, and moved with them",
+)
+def test_a_node_far_from_all_pieces_follows_them(got):
+    motion = replace(pieced(8), rotations=torch.eye(4).double()[:1].expand(STEPS, 8, 4).contiguous())
+    g, none = gaussians("overlap", 1, 0), torch.zeros(1, dtype=torch.int32)
+    g.means = torch.tensor([[1e6], [0.0], [0.0]])
+    moved = posed(g, none, motion.at(0.5)).means - g.means
+    assert torch.isfinite(moved).all()
+    shifts = motion.shifts[2]
+    low, high = shifts.amin(dim=0), shifts.amax(dim=0)
+    assert got(bool(((moved[:, 0] > low - 0.2) & (moved[:, 0] < high + 0.2)).all()))
 
 
 def test_a_node_as_far_from_all_pieces_follows_all_alike():

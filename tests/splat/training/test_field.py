@@ -15,6 +15,7 @@ from splat.raster.differentiable import render_differentiable
 from splat.training.field import FieldOptimizer
 from splat.training.trainer import Trainer, TrainingSettings
 from splat.training.views import TrainingView
+from tests.extremes import extreme
 from tests.splat.training.test_moving import VIEWS, scene
 
 LEARNED = [model for model in MotionModel if model.field is not None]
@@ -131,3 +132,36 @@ def test_forests_with_a_learned_motion_are_stored_and_drawn(arrays, kind, tmp_pa
         moved = trainer.motion.shown(layer.gaussians, layer.semantic, view.time)
     expected = render_differentiable(arrays, moved, trainer.place.camera(view.camera)).numpy()
     np.testing.assert_allclose(drawn, expected, atol=2e-3)
+
+
+@extreme(
+    "a damaged field",
+    given="tensors missing, of another shape, of no kind, or NaN",
+    expected="refused by name",
+)
+def test_a_damaged_field_is_refused(arrays, tmp_path, got):
+    from compose.base.errors import UserError
+    from splat.io.forest_file import load_forest, save_forest
+
+    trainer = Trainer(arrays, VIEWS, replace(SETTINGS, iterations=3, motion=MotionModel.HEX_PLANE))
+    trainer.run()
+    motion = trainer.motion
+    assert isinstance(motion, LearnedMotion)
+    forest = forest_of(trainer.forest(), 50.0, "card", "0" * 16, trainer.place, motion)
+    whole = motion.tensors()
+    mix = "4dgs.mix.bias"
+    damages = [
+        {name: tensor for name, tensor in whole.items() if name != mix},
+        {**whole, mix: torch.zeros(3)},
+        {name.replace("4dgs", "5dgs"): tensor for name, tensor in whole.items()},
+        {**whole, mix: torch.full_like(whole[mix], float("nan"))},
+    ]
+    refused = 0
+    for number, tensors in enumerate(damages):
+        file = tmp_path / f"{number}"
+        motion.tensors = lambda tensors=tensors: tensors  # type: ignore[method-assign, misc]
+        save_forest(file, forest)
+        with pytest.raises(UserError, match="damaged forest file"):
+            load_forest(file)
+        refused += 1
+    assert got(refused) == len(damages)
