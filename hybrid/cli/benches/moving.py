@@ -77,4 +77,5 @@ def _print(rows: list[dict[str, Any]]) -> None:
         more = [f"{row['jod']:.2f} JOD ({name})" for name, row in own.items() if row.get("jod") is not None]
         shift = own.get("moving", {}).get("registration_px")
         more += [] if shift is None else [f"what moves is off by {shift:.2f} px"]
-        print(f"{method}: {', '.join(more)}")
+        if more:
+            print(f"{method}: {', '.join(more)}")
