@@ -71,6 +71,12 @@ class Camera:
         """Vertical field of view in degrees."""
         return float(np.degrees(np.arctan(self.cy / self.fy) + np.arctan((self.height - self.cy) / self.fy)))
 
+    def moved_right(self, distance: float) -> Camera:
+        """The camera moved to its right, by a distance in its coordinates."""
+        pose = self.world_to_camera.copy()
+        pose[0, 3] -= distance
+        return replace(self, world_to_camera=pose)
+
     def resized(self, width: int, height: int) -> Camera:
         """The same view at another frame size: the vertical field of view stays, a wider frame sees more."""
         scale = height / self.height

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
-
 from compose.camera.camera import Camera
 
 EYES = ("left", "right")
@@ -18,12 +14,4 @@ def eyes(camera: Camera, distance: float) -> tuple[Camera, Camera]:
         camera: midway between the eyes.
         distance: between them, in the camera's coordinates.
     """
-    left, right = (_shifted(camera, side * distance / 2) for side in (-1, 1))
-    return left, right
-
-
-def _shifted(camera: Camera, right: float) -> Camera:
-    """The camera moved to its right."""
-    pose = np.array(camera.world_to_camera)
-    pose[0, 3] -= right
-    return replace(camera, world_to_camera=pose)
+    return camera.moved_right(-distance / 2), camera.moved_right(distance / 2)

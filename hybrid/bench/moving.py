@@ -14,6 +14,7 @@ from scipy.ndimage import binary_dilation
 
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
+from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image, luminance, srgb_from_radiance
 from hybrid.evaluation.equal_time import at_equal_time
@@ -172,7 +173,7 @@ class _Found:
         for name, region in found.items():
             self._errors.setdefault(name, []).append(squares[region.mask])
         for name in _AS_VIDEO:
-            score = _video_jod(clip, shown.images, found[name], settings)
+            score = _video_jod(clip, shown.images, found[name], settings.display)
             self._jods.setdefault(name, []).append(score)
         shift = registration_px(shown.images[-1], clip.truth, clip.moves)
         self._shifts += [] if shift is None else [shift]
@@ -271,13 +272,11 @@ def _clip(tracer: Tracer, moving: MovingScene, camera: Camera, number: int, spp:
     step = 1 / (moving.motion.seconds * _FRAMES_PER_SECOND)
     last = (number + 1) / (_CLIPS + 0.5)
     times = [max(0.0, last - step * before) for before in range(_FRAMES - 1, -1, -1)]
-    earlier = times[-1 - _UNCOVERED : -1]
-    hidden = np.any([_moves(tracer, moving, camera, at) for at in earlier], axis=0)
-    truths = []
+    masks, truths = [], []
     for at in times:
-        moving.set_time(at)
+        masks.append(_moves(tracer, moving, camera, at))
         truths.append(reference(tracer, camera, spp, REFERENCE_SEED).radiance)
-    moves = _moves(tracer, moving, camera, last)
+    moves, hidden = masks[-1], np.any(masks[-1 - _UNCOVERED : -1], axis=0)
     before, now = luminance(truths[-1 - _UNCOVERED]), luminance(truths[-1])
     changed = np.abs(now - before) > _SHADOW * (now + _DARK)
     still = ~moves & ~hidden
@@ -312,14 +311,8 @@ def _squares(image: Image, truth: Image) -> NDArray[np.float32]:
     return np.asarray(errors.mean(axis=-1), dtype=np.float32)
 
 
-def _video_jod(clip: _Clip, images: Sequence[Image], region: Region, settings: FrameSettings) -> float | None:
+def _video_jod(clip: _Clip, images: Sequence[Image], region: Region, display: Display) -> float | None:
     """JOD of a clip as a video, of the box around a region, outside which nothing counts."""
-    height, width = region.mask.shape
-    x, y = clip.gaze.pixel(width, height)
-    rows, columns = region.box
-    gaze = Gaze(
-        (x - columns.start) / (columns.stop - columns.start), (y - rows.start) / (rows.stop - rows.start)
-    )
     seen = [region.alone(image, truth)[region.box] for image, truth in zip(images, clip.truths, strict=True)]
     truths = [truth[region.box] for truth in clip.truths]
-    return jod_of_video(seen, truths, _FRAMES_PER_SECOND, settings.display, gaze)
+    return jod_of_video(seen, truths, _FRAMES_PER_SECOND, display, region.gaze_within(clip.gaze))

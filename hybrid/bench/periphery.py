@@ -76,7 +76,7 @@ def bench_periphery(
         for moving in (True, False):
             times: Times = {name: [] for name in ACUITY_MODELS}
             for turn in turns:
-                view = _moved(camera, turn * _STEP) if moving else camera
+                view = camera.moved_right(turn * _STEP) if moving else camera
                 drawn = _passes(peripheries, at_gaze, view, times if turn >= 0 else None, moving)
                 done = (2 * number + len(kinds)) * len(turns) + turn + warm_up + 1
                 progress(done, 2 * len(GAZES) * len(turns))
@@ -144,10 +144,3 @@ def _times(acuity_model: str, moving: Times, still: Times) -> dict[str, Any]:
         "moving_full_ms": percentiles(moving[FULL]),
         "moving_ratio": ratio(moving),
     }
-
-
-def _moved(camera: Camera, distance: float) -> Camera:
-    """The camera moved to its right, by a distance in units of the scene."""
-    pose = camera.world_to_camera.copy()
-    pose[0, 3] -= distance
-    return replace(camera, world_to_camera=pose)

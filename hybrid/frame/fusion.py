@@ -7,6 +7,7 @@ from dataclasses import replace
 import torch
 
 from compose.base.errors import UserError
+from compose.base.named import under
 from compose.fusion.network import Fusion
 from splat.model.forest import Forest
 
@@ -25,7 +26,7 @@ def fusion_of(forest: Forest) -> Fusion | None:
     Raises:
         UserError: the network is damaged or of another version.
     """
-    state = {n.removeprefix(_PREFIX): t for n, t in forest.attached.items() if n.startswith(_PREFIX)}
+    state = under(_PREFIX, forest.attached)
     if not state:
         return None
     fusion = Fusion()

@@ -185,10 +185,5 @@ def _seen(alone: Image, reference: Image, region: Region) -> tuple[Image, Image]
 
 
 def _jod(alone: Image, reference: Image, region: Region, viewer: Viewer) -> float | None:
-    seen = _seen(alone, reference, region)
-    height, width = alone.shape[:2]
-    x, y = viewer.gaze.pixel(width, height)
-    if region.name == "foveal":
-        x, y = x - region.box[1].start, y - region.box[0].start
-    rows, columns = seen[0].shape[:2]
-    return jod(*seen, viewer.display, Gaze(x / columns, y / rows))
+    gaze = region.gaze_within(viewer.gaze) if region.name == "foveal" else viewer.gaze
+    return jod(*_seen(alone, reference, region), viewer.display, gaze)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import zoom
 
 from compose.base.errors import UserError
-from compose.eye.gaze import require_within_frame
+from compose.eye.gaze import Gaze, require_within_frame
 from compose.eye.saliency import saliency
 from compose.fovea.region import Foveation
 from compose.image.colour import Image
@@ -53,6 +53,14 @@ class Region:
     def alone(self, image: Image, reference: Image) -> Image:
         """(H, W, 3) the image inside the region, the reference outside, so that no other error counts."""
         return np.where(self.mask[..., None], image, reference)
+
+    def gaze_within(self, gaze: Gaze) -> Gaze:
+        """A gaze in fractions of the frame, in fractions of the box."""
+        height, width = self.mask.shape
+        x, y = gaze.pixel(width, height)
+        rows, columns = self.box
+        across, down = columns.stop - columns.start, rows.stop - rows.start
+        return Gaze((x - columns.start) / across, (y - rows.start) / down)
 
 
 def regions(foveation: Foveation, reference: Image) -> dict[str, Region]:

@@ -70,12 +70,12 @@ def training_view(entry: FrameEntry, courses: Sequence[Course] = ()) -> Training
     instance = None
     if courses:
         instance = np.full(frame.shape.shape, -1, dtype=np.int32)
-        for number, shape in enumerate(pieces_of(courses)):
+        for number, shape in enumerate(_pieces_of(courses)):
             instance[frame.shape == shape] = number
     return TrainingView(camera, frame.radiance, distance, normal, time=entry.time, instance=instance)
 
 
-def pieces_of(courses: Sequence[Course]) -> dict[int, int]:
+def _pieces_of(courses: Sequence[Course]) -> dict[int, int]:
     """Number of courses of each shape that has any, by its index, in their order."""
     return dict(Counter(course.shape for course in courses))
 
@@ -88,7 +88,7 @@ def motion_of(courses: Sequence[Course]) -> Motion | None:
         np.stack([getattr(course, name) for course in courses], axis=1) for name in ("rotations", "shifts")
     )
     centres = np.stack([course.centre for course in courses])
-    pieces = np.array(list(pieces_of(courses).values()), dtype=np.int64)
+    pieces = np.array(list(_pieces_of(courses).values()), dtype=np.int64)
     return Motion(*(torch.from_numpy(part) for part in (rotations, centres, shifts, pieces)))
 
 
@@ -112,8 +112,8 @@ def train(
 
     Raises:
         UserError: there are no frames to train on, a motion is to be learned from frames of a single time, a
-            frame is damaged, no frame is finite, none shows a
-            surface, frames are too small for the layers, or the file cannot be written.
+            frame is damaged, no frame is finite, none shows a surface, frames are too small for the layers,
+            or the file cannot be written.
     """
     settings = settings or TrainingSettings()
     _require_enough(frames, settings)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import mitsuba as mi
@@ -55,8 +55,8 @@ class MovingScene:
         self._scene, self._names = scene, names
         self._parameters = mi.traverse(scene)
         self._tracked = _Tracked(self._parameters, names, place, source)
-        self._parts = self._tracked.parts(motion)
         self._rest = self._tracked.vertices_of(motion)
+        self._parts = self._tracked.parts(motion, self._rest)
         self._shown: dict[str, bytes] = {}
         self._show(0.0)
 
@@ -151,10 +151,10 @@ class _Tracked:
     def __init__(self, parameters: Any, names: dict[str, str], place: Place, source: str):
         self._parameters, self._names, self._place, self._source = parameters, names, place, source
 
-    def parts(self, motion: Motion) -> list[_Part]:
-        """What each track makes of the parameters."""
+    def parts(self, motion: Motion, rest: Mapping[str, Array]) -> list[_Part]:
+        """What each track makes of the parameters; `rest` as of `vertices_of`."""
         shapes = [
-            self._moving(name, self._key(name, "shape or light"), track)
+            self._moving(name, self._key(name, "shape or light"), track, rest.get(name))
             for name, track in motion.shapes.items()
         ]
         lights = [
@@ -164,7 +164,7 @@ class _Tracked:
 
     def vertices_of(self, motion: Motion) -> dict[str, Array]:
         """Vertices (N, 3) of each mesh with a track as they are now, by its name in the scene's file."""
-        keys = {name: f"{self._names[name]}.{_POSITIONS}" for name in motion.shapes}
+        keys = {name: f"{self._key(name, 'shape or light')}.{_POSITIONS}" for name in motion.shapes}
         return {name: self._rows(key) for name, key in keys.items() if self._has(key)}
 
     def is_round(self, name: str, rest: Array, centre: Array, poses: Array) -> bool:
@@ -187,11 +187,9 @@ class _Tracked:
     def _has(self, key: str) -> bool:
         return key in self._parameters.properties
 
-    def _moving(self, name: str, key: str, track: ShapeTrack) -> _Part:
-        """What a track makes of a shape's, or light's, parameters."""
-        positions = f"{key}.{_POSITIONS}"
-        if self._has(positions):
-            rest = self._rows(positions)
+    def _moving(self, name: str, key: str, track: ShapeTrack, rest: Array | None) -> _Part:
+        """What a track makes of a shape's, or light's, parameters; `rest` are the vertices of a mesh."""
+        if rest is not None:
             if isinstance(track, RigidTrack):
                 return self._rigid_mesh(key, rest, track)
             return self._deforming_mesh(key, self.deforming(name, rest, track))

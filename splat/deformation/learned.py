@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import torch
 
 from splat.deformation.hexplane import HexPlane
@@ -60,6 +63,10 @@ class LearnedMotion:
             name: getattr(gaussians, name).index_copy(1, moving, getattr(deformed, name)) for name in names
         }
         return Gaussians(**{**dict(gaussians.tensors()), **parts})
+
+    def course(self, gaussians: Gaussians, instance: torch.Tensor) -> Callable[[float], Gaussians]:
+        """As of `Dynamics`; a field knows nothing that all times share."""
+        return partial(self.shown, gaussians, instance)
 
     def at_rest(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
         """As of `Dynamics`; to first order, and as turned and as large as they are shown."""

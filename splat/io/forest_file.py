@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 from compose.base.errors import UserError, one_line
+from compose.base.named import under
 from compose.base.scene_names import claimed_scene
 from compose.camera.place import WORLD, Place
 from splat.deformation.learned import LearnedMotion
@@ -76,7 +77,7 @@ def load_forest(path: str | Path) -> Forest:
             _counts(metadata["layers"]),
             float(metadata["trained_focal"]),
             *claimed_scene(metadata["scene_name"], metadata["scene_hash"]),
-            _under(_ATTACHED, tensors),
+            under(_ATTACHED, tensors),
             _place(metadata),
             _motion(tensors),
             _light(tensors),
@@ -89,14 +90,9 @@ def load_forest(path: str | Path) -> Forest:
     return forest
 
 
-def _under(prefix: str, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """The tensors whose names have a prefix, without it."""
-    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
-
-
 def _motion(tensors: dict[str, torch.Tensor]) -> Dynamics | None:
     """The motion of the instances, known or learned; None in a file that has none."""
-    found = _under(_MOTION, tensors)
+    found = under(_MOTION, tensors)
     if not found:
         return None
     if "centres" not in found:
@@ -118,7 +114,7 @@ def _motion(tensors: dict[str, torch.Tensor]) -> Dynamics | None:
 
 def _light(tensors: dict[str, torch.Tensor]) -> LightCourse | None:
     """How the light of some nodes changes; None in a file that does not say so."""
-    found = _under(_LIGHT, tensors)
+    found = under(_LIGHT, tensors)
     if not found:
         return None
     light = LightCourse(**{field.name: found[field.name] for field in fields(LightCourse)})

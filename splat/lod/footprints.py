@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,7 +57,7 @@ class ForestFootprints:
     def __init__(self, arrays: Arrays, forest: Forest):
         self.arrays, self._place = arrays, forest.place
         self._forest, self._time = forest, -1.0
-        self._dynamic = _dynamic_nodes(forest)
+        self._dynamic, self._course = _dynamic_nodes(forest), _course_of(forest)
         self._nodes = _NodeTable(arrays, forest.nodes.gaussians)
         first = np.cumsum([0, *forest.counts])
         self._bounds = [
@@ -92,13 +92,11 @@ class ForestFootprints:
 
     def _move(self, time: float) -> None:
         """Brings dynamic nodes to where they are at a time."""
-        if self._forest.motion is None or not len(self._dynamic):
+        if self._course is None:
             return
         self._key = None
-        nodes = self._forest.nodes
-        gaussians = nodes.gaussians.select(self._dynamic)
         with torch.no_grad():
-            moved = self._forest.motion.shown(gaussians, nodes.semantic[self._dynamic], time)
+            moved = self._course(time)
         self._nodes.move(self._dynamic, moved)
         for bounds in self._bounds:
             bounds.move(self._dynamic, moved)
@@ -167,6 +165,14 @@ def _dynamic_nodes(forest: Forest) -> torch.Tensor:
     return torch.nonzero(forest.nodes.semantic >= 0)[:, 0]
 
 
+def _course_of(forest: Forest) -> Callable[[float], Gaussians] | None:
+    """The nodes that move, as a function of time; None if there are none."""
+    dynamic = _dynamic_nodes(forest)
+    if forest.motion is None or not len(dynamic):
+        return None
+    return forest.motion.course(forest.nodes.gaussians.select(dynamic), forest.nodes.semantic[dynamic])
+
+
 def _row(arrays: Arrays, values: torch.Tensor) -> Any:
     """A tensor (N,) as a Dr.Jit float without gradient."""
     return dr.detach(arrays.from_torch(values.contiguous()), preserve_type=False)
@@ -187,7 +193,7 @@ class _LayerBounds:
         # Shared with the forest, which is at rest.
         means = gaussians.means.clone() if moves else gaussians.means
         self.means = [_row(arrays, row) for row in means[:, first:end]]
-        self.size = _row(arrays, _longest(gaussians)[first:end])
+        self.size = _row(arrays, _longest(gaussians.log_scales[:, first:end]))
 
     def move(self, nodes: torch.Tensor, gaussians: Gaussians) -> None:
         """Moves those of some nodes (M,) of the forest that are in this layer to where Gaussians (M) are."""
@@ -195,14 +201,15 @@ class _LayerBounds:
         own = torch.nonzero((nodes >= first) & (nodes < end))[:, 0]
         if len(own):
             index = self._arrays.plain.UInt((nodes[own] - first).numpy())
-            rows, sizes = [*self.means, self.size], _longest(gaussians)[None]
-            for row, values in zip(rows, torch.cat([gaussians.means, sizes])[:, own], strict=True):
+            rows = [*self.means, self.size]
+            moved = [*gaussians.means[:, own], _longest(gaussians.log_scales[:, own])]
+            for row, values in zip(rows, moved, strict=True):
                 dr.scatter(row, _row(self._arrays, values), index, mode=dr.ReduceMode.Permute)
 
 
-def _longest(gaussians: Gaussians) -> torch.Tensor:
-    """(N,) longest axis of Gaussians, as a standard deviation."""
-    return gaussians.log_scales.max(dim=0).values.exp()
+def _longest(log_scales: torch.Tensor) -> torch.Tensor:
+    """(N,) longest axis of Gaussians with log scales (3, N), as a standard deviation."""
+    return log_scales.max(dim=0).values.exp()
 
 
 class _NodeTable:

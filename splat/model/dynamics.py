@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 import torch
@@ -20,6 +21,9 @@ class Dynamics(Protocol):
             instance: (N,) that each belongs to; below 0, it stays where it is.
             time: from 0 to 1.
         """
+
+    def course(self, gaussians: Gaussians, instance: torch.Tensor) -> Callable[[float], Gaussians]:
+        """`shown` of some Gaussians as a function of time: what all times share is found once."""
 
     def at_rest(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
         """The way back: at rest, Gaussians that are shown at a time; arguments as of `shown`."""

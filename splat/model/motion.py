@@ -8,6 +8,7 @@ SC-GS, Huang et al. 2024).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -129,7 +130,13 @@ class Motion:
 
     def shown(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
         """As of `Dynamics`."""
-        return posed(gaussians, instance, self.at(time))
+        return self.course(gaussians, instance)(time)
+
+    def course(self, gaussians: Gaussians, instance: torch.Tensor) -> Callable[[float], Gaussians]:
+        """As of `Dynamics`."""
+        # Which pieces a node follows is told at rest, whatever the time.
+        followers = _Followers.of(gaussians, instance, self.at(0.0))
+        return lambda time: followers.posed(gaussians, self.at(time))
 
     def at_rest(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
         """As of `Dynamics`; exact for instances of one piece."""
@@ -151,18 +158,40 @@ def posed(gaussians: Gaussians, instance: torch.Tensor, poses: Poses) -> Gaussia
         instance: (N,) which instance each belongs to; below 0, it stays where it is.
         poses: of the instances.
     """
-    moving = torch.nonzero(instance >= 0)[:, 0]
-    if not len(moving):
-        return gaussians
-    of, means = instance[moving].long(), gaussians.means[:, moving]
-    index, weights = poses.followed(means, of)
-    means, rotations = _blended(poses, index, weights, means)
-    orientations = multiplied(rotations, gaussians.rotations[:, moving])
-    return replace(
-        gaussians,
-        means=gaussians.means.index_copy(1, moving, means),
-        rotations=gaussians.rotations.index_copy(1, moving, orientations),
-    )
+    return _Followers.of(gaussians, instance, poses).posed(gaussians, poses)
+
+
+@dataclass(frozen=True)
+class _Followers:
+    """Those of some Gaussians that follow pieces.
+
+    Attributes:
+        moving: (M,) their indices.
+        pieces, weights: (M, F) as of `Poses.followed`.
+    """
+
+    moving: torch.Tensor
+    pieces: torch.Tensor
+    weights: torch.Tensor
+
+    @staticmethod
+    def of(gaussians: Gaussians, instance: torch.Tensor, poses: Poses) -> _Followers:
+        """Those that belong to an instance (N,)."""
+        moving = torch.nonzero(instance >= 0)[:, 0]
+        return _Followers(moving, *poses.followed(gaussians.means[:, moving], instance[moving].long()))
+
+    def posed(self, gaussians: Gaussians, poses: Poses) -> Gaussians:
+        """All N Gaussians, the followers where their pieces are."""
+        moving = self.moving
+        if not len(moving):
+            return gaussians
+        means, rotations = _blended(poses, self.pieces, self.weights, gaussians.means[:, moving])
+        orientations = multiplied(rotations, gaussians.rotations[:, moving])
+        return replace(
+            gaussians,
+            means=gaussians.means.index_copy(1, moving, means),
+            rotations=gaussians.rotations.index_copy(1, moving, orientations),
+        )
 
 
 def _blended(

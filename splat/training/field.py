@@ -6,11 +6,14 @@ from typing import Any
 
 import torch
 
+from compose.base.named import under
 from splat.deformation.learned import LearnedMotion
 
 # Share of the steps before the field is trained: the Gaussians become the mean of what is seen first.
 _WARM_UP = 0.1
 _LEAST = 1e-15
+# Prefixes of tensors in checkpoints.
+_VALUES, _MOMENTS = "values.", "moments."
 
 
 class FieldOptimizer:
@@ -22,7 +25,7 @@ class FieldOptimizer:
     """
 
     def __init__(self, motion: LearnedMotion, steps: int):
-        self._steps, self._rates = steps, list(motion.field.RATES.values())
+        self._motion, self._steps, self._rates = motion, steps, list(motion.field.RATES.values())
         groups: list[dict[str, Any]] = [{"params": []} for _ in self._rates]
         for name, parameter in motion.field.named_parameters():
             # The last one, without a name, takes all that no other one has.
@@ -48,15 +51,16 @@ class FieldOptimizer:
         self._adam.zero_grad(set_to_none=True)
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Moments and steps of all parameters, for a checkpoint."""
-        found = {}
+        """Tensors for a checkpoint: the motion, and moments and steps of all parameters."""
+        found = {_VALUES + name: tensor for name, tensor in self._motion.tensors().items()}
         for number, parameter in enumerate(self._parameters):
             for name, tensor in self._adam.state.get(parameter, {}).items():
-                found[f"{number}.{name}"] = tensor
+                found[f"{_MOMENTS}{number}.{name}"] = tensor
         return found
 
     def restore(self, tensors: dict[str, torch.Tensor]) -> None:
         """Restores what `state` returned."""
-        for name, tensor in tensors.items():
+        self._motion.restore(under(_VALUES, tensors))
+        for name, tensor in under(_MOMENTS, tensors).items():
             number, key = name.split(".", 1)
             self._adam.state[self._parameters[int(number)]][key] = tensor

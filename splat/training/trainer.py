@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from compose.base.arrays import Arrays
+from compose.base.named import under
 from compose.base.seeds import require_seed
 from splat.deformation.learned import LearnedMotion
 from splat.model.building import build_forest
@@ -39,8 +40,8 @@ _ALONE_AGAIN = 0.6
 _FINEST = 0.6
 # Share of the steps after which density control is finished in all layers and the trees stay as they are.
 _SETTLED = 0.8
-# Prefixes of a field's tensors in checkpoints.
-_FIELD, _MOMENTS = "field.", "field_moments."
+# Prefix of a field's tensors in checkpoints.
+_FIELD = "field."
 
 
 @dataclass(frozen=True)
@@ -206,9 +207,8 @@ class Trainer:
             own, counts = training.state()
             tensors |= {f"{index}.{name}": tensor for name, tensor in own.items()}
             numbers.append(counts)
-        if self._field is not None and self.motion is not None:
-            tensors |= {_FIELD + name: tensor for name, tensor in self.motion.tensors().items()}
-            tensors |= {_MOMENTS + name: tensor for name, tensor in self._field.state().items()}
+        if self._field is not None:
+            tensors |= {_FIELD + name: tensor for name, tensor in self._field.state().items()}
         run = {"settings": asdict(self.settings), "origin": list(self.place.origin), "unit": self.place.unit}
         return tensors, {"iteration": self.iteration, **run, "layers": numbers}
 
@@ -226,15 +226,9 @@ class Trainer:
         for index, (training, counts) in enumerate(zip(self._layers, numbers["layers"], strict=True)):
             prefix = f"{index}."
             training.restore(under(prefix, tensors), counts)
-        if self._field is not None and isinstance(self.motion, LearnedMotion):
-            self.motion.restore(under(_FIELD, tensors))
-            self._field.restore(under(_MOMENTS, tensors))
+        if self._field is not None:
+            self._field.restore(under(_FIELD, tensors))
         self.iteration = int(numbers["iteration"])
-
-
-def under(prefix: str, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """The tensors whose names have a prefix, without it."""
-    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
 
 
 def _labelled(view: TrainingView, motion: MotionModel) -> TrainingView:

@@ -104,6 +104,17 @@ def test_a_node_as_far_from_all_pieces_follows_all_alike():
     np.testing.assert_allclose(posed(g, none, motion.at(0.5)).means[:, 0], expected, atol=1e-6)
 
 
+@pytest.mark.parametrize("motion", [random_motion()[0], pieced(1, 9, 3)], ids=["rigid", "pieces"])
+def test_a_course_is_what_nodes_do_at_all_times(motion):
+    g = gaussians("overlap", 30, 0)
+    instance = torch.arange(30, dtype=torch.int32) % 4 - 1
+    course = motion.course(g, instance)
+    for time in (0.9, 0.0, 0.4):
+        expected, found = posed(g, instance, motion.at(time)), course(time)
+        for name in ("means", "rotations"):
+            torch.testing.assert_close(getattr(found, name), getattr(expected, name), rtol=0, atol=0)
+
+
 def test_pieces_that_move_alike_are_one_instance():
     """Of the same pose everywhere, any blend is that pose, and so is the way back."""
     one, _ = random_motion()
