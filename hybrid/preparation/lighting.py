@@ -1,79 +1,118 @@
-"""How the light on the nodes of a forest changes over time, as the path tracer finds it.
+"""How the light on the surfaces of a scene that moves changes over time, as the path tracer finds it.
 
-Trained on frames of many times, a node has a radiance between the median and the mean of theirs. The path
-tracer knows the irradiance where the node is, at any time: their ratio is the node's factor, and no step of
-training is spent on it.
+A forest is trained on frames of all times. Where a shadow passes, a node would learn a mean of bright and
+dark; knowing how bright it is in each frame, it learns what it looks like in usual light.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from functools import partial
 
-import mitsuba as mi
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from compose.camera.camera import Camera
 from hybrid.runtime.progress import Bars
+from hybrid.training.forest import motion_of, training_view
 from pathtrace.cache.cache import IrradianceCache
 from pathtrace.cache.cells import Points
+from pathtrace.dataset.frames import FrameSet
 from pathtrace.fill.over_time import irradiance_over_time
 from pathtrace.scene.scene import Scene
-from splat.model.forest import Forest
-from splat.model.light_course import LightCourse
+from splat.model.gaussians import Gaussians, concatenated
+from splat.model.motion import Motion, turned
+from splat.model.surface_light import SurfaceLight
+from splat.training.initialization import seed_at
+from splat.training.views import TrainingView
 
 # Times at which irradiance is found: so many in a second of the scene, within limits.
 _PER_SECOND, _LEAST_TIMES, _MOST_TIMES = 30, 33, 513
-# Change of the factor from which a node has a course.
+# Change of the factor that counts.
 _LEAST_CHANGE = 0.08
 # Largest factor: where there is no light most of the time, ratios mean nothing.
 _LARGEST = 8.0
-# Views from which nodes are looked for on surfaces, at most.
-_VIEWS = 48
-# A surface is that of a node within so many standard deviations, and this share of the distance.
-_REACH, _SHARE = 2.0, 2e-3
+# Views whose pixels are points, at most, and the largest share of points on what moves.
+_VIEWS, _MOVING = 48, 0.25
+# Points per Gaussian of the finest layer.
+_POINTS = 1.5
 # Irradiance that counts as none, as a share of the mean.
 _DARK = 1e-3
 # Of the curve on which training compares radiance, about.
 _GAMMA = 2.2
+# How far points are lifted off what moves, as a share of its size: it is not exactly where its pieces are.
+_LIFT = 0.01
 
 
-def with_light_course(
-    forest: Forest, scene: Scene, cache: IrradianceCache, cameras: Sequence[Camera], seed: int, bars: Bars
-) -> Forest:
-    """The forest with factors for the still nodes whose light changes; as it is if none does.
-
-    Those that move have none: on thin shapes, lit from either side, factors did more harm than good.
+def light_over_time(
+    scene: Scene, cache: IrradianceCache, frames: FrameSet, gaussians: int, seed: int, bars: Bars
+) -> SurfaceLight | None:
+    """Light at points that the training frames of a scene show; None if they show no surface.
 
     Args:
-        forest: of the scene.
-        scene: one that moves.
+        scene: one that moves; afterwards it shows its last time.
         cache: of its irradiance at time 0.
-        cameras: of the training views, from which nodes are looked for on surfaces.
-        seed: same seed, same factors on the same machine.
+        frames: of the scene.
+        gaussians: number in the finest layer, which the number of points follows.
+        seed: same seed, same light on the same machine.
         bars: show the progress.
     """
-    scene.set_time(0.0)
-    nodes = forest.nodes.gaussians
-    positions = forest.place.in_world(nodes.means.detach().numpy().T)
-    longest = nodes.log_scales.detach().max(dim=0).values.exp().double().numpy()
-    chosen = cameras[:: max(1, len(cameras) // _VIEWS)]
-    points, found = _on_still_surfaces(scene, positions, _REACH * forest.place.unit * longest, chosen)
-    still = np.flatnonzero(found & (forest.nodes.semantic.numpy() < 0))
-    if not len(still):
-        return forest
+    motion = motion_of(frames.courses)
+    entries = frames.training[:: -(-len(frames.training) // _VIEWS)]
+    views = [training_view(entry, frames.courses) for entry in entries]
+    rng = np.random.default_rng([seed, 5])
+    seeds, instance = _seeds(views, int(gaussians * _POINTS), motion, rng)
+    if not len(instance):
+        return None
+    at = partial(_points, seeds, instance, motion, _lifts(seeds, instance))
+    moving = np.flatnonzero(instance.numpy() >= 0)
     with bars("light over time") as bar:
-        irradiance = irradiance_over_time(scene, cache, points.take(still), _times(scene), seed, bar)
+        irradiance = irradiance_over_time(scene, cache, at, moving, _times(scene), seed, bar)
     factors = _of_usual(irradiance)
-    changes = np.ptp(factors, axis=0) > _LEAST_CHANGE
-    if not changes.any():
-        return forest
-    course = LightCourse(
-        torch.from_numpy(still[changes]), torch.from_numpy(factors[:, changes].astype(np.float32))
+    return SurfaceLight(
+        seeds.means,
+        _normals(seeds),
+        instance,
+        torch.from_numpy(factors.astype(np.float32)),
+        torch.from_numpy(np.ptp(factors, axis=0) > _LEAST_CHANGE),
     )
-    return replace(forest, light=course)
+
+
+def _seeds(
+    views: Sequence[TrainingView], count: int, motion: Motion | None, rng: np.random.Generator
+) -> tuple[Gaussians, torch.Tensor]:
+    """About `count` seeds at rest at pixels that show surfaces without a mirror; and their instances."""
+    parts = []
+    for view in views:
+        plain = np.flatnonzero(view.normal.reshape(-1, 3).any(axis=1))
+        moves = view.instances(plain) >= 0
+        for pixels, share in ((plain[~moves], 1 - _MOVING), (plain[moves], _MOVING)):
+            chosen = rng.choice(pixels, min(len(pixels), int(share * count / len(views))), replace=False)
+            parts.append(seed_at(view, chosen, 1.0, 0, motion))
+    return concatenated([part.gaussians for part in parts]), torch.cat([part.semantic for part in parts])
+
+
+def _normals(seeds: Gaussians) -> torch.Tensor:
+    """(3, N) normals of seeds."""
+    return turned(seeds.rotations, torch.tensor([[0.0], [0.0], [1.0]]).expand(3, len(seeds)))
+
+
+def _lifts(seeds: Gaussians, instance: torch.Tensor) -> torch.Tensor:
+    """(N,) how far points are lifted off their surface."""
+    lifts = torch.zeros(len(instance))
+    for number in instance[instance >= 0].unique():
+        own = seeds.means[:, instance == number]
+        lifts[instance == number] = _LIFT * torch.linalg.vector_norm(own.amax(dim=1) - own.amin(dim=1))
+    return lifts
+
+
+def _points(
+    seeds: Gaussians, instance: torch.Tensor, motion: Motion | None, lifts: torch.Tensor, time: float
+) -> Points:
+    """Where the seeds are at a time."""
+    shown = seeds if motion is None else motion.shown(seeds, instance, time)
+    normals = _normals(shown)
+    return Points((shown.means + lifts * normals).T.numpy(), normals.T.numpy())
 
 
 def _times(scene: Scene) -> list[float]:
@@ -89,33 +128,3 @@ def _of_usual(irradiance: NDArray[np.float32]) -> NDArray[np.float64]:
     usual = (np.median(seen, axis=0) + perceived) / 2
     least = max(_DARK * float(usual.mean()), 1e-12)
     return np.minimum((seen + least) / (usual + least), _LARGEST)
-
-
-def _on_still_surfaces(
-    scene: Scene, positions: NDArray[np.float64], reach: NDArray[np.float64], cameras: Sequence[Camera]
-) -> tuple[Points, NDArray[np.bool_]]:
-    """Points (N) of what stands still in a scene where nodes are; and which nodes have one."""
-    moving = [] if scene.moving is None else [mi.ShapePtr(shape) for shape in scene.moving.shapes]
-    found = np.zeros(len(positions), dtype=bool)
-    place, normal = np.zeros((2, len(positions), 3), dtype=np.float32)
-    for camera in cameras:
-        pixels, depth = camera.project(positions)
-        inside = ((pixels >= 0) & (pixels < (camera.width, camera.height))).all(axis=1) & (depth > 0)
-        asked = np.flatnonzero(inside & ~found)
-        if not len(asked):
-            continue
-        way = positions[asked] - camera.position
-        distance = np.linalg.norm(way, axis=1)
-        direction = (way / distance[:, None]).astype(np.float32)
-        ray = mi.Ray3f(mi.Point3f(camera.position.astype(np.float32)), mi.Vector3f(direction.T))
-        hit = scene.mitsuba.ray_intersect(ray)
-        valid = hit.is_valid()
-        for shape in moving:
-            valid &= hit.shape != shape
-        away, valid = hit.t.numpy(), valid.numpy()
-        near = valid & (np.abs(away - distance) < reach[asked] + _SHARE * distance)
-        facing = hit.n.numpy().T
-        facing *= np.where((facing * direction).sum(axis=1) > 0, -1, 1)[:, None]
-        place[asked[near]], normal[asked[near]] = hit.p.numpy().T[near], facing[near]
-        found[asked[near]] = True
-    return Points(place, normal), found

@@ -16,7 +16,7 @@ from hybrid.preparation.clock import Clock
 from hybrid.preparation.complexity import complexity_of
 from hybrid.preparation.convergence import CONVERGED_DB, Pass, converging_seconds
 from hybrid.preparation.judges import Judges
-from hybrid.preparation.lighting import with_light_course
+from hybrid.preparation.lighting import light_over_time
 from hybrid.preparation.planner import Planner
 from hybrid.preparation.settings import PreparationSettings
 from hybrid.preparation.views import breadth_of, stated_error, views_of, wanted_of
@@ -27,7 +27,7 @@ from hybrid.store.journal import Journal
 from hybrid.training.forest import train
 from hybrid.training.fusion import with_fusion
 from pathtrace.dataset.capture import capture
-from pathtrace.dataset.frames import read_frame_set
+from pathtrace.dataset.frames import FrameSet, read_frame_set
 from pathtrace.dataset.growing import GrowingFrames
 from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.dataset.views import time_of
@@ -39,6 +39,7 @@ from pathtrace.trace.integrator import Integrator
 from pathtrace.trace.tracer import Tracer
 from splat.io.forest_file import load_forest, save_forest
 from splat.model.forest import Forest
+from splat.model.surface_light import SurfaceLight
 from splat.training.trainer import TrainingSettings
 
 # What the fusion is fitted to: views with unbiased frames, and parts of them.
@@ -176,11 +177,13 @@ class _Job:
         views = views_of(self._region, stages, self._settings.seed)
         with self._bars(f"stage {number + 1}: frames (samples)") as bar:
             frames.grow(wanted_of(frames, views, stages[-1], before), bar)
+        found = read_frame_set(frames.folder)
+        light = self._light(found, stages[-1].gaussians)
         seconds = self._planner.framed()
         self._planner.look(lambda: complexity_of(frames))
         traced = self._journal.once(f"pass {number}", lambda: asdict(self._pass(frames, seconds)))
         self._passes.append(Pass(**traced))
-        forest = self._trained(frames, path, before)
+        forest = self._trained(found, light, path, before)
         if number:
             store_forest(forest, self._folder.name)
         return forest
@@ -190,27 +193,25 @@ class _Job:
         before = self._passes[-1].seconds if self._passes else 0.0
         return Pass(float(np.mean(frames.samples)), stated_error(frames), before + seconds)
 
-    def _trained(self, frames: GrowingFrames, path: Path, before: Forest | None) -> Forest:
+    def _trained(
+        self, frames: FrameSet, light: SurfaceLight | None, path: Path, before: Forest | None
+    ) -> Forest:
         """The forest of a stage, in as many steps as there is time for."""
         stage, number = self._planner.stages[-1], self._number
         layers = stage.layers if number else 1
         seed = self._settings.seed + number
         settings = TrainingSettings(self._planner.steps(), stage.gaussians, layers, seed=seed)
         with self._bars(f"stage {number + 1}: forest (steps)") as bar:
-            forest = train(read_frame_set(frames.folder), path, settings, bar, start=before)
-        forest = self._lit(forest, frames, path)
+            forest = train(frames, path, settings, bar, start=before, light=light)
         self._planner.trained()
         return forest
 
-    def _lit(self, forest: Forest, frames: GrowingFrames, path: Path) -> Forest:
-        """The forest, written anew with how light changes on it if the scene moves."""
+    def _light(self, frames: FrameSet, gaussians: int) -> SurfaceLight | None:
+        """How light on surfaces changes over time; None in a scene that stands still."""
         if self._scene.moving is None:
-            return forest
-        cameras = [frames.camera(view) for view in range(len(frames.samples))]
-        cache = cache_for(self._scene)
-        forest = with_light_course(forest, self._scene, cache, cameras, self._settings.seed, self._bars)
-        save_forest(path, forest)
-        return forest
+            return None
+        cache, seed = cache_for(self._scene), self._settings.seed
+        return light_over_time(self._scene, cache, frames, gaussians, seed, self._bars)
 
     def _judge(self, judges: Judges, forest: Forest) -> None:
         """Adds a row to the curve."""

@@ -26,6 +26,7 @@ from splat.model.check import check_forest
 from splat.model.forest import Forest, forest_of
 from splat.model.motion import Motion
 from splat.model.motion_model import MotionModel
+from splat.model.surface_light import SurfaceLight
 from splat.training.sky import shows_sky
 from splat.training.trainer import Trainer, TrainingSettings, most_layers
 from splat.training.views import TrainingView, finest_focal
@@ -99,6 +100,7 @@ def train(
     progress: Callable[[int, int], None] = no_progress,
     report: Callable[[LeftOut], None] = say_left_out,
     start: Forest | None = None,
+    light: SurfaceLight | None = None,
 ) -> Forest:
     """Trains a forest, fits the fusion to it, and writes both to one file; resumes if interrupted.
 
@@ -109,6 +111,7 @@ def train(
         progress: called with steps done and steps in total.
         report: called in the end with what was not finite and therefore left out.
         start: whose finest layer to go on from.
+        light: on the surfaces that the frames show, in their coordinates; None if it is not known to change.
 
     Raises:
         UserError: there are no frames to train on, a motion is to be learned from frames of a single time, a
@@ -120,7 +123,7 @@ def train(
     views = [training_view(entry, frames.courses) for entry in frames.training]
     try:
         known = motion_of(frames.courses) if settings.motion is MotionModel.KNOWN else None
-        trainer = Trainer(device_arrays(), views, settings, start, known)
+        trainer = Trainer(device_arrays(), views, settings, start, known, light)
     except ValueError as error:
         raise UserError(f"{frames.folder}: {error}") from error
     checkpoint = checkpoint_path(path)
@@ -134,6 +137,7 @@ def train(
         frames.scene_hash,
         trainer.place,
         trainer.motion,
+        trainer.light,
     )
     if not forest.nodes.gaussians.is_finite():
         raise RuntimeError("training ended with numbers that are not finite")

@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import interp1d
 
 from pathtrace.cache.cache import IrradianceCache, look_up
 from pathtrace.cache.cells import Points
@@ -18,6 +19,8 @@ from pathtrace.scene.scene import Scene
 _ROUNDS = 4
 # Rays from each point for the light that comes over other surfaces.
 _RAYS = 16
+# Times at which these are followed from what moves; light from all sides changes slowly.
+_INDIRECT = 17
 # Any cell will do for these.
 _ANY_AREA = 1e9
 
@@ -25,33 +28,44 @@ _ANY_AREA = 1e9
 def irradiance_over_time(
     scene: Scene,
     cache: IrradianceCache,
-    points: Points,
+    points: Callable[[float], Points],
+    moving: NDArray[np.int64],
     times: Sequence[float],
     seed: int,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> NDArray[np.float32]:
     """(T, N) irradiance, mean over the channels, of N points at T times.
 
-    Light that comes over other surfaces is that of time 0. All times have the same random numbers, so that
-    their ratios have less noise than they.
+    Light that comes over other surfaces has the irradiance of time 0 there; on what stands still, it is as
+    at time 0. All times have the same random numbers, so that their ratios have less noise than they.
 
     Args:
         scene: a scene that moves; afterwards it shows the last time.
         cache: of its irradiance at time 0.
-        points: N of them on what stands still.
-        times: from 0 to 1.
+        points: where the N points are at a time.
+        moving: (M,) which of them move.
+        times: from 0 to 1, ascending.
         seed: same seed, same irradiance on the same machine.
         progress: called with times done and their number.
     """
     scene.set_time(0.0)
-    indirect = _indirect(scene, cache, points, seed)
+    indirect = _indirect(scene, cache, points(0.0), seed)
     found = np.empty((len(times), len(indirect)), dtype=np.float32)
+    some = np.unique(np.linspace(0, len(times) - 1, _INDIRECT).round().astype(int))
+    arriving = np.empty((len(some), len(moving)), dtype=np.float32)
     for number, time in enumerate(times):
         scene.set_time(time)
-        rounds = [gather_direct(scene.mitsuba, points, seed + n).irradiance for n in range(_ROUNDS)]
-        found[number] = indirect + np.mean(rounds, axis=(0, 2))
+        now = points(time)
+        rounds = [gather_direct(scene.mitsuba, now, seed + n).irradiance for n in range(_ROUNDS)]
+        found[number] = np.mean(rounds, axis=(0, 2))
+        for row in np.flatnonzero(some == number) if len(moving) else ():
+            arriving[row] = _indirect(scene, cache, now.take(moving), seed)
         progress(number + 1, len(times))
-    return found
+    over_time = np.tile(indirect, (len(times), 1))
+    if len(moving):
+        over_time[:, moving] = interp1d(some, arriving, axis=0)(np.arange(len(times)))
+    # Rounding may leave a little less than nothing between two times.
+    return np.maximum(found + over_time, 0)
 
 
 def _indirect(scene: Scene, cache: IrradianceCache, points: Points, seed: int) -> NDArray[np.float32]:

@@ -117,8 +117,12 @@ def _light(tensors: dict[str, torch.Tensor]) -> LightCourse | None:
     found = under(_LIGHT, tensors)
     if not found:
         return None
-    light = LightCourse(**{field.name: found[field.name] for field in fields(LightCourse)})
-    if not bool((torch.isfinite(light.factors) & (light.factors >= 0)).all()):
+    # Files that earlier versions wrote know of nodes with one side only.
+    light = LightCourse(
+        **{field.name: found[field.name] for field in fields(LightCourse) if field.name in found}
+    )
+    factors = torch.cat([light.factors.flatten(), light.behind.flatten()])
+    if not bool((torch.isfinite(factors) & (factors >= 0)).all()):
         raise ValueError("factors of light that are not finite, or negative")
     return light
 

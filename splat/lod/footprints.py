@@ -14,7 +14,7 @@ from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from splat.model.forest import Forest
 from splat.model.gaussians import Gaussians
-from splat.model.light_course import in_light
+from splat.model.light_course import LightCourse, in_light, seen_from_behind
 from splat.raster.binning import depth_order
 from splat.raster.projection import PIXEL_FILTER, Footprints, Parameters, footprints, may_show
 from splat.raster.records import RecordLayout, Records, concatenated_records
@@ -57,6 +57,7 @@ class ForestFootprints:
     def __init__(self, arrays: Arrays, forest: Forest):
         self.arrays, self._place = arrays, forest.place
         self._forest, self._time = forest, -1.0
+        self._lit: tuple[float, bytes] | None = None
         self._dynamic, self._course = _dynamic_nodes(forest), _course_of(forest)
         self._nodes = _NodeTable(arrays, forest.nodes.gaussians)
         first = np.cumsum([0, *forest.counts])
@@ -79,24 +80,40 @@ class ForestFootprints:
             return
         self._time = time
         self._move(time)
-        self._light(time)
 
-    def _light(self, time: float) -> None:
-        """Gives nodes whose light changes the radiance that they have at a time."""
-        light = self._forest.light
-        if light is not None and len(light.nodes):
-            self._key = None
-            self._nodes.light(
-                light.nodes, in_light(self._forest.nodes.gaussians.sh[..., light.nodes], light.at(time))
-            )
+    def _light(self, camera: Camera) -> None:
+        """Gives nodes whose light changes the radiance that a camera, in their coordinates, sees now."""
+        light, own = self._forest.light, self._forest.nodes.gaussians
+        if light is None or not len(light.nodes):
+            return
+        eye = camera.position.tobytes() if len(light.sided) else b""
+        if self._lit == (self._time, eye):
+            return
+        factors = light.at(self._time)
+        if len(light.sided):
+            behind = self._seen_from_behind(light, camera)
+            factors[light.sided] = torch.where(behind, light.behind_at(self._time), factors[light.sided])
+        self._nodes.light(light.nodes, in_light(own.sh[..., light.nodes], factors))
+        self._lit = self._time, eye
+
+    def _seen_from_behind(self, light: LightCourse, camera: Camera) -> torch.Tensor:
+        """(B,) whether nodes with two sides are seen from behind where they are now."""
+        nodes, own = light.nodes[light.sided], self._forest.nodes.gaussians
+        eye = torch.from_numpy(camera.position.copy()).float()
+        return seen_from_behind(
+            light.normals, own.rotations[:, nodes], self._rotations[:, nodes], self._means[:, nodes], eye
+        )
 
     def _move(self, time: float) -> None:
         """Brings dynamic nodes to where they are at a time."""
+        own = self._forest.nodes.gaussians
+        self._key, self._means, self._rotations = None, own.means, own.rotations
         if self._course is None:
             return
-        self._key = None
         with torch.no_grad():
             moved = self._course(time)
+        self._means = own.means.index_copy(1, self._dynamic, moved.means)
+        self._rotations = own.rotations.index_copy(1, self._dynamic, moved.rotations)
         self._nodes.move(self._dynamic, moved)
         for bounds in self._bounds:
             bounds.move(self._dynamic, moved)
@@ -109,6 +126,8 @@ class ForestFootprints:
             blur: widest filter that will be used, as a multiple of the filter at the pixel grid.
             layers: numbers from 1 to L.
         """
+        own = self._place.camera(camera)
+        self._light(own)
         if self._key is None or self._key[0] != camera.key or self._key[1] < blur:
             self._layers.clear()
             # Rounded up, since the filter's width changes with the gaze.
@@ -116,7 +135,7 @@ class ForestFootprints:
         # A layer at two rates is two images of the same nodes.
         new = [n for n in dict.fromkeys(layers) if n not in self._layers]
         for n in new:
-            self._layers[n] = self._visible(self._place.camera(camera), n, self._key[1])
+            self._layers[n] = self._visible(own, n, self._key[1])
         if new:
             self._concatenate()
         return [self._layers[n] for n in layers]

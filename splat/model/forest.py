@@ -21,6 +21,7 @@ from splat.model.gaussians import Gaussians
 from splat.model.layer import Layer, concatenated_layers
 from splat.model.light_course import LightCourse
 from splat.model.rows import means_of
+from splat.model.surface_light import SurfaceLight
 from splat.model.z_curve import z_curve_order
 
 
@@ -103,8 +104,9 @@ def forest_of(
     scene_hash: str,
     place: Place = WORLD,
     motion: Dynamics | None = None,
+    light: SurfaceLight | None = None,
 ) -> Forest:
-    """Builds a forest from its layers, coarsest first; `place` says in which coordinates they are.
+    """Builds a forest from its layers, coarsest first; `place` says in which coordinates they and light are.
 
     The nodes of each layer are sorted along a space-filling curve: nodes that are drawn together then lie
     together in memory.
@@ -122,4 +124,7 @@ def forest_of(
         arranged.append(moved)
     counts = tuple(len(layer) for layer in layers)
     nodes = concatenated_layers(arranged)
-    return Forest(nodes, counts, trained_focal, scene_name, scene_hash, place=place, motion=motion)
+    course = None if light is None else light.course(nodes)
+    return Forest(
+        nodes, counts, trained_focal, scene_name, scene_hash, place=place, motion=motion, light=course
+    )

@@ -15,6 +15,7 @@ from splat.model.dynamics import Dynamics
 from splat.model.gaussians import Gaussians
 from splat.model.layer import Layer, concatenated_layers, static_layer
 from splat.training.initialization import seed_at
+from splat.training.node_light import NodeLight
 from splat.training.views import TrainingView
 
 INITIAL_SHARE = 0.5  # of the finest layer's final number
@@ -33,11 +34,19 @@ class DensityControl:
         initial_count: Gaussians at the start.
         final_count: Gaussians at the end.
         motion: of the instances that views show; None if nothing moves.
+        light: that changes; None if none does.
     """
 
-    def __init__(self, iterations: int, initial_count: int, final_count: int, motion: Dynamics | None = None):
+    def __init__(
+        self,
+        iterations: int,
+        initial_count: int,
+        final_count: int,
+        motion: Dynamics | None = None,
+        light: NodeLight | None = None,
+    ):
         self.iterations, self.initial_count, self.final_count = iterations, initial_count, final_count
-        self._motion = motion
+        self._motion, self._light = motion, light
         self._every = max(1, min(_EVERY, int((_LAST - _FIRST) * iterations) // _CHANGES))
         self._errors: dict[int, torch.Tensor] = {}
 
@@ -89,7 +98,7 @@ class DensityControl:
         parts = [static_layer(Gaussians.none(degree))]
         for view, share in zip(seen, shares, strict=True):
             pixels = _draw(self._errors[view], views[view], int(share), rng)
-            parts.append(seed_at(views[view], pixels, _SIZE, degree, self._motion))
+            parts.append(seed_at(views[view], pixels, _SIZE, degree, self._motion, self._light))
         return concatenated_layers(parts)
 
     def state(self) -> dict[str, torch.Tensor]:

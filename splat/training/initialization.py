@@ -13,6 +13,7 @@ from splat.model.dynamics import Dynamics
 from splat.model.gaussians import SH_DC, Gaussians, sh_count
 from splat.model.layer import Layer, concatenated_layers, static_layer
 from splat.model.perceptual import perceptual_from_radiance
+from splat.training.node_light import NodeLight
 from splat.training.sky import rotation_to, whole_sky
 from splat.training.views import TrainingView
 
@@ -39,6 +40,7 @@ def seed_from_views(
     degree: int,
     rng: np.random.Generator,
     motion: Dynamics | None = None,
+    light: NodeLight | None = None,
 ) -> Layer:
     """Seeds at `count` random pixels of all views, wide enough to cover the surfaces together, and at rest.
 
@@ -55,11 +57,11 @@ def seed_from_views(
     for view, share in zip(views, shares, strict=True):
         total = view.distance.size
         chosen = rng.choice(total, min(int(share), total), replace=False)
-        parts.append(seed_at(view, chosen, size, degree, motion))
+        parts.append(seed_at(view, chosen, size, degree, motion, light))
     seeds = concatenated_layers(parts)
     seeds = replace(seeds, gaussians=_covering(seeds.gaussians))
     seeds = concatenated_layers([seeds, static_layer(_sky_around(views, degree))])
-    return seeds if len(seeds) else _first_seed(views, size, degree, rng, motion)
+    return seeds if len(seeds) else _first_seed(views, size, degree, rng, motion, light)
 
 
 def _covering(seeds: Gaussians) -> Gaussians:
@@ -105,11 +107,13 @@ def _first_seed(
     degree: int,
     rng: np.random.Generator,
     motion: Dynamics | None,
+    light: NodeLight | None,
 ) -> Layer:
     """One seed, where hardly any pixel shows a surface and no random one did; none if there is no surface."""
     view = max(views, key=lambda view: len(view.surface_pixels))
     surface = view.surface_pixels
-    return seed_at(view, rng.choice(surface, 1) if len(surface) else surface, size, degree, motion)
+    chosen = rng.choice(surface, 1) if len(surface) else surface
+    return seed_at(view, chosen, size, degree, motion, light)
 
 
 def seed_at(
@@ -118,6 +122,7 @@ def seed_at(
     size: float,
     degree: int,
     motion: Dynamics | None = None,
+    light: NodeLight | None = None,
 ) -> Layer:
     """Seeds at pixels of one view, labelled by the instances that these show.
 
@@ -127,6 +132,7 @@ def seed_at(
         size: standard deviation in pixels of that frame.
         degree: of the spherical harmonics, of which only the constant one is set.
         motion: of the instances; seeds of these are where they are at rest.
+        light: that changes; seeds have the radiance that they show in usual light.
 
     Returns:
         At most M nodes without parents.
@@ -148,8 +154,9 @@ def seed_at(
         torch.full((n,), float(np.log(_INITIAL_OPACITY / (1 - _INITIAL_OPACITY)))),
         sh,
     )
-    if motion is None:
-        return static_layer(seeds)
-    instance = torch.from_numpy(view.instances(pixels))
-    seeds = motion.at_rest(seeds, instance, view.time)
-    return replace(static_layer(seeds), semantic=instance, dynamic=instance >= 0)
+    found = static_layer(seeds)
+    if motion is not None:
+        instance = torch.from_numpy(view.instances(pixels))
+        rest = motion.at_rest(seeds, instance, view.time)
+        found = replace(static_layer(rest), semantic=instance, dynamic=instance >= 0)
+    return found if light is None else light.in_usual_light(found, seeds, view.camera, view.time)

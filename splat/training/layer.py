@@ -11,10 +11,12 @@ import torch
 from compose.base.arrays import Arrays
 from splat.model.dynamics import Dynamics
 from splat.model.layer import LABELS, NO_PARENT, Layer, concatenated_layers
+from splat.model.surface_light import SurfaceLight
 from splat.raster.differentiable import render_differentiable
 from splat.raster.projection import PIXEL_FILTER
 from splat.training.density import DensityControl
 from splat.training.loss import Target
+from splat.training.node_light import NodeLight
 from splat.training.optimizer import GaussianOptimizer
 from splat.training.order import order_of_views
 from splat.training.sizes import largest_log_scales
@@ -23,6 +25,8 @@ from splat.training.visible import visible
 
 # Steps from one look at the sizes to the next.
 _LIMITED_EVERY = 25
+# And from one look at which points of surfaces nodes have their light from.
+_LIT_EVERY = 100
 
 
 class LayerTraining:
@@ -34,6 +38,7 @@ class LayerTraining:
         steps: how many steps this layer gets in total.
         seed: determines the order of the views and the new Gaussians.
         motion: of the instances that views show; None if nothing moves.
+        light: on the surfaces that they show; None if it does not change.
 
     Attributes:
         views: as given.
@@ -56,8 +61,10 @@ class LayerTraining:
         steps: int,
         seed: list[int],
         motion: Dynamics | None = None,
+        light: SurfaceLight | None = None,
     ):
         self._motion = motion
+        self._light = None if light is None else NodeLight(light)
         self.views, self.done, self.skipped, self.begun = views, 0, 0, False
         self.stepped = False
         self._arrays, self._steps, self._seed = arrays, steps, seed
@@ -68,7 +75,15 @@ class LayerTraining:
         """Starts from the given nodes; density control brings their number to the final one."""
         self._tree, self.begun = layer, True
         self._optimizer = GaussianOptimizer(layer.gaussians, self._pixel)
-        self._density = DensityControl(self._steps, len(layer), final_count, self._motion)
+        self._density = self._controlled(len(layer), final_count)
+        self._follow_light()
+
+    def _controlled(self, initial_count: int, final_count: int) -> DensityControl:
+        return DensityControl(self._steps, initial_count, final_count, self._motion, self._light)
+
+    def _follow_light(self) -> None:
+        if self._light is not None:
+            self._light.follow(self.layer)
 
     def extend(self, layer: Layer) -> None:
         """Continues with the same nodes, possibly with other parents, and with new nodes after them."""
@@ -76,6 +91,7 @@ class LayerTraining:
         self._tree = layer
         if len(layer) > before:
             self._optimizer.replace(layer.gaussians, torch.arange(before))
+        self._follow_light()
 
     @property
     def layer(self) -> Layer:
@@ -98,9 +114,11 @@ class LayerTraining:
         with torch.no_grad():
             moved = gaussians if self._motion is None else self._motion.shown(gaussians, semantic, time)
         shown = visible(self._arrays, moved, camera)
-        chosen = self._optimizer.chosen(shown)
+        rest = chosen = self._optimizer.chosen(shown)
         if self._motion is not None:
-            chosen = self._motion.shown(chosen, semantic[shown], time)
+            chosen = self._motion.shown(rest, semantic[shown], time)
+        if self._light is not None:
+            chosen = self._light.lit(rest, chosen, shown, camera, time)
         image = render_differentiable(self._arrays, chosen, camera, PIXEL_FILTER)
         loss, error = self._targets[index].loss(image)
         self.stepped = self._optimizer.step(loss, self.done / self._steps)
@@ -113,7 +131,10 @@ class LayerTraining:
             self._optimizer.limit_scales(largest_log_scales(means, self.views))
         due = grows and self._density.is_due(self.done)
         self.done += 1
-        return self._change_density() if due else None
+        now = self._change_density() if due else None
+        if due or self.done % _LIT_EVERY == 0:
+            self._follow_light()
+        return now
 
     def _change_density(self) -> torch.Tensor:
         """Removes and adds nodes; returns the index (N,) that each former node has now, -1 if removed."""
@@ -141,6 +162,7 @@ class LayerTraining:
         counts = {"initial": self._density.initial_count, "final": self._density.final_count}
         tensors = dict(self._tree.labels()) | self._optimizer.state() | self._density.state()
         tensors |= {"order": self._order} if self.done else {}
+        tensors |= {} if self._light is None else self._light.state()
         return tensors, {"done": self.done, "skipped": self.skipped, **counts}
 
     def restore(self, tensors: dict[str, torch.Tensor], numbers: dict[str, Any]) -> None:
@@ -154,9 +176,9 @@ class LayerTraining:
         self._optimizer = GaussianOptimizer.restored(tensors, self._pixel)
         gaussians = self._optimizer.gaussians
         self._tree, self.begun = Layer(gaussians, *(tensors[name] for name in LABELS)), True
-        self._density = DensityControl(
-            self._steps, int(numbers["initial"]), int(numbers["final"]), self._motion
-        )
+        self._density = self._controlled(int(numbers["initial"]), int(numbers["final"]))
+        if self._light is not None:
+            self._light.restore(tensors)
         self._density.restore(tensors)
         self.done, self.skipped = int(numbers["done"]), int(numbers["skipped"])
         if self.done:

@@ -24,11 +24,13 @@ from splat.model.layer import NO_PARENT, Layer, without_parents
 from splat.model.motion import Motion
 from splat.model.motion_model import MotionModel
 from splat.model.settling import settle
+from splat.model.surface_light import SurfaceLight
 from splat.training.density import INITIAL_SHARE
 from splat.training.field import FieldOptimizer
 from splat.training.initialization import seed_from_views
 from splat.training.layer import LayerTraining
 from splat.training.loss import SMALLEST_SIDE
+from splat.training.node_light import NodeLight
 from splat.training.views import TrainingView, at_resolution, finest_focal, pixel_footprint, place_of, placed
 
 # Share of the steps before the forest is built.
@@ -94,11 +96,13 @@ class Trainer:
         start: whose finest layer to go on from, instead of seeds on the surfaces that the views show.
         motion: of the instances that the views show, in world space; None if nothing moves, and if a field
             learns it.
+        light: on the surfaces that they show, in world space; None if it does not change.
 
     Attributes:
         settings: as given.
         place: the coordinates in which the Gaussians are trained.
         motion: of the instances, in these coordinates; known or learned.
+        light: on the surfaces, in these coordinates.
         dropped: number of frames that were left out.
         iteration: steps so far.
 
@@ -113,6 +117,7 @@ class Trainer:
         settings: TrainingSettings,
         start: Forest | None = None,
         motion: Motion | None = None,
+        light: SurfaceLight | None = None,
     ):
         self.settings = settings
         finite = [view for view in views if view.is_finite]
@@ -121,6 +126,7 @@ class Trainer:
         self.place = place_of(finite) if start is None else start.place
         views = [_labelled(placed(view, self.place), settings.motion) for view in finite]
         self.motion: Dynamics | None = None if motion is None else motion.placed(self.place)
+        self.light = None if light is None else light.placed(self.place)
         self._field: FieldOptimizer | None = None
         if settings.motion.field is not None:
             self.motion = learned = LearnedMotion.begun(settings.motion.field, *_box(views), settings.seed)
@@ -134,6 +140,7 @@ class Trainer:
                 max(1, int(np.count_nonzero(self._schedule == index))),
                 [settings.seed, index],
                 self.motion,
+                self.light,
             )
             for index in range(settings.layers)
         ]
@@ -142,7 +149,8 @@ class Trainer:
         rng = np.random.default_rng([settings.seed, 0])
         first = max(1, int(settings.gaussians * INITIAL_SHARE))
         if start is None:
-            known = seed_from_views(views, first, settings.degree, rng, self.motion)
+            lit = None if self.light is None else NodeLight(self.light)
+            known = seed_from_views(views, first, settings.degree, rng, self.motion, lit)
         else:
             known = without_parents(start.layers[-1])
         self._layers[-1].begin(known, max(settings.gaussians, len(known)))

@@ -1,10 +1,10 @@
-"""Factors for nodes over which a shadow moves."""
+"""Light on surfaces over which a shadow moves, and on what moves itself."""
 
 from __future__ import annotations
 
 import json
 from contextlib import contextmanager
-from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
@@ -12,9 +12,12 @@ import numpy as np
 import pytest
 import torch
 
-from hybrid.preparation.lighting import with_light_course
+from hybrid.preparation.lighting import light_over_time
 from hybrid.runtime.device import device_arrays
+from pathtrace.dataset.capture import capture
+from pathtrace.dataset.frames import FrameSet
 from pathtrace.dataset.rendering import render_frame
+from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.fill.fill import fill_cache
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.tracer import Tracer
@@ -22,7 +25,9 @@ from splat.io.forest_file import load_forest, save_forest
 from splat.lod.renderer import ForestRenderer
 from splat.model.building import build_forest
 from splat.model.forest import Forest, forest_of
+from splat.model.surface_light import SurfaceLight
 from splat.training.initialization import seed_at
+from splat.training.node_light import NodeLight
 from splat.training.views import TrainingView
 from tests import small
 
@@ -65,21 +70,43 @@ def scene(backend, tmp_path_factory) -> Scene:
     return load_scene(described(), motion=file)
 
 
+def captured(scene: Scene, folder: Path) -> FrameSet:
+    settings = CaptureSettings(views=12, held_out=0, width=48, height=48, spp=8, close_ups=())
+    return capture(scene, folder, settings, lambda done, total: None)
+
+
+def light_of(scene: Scene, frames: FrameSet) -> SurfaceLight:
+    scene.set_time(0.0)
+    cache = fill_cache(scene, [scene.camera], points=1 << 12)
+    scene.set_time(0.7)
+    found = light_over_time(scene, cache, frames, 2000, 0, silent)
+    assert found is not None
+    return found
+
+
 @pytest.fixture(scope="module")
-def forest(scene) -> Forest:
+def frames(scene, tmp_path_factory) -> FrameSet:
+    return captured(scene, tmp_path_factory.mktemp("frames"))
+
+
+@pytest.fixture(scope="module")
+def light(scene, frames) -> SurfaceLight:
+    return light_of(scene, frames)
+
+
+def forest_in(light: SurfaceLight | None, scene: Scene) -> Forest:
     """Seeds at time 0, when no shadow is in view."""
     scene.set_time(0.0)
     frame = render_frame(Tracer(scene), scene.camera, 16, 0)
     view = TrainingView(scene.camera, frame.radiance, frame.unfolded, frame.normal)
-    layers = build_forest(seed_at(view, np.arange(48 * 48), 0.6, 0), 0.05, 2)
-    return forest_of(layers, scene.camera.fy, scene.name, scene.hash)
+    lit = None if light is None else NodeLight(light)
+    seeds = seed_at(view, np.arange(48 * 48), 0.6, 0, None, lit)
+    return forest_of(build_forest(seeds, 0.05, 2), scene.camera.fy, scene.name, scene.hash, light=light)
 
 
 @pytest.fixture(scope="module")
-def lit(scene, forest) -> Forest:
-    scene.set_time(0.0)
-    cache = fill_cache(scene, [scene.camera], points=1 << 12)
-    return with_light_course(forest, scene, cache, [scene.camera], 0, silent)
+def lit(scene, light) -> Forest:
+    return forest_in(light, scene)
 
 
 def error(scene: Scene, forest: Forest, time: float) -> float:
@@ -92,22 +119,28 @@ def error(scene: Scene, forest: Forest, time: float) -> float:
     return float(np.mean((image[inner] - truth[inner]) ** 2))
 
 
-def test_a_shadow_passes_over_the_splats(scene, forest, lit):
+def test_a_shadow_passes_over_the_splats(scene, lit):
     assert lit.light is not None
     assert 0.02 < len(lit.light.nodes) / len(lit.nodes) < 0.9
-    before, found = ([error(scene, f, time) for time in TIMES] for f in (forest, lit))
+    before, found = ([error(scene, f, time) for time in TIMES] for f in (forest_in(None, scene), lit))
     assert found[1] < 0.4 * before[1]
     for side in (0, 2):
         assert found[side] < 1.1 * before[side] + 1e-6
 
 
-def test_nodes_without_a_shadow_have_no_factor(lit, forest):
-    assert lit.light is not None
-    factors = lit.light.factors
-    assert float(factors.max()) < 1.3
-    assert float(factors.min()) < 0.5
-    assert bool((np.ptp(factors.numpy(), axis=0) > 0.08).all())
-    assert lit.nodes is forest.nodes
+def test_points_without_a_shadow_have_no_course(light):
+    changes = light.changes.numpy()
+    factors = light.factors.numpy()
+    assert 0.02 < changes.mean() < 0.9
+    np.testing.assert_array_equal(np.ptp(factors, axis=0) > 0.08, changes)
+    assert factors[:, changes].max() < 1.3
+    assert factors[:, changes].min() < 0.5
+
+
+def test_the_same_seed_gives_the_same_light(scene, frames, light):
+    again = light_of(scene, frames)
+    for name in SurfaceLight.__dataclass_fields__:
+        torch.testing.assert_close(getattr(again, name), getattr(light, name), rtol=0, atol=0)
 
 
 def test_light_comes_back_from_a_file(lit, tmp_path):
@@ -118,30 +151,24 @@ def test_light_comes_back_from_a_file(lit, tmp_path):
     for name, tensor in lit.light.tensors().items():
         torch.testing.assert_close(back.light.tensors()[name], tensor, rtol=0, atol=0)
     assert back.digest() == lit.digest()
-    assert replace(lit, light=None).digest() != lit.digest()
 
 
-def test_where_no_light_changes_the_forest_stays_as_it_is(scene, forest):
-    """A card that is as far away at all times."""
-    scene.set_time(0.0)
-    cache = fill_cache(scene, [scene.camera], points=1 << 10)
-    away = [scene.camera.resized(8, 8)]
-    far = replace(forest, nodes=replace(forest.nodes, gaussians=replace(forest.nodes.gaussians)))
-    far.nodes.gaussians.means = far.nodes.gaussians.means + 50
-    assert with_light_course(far, scene, cache, away, 0, silent) is far
-
-
-def test_nodes_on_what_moves_have_no_factor(backend, tmp_path):
-    """Of a wall that hardly moves, under a shadow; its nodes have no label, like those of a sheet."""
+def test_what_moves_has_the_light_of_where_it_is(backend, tmp_path):
+    """A board that moves away from a lamp above it, at the same angle."""
     file = tmp_path / "any.motion.json"
-    across = {"keyframes": [{"t": 0, "translate": [-4, 0, 0]}, {"t": 1, "translate": [4, 0, 0]}]}
-    nearly = {"keyframes": [{"t": 0}, {"t": 1, "translate": [0, 0, 0.001]}]}
-    file.write_text(json.dumps({"shapes": {"card": across, "wall": nearly}}))
-    moving = load_scene(described(), motion=file)
-    assert moving.moving is not None
-    assert len(moving.moving.shapes) == 2
-    frame = render_frame(Tracer(moving), moving.camera, 4, 0)
-    view = TrainingView(moving.camera, frame.radiance, frame.unfolded, frame.normal)
-    own = forest_of([seed_at(view, np.arange(0, 2304, 5), 0.6, 0)], moving.camera.fy, "", "")
-    cache = fill_cache(moving, [moving.camera], points=1 << 10)
-    assert with_light_course(own, moving, cache, [moving.camera], 0, silent) is own
+    file.write_text(
+        json.dumps({"shapes": {"wall": {"keyframes": [{"t": 0}, {"t": 1, "translate": [0, 0, 2]}]}}})
+    )
+    described_wall = described()
+    del described_wall["card"]
+    described_wall["lamp"]["position"] = [0.0, 0.0, -3.0]
+    moving = load_scene(described_wall, motion=file)
+    light = light_of(moving, captured(moving, tmp_path / "frames"))
+    assert set(light.instance.tolist()) == {0}
+    assert bool(light.changes.all())
+    times = np.linspace(0, 1, len(light.factors))
+    way = light.means.double().numpy()[:, None] + np.stack([0 * times, 0 * times, 2 * times])[:, :, None]
+    way[2] += 3
+    exact = way[2] / np.linalg.norm(way, axis=0) ** 3
+    found = light.factors.numpy() / light.factors.numpy()[0]
+    np.testing.assert_allclose(found, exact / exact[0], rtol=0.03)

@@ -17,6 +17,7 @@ from pathtrace.trace.tracer import Tracer
 from tests import small
 
 REFLECTANCE = 0.6
+NONE = np.zeros(0, dtype=np.int64)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +50,7 @@ def test_irradiance_follows_a_shadow_that_moves(scene):
     place = np.stack([x, np.full_like(x, 0.05), np.full_like(x, 2)], axis=1)
     points = Points(place, np.tile(np.float32([0, 0, -1]), (len(x), 1)))
     times = [0.0, 0.45, 0.5, 0.6]
-    found = irradiance_over_time(scene, cache, points, times, 3)
+    found = irradiance_over_time(scene, cache, lambda time: points, NONE, times, 3)
     assert found.shape == (4, 31)
     way = place - [0, 0, -1.5]
     exact = 20 * way[:, 2] / np.linalg.norm(way, axis=1) ** 3
@@ -70,7 +71,31 @@ def test_the_same_seed_gives_the_same_irradiance(scene):
     seen = np.isfinite(hits.distance)
     place = camera.position + camera.rays(camera.pixel_centres())[seen] * hits.distance[seen, None]
     points = Points(place.astype(np.float32), np.tile(np.float32([0, 0, -1]), (seen.sum(), 1)))
-    one, other = (irradiance_over_time(scene, cache, points, [0.2, 0.8], 5) for _ in range(2))
+    one, other = (
+        irradiance_over_time(scene, cache, lambda time: points, NONE, [0.2, 0.8], 5) for _ in range(2)
+    )
     np.testing.assert_array_equal(one, other)
     assert np.isfinite(one).all()
     assert (one >= 0).all()
+
+
+def test_points_that_move_have_the_light_where_they_are(scene):
+    """On both sides of the board, of which the lamp lights one."""
+    scene.set_time(0.0)
+    cache = fill_cache(scene, [scene.camera], points=1 << 12)
+    y = np.linspace(-0.3, 0.3, 7, dtype=np.float32)
+
+    def points(time: float) -> Points:
+        x = np.full_like(y, 6 * time - 3)
+        front, back = (np.stack([x, y, np.full_like(y, z)], axis=1) for z in (0.499, 0.501))
+        normals = np.repeat(np.float32([[0, 0, -1], [0, 0, 1]]), 7, axis=0)
+        return Points(np.concatenate([front, back]), normals)
+
+    times = [0.1, 0.3, 0.5]
+    found = irradiance_over_time(scene, cache, points, np.arange(14), times, 3)
+    for row, time in zip(found, times, strict=True):
+        way = points(time).position[:7] - [0, 0, -1.5]
+        exact = 20 * way[:, 2] / np.linalg.norm(way, axis=1) ** 3
+        np.testing.assert_allclose(row[:7], exact, rtol=0.02)
+    # The wall sees so little that its cache knows nothing of it.
+    np.testing.assert_array_equal(found[:, 7:], 0)

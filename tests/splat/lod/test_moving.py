@@ -11,7 +11,7 @@ import torch
 from splat.lod.layer_images import LayerImage
 from splat.lod.renderer import ForestRenderer
 from splat.model.forest import Forest
-from splat.model.light_course import LightCourse, in_light
+from splat.model.light_course import LightCourse, in_light, seen_from_behind
 from splat.model.motion import posed
 from tests.splat.lod.views import CORNERS, everything, frame_camera, no_cutoff, small_forest
 from tests.splat.model.test_motion import COUNT, random_motion
@@ -80,6 +80,38 @@ def test_nodes_have_the_light_of_the_time(arrays):
         shown = replace(forest, nodes=replace(forest.nodes, gaussians=replace(forest.nodes.gaussians, sh=sh)))
         expected = ForestRenderer(arrays, as_posed(shown, time)).render_layer(camera, 3).image()
         np.testing.assert_allclose(renderer.render_layer(camera, 3).image(), expected, atol=1e-4)
+
+
+def test_sided_nodes_have_the_light_of_the_side_that_is_seen(arrays):
+    """From either end of the normals, without and with a step of time between."""
+    forest = moving_forest()
+    nodes = torch.arange(len(forest.nodes))
+    generator = torch.Generator().manual_seed(6)
+    front, back = (torch.rand(3, len(nodes), generator=generator) * 2 for _ in range(2))
+    camera = frame_camera()
+    eye = torch.from_numpy(camera.position.copy()).float()
+    # At time 0, of those that stand still, every other one is seen from behind.
+    towards = (eye[:, None] - forest.nodes.gaussians.means) * torch.tensor([1.0, -1.0]).repeat(len(nodes))[
+        : len(nodes)
+    ]
+    light = LightCourse(nodes, front, nodes.clone(), back, towards / towards.norm(dim=0))
+    renderer = ForestRenderer(arrays, replace(forest, light=light))
+    for time in (0.0, 0.7):
+        renderer.set_time(time)
+        own = as_posed(forest, time).nodes.gaussians
+        rest = forest.nodes.gaussians
+        behind = seen_from_behind(light.normals, rest.rotations, own.rotations, own.means, eye)
+        sh = in_light(rest.sh, torch.where(behind, light.behind_at(time), light.at(time)))
+        shown = replace(forest, nodes=replace(forest.nodes, gaussians=replace(rest, sh=sh)))
+        expected = ForestRenderer(arrays, as_posed(shown, time)).render_layer(camera, 3).image()
+        found = renderer.render_layer(camera, 3).image()
+        np.testing.assert_allclose(found, expected, atol=1e-4)
+        from_in_front = replace(
+            light, sided=light.sided[:0], behind=torch.zeros(3, 0), normals=torch.zeros(3, 0)
+        )
+        plain = ForestRenderer(arrays, replace(forest, light=from_in_front))
+        plain.set_time(time)
+        assert np.abs(plain.render_layer(camera, 3).image() - found).max() > 0.05
 
 
 def test_light_of_nodes_that_there_are_not_is_refused():

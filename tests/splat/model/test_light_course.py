@@ -70,3 +70,25 @@ def test_without_light_there_is_nothing_to_change():
 def test_shapes_are_checked(nodes, factors, said):
     with pytest.raises(ValueError, match=said):
         LightCourse(nodes, factors)
+
+
+@pytest.mark.parametrize(
+    ("sided", "behind", "normals", "said"),
+    [
+        (torch.tensor([0]), torch.ones(2, 1), torch.ones(3, 1), "factors at 3 and 2 times"),
+        (torch.tensor([2]), torch.ones(3, 1), torch.ones(3, 1), "sides of more than 2 nodes"),
+        (torch.tensor([-1]), torch.ones(3, 1), torch.ones(3, 1), "sides of more than 2 nodes"),
+        (torch.tensor([0]), torch.ones(3, 1), torch.ones(3, 2), "normals of"),
+        (torch.tensor([0]), torch.ones(3, 2), torch.ones(3, 1), "sided and behind of"),
+    ],
+)
+def test_sides_are_checked(sided, behind, normals, said):
+    with pytest.raises(ValueError, match=said):
+        LightCourse(torch.tensor([2, 5]), torch.ones(3, 2), sided, behind, normals)
+
+
+def test_both_sides_have_factors_of_their_own():
+    behind = torch.tensor([[2.0], [4.0], [0.0]])
+    both = LightCourse(torch.tensor([2, 5]), course().factors, torch.tensor([1]), behind, torch.ones(3, 1))
+    torch.testing.assert_close(both.at(0.25), course().at(0.25))
+    torch.testing.assert_close(both.behind_at(0.25), torch.tensor([3.0]))
