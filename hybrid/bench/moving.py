@@ -14,6 +14,7 @@ from scipy.ndimage import binary_dilation
 
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
+from compose.camera.view import View
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image, luminance, srgb_from_radiance
@@ -240,8 +241,7 @@ class _Methods:
 
     def _traced_frame(self, traced: Method, settings: FrameSettings, seed: int) -> Image:
         assert settings.camera is not None
-        self._renderer.scene.set_time(settings.time)
-        return traced.render(settings.camera, settings.gaze, seed).image
+        return traced.render(View(settings.camera, settings.time), settings.gaze, seed).image
 
     def _as_slow(self) -> Method | None:
         """Path-traced frames that take as long as the hybrid's; None if none do."""
@@ -249,7 +249,7 @@ class _Methods:
         family = partial(enlarged, tracer, 1, denoised=True)
         ours = HybridMethod(self._renderer, self._settings)
         assert self._settings.camera is not None
-        rays = at_equal_time(family, ours, [self._settings.camera], self._settings.gaze, _RAYS)
+        rays = at_equal_time(family, ours, [View(self._settings.camera)], self._settings.gaze, _RAYS)
         return None if rays is None else family(rays)
 
 

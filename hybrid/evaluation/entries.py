@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from compose.camera.camera import Camera
+from compose.camera.view import View
 from compose.eye.gaze import Gaze
 from compose.fovea.mode import FoveaMode
 from hybrid.evaluation.equal_time import TOLERANCE, at_equal_time
@@ -75,7 +75,7 @@ def baseline_entries(
     ours: Entry,
     tracer: Tracer,
     tuning: Tuning,
-    cameras: Sequence[Camera],
+    views: Sequence[View],
     gaze: Gaze,
     costs: Journal,
     progress: Callable[[int, int], None],
@@ -89,18 +89,18 @@ def baseline_entries(
         ours: the entry whose rays and time the baselines get.
         tracer: of the scene.
         tuning: of the baselines.
-        cameras, gaze: what is rendered; rays are those of the first view.
+        views, gaze: what is rendered; rays are those of the first view.
         costs: stores the rays of equal time, so that later evaluations compare the same frames.
         progress: called with baselines done and baselines in total.
     """
-    rays = ours.method.rays(cameras[0], gaze)
+    rays = ours.method.rays(views[0].camera, gaze)
     known = families(tracer, tuning)
     entries = []
     for number, (name, family) in enumerate(known.items()):
         equal = family(rays)
-        affordable = equal.rays(cameras[0], gaze) <= rays * (1 + TOLERANCE)
+        affordable = equal.rays(views[0].camera, gaze) <= rays * (1 + TOLERANCE)
         entries.append(Entry(name, EQUAL_RAYS if affordable else FIXED, equal, briefly=affordable))
-        met = costs.once(name, partial(at_equal_time, family, ours.method, cameras, gaze, rays))
+        met = costs.once(name, partial(at_equal_time, family, ours.method, views, gaze, rays))
         if met is not None:
             entries.append(Entry(name, EQUAL_TIME, family(met)))
         progress(number + 1, len(known))

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from compose.camera.camera import Camera
+from compose.camera.view import View
 from compose.eye.gaze import Gaze
 from hybrid.evaluation.families import Family
-from hybrid.measure.timing import jittered, path_around, ratio_interval, ratio_of_medians
+from hybrid.measure.timing import jittered_view, path_around, ratio_interval, ratio_of_medians
 from hybrid.methods.method import Method
 
 # Costs count as equal within this share.
@@ -33,14 +33,14 @@ class Trial:
 
 
 def at_equal_time(
-    family: Family, ours: Method, cameras: Sequence[Camera], gaze: Gaze, rays: float
+    family: Family, ours: Method, views: Sequence[View], gaze: Gaze, rays: float
 ) -> float | None:
     """Rays per pixel at which a baseline comes closest to our time without exceeding it by over 3 %.
 
     Args:
         family: of the baseline; its time must grow with its rays.
         ours: the method whose time is to be met.
-        cameras: the views, through which frames go in turn.
+        views: through which frames go in turn.
         gaze: centre of the path that gazes follow.
         rays: to start from.
 
@@ -55,7 +55,7 @@ def at_equal_time(
         # Whole samples: other rays may well be the same settings.
         key = str(method.settings)
         if key not in known:
-            known[key] = relative_time(method, ours, cameras, gaze)
+            known[key] = relative_time(method, ours, views, gaze)
         trial = Trial(rays, known[key])
         if trial.time <= 1 + TOLERANCE:
             within = trial
@@ -80,7 +80,7 @@ def _next_guess(within: Trial | None, beyond: Trial | None) -> float:
     return within.rays + (beyond.rays - within.rays) * float(np.clip(span, 0.2, 0.8))
 
 
-def relative_time(method: Method, ours: Method, cameras: Sequence[Camera], gaze: Gaze) -> float:
+def relative_time(method: Method, ours: Method, views: Sequence[View], gaze: Gaze) -> float:
     """A method's time over ours: medians of frames rendered in turns, because the machine's speed drifts.
 
     Views, gaze and camera change from frame to frame. Frames are added until the ratio's 95 % confidence
@@ -89,9 +89,9 @@ def relative_time(method: Method, ours: Method, cameras: Sequence[Camera], gaze:
     times: tuple[list[float], list[float]] = ([], [])
     path = path_around(gaze, _MOST_FRAMES)
     for seed in range(_MOST_FRAMES + 1):
-        camera, at = cameras[seed % len(cameras)], path[seed * _STRIDE % _MOST_FRAMES]
+        view, at = views[seed % len(views)], path[seed * _STRIDE % _MOST_FRAMES]
         for number, (one, found) in enumerate(zip((method, ours), times, strict=True)):
-            found.append(one.render(jittered(camera, 2 * seed + number), at, seed).milliseconds["total"])
+            found.append(one.render(jittered_view(view, 2 * seed + number), at, seed).milliseconds["total"])
         # The first frames warm up.
         if seed and seed % _STEP == 0 and _is_decided(*ratio_interval(times[0][1:], times[1][1:])):
             break

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from compose.camera.camera import Camera
+from compose.camera.view import View
 from hybrid.evaluation.entries import Entry, baseline_entries, hybrid_entries, splat_entries
 from hybrid.evaluation.families import Tuning
 from hybrid.evaluation.keys import OURS
@@ -89,7 +90,7 @@ class Evaluation:
         work = WorkProgress(settings, progress)
         views = self._views()
         measured = views[: settings.views]
-        references = [self._reference(number, camera, work) for number, camera in enumerate(measured)]
+        references = [self._reference(number, view, work) for number, view in enumerate(measured)]
         entries = self._entries(views, work)
         evaluated = evaluated_views(measured, references, settings, self.folder)
         quality = quality_rows(entries, evaluated, self.journal, work.of("quality"))
@@ -99,37 +100,39 @@ class Evaluation:
             "scene": self.scene.name,
             "settings": settings.as_json(),
             "display": asdict(settings.frame.display),
+            "times": [view.time for view in measured],
             "references": [
                 row
                 for number, found in enumerate(references)
                 for row in reference_errors(settings, number, found)
             ],
-            "methods": [self._method_row(entry, views[0]) for entry in entries],
+            "methods": [self._method_row(entry, views[0].camera) for entry in entries],
             "quality": quality,
             "time": times,
             "machine": machine(),
         }
 
-    def _views(self) -> list[Camera]:
+    def _views(self) -> list[View]:
         """Views near the scene's own, which training has not seen; the last ones are for tuning."""
         settings = self.settings
         return unseen_views(self.scene, settings.views + _TUNING_VIEWS, settings.width, settings.height)
 
-    def _reference(self, number: int, camera: Camera, work: WorkProgress) -> Reference:
+    def _reference(self, number: int, view: View, work: WorkProgress) -> Reference:
         """The reference of a view, from its file if there is one."""
         samples, seed = reference_samples(self.settings), REFERENCE_SEED + number
-        make = partial(reference, self.tracer, camera, samples, seed)
-        file, size = self.folder / "work" / f"reference-{number}.exr", (camera.width, camera.height)
-        found = stored_reference(file, make, size)
+        size = view.camera.width, view.camera.height
+        make = partial(reference, self.tracer, view.camera, samples, seed)
+        self.scene.show(view.time)
+        found = stored_reference(self.folder / "work" / f"reference-{number}.exr", make, size)
         work.of("references")(number + 1, self.settings.views)
         return found
 
-    def _entries(self, views: list[Camera], work: WorkProgress) -> list[Entry]:
+    def _entries(self, views: list[View], work: WorkProgress) -> list[Entry]:
         """All methods at all budgets."""
         gaze = self.settings.frame.gaze
         hybrid = hybrid_entries(self.renderer, self.settings)
         ours = next(entry for entry in hybrid if entry.name == OURS)
-        rays = ours.method.rays(views[0], gaze)
+        rays = ours.method.rays(views[0].camera, gaze)
         tuning = Tuning.restored(self.journal.once("tuning", lambda: asdict(self._tuning(views, rays, work))))
         baselines = baseline_entries(
             ours,
@@ -142,16 +145,17 @@ class Evaluation:
         )
         return [*hybrid, *splat_entries(self.splats, self.flat), *baselines]
 
-    def _tuning(self, views: list[Camera], rays: float, work: WorkProgress) -> Tuning:
+    def _tuning(self, views: list[View], rays: float, work: WorkProgress) -> Tuning:
         """Settings of the baselines, found on smaller versions of the views for tuning."""
         settings = self.settings
         size = settings.width // TUNING_REDUCTION, settings.height // TUNING_REDUCTION
-        small = [camera.resized(*size) for camera in views[settings.views :]]
+        small = [view.resized(*size) for view in views[settings.views :]]
         seed = REFERENCE_SEED + settings.views
-        truths = [
-            reference(self.tracer, camera, settings.reference_spp, seed + number).radiance
-            for number, camera in enumerate(small)
-        ]
+        truths = []
+        for number, view in enumerate(small):
+            self.scene.show(view.time)
+            truth = reference(self.tracer, view.camera, settings.reference_spp, seed + number)
+            truths.append(truth.radiance)
         return tuned(self.baseline_tracer, small, truths, settings.frame.foveation, rays, work.of("tuning"))
 
     def _method_row(self, entry: Entry, camera: Camera) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from compose.camera.camera import Camera
+from compose.camera.view import View
 from hybrid.evaluation.entries import Entry
 from hybrid.evaluation.files import flip_name, image_name
 from hybrid.evaluation.keys import HALVES, HALVES_KEY
@@ -27,7 +27,7 @@ class EvaluatedView:
 
     Attributes:
         number: of the view, from 0.
-        camera: the view.
+        view: what it shows.
         reference: what frames are compared with.
         regions: of the frame, by name.
         settings: gaze, display and seed.
@@ -35,7 +35,7 @@ class EvaluatedView:
     """
 
     number: int
-    camera: Camera
+    view: View
     reference: Reference
     regions: dict[str, Region]
     settings: EvaluationSettings
@@ -55,7 +55,7 @@ class EvaluatedView:
         if entry is None:
             write_png(self.folder / image_name(self.number, None), self.reference.radiance)
             return ScoringTask(HALVES, *self.reference.halves, (), self.regions, viewer, None)
-        image = entry.method.render(self.camera, viewer.gaze, self.settings.seed + self.number).image
+        image = entry.method.render(self.view, viewer.gaze, self.settings.seed + self.number).image
         write_png(self.folder / image_name(self.number, entry.key), image)
         flip_file = self.folder / flip_name(self.number, entry.key)
         references = self.reference.radiance, self.reference.halves
@@ -69,7 +69,7 @@ class EvaluatedView:
 
 
 def evaluated_views(
-    views: list[Camera], references: list[Reference], settings: EvaluationSettings, folder: Path
+    views: list[View], references: list[Reference], settings: EvaluationSettings, folder: Path
 ) -> list[EvaluatedView]:
     """Views with their references and regions.
 
@@ -78,9 +78,9 @@ def evaluated_views(
     """
     return [
         EvaluatedView(
-            number, camera, truth, regions(settings.frame.foveation, truth.radiance), settings, folder
+            number, view, truth, regions(settings.frame.foveation, truth.radiance), settings, folder
         )
-        for number, (camera, truth) in enumerate(zip(views, references, strict=True))
+        for number, (view, truth) in enumerate(zip(views, references, strict=True))
     ]
 
 

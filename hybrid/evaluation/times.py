@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from compose.camera.camera import Camera
+from compose.camera.view import View
 from compose.eye.gaze import Gaze
 from hybrid.evaluation.entries import Entry
 from hybrid.evaluation.keys import OURS_KEY
-from hybrid.measure.timing import jittered, medians_by_view, path_around, percentiles, ratio_of_medians
+from hybrid.measure.timing import jittered_view, medians_by_view, path_around, percentiles, ratio_of_medians
 from hybrid.store.journal import Journal
 
 _WARM_UP = 5
@@ -52,25 +52,25 @@ class Timing:
         for name, value in milliseconds.items():
             self.passes.setdefault(name, []).append(value)
 
-    def row(self, cameras: Sequence[Camera], ours: Timing | None) -> dict[str, Any]:
+    def row(self, views: Sequence[View], ours: Timing | None) -> dict[str, Any]:
         """The row of the results; percentiles for which there are too few frames are left out.
 
         Args:
-            cameras: the views.
+            views: that were rendered.
             ours: timing that this one is compared with, over the frames that both have; None leaves it out.
         """
         known = [percent for percent, least in _ENOUGH_FOR.items() if len(self.totals) >= least]
         row = {
             "method": self.entry.name,
             "budget": self.entry.budget,
-            "width": cameras[0].width,
-            "height": cameras[0].height,
+            "width": views[0].camera.width,
+            "height": views[0].camera.height,
             "ms": percentiles(self.totals, known),
             "passes": {k: float(np.median(v)) for k, v in self.passes.items() if k != "total"},
             "repeats": len(self.totals),
         }
-        if len(cameras) > 1:
-            medians = medians_by_view(self.totals, len(cameras))
+        if len(views) > 1:
+            medians = medians_by_view(self.totals, len(views))
             row["ms_range"] = [min(medians), max(medians)]
         if ours is not None:
             both = min(len(self.totals), len(ours.totals))
@@ -80,7 +80,7 @@ class Timing:
 
 def time_rows(
     entries: list[Entry],
-    cameras: Sequence[Camera],
+    views: Sequence[View],
     gaze: Gaze,
     repeats: int,
     journal: Journal,
@@ -95,7 +95,7 @@ def time_rows(
 
     Args:
         entries: to time.
-        cameras: the views, of one size.
+        views: of one size.
         gaze: centre of the path.
         repeats: frames per entry; 20 for those that are timed briefly, and fewer for those that would take
             over 80 seconds.
@@ -112,10 +112,10 @@ def time_rows(
             if turn >= 0 and timing.is_enough:
                 continue
             # Of a brief entry as well, frame n is of view n.
-            camera = cameras[(len(timing.totals) if turn >= 0 else place) % len(cameras)]
-            own_camera = jittered(camera, (done + turn) * len(entries) + place)
+            view = views[(len(timing.totals) if turn >= 0 else place) % len(views)]
+            own = jittered_view(view, (done + turn) * len(entries) + place)
             at = path[_step(timing, number, repeats)]
-            milliseconds = timing.entry.method.render(own_camera, at, number).milliseconds
+            milliseconds = timing.entry.method.render(own, at, number).milliseconds
             if turn >= 0:
                 timing.add(milliseconds)
         if turn >= 0 and number % _ROUNDS == _ROUNDS - 1:
@@ -123,7 +123,7 @@ def time_rows(
         progress(number + 1, repeats)
     journal.write()
     ours = next((timing for timing in timings if timing.entry.key == OURS_KEY), None)
-    return [timing.row(cameras, ours) for timing in timings]
+    return [timing.row(views, ours) for timing in timings]
 
 
 def _step(timing: Timing, number: int, repeats: int) -> int:

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.camera.camera import Camera
+from compose.camera.view import View
 from compose.fovea.region import Foveation
 from compose.image.colour import Image
 from hybrid.evaluation.families import Tuning, WarpTuning, enlarged, warped
@@ -25,7 +25,7 @@ _SPP = (1, 2, 4)
 
 def tuned(
     tracer: Tracer,
-    views: list[Camera],
+    views: list[View],
     references: list[Image],
     foveation: Foveation,
     rays: float,

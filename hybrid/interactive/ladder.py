@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from PIL import Image as Pillow
 
 from compose.camera.camera import Camera
+from compose.camera.view import View
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image
 from hybrid.frame.settings import FrameSettings
@@ -113,18 +113,18 @@ def _median_time(source: FrameSource, settings: FrameSettings) -> float:
 class _JudgedView:
     """A view at the window's resolution, and its radiance (H, W, 3)."""
 
-    camera: Camera
+    shown: View
     truth: Image
 
 
 def _judged_views(source: FrameSource, camera: Camera) -> list[_JudgedView]:
     """Views that training has not seen, with their references."""
-    views = unseen_views(source.renderer.scene, _VIEWS, camera.width, camera.height)
-    trace = partial(reference, source.renderer.tracer)
-    return [
-        _JudgedView(view, trace(view, _REFERENCE_SPP, REFERENCE_SEED + number).radiance)
-        for number, view in enumerate(views)
-    ]
+    renderer, found = source.renderer, []
+    for number, view in enumerate(unseen_views(renderer.scene, _VIEWS, camera.width, camera.height)):
+        renderer.scene.show(view.time)
+        truth = reference(renderer.tracer, view.camera, _REFERENCE_SPP, REFERENCE_SEED + number)
+        found.append(_JudgedView(view, truth.radiance))
+    return found
 
 
 def _quality(source: FrameSource, settings: FrameSettings, view: _JudgedView) -> float:
@@ -133,8 +133,8 @@ def _quality(source: FrameSource, settings: FrameSettings, view: _JudgedView) ->
     In JOD, or SSIM where FovVideoVDP is not installed.
     """
     source.forget()
-    shown = source.show(Request(replace(settings, camera=view.camera)), quick=True)
-    composite = _enlarged(shown.frame.composite, view.camera)
+    own = replace(settings, camera=view.shown.camera, time=view.shown.time)
+    composite = _enlarged(source.show(Request(own), quick=True).frame.composite, view.shown.camera)
     found = jod(composite, view.truth, settings.display, settings.gaze)
     return ssim(composite, view.truth) if found is None else found
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from compose.camera.camera import Camera
+from compose.camera.view import View
 from compose.eye.gaze import Gaze
 from hybrid.runtime.progress import no_progress
 
@@ -100,6 +101,11 @@ def jittered(camera: Camera, number: int) -> Camera:
     turn[0, ::2] = math.cos(angle), math.sin(angle)
     turn[2, ::2] = -math.sin(angle), math.cos(angle)
     return replace(camera, world_to_camera=turn @ camera.world_to_camera)
+
+
+def jittered_view(view: View, number: int) -> View:
+    """The same time from a jittered camera."""
+    return replace(view, camera=jittered(view.camera, number))
 
 
 def interleaved(

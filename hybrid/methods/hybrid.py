@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from compose.camera.camera import Camera
+from compose.camera.view import View
 from compose.eye.gaze import Gaze
 from hybrid.frame.renderer import Renderer
 from hybrid.frame.settings import FrameSettings
@@ -32,8 +33,9 @@ class HybridMethod:
     def rays(self, camera: Camera, gaze: Gaze) -> float:
         return self.renderer.paths(self._at(camera, gaze)) / (camera.width * camera.height)
 
-    def render(self, camera: Camera, gaze: Gaze, seed: int) -> TimedImage:
-        frame = self.renderer.frame(self._at(camera, gaze), seed)
+    def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
+        self.renderer.scene.show(view.time)
+        frame = self.renderer.frame(replace(self._at(view.camera, gaze), time=view.time), seed)
         return TimedImage(frame.composite, frame.milliseconds)
 
     def _at(self, camera: Camera, gaze: Gaze) -> FrameSettings:

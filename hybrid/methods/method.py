@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from compose.camera.camera import Camera
+from compose.camera.view import View
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image
 
@@ -33,5 +34,8 @@ class Method(Protocol):
     def rays(self, camera: Camera, gaze: Gaze) -> float:
         """Expected number of paths per pixel of the frame."""
 
-    def render(self, camera: Camera, gaze: Gaze, seed: int) -> TimedImage:
-        """One frame; same seed, same frame on the same machine."""
+    def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
+        """One frame; same seed, same frame on the same machine.
+
+        The scene's step to the view's time is not a part of the milliseconds: it is the same for all.
+        """

@@ -10,6 +10,7 @@ import torch
 from torch.nn import functional
 
 from compose.camera.camera import Camera
+from compose.camera.view import View
 from compose.eye.gaze import Gaze
 from hybrid.methods.method import TimedImage
 from hybrid.methods.traced_image import traced_image
@@ -17,6 +18,12 @@ from hybrid.methods.warp import Warp
 from hybrid.runtime.clock import Clock
 from pathtrace.trace.film import box_positions, frame_positions
 from pathtrace.trace.tracer import Tracer
+
+
+def _shown(tracer: Tracer, view: View) -> Camera:
+    """The camera of a view, whose time the scene shows from now on."""
+    tracer.scene.show(view.time)
+    return view.camera
 
 
 @dataclass(frozen=True)
@@ -40,7 +47,8 @@ class FullTrace:
     def rays(self, camera: Camera, gaze: Gaze) -> float:
         return self.spp
 
-    def render(self, camera: Camera, gaze: Gaze, seed: int) -> TimedImage:
+    def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
+        camera = _shown(self.tracer, view)
         clock = Clock()
         positions = frame_positions(camera)
         image = traced_image(
@@ -73,7 +81,8 @@ class Enlarged:
         columns, rows = self._size(camera)
         return self.spp * columns * rows / (camera.width * camera.height)
 
-    def render(self, camera: Camera, gaze: Gaze, seed: int) -> TimedImage:
+    def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
+        camera = _shown(self.tracer, view)
         clock = Clock()
         columns, rows = self._size(camera)
         width, height = camera.width / columns, camera.height / rows
@@ -123,7 +132,8 @@ class Rmfr:
         warp = Warp.of(gaze, camera.width, camera.height, self.f, self.sigma)
         return self.spp * warp.across.buffer * warp.down.buffer / (camera.width * camera.height)
 
-    def render(self, camera: Camera, gaze: Gaze, seed: int) -> TimedImage:
+    def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
+        camera = _shown(self.tracer, view)
         clock = Clock()
         warp = Warp.of(gaze, camera.width, camera.height, self.f, self.sigma)
         positions, columns = box_positions(*warp.boxes()), warp.across.buffer

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from compose.camera.camera import Camera
+from compose.camera.view import View
 from compose.eye.gaze import Gaze
 from hybrid.frame.periphery import Periphery
 from hybrid.frame.settings import DEFAULTS
@@ -26,8 +27,9 @@ class SplatsAlone:
     def rays(self, camera: Camera, gaze: Gaze) -> float:
         return 0.0
 
-    def render(self, camera: Camera, gaze: Gaze, seed: int) -> TimedImage:
+    def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
         clock = Clock()
-        image = self.periphery.whole(camera, DEFAULTS)
+        self.periphery.set_time(view.time)
+        image = self.periphery.whole(view.camera, DEFAULTS)
         clock.lap("splat")
         return TimedImage(image, clock.milliseconds())

@@ -30,7 +30,7 @@ from pathtrace.dataset.capture import capture
 from pathtrace.dataset.frames import FrameSet, read_frame_set
 from pathtrace.dataset.growing import GrowingFrames
 from pathtrace.dataset.settings import CaptureSettings
-from pathtrace.dataset.views import time_of
+from pathtrace.dataset.views import unseen_time
 from pathtrace.region.region import Region, region_of
 from pathtrace.scene.difficulties import light_difficulties
 from pathtrace.scene.scene import Scene
@@ -162,8 +162,7 @@ class _Job:
         count, size, seed = self._settings.held_out, self._settings.size, self._settings.seed
         with self._clock.stopped(), self._bars("held-out views") as bar:
             cameras = self._region.unseen_views(count, *size, seed) if count else []
-            # Half a step from those of training views.
-            times = [time_of(number + 0.5) if self._scene.moving else 0.0 for number in range(count)]
+            times = [unseen_time(self._scene, number) for number in range(count)]
             return Judges(self._folder / "held-out", tracer, cameras, times, bar)
 
     def _staged(self, frames: GrowingFrames, before: Forest | None) -> Forest:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from compose.camera.camera import Camera
+from compose.camera.view import View
 from compose.image.colour import Image
 from hybrid.frame.frame import Frame
 from hybrid.frame.renderer import Renderer
@@ -37,7 +37,7 @@ class JudgedView:
 
 def judged_views(
     renderer: Renderer,
-    views: list[Camera],
+    views: list[View],
     settings: FrameSettings,
     reference_spp: int,
     seed: int,
@@ -47,7 +47,7 @@ def judged_views(
 
     Args:
         renderer: of the scene.
-        views: the cameras.
+        views: what they show.
         settings: of the frames.
         reference_spp: samples per pixel of the references.
         seed: same seed, same images on the same machine.
@@ -56,8 +56,10 @@ def judged_views(
     found = []
     for number, view in enumerate(views):
         progress(number, len(views))
-        own, truth_seed = replace(settings, camera=view), seed + REFERENCE_SEED + number
-        truth = render_frame(renderer.tracer, view, reference_spp, truth_seed).radiance
+        own = replace(settings, camera=view.camera, time=view.time)
+        renderer.scene.show(view.time)
+        truth_seed = seed + REFERENCE_SEED + number
+        truth = render_frame(renderer.tracer, view.camera, reference_spp, truth_seed).radiance
         found.append(JudgedView(renderer.frame(own, seed + number), renderer.splats(own), truth))
     progress(len(views), len(views))
     return found

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from compose.base.errors import UserError
-from compose.camera.camera import Camera
+from compose.camera.view import View
 from compose.eye.acuity import ACUITY_MODELS
 from compose.fovea.mode import FoveaMode
 from hybrid.sweeps import fpc
@@ -33,7 +33,7 @@ class Sweep:
         over_views: whether its rows are views; the rows of the others are measured in several.
     """
 
-    settings: Callable[[Setting, list[Camera]], list[Setting]]
+    settings: Callable[[Setting, list[View]], list[Setting]]
     title: str
     with_quality: bool = False
     sets: tuple[str, ...] = ()
@@ -59,7 +59,7 @@ def _with_radius(base: Setting, radius: float) -> Setting:
 def _sizes(table: dict[tuple[int, int], tuple[float, float]]) -> Callable[..., list[Setting]]:
     """The frame sizes of one of FPC's tables."""
 
-    def settings(base: Setting, views: list[Camera]) -> list[Setting]:
+    def settings(base: Setting, views: list[View]) -> list[Setting]:
         return [
             replace(
                 base,
@@ -73,7 +73,7 @@ def _sizes(table: dict[tuple[int, int], tuple[float, float]]) -> Callable[..., l
     return settings
 
 
-def _radius(base: Setting, views: list[Camera]) -> list[Setting]:
+def _radius(base: Setting, views: list[View]) -> list[Setting]:
     return [
         replace(
             _with_radius(base, radius),
@@ -85,7 +85,7 @@ def _radius(base: Setting, views: list[Camera]) -> list[Setting]:
     ]
 
 
-def _spp(base: Setting, views: list[Camera]) -> list[Setting]:
+def _spp(base: Setting, views: list[View]) -> list[Setting]:
     camera = base.camera.resized(*fpc.FIGURE_14_SIZE)
     rows = []
     for spp, known in fpc.FIGURE_14.items():
@@ -98,12 +98,13 @@ def _spp(base: Setting, views: list[Camera]) -> list[Setting]:
     return rows
 
 
-def _view(base: Setting, views: list[Camera]) -> list[Setting]:
+def _view(base: Setting, views: list[View]) -> list[Setting]:
     return [
         replace(
             _with_radius(base, radius),
             varied={"width": width, "height": height, "view": number, "radius": radius},
-            camera=view.resized(width, height),
+            camera=view.camera.resized(width, height),
+            views=(view.resized(width, height),),
         )
         for width, height in fpc.VIEW_SIZES
         for number, view in enumerate(views)
@@ -111,7 +112,7 @@ def _view(base: Setting, views: list[Camera]) -> list[Setting]:
     ]
 
 
-def _band(base: Setting, views: list[Camera]) -> list[Setting]:
+def _band(base: Setting, views: list[View]) -> list[Setting]:
     radii = [(outer, outer * share) for outer in _BAND_OUTER for share in _BAND_SHARES]
     return [
         _with_frame(base, {"fov_a": outer, "fov_b": inner}, fov_a=outer, fov_b=inner)
@@ -119,11 +120,11 @@ def _band(base: Setting, views: list[Camera]) -> list[Setting]:
     ]
 
 
-def _acuity_models(base: Setting, views: list[Camera]) -> list[Setting]:
+def _acuity_models(base: Setting, views: list[View]) -> list[Setting]:
     return [_with_frame(base, {"acuity_model": name}, acuity_model=name) for name in ACUITY_MODELS]
 
 
-def _denoiser(base: Setting, views: list[Camera]) -> list[Setting]:
+def _denoiser(base: Setting, views: list[View]) -> list[Setting]:
     return [
         _with_frame(base, {"fovea": mode.value, "spp": spp}, fovea=mode, spp=spp)
         for spp in _DENOISER_SPP
@@ -131,7 +132,7 @@ def _denoiser(base: Setting, views: list[Camera]) -> list[Setting]:
     ]
 
 
-def _trade(base: Setting, views: list[Camera]) -> list[Setting]:
+def _trade(base: Setting, views: list[View]) -> list[Setting]:
     rows = []
     for wide in (_with_radius(base, outer) for outer in _TRADE_OUTER):
         for spp in _TRADE_SPP:
@@ -170,7 +171,7 @@ def layer_sweep(counts: tuple[int, ...]) -> Sweep:
         counts: nodes of the forest's layers, coarsest first.
     """
 
-    def settings(base: Setting, views: list[Camera]) -> list[Setting]:
+    def settings(base: Setting, views: list[View]) -> list[Setting]:
         last = len(counts)
         spans = [(1, high) for high in range(1, last + 1)] + [(low, last) for low in range(2, last + 1)]
         return [

@@ -6,19 +6,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from compose.camera.camera import Camera
+from compose.camera.view import View
 from compose.eye.gaze import Gaze
 from compose.fovea.mode import FoveaMode
 from hybrid.frame.renderer import Renderer
 from hybrid.frame.settings import FrameSettings
-from hybrid.measure.timing import interleaved, jittered, medians_by_view, percentiles, ratio_of_medians
+from hybrid.measure.timing import interleaved, jittered_view, medians_by_view, percentiles, ratio_of_medians
 from hybrid.methods.path_traced import FullTrace
 from hybrid.sweeps.coverage import covered, reach_for
 
 
 def compare(
     renderer: Renderer,
-    views: Sequence[Camera],
+    views: Sequence[View],
     settings: FrameSettings,
     repeats: int,
     warm_up: int,
@@ -48,7 +48,7 @@ def compare(
         renderer.tracer_of(settings.used_integrator), settings.spp, settings.fovea is not FoveaMode.RAW
     )
     frames = _Frames(renderer, tuple(views), settings, full)
-    camera = views[0]
+    camera = views[0].camera
     reach = reach_for(settings.fov_a, camera)
     methods: dict[str, Callable[[Gaze, int], Any]] = {
         "hybrid": frames.hybrid,
@@ -80,7 +80,7 @@ class _Frames:
     """What is compared, each frame with its own camera."""
 
     renderer: Renderer
-    views: tuple[Camera, ...]
+    views: tuple[View, ...]
     settings: FrameSettings
     full: FullTrace
 
@@ -88,14 +88,15 @@ class _Frames:
         self.renderer.frame(self._at(gaze, seed, 0), seed)
 
     def path_traced(self, gaze: Gaze, seed: int) -> None:
-        self.full.render(self._camera(seed, 1), gaze, seed)
+        self.full.render(self._view(seed, 1), gaze, seed)
 
     def disc(self, gaze: Gaze, seed: int) -> None:
         self.renderer.disc_alone(self._at(gaze, seed, 2), seed)
 
     def _at(self, gaze: Gaze, seed: int, place: int) -> FrameSettings:
-        return replace(self.settings, gaze=gaze, camera=self._camera(seed, place))
+        view = self._view(seed, place)
+        return replace(self.settings, gaze=gaze, camera=view.camera, time=view.time)
 
-    def _camera(self, seed: int, place: int) -> Camera:
+    def _view(self, seed: int, place: int) -> View:
         """The next view, for the method in that place of the three."""
-        return jittered(self.views[seed % len(self.views)], 3 * seed + place)
+        return jittered_view(self.views[seed % len(self.views)], 3 * seed + place)

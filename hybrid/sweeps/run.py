@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from compose.camera.camera import Camera
+from compose.camera.view import View
 from compose.eye.gaze import Gaze
 from hybrid.frame.renderer import Renderer
 from hybrid.measure.reference import REFERENCE_SEED, reference
 from hybrid.measure.timing import (
     interleaved_passes,
-    jittered,
+    jittered_view,
     medians_by_view,
     percentiles,
     ratio_interval,
@@ -94,9 +94,10 @@ def _group(
     times = _times([*ours, *full.values()], views, effort, progress, reach)
     of_full = dict(zip(full, times[len(ours) :], strict=True))
     judged = views if with_quality else ()
-    truths = [
-        reference(tracer, view, effort.reference_spp, REFERENCE_SEED + n) for n, view in enumerate(judged)
-    ]
+    truths = []
+    for number, view in enumerate(judged):
+        renderer.scene.show(view.time)
+        truths.append(reference(tracer, view.camera, effort.reference_spp, REFERENCE_SEED + number))
     rows = []
     for setting, method, found in zip(same, ours, times, strict=False):
         row = _row(setting, found, of_full, effort)
@@ -119,7 +120,7 @@ def _full_traces(renderer: Renderer, settings: list[Setting]) -> dict[tuple[int,
 
 def _times(
     methods: list[Method],
-    views: tuple[Camera, ...],
+    views: tuple[View, ...],
     effort: Effort,
     progress: Callable[[int, int], None],
     reach: tuple[float, float],
@@ -130,11 +131,11 @@ def _times(
 
 
 def _passes(
-    method: Method, views: tuple[Camera, ...], methods: int, place: int, gaze: Gaze, seed: int
+    method: Method, views: tuple[View, ...], methods: int, place: int, gaze: Gaze, seed: int
 ) -> dict[str, float]:
     """Times of a frame with its own camera, because the shared renderer keeps what depends on a camera."""
-    camera = views[seed % len(views)]
-    return method.render(jittered(camera, methods * seed + place), gaze, seed).milliseconds
+    view = views[seed % len(views)]
+    return method.render(jittered_view(view, methods * seed + place), gaze, seed).milliseconds
 
 
 def _view_keys(setting: Setting) -> tuple[bytes, ...]:

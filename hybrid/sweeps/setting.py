@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from compose.camera.camera import Camera
+from compose.camera.view import View
 from compose.fovea.mode import FoveaMode
 from hybrid.frame.settings import FrameSettings
 
@@ -28,14 +29,14 @@ class Setting:
     varied: dict[str, Any] = field(default_factory=dict)
     paper: dict[str, float] = field(default_factory=dict)
     over_one_spp: bool = False
-    views: tuple[Camera, ...] = ()
+    views: tuple[View, ...] = ()
 
     @property
-    def seen(self) -> tuple[Camera, ...]:
+    def seen(self) -> tuple[View, ...]:
         """The views whose frames are timed and judged, at least one."""
-        return self.views or (self.camera,)
+        return self.views or (View(self.camera),)
 
-    def from_views(self, views: list[Camera]) -> Setting:
+    def from_views(self, views: list[View]) -> Setting:
         """The same, timed and judged in those views, at the size of its frames."""
         size = self.camera.width, self.camera.height
         return replace(self, views=tuple(view.resized(*size) for view in views))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from compose.camera.camera import Camera
+from compose.camera.view import View
 from pathtrace.region.near import BORDER, UNSEEN_SEED, Neighbourhood
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.surfaces import Surfaces
@@ -26,13 +27,16 @@ class ViewSet:
     spread: list[Camera]
 
 
-def unseen_views(scene: Scene, count: int, width: int, height: int) -> list[Camera]:
+def unseen_views(scene: Scene, count: int, width: int, height: int) -> list[View]:
     """Views around the scene's own camera to measure on, which differ from those of any training.
+
+    Of a scene that moves, they show times half a step from those of training views.
 
     Args and raises as of `choose_views`.
     """
     neighbourhood = Neighbourhood.of(scene, Surfaces(scene), width, height)
-    return neighbourhood.spread(count, UNSEEN_SEED)
+    cameras = neighbourhood.spread(count, UNSEEN_SEED)
+    return [View(camera, unseen_time(scene, number)) for number, camera in enumerate(cameras)]
 
 
 def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, height: int, seed: int) -> ViewSet:
@@ -58,3 +62,8 @@ def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, heigh
 def time_of(number: float) -> float:
     """The time from 0 to 1 that a view shows of a scene that moves; views have all times alike."""
     return (0.5 + number * _GOLDEN) % 1
+
+
+def unseen_time(scene: Scene, number: int) -> float:
+    """The time that a view to measure on shows: half a step from those of training; 0 if nothing moves."""
+    return 0.0 if scene.moving is None else time_of(number + 0.5)

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from hybrid.frame.trained_views import attach_views
+from hybrid.training.forest import motion_of
 from pathtrace.dataset.rendering import render_frame
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.tracer import Tracer
@@ -44,3 +45,17 @@ def white_dot(point: tuple[float, float, float], focal: float = 50.0, opacity_lo
         torch.full((1, 3, 1), 1.7),
     )
     return forest_of([static_layer(dot)], focal, "", "")
+
+
+def moving_forest(scene: Scene) -> Forest:
+    """Seeds at every pixel of the scene's own view at time 0, on what moves as well."""
+    assert scene.moving is not None
+    scene.set_time(0.0)
+    camera = scene.camera.resized(64, 64)
+    frame = render_frame(Tracer(scene), camera, 16, 0)
+    courses = scene.moving.courses()
+    motion = motion_of(courses)
+    instance = np.where(frame.shape == courses[0].shape, 0, -1).astype(np.int32)
+    view = TrainingView(camera, frame.radiance, frame.unfolded, frame.normal, instance=instance)
+    seeds = seed_at(view, np.arange(camera.width * camera.height), 0.6, 0, motion)
+    return forest_of([seeds], camera.fy, scene.name, scene.hash, motion=motion)

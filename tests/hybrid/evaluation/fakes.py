@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 
 from compose.camera.camera import Camera
+from compose.camera.view import View
 from compose.eye.gaze import Gaze
 from hybrid.evaluation.keys import OURS
 from hybrid.methods.method import TimedImage
 
 CAMERA = Camera(np.eye(4), 8, 8, 8.0, 8.0, 4.0, 4.0)
+VIEW = View(CAMERA)
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class Costly:
     def rays(self, camera: Camera, gaze: Gaze) -> float:
         return self.rays_per_pixel
 
-    def render(self, camera: Camera, gaze: Gaze, seed: int) -> TimedImage:
+    def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
         total = self.fixed + self.per_ray * self.rays_per_pixel
         return TimedImage(np.zeros((8, 8, 3), np.float32), {"total": total})
 
@@ -51,11 +53,11 @@ class Recorder:
     def rays(self, camera: Camera, gaze: Gaze) -> float:
         return self.spp
 
-    def render(self, camera: Camera, gaze: Gaze, seed: int) -> TimedImage:
-        self.cameras.append(camera)
+    def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
+        self.cameras.append(view.camera)
         self.gazes.append(gaze)
         self.seeds.append(seed)
-        image = np.full((camera.height, camera.width, 3), 0.5, np.float32)
+        image = np.full((view.camera.height, view.camera.width, 3), 0.5, np.float32)
         return TimedImage(image, {"trace": 1.0, "total": float(self.spp)})
 
 

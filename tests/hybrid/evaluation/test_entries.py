@@ -18,7 +18,7 @@ from hybrid.evaluation.keys import OURS, Key
 from hybrid.evaluation.settings import EvaluationSettings
 from hybrid.frame.settings import FrameSettings
 from hybrid.store.journal import Journal
-from tests.hybrid.evaluation.fakes import CAMERA, Costly
+from tests.hybrid.evaluation.fakes import CAMERA, VIEW, Costly
 
 
 def made(tmp_path, monkeypatch, per_ray: float, least: float = 0.0, fixed: float = 0.0) -> list[Entry]:
@@ -27,7 +27,7 @@ def made(tmp_path, monkeypatch, per_ray: float, least: float = 0.0, fixed: float
     family = lambda rays: Costly(max(least, rays), fixed, per_ray)  # noqa: E731
     monkeypatch.setattr(entries_module, "families", lambda tracer, tuning: {"full": family})
     costs = Journal(tmp_path / "costs.json", {})
-    return baseline_entries(ours, None, None, [CAMERA], Gaze(), costs, lambda done, total: None)  # type: ignore[arg-type]
+    return baseline_entries(ours, None, None, [VIEW], Gaze(), costs, lambda done, total: None)  # type: ignore[arg-type]
 
 
 def test_a_baseline_that_meets_both_budgets_stands_in_both_rows(tmp_path, monkeypatch):

@@ -16,7 +16,7 @@ from hybrid.frame.settings import FrameSettings
 from hybrid.measure.reference import Reference
 from hybrid.store.journal import Journal
 from tests import small
-from tests.hybrid.evaluation.fakes import CAMERA, Recorder
+from tests.hybrid.evaluation.fakes import VIEW, Recorder
 
 SIZE = 32
 SETTINGS = EvaluationSettings(FrameSettings((0.5, 0.5), 30, 15), SIZE, SIZE, views=2, seed=5)
@@ -44,8 +44,8 @@ def evaluated(tmp_path, monkeypatch):
             yield name, [{"region": "whole", "metric": "psnr", "value": float(task.image.mean())}]
 
     monkeypatch.setattr(quality, "scored_in_parallel", in_turns)
-    cameras = [CAMERA.resized(SIZE, SIZE)] * 2
-    views = evaluated_views(cameras, references(), SETTINGS, tmp_path)
+    shown = [VIEW.resized(SIZE, SIZE)] * 2
+    views = evaluated_views(shown, references(), SETTINGS, tmp_path)
 
     def run(entries, journal=None, progress=lambda done, total: None):
         scored.clear()
@@ -131,4 +131,4 @@ def test_other_metrics_are_measured_anew(evaluated, monkeypatch):
 def test_a_view_with_an_empty_region_is_refused(tmp_path):
     tiny = EvaluationSettings(FrameSettings(fov_a=0.5, fov_b=0.1), SIZE, SIZE)
     with pytest.raises(UserError, match="region of this frame is empty"):
-        evaluated_views([CAMERA.resized(SIZE, SIZE)], references()[:1], tiny, tmp_path)
+        evaluated_views([VIEW.resized(SIZE, SIZE)], references()[:1], tiny, tmp_path)

@@ -12,12 +12,12 @@ from hybrid.evaluation.entries import Entry
 from hybrid.evaluation.keys import OURS
 from hybrid.evaluation.times import time_rows
 from hybrid.store.journal import Journal
-from tests.hybrid.evaluation.fakes import CAMERA, Recorder
+from tests.hybrid.evaluation.fakes import CAMERA, VIEW, Recorder
 
 
 def rows(entries: list[Entry], journal: Journal, repeats: int = 120, gaze: Gaze | None = None) -> list[dict]:
     gaze = gaze or Gaze(0.4, 0.6)
-    return time_rows(entries, [CAMERA], gaze, repeats, journal, lambda done, total: None)
+    return time_rows(entries, [VIEW], gaze, repeats, journal, lambda done, total: None)
 
 
 @pytest.fixture
@@ -114,7 +114,7 @@ def test_an_interrupted_timing_resumes(tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        time_rows([Entry("one", "fixed", seen)], [CAMERA], Gaze(), 30, Journal(file, {}), interrupted)
+        time_rows([Entry("one", "fixed", seen)], [VIEW], Gaze(), 30, Journal(file, {}), interrupted)
     rest = Recorder(1)
     assert rows([Entry("one", "fixed", rest)], Journal(file, {}), 30)[0]["repeats"] == 30
     assert len(rest.gazes) == 20 + 5
@@ -122,7 +122,7 @@ def test_an_interrupted_timing_resumes(tmp_path):
 
 def test_frames_go_through_the_views_and_are_compared_with_ours(journal):
     """Ours take 10 ms, and the baseline 12: it is a fifth slower over the frames that both have."""
-    views = [CAMERA, CAMERA.resized(8, 8), CAMERA.resized(16, 8)]
+    views = [VIEW, VIEW.resized(8, 8), VIEW.resized(16, 8)]
     ours, other, brief = Recorder(10), Recorder(12), Recorder(5)
     entries = [
         Entry(OURS, "fixed", ours),

@@ -15,7 +15,7 @@ from hybrid.evaluation.families import WarpTuning
 from hybrid.evaluation.tuning import tuned
 from hybrid.methods.method import TimedImage
 from tests import small
-from tests.hybrid.evaluation.fakes import CAMERA
+from tests.hybrid.evaluation.fakes import VIEW
 
 SIZE = 48
 FOVEATION = Foveation(Gaze(), 25, 25)
@@ -33,7 +33,7 @@ class Noisy:
     def rays(self, camera, gaze) -> float:
         return 1.0
 
-    def render(self, camera, gaze, seed) -> TimedImage:
+    def render(self, view, gaze, seed) -> TimedImage:
         noise = small.rng(seed).normal(0, 1, REFERENCE.shape)
         x = np.arange(SIZE) + 0.5 - SIZE / 2
         inside = (np.hypot(x[:, None], x[None, :]) < 12)[..., None]
@@ -54,8 +54,8 @@ def tune(monkeypatch):
         monkeypatch.setattr(
             tuning, "enlarged", lambda tracer, spp, r, denoised: enlarged.get(spp, Noisy(0.3, 0.3))
         )
-        camera = CAMERA.resized(SIZE, SIZE)
-        found = tuned(None, [camera] * 2, [REFERENCE] * 2, FOVEATION, rays, lambda *step: steps.append(step))
+        view = VIEW.resized(SIZE, SIZE)
+        found = tuned(None, [view] * 2, [REFERENCE] * 2, FOVEATION, rays, lambda *step: steps.append(step))
         return found, steps
 
     return run

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from compose.camera.view import View
 from compose.eye.gaze import Gaze
 from hybrid.frame.renderer import Renderer
 from hybrid.frame.settings import FrameSettings
@@ -31,7 +32,7 @@ def test_a_frame_is_that_of_the_renderer_at_the_asked_view(renderer):
     settings = FrameSettings(gaze=(0.9, 0.9), spp=2, fovea="denoised")
     camera = renderer.scene.camera.resized(48, 40)
     method: Method = HybridMethod(renderer, settings)
-    made = method.render(camera, GAZE, 7)
+    made = method.render(View(camera), GAZE, 7)
     expected = renderer.frame(replace(settings, gaze=GAZE, camera=camera), 7)
     np.testing.assert_array_equal(made.image, expected.composite)
     assert made.milliseconds.keys() == expected.milliseconds.keys()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from compose.camera.view import View
 from compose.eye.gaze import Gaze
 from hybrid.measure.metrics.psnr import psnr
 from hybrid.measure.metrics.registration import registration_px
@@ -24,8 +25,8 @@ def tracer(backend) -> Tracer:
 
 def test_an_enlarged_frame_of_full_size_is_the_full_frame(tracer):
     camera = tracer.scene.camera.resized(48, 32)
-    full = FullTrace(tracer, 2, denoised=False).render(camera, GAZE, 3)
-    same = Enlarged(tracer, 1.0, 2, denoised=False).render(camera, GAZE, 3)
+    full = FullTrace(tracer, 2, denoised=False).render(View(camera), GAZE, 3)
+    same = Enlarged(tracer, 1.0, 2, denoised=False).render(View(camera), GAZE, 3)
     np.testing.assert_allclose(same.image, full.image, rtol=1e-5, atol=1e-6)
 
 
@@ -37,7 +38,7 @@ def test_passes_are_named_and_add_up(tracer):
         (Enlarged(tracer, 0.5, 1, denoised=False), {"trace", "enlarge"}),
         (Rmfr(tracer, 0.4, 1.5, 1, denoised=True), {"trace", "denoise", "enlarge"}),
     ):
-        milliseconds = method.render(camera, GAZE, 0).milliseconds
+        milliseconds = method.render(View(camera), GAZE, 0).milliseconds
         assert set(milliseconds) == {*passes, "total"}
         assert milliseconds["total"] == pytest.approx(sum(milliseconds[name] for name in passes))
 
@@ -46,11 +47,11 @@ def test_passes_are_named_and_add_up(tracer):
 def test_baselines_line_up_and_converge_to_a_blurred_full_frame(tracer, kind):
     """With many samples nothing but their lower resolution is left."""
     camera = tracer.scene.camera.resized(96, 96)
-    truth = FullTrace(tracer, 64, denoised=True).render(camera, GAZE, 0).image
+    truth = FullTrace(tracer, 64, denoised=True).render(View(camera), GAZE, 0).image
     if kind == "enlarged":
-        image = Enlarged(tracer, 0.25, 64, denoised=False).render(camera, GAZE, 1).image
+        image = Enlarged(tracer, 0.25, 64, denoised=False).render(View(camera), GAZE, 1).image
     else:
-        image = Rmfr(tracer, 0.4, 1.5, 64, denoised=False).render(camera, GAZE, 1).image
+        image = Rmfr(tracer, 0.4, 1.5, 64, denoised=False).render(View(camera), GAZE, 1).image
     assert image.shape == truth.shape
     assert image.min() >= 0
     assert psnr(image, truth) > 20
@@ -73,7 +74,7 @@ def test_enlarging_is_bicubic_and_keeps_pixels_where_they_are(tracer, monkeypatc
 
     monkeypatch.setattr(path_traced, "traced_image", ramp)
     camera = tracer.scene.camera.resized(48, 32)
-    image = Enlarged(tracer, 0.25, 1, denoised=False).render(camera, GAZE, 0).image
+    image = Enlarged(tracer, 0.25, 1, denoised=False).render(View(camera), GAZE, 0).image
     assert image.shape == (32, 48, 3)
     expected = np.broadcast_to((np.arange(48) + 0.5)[None, :, None], (32, 48, 3))
     # A ramp comes back exactly only in the limit; an offset of half a pixel would be 0.5 or more.
@@ -84,7 +85,7 @@ def test_enlarging_is_bicubic_and_keeps_pixels_where_they_are(tracer, monkeypatc
         return np.where(image < 24, 0, 5).astype(np.float32)
 
     monkeypatch.setattr(path_traced, "traced_image", edge)
-    image = Enlarged(tracer, 0.25, 1, denoised=False).render(camera, GAZE, 0).image
+    image = Enlarged(tracer, 0.25, 1, denoised=False).render(View(camera), GAZE, 0).image
     assert image.min() == 0
     assert image.max() > 5.1
 
@@ -107,7 +108,7 @@ def test_rays_are_what_is_traced(tracer, monkeypatch):
         (Rmfr(tracer, 0.1, 3.0, 2, denoised=False), 2 / 9),
     ):
         assert method.rays(camera, GAZE) == pytest.approx(rays)
-        method.render(camera, GAZE, 0)
+        method.render(View(camera), GAZE, 0)
         assert traced[-1] == pytest.approx(rays)
 
 
@@ -121,6 +122,6 @@ def test_settings_tell_methods_apart_in_tables(tracer):
 def test_the_same_seed_gives_the_same_frame(tracer):
     camera = tracer.scene.camera.resized(48, 32)
     method = Rmfr(tracer, 0.1, 2.0, 2, denoised=True)
-    one, same, other = (method.render(camera, GAZE, seed).image for seed in (5, 5, 6))
+    one, same, other = (method.render(View(camera), GAZE, seed).image for seed in (5, 5, 6))
     np.testing.assert_array_equal(one, same)
     assert np.abs(one - other).max() > 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from compose.camera.view import View
 from compose.eye.gaze import Gaze
 from hybrid.frame.periphery import Periphery
 from hybrid.frame.settings import FrameSettings
@@ -22,7 +23,7 @@ def test_the_finest_layer_is_shown_at_full_rate_whatever_the_gaze(arrays):
     forest = rough_forest(scene)
     periphery = Periphery(arrays, forest)
     method: Method = SplatsAlone(periphery)
-    one, other = (method.render(scene.camera, gaze, 0) for gaze in (Gaze(), Gaze(0.1, 0.1)))
+    one, other = (method.render(View(scene.camera), gaze, 0) for gaze in (Gaze(), Gaze(0.1, 0.1)))
     np.testing.assert_array_equal(one.image, other.image)
     finest = FrameSettings(layers=(3, 3))
     np.testing.assert_array_equal(one.image, periphery.whole(scene.camera, finest))

@@ -81,7 +81,7 @@ def test_nothing_was_fitted_to_the_views_that_are_judged(tiny, made, monkeypatch
     assert given == {"judged_views": unseen, "compare": unseen}
     assert scene.camera.resized(SIDE, SIDE).key not in unseen
     assert got(result["views"]) == 3
-    assert scene.camera.position.tolist() != unseen_views(scene, 1, SIDE, SIDE)[0].position.tolist()
+    assert scene.camera.position.tolist() != unseen_views(scene, 1, SIDE, SIDE)[0].camera.position.tolist()
 
 
 def test_what_cannot_be_measured_is_left_out(tiny, made, monkeypatch, tmp_path):

@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 
 from compose.base.errors import UserError
+from compose.camera.view import View
 from compose.eye.acuity import ACUITY_MODELS
 from compose.fovea.mode import FoveaMode
-from hybrid.measure.timing import jittered
+from hybrid.measure.timing import jittered_view
 from hybrid.sweeps import fpc
 from hybrid.sweeps.catalogue import SWEEPS, sweep_named
 from hybrid.sweeps.setting import Setting
@@ -21,7 +22,7 @@ ALL = (*SWEEPS, "layers")
 
 
 def rows_of(name: str, base: Setting) -> list[Setting]:
-    views = [jittered(base.camera, number) for number in range(3)]
+    views = [jittered_view(View(base.camera), number) for number in range(3)]
     return sweep_named(name, COUNTS).settings(base, views)
 
 

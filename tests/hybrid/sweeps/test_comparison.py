@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from compose.camera.view import View
 from compose.fovea.mode import FoveaMode
 from hybrid.frame.settings import FrameSettings
 from hybrid.methods.path_traced import FullTrace
@@ -28,10 +29,10 @@ def test_each_frame_has_a_camera_of_its_own(renderer, monkeypatch):
     monkeypatch.setattr(
         FullTrace,
         "render",
-        lambda self, camera, *rest: (asked.append(camera.key), trace(self, camera, *rest)),
+        lambda self, view, *rest: (asked.append(view.camera.key), trace(self, view, *rest)),
     )
     settings = FrameSettings(fov_a=60, fov_b=40, spp=1)
-    row = compare(renderer, [renderer.scene.camera.resized(48, 32)], settings, 3, 1, ignore)
+    row = compare(renderer, [View(renderer.scene.camera.resized(48, 32))], settings, 3, 1, ignore)
     assert len(asked) == len(set(asked)) == 3 * (3 + 1)
     assert row["covered"] == pytest.approx(0.69, abs=0.01)
 
@@ -46,7 +47,9 @@ def test_the_full_frame_is_denoised_where_the_disc_is(renderer, monkeypatch, mod
 
     monkeypatch.setattr(comparison, "FullTrace", recorded)
     camera = renderer.scene.camera.resized(32, 32)
-    row = compare(renderer, [camera], FrameSettings(fovea=mode, spp=2, fov_a=30, fov_b=10), 3, 1, ignore)
+    row = compare(
+        renderer, [View(camera)], FrameSettings(fovea=mode, spp=2, fov_a=30, fov_b=10), 3, 1, ignore
+    )
     assert made == [(2, mode is not FoveaMode.RAW)]
     assert (row["width"], row["height"], row["spp"], row["fov_a"], row["fov_b"]) == (32, 32, 2, 30, 10)
 
@@ -57,7 +60,7 @@ def test_ratios_are_those_of_the_medians(renderer, monkeypatch):
     monkeypatch.setattr(
         comparison, "interleaved", lambda methods, *_: {name: times[name] for name in methods}
     )
-    row = compare(renderer, [renderer.scene.camera], FrameSettings(), 3, 1, ignore)
+    row = compare(renderer, [View(renderer.scene.camera)], FrameSettings(), 3, 1, ignore)
     assert (row["ratio"], row["ceiling"]) == (3.0, 5.0)
     assert row["path_traced_ms"]["p50"] == 30
     assert row["repeats"] == 3

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
+from compose.camera.view import View
 from compose.eye.gaze import Gaze
 from hybrid.measure.metrics.psnr import psnr
 from hybrid.measure.reference import Reference
@@ -35,7 +36,7 @@ def test_an_empty_seam_is_no_reason_to_refuse_and_an_empty_fovea_is(base):
 
 def test_metrics_are_named_by_region(base, renderer):
     method = HybridMethod(renderer, base.frame)
-    image = method.render(base.camera, Gaze(), 0).image
+    image = method.render(View(base.camera), Gaze(), 0).image
     truth = Reference(image + 0.05, (image, image), np.zeros(image.shape[:2], np.float32))
     found, ranges = quality_of(base, method, [truth])
     assert {"whole psnr", "foveal psnr", "peripheral psnr", "whole ssim"} <= set(found)

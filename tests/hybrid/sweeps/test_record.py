@@ -7,6 +7,7 @@ from dataclasses import asdict, replace
 
 import pytest
 
+from compose.camera.view import View
 from hybrid.store.identity import short_hash
 from hybrid.sweeps import record
 from hybrid.sweeps.catalogue import SWEEPS, sweep_named
@@ -19,7 +20,7 @@ EFFORT = Effort(3, 1, 4)
 
 def identity(corner, rough, base, over: str = "band", effort: Effort = EFFORT) -> str:
     sweep = sweep_named(over, rough.counts)
-    found = identity_of(corner, rough, sweep, sweep.settings(base, [base.camera]), effort)
+    found = identity_of(corner, rough, sweep, sweep.settings(base, [View(base.camera)]), effort)
     return short_hash(json.loads(json.dumps(found)))
 
 
@@ -50,7 +51,7 @@ def test_what_applied_to_all_rows_is_written_down_and_nothing_else(base, over):
     sweep = sweep_named(over, (1, 2))
     found = applied(sweep, base, EFFORT)
     assert found.pop("display") == asdict(base.frame.display)
-    rows = [json.loads(json.dumps(one.frame.as_json())) for one in sweep.settings(base, [base.camera])]
+    rows = [json.loads(json.dumps(one.frame.as_json())) for one in sweep.settings(base, [View(base.camera)])]
     for name in ("fovea", "fov_a", "fov_b", "spp", "acuity_model"):
         same = all(row[name] == rows[0][name] for row in rows)
         assert (name in found) == same, name

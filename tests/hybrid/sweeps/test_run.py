@@ -94,9 +94,9 @@ def test_every_timed_frame_has_a_camera_of_its_own(base, measure, monkeypatch):
         monkeypatch.setattr(
             kind,
             "render",
-            lambda self, camera, *rest, render=render: (
-                cameras.append(camera.key),
-                render(self, camera, *rest),
+            lambda self, view, *rest, render=render: (
+                cameras.append(view.camera.key),
+                render(self, view, *rest),
             )[1],
         )
     measure(rows(base, fov_a=[40.0, 90.0]))

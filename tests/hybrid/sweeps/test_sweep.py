@@ -235,10 +235,10 @@ def test_rows_are_timed_and_judged_in_views_that_training_has_not_seen(corner, r
         judged.append(camera)
         return make(tracer, camera, *rest)
 
-    def seen(self, camera, *rest):
-        timed.add(min(range(3), key=lambda n: np.abs(camera.position - unseen[n].position).max()))
-        assert np.abs(camera.position - corner.camera.position).max() > 1e-3
-        return render(self, camera, *rest)
+    def seen(self, view, *rest):
+        timed.add(min(range(3), key=lambda n: np.abs(view.camera.position - unseen[n].camera.position).max()))
+        assert np.abs(view.camera.position - corner.camera.position).max() > 1e-3
+        return render(self, view, *rest)
 
     unseen = unseen_views(corner, 3, base.camera.width, base.camera.height)
     monkeypatch.setattr(run_module, "reference", recorded)
