@@ -100,8 +100,11 @@ def movement_of(primitive: Primitive, nodes: Nodes, times: Times, to_world: list
     moved = np.einsum("tij,nj->tni", from_rest[:, :3, :3], corners) + from_rest[:, None, :3, 3]
     if _is_still(moved, corners):
         return still
-    keyframes = keyframes_of(times.shares, from_rest, about, corners)
-    return Movement(rest, _bounds(moved.reshape(-1, 3)), about, keyframes, none)
+    # What turns around one of them turns in fewer keyframes, and elsewhere goes along arcs.
+    centres = [to_world[node][0, :3, 3] for node in nodes.ancestors(primitive.node)]
+    ways = [keyframes_of(times.shares, from_rest, centre, corners) for centre in centres]
+    best = min(range(len(ways)), key=lambda way: len(ways[way]))
+    return Movement(rest, _bounds(moved.reshape(-1, 3)), centres[best], ways[best], none)
 
 
 def deforms(primitive: Primitive, nodes: Nodes, to_world: list[Array]) -> bool:

@@ -43,6 +43,15 @@ class Nodes:
             found[node] = own if parent is None else found[parent] @ own
         return [found[node] for node in range(len(self._items))]
 
+    def ancestors(self, node: int) -> list[int]:
+        """A node, its parent, and so on."""
+        found: list[int] = []
+        upper: int | None = node
+        while upper is not None:
+            found.append(upper)
+            upper = self._parents[upper]
+        return found
+
     def weights(self, node: int, default: Array, times: Array) -> Array:
         """(T, M) of a node's M morph targets; (1, M), the default of its mesh, if nothing else says them."""
         sampler = self.animation.channels.get((node, "weights"))
