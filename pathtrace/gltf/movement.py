@@ -21,6 +21,8 @@ _STILL = 1e-6
 _MOST_VERTICES = 100_000_000
 # Of all nodes at all times, a matrix of 128 bytes each.
 _MOST_POSES = 5_000_000
+# Squares of what is farther from the origin overflow float32.
+_LARGEST = 1e18
 # Determinant of what has no volume.
 _FLAT = 1e-12
 
@@ -138,6 +140,9 @@ def _is_still(moved: Array, rest: Array) -> bool:
 
 
 def _bounds(points: Array) -> Array:
+    """(2, 3) lowest and highest corner; ValueError if float32 does not hold them."""
+    if not np.abs(points).max() < _LARGEST:
+        raise ValueError("vertices are too far from the origin")
     return np.stack([points.min(axis=0), points.max(axis=0)])
 
 

@@ -187,6 +187,14 @@ def test_a_mesh_without_area_is_refused(tmp_path, got):
     assert got(message.partition(": ")[2]).startswith("meshes[0].primitives[0] is degenerate")
 
 
+@extreme("glTF vertices at 1e30", given="a box of 1e30", expected="refused in one line")
+def test_what_is_beyond_float32_is_refused(tmp_path, got):
+    building = Building()
+    building.node(mesh=building.mesh(BOX * 1e30, BOX_FACES))
+    message = refusal(building.save(tmp_path / "a.glb"), tmp_path)
+    assert got(message.partition(": ")[2]).endswith("vertices are too far from the origin)")
+
+
 @extreme("glTF animation of a year", given="keyframes at 0 and 3e7 s", expected="refused, naming --fps")
 def test_an_endless_animation_is_refused(tmp_path, got):
     building = Building()
