@@ -150,8 +150,9 @@ class _Import:
         if colours is not None:
             factor = self._pbr(primitive, user).get("baseColorFactor", [1, 1, 1])
             colours = colours * np.array(factor[:3])
+        faces = self._faces(primitive)
         uvs = primitive.uvs.get(self._materials.uv_set(primitive.material, user))
-        write_mesh(self._file(name), primitive.faces, movement.rest, self._normals(primitive), uvs, colours)
+        write_mesh(self._file(name), faces, movement.rest, self._normals(primitive), uvs, colours)
         if len(movement.meshes):
             self._tracks[name] = {"meshes": self._sequence(name, primitive, movement)}
         elif movement.keyframes:
@@ -169,6 +170,11 @@ class _Import:
         found: dict[str, Any] = self._materials.item(primitive.material, user).get("pbrMetallicRoughness", {})
         return found
 
+    def _faces(self, primitive: Primitive) -> NDArray[np.int64]:
+        """(F, 3); a node that mirrors turns fronts to the back, if nothing turns them again (3.7.4)."""
+        mirrors = np.linalg.det(self._to_world[primitive.node][0, :3, :3]) < 0
+        return primitive.faces[:, ::-1] if mirrors and primitive.skin is None else primitive.faces
+
     def _normals(self, primitive: Primitive) -> Array | None:
         """(V, 3) in the world at time 0; none of what deforms: they are made of its faces, at each time."""
         if primitive.normals is None or primitive.skin is not None or len(primitive.targets):
@@ -183,7 +189,7 @@ class _Import:
         """Names of the mesh files of what deforms."""
         names = [f"{name}-{step:04d}" for step in range(len(movement.meshes))]
         for step, vertices in zip(names, movement.meshes, strict=True):
-            write_mesh(self._file(step), primitive.faces, vertices)
+            write_mesh(self._file(step), self._faces(primitive), vertices)
         return [f"{_MESHES}/{step}.ply" for step in names]
 
     def _lights(self, bounds: Array) -> list[ET.Element]:

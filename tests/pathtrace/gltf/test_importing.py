@@ -321,6 +321,23 @@ def test_a_file_in_which_nothing_moves_is_a_still_scene(tmp_path):
     np.testing.assert_allclose(vertices(scene, "box", 0), 2 * BOX)
 
 
+@pytest.mark.parametrize("scale", [(1, 1, 1), (-1, 1, 1), (1, 2, -3)])
+def test_faces_and_normals_point_outwards_however_a_node_mirrors(tmp_path, scale):
+    building = Building()
+    normals = building.array(BOX / np.sqrt(3))
+    building.node(mesh=building.mesh(BOX, BOX_FACES, NORMAL=normals), name="box", scale=list(scale))
+    import_gltf(building.save(tmp_path / "a.glb"), tmp_path / "scene")
+    shape = mi.traverse(mi.load_dict({"type": "ply", "filename": str(tmp_path / "scene/meshes/box.ply")}))
+    points, written = (
+        np.reshape(shape[f"vertex_{kind}"].numpy(), (-1, 3)) for kind in ("positions", "normals")
+    )
+    corners = points[np.reshape(shape["faces"].numpy(), (-1, 3))]
+    outwards = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (np.einsum("fi,fi->f", outwards, corners.mean(axis=1)) > 0).all()
+    wanted = BOX / np.array(scale)
+    np.testing.assert_allclose(written, wanted / np.linalg.norm(wanted, axis=1, keepdims=True), atol=1e-6)
+
+
 def test_strips_and_fans_are_triangles(tmp_path):
     building = Building()
     zigzag = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 2, 0]]
