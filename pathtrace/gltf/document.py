@@ -40,7 +40,8 @@ class Document:
 
     def section(self, name: str) -> list[dict[str, Any]]:
         """All nodes, meshes, accessors or the like."""
-        return list(self.tree.get(name, []))
+        found: list[dict[str, Any]] = self.tree.get(name, [])
+        return found
 
     def item(self, name: str, index: int | float, user: str) -> dict[str, Any]:
         """One of a section; `user` is what refers to it, in error messages.

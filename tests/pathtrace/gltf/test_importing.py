@@ -74,6 +74,56 @@ def test_a_skinned_tube_bends(tmp_path):
         np.testing.assert_allclose(vertices(scene, "tube", step / 24), wanted, atol=1e-5)
 
 
+def local(item, turn=None):
+    """(4, 4) of a node, turned by a quaternion of its own or by another one."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_quat(turn or item["rotation"]).as_matrix() * item["scale"]
+    matrix[:3, 3] = item["translation"]
+    return matrix
+
+
+def test_morphed_vertices_follow_many_joints_of_scaled_parents(tmp_path):
+    rng, building = np.random.default_rng(3), Building()
+    target = 0.1 * rng.normal(size=BOX.shape)
+    which = rng.integers(0, 3, (2, 8, 4))
+    shares = rng.random((2, 8, 4))
+    shares /= shares.sum(axis=(0, 2), keepdims=True)
+    chain = [
+        {
+            "translation": rng.normal(size=3).tolist(),
+            "rotation": Rotation.random(random_state=number).as_quat().tolist(),
+            "scale": rng.uniform(0.7, 1.3, 3).tolist(),
+        }
+        for number in range(3)
+    ]
+    joints = [building.node(**item) for item in chain]
+    for parent in (0, 1):
+        building.tree["nodes"][parent]["children"] = [parent + 1]
+    inverse = np.tile(np.eye(4), (3, 1, 1))
+    inverse[:, :3] += 0.2 * rng.normal(size=(3, 3, 4))
+    matrices = building.array(inverse.transpose(0, 2, 1).reshape(3, 16))
+    skin = building.add("skins", joints=joints, inverseBindMatrices=matrices)
+    sets = {f"JOINTS_{n}": building.array(which[n], "uint16") for n in (0, 1)}
+    sets |= {f"WEIGHTS_{n}": building.array(shares[n]) for n in (0, 1)}
+    mesh = building.mesh(BOX, BOX_FACES, [target], weights=[0.0], **sets)
+    node = building.node(mesh=mesh, skin=skin, name="box")
+    turns = [chain[1]["rotation"], quaternion((1, 2, 3), 100)]
+    building.animation(
+        (1, "rotation", [0, 1], turns, "LINEAR"), (node, "weights", [0, 1], [0.0, 2.0], "LINEAR")
+    )
+    scene, _ = imported(building, tmp_path, fps=4)
+    # At the end, which is no rounding of anything between.
+    to_world = np.eye(4)
+    for number, item in enumerate(chain):
+        to_world = to_world @ local(item, turns[1] if number == 1 else None)
+        chain[number] = to_world @ inverse[number]
+    wanted = np.zeros_like(BOX)
+    for vertex, rest in enumerate(BOX + 2.0 * target):
+        for joint, share in zip(which[:, vertex].ravel(), shares[:, vertex].ravel(), strict=True):
+            wanted[vertex] += share * (chain[joint] @ [*rest, 1])[:3]
+    np.testing.assert_allclose(vertices(scene, "box", 1.0), wanted, atol=1e-5)
+
+
 def test_more_meshes_a_second_are_nearer(tmp_path):
     building = Building()
     bending_tube(building)
@@ -221,10 +271,9 @@ def test_the_camera_is_that_of_the_file(tmp_path):
     scene, _ = imported(building, tmp_path)
     assert (scene.camera.width, scene.camera.height) == (768, 512)
     assert scene.camera.fy == pytest.approx(256 / np.tan(np.radians(20)), rel=1e-5)
-    np.testing.assert_allclose(scene.camera.camera_to_world, OPENCV_FROM_Z5, atol=1e-5)
-
-
-OPENCV_FROM_Z5 = np.diag([1.0, -1.0, -1.0, 1.0]) + np.array([[0.0] * 4, [0.0] * 4, [0, 0, 0, 5], [0.0] * 4])
+    wanted = np.diag([1.0, -1.0, -1.0, 1.0])
+    wanted[2, 3] = 5
+    np.testing.assert_allclose(scene.camera.camera_to_world, wanted, atol=1e-5)
 
 
 def test_without_a_camera_everything_is_seen_from_the_front_at_all_times(tmp_path):
