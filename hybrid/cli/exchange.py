@@ -1,4 +1,4 @@
-"""`hybrid export` and `hybrid import`: the PLY layout of 3D Gaussian splatting."""
+"""`hybrid export` and `hybrid import`: the PLY layout of 3D Gaussian splatting, and glTF scenes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from compose.base.errors import UserError
-from hybrid.cli.options import ForestArgument
+from hybrid.cli.options import ForestArgument, finite, select
 
 
 def export_ply(
@@ -33,11 +33,54 @@ def export_ply(
     print(f"{output}: layer {number}, {len(gaussians):,} Gaussians, degree {gaussians.degree}")
 
 
-def import_ply(
-    source: Annotated[Path, typer.Argument(metavar="in.ply", help="PLY file to read.")],
-    forest: ForestArgument,
+def import_file(
+    source: Annotated[
+        Path, typer.Argument(metavar="FILE", help="PLY file of 3D Gaussian splatting, or .glb or .gltf file.")
+    ],
+    target: Annotated[
+        Path, typer.Argument(metavar="FOREST|FOLDER", help="Forest file to write; of glTF, a new folder.")
+    ],
+    fps: Annotated[
+        float | None,
+        typer.Option(
+            help="Of glTF: meshes a second of what deforms; 24 if left out.",
+            min=0.1,
+            max=240,
+            callback=finite,
+        ),
+    ] = None,
+    animation: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Of glTF: the animation to play, by name or number; if left out, all that move different "
+            "things, else the first one.",
+        ),
+    ] = None,
 ) -> None:
-    """Read a PLY file of 3D Gaussian splatting; the forest fits any scene."""
+    """Read a PLY file of 3D Gaussian splatting as a forest, or a glTF file as a scene that moves."""
+    if source.suffix.lower() in (".glb", ".gltf"):
+        import_scene(source, target, fps, animation)
+        return
+    if fps is not None or animation is not None:
+        raise UserError(f"--fps, --animation: only of .glb and .gltf files; {source} is none")
+    import_ply(source, target)
+
+
+def import_scene(source: Path, folder: Path, fps: float | None, animation: str | None) -> None:
+    """Reads a glTF file; writes a folder with a Mitsuba scene, its meshes, textures and motion."""
+    select("auto")
+    from pathtrace.gltf.importing import DEFAULT_FPS, import_gltf
+
+    found = import_gltf(source, folder, fps or DEFAULT_FPS, animation)
+    moving = f"{found.rigid} move rigidly, {found.deforming} deform, in {found.seconds:g} s"
+    print(f"{found.scene}: {found.triangles:,} triangles; {moving if found.seconds else 'nothing moves'}")
+    for remark in found.remarks:
+        print(remark)
+
+
+def import_ply(source: Path, forest: Path) -> None:
+    """Reads a PLY file of 3D Gaussian splatting; the forest fits any scene."""
     from splat.io.forest_file import save_forest
     from splat.io.ply import UNBOUND_FOCAL, load_ply
     from splat.model.forest import forest_of

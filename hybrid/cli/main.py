@@ -12,7 +12,7 @@ from hybrid.cli.capture import capture
 from hybrid.cli.demo import demo
 from hybrid.cli.doctor import doctor
 from hybrid.cli.evaluate import evaluate
-from hybrid.cli.exchange import export_ply, import_ply
+from hybrid.cli.exchange import export_ply, import_file
 from hybrid.cli.prepare import prepare
 from hybrid.cli.quickstart import quickstart
 from hybrid.cli.render import render
@@ -29,7 +29,7 @@ app = typer.Typer(
 for command in (doctor, scenes, quickstart, prepare, capture, train, render, demo, evaluate, sweep):
     app.command()(command)
 app.command("export")(export_ply)
-app.command("import")(import_ply)
+app.command("import")(import_file)
 app.add_typer(bench_app, name="bench")
 
 

@@ -105,8 +105,22 @@ def _light_track(track: dict[str, Any]) -> LightTrack:
 
 
 def _keyframe(key: dict[str, Any]) -> Keyframe:
-    _require_known(key, {"t", "translate", "degrees"})
-    return Keyframe(_number(key, "t"), _point(key, "translate", [0, 0, 0]), _number(key, "degrees", 0.0))
+    _require_known(key, {"t", "translate", "degrees", "rotation"})
+    if "degrees" in key and "rotation" in key:
+        raise ValueError("a keyframe has degrees and rotation; must have one of them")
+    rotation = _quaternion(key["rotation"]) if "rotation" in key else None
+    shift = _point(key, "translate", [0, 0, 0])
+    return Keyframe(_number(key, "t"), shift, _number(key, "degrees", 0.0), rotation)
+
+
+def _quaternion(value: Any) -> tuple[float, float, float, float]:
+    if not isinstance(value, list) or len(value) != 4 or not all(_is_number(part) for part in value):
+        raise ValueError(f"rotation is {value!r}; must be four numbers, w, x, y and z")
+    length = float(np.linalg.norm(value))
+    if not 0.99 < length < 1.01:
+        raise ValueError(f"rotation is {value!r}; must be a unit quaternion")
+    w, x, y, z = (float(part) / length for part in value)
+    return (w, x, y, z)
 
 
 def _brightness(key: dict[str, Any]) -> Brightness:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pathtrace.motion.course import Array
+from pathtrace.motion.faces import spread_over_faces
 
 # How far a turned vertex may be from the shape at rest, as a share of its diagonal, and points on its faces
 # from which that is found: they are closer to each other than that, and so are faces and the ball they make.
@@ -36,12 +37,5 @@ def is_unchanged(vertices: Array, faces: NDArray[np.int64], centre: Array, rotat
 
 def _on_faces(vertices: Array, faces: NDArray[np.int64]) -> Array:
     """(N, 3) points that are evenly spread over the faces."""
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    if not areas.sum():
-        return np.zeros((0, 3))
-    rng = np.random.default_rng(0)
-    chosen = rng.choice(len(faces), _POINTS, p=areas / areas.sum())
-    u, v = rng.random((2, _POINTS, 1))
-    root = np.sqrt(u)
-    return (1 - root) * a[chosen] + root * (1 - v) * b[chosen] + root * v * c[chosen]
+    corners, shares = spread_over_faces(vertices, faces, _POINTS)
+    return np.einsum("nc,nci->ni", shares, vertices[corners])

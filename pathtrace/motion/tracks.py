@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
 
 from pathtrace.motion.formula import Formula
 
@@ -23,24 +24,28 @@ class Keyframe:
         time: 0 to 1.
         translate: (x, y, z), after the rotation.
         degrees: of the rotation around the track's axis; any number, so that wheels turn more than once.
+        rotation: (w, x, y, z), a unit quaternion, of a rotation around any axis instead.
     """
 
     time: float
     translate: tuple[float, float, float] = (0.0, 0.0, 0.0)
     degrees: float = 0.0
+    rotation: tuple[float, float, float, float] | None = None
 
 
 @dataclass(frozen=True)
 class RigidTrack:
     """Rigid motion: translation and angle are linear between keyframes, and constant beyond them.
 
+    Between quaternions, shapes turn the shorter way at a constant speed (Shoemake 1985).
+
     Attributes:
-        keyframes: at least one, in the order of their times.
+        keyframes: at least one, in the order of their times; all have quaternions, or none.
         axis: (x, y, z), unit, that the shape turns around.
         about: (x, y, z), a point on the axis where the shape is at rest.
 
     Raises:
-        ValueError: keyframes are missing or out of order.
+        ValueError: keyframes are missing or out of order, or some have quaternions and others do not.
     """
 
     keyframes: tuple[Keyframe, ...]
@@ -49,20 +54,31 @@ class RigidTrack:
 
     def __post_init__(self) -> None:
         require_ordered([key.time for key in self.keyframes])
+        if len({key.rotation is None for key in self.keyframes}) > 1:
+            raise ValueError("must have rotation in all keyframes, or in none")
 
     def pose(self, time: float) -> Array:
         """(4, 4) rigid transform from rest to a time, in the coordinates of the scene's file."""
         times = [key.time for key in self.keyframes]
-        turn = np.radians(np.interp(time, times, [key.degrees for key in self.keyframes]))
         shift = between(time, times, [key.translate for key in self.keyframes])
-        x, y, z = self.axis
-        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        # Rodrigues' formula.
-        rotation = np.eye(3) + np.sin(turn) * cross + (1 - np.cos(turn)) * cross @ cross
+        rotation = self._rotation(time, times)
         pose = np.eye(4)
         pose[:3, :3] = rotation
         pose[:3, 3] = np.array(self.about) - rotation @ np.array(self.about) + shift
         return pose
+
+    def _rotation(self, time: float, times: Sequence[float]) -> Array:
+        """(3, 3) at a time."""
+        quaternions = [key.rotation for key in self.keyframes if key.rotation is not None]
+        if len(quaternions) == 1:
+            return _rotations(quaternions).as_matrix()[0]
+        if quaternions:
+            return Slerp(times, _rotations(quaternions))(np.clip(time, times[0], times[-1])).as_matrix()
+        turn = np.radians(np.interp(time, times, [key.degrees for key in self.keyframes]))
+        x, y, z = self.axis
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        # Rodrigues' formula.
+        return np.eye(3) + np.sin(turn) * cross + (1 - np.cos(turn)) * cross @ cross
 
 
 @dataclass(frozen=True)
@@ -128,6 +144,11 @@ class Motion:
     shapes: dict[str, ShapeTrack]
     lights: dict[str, LightTrack]
     fingerprint: str
+
+
+def _rotations(quaternions: Sequence[Sequence[float]]) -> Rotation:
+    """Rotations from quaternions (w, x, y, z)."""
+    return Rotation.from_quat(np.asarray(quaternions)[:, [1, 2, 3, 0]])
 
 
 def between(time: float, times: Sequence[float], values: Sequence[Sequence[float]]) -> Array:

@@ -115,17 +115,19 @@ def _simplify(configuration: Any, state: Any, apart: Collection[str]) -> None:
     mi.parser.transform_merge_equivalent(configuration, state)
     root = state.root.props
     # Mitsuba merges what hangs on the scene.
-    held = {
-        key: root[key]
+    nodes = {
+        key: state.nodes[root[key].index()]
         for key in root.keys()  # noqa: SIM118 - not a dictionary
         if root.type(key) == mi.Properties.Type.ResolvedReference
-        and state.nodes[root[key].index()].props.id() in apart
     }
-    for key in held:
-        del root[key]
-    mi.parser.transform_merge_meshes(configuration, state)
-    for key, reference in held.items():
-        root[key] = reference
+    held = {key: root[key] for key, node in nodes.items() if node.props.id() in apart}
+    # Mitsuba 3.9.1 crashes where there is no shape to merge.
+    if any(node.type == mi.ObjectType.Shape for key, node in nodes.items() if key not in held):
+        for key in held:
+            del root[key]
+        mi.parser.transform_merge_meshes(configuration, state)
+        for key, reference in held.items():
+            root[key] = reference
     mi.parser.transform_reorder(configuration, state)
 
 

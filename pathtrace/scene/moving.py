@@ -15,6 +15,7 @@ from compose.base.steps import between_steps
 from compose.camera.place import Place
 from compose.fovea.movers import UNSTEADY, Moment
 from pathtrace.motion.course import Course, course_of_poses
+from pathtrace.motion.faces import spread_over_faces
 from pathtrace.motion.pieces import courses_of_pieces
 from pathtrace.motion.symmetry import is_unchanged
 from pathtrace.motion.tracks import FormulaTrack, LightTrack, MeshTrack, Motion, RigidTrack, ShapeTrack
@@ -26,6 +27,9 @@ _Part: TypeAlias = Callable[[float], dict[str, Any]]
 _POSITIONS, _NORMALS, _TO_WORLD, _POSITION = "vertex_positions", "vertex_normals", "to_world", "position"
 # Poses of a course: linear between them, a turn of ten times is off by next to nothing.
 _STEPS = 129
+# Meshes of fewer vertices are taken to pieces with as many points on their faces: a quad has four vertices,
+# and needs more pieces.
+_COARSE = 1000
 # What a light's brightness is called, in that order.
 _BRIGHTNESS = ("radiance", "intensity", "irradiance", "scale")
 
@@ -114,7 +118,10 @@ class MovingScene:
             else:
                 rest = self._rest[name]
                 at = self._tracked.deforming(name, rest, track)
-                found += courses_of_pieces(name, number, rest, np.stack([at(time) for time in times]))
+                moved = np.stack([at(time) for time in times])
+                if len(rest) < _COARSE:
+                    rest, moved = _with_points(rest, moved, self._tracked.faces_of(name))
+                found += courses_of_pieces(name, number, rest, moved)
         return found
 
     def _show(self, time: float) -> None:
@@ -169,8 +176,12 @@ class _Tracked:
 
     def is_round(self, name: str, rest: Array, centre: Array, poses: Array) -> bool:
         """Whether a mesh, with vertices (N, 3) at rest, looks the same however poses (T, 4, 4) turn it."""
+        return is_unchanged(rest, self.faces_of(name), centre, poses[:, :3, :3])
+
+    def faces_of(self, name: str) -> NDArray[np.int64]:
+        """(F, 3) indices of the vertices of a mesh."""
         faces = np.reshape(self._parameters[f"{self._names[name]}.faces"].numpy(), (-1, 3))
-        return is_unchanged(rest, faces.astype(np.int64), centre, poses[:, :3, :3])
+        return faces.astype(np.int64)
 
     def place_of(self, point: Sequence[float]) -> Array:
         """A point (3,) of the scene's file in the scene's coordinates."""
@@ -312,6 +323,14 @@ def _is_textured(shape: Any) -> bool:
     bsdf = shape.bsdf()
     images = bsdf is not None and any(key.endswith(".data") for key in mi.traverse(bsdf).properties)
     return images or any("_color" in key for key in mi.traverse(shape).properties)
+
+
+def _with_points(rest: Array, moved: Array, faces: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Vertices (V, 3) at rest and (T, V, 3) moved, with points on the faces between them."""
+    corners, shares = spread_over_faces(rest, faces, _COARSE)
+    between = np.einsum("nc,tnci->tni", shares, moved[:, corners])
+    rest_between = np.einsum("nc,nci->ni", shares, rest[corners])
+    return np.concatenate([rest, rest_between]), np.concatenate([moved, between], axis=1)
 
 
 def _without_turns(poses: Array, centre: Array) -> Array:

@@ -22,6 +22,7 @@ from hybrid.output.images import read_exr
 from hybrid.store.journal import Journal
 from pathtrace.dataset.exr import CapturedFrame, read_frame, write_frame
 from pathtrace.dataset.frames import FORMAT_VERSION, read_frame_set
+from pathtrace.gltf.importing import import_gltf
 from pathtrace.region.path_file import read_path
 from pathtrace.scene.description import read_description
 from splat.io.forest_file import load_forest, save_forest
@@ -31,6 +32,7 @@ from splat.model.building import build_forest
 from splat.model.forest import forest_of
 from splat.model.layer import static_layer
 from tests import small
+from tests.pathtrace.gltf.building import QUAD, QUAD_FACES, Building, bending_tube
 from tests.splat.samples import camera, gaussians
 
 IDENTITY = {"scene": "a", "settings": {"size": [4, 5]}}
@@ -87,6 +89,39 @@ def _journal(path: Path) -> None:
     Journal(path, IDENTITY)["first"] = [1, 2.5, {"a": None}]
 
 
+def _gltf(path: Path) -> None:
+    building = Building()
+    bending_tube(building)
+    light = building.add("images", uri="data:image/png;base64,iVBORw0KGgo=")
+    building.add("textures", source=light)
+    building.add(
+        "materials", emissiveFactor=[1, 1, 0], pbrMetallicRoughness={"baseColorFactor": [1, 0, 0, 1]}
+    )
+    lift = np.zeros((4, 3))
+    lift[2:, 2] = 1
+    node = building.node(mesh=building.mesh(QUAD, QUAD_FACES, [lift], material=0), name="quad")
+    lights = [{"type": "spot", "intensity": 3, "spot": {"outerConeAngle": 0.5}}]
+    building.tree["extensions"] = {"KHR_lights_punctual": {"lights": lights}}
+    lens = building.add(
+        "cameras", type="perspective", perspective={"yfov": 0.7, "aspectRatio": 1.2, "znear": 0.1}
+    )
+    shining = {"KHR_lights_punctual": {"light": 0}}
+    building.node(extensions=shining, camera=lens, translation=[0, 0, 5], children=[node])
+    building.tree["scenes"] = [{"nodes": [1, 2, 4]}]
+    turn = [[0, 0, 0, 1], [0, 0.6, 0, 0.8]]
+    building.animation(
+        (node, "weights", [0, 1], [0, 0, 0.5, 1, 0, 0], "CUBICSPLINE"),
+        (4, "rotation", [0, 1], turn, "STEP"),
+    )
+    building.save(path)
+
+
+def _import(path: Path) -> None:
+    folder = path.parent / "imported"
+    shutil.rmtree(folder, ignore_errors=True)
+    import_gltf(path, folder, fps=2)
+
+
 _SCENE = """<scene version="3.0.0"><default name="d" value="a"/><path value="b"/>
 <include filename="$d.xml"/>
 <sensor type="perspective"><float name="fov" value="40"/></sensor><shape type="obj">
@@ -126,6 +161,8 @@ READERS = {
     "display": Reader("display.json", lambda p: p.write_text(_DISPLAY), lambda p: display_named(str(p))),
     "gaze trace": Reader("gaze.csv", lambda p: p.write_text(_TRACE), load_gaze_trace),
     "journal": Reader("journal.json", _journal, lambda p: Journal(p, IDENTITY)),
+    "glTF": Reader("a.gltf", _gltf, _import),
+    "GLB": Reader("a.glb", _gltf, _import),
     "scene": Reader("scene.xml", lambda p: p.write_text(_SCENE), read_description),
 }
 

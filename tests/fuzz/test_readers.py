@@ -59,7 +59,7 @@ _MIXED = st.recursive(
 )
 
 
-@pytest.mark.parametrize("name", ["frame set", "camera", "display", "journal"])
+@pytest.mark.parametrize("name", ["frame set", "camera", "display", "journal", "glTF"])
 def test_json_with_any_value_in_the_place_of_another_is_read_or_refused(name, tmp_path_factory):
 
     reader = READERS[name]

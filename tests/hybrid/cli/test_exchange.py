@@ -6,11 +6,13 @@ import pytest
 import torch
 
 from hybrid.cli.exchange import export_ply, import_ply
+from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from splat.io.ply import load_ply
 from splat.model.placing import in_world
 from tests.conftest import real_file
 from tests.hybrid.command import run
+from tests.pathtrace.gltf.building import Building, bending_tube
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
 
@@ -48,3 +50,34 @@ def test_a_real_ply_goes_through_import(monkeypatch, tmp_path):
     for name in ("means", "log_scales", "opacity_logits", "sh"):
         ours, theirs = (getattr(gaussians, name).sort(dim=-1).values for gaussians in (found, expected))
         assert torch.equal(ours, theirs)
+
+
+def test_a_gltf_file_is_imported_as_a_scene_that_moves(monkeypatch, tmp_path, capsys):
+    building = Building()
+    bending_tube(building)
+    file = building.save(tmp_path / "tube.GLB")
+    assert run(monkeypatch, "import", file, tmp_path / "tube", "--fps", 12, "--animation", "bend") == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].endswith("scene.xml: 128 triangles; 0 move rigidly, 1 deform, in 1 s")
+    assert "the file has no lights; light comes from all directions" in said
+    scene = load_scene(tmp_path / "tube" / "scene.xml")
+    assert scene.name == "tube"
+    assert scene.moving is not None
+    assert len(list((tmp_path / "tube/meshes").iterdir())) == 14
+    assert run(monkeypatch, "import", file, tmp_path / "tube") == 2
+    assert capsys.readouterr().err.endswith("exists already; name another folder, or remove it\n")
+
+
+def test_a_gltf_file_in_which_nothing_moves_says_so(monkeypatch, tmp_path, capsys):
+    building = Building()
+    bending_tube(building)
+    del building.tree["animations"]
+    assert run(monkeypatch, "import", building.save(tmp_path / "a.gltf"), tmp_path / "still") == 0
+    assert "; nothing moves\n" in capsys.readouterr().out
+    assert not (tmp_path / "still/scene.motion.json").exists()
+
+
+@pytest.mark.parametrize("option", [("--fps", 24), ("--animation", "walk")])
+def test_options_of_gltf_are_refused_for_ply(option, monkeypatch, tmp_path, capsys):
+    assert run(monkeypatch, "import", tmp_path / "a.ply", tmp_path / "a.forest", *option) == 2
+    assert "--fps, --animation: only of .glb and .gltf files" in capsys.readouterr().err

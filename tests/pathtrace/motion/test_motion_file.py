@@ -80,6 +80,13 @@ def shape(track: Any) -> dict[str, Any]:
         (shape({"keyframes": [{"t": 0}, {"t": 2}]}), "a keyframe has t = 2; must be from 0 to 1"),
         (shape({"keyframes": [{"degrees": 9}]}), "t is None; must be a number"),
         (shape({"keyframes": [{"t": 0, "degree": 9}]}), "degree is unknown here"),
+        (shape({"keyframes": [{"t": 0, "degrees": 9, "rotation": [1, 0, 0, 0]}]}), "degrees and rotation"),
+        (shape({"keyframes": [{"t": 0, "rotation": [1, 0, 0]}]}), "must be four numbers, w, x, y and z"),
+        (shape({"keyframes": [{"t": 0, "rotation": [1, 1, 0, 0]}]}), "must be a unit quaternion"),
+        (
+            shape({"keyframes": [{"t": 0, "rotation": [1, 0, 0, 0]}, {"t": 1}]}),
+            "in all keyframes, or in none",
+        ),
         (shape({"formula": ["x", "y"]}), "formula must be three texts"),
         (shape({"formula": ["x", "y", "open(z)"]}), "in a formula; may hold"),
         (shape({"meshes": ["a.ply"]}), "meshes must be two files or more"),
@@ -93,6 +100,13 @@ def test_what_is_wrong_is_named_in_one_line(tmp_path, content, said):
         read_motion(file)
     assert str(error.value).startswith(f"{file}: ")
     assert "\n" not in str(error.value)
+
+
+def test_keyframes_may_have_quaternions(tmp_path):
+    keys = [{"t": 0, "rotation": [1, 0, 0, 0]}, {"t": 1, "rotation": [0, 0.6, 0.8, 0]}]
+    door = read_motion(written(tmp_path, shape({"keyframes": keys}))).shapes["door"]
+    assert isinstance(door, RigidTrack)
+    assert [key.rotation for key in door.keyframes] == [(1, 0, 0, 0), (0, 0.6, 0.8, 0)]
 
 
 def test_a_missing_file_is_named(tmp_path):

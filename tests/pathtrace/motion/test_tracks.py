@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from pathtrace.motion.tracks import Brightness, Keyframe, LightTrack, RigidTrack
 
@@ -29,6 +30,34 @@ def test_poses_are_rigid_around_any_axis():
     assert np.linalg.det(rotation) == pytest.approx(1)
     np.testing.assert_allclose(rotation @ [x, y, z], [x, y, z], atol=1e-12)
     assert np.trace(rotation) == pytest.approx(1 + 2 * np.cos(np.radians(0.7 * 1234)))
+
+
+def test_quaternions_turn_around_any_axis_at_a_constant_speed():
+    half, third = np.radians(80) / 2, np.radians(80) / 6
+    axis = np.array([1.0, 2.0, -2.0]) / 3
+    x, y, z = (np.sin(half) * axis).tolist()
+    # The negative of a quaternion is the same turn.
+    keys = (
+        Keyframe(0.1, rotation=(1.0, 0, 0, 0)),
+        Keyframe(0.7, (3.0, 0, 0), rotation=(-np.cos(half), -x, -y, -z)),
+    )
+    track = RigidTrack(keys, about=(0.0, 5.0, 0.0))
+    wanted = Rotation.from_quat([*(np.sin(third) * axis), np.cos(third)]).as_matrix()
+    pose = track.pose(0.3)
+    np.testing.assert_allclose(pose[:3, :3], wanted, atol=1e-12)
+    np.testing.assert_allclose(pose @ [0, 5, 0, 1], [1, 5, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(track.pose(1.0), track.pose(0.7), atol=1e-12)
+
+
+def test_a_single_quaternion_holds_for_ever():
+    track = RigidTrack((Keyframe(0.5, rotation=(0.0, 0.0, 0.0, 1.0)),))
+    for time in (0.0, 0.5, 1.0):
+        np.testing.assert_allclose(track.pose(time), np.diag([-1.0, -1, 1, 1]), atol=1e-12)
+
+
+def test_quaternions_are_in_all_keyframes_or_in_none():
+    with pytest.raises(ValueError, match="rotation in all keyframes, or in none"):
+        RigidTrack((Keyframe(0.0), Keyframe(1.0, rotation=(1.0, 0.0, 0.0, 0.0))))
 
 
 def test_brightness_is_linear_between_keyframes():

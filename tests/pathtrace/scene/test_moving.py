@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from compose.base.errors import UserError
 from compose.fovea.movers import UNSTEADY
+from pathtrace.gltf.meshes import write_mesh
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer
@@ -384,15 +385,41 @@ def write_ball(file: Path) -> None:
 
 @pytest.mark.parametrize(
     ("formula", "pieces"),
-    [(["x", "y", "z"], 1), (["x", "y + 0.4 * t", "z"], 1), (["x", "y + t * x**2", "z"], 8)],
+    [(["x", "y", "z"], 1), (["x", "y + 0.4 * t", "z"], 1), (["x", "y + t * x**2", "z"], 256)],
 )
 def test_what_deforms_has_as_many_pieces_as_it_requires(tmp_path, formula, pieces):
-    """A cube has eight vertices in different places."""
+    """A cube has eight vertices in different places, and many points on its faces."""
     scene = loaded(tmp_path, {"shapes": {"left": {"formula": formula}}})
     assert scene.moving is not None
     courses = scene.moving.courses(5)
     assert {course.name for course in courses} == {"left"}
     assert len({tuple(course.centre) for course in courses}) == pieces
+
+
+QUAD = [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]
+
+
+def test_a_quad_is_taken_to_more_pieces_than_it_has_vertices(tmp_path):
+    """Each piece goes where a point of the sheet between its four corners goes."""
+    file = '<string name="filename" value="q.ply"/>'
+    xml = XML.replace("cube", "ply", 1).replace('id="left">', f'id="left">{file}')
+    write_mesh(tmp_path / "q.ply", np.array([[0, 1, 2], [0, 2, 3]]), np.array(QUAD, dtype=float))
+    scene = loaded(tmp_path, {"shapes": {"left": {"formula": ["x * (1 + t)", "y", "z"]}}}, xml)
+    assert scene.moving is not None
+    courses = scene.moving.courses(3)
+    assert len(courses) == 256
+    for course in courses:
+        np.testing.assert_allclose(course.shifts[-1], [course.centre[0], 0, 0], atol=1e-6)
+
+
+def test_all_shapes_of_a_scene_may_move(tmp_path):
+    start, end = XML.index('<shape type="cube" id="right"'), XML.index("<emitter")
+    scene = loaded(tmp_path, {"shapes": {"left": RIGHT}}, XML[:start] + XML[end:])
+    assert scene.moving is not None
+    assert len(scene.mitsuba.shapes()) == 1
+    before = hits(scene)
+    scene.set_time(1.0)
+    assert (hits(scene) != before).any()
 
 
 def radiance(scene: Scene) -> np.ndarray:

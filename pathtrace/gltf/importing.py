@@ -1,0 +1,236 @@
+"""Writes a glTF file as a folder with a Mitsuba scene and its motion."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import secrets
+import shutil
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.errors import UserError, one_line
+from compose.base.files import PART_PREFIX, write_whole
+from pathtrace.gltf.animation import chosen_animation
+from pathtrace.gltf.document import EXTENSIONS, Document, read_document
+from pathtrace.gltf.lights import Light, brightness, camera, constant_light, read_lights
+from pathtrace.gltf.materials import Materials
+from pathtrace.gltf.meshes import write_mesh
+from pathtrace.gltf.movement import Movement, movement_of, require_few, times_of
+from pathtrace.gltf.nodes import Nodes
+from pathtrace.gltf.primitives import Primitive, read_primitives
+from pathtrace.gltf.rigid import as_json, keyframes_of, without_scale
+from pathtrace.gltf.textures import Textures
+from pathtrace.gltf.xml import plugin, value
+
+Array = NDArray[np.float64]
+
+# Steps of time a second in which what deforms is written, as films have them.
+DEFAULT_FPS = 24.0
+_SCENE, _MOTION, _MESHES = "scene.xml", "scene.motion.json", "meshes"
+_LONGEST_NAME = 60
+_DEPTH = 8
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What was written.
+
+    Attributes:
+        scene: the XML file.
+        triangles: at one time.
+        rigid: number of shapes and lights that move rigidly.
+        deforming: number of shapes that deform.
+        seconds: that the animation takes; 0 if nothing moves.
+        remarks: lines about what is not as in the file.
+    """
+
+    scene: Path
+    triangles: int
+    rigid: int
+    deforming: int
+    seconds: float
+    remarks: list[str]
+
+
+def import_gltf(file: Path, folder: Path, fps: float = DEFAULT_FPS, animation: str | None = None) -> Imported:
+    """Imports a glTF file; the folder appears whole or not at all.
+
+    Args:
+        file: .gltf or .glb.
+        folder: to write; must not exist, or be empty.
+        fps: steps of time a second in which meshes that deform are written.
+        animation: name or number of the one to play; without it, all that move different things, else the
+            first one.
+
+    Raises:
+        UserError: the file is damaged, or needs what is not known here; or the folder cannot be written.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise UserError(f"{folder}: exists already; name another folder, or remove it")
+    part = None
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        part = folder.with_name(f"{PART_PREFIX}{secrets.token_hex(8)}")
+        part.mkdir()
+        try:
+            found = _Import(read_document(file), part, fps, animation).run()
+        except (TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError) as error:
+            # The schema leaves extensions alone, and much that refers to something.
+            raise UserError(f"{file}: is damaged ({type(error).__name__}: {one_line(error)})") from error
+        os.replace(part, folder)
+    except OSError as error:
+        raise UserError(f"{folder}: cannot be written ({one_line(error)})") from error
+    finally:
+        if part is not None:
+            shutil.rmtree(part, ignore_errors=True)
+    return Imported(folder / _SCENE, *found)
+
+
+class _Import:
+    """One import, into a folder that is there."""
+
+    def __init__(self, document: Document, folder: Path, fps: float, animation: str | None):
+        self._document, self._folder = document, folder
+        self._remarks: list[str] = []
+        self._nodes = Nodes(document, chosen_animation(document, animation, self._remarks))
+        self._times = times_of(self._nodes, fps)
+        self._to_world = self._nodes.to_world(self._times.dense)
+        self._materials = Materials(document, Textures(document, folder), self._remarks)
+        self._names = {"camera", "surroundings"}
+        self._tracks: dict[str, Any] = {}
+
+    def run(self) -> tuple[int, int, int, float, list[str]]:
+        """Writes everything; what `Imported` says of it."""
+        primitives = read_primitives(self._document, self._nodes, self._remarks)
+        if not primitives:
+            raise self._document.refused("shows no triangles")
+        require_few(primitives, self._nodes, self._times, self._to_world)
+        shapes, bounds = [], []
+        for primitive in primitives:
+            movement = movement_of(primitive, self._nodes, self._times, self._to_world)
+            shapes.append(self._shape(primitive, movement))
+            bounds.append(movement.bounds)
+        lowest, highest = np.min(bounds, axis=0)[0], np.max(bounds, axis=0)[1]
+        self._write_scene(shapes, np.stack([lowest, highest]))
+        deforming = sum("meshes" in track for track in self._tracks.values())
+        seconds = self._nodes.animation.seconds if self._tracks else 0.0
+        if self._tracks:
+            motion = {"seconds": seconds, "shapes": self._tracks}
+            _write_text(self._folder / _MOTION, json.dumps(motion, indent=1) + "\n")
+        left_out = sorted(set(self._document.tree.get("extensionsUsed", [])) - set(EXTENSIONS))
+        self._remarks += [f"the extension {name} is left out" for name in left_out]
+        triangles = sum(len(primitive.faces) for primitive in primitives)
+        return triangles, len(self._tracks) - deforming, deforming, seconds, self._remarks
+
+    def _write_scene(self, shapes: Sequence[ET.Element], bounds: Array) -> None:
+        root = ET.Element("scene", {"version": "3.0.0"})
+        depth = ET.Element("integer", {"name": "max_depth", "value": str(_DEPTH)})
+        root.append(plugin("integrator", "path", depth))
+        root.append(camera(self._document, self._nodes, self._to_world, bounds, self._remarks))
+        root.extend(self._materials.bsdfs)
+        root.extend(shapes)
+        root.extend(self._lights(bounds))
+        ET.indent(root, "\t")
+        _write_text(self._folder / _SCENE, ET.tostring(root, encoding="unicode") + "\n")
+
+    def _shape(self, primitive: Primitive, movement: Movement) -> ET.Element:
+        """A shape, its mesh files and its track."""
+        name = self._name(primitive.name)
+        user = f"the material of {primitive.name}"
+        has_texture = "baseColorTexture" in self._pbr(primitive, user)
+        colours = None if has_texture else primitive.colours
+        if colours is not None:
+            factor = self._pbr(primitive, user).get("baseColorFactor", [1, 1, 1])
+            colours = colours * np.array(factor[:3])
+        faces = self._faces(primitive)
+        uvs = primitive.uvs.get(self._materials.uv_set(primitive.material, user))
+        write_mesh(self._file(name), faces, movement.rest, self._normals(primitive), uvs, colours)
+        if len(movement.meshes):
+            self._tracks[name] = {"meshes": self._sequence(name, primitive, movement)}
+        elif movement.keyframes:
+            self._tracks[name] = as_json(movement.keyframes, movement.about)
+        shape = plugin("shape", "ply", value("string", "filename", f"{_MESHES}/{name}.ply"), id=name)
+        if primitive.normals is None:
+            shape.append(value("boolean", "face_normals", "true"))
+        shape.append(self._materials.reference(primitive.material, colours is not None, user))
+        emitter = self._materials.emitter(primitive.material, user)
+        if emitter is not None:
+            shape.append(emitter)
+        return shape
+
+    def _pbr(self, primitive: Primitive, user: str) -> dict[str, Any]:
+        found: dict[str, Any] = self._materials.item(primitive.material, user).get("pbrMetallicRoughness", {})
+        return found
+
+    def _faces(self, primitive: Primitive) -> NDArray[np.int64]:
+        """(F, 3); a node that mirrors turns fronts to the back, if nothing turns them again (3.7.4)."""
+        mirrors = np.linalg.det(self._to_world[primitive.node][0, :3, :3]) < 0
+        return primitive.faces[:, ::-1] if mirrors and primitive.skin is None else primitive.faces
+
+    def _normals(self, primitive: Primitive) -> Array | None:
+        """(V, 3) in the world at time 0; none of what deforms: they are made of its faces, at each time."""
+        if primitive.normals is None or primitive.skin is not None or len(primitive.targets):
+            return None
+        matrix = self._to_world[primitive.node][0, :3, :3]
+        # Of what is flat in a direction, no inverse exists.
+        turned = primitive.normals @ np.linalg.pinv(matrix)
+        lengths = np.linalg.norm(turned, axis=1, keepdims=True)
+        return np.where(lengths > 0, turned / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0])
+
+    def _sequence(self, name: str, primitive: Primitive, movement: Movement) -> list[str]:
+        """Names of the mesh files of what deforms."""
+        names = [f"{name}-{step:04d}" for step in range(len(movement.meshes))]
+        for step, vertices in zip(names, movement.meshes, strict=True):
+            write_mesh(self._file(step), self._faces(primitive), vertices)
+        return [f"{_MESHES}/{step}.ply" for step in names]
+
+    def _lights(self, bounds: Array) -> list[ET.Element]:
+        lights = read_lights(self._document, self._nodes)
+        if not lights:
+            self._remarks.append("the file has no lights; light comes from all directions")
+            return [constant_light()]
+        scale = brightness(lights, self._to_world, bounds)
+        if scale != 1:
+            self._remarks.append(
+                f"lights are dimmed to {scale:.3g} of what the file says, which would be white"
+            )
+        return [self._light(light, scale, bounds) for light in lights]
+
+    def _light(self, light: Light, scale: float, bounds: Array) -> ET.Element:
+        """An emitter, and its track."""
+        item = self._document.section("nodes")[light.node]
+        name = self._name(str(item.get("name") or light.kind))
+        poses = without_scale(self._to_world[light.node])
+        if np.ptp(poses, axis=0).any():
+            # As if something as large as a tenth of the scene hung on it.
+            arms = 0.1 * np.linalg.norm(bounds[1] - bounds[0]) * np.concatenate([np.eye(3), -np.eye(3)])
+            about = poses[0, :3, 3]
+            from_rest = poses @ np.linalg.inv(poses[0])
+            keyframes = keyframes_of(self._times.shares, from_rest, about, about + arms)
+            self._tracks[name] = as_json(keyframes, about)
+        return light.element(name, poses[0], scale)
+
+    def _name(self, wanted: str) -> str:
+        """A name like that, which nothing else has, for ids and files."""
+        plain = re.sub(r"[^A-Za-z0-9]+", "_", wanted)[:_LONGEST_NAME].strip("_") or "shape"
+        name, number = plain, 2
+        # Some systems do not tell capitals apart.
+        while name.lower() in self._names:
+            name, number = f"{plain}_{number}", number + 1
+        self._names.add(name.lower())
+        return name
+
+    def _file(self, name: str) -> Path:
+        return self._folder / _MESHES / f"{name}.ply"
+
+
+def _write_text(file: Path, text: str) -> None:
+    write_whole(file, lambda part: part.write_text(text, encoding="utf-8"))

@@ -1,0 +1,182 @@
+"""Lights of a glTF file (extension KHR_lights_punctual), and its camera (specification, 3.10)."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.camera.axes import mitsuba_from_opencv, opencv_from_opengl
+from pathtrace.gltf.document import Document
+from pathtrace.gltf.nodes import Nodes
+from pathtrace.gltf.rigid import without_scale
+from pathtrace.gltf.xml import plugin, to_world, value
+
+Array = NDArray[np.float64]
+
+_EXTENSION = "KHR_lights_punctual"
+# Irradiance by which a white wall is white in a picture, and how much more counts as too bright.
+_WHITE, _TOO_BRIGHT = np.pi, 10.0
+_HEIGHT, _MOST_ASPECT = 512, 8.0
+# Of a camera that is made up, degrees.
+_FOV = 45.0
+
+
+@dataclass(frozen=True)
+class Light:
+    """A light without a shape.
+
+    Attributes:
+        node: that it follows; lights shine along its negative z.
+        kind: point, spot or directional.
+        colour: (3,) times intensity: candela, or lux of a directional light.
+        cone: inner and outer angle of a spot, degrees from its axis.
+    """
+
+    node: int
+    kind: str
+    colour: Array
+    cone: tuple[float, float]
+
+    def element(self, name: str, pose: Array, scale: float) -> ET.Element:
+        """The emitter, where its node is (4, 4), and so many times as bright."""
+        colour = self.colour * scale
+        if self.kind == "point":
+            x, y, z = (f"{v:.9g}" for v in pose[:3, 3])
+            position = ET.Element("point", {"name": "position", "x": x, "y": y, "z": z})
+            return plugin("emitter", "point", position, value("rgb", "intensity", colour), id=name)
+        placed = to_world(_mitsuba_pose(pose))
+        if self.kind == "directional":
+            return plugin("emitter", "directional", placed, value("rgb", "irradiance", colour), id=name)
+        inner, outer = self.cone
+        return plugin(
+            "emitter",
+            "spot",
+            placed,
+            value("rgb", "intensity", colour),
+            value("float", "cutoff_angle", outer),
+            value("float", "beam_width", inner),
+            id=name,
+        )
+
+    def irradiance(self, pose: Array, bounds: Array) -> float:
+        """What it gives, at most, in the middle of what is within bounds (2, 3)."""
+        if self.kind == "directional":
+            return float(self.colour.max())
+        distance = np.linalg.norm(pose[:3, 3] - bounds.mean(axis=0))
+        # Nothing is nearer to a light in the middle than that.
+        least = 0.1 * np.linalg.norm(bounds[1] - bounds[0])
+        return float(self.colour.max() / max(distance, least, 1e-9) ** 2)
+
+
+def read_lights(document: Document, nodes: Nodes) -> list[Light]:
+    """The lights of the nodes that are shown.
+
+    Raises:
+        UserError: one is damaged, or of a kind that the extension does not have.
+    """
+    found = []
+    items = document.tree.get("extensions", {}).get(_EXTENSION, {}).get("lights", [])
+    for node in nodes.shown:
+        reference = document.section("nodes")[node].get("extensions", {}).get(_EXTENSION)
+        if reference is None:
+            continue
+        number = reference.get("light")
+        if not isinstance(number, int) or not 0 <= number < len(items):
+            raise document.refused(f"nodes[{node}] has the light {number}; there are {len(items)}")
+        found.append(_light(document, node, items[number], f"lights[{number}]"))
+    return found
+
+
+def _light(document: Document, node: int, item: dict[str, Any], user: str) -> Light:
+    kind, spot = item.get("type"), item.get("spot", {})
+    if kind not in ("point", "spot", "directional"):
+        raise document.refused(f"{user} is of the type {kind}; must be point, spot or directional")
+    colour = np.array(item.get("color", [1, 1, 1]), dtype=np.float64)
+    intensity = float(item.get("intensity", 1.0))
+    inner, outer = float(spot.get("innerConeAngle", 0.0)), float(spot.get("outerConeAngle", np.pi / 4))
+    if colour.shape != (3,) or min(colour.min(), intensity) < 0 or not 0 <= inner < outer <= np.pi / 2:
+        raise document.refused(f"{user} has a colour, intensity or cone that no light has")
+    return Light(node, kind, colour * intensity, (float(np.degrees(inner)), float(np.degrees(outer))))
+
+
+def brightness(lights: list[Light], to_world_of: list[Array], bounds: Array) -> float:
+    """Factor on all lights, so that their light can be shown.
+
+    Units are photometric, and files differ in what they take for white: where lights give far more than
+    white in the middle of the scene, they are dimmed together.
+
+    Args:
+        lights: all of them.
+        to_world_of: (T, 4, 4) of each node, the first being at time 0.
+        bounds: (2, 3) lowest and highest corner of what is seen at any time.
+    """
+    given = sum(light.irradiance(to_world_of[light.node][0], bounds) for light in lights)
+    return _WHITE / given if given > _TOO_BRIGHT * _WHITE else 1.0
+
+
+def constant_light() -> ET.Element:
+    """Light from all directions alike, of files without lights."""
+    return plugin("emitter", "constant", value("rgb", "radiance", [1.0, 1.0, 1.0]), id="surroundings")
+
+
+def camera(
+    document: Document, nodes: Nodes, to_world_of: list[Array], bounds: Array, remarks: list[str]
+) -> ET.Element:
+    """The first perspective camera of a file, else one that sees everything from the front.
+
+    Args:
+        document: the file.
+        nodes: its nodes.
+        to_world_of: (T, 4, 4) of each node, the first being at time 0.
+        bounds: (2, 3) lowest and highest corner of what is seen at any time.
+        remarks: lines for the user are added to them.
+    """
+    for node in nodes.shown:
+        item = document.section("nodes")[node]
+        if "camera" in item:
+            found = document.item("cameras", item["camera"], f"nodes[{node}]")
+            if "perspective" in found:
+                if len(to_world_of[node]) > 1:
+                    remarks.append("the camera moves; the scene's own camera is where it is at the start")
+                pose = without_scale(to_world_of[node][:1])[0]
+                return _sensor(pose, found["perspective"], bounds)
+            remarks.append(f"nodes[{node}] has a camera that is not a perspective one, and is left out")
+    # The front of a model is what is seen from +z (3.4).
+    radius = max(float(np.linalg.norm(bounds[1] - bounds[0])) / 2, 1e-6)
+    pose = np.eye(4)
+    pose[:3, 3] = bounds.mean(axis=0)
+    pose[2, 3] += radius / np.sin(np.radians(_FOV) / 2)
+    return _sensor(pose, {"yfov": np.radians(_FOV), "aspectRatio": 1.0}, bounds)
+
+
+def _sensor(pose: Array, lens: dict[str, Any], bounds: Array) -> ET.Element:
+    away = float(np.linalg.norm(bounds - pose[:3, 3], axis=1).max())
+    near, far = min(float(lens.get("znear", np.inf)), 1e-3 * away), 100 * away
+    width = round(_HEIGHT * np.clip(lens.get("aspectRatio", 4 / 3), 1 / _MOST_ASPECT, _MOST_ASPECT))
+    film = plugin(
+        "film",
+        "hdrfilm",
+        ET.Element("integer", {"name": "width", "value": str(width)}),
+        ET.Element("integer", {"name": "height", "value": str(_HEIGHT)}),
+        plugin("rfilter", "box"),
+    )
+    return plugin(
+        "sensor",
+        "perspective",
+        value("string", "fov_axis", "y"),
+        value("float", "fov", float(np.degrees(lens["yfov"]))),
+        value("float", "near_clip", near),
+        value("float", "far_clip", far),
+        to_world(_mitsuba_pose(pose)),
+        film,
+        id="camera",
+    )
+
+
+def _mitsuba_pose(pose: Array) -> Array:
+    """(4, 4) to_world of what looks along negative z, as Mitsuba has it: along positive z."""
+    return mitsuba_from_opencv(opencv_from_opengl(pose))
