@@ -34,8 +34,8 @@ _LEAST_CHANGE = 0.08
 _LARGEST = 8.0
 # Views whose pixels are points, at most, and the largest share of points on what moves.
 _VIEWS, _MOVING = 48, 0.25
-# Points per Gaussian of the finest layer.
-_POINTS = 1.5
+# Points per Gaussian of the finest layer, and most numbers that are kept of all of them.
+_POINTS, _MOST_NUMBERS = 1.5, 1 << 26
 # Irradiance that counts as none, as a share of the mean.
 _DARK = 1e-3
 # Of the curve on which training compares radiance, about.
@@ -61,20 +61,22 @@ def light_over_time(
     entries = frames.training[:: -(-len(frames.training) // _VIEWS)]
     views = [training_view(entry, frames.courses) for entry in entries]
     rng = np.random.default_rng([seed, 5])
-    seeds, instance = _seeds(views, int(gaussians * _POINTS), motion, rng)
+    times = _times(scene)
+    count = min(int(gaussians * _POINTS), _MOST_NUMBERS // (3 * len(times)))
+    seeds, instance = _seeds(views, count, motion, rng)
     if not len(instance):
         return None
     at = partial(_points, seeds, instance, motion, _lifts(seeds, instance))
     moving = np.flatnonzero(instance.numpy() >= 0)
     with bars("light over time") as bar:
-        irradiance = irradiance_over_time(scene, cache, at, moving, _times(scene), seed, bar)
+        irradiance = irradiance_over_time(scene, cache, at, moving, times, seed, bar)
     factors = _of_usual(irradiance)
     return SurfaceLight(
         seeds.means,
         _normals(seeds),
         instance,
-        torch.from_numpy(factors.astype(np.float32)),
-        torch.from_numpy(np.ptp(factors, axis=0) > _LEAST_CHANGE),
+        torch.from_numpy(factors.astype(np.float16)),
+        torch.from_numpy(np.ptp(factors, axis=0).mean(axis=0) > _LEAST_CHANGE),
     )
 
 
@@ -121,10 +123,9 @@ def _times(scene: Scene) -> list[float]:
     return [float(time) for time in np.linspace(0, 1, count)]
 
 
-def _of_usual(irradiance: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Irradiance (T, N) over that which training has seen most of, up to a limit."""
-    seen = irradiance.astype(np.float64)
-    perceived = (seen ** (1 / _GAMMA)).mean(axis=0) ** _GAMMA
-    usual = (np.median(seen, axis=0) + perceived) / 2
+def _of_usual(irradiance: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Irradiance (T, 3, N) over that which training has seen most of, up to a limit."""
+    perceived = (irradiance ** (1 / _GAMMA)).mean(axis=0) ** _GAMMA
+    usual = (np.median(irradiance, axis=0) + perceived) / 2
     least = max(_DARK * float(usual.mean()), 1e-12)
-    return np.minimum((seen + least) / (usual + least), _LARGEST)
+    return np.minimum((irradiance + least) / (usual + least), np.float32(_LARGEST))

@@ -34,7 +34,7 @@ def irradiance_over_time(
     seed: int,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> NDArray[np.float32]:
-    """(T, N) irradiance, mean over the channels, of N points at T times.
+    """(T, 3, N) irradiance of N points at T times.
 
     Light that comes over other surfaces has the irradiance of time 0 there; on what stands still, it is as
     at time 0. All times have the same random numbers, so that their ratios have less noise than they.
@@ -50,26 +50,25 @@ def irradiance_over_time(
     """
     scene.set_time(0.0)
     indirect = _indirect(scene, cache, points(0.0), seed)
-    found = np.empty((len(times), len(indirect)), dtype=np.float32)
+    found = np.empty((len(times), *indirect.shape), dtype=np.float32)
     some = np.unique(np.linspace(0, len(times) - 1, _INDIRECT).round().astype(int))
-    arriving = np.empty((len(some), len(moving)), dtype=np.float32)
+    arriving = np.empty((len(some), 3, len(moving)), dtype=np.float32)
     for number, time in enumerate(times):
         scene.set_time(time)
         now = points(time)
         rounds = [gather_direct(scene.mitsuba, now, seed + n).irradiance for n in range(_ROUNDS)]
-        found[number] = np.mean(rounds, axis=(0, 2))
+        found[number] = indirect + np.mean(rounds, axis=0).T
         for row in np.flatnonzero(some == number) if len(moving) else ():
             arriving[row] = _indirect(scene, cache, now.take(moving), seed)
         progress(number + 1, len(times))
-    over_time = np.tile(indirect, (len(times), 1))
     if len(moving):
-        over_time[:, moving] = interp1d(some, arriving, axis=0)(np.arange(len(times)))
-    # Rounding may leave a little less than nothing between two times.
-    return np.maximum(found + over_time, 0)
+        found[..., moving] += interp1d(some, arriving, axis=0)(np.arange(len(times))) - indirect[:, moving]
+    # Rounding may leave a little less than nothing.
+    return np.maximum(found, 0, out=found)
 
 
 def _indirect(scene: Scene, cache: IrradianceCache, points: Points, seed: int) -> NDArray[np.float32]:
-    """(N,) irradiance that arrives over other surfaces, whose own irradiance is that of the cache."""
+    """(3, N) irradiance that arrives over other surfaces, whose own irradiance is that of the cache."""
     rng = np.random.default_rng(seed)
     start = np.repeat(np.arange(len(points)), _RAYS)
     seen = gather_seen(scene.mitsuba, points, start, rng.random((len(start), 2), dtype=np.float32), seed)
@@ -81,4 +80,4 @@ def _indirect(scene: Scene, cache: IrradianceCache, points: Points, seed: int) -
     dr.eval(irradiance)
     # Of the radiance that arrives, irradiance is pi times the mean over cosine-weighted directions.
     arriving = seen.reflectance * irradiance.numpy().T * seen.valid[:, None] + np.pi * seen.radiance
-    return arriving.mean(axis=1).reshape(-1, _RAYS).mean(axis=1).astype(np.float32)
+    return arriving.reshape(-1, _RAYS, 3).mean(axis=1).T.astype(np.float32)

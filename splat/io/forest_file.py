@@ -117,7 +117,9 @@ def _light(tensors: dict[str, torch.Tensor]) -> LightCourse | None:
     found = under(_LIGHT, tensors)
     if not found:
         return None
-    # Files that earlier versions wrote know of nodes with one side only.
+    # Files that earlier versions wrote have one factor for all channels, and nodes with one side only.
+    if found["factors"].ndim == 2:
+        found["factors"] = found["factors"].half()[:, None].repeat(1, 3, 1)
     light = LightCourse(
         **{field.name: found[field.name] for field in fields(LightCourse) if field.name in found}
     )

@@ -92,7 +92,9 @@ class ForestFootprints:
         factors = light.at(self._time)
         if len(light.sided):
             behind = self._seen_from_behind(light, camera)
-            factors[light.sided] = torch.where(behind, light.behind_at(self._time), factors[light.sided])
+            factors[:, light.sided] = torch.where(
+                behind, light.behind_at(self._time), factors[:, light.sided]
+            )
         self._nodes.light(light.nodes, in_light(own.sh[..., light.nodes], factors))
         self._lit = self._time, eye
 

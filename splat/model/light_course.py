@@ -25,9 +25,10 @@ class LightCourse:
 
     Attributes:
         nodes: (M,) int64, their indices in the forest, ascending.
-        factors: (T, M) float32, 0 or more, at T equal steps of time from 0 to 1; two or more.
+        factors: (T, 3, M) float16, 0 or more, of each channel at T equal steps of time from 0 to 1;
+            T is two or more.
         sided: (B,) int64, which of the M have other factors for those who see them from behind.
-        behind: (T, B) float32, these factors.
+        behind: (T, 3, B) float16, these factors.
         normals: (3, B) float32, from those nodes at rest to where they are seen from in front.
 
     Raises:
@@ -37,7 +38,7 @@ class LightCourse:
     nodes: torch.Tensor
     factors: torch.Tensor
     sided: torch.Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.int64))
-    behind: torch.Tensor = field(default_factory=lambda: torch.zeros(2, 0))
+    behind: torch.Tensor = field(default_factory=lambda: torch.zeros(2, 3, 0, dtype=torch.float16))
     normals: torch.Tensor = field(default_factory=lambda: torch.zeros(3, 0))
 
     def __post_init__(self) -> None:
@@ -56,27 +57,27 @@ class LightCourse:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def at(self, time: float) -> torch.Tensor:
-        """(M,) factors at a time from 0 to 1, seen from in front."""
+        """(3, M) factors at a time from 0 to 1, seen from in front."""
         return factors_at(self.factors, time)
 
     def behind_at(self, time: float) -> torch.Tensor:
-        """(B,) factors of sided nodes at a time from 0 to 1, seen from behind."""
+        """(3, B) factors of sided nodes at a time from 0 to 1, seen from behind."""
         return factors_at(self.behind, time)
 
 
 def _require_factors(what: str, nodes: torch.Tensor, factors: torch.Tensor) -> None:
-    right = nodes.ndim == 1 and factors.ndim == 2 and factors.shape[1] == len(nodes)
-    if not right or nodes.dtype != torch.int64 or factors.dtype != torch.float32:
+    right = nodes.ndim == 1 and factors.shape[1:] == (3, len(nodes))
+    if not right or nodes.dtype != torch.int64 or factors.dtype != torch.float16:
         shapes = f"{tuple(nodes.shape)} and {tuple(factors.shape)}"
-        raise ValueError(f"{what} of {shapes}; must be int64 (M,) and float32 (T, M)")
+        raise ValueError(f"{what} of {shapes}; must be int64 (M,) and float16 (T, 3, M)")
     if len(factors) < 2:
         raise ValueError(f"factors at {len(factors)} times; must be two or more")
 
 
 def factors_at(factors: torch.Tensor, time: float) -> torch.Tensor:
-    """(M,) factors at a time, from those (T, M) at T equal steps of time from 0 to 1."""
+    """(3, M) float32 factors at a time, from those (T, 3, M) at T equal steps of time from 0 to 1."""
     first, share = between_steps(time, len(factors))
-    return torch.lerp(factors[first], factors[first + 1], share)
+    return torch.lerp(factors[first].float(), factors[first + 1].float(), share)
 
 
 def seen_from_behind(
@@ -100,9 +101,9 @@ def seen_from_behind(
 
 
 def in_light(sh: torch.Tensor, factor: torch.Tensor) -> torch.Tensor:
-    """Spherical harmonics (K, 3, M) of nodes whose radiance has a factor (M,).
+    """Spherical harmonics (K, 3, M) of nodes whose radiance has factors (3, M).
 
-    The factor is exact for the mean over directions; what depends on direction is scaled as much.
+    The factors are exact for the mean over directions; what depends on direction is scaled as much.
     """
     mean = 0.5 + SH_DC * sh[0]
     radiance = radiance_from_perceptual(mean.clamp(min=0))

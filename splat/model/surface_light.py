@@ -48,7 +48,8 @@ class SurfaceLight:
         means: (3, P) float32, the points at rest.
         normals: (3, P) float32, at rest, towards where each was seen from.
         instance: (P,) int32, what moves them; -1 for nothing.
-        factors: (T, P) float32, irradiance over what is usual there, at T equal steps of time from 0 to 1.
+        factors: (T, 3, P) float16, irradiance of each channel over what is usual there, at T equal
+            steps of time from 0 to 1.
         changes: (P,) bool, whether that is more than noise.
     """
 
@@ -112,8 +113,8 @@ class SurfaceLight:
         sided = torch.nonzero(front != back)[:, 0]
         return LightCourse(
             lit,
-            self.factors[:, front],
+            self.factors[..., front],
             sided,
-            self.factors[:, back[sided]],
+            self.factors[..., back[sided]],
             self.normals[:, front[sided]],
         )

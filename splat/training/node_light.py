@@ -61,12 +61,12 @@ class NodeLight:
     def _factor(
         self, near: Near, rest: Gaussians, shown: Gaussians, camera: Camera, time: float
     ) -> torch.Tensor:
-        """(M,) factors of nodes whose light changes."""
+        """(3, M) factors of nodes whose light changes."""
         eye = torch.from_numpy(camera.position.copy()).float()
         normals = self._light.normals[:, near.front]
         behind = seen_from_behind(normals, rest.rotations, shown.rotations, shown.means, eye)
         point = torch.where(behind, near.back, near.front)
-        return factors_at(self._light.factors, time)[point]
+        return factors_at(self._light.factors, time)[:, point]
 
     def state(self) -> dict[str, torch.Tensor]:
         """Tensors for a checkpoint."""

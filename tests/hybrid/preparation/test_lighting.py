@@ -130,11 +130,12 @@ def test_a_shadow_passes_over_the_splats(scene, lit):
 
 def test_points_without_a_shadow_have_no_course(light):
     changes = light.changes.numpy()
-    factors = light.factors.numpy()
+    factors = light.factors.float().numpy()
     assert 0.02 < changes.mean() < 0.9
-    np.testing.assert_array_equal(np.ptp(factors, axis=0) > 0.08, changes)
-    assert factors[:, changes].max() < 1.3
-    assert factors[:, changes].min() < 0.5
+    assert np.ptp(factors, axis=0).mean(axis=0)[~changes].max() < 0.081
+    assert np.ptp(factors, axis=0).mean(axis=0)[changes].min() > 0.079
+    assert factors[..., changes].max() < 1.3
+    assert factors[..., changes].min() < 0.5
 
 
 def test_the_same_seed_gives_the_same_light(scene, frames, light):
@@ -170,5 +171,7 @@ def test_what_moves_has_the_light_of_where_it_is(backend, tmp_path):
     way = light.means.double().numpy()[:, None] + np.stack([0 * times, 0 * times, 2 * times])[:, :, None]
     way[2] += 3
     exact = way[2] / np.linalg.norm(way, axis=0) ** 3
-    found = light.factors.numpy() / light.factors.numpy()[0]
-    np.testing.assert_allclose(found, exact / exact[0], rtol=0.03)
+    factors = light.factors.float().numpy()
+    np.testing.assert_allclose(
+        factors / factors[0], np.tile((exact / exact[0])[:, None], (1, 3, 1)), rtol=0.03
+    )

@@ -70,7 +70,7 @@ def test_layers_that_are_composited_move_as_well(arrays):
 def test_nodes_have_the_light_of_the_time(arrays):
     forest, camera = moving_forest(), frame_camera()
     nodes = torch.arange(0, len(forest.nodes), 2)
-    factors = torch.rand(3, len(nodes), generator=torch.Generator().manual_seed(4)) * 2
+    factors = (torch.rand(3, 3, len(nodes), generator=torch.Generator().manual_seed(4)) * 2).half()
     lit = replace(forest, light=LightCourse(nodes, factors))
     renderer = ForestRenderer(arrays, lit)
     for time in (0.0, 0.7, 0.2):
@@ -87,7 +87,7 @@ def test_sided_nodes_have_the_light_of_the_side_that_is_seen(arrays):
     forest = moving_forest()
     nodes = torch.arange(len(forest.nodes))
     generator = torch.Generator().manual_seed(6)
-    front, back = (torch.rand(3, len(nodes), generator=generator) * 2 for _ in range(2))
+    front, back = ((torch.rand(3, 3, len(nodes), generator=generator) * 2).half() for _ in range(2))
     camera = frame_camera()
     eye = torch.from_numpy(camera.position.copy()).float()
     # At time 0, of those that stand still, every other one is seen from behind.
@@ -107,7 +107,7 @@ def test_sided_nodes_have_the_light_of_the_side_that_is_seen(arrays):
         found = renderer.render_layer(camera, 3).image()
         np.testing.assert_allclose(found, expected, atol=1e-4)
         from_in_front = replace(
-            light, sided=light.sided[:0], behind=torch.zeros(3, 0), normals=torch.zeros(3, 0)
+            light, sided=light.sided[:0], behind=torch.zeros(3, 3, 0).half(), normals=torch.zeros(3, 0)
         )
         plain = ForestRenderer(arrays, replace(forest, light=from_in_front))
         plain.set_time(time)
@@ -118,7 +118,7 @@ def test_light_of_nodes_that_there_are_not_is_refused():
     forest = moving_forest()
     count = len(forest.nodes)
     with pytest.raises(ValueError, match=f"light of nodes 0 to {count}; there are {count}"):
-        replace(forest, light=LightCourse(torch.tensor([0, count]), torch.ones(2, 2)))
+        replace(forest, light=LightCourse(torch.tensor([0, count]), torch.ones(2, 3, 2).half()))
 
 
 def test_forests_without_motion_look_alike_at_all_times(arrays):

@@ -11,8 +11,17 @@ from splat.model.light_course import LightCourse, in_light
 from splat.model.perceptual import perceptual_from_radiance, radiance_from_perceptual
 
 
+def white(factors: list[list[float]]) -> torch.Tensor:
+    """Factors (T, M), the same for all channels."""
+    return torch.tensor(factors, dtype=torch.float16)[:, None].repeat(1, 3, 1)
+
+
+def ones(times: int, nodes: int) -> torch.Tensor:
+    return white([[1.0] * nodes] * times)
+
+
 def course() -> LightCourse:
-    return LightCourse(torch.tensor([2, 5]), torch.tensor([[1.0, 0.5], [0.0, 0.5], [2.0, 1.5]]))
+    return LightCourse(torch.tensor([2, 5]), white([[1.0, 0.5], [0.0, 0.5], [2.0, 1.5]]))
 
 
 def test_factors_are_linear_between_their_times():
@@ -23,7 +32,8 @@ def test_factors_are_linear_between_their_times():
         (0.9, [1.6, 1.3]),
         (1.0, [2, 1.5]),
     ):
-        torch.testing.assert_close(course().at(time), torch.tensor(expected, dtype=torch.float32))
+        found = course().at(time)
+        torch.testing.assert_close(found, torch.tensor(expected).float().repeat(3, 1), rtol=1e-3, atol=0)
 
 
 def test_the_perceptual_scale_is_inverted():
@@ -36,7 +46,7 @@ def test_the_perceptual_scale_is_inverted():
 def test_the_mean_radiance_has_the_factor():
     """Against the curve in NumPy, below and above its bend and above 1."""
     radiance = np.array([[0.001, 0.2, 7.0], [0.05, 0.5, 1.0], [0.004, 3.0, 30.0]])
-    factor = np.array([0.3, 1.0, 2.5])
+    factor = np.array([[0.3, 1.0, 2.5], [0.6, 1.1, 0.1], [1.7, 0.0, 1.0]])
 
     def curve(value: np.ndarray) -> np.ndarray:
         return np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
@@ -61,10 +71,11 @@ def test_without_light_there_is_nothing_to_change():
 @pytest.mark.parametrize(
     ("nodes", "factors", "said"),
     [
-        (torch.tensor([1, 2]), torch.ones(3, 1), "nodes and factors of"),
-        (torch.tensor([1, 2]).int(), torch.ones(3, 2), "nodes and factors of"),
-        (torch.tensor([1, 2]), torch.ones(3, 2).double(), "nodes and factors of"),
-        (torch.tensor([1, 2]), torch.ones(1, 2), "factors at 1 times; must be two or more"),
+        (torch.tensor([1, 2]), ones(3, 1), "nodes and factors of"),
+        (torch.tensor([1, 2]).int(), ones(3, 2), "nodes and factors of"),
+        (torch.tensor([1, 2]), ones(3, 2).float(), "nodes and factors of"),
+        (torch.tensor([1, 2]), ones(3, 2)[:, 0], "nodes and factors of"),
+        (torch.tensor([1, 2]), ones(1, 2), "factors at 1 times; must be two or more"),
     ],
 )
 def test_shapes_are_checked(nodes, factors, said):
@@ -75,20 +86,20 @@ def test_shapes_are_checked(nodes, factors, said):
 @pytest.mark.parametrize(
     ("sided", "behind", "normals", "said"),
     [
-        (torch.tensor([0]), torch.ones(2, 1), torch.ones(3, 1), "factors at 3 and 2 times"),
-        (torch.tensor([2]), torch.ones(3, 1), torch.ones(3, 1), "sides of more than 2 nodes"),
-        (torch.tensor([-1]), torch.ones(3, 1), torch.ones(3, 1), "sides of more than 2 nodes"),
-        (torch.tensor([0]), torch.ones(3, 1), torch.ones(3, 2), "normals of"),
-        (torch.tensor([0]), torch.ones(3, 2), torch.ones(3, 1), "sided and behind of"),
+        (torch.tensor([0]), ones(2, 1), torch.ones(3, 1), "factors at 3 and 2 times"),
+        (torch.tensor([2]), ones(3, 1), torch.ones(3, 1), "sides of more than 2 nodes"),
+        (torch.tensor([-1]), ones(3, 1), torch.ones(3, 1), "sides of more than 2 nodes"),
+        (torch.tensor([0]), ones(3, 1), torch.ones(3, 2), "normals of"),
+        (torch.tensor([0]), ones(3, 2), torch.ones(3, 1), "sided and behind of"),
     ],
 )
 def test_sides_are_checked(sided, behind, normals, said):
     with pytest.raises(ValueError, match=said):
-        LightCourse(torch.tensor([2, 5]), torch.ones(3, 2), sided, behind, normals)
+        LightCourse(torch.tensor([2, 5]), ones(3, 2), sided, behind, normals)
 
 
 def test_both_sides_have_factors_of_their_own():
-    behind = torch.tensor([[2.0], [4.0], [0.0]])
+    behind = white([[2.0], [4.0], [0.0]])
     both = LightCourse(torch.tensor([2, 5]), course().factors, torch.tensor([1]), behind, torch.ones(3, 1))
     torch.testing.assert_close(both.at(0.25), course().at(0.25))
-    torch.testing.assert_close(both.behind_at(0.25), torch.tensor([3.0]))
+    torch.testing.assert_close(both.behind_at(0.25), torch.full((3, 1), 3.0))

@@ -26,7 +26,7 @@ def floor(instance: int = -1, height: float = 0.0, up: float = 1.0, seed: int = 
         torch.from_numpy(means).float(),
         torch.from_numpy(normals).float(),
         torch.full((400,), instance, dtype=torch.int32),
-        torch.from_numpy(factors).float(),
+        torch.from_numpy(factors).half()[:, None].repeat(1, 3, 1),
         torch.from_numpy(means[0] > 0),
     )
 
@@ -101,11 +101,11 @@ def test_the_course_of_nodes():
     assert course is not None
     assert course.nodes.tolist() == [1, 2]
     assert course.sided.tolist() == [0, 1]
-    rising = torch.linspace(0.2, 1.8, TIMES)
+    rising = torch.linspace(0.2, 1.8, TIMES).half()[:, None].repeat(1, 3)
     for node in range(2):
         up = float(course.normals[2, node]) > 0
-        torch.testing.assert_close(course.factors[:, node], rising if up else rising.flip(0))
-        torch.testing.assert_close(course.behind[:, node], rising.flip(0) if up else rising)
+        torch.testing.assert_close(course.factors[..., node], rising if up else rising.flip(0))
+        torch.testing.assert_close(course.behind[..., node], rising.flip(0) if up else rising)
 
 
 def test_nodes_in_light_that_stays_have_no_course():

@@ -48,7 +48,7 @@ def light() -> SurfaceLight:
         torch.from_numpy(points.T.copy()).float(),
         torch.tensor([[0.0], [0.0], [-1.0]]).repeat(1, len(points)),
         torch.full((len(points),), -1, dtype=torch.int32),
-        torch.from_numpy(factors).float(),
+        torch.from_numpy(factors).half()[:, None].repeat(1, 3, 1),
         torch.from_numpy(points[:, 0] > 0),
     )
 
@@ -94,7 +94,7 @@ def test_seeds_have_the_radiance_of_usual_light(arrays):
     """Seen in the dark and in light, the same surface has the same seeds."""
     lit = NodeLight(light())
     found = [seed_at(shaded(0.0, time), np.arange(SIZE**2), 0.6, 0, None, lit) for time in (0.0, 0.75)]
-    torch.testing.assert_close(found[0].gaussians.sh, found[1].gaussians.sh, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(found[0].gaussians.sh, found[1].gaussians.sh, rtol=1e-3, atol=1e-3)
     plain = seed_at(shaded(0.0, 0.75), np.arange(SIZE**2), 0.6, 0)
     assert float((plain.gaussians.sh - found[1].gaussians.sh).abs().max()) > 0.3
 
