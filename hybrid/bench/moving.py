@@ -21,6 +21,7 @@ from compose.image.colour import Image, luminance, srgb_from_radiance
 from hybrid.evaluation.equal_time import at_equal_time
 from hybrid.evaluation.families import enlarged
 from hybrid.frame.live import LiveRenderer
+from hybrid.frame.periphery import Periphery
 from hybrid.frame.settings import FrameSettings
 from hybrid.measure.metrics.fovvideovdp import jod_of_video
 from hybrid.measure.metrics.psnr import psnr_of_error
@@ -30,6 +31,8 @@ from hybrid.measure.regions import Region, regions
 from hybrid.measure.timing import percentiles, ratio_of_medians
 from hybrid.methods.hybrid import HybridMethod
 from hybrid.methods.method import Method
+from hybrid.runtime.device import device_arrays
+from hybrid.store.identity import require_scene
 from pathtrace.scene.moving import MovingScene
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.film import frame_positions
@@ -41,6 +44,9 @@ MOVING = "moving"
 # Regions that are judged as videos, too.
 _AS_VIDEO = "whole", "foveal"
 HYBRID, ALONE, SPLATS, TRACED = "hybrid", "hybrid, no history", "splats alone", "path-traced, denoised"
+TWO_EYES = "splats alone, two eyes"
+# Between the eyes, as a share of the median distance of what is seen: 6.4 cm in a room of four metres.
+_BETWEEN_EYES = 1 / 64
 # Clips, spread over the time of the scene; frames of each, of which the last is judged; and of a second.
 _CLIPS, _FRAMES, _FRAMES_PER_SECOND = 6, 8, 13.0
 # Frames before the last one in which something else was at the place of what has just been uncovered.
@@ -78,17 +84,20 @@ def bench_moving(
         (`p50`, `p95`) and `ratio`, the hybrid's median over the method's. Those of the whole frame and the
         fovea have `jod`, the mean of the clips as videos, None if FovVideoVDP is not installed; those of what
         moves have `registration_px`, the median shift of textured windows at least a quarter of which moves,
-        None if there are none. Path-traced frames are denoised, and of so many pixels that they take as long
-        as the hybrid's; they are left out if the smallest takes longer.
+        None if there are none. The times of hybrid and path-traced frames include the scene's step of time,
+        those of splats the forest's; with two eyes, both have their image. Path-traced frames are denoised,
+        and of so many pixels that they take as long as the hybrid's; they are left out if the smallest takes
+        longer.
 
     Raises:
-        UserError: nothing moves in the scene, or nothing that moves is ever seen.
+        UserError: nothing moves in the scene, or a forest belongs to another one.
     """
     moving = require_moving(scene)
     camera, _ = settings.resolved(scene.camera)
+    for name, other in (against or {}).items():
+        require_scene(other, scene.name, scene.hash, name)
     renderer = LiveRenderer(scene, forest)
-    others = {name: LiveRenderer(scene, other) for name, other in (against or {}).items()}
-    methods = _Methods(renderer, others, replace(settings, camera=camera))
+    methods = _Methods(renderer, {SPLATS: forest, **(against or {})}, replace(settings, camera=camera))
     found: dict[str, _Found] = {}
     for number in range(_CLIPS):
         clip = _clip(renderer.tracer, moving, camera, number, reference_spp)
@@ -201,24 +210,25 @@ class _Methods:
 
     Args:
         renderer: of the scene.
-        others: of the same scene with other forests, by their names.
+        forests: of the same scene, drawn as splats alone, by their names; that of the renderer as SPLATS.
         settings: of the frames.
     """
 
-    def __init__(self, renderer: LiveRenderer, others: Mapping[str, LiveRenderer], settings: FrameSettings):
-        self._renderer, self._others, self._settings = renderer, others, settings
+    def __init__(self, renderer: LiveRenderer, forests: Mapping[str, Forest], settings: FrameSettings):
+        self._renderer, self._settings = renderer, settings
+        self._splats: dict[str, _Frame] = {}
+        for name, forest in forests.items():
+            self._splats |= _splats(name, forest)
+        assert settings.camera is not None
+        depth = renderer.depth(settings.camera)
+        seen = float(np.median(depth[np.isfinite(depth)])) / renderer.scene.place.unit
+        self._right_eye = settings.camera.moved_right(_BETWEEN_EYES * seen)
         self._traced = self._as_slow()
 
     def played(self, clip: _Clip) -> dict[str, _Shown]:
         """The clip by each method in turn."""
         self._renderer.forget()
-        methods = {
-            HYBRID: self._frame,
-            ALONE: self._fresh_frame,
-            **_splats(SPLATS, self._renderer),
-        }
-        for name, other in self._others.items():
-            methods |= _splats(name, other)
+        methods = {HYBRID: self._frame, ALONE: self._fresh_frame, **self._splats, TWO_EYES: self._both_eyes}
         if self._traced is not None:
             methods[TRACED] = partial(self._traced_frame, self._traced)
         return {name: self._timed(clip, method) for name, method in methods.items()}
@@ -239,6 +249,12 @@ class _Methods:
         self._renderer.forget()
         return self._frame(settings, seed)
 
+    def _both_eyes(self, settings: FrameSettings, seed: int) -> Image:
+        """What the left eye sees; the right one has its image from the same step of time."""
+        left = self._splats[SPLATS](settings, seed)
+        self._splats[SPLATS](replace(settings, camera=self._right_eye), seed)
+        return left
+
     def _traced_frame(self, traced: Method, settings: FrameSettings, seed: int) -> Image:
         assert settings.camera is not None
         return traced.render(View(settings.camera, settings.time), settings.gaze, seed).image
@@ -253,12 +269,21 @@ class _Methods:
         return None if rays is None else family(rays)
 
 
-def _splats(name: str, renderer: LiveRenderer) -> dict[str, _Frame]:
+def _splats(name: str, forest: Forest) -> dict[str, _Frame]:
     """The finest layer of a forest over the whole frame; and, of one with layers, those chosen by acuity."""
-    found: dict[str, _Frame] = {name: lambda settings, seed: renderer.splats(settings)}
-    if len(renderer.periphery.forest.counts) > 1:
-        found[f"{name}, foveated"] = lambda settings, seed: renderer.foveated_splats(settings)
-    return found
+    periphery = Periphery(device_arrays(), forest)
+
+    def whole(settings: FrameSettings, seed: int) -> Image:
+        assert settings.camera is not None
+        periphery.set_time(settings.time)
+        return periphery.whole(settings.camera, settings)
+
+    def foveated(settings: FrameSettings, seed: int) -> Image:
+        assert settings.camera is not None
+        periphery.set_time(settings.time)
+        return periphery.foveated(settings.camera, settings)
+
+    return {name: whole, f"{name}, foveated": foveated} if len(forest.counts) > 1 else {name: whole}
 
 
 def require_moving(scene: Scene) -> MovingScene:

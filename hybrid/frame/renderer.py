@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -226,13 +224,6 @@ class Renderer:
         """(H, W, 3) the finest allowed layer over the whole frame, including what a fovea would hide."""
         camera, settings = self._begun(settings)
         return self.periphery.whole(camera, settings)
-
-    def foveated_splats(self, settings: FrameSettings = DEFAULTS) -> Image:
-        """(H, W, 3) the splats over the whole frame, with the detail that the viewer resolves."""
-        camera, settings = self._begun(settings)
-        detail = self.periphery.detail(camera, settings)
-        nowhere = replace(settings, fov_a=0.0, fov_b=0.0).foveation.region(camera.width, camera.height)
-        return self.periphery.draw(camera, detail, nowhere).image()
 
     def depth(self, camera: Camera) -> NDArray[np.float32]:
         """(H, W) depth of the first hit along the view axis, in world units; inf where nothing is hit."""
