@@ -45,6 +45,8 @@ MOVING = "moving"
 _AS_VIDEO = "whole", "foveal"
 HYBRID, ALONE, SPLATS, TRACED = "hybrid", "hybrid, no history", "splats alone", "path-traced, denoised"
 TWO_EYES = "splats alone, two eyes"
+# By what layers are chosen in Fov-GS's ablation (Table 3): acuity, and contrast sensitivity.
+_MODELS = "fov-gs", "stelacsf"
 # Between the eyes, as a share of the median distance of what is seen: 6.4 cm in a room of four metres.
 _BETWEEN_EYES = 1 / 64
 # Clips, spread over the time of the scene; frames of each, of which the last is judged; and of a second.
@@ -270,7 +272,7 @@ class _Methods:
 
 
 def _splats(name: str, forest: Forest) -> dict[str, _Frame]:
-    """The finest layer of a forest over the whole frame; and, of one with layers, those chosen by acuity."""
+    """The finest layer of a forest over the whole frame; of one with layers, those by acuity as well."""
     periphery = Periphery(device_arrays(), forest)
 
     def whole(settings: FrameSettings, seed: int) -> Image:
@@ -278,12 +280,14 @@ def _splats(name: str, forest: Forest) -> dict[str, _Frame]:
         periphery.set_time(settings.time)
         return periphery.whole(settings.camera, settings)
 
-    def foveated(settings: FrameSettings, seed: int) -> Image:
+    def foveated(model: str, settings: FrameSettings, seed: int) -> Image:
         assert settings.camera is not None
         periphery.set_time(settings.time)
-        return periphery.foveated(settings.camera, settings)
+        return periphery.foveated(settings.camera, replace(settings, acuity_model=model))
 
-    return {name: whole, f"{name}, foveated": foveated} if len(forest.counts) > 1 else {name: whole}
+    models = _MODELS if len(forest.counts) > 1 else ()
+    found: dict[str, _Frame] = {name: whole}
+    return found | {f"{name}, {model}": partial(foveated, model) for model in models}
 
 
 def require_moving(scene: Scene) -> MovingScene:

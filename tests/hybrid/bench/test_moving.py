@@ -53,7 +53,7 @@ def test_other_forests_are_drawn_as_splats_alone(backend, tmp_path, monkeypatch)
     for region in ("whole", "foveal", "moving"):
         assert found["again", region]["psnr"] == found[SPLATS, region]["psnr"]
     layered = len(forest.counts) > 1
-    assert (("again, foveated", "whole") in found) == layered
+    assert (("again, fov-gs", "whole") in found) == layered
     assert found["again", "whole"].get("jod") == found[SPLATS, "whole"].get("jod")
 
 
