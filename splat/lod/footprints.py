@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,9 +12,9 @@ import torch
 
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
+from splat.lod.changes import LayerChanges
 from splat.model.forest import Forest
 from splat.model.gaussians import Gaussians
-from splat.model.light_course import LightCourse, in_light, seen_from_behind
 from splat.raster.binning import depth_order
 from splat.raster.projection import PIXEL_FILTER, Footprints, Parameters, footprints, may_show
 from splat.raster.records import RecordLayout, Records, concatenated_records
@@ -56,69 +56,35 @@ class ForestFootprints:
 
     def __init__(self, arrays: Arrays, forest: Forest):
         self.arrays, self._place = arrays, forest.place
-        self._forest, self._time = forest, -1.0
-        self._lit: tuple[float, bytes] | None = None
-        self._dynamic, self._course = _dynamic_nodes(forest), _course_of(forest)
-        self._nodes = _NodeTable(arrays, forest.nodes.gaussians)
-        first = np.cumsum([0, *forest.counts])
+        self._nodes, self._time = _NodeTable(arrays, forest.nodes.gaussians), 0.0
+        ends = np.cumsum(forest.counts).tolist()
+        ranges = [(end - count, end) for end, count in zip(ends, forest.counts, strict=True)]
+        self._changes = [LayerChanges(forest, first, end) for first, end in ranges]
         self._bounds = [
-            _LayerBounds(
-                arrays, forest.nodes.gaussians, int(first[n]), int(first[n + 1]), bool(len(self._dynamic))
-            )
-            for n in range(len(forest.counts))
+            _LayerBounds(arrays, forest.nodes.gaussians, first, end, changes.moves)
+            for (first, end), changes in zip(ranges, self._changes, strict=True)
         ]
         self._key: tuple[bytes, float] | None = None
         self._layers: dict[int, LayerFootprints | None] = {}
         # The records of all cached layers, and where each layer begins among them.
         self._records: Records | None = None
         self._first: dict[int, Any] = {}
-        self.set_time(0.0)
 
     def set_time(self, time: float) -> None:
         """Shows the nodes as they are at a time from 0 to 1."""
-        if time == self._time:
-            return
-        self._time = time
-        self._move(time)
+        if time != self._time:
+            self._time, self._key = time, None
 
-    def _light(self, camera: Camera) -> None:
-        """Gives nodes whose light changes the radiance that a camera, in their coordinates, sees now."""
-        light, own = self._forest.light, self._forest.nodes.gaussians
-        if light is None or not len(light.nodes):
-            return
-        eye = camera.position.tobytes() if len(light.sided) else b""
-        if self._lit == (self._time, eye):
-            return
-        factors = light.at(self._time)
-        if len(light.sided):
-            behind = self._seen_from_behind(light, camera)
-            factors[:, light.sided] = torch.where(
-                behind, light.behind_at(self._time), factors[:, light.sided]
-            )
-        self._nodes.light(light.nodes, in_light(own.sh[..., light.nodes], factors))
-        self._lit = self._time, eye
-
-    def _seen_from_behind(self, light: LightCourse, camera: Camera) -> torch.Tensor:
-        """(B,) whether nodes with two sides are seen from behind where they are now."""
-        nodes, own = light.nodes[light.sided], self._forest.nodes.gaussians
-        eye = torch.from_numpy(camera.position.copy()).float()
-        return seen_from_behind(
-            light.normals, own.rotations[:, nodes], self._rotations[:, nodes], self._means[:, nodes], eye
-        )
-
-    def _move(self, time: float) -> None:
-        """Brings dynamic nodes to where they are at a time."""
-        own = self._forest.nodes.gaussians
-        self._key, self._means, self._rotations = None, own.means, own.rotations
-        if self._course is None:
-            return
-        with torch.no_grad():
-            moved = self._course(time)
-        self._means = own.means.index_copy(1, self._dynamic, moved.means)
-        self._rotations = own.rotations.index_copy(1, self._dynamic, moved.rotations)
-        self._nodes.move(self._dynamic, moved)
-        for bounds in self._bounds:
-            bounds.move(self._dynamic, moved)
+    def _change(self, layer: int, camera: Camera) -> None:
+        """Brings a layer to the time that is shown, in the light that a camera in its coordinates sees."""
+        changes = self._changes[layer - 1]
+        moved = changes.moved(self._time)
+        if moved is not None:
+            self._nodes.move(*moved)
+            self._bounds[layer - 1].move(*moved)
+        lit = changes.lit(self._time, camera)
+        if lit is not None:
+            self._nodes.light(*lit)
 
     def layers(self, camera: Camera, blur: float, layers: Sequence[int]) -> list[LayerFootprints | None]:
         """The nodes of some layers that may show in a camera's frame; None for a layer without any.
@@ -129,7 +95,6 @@ class ForestFootprints:
             layers: numbers from 1 to L.
         """
         own = self._place.camera(camera)
-        self._light(own)
         if self._key is None or self._key[0] != camera.key or self._key[1] < blur:
             self._layers.clear()
             # Rounded up, since the filter's width changes with the gaze.
@@ -137,6 +102,7 @@ class ForestFootprints:
         # A layer at two rates is two images of the same nodes.
         new = [n for n in dict.fromkeys(layers) if n not in self._layers]
         for n in new:
+            self._change(n, own)
             self._layers[n] = self._visible(own, n, self._key[1])
         if new:
             self._concatenate()
@@ -179,21 +145,6 @@ class ForestFootprints:
         return LayerFootprints(near.x, near.y, near.xx, near.yy, extent, ordered)
 
 
-def _dynamic_nodes(forest: Forest) -> torch.Tensor:
-    """Indices of the nodes that move; none in a forest without a motion."""
-    if forest.motion is None:
-        return torch.zeros(0, dtype=torch.int64)
-    return torch.nonzero(forest.nodes.semantic >= 0)[:, 0]
-
-
-def _course_of(forest: Forest) -> Callable[[float], Gaussians] | None:
-    """The nodes that move, as a function of time; None if there are none."""
-    dynamic = _dynamic_nodes(forest)
-    if forest.motion is None or not len(dynamic):
-        return None
-    return forest.motion.course(forest.nodes.gaussians.select(dynamic), forest.nodes.semantic[dynamic])
-
-
 def _row(arrays: Arrays, values: torch.Tensor) -> Any:
     """A tensor (N,) as a Dr.Jit float without gradient."""
     return dr.detach(arrays.from_torch(values.contiguous()), preserve_type=False)
@@ -209,7 +160,7 @@ class _LayerBounds:
     """
 
     def __init__(self, arrays: Arrays, gaussians: Gaussians, first: int, end: int, moves: bool):
-        self._arrays, self._range = arrays, (first, end)
+        self._arrays, self._first = arrays, first
         self.first = arrays.number(first)
         # Shared with the forest, which is at rest.
         means = gaussians.means.clone() if moves else gaussians.means
@@ -217,15 +168,12 @@ class _LayerBounds:
         self.size = _row(arrays, _longest(gaussians.log_scales[:, first:end]))
 
     def move(self, nodes: torch.Tensor, gaussians: Gaussians) -> None:
-        """Moves those of some nodes (M,) of the forest that are in this layer to where Gaussians (M) are."""
-        first, end = self._range
-        own = torch.nonzero((nodes >= first) & (nodes < end))[:, 0]
-        if len(own):
-            index = self._arrays.plain.UInt((nodes[own] - first).numpy())
-            rows = [*self.means, self.size]
-            moved = [*gaussians.means[:, own], _longest(gaussians.log_scales[:, own])]
-            for row, values in zip(rows, moved, strict=True):
-                dr.scatter(row, _row(self._arrays, values), index, mode=dr.ReduceMode.Permute)
+        """Moves some nodes of the layer, by their indices (M,) in the forest, to where Gaussians (M) are."""
+        index = self._arrays.plain.UInt((nodes - self._first).numpy())
+        rows = [*self.means, self.size]
+        moved = [*gaussians.means, _longest(gaussians.log_scales)]
+        for row, values in zip(rows, moved, strict=True):
+            dr.scatter(row, _row(self._arrays, values), index, mode=dr.ReduceMode.Permute)
 
 
 def _longest(log_scales: torch.Tensor) -> torch.Tensor:

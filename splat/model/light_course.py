@@ -56,6 +56,19 @@ class LightCourse:
         """All numbers, by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
+    def among(self, first: int, end: int) -> LightCourse:
+        """The course of those nodes alone whose indices are from first up to end."""
+        kept = (self.nodes >= first) & (self.nodes < end)
+        position = torch.cumsum(kept, 0) - 1
+        sided = kept[self.sided]
+        return LightCourse(
+            self.nodes[kept],
+            self.factors[..., kept],
+            position[self.sided[sided]],
+            self.behind[..., sided],
+            self.normals[:, sided],
+        )
+
     def at(self, time: float) -> torch.Tensor:
         """(3, M) factors at a time from 0 to 1, seen from in front."""
         return factors_at(self.factors, time)

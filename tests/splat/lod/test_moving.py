@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from splat.lod.changes import LayerChanges
 from splat.lod.layer_images import LayerImage
 from splat.lod.renderer import ForestRenderer
 from splat.model.forest import Forest
@@ -65,6 +66,30 @@ def test_layers_that_are_composited_move_as_well(arrays):
     np.testing.assert_allclose(
         found, still.render(camera, images, no_cutoff(), everything()).image(), atol=1e-5
     )
+
+
+def test_only_layers_that_are_drawn_are_deformed(arrays, monkeypatch):
+    """Once per time, whatever the camera; and a layer that is drawn later is where it belongs."""
+    forest, camera = moving_forest(), frame_camera()
+    renderer, posed_nodes = ForestRenderer(arrays, forest), []
+    original = LayerChanges.moved
+
+    def counted(self, time):
+        found = original(self, time)
+        posed_nodes.append(0 if found is None else len(found[0]))
+        return found
+
+    monkeypatch.setattr(LayerChanges, "moved", counted)
+    renderer.set_time(0.7)
+    assert posed_nodes == []
+    renderer.render_layer(camera, 3)
+    own = [int((layer.semantic >= 0).sum()) for layer in forest.layers]
+    assert posed_nodes == [own[2]]
+    renderer.render_layer(camera.moved_right(0.1), 3)
+    assert posed_nodes == [own[2], 0]
+    expected = ForestRenderer(arrays, as_posed(forest, 0.7)).render_layer(camera, 1).image()
+    np.testing.assert_allclose(renderer.render_layer(camera, 1).image(), expected, atol=1e-5)
+    assert sum(posed_nodes) == own[2] + own[0]
 
 
 def test_nodes_have_the_light_of_the_time(arrays):

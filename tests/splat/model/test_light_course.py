@@ -103,3 +103,16 @@ def test_both_sides_have_factors_of_their_own():
     both = LightCourse(torch.tensor([2, 5]), course().factors, torch.tensor([1]), behind, torch.ones(3, 1))
     torch.testing.assert_close(both.at(0.25), course().at(0.25))
     torch.testing.assert_close(both.behind_at(0.25), torch.full((3, 1), 3.0))
+
+
+def test_a_part_of_the_nodes_keeps_its_factors():
+    nodes = torch.tensor([1, 3, 4, 8])
+    behind, normals = white([[5.0, 6.0], [7.0, 8.0]]), torch.eye(3)[:, :2]
+    whole = LightCourse(nodes, white([[1, 2, 3, 4], [5, 6, 7, 8]]), torch.tensor([1, 3]), behind, normals)
+    part = whole.among(2, 8)
+    assert part.nodes.tolist() == [3, 4]
+    torch.testing.assert_close(part.factors, whole.factors[..., 1:3])
+    assert part.sided.tolist() == [0]
+    torch.testing.assert_close(part.behind, behind[..., :1])
+    torch.testing.assert_close(part.normals, normals[:, :1])
+    assert len(whole.among(5, 8).nodes) == 0
