@@ -14,6 +14,7 @@ from splat.model.layer import LABELS, NO_PARENT, Layer, concatenated_layers
 from splat.raster.differentiable import render_differentiable
 from splat.raster.projection import PIXEL_FILTER
 from splat.training.density import DensityControl
+from splat.training.depths import measured
 from splat.training.loss import Target
 from splat.training.optimizer import GaussianOptimizer
 from splat.training.order import order_of_views
@@ -119,12 +120,25 @@ class LayerTraining:
         """Removes and adds nodes; returns the index (N,) that each former node has now, -1 if removed."""
         before = self.layer
         rng = np.random.default_rng([*self._seed, 1, self.done])
-        kept, added = self._density.change(before.gaussians, self.views, rng)
+        kept, added = self._density.change(before.gaussians, self.views, rng, self._measured)
         self._tree = concatenated_layers([before.select(kept), added])
         self._optimizer.replace(self._tree.gaussians, kept)
         now = torch.full((len(before),), NO_PARENT, dtype=torch.int32)
         now[kept] = torch.arange(len(kept), dtype=torch.int32)
         return now
+
+    def _measured(self, view: TrainingView) -> TrainingView:
+        """The view, with the distances that the nodes show now if nobody knows them."""
+        if not view.guessed:
+            return view
+        gaussians = self._optimizer.gaussians
+        with torch.no_grad():
+            moved = (
+                gaussians
+                if self._motion is None
+                else self._motion.shown(gaussians, self._tree.semantic, view.time)
+            )
+            return measured(self._arrays, moved, view)
 
     def _view_of(self, step: int) -> int:
         """The view of a step: in the first round each one once, later in proportion to their errors."""
