@@ -29,11 +29,11 @@ def camera(number: int, width: int = WIDTH, height: int = HEIGHT) -> Camera:
 
 def ball_centre(time: float) -> np.ndarray:
     """(3,) where the ball is at a time."""
-    return np.array([0.0, 0.3 - 0.6 * time, 0.0])
+    return np.array([0.0, 0.15 - 0.3 * time, 0.0])
 
 
 def cast(view: Camera, time: float, rays: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
-    """Distance to what a view shows (H, W), whether it is the ball (H, W), and its colour (H, W, 3) in sRGB."""
+    """Distance (H, W), whether it is the ball's (H, W), and colour (H, W, 3) in sRGB of what is seen."""
     rays = view.rays(view.pixel_centres()) if rays is None else rays
     start = view.position - ball_centre(time)
     b = rays @ start
@@ -42,8 +42,8 @@ def cast(view: Camera, time: float, rays: np.ndarray | None = None) -> tuple[np.
     wall = (WALL - view.position[2]) / rays[:, 2]
     distance = np.where(ball, -b - np.sqrt(np.maximum(root, 0)), wall)
     point = view.position + rays * distance[:, None]
-    stripes = np.sin(9 * (point - ball_centre(time))[:, 1]) > 0
-    checks = (np.floor(1.5 * point[:, 0]) + np.floor(1.5 * point[:, 1])) % 2 > 0
+    stripes = np.sin(5 * (point - ball_centre(time))[:, 1]) > 0
+    checks = (np.floor(point[:, 0]) + np.floor(point[:, 1])) % 2 > 0
     colour = np.where(stripes[:, None], [0.9, 0.3, 0.2], [0.8, 0.7, 0.1])
     colour = np.where(ball[:, None], colour, np.where(checks[:, None], [0.2, 0.4, 0.7], [0.5, 0.6, 0.6]))
     shape = view.height, view.width

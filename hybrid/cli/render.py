@@ -155,6 +155,16 @@ def render(
 
     Of a folder of frames of others (D-NeRF, Nerfies, HyperNeRF, NeRF-DS), which has no scene: splats alone.
     """
+    from pathtrace.posed.reading import is_posed_folder
+
+    is_folder = is_posed_folder(Path(scene))
+    is_path = is_folder and output.suffix.lower() == ".mp4"
+    if is_folder:
+        refuse_tracing(context, Path(scene))
+    elif view is not None:
+        raise UserError(
+            f"--view {view}: only of a folder of frames; a scene has a camera of its own, or --camera"
+        )
     settings = FrameSettings(
         gaze or DEFAULTS.gaze,
         fov_a,
@@ -168,16 +178,6 @@ def render(
         time=DEFAULTS.time if time is None else time,
     )
     _check_layers(layers)
-    from pathtrace.posed.reading import is_posed_folder
-
-    is_folder = is_posed_folder(Path(scene))
-    is_path = is_folder and output.suffix.lower() == ".mp4"
-    if is_folder:
-        refuse_tracing(context, Path(scene))
-    elif view is not None:
-        raise UserError(
-            f"--view {view}: only of a folder of frames; a scene has a camera of its own, or --camera"
-        )
     _check_outputs(output, detail, gaze_trace is not None or is_path)
     if is_path and any(one is not None for one in (view, camera, time)):
         raise UserError(f"--view, --camera, --time: {output} shows all views of {scene} at their times")

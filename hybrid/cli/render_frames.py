@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
-from click.core import ParameterSource
 
 from compose.base.errors import UserError
 from hybrid.cli.options import require_size
@@ -70,7 +69,9 @@ class FramesRequest:
 def refuse_tracing(context: typer.Context, folder: Path) -> None:
     """Refuses options that say how a scene is path-traced: frames have none."""
     for name in _OF_SCENES:
-        if context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+        source = context.get_parameter_source(name)
+        # By its name: some versions of Typer have a copy of Click, others the real one.
+        if source is not None and source.name == "COMMANDLINE":
             raise UserError(
                 f"--{name.replace('_', '-')}: requires a scene to path-trace; {folder} holds frames only, "
                 "which are rendered as splats alone"
