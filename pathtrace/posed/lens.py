@@ -65,8 +65,10 @@ def undistorted(camera: Camera, lens: Lens, images: Sequence[Array]) -> tuple[Ca
     Raises:
         ValueError: the distortion is too strong: it folds, or leaves less than half of the frame.
     """
-    x, y = _sources(camera, lens)
-    rectangle = _valid_rectangle(camera, x, y)
+    # Lenses of damaged files overflow, and are refused.
+    with np.errstate(over="ignore", invalid="ignore"):
+        x, y = _sources(camera, lens)
+        rectangle = _valid_rectangle(camera, x, y)
     rows, columns = rectangle
     left = (rows.stop - rows.start) * (columns.stop - columns.start)
     if left < _LEAST_LEFT * x.size or _folds(x[rectangle], y[rectangle]):
@@ -92,9 +94,11 @@ def _sources(camera: Camera, lens: Lens) -> tuple[Array, Array]:
 
 def _valid_rectangle(camera: Camera, x: Array, y: Array) -> tuple[slice, slice]:
     """Rows and columns left when sides that the image does not show are cut off, the worst one first."""
-    missed = (np.abs(2 * x - (camera.width - 1)) > camera.width - 1 + 2 * _TOLERANCE) | (
-        np.abs(2 * y - (camera.height - 1)) > camera.height - 1 + 2 * _TOLERANCE
+    shown = (np.abs(2 * x - (camera.width - 1)) <= camera.width - 1 + 2 * _TOLERANCE) & (
+        np.abs(2 * y - (camera.height - 1)) <= camera.height - 1 + 2 * _TOLERANCE
     )
+    # What is not a number is not shown, either.
+    missed = ~shown
     top, bottom, left, right = 0, camera.height, 0, camera.width
     while top < bottom and left < right and missed[top:bottom, left:right].any():
         inner = missed[top:bottom, left:right]

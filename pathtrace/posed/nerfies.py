@@ -166,13 +166,15 @@ def _points(path: Path) -> NDArray[np.float64]:
     """(M, 3) points of a NumPy file, in the coordinates of the cameras' files."""
     try:
         require_size_below(path, _MOST_BYTES)
-        points = np.load(path, allow_pickle=False)
+        # Mapped: what the header declares is compared with the file's size, and not allocated.
+        points = np.load(path, mmap_mode="r", allow_pickle=False)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
             raise ValueError(
                 f"{points.dtype} of shape {points.shape}; must be finite numbers of shape (M, 3)"
             )
         return points.astype(np.float64)
-    except (OSError, ValueError, TypeError, EOFError) as error:
+    # A damaged header is compiled as Python, which fails with nearly anything.
+    except Exception as error:
         raise UserError(f"{path}: not a file of points ({one_line(error)})") from error
 
 
