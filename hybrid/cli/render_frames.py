@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from compose.base.errors import UserError
-from hybrid.cli.options import require_size
+from hybrid.cli.options import sized
 from hybrid.frame.settings import FrameSettings
 from hybrid.runtime.progress import progress_bar
 
 if TYPE_CHECKING:
     from compose.camera.camera import Camera
     from compose.eye.gaze_trace import GazeTrace
-    from hybrid.frame.splat_frame import SplatFrame
+    from hybrid.frame.splat_frame import SplatFrame, SplatRenderer
     from pathtrace.posed.folder import PosedFolder
     from splat.model.forest import Forest
 
@@ -131,17 +131,10 @@ def _view(folder: PosedFolder, request: FramesRequest) -> tuple[Camera, float]:
         raise UserError(f"--view {number}: {folder.folder} has views 0 to {len(views) - 1}")
     camera, time = views[number]
     camera = request.camera or camera
-    return _sized(camera, request.size), time if request.time is None else request.time
+    return sized(camera, request.size), time if request.time is None else request.time
 
 
-def _sized(camera: Camera, size: tuple[int, int] | None) -> Camera:
-    if size is None:
-        return camera
-    require_size(size)
-    return camera.resized(*size)
-
-
-def _render_frame(renderer: Any, request: FramesRequest, settings: FrameSettings) -> dict[str, Any]:
+def _render_frame(renderer: SplatRenderer, request: FramesRequest, settings: FrameSettings) -> dict[str, Any]:
     """Renders and writes one frame, or one for each eye."""
     from compose.camera.stereo import EYES
     from compose.camera.stereo import eyes as eyes_of
@@ -170,7 +163,7 @@ def _saved(frame: SplatFrame, output: Path) -> dict[str, Any]:
 
 
 def _render_video(
-    folder: PosedFolder, renderer: Any, request: FramesRequest, settings: FrameSettings
+    folder: PosedFolder, renderer: SplatRenderer, request: FramesRequest, settings: FrameSettings
 ) -> tuple[dict[str, Any], FrameSettings]:
     """Renders and writes a video along the views, in the order of their times."""
     from hybrid.output.video import check_video
@@ -181,7 +174,7 @@ def _render_video(
     first = views[0][0]
     # Videos have even sides.
     size = request.size or (first.width - first.width % 2, first.height - first.height % 2)
-    first = _sized(first, size)
+    first = sized(first, size)
     check_video(*size)
     path = ViewPath([(first, views[0][1]), *views[1:]])
     seconds = _SECONDS if request.trace is None else request.trace.duration

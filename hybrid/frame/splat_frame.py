@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,30 +28,34 @@ class SplatFrame:
 
     Attributes:
         image: (H, W, 3) linear radiance.
-        splats: (H, W, 3) the finest allowed layer at full rate, without foveation.
         settings: how it was made.
         camera: the view.
         detail: the detail that the viewer resolves in each part of the frame.
         region: the disc that is traced, which has no pixel.
         nodes_drawn: Gaussians drawn, counted once per layer image.
-        milliseconds: per pass (detail, splat), and in total; without that of `splats`.
+        milliseconds: per pass (detail, splat), and in total.
+        source: renders a further AOV when the frame is saved.
     """
 
     image: Image
-    splats: Image
     settings: FrameSettings
     camera: Camera
     detail: DetailMap
     region: FoveaRegion
     nodes_drawn: int
     milliseconds: dict[str, float]
+    source: SplatRenderer = field(repr=False, compare=False)
 
     def aovs(self) -> dict[str, NDArray[np.float32]]:
-        """The frame, without a name; and `splat`, `eccentricity` in degrees, `level` and `rate`."""
+        """The images that the frame consists of, by name: the layers of its EXR file.
+
+        The frame itself has no name. splat is (H, W, 3) the finest layer over the whole frame, rendered now;
+        eccentricity is in degrees on the display, level from 1 to L, rate log2 of pixels per sample.
+        """
         viewer = self.settings.display.viewer(self.camera.width, self.camera.height)
         return {
             "": self.image,
-            "splat": self.splats,
+            "splat": self.source.splats(self.settings),
             "eccentricity": eccentricity(viewer, self.settings.gaze),
             "level": self.detail.per_pixel(self.detail.drawn_level),
             "rate": self.detail.per_pixel(self.detail.drawn_rate),
@@ -98,9 +102,7 @@ class SplatRenderer:
         Raises:
             UserError: the settings have no camera, or ask for layers that the forest does not have.
         """
-        if settings.camera is None:
-            raise UserError("camera: a forest alone has none; give one in the settings")
-        camera, settings = replace(settings, fov_a=0.0, fov_b=0.0).resolved(settings.camera)
+        camera, settings = _resolved(settings)
         clock = Clock()
         self._periphery.set_time(settings.time)
         detail = self._periphery.detail(camera, settings)
@@ -109,6 +111,22 @@ class SplatRenderer:
         drawn = self._periphery.draw(camera, detail, region)
         image = drawn.image()
         clock.lap("splat")
-        milliseconds = clock.milliseconds()
-        whole = self._periphery.whole(camera, settings)
-        return SplatFrame(image, whole, settings, camera, detail, region, drawn.nodes, milliseconds)
+        parts = detail, region, drawn.nodes, clock.milliseconds()
+        return SplatFrame(image, settings, camera, *parts, self)
+
+    def splats(self, settings: FrameSettings) -> Image:
+        """(H, W, 3) the finest allowed layer over the whole frame at full rate.
+
+        Raises:
+            UserError: as of `frame`.
+        """
+        camera, settings = _resolved(settings)
+        self._periphery.set_time(settings.time)
+        return self._periphery.whole(camera, settings)
+
+
+def _resolved(settings: FrameSettings) -> tuple[Camera, FrameSettings]:
+    """The camera, and the settings without a disc."""
+    if settings.camera is None:
+        raise UserError("camera: a forest alone has none; give one in the settings")
+    return replace(settings, fov_a=0.0, fov_b=0.0).resolved(settings.camera)
