@@ -29,8 +29,9 @@ from pathtrace.posed.pixels import read_size
 NAME = "Nerfies, HyperNeRF or NeRF-DS"
 DATASET = "dataset.json"
 _SCALES = (1, 2, 4, 8, 16)
-# Of several sizes, the largest images of at most so many pixels are read, as HyperNeRF's figures are of.
-_MOST_PIXELS = 1 << 20
+# Of several sizes, the largest images are read that have at most so many pixels each, as those have that
+# HyperNeRF's figures are of, and so many in all: a training keeps them in memory.
+_MOST_PIXELS, _MOST_IN_ALL = 1 << 20, 1 << 26
 _LABEL_FOLDERS = "mask", "resized_mask"
 _POINTS = "points.npy"
 _MOST_BYTES = 1 << 30
@@ -110,7 +111,7 @@ def _level(folder: Path, ids: list[str]) -> int:
     found = [level for level in found if _labels_folder(folder, level) is not None] or found
     for level in found if ids else []:
         width, height = read_size(_file(folder / "rgb" / f"{level}x", ids[0], ".png"))
-        if width * height <= _MOST_PIXELS:
+        if width * height <= min(_MOST_PIXELS, _MOST_IN_ALL / len(ids)):
             return level
     return found[-1]
 
