@@ -10,6 +10,7 @@ import torch
 
 from compose.base.arrays import Arrays
 from splat.model.dynamics import Dynamics
+from splat.model.gaussians import Gaussians
 from splat.model.layer import LABELS, NO_PARENT, Layer, concatenated_layers
 from splat.raster.differentiable import render_differentiable
 from splat.raster.projection import PIXEL_FILTER
@@ -95,10 +96,8 @@ class LayerTraining:
         """
         index = self._view_of(self.done)
         camera, time = self.views[index].camera, self.views[index].time
-        semantic, gaussians = self._tree.semantic, self._optimizer.gaussians
-        with torch.no_grad():
-            moved = gaussians if self._motion is None else self._motion.shown(gaussians, semantic, time)
-        shown = visible(self._arrays, moved, camera)
+        semantic = self._tree.semantic
+        shown = visible(self._arrays, self._shown(time), camera)
         chosen = self._optimizer.chosen(shown)
         if self._motion is not None:
             chosen = self._motion.shown(chosen, semantic[shown], time)
@@ -129,16 +128,15 @@ class LayerTraining:
 
     def _measured(self, view: TrainingView) -> TrainingView:
         """The view, with the distances that the nodes show now if nobody knows them."""
-        if not view.guessed:
-            return view
+        return measured(self._arrays, self._shown(view.time), view) if view.guessed else view
+
+    def _shown(self, time: float) -> Gaussians:
+        """The nodes' Gaussians as they are at a time, without gradients."""
         gaussians = self._optimizer.gaussians
+        if self._motion is None:
+            return gaussians
         with torch.no_grad():
-            moved = (
-                gaussians
-                if self._motion is None
-                else self._motion.shown(gaussians, self._tree.semantic, view.time)
-            )
-            return measured(self._arrays, moved, view)
+            return self._motion.shown(gaussians, self._tree.semantic, time)
 
     def _view_of(self, step: int) -> int:
         """The view of a step: in the first round each one once, later in proportion to their errors."""
