@@ -46,7 +46,6 @@ def folders(tmp_path_factory):
     [
         ("still", MotionModel.KNOWN),
         ("d-nerf", MotionModel.HEX_PLANE),
-        ("nerfies", MotionModel.HEX_PLANE),
         ("nerf-ds", MotionModel.D_GS_OF_DYNAMIC),
         ("no points", MotionModel.HEX_PLANE),
     ],
