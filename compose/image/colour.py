@@ -25,6 +25,11 @@ def srgb_from_radiance(radiance: Image) -> Image:
     )
 
 
+def radiance_from_srgb(srgb: Image) -> Image:
+    """The inverse of `srgb_from_radiance`, of values from 0 to 1."""
+    return np.where(srgb <= 0.04045, srgb / 12.92, np.power((srgb + 0.055) / 1.055, 2.4)).astype(np.float32)
+
+
 def bytes_from_radiance(radiance: Image) -> NDArray[np.uint8]:
     """Radiance as sRGB with eight bits per channel, as in a PNG file."""
     return (srgb_from_radiance(radiance) * 255 + 0.5).astype(np.uint8)

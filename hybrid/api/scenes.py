@@ -11,6 +11,7 @@ from pathtrace.base.backend import select_backend
 
 if TYPE_CHECKING:
     from hybrid.preparation.settings import PreparationSettings
+    from hybrid.training.posed import Frames
     from pathtrace.dataset.frames import FrameSet
     from pathtrace.dataset.settings import CaptureSettings
     from pathtrace.scene.scene import Scene
@@ -102,19 +103,19 @@ def prepare(
     return forest
 
 
-def load_frames(folder: Path | str) -> FrameSet:
-    """Loads a captured frame set.
+def load_frames(folder: Path | str) -> Frames:
+    """Loads a captured frame set, or a folder of other people's images with cameras and times.
 
     Raises:
-        UserError: the folder is not a frame set, or its capture is incomplete.
+        UserError: the folder is neither, incomplete or damaged.
     """
-    from pathtrace.dataset.frames import read_frame_set
+    from hybrid.training.posed import read_frames
 
-    return read_frame_set(Path(folder))
+    return read_frames(Path(folder))
 
 
 def train(
-    frames: FrameSet,
+    frames: Frames,
     path: Path | str,
     settings: TrainingSettings | None = None,
     progress: Progress = no_progress,

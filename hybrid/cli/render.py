@@ -24,7 +24,6 @@ from hybrid.cli.options import (
     Json,
     Layers,
     MaxDepth,
-    SceneName,
     Seed,
     Size,
     Spp,
@@ -36,6 +35,7 @@ from hybrid.cli.options import (
     sized,
     write_json,
 )
+from hybrid.cli.render_frames import FramesRequest, refuse_tracing, render_frames
 from hybrid.cli.target import Target, measuring_command
 from hybrid.frame.settings import DEFAULTS, FrameSettings
 from hybrid.runtime.progress import progress_bar
@@ -47,20 +47,42 @@ if TYPE_CHECKING:
     from pathtrace.scene.scene import Scene
     from splat.model.forest import Forest
 
+SceneOrFrames = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENE",
+        help="Name of a bundled scene, a Mitsuba XML file, or a folder of frames of others (splats alone).",
+    ),
+]
 # Share of a view that the forest does not know, beyond which the user is told.
 _MUCH_FILLED = 0.25
 _FPS = 30
 
 
 def render(
-    scene: SceneName,
+    context: typer.Context,
+    scene: SceneOrFrames,
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FILE", help=".exr or .png; .mp4 with a gaze trace.")
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help=".exr or .png; .mp4 with a gaze trace, or along the views of a folder.",
+        ),
     ],
     forest: ForestFile = None,
     camera: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="JSON with the names of transforms.json.", rich_help_panel=FRAME),
+    ] = None,
+    view: Annotated[
+        int | None,
+        typer.Option(
+            help="Held-out view of a folder of frames, counted from 0; its camera and time.",
+            min=0,
+            rich_help_panel=FRAME,
+        ),
     ] = None,
     gaze: Gaze = None,
     gaze_trace: Annotated[
@@ -97,15 +119,15 @@ def render(
         ),
     ] = None,
     time: Annotated[
-        float,
+        float | None,
         typer.Option(
-            help="Time from 0 to 1 that is shown of a scene that moves.",
+            help="Time from 0 to 1 that is shown of a scene that moves; 0, or that of the view, if left out.",
             min=0,
             max=1,
             callback=finite,
             rich_help_panel=FRAME,
         ),
-    ] = DEFAULTS.time,
+    ] = None,
     eyes: Annotated[
         float | None,
         typer.Option(
@@ -129,7 +151,20 @@ def render(
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
-    """Render one hybrid frame, as EXR with all AOVs or as PNG; or a video along a gaze trace."""
+    """Render one hybrid frame, as EXR with all AOVs or as PNG; or a video along a gaze trace.
+
+    Of a folder of frames of others (D-NeRF, Nerfies, HyperNeRF, NeRF-DS), which has no scene: splats alone.
+    """
+    from pathtrace.posed.reading import is_posed_folder
+
+    is_folder = is_posed_folder(Path(scene))
+    is_path = is_folder and output.suffix.lower() == ".mp4"
+    if is_folder:
+        refuse_tracing(context, Path(scene))
+    elif view is not None:
+        raise UserError(
+            f"--view {view}: only of a folder of frames; a scene has a camera of its own, or --camera"
+        )
     settings = FrameSettings(
         gaze or DEFAULTS.gaze,
         fov_a,
@@ -140,28 +175,45 @@ def render(
         layers,
         display=display,
         integrator=integrator,
-        time=time,
+        time=DEFAULTS.time if time is None else time,
     )
     _check_layers(layers)
-    _check_outputs(output, detail, gaze_trace is not None)
-    if eyes is not None and (gaze_trace is not None or detail is not None):
+    _check_outputs(output, detail, gaze_trace is not None or is_path)
+    if is_path and any(one is not None for one in (view, camera, time)):
+        raise UserError(f"--view, --camera, --time: {output} shows all views of {scene} at their times")
+    if eyes is not None and (gaze_trace is not None or is_path or detail is not None):
         raise UserError("--eyes: only for a single frame, without --detail")
-    trace = _loaded_trace(gaze_trace, gaze, fps)
+    trace = _loaded_trace(gaze_trace, gaze, fps, is_path)
     if target_ms is not None or target_jod is not None:
         _check_target({"--layers": layers, "--max-depth": max_depth})
     select(backend)
+    if is_folder:
+        asked = FramesRequest(
+            output,
+            forest,
+            view,
+            None if camera is None else _read_camera(camera),
+            size,
+            time,
+            eyes,
+            detail,
+            trace,
+            fps or _FPS,
+        )
+        write_json(json_file, render_frames(Path(scene), asked, settings))
+        return
     from hybrid.preparation.quick import forest_for
 
     loaded = loaded_scene(scene, max_depth, thin_glass)
     if time and loaded.moving is None:
         raise UserError(f"--time: nothing moves in {scene}; it has no motion file")
-    view = _view(loaded, camera, size, is_video=trace is not None)
-    pixels = view.width, view.height
+    shown = _view(loaded, camera, size, is_video=trace is not None)
+    pixels = shown.width, shown.height
     command = measuring_command(scene, forest, pixels, settings, display, backend)
     target = Target(target_ms, target_jod, command)
     target.require_forest(loaded, forest)
     found = forest_for(loaded, forest)
-    settings = target.applied(loaded, found, replace(settings, camera=view))
+    settings = target.applied(loaded, found, replace(settings, camera=shown))
     # Refused before anything is filled.
     settings.layers_of(len(found.counts))
     fill_irradiance(loaded, settings)
@@ -199,13 +251,15 @@ def _check_outputs(output: Path, detail: Path | None, is_video: bool) -> None:
             check_writable(file)
 
 
-def _loaded_trace(file: Path | None, gaze: tuple[float, float] | None, fps: int | None) -> GazeTrace | None:
-    """The gaze trace, if a video was asked for."""
+def _loaded_trace(
+    file: Path | None, gaze: tuple[float, float] | None, fps: int | None, is_path: bool
+) -> GazeTrace | None:
+    """The gaze trace, if there is one; a video along a path may have none."""
     from compose.eye.gaze_trace import MOST_SECONDS, load_gaze_trace
     from hybrid.video.frames import MOST_FRAMES
 
     if file is None:
-        if fps is not None:
+        if fps is not None and not is_path:
             raise UserError(f"--fps {fps}: only a video has a frame rate; requires --gaze-trace")
         return None
     if gaze is not None:
@@ -222,25 +276,29 @@ def _check_target(excluded: dict[str, Any]) -> None:
 
 def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None, is_video: bool) -> Camera:
     """The camera: from a file, else the scene's own, at the size that was asked for."""
-    from compose.base.json_file import read_json
-    from compose.camera.serialization import camera_from_json
     from hybrid.output.video import check_video
 
-    camera = scene.camera
-    if file is not None:
-        try:
-            camera = scene.place.camera(camera_from_json(read_json(file)))
-        except OSError as error:
-            raise UserError(f"--camera {file}: cannot be read ({error.strerror})") from error
-        except (ValueError, KeyError, TypeError) as error:
-            raise UserError(
-                f"--camera {file}: must be JSON with w, h, fl_x, fl_y, cx, cy, transform_matrix "
-                f"({one_line(repr(error))})"
-            ) from error
+    camera = scene.camera if file is None else scene.place.camera(_read_camera(file))
     camera = sized(camera, size)
     if is_video:
         check_video(camera.width, camera.height)
     return camera
+
+
+def _read_camera(file: Path) -> Camera:
+    """The camera of a file, in the world."""
+    from compose.base.json_file import read_json
+    from compose.camera.serialization import camera_from_json
+
+    try:
+        return camera_from_json(read_json(file))
+    except OSError as error:
+        raise UserError(f"--camera {file}: cannot be read ({error.strerror})") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(
+            f"--camera {file}: must be JSON with w, h, fl_x, fl_y, cx, cy, transform_matrix "
+            f"({one_line(repr(error))})"
+        ) from error
 
 
 def _render_frame(

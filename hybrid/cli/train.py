@@ -1,11 +1,11 @@
-"""`hybrid train`: trains a forest on a frame set."""
+"""`hybrid train`: trains a forest on a frame set, or on frames of others."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -22,6 +22,9 @@ from hybrid.cli.options import (
 from hybrid.runtime.progress import progress_bar
 from splat.model.motion_model import MotionModel
 
+if TYPE_CHECKING:
+    from pathtrace.posed.folder import PosedFolder
+
 _MOST_ITERATIONS = 10_000_000
 
 
@@ -37,17 +40,22 @@ def train(
     layers: Annotated[int, typer.Option(help="Layers of the forest; 1 for Gaussians without trees.")] = 4,
     degree: Annotated[int, typer.Option(help="Degree of the spherical harmonics, 0 to 3.")] = 2,
     motion: Annotated[
-        MotionModel,
+        MotionModel | None,
         typer.Option(
             help="What moves: by courses that the frames know, or deformed by a field that is learned, that "
-            "of D-GS (everything, or only what the frames show to move) or of 4DGS."
+            "of D-GS (everything, or only what the frames show to move) or of 4DGS. If left out: known; of "
+            "frames of others that show several times, 4dgs."
         ),
-    ] = MotionModel.KNOWN,
+    ] = None,
     seed: Seed = 0,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
-    """Train a forest on a frame set; resumes if interrupted."""
+    """Train a forest on a frame set; resumes if interrupted.
+
+    Also on frames of others, without a scene: folders in the layout of NeRF-synthetic, D-NeRF, Nerfies,
+    HyperNeRF or NeRF-DS.
+    """
     select(backend)
     from hybrid.output.images import check_writable
     from hybrid.store.cache import store_forest
@@ -56,20 +64,25 @@ def train(
     from hybrid.training.forest import train as run
     from hybrid.training.fusion import fusion_verdicts
     from hybrid.training.held_out import held_out_quality
-    from pathtrace.dataset.frames import read_frame_set
+    from hybrid.training.posed import motion_for, read_frames
+    from pathtrace.posed.folder import PosedFolder
     from splat.training.trainer import TrainingSettings
 
     with user_errors():
-        settings = TrainingSettings(iterations, gaussians, layers, degree, seed, motion)
-    found = read_frame_set(frames)
+        settings = TrainingSettings(iterations, gaussians, layers, degree, seed)
+    found = read_frames(frames)
+    settings = replace(settings, motion=motion_for(found, motion))
     check_writable(forest)
+    if isinstance(found, PosedFolder):
+        _print_folder(found, settings.motion)
     start = time.perf_counter()
     left_out: list[LeftOut] = []
     with progress_bar("train (steps)") as bar:
         trained = run(found, forest, settings, bar, left_out.append)
     seconds = time.perf_counter() - start
     say_left_out(left_out[0])
-    if has_receipt(found):
+    # The hash of frames of others is that of the images, which were trained on here.
+    if isinstance(found, PosedFolder) or has_receipt(found):
         store_forest(trained, forest.stem)
     else:
         print(
@@ -86,6 +99,17 @@ def train(
         quality = f", held-out views {row['psnr']:.2f} dB, SSIM {row['ssim']:.4f}" if "psnr" in row else ""
         print(f"layer {row['layer']}: {row['nodes']:,} nodes{quality}")
     _print_verdicts(verdicts)
+
+
+def _print_folder(folder: PosedFolder, motion: MotionModel) -> None:
+    """What frames of others are, and how what moves in them is modelled."""
+    model = (
+        "nothing moves" if motion.field is None else f"a learned field deforms the Gaussians ({motion.value})"
+    )
+    print(
+        f"{folder.folder}: {len(folder.training)} frames to train on and {len(folder.held_out)} held out, "
+        f"layout of {folder.layout}; {model}"
+    )
 
 
 def _print_verdicts(rows: list[dict[str, Any]]) -> None:

@@ -54,23 +54,28 @@ def store_forest(forest: Forest, name: str) -> None:
 
 
 def newest_forest(scene: Scene) -> Path | None:
-    """File of the forest that was stored last for a scene; None if none was stored.
+    """File of the forest that was stored last for a scene; None if none was stored."""
+    return newest_forest_of(scene.name, scene.hash)
+
+
+def newest_forest_of(name: str, digest: str) -> Path | None:
+    """File of the forest that was stored last for what has a name and a hash; None if none was stored.
 
     Files whose header is damaged or names another scene are skipped: the folder's name has only the first
     digits of the hash.
     """
     found = {}
     # Hidden files are still being written; another process may rename or remove them meanwhile.
-    for path in (scene_folder(scene.name, scene.hash) / "forests").glob("[!.]*.safetensors"):
+    for path in (scene_folder(name, digest) / "forests").glob("[!.]*.safetensors"):
         with contextlib.suppress(FileNotFoundError):
             found[path] = path.stat().st_mtime
     newest_first = sorted(found, key=lambda path: found[path], reverse=True)
-    return next((path for path in newest_first if _is_of(path, scene)), None)
+    return next((path for path in newest_first if _is_of(path, name, digest)), None)
 
 
-def _is_of(path: Path, scene: Scene) -> bool:
-    """Whether a file is a forest that says it is of a scene."""
+def _is_of(path: Path, name: str, digest: str) -> bool:
+    """Whether a file is a forest that says it is of what has a name and a hash."""
     try:
-        return scene_of_forest(path) == (scene.name, scene.hash)
+        return scene_of_forest(path) == (name, digest)
     except UserError:
         return False

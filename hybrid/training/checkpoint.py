@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from compose.base.errors import UserError, one_line
-from pathtrace.dataset.frames import FrameSet
+from hybrid.training.posed import Frames
 from splat.io.tensors import FORMAT_VERSION, load_tensors, save_tensors
 from splat.training.trainer import Trainer
 
@@ -15,7 +15,7 @@ def checkpoint_path(forest: Path) -> Path:
     return forest.with_name(forest.name + ".checkpoint")
 
 
-def save_checkpoint(trainer: Trainer, path: Path, frames: FrameSet) -> None:
+def save_checkpoint(trainer: Trainer, path: Path, frames: Frames) -> None:
     """Saves the state of a training run on a frame set.
 
     Raises:
@@ -26,7 +26,7 @@ def save_checkpoint(trainer: Trainer, path: Path, frames: FrameSet) -> None:
     save_tensors(path, tensors, {**kind, **numbers})
 
 
-def restore_checkpoint(trainer: Trainer, path: Path, frames: FrameSet) -> None:
+def restore_checkpoint(trainer: Trainer, path: Path, frames: Frames) -> None:
     """Continues from a checkpoint if there is one.
 
     Raises:

@@ -18,6 +18,7 @@ from hybrid.runtime.interrupts import interrupts_between_steps
 from hybrid.runtime.progress import console, no_progress
 from hybrid.training.checkpoint import checkpoint_path, restore_checkpoint, save_checkpoint
 from hybrid.training.fusion import fusion_steps, with_fusion
+from hybrid.training.posed import Frames, motion_for, posed_views
 from pathtrace.dataset.exr import read_frame
 from pathtrace.dataset.frames import FrameEntry, FrameSet
 from pathtrace.motion.course import Course
@@ -94,7 +95,7 @@ def motion_of(courses: Sequence[Course]) -> Motion | None:
 
 
 def train(
-    frames: FrameSet,
+    frames: Frames,
     path: Path,
     settings: TrainingSettings | None = None,
     progress: Callable[[int, int], None] = no_progress,
@@ -105,7 +106,7 @@ def train(
     """Trains a forest, fits the fusion to it, and writes both to one file; resumes if interrupted.
 
     Args:
-        frames: to train on.
+        frames: to train on; those of others have no estimates to fit a fusion to.
         path: forest file to write; a checkpoint is kept beside it until training is complete.
         settings: how to train; the defaults of TrainingSettings if None.
         progress: called with steps done and steps in total.
@@ -118,11 +119,11 @@ def train(
             frame is damaged, no frame is finite, none shows a surface, frames are too small for the layers,
             or the file cannot be written.
     """
-    settings = settings or TrainingSettings()
+    settings = settings or TrainingSettings(motion=motion_for(frames, None))
     _require_enough(frames, settings)
-    views = [training_view(entry, frames.courses) for entry in frames.training]
+    views, courses = _views_of(frames)
     try:
-        known = motion_of(frames.courses) if settings.motion is MotionModel.KNOWN else None
+        known = motion_of(courses) if settings.motion is MotionModel.KNOWN else None
         trainer = Trainer(device_arrays(), views, settings, start, known, light)
     except ValueError as error:
         raise UserError(f"{frames.folder}: {error}") from error
@@ -152,10 +153,18 @@ def train(
     return forest
 
 
-def _require_enough(frames: FrameSet, settings: TrainingSettings) -> None:
-    """Checks that there are frames, and that they are large enough for all layers."""
+def _views_of(frames: Frames) -> tuple[list[TrainingView], Sequence[Course]]:
+    """The training views, and the courses that are known of what they show."""
+    if not isinstance(frames, FrameSet):
+        return posed_views(frames), ()
+    return [training_view(entry, frames.courses) for entry in frames.training], frames.courses
+
+
+def _require_enough(frames: Frames, settings: TrainingSettings) -> None:
+    """Checks that there are frames that can be trained on as asked, and large enough for all layers."""
     if not frames.training:
         raise UserError(f"{frames.folder}: holds no frames to train on")
+    motion_for(frames, settings.motion)
     if settings.motion.field is not None and len({entry.time for entry in frames.training}) == 1:
         raise UserError(
             f"{frames.folder}: all frames show the same time; a motion ({settings.motion.value}) can only be "

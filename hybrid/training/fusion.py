@@ -21,6 +21,7 @@ from compose.image.colour import Image
 from hybrid.frame.disc import DiscImages, denoised_for_fusion
 from hybrid.frame.fusion import attach_fusion, fusion_of
 from hybrid.runtime.device import device_arrays
+from hybrid.training.posed import Frames
 from pathtrace.dataset.exr import read_estimate, read_frame, read_radiance
 from pathtrace.dataset.frames import FrameEntry, FrameSet
 from pathtrace.trace.image import TracedImage
@@ -35,7 +36,7 @@ _PATCHES = 2.0, 12.0
 _MOST = 256
 
 
-def with_fusion(frames: FrameSet, forest: Forest, seed: int, progress: Callable[[int, int], None]) -> Forest:
+def with_fusion(frames: Frames, forest: Forest, seed: int, progress: Callable[[int, int], None]) -> Forest:
     """The forest with a fusion fitted to it and tried on unseen views; unchanged without any example.
 
     Args:
@@ -55,7 +56,7 @@ def with_fusion(frames: FrameSet, forest: Forest, seed: int, progress: Callable[
     return attach_fusion(forest, fusion)
 
 
-def fusion_steps(frames: FrameSet) -> int:
+def fusion_steps(frames: Frames) -> int:
     """Number of steps that `with_fusion` takes."""
     views = {number for number, _ in _usable(frames)}
     return ITERATIONS + TRIAL_ITERATIONS * trials(len(views)) if views else 0
@@ -85,11 +86,14 @@ def fusion_verdicts(forest: Forest) -> list[dict[str, Any]]:
     ]
 
 
-def _usable(frames: FrameSet) -> list[tuple[int, FrameEntry]]:
+def _usable(frames: Frames) -> list[tuple[int, FrameEntry]]:
     """Number and entry of the views that training has not seen and that are large enough for an example.
 
-    Close-ups have the number of the view that they are parts of: that at the same place.
+    Close-ups have the number of the view that they are parts of: that at the same place. Frames of others
+    have no estimates.
     """
+    if not isinstance(frames, FrameSet):
+        return []
     entries = [entry for entry in frames.held_out + frames.close_ups if entry.halves]
     numbers: dict[bytes, int] = {}
     found = []
@@ -100,7 +104,7 @@ def _usable(frames: FrameSet) -> list[tuple[int, FrameEntry]]:
     return found
 
 
-def _examples(frames: FrameSet, forest: Forest, rng: np.random.Generator) -> Iterator[Example]:
+def _examples(frames: Frames, forest: Forest, rng: np.random.Generator) -> Iterator[Example]:
     """For each estimate of each view and both denoisers: the parents of a fovea, and the reference.
 
     Images with numbers that are not finite are left out: one of them would spoil all weights of the network.

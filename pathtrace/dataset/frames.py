@@ -12,6 +12,7 @@ from typing import Any
 
 from compose.base.errors import UserError, one_line
 from compose.base.files import require_size_below
+from compose.base.inside import file_inside
 from compose.base.json_file import MOST_BYTES, parse_json
 from compose.base.scene_names import claimed_scene
 from compose.camera.camera import Camera
@@ -19,8 +20,6 @@ from compose.camera.serialization import camera_from_json
 from pathtrace.motion.course import Course, course_from_json
 
 FORMAT_VERSION = 3
-# Bytes, of any part of a path on common systems.
-_LONGEST_NAME = 255
 
 
 @dataclass(frozen=True)
@@ -132,21 +131,13 @@ def _entry(folder: Path, frame: dict[str, Any]) -> FrameEntry:
     """An entry from its JSON, with the document's intrinsics where it has none of its own."""
     return FrameEntry(
         camera_from_json(frame),
-        _inside(folder, frame["file_path"]),
+        file_inside(folder, frame["file_path"]),
         _samples(frame),
         bool(frame["held_out"]),
-        {_samples(e): _inside(folder, e["file_path"]) for e in frame["estimates"]},
-        tuple(_inside(folder, half) for half in frame["halves"]),
+        {_samples(e): file_inside(folder, e["file_path"]) for e in frame["estimates"]},
+        tuple(file_inside(folder, half) for half in frame["halves"]),
         _time(frame),
     )
-
-
-def _inside(folder: Path, name: Any) -> Path:
-    """A file by its name relative to the folder; ValueError if it would lie elsewhere, or can be none."""
-    is_name = isinstance(name, str) and name.isprintable() and len(name.encode()) <= _LONGEST_NAME
-    if not is_name or Path(name).is_absolute() or ".." in Path(name).parts:
-        raise ValueError(f"{str(name)[:80]!r} is not the name of a file in the folder")
-    return folder / name
 
 
 def _time(frame: dict[str, Any]) -> float:

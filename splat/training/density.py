@@ -2,10 +2,12 @@
 
 3D Gaussian splatting has no geometry and infers from gradients where Gaussians are missing. Here the path
 tracer knows the distance of every pixel: new Gaussians are placed on the surface, at pixels drawn with
-probability proportional to their error.
+probability proportional to their error. In frames without distances, the Gaussians that are there tell them.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -24,6 +26,8 @@ _CHANGES = 5
 _FIRST, _LAST = 0.05, 0.6  # shares of the training between which the number changes
 _MINIMUM_OPACITY = 0.02
 _SIZE = 0.6  # standard deviation of an added Gaussian in pixels
+# Views of guessed distances that get new Gaussians in a change: what they show has to be rendered first.
+_MEASURED = 16
 
 
 class DensityControl:
@@ -66,7 +70,11 @@ class DensityControl:
         return iteration % self._every == self._every - 1 and _FIRST <= share <= _LAST
 
     def change(
-        self, gaussians: Gaussians, views: list[TrainingView], rng: np.random.Generator
+        self,
+        gaussians: Gaussians,
+        views: list[TrainingView],
+        rng: np.random.Generator,
+        measured: Callable[[TrainingView], TrainingView] = lambda view: view,
     ) -> tuple[torch.Tensor, Layer]:
         """Chooses what stays and what is new.
 
@@ -74,6 +82,7 @@ class DensityControl:
             gaussians: the set as it is.
             views: those that errors were recorded for.
             rng: draws the pixels of the new ones.
+            measured: gives a view whose distances are guesses those that the set shows.
 
         Returns:
             Indices (M,) of the Gaussians that stay, and the new nodes, at rest.
@@ -87,18 +96,29 @@ class DensityControl:
         rounds = max(1, int((_LAST - _FIRST) * self.iterations / self._every))
         step = -(-(self.final_count - self.initial_count) // rounds)
         target = min(self.final_count, len(gaussians) + step)
-        return kept, self._added(target - len(kept), views, gaussians.degree, rng)
+        return kept, self._added(target - len(kept), views, gaussians.degree, rng, measured)
 
-    def _added(self, count: int, views: list[TrainingView], degree: int, rng: np.random.Generator) -> Layer:
+    def _added(
+        self,
+        count: int,
+        views: list[TrainingView],
+        degree: int,
+        rng: np.random.Generator,
+        measured: Callable[[TrainingView], TrainingView],
+    ) -> Layer:
         """New nodes, shared among the views in proportion to their mean errors."""
         seen = sorted(self._errors)
+        if any(views[v].guessed for v in seen):
+            seen = sorted(rng.choice(seen, min(_MEASURED, len(seen)), replace=False).tolist())
         # The small term makes the shares equal, rather than 0 / 0, if there is no error at all.
         weights = np.array([float(self._errors[v].mean()) for v in seen]) + 1e-9
         shares = rng.multinomial(max(0, count), weights / weights.sum()) if seen else np.zeros(0, int)
         parts = [static_layer(Gaussians.none(degree))]
         for view, share in zip(seen, shares, strict=True):
-            pixels = _draw(self._errors[view], views[view], int(share), rng)
-            parts.append(seed_at(views[view], pixels, _SIZE, degree, self._motion, self._light))
+            if share:
+                shown = measured(views[view])
+                pixels = _draw(self._errors[view], shown, int(share), rng)
+                parts.append(seed_at(shown, pixels, _SIZE, degree, self._motion, self._light))
         return concatenated_layers(parts)
 
     def state(self) -> dict[str, torch.Tensor]:

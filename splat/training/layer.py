@@ -10,11 +10,13 @@ import torch
 
 from compose.base.arrays import Arrays
 from splat.model.dynamics import Dynamics
+from splat.model.gaussians import Gaussians
 from splat.model.layer import LABELS, NO_PARENT, Layer, concatenated_layers
 from splat.model.surface_light import SurfaceLight
 from splat.raster.differentiable import render_differentiable
 from splat.raster.projection import PIXEL_FILTER
 from splat.training.density import DensityControl
+from splat.training.depths import measured
 from splat.training.loss import Target
 from splat.training.node_light import NodeLight
 from splat.training.optimizer import GaussianOptimizer
@@ -110,10 +112,8 @@ class LayerTraining:
         """
         index = self._view_of(self.done)
         camera, time = self.views[index].camera, self.views[index].time
-        semantic, gaussians = self._tree.semantic, self._optimizer.gaussians
-        with torch.no_grad():
-            moved = gaussians if self._motion is None else self._motion.shown(gaussians, semantic, time)
-        shown = visible(self._arrays, moved, camera)
+        semantic = self._tree.semantic
+        shown = visible(self._arrays, self._shown(time), camera)
         rest = chosen = self._optimizer.chosen(shown)
         if self._motion is not None:
             chosen = self._motion.shown(rest, semantic[shown], time)
@@ -140,12 +140,24 @@ class LayerTraining:
         """Removes and adds nodes; returns the index (N,) that each former node has now, -1 if removed."""
         before = self.layer
         rng = np.random.default_rng([*self._seed, 1, self.done])
-        kept, added = self._density.change(before.gaussians, self.views, rng)
+        kept, added = self._density.change(before.gaussians, self.views, rng, self._measured)
         self._tree = concatenated_layers([before.select(kept), added])
         self._optimizer.replace(self._tree.gaussians, kept)
         now = torch.full((len(before),), NO_PARENT, dtype=torch.int32)
         now[kept] = torch.arange(len(kept), dtype=torch.int32)
         return now
+
+    def _measured(self, view: TrainingView) -> TrainingView:
+        """The view, with the distances that the nodes show now if nobody knows them."""
+        return measured(self._arrays, self._shown(view.time), view) if view.guessed else view
+
+    def _shown(self, time: float) -> Gaussians:
+        """The nodes' Gaussians as they are at a time, without gradients."""
+        gaussians = self._optimizer.gaussians
+        if self._motion is None:
+            return gaussians
+        with torch.no_grad():
+            return self._motion.shown(gaussians, self._tree.semantic, time)
 
     def _view_of(self, step: int) -> int:
         """The view of a step: in the first round each one once, later in proportion to their errors."""

@@ -30,6 +30,7 @@ class TrainingView:
         sky: distance of pixels that show the sky, and no surface; inf for a view of the world.
         time: that the view shows, from 0 to 1.
         instance: (H, W) int32, which instance that moves a pixel shows, -1 for none; None if nothing moves.
+        guessed: whether distances are guesses (splat.training.guesses), which training replaces by its own.
     """
 
     camera: Camera
@@ -39,6 +40,7 @@ class TrainingView:
     sky: float = np.inf
     time: float = 0.0
     instance: NDArray[np.int32] | None = None
+    guessed: bool = False
 
     @property
     def is_finite(self) -> bool:

@@ -23,6 +23,8 @@ from hybrid.store.journal import Journal
 from pathtrace.dataset.exr import CapturedFrame, read_frame, write_frame
 from pathtrace.dataset.frames import FORMAT_VERSION, read_frame_set
 from pathtrace.gltf.importing import import_gltf
+from pathtrace.posed.pixels import read_pixels
+from pathtrace.posed.reading import read_posed_folder
 from pathtrace.region.path_file import read_path
 from pathtrace.scene.description import read_description
 from splat.io.forest_file import load_forest, save_forest
@@ -31,7 +33,7 @@ from splat.io.tensors import load_tensors, save_tensors
 from splat.model.building import build_forest
 from splat.model.forest import forest_of
 from splat.model.layer import static_layer
-from tests import small
+from tests import posed, small
 from tests.pathtrace.gltf.building import QUAD, QUAD_FACES, Building, bending_tube
 from tests.splat.samples import camera, gaussians
 
@@ -83,6 +85,12 @@ def _frame_set(path: Path) -> None:
         "close_ups": [],
     }
     path.write_text(json.dumps(document))
+
+
+def _all_pixels(path: Path) -> None:
+    """Reads the folder of posed images that a file describes, with all pixels."""
+    for image in read_posed_folder(path.parent).images:
+        read_pixels(image)
 
 
 def _journal(path: Path) -> None:
@@ -163,6 +171,16 @@ READERS = {
     "journal": Reader("journal.json", _journal, lambda p: Journal(p, IDENTITY)),
     "glTF": Reader("a.gltf", _gltf, _import),
     "GLB": Reader("a.glb", _gltf, _import),
+    **{
+        f"frames of others, {name}": Reader(name, make, _all_pixels)
+        for name, make in (
+            ("transforms_train.json", lambda p: posed.write_synthetic(p.parent, 2, 0)),
+            ("dataset.json", lambda p: posed.write_nerfies(p.parent, 2, 1)),
+            ("metadata.json", lambda p: posed.write_nerfies(p.parent, 2, 1)),
+            ("scene.json", lambda p: posed.write_nerfies(p.parent, 2, 1)),
+            ("points.npy", lambda p: posed.write_nerfies(p.parent, 2, 1)),
+        )
+    },
     "scene": Reader("scene.xml", lambda p: p.write_text(_SCENE), read_description),
 }
 

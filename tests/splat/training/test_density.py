@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -133,3 +135,21 @@ def test_the_latest_error_counts_and_is_restored():
     for name, tensor in again.state().items():
         assert torch.equal(tensor, state[name])
     assert state["error.1"].sum() == 0
+
+
+def test_new_ones_go_where_the_set_shows_a_surface_if_distances_are_guesses():
+    """Of 40 views, 16 get new Gaussians, at the distances that they are measured to have."""
+    views = [replace(wall(x), guessed=True) for x in np.linspace(-0.5, 0.5, 40)]
+    density = DensityControl(1000, 10, 10_000)
+    for number in range(len(views)):
+        density.observe(number, torch.ones(SIZE, SIZE))
+    seen = []
+
+    def measured(view):
+        seen.append(view.camera)
+        return replace(view, distance=view.distance * np.float32(0.5))
+
+    _, added = density.change(seeds(10), views, np.random.default_rng(0), measured)
+    assert len({camera.key for camera in seen}) == len(seen) == 16
+    # Half-way from the cameras at z = -3 to the wall at z = 0.
+    assert torch.allclose(added.gaussians.means[2], torch.tensor(-1.5), atol=1e-5)

@@ -1,0 +1,1 @@
+"""Folders of other people's images with known cameras and times, but without a scene."""
