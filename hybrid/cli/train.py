@@ -20,7 +20,7 @@ from hybrid.cli.options import (
     write_json,
 )
 from hybrid.runtime.progress import progress_bar
-from splat.model.motion_model import MotionModel
+from splat.model.motion_model import Labels, MotionModel
 
 _MOST_ITERATIONS = 10_000_000
 
@@ -43,6 +43,14 @@ def train(
             "of D-GS (everything, or only what the frames show to move) or of 4DGS."
         ),
     ] = MotionModel.KNOWN,
+    labels: Annotated[
+        Labels | None,
+        typer.Option(
+            help="What tells which pixels move, for d-gs-dynamic: exact masks of the frames, or flow, which "
+            "is told by frames of other times. Default: masks where frames have them.",
+            show_default=False,
+        ),
+    ] = None,
     seed: Seed = 0,
     backend: Backend = "auto",
     json_file: Json = None,
@@ -60,7 +68,7 @@ def train(
     from splat.training.trainer import TrainingSettings
 
     with user_errors():
-        settings = TrainingSettings(iterations, gaussians, layers, degree, seed, motion)
+        settings = TrainingSettings(iterations, gaussians, layers, degree, seed, motion, labels)
     found = read_frame_set(frames)
     check_writable(forest)
     start = time.perf_counter()
