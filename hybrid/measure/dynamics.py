@@ -97,9 +97,9 @@ def nodes_that_move(
     """Which nodes lie on what moves, by the scene's surfaces and no image.
 
     A node moves if it goes with what moves: as it is shown, its centre is nearer to a surface of that than to
-    one that stands still, by the medians over the times. It counts as moving as well if it belongs to what moves
-    although it stands still: it is farther from all that stands still than it is large (its longest standard
-    deviation), and at one of the times a surface of what moves is nearer.
+    one that stands still, by the medians over the times. It counts as moving as well if it belongs to what
+    moves although it stands still: it is farther from all that stands still than it is large (its longest
+    standard deviation), and at one of the times a surface of what moves is nearer.
 
     Args:
         scene: which moves; in the end it is at the last time.

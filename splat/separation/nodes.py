@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
@@ -21,6 +22,8 @@ from splat.separation.contribution import contributions
 _DYNAMIC = 0.5
 # Pixels that a node must contribute in all for its labels to be changed.
 _LEAST_PIXELS = 0.5
+# Part of the distance, beside its own size, by which a node may be off the surface that a view shows there.
+_OFF = 0.01
 
 
 class LabelledView(Protocol):
@@ -29,6 +32,10 @@ class LabelledView(Protocol):
     @property
     def camera(self) -> Camera:
         """The view."""
+
+    @property
+    def distance(self) -> NDArray[np.float32]:
+        """(H, W) along the ray to what is seen; inf where nothing is."""
 
     @property
     def time(self) -> float:
@@ -67,6 +74,9 @@ def evidence_of(
 ) -> Evidence:
     """What nodes contribute to labelled pixels of views, each shown at the time of the view.
 
+    A view tells of those nodes only that are where it sees a surface: one that something has left behind, or
+    that does not follow it yet, is drawn in front of what stands still, but is no part of that.
+
     Args:
         arrays: the backend's array types.
         layer: N nodes, at rest.
@@ -84,12 +94,28 @@ def evidence_of(
             shown = motion.shown(layer.gaussians, layer.semantic, view.time)
         weights = (view.instance[..., None] == present).astype(np.float32)
         found = contributions(arrays, shown, view.camera, weights)
+        found[~_on_surface(shown, view)] = 0
         moves = torch.from_numpy(present != BACKGROUND)
         sides = torch.stack([found[:, ~moves].sum(dim=1), found[:, moves].sum(dim=1)], dim=1)
         times = torch.where(sides > most, view.time, times)
         most = torch.maximum(most, sides)
         sums[:, torch.from_numpy(present.astype(np.int64)) + 1] += found
     return Evidence(sums, times)
+
+
+def _on_surface(shown: Gaussians, view: LabelledView) -> torch.Tensor:
+    """(N,) whether Gaussians are where a view sees a surface, within their size."""
+    means = shown.means.detach().T.double().numpy()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        position, depth = view.camera.project(means)
+    height, width = view.distance.shape
+    inside = (depth > 0) & (position >= 0).all(axis=1) & (position < [width, height]).all(axis=1)
+    column, row = np.where(inside[:, None], position, 0).astype(np.int64).T
+    nearest, farthest = (sought(view.distance, 3)[row, column] for sought in (minimum_filter, maximum_filter))
+    distance = np.linalg.norm(means - view.camera.position, axis=1)
+    size = shown.log_scales.detach().max(dim=0).values.exp().numpy()
+    off = size + _OFF * distance
+    return torch.from_numpy(inside & (distance > nearest - off) & (distance < farthest + off))
 
 
 def separated(layer: Layer, evidence: Evidence, motion: Dynamics) -> Layer:

@@ -32,6 +32,7 @@ class View:
     camera: Camera
     time: float
     instance: np.ndarray
+    distance: np.ndarray
 
 
 def row_of_nodes(xs: list[float], z: float) -> Gaussians:
@@ -48,7 +49,9 @@ def view(time: float) -> View:
     x = np.arange(SIZE) + 0.5
     place = (x - SIZE / 2) / 40 * 2
     labels[:, (place > -0.75 + WAY * time) & (place < -0.25 + WAY * time)] = 0
-    return View(CAMERA, time, labels)
+    depth = np.where(labels == BACKGROUND, 3.0, 2.0).reshape(-1)
+    cosine = CAMERA.rays(CAMERA.pixel_centres())[:, 2]
+    return View(CAMERA, time, labels, (depth / cosine).reshape(SIZE, SIZE).astype(np.float32))
 
 
 STILL = np.linspace(-1.2, 1.2, 25).round(3).tolist()
@@ -60,7 +63,7 @@ def test_labels_follow_what_nodes_contribute_to(arrays):
     """A mover's nodes that were taken for still, and one of the background that was taken for moving."""
     wall, card = static_layer(row_of_nodes(STILL, 0.0)), static_layer(row_of_nodes(MOVING, -1.0))
     wrong = torch.zeros(len(STILL), dtype=torch.bool)
-    wrong[-1] = True
+    wrong[-4] = True
     wall = replace(wall, semantic=torch.where(wrong, 0, BACKGROUND).int(), dynamic=wrong)
     moving = torch.tensor([0, 0, BACKGROUND], dtype=torch.int32)
     card = replace(card, semantic=moving, dynamic=moving >= 0)
@@ -95,3 +98,13 @@ def test_nodes_that_nobody_sees_keep_their_labels(arrays):
     assert found.dynamic.all()
     none = static_layer(Gaussians.none(0))
     assert len(separated(none, evidence_of(arrays, none, VIEWS, MOTION, 1), MOTION)) == 0
+
+
+def test_what_something_has_left_behind_is_no_part_of_what_stands_still(arrays):
+    """A still node on the way of the card: most views show it in front of the wall, one on the card."""
+    smear, wall = static_layer(row_of_nodes(MOVING, -1.0)), static_layer(row_of_nodes(STILL, 0.0))
+    layer = concatenated_layers([smear, wall])
+    views = [view(0.0), *[view(1.0)] * 5]
+    found = separated(layer, evidence_of(arrays, layer, views, MOTION, 1), MOTION)
+    assert found.dynamic[: len(smear)].all()
+    assert found.dynamic[len(smear) :].float().mean() < 0.2
