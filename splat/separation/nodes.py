@@ -23,7 +23,7 @@ _DYNAMIC = 0.5
 # Pixels that a node must contribute in all for its labels to be changed.
 _LEAST_PIXELS = 0.5
 # Part of the distance, beside its own size, by which a node may be off the surface that a view shows there.
-_OFF = 0.01
+_OFF = 0.003
 
 
 class LabelledView(Protocol):

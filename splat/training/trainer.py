@@ -40,6 +40,8 @@ _ALONE_AGAIN = 0.6
 _FINEST = 0.6
 # Share of the steps after which density control is finished in all layers and the trees stay as they are.
 _SETTLED = 0.8
+# Views at most that tell in the end which nodes move.
+_LAST_SEPARATION = 64
 # Prefix of a field's tensors in checkpoints.
 _FIELD = "field."
 
@@ -183,6 +185,11 @@ class Trainer:
         index = int(self._schedule[self.iteration])
         if index < len(self._layers) - 1 and not self._layers[index].begun:
             self._build()
+        if self.iteration == self._settling:
+            # For the last time, and therefore from many views.
+            for training in self._layers:
+                if training.begun:
+                    training.separate(_LAST_SEPARATION)
         if self.iteration == self._settling and self._layers[0].begun:
             settled = settle([training.layer for training in self._layers])
             for training, layer in zip(self._layers, settled, strict=True):
