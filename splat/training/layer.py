@@ -70,8 +70,8 @@ class LayerTraining:
         self._pixel = pixel_footprint(views)
         labels = [view.instance for view in views if view.instance is not None]
         self._instances = 1 + max((int(label.max()) for label in labels), default=-1)
-        # Where all that is seen moves, or nothing, there is nothing to tell. Where courses are known, labels are
-        # exact: nodes at edges that got others cost up to 0.8 dB.
+        # Where all that is seen moves, or nothing, there is nothing to tell. Where courses are known, labels
+        # are exact: nodes at edges that got others cost up to 0.8 dB.
         partly = any(bool((label < 0).any()) for label in labels)
         self._separates = isinstance(motion, LearnedMotion) and self._instances > 0 and partly
 
