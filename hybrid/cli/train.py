@@ -20,7 +20,7 @@ from hybrid.cli.options import (
     write_json,
 )
 from hybrid.runtime.progress import progress_bar
-from splat.model.motion_model import MotionModel
+from splat.model.motion_model import Labels, MotionModel
 
 if TYPE_CHECKING:
     from pathtrace.posed.folder import PosedFolder
@@ -47,6 +47,14 @@ def train(
             "frames of others that show several times, 4dgs."
         ),
     ] = None,
+    labels: Annotated[
+        Labels | None,
+        typer.Option(
+            help="What tells which pixels move, for d-gs-dynamic: exact masks of the frames, or flow, which "
+            "is told by frames of other times. Default: masks where frames have them.",
+            show_default=False,
+        ),
+    ] = None,
     seed: Seed = 0,
     backend: Backend = "auto",
     json_file: Json = None,
@@ -71,7 +79,8 @@ def train(
     with user_errors():
         settings = TrainingSettings(iterations, gaussians, layers, degree, seed)
     found = read_frames(frames)
-    settings = replace(settings, motion=motion_for(found, motion))
+    with user_errors():
+        settings = replace(settings, motion=motion_for(found, motion, labels), labels=labels)
     check_writable(forest)
     if isinstance(found, PosedFolder):
         _print_folder(found, settings.motion)

@@ -14,7 +14,8 @@ import torch
 from numpy.typing import NDArray
 
 from hybrid.runtime.progress import Bars
-from hybrid.training.forest import motion_of, training_view
+from hybrid.training.forest import motion_of
+from hybrid.training.views import training_view
 from pathtrace.cache.cache import IrradianceCache
 from pathtrace.cache.cells import Points
 from pathtrace.dataset.frames import FrameSet

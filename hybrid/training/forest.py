@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,9 +17,9 @@ from hybrid.runtime.interrupts import interrupts_between_steps
 from hybrid.runtime.progress import console, no_progress
 from hybrid.training.checkpoint import checkpoint_path, restore_checkpoint, save_checkpoint
 from hybrid.training.fusion import fusion_steps, with_fusion
-from hybrid.training.posed import Frames, motion_for, posed_views
-from pathtrace.dataset.exr import read_frame
-from pathtrace.dataset.frames import FrameEntry, FrameSet
+from hybrid.training.posed import Frames, motion_for
+from hybrid.training.views import labelled_views, pieces_of
+from pathtrace.dataset.frames import FrameSet
 from pathtrace.motion.course import Course
 from splat.io.forest_file import save_forest
 from splat.model.check import check_forest
@@ -28,9 +27,8 @@ from splat.model.forest import Forest, forest_of
 from splat.model.motion import Motion
 from splat.model.motion_model import MotionModel
 from splat.model.surface_light import SurfaceLight
-from splat.training.sky import shows_sky
 from splat.training.trainer import Trainer, TrainingSettings, most_layers
-from splat.training.views import TrainingView, finest_focal
+from splat.training.views import finest_focal
 
 _CHECKPOINT_SECONDS = 30.0
 
@@ -58,30 +56,6 @@ def say_left_out(left_out: LeftOut) -> None:
         )
 
 
-def training_view(entry: FrameEntry, courses: Sequence[Course] = ()) -> TrainingView:
-    """A captured frame as a training view; `courses` are those of its frame set."""
-    frame = read_frame(entry.file, entry.size)
-    camera = entry.camera
-    cosine = (camera.rays(camera.pixel_centres()) @ camera.camera_to_world[:3, 2]).reshape(frame.depth.shape)
-    # The normal seen in a mirror is that of the mirror, not of the surface that appears behind it.
-    # A mirror that shows nothing is black itself; the sky in it is as far away as that above it.
-    empty = np.isinf(frame.unfolded) & ~shows_sky(frame.radiance, frame.unfolded)
-    distance = np.where(empty, frame.depth / cosine, frame.unfolded).astype(np.float32)
-    reflected = distance * cosine > frame.depth * 1.001
-    normal = np.where(reflected[..., None], 0, frame.normal).astype(np.float32)
-    instance = None
-    if courses:
-        instance = np.full(frame.shape.shape, -1, dtype=np.int32)
-        for number, shape in enumerate(_pieces_of(courses)):
-            instance[frame.shape == shape] = number
-    return TrainingView(camera, frame.radiance, distance, normal, time=entry.time, instance=instance)
-
-
-def _pieces_of(courses: Sequence[Course]) -> dict[int, int]:
-    """Number of courses of each shape that has any, by its index, in their order."""
-    return dict(Counter(course.shape for course in courses))
-
-
 def motion_of(courses: Sequence[Course]) -> Motion | None:
     """The motion of the instances that have courses; None if nothing moves."""
     if not courses:
@@ -90,7 +64,7 @@ def motion_of(courses: Sequence[Course]) -> Motion | None:
         np.stack([getattr(course, name) for course in courses], axis=1) for name in ("rotations", "shifts")
     )
     centres = np.stack([course.centre for course in courses])
-    pieces = np.array(list(_pieces_of(courses).values()), dtype=np.int64)
+    pieces = np.array(list(pieces_of(courses).values()), dtype=np.int64)
     return Motion(*(torch.from_numpy(part) for part in (rotations, centres, shifts, pieces)))
 
 
@@ -121,7 +95,8 @@ def train(
     """
     settings = settings or TrainingSettings(motion=motion_for(frames, None))
     _require_enough(frames, settings)
-    views, courses = _views_of(frames)
+    views = labelled_views(frames, settings)
+    courses = frames.courses if isinstance(frames, FrameSet) else ()
     try:
         known = motion_of(courses) if settings.motion is MotionModel.KNOWN else None
         trainer = Trainer(device_arrays(), views, settings, start, known, light)
@@ -153,18 +128,11 @@ def train(
     return forest
 
 
-def _views_of(frames: Frames) -> tuple[list[TrainingView], Sequence[Course]]:
-    """The training views, and the courses that are known of what they show."""
-    if not isinstance(frames, FrameSet):
-        return posed_views(frames), ()
-    return [training_view(entry, frames.courses) for entry in frames.training], frames.courses
-
-
 def _require_enough(frames: Frames, settings: TrainingSettings) -> None:
     """Checks that there are frames that can be trained on as asked, and large enough for all layers."""
     if not frames.training:
         raise UserError(f"{frames.folder}: holds no frames to train on")
-    motion_for(frames, settings.motion)
+    motion_for(frames, settings.motion, settings.labels)
     if settings.motion.field is not None and len({entry.time for entry in frames.training}) == 1:
         raise UserError(
             f"{frames.folder}: all frames show the same time; a motion ({settings.motion.value}) can only be "

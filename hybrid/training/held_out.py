@@ -8,8 +8,8 @@ import numpy as np
 
 from hybrid.measure.metrics.similarity import quality
 from hybrid.runtime.device import device_arrays
-from hybrid.training.forest import training_view
 from hybrid.training.posed import Frames, posed_view
+from hybrid.training.views import training_view
 from pathtrace.dataset.frames import FrameSet
 from splat.lod.renderer import ForestRenderer
 from splat.model.forest import Forest

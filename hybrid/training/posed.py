@@ -11,7 +11,7 @@ from pathtrace.dataset.frames import FrameSet, read_frame_set
 from pathtrace.posed.folder import PosedFolder, PosedImage
 from pathtrace.posed.pixels import read_pixels
 from pathtrace.posed.reading import is_posed_folder, read_posed_folder
-from splat.model.motion_model import MotionModel
+from splat.model.motion_model import Labels, MotionModel
 from splat.training.guesses import with_guesses
 from splat.training.views import TrainingView
 
@@ -55,7 +55,7 @@ def posed_views(folder: PosedFolder) -> list[TrainingView]:
     return with_guesses(views, folder.points, folder.bounds)
 
 
-def motion_for(frames: Frames, asked: MotionModel | None) -> MotionModel:
+def motion_for(frames: Frames, asked: MotionModel | None, labels: Labels | None = None) -> MotionModel:
     """The model of motion for frames: what was asked for, else what they allow.
 
     Raises:
@@ -69,7 +69,7 @@ def motion_for(frames: Frames, asked: MotionModel | None) -> MotionModel:
             f"--motion {asked.value}: {frames.folder} does not say how anything moves; learn it by one of "
             f"{', '.join(learned)}"
         )
-    if asked is MotionModel.D_GS_OF_DYNAMIC and any(image.labels is None for image in frames.training):
-        raise UserError(f"--motion {asked.value}: {frames.folder} has no label images that show what moves")
+    if labels is Labels.MASKS and any(image.labels is None for image in frames.training):
+        raise UserError(f"--labels {labels.value}: {frames.folder} has no label images that show what moves")
     # Of both fields, the one that is better and faster in as many steps (docs/measured/moving.md).
     return asked or (MotionModel.HEX_PLANE if frames.moves else MotionModel.KNOWN)

@@ -13,10 +13,12 @@ from splat.model.gaussians import Gaussians
 from splat.model.motion_model import FieldKind
 
 Field = DeformationNetwork | HexPlane
+# Of instances, whose labels are 32-bit integers.
+_ANY_NUMBER = 2**31 - 1
 
 
 class LearnedMotion:
-    """Deforms all nodes that belong to an instance, of which there is one.
+    """Deforms all nodes that belong to an instance, of which there may be any number.
 
     Args:
         kind: of the field.
@@ -80,7 +82,7 @@ class LearnedMotion:
         return {f"{self.kind.value}.{name}": tensor.detach() for name, tensor in state.items()}
 
     def __len__(self) -> int:
-        return 1
+        return _ANY_NUMBER
 
 
 def _field(kind: FieldKind, low: torch.Tensor, high: torch.Tensor) -> Field:

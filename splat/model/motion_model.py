@@ -12,6 +12,15 @@ class FieldKind(str, Enum):
     HEX_PLANE = "4dgs"
 
 
+class Labels(str, Enum):
+    """What tells which pixels show something that moves, by their names in commands."""
+
+    # Exact masks of instances, which captured frames have.
+    MASKS = "masks"
+    # Frames of other times.
+    FLOW = "flow"
+
+
 class MotionModel(str, Enum):
     """Models of motion, by their names in commands."""
 

@@ -9,12 +9,14 @@ import numpy as np
 import torch
 
 from compose.base.arrays import Arrays
+from splat.deformation.learned import LearnedMotion
 from splat.model.dynamics import Dynamics
 from splat.model.gaussians import Gaussians
 from splat.model.layer import LABELS, NO_PARENT, Layer, concatenated_layers
 from splat.model.surface_light import SurfaceLight
 from splat.raster.differentiable import render_differentiable
 from splat.raster.projection import PIXEL_FILTER
+from splat.separation.nodes import evidence_of, separated
 from splat.training.density import DensityControl
 from splat.training.depths import measured
 from splat.training.loss import Target
@@ -29,6 +31,9 @@ from splat.training.visible import visible
 _LIMITED_EVERY = 25
 # And from one look at which points of surfaces nodes have their light from.
 _LIT_EVERY = 100
+# How often in a training nodes are told anew which of them move; views from which, at most, and as a share of
+# the steps since the last time: each takes about as long as a step.
+_SEPARATIONS, _SEPARATING_VIEWS, _SEPARATING_SHARE = 8, 32, 0.2
 
 
 class LayerTraining:
@@ -72,6 +77,12 @@ class LayerTraining:
         self._arrays, self._steps, self._seed = arrays, steps, seed
         self._targets = [Target(arrays, torch.from_numpy(v.radiance)) for v in views]
         self._pixel = pixel_footprint(views)
+        labels = [view.instance for view in views if view.instance is not None]
+        self._instances = 1 + max((int(label.max()) for label in labels), default=-1)
+        # Where all that is seen moves, or nothing, there is nothing to tell. Where courses are known, labels
+        # are exact: nodes at edges that got others cost up to 0.8 dB.
+        partly = any(bool((label < 0).any()) for label in labels)
+        self._separates = isinstance(motion, LearnedMotion) and self._instances > 0 and partly
 
     def begin(self, layer: Layer, final_count: int) -> None:
         """Starts from the given nodes; density control brings their number to the final one."""
@@ -130,11 +141,25 @@ class LayerTraining:
             means = self._optimizer.gaussians.means
             self._optimizer.limit_scales(largest_log_scales(means, self.views))
         due = grows and self._density.is_due(self.done)
+        every = max(1, self._steps // _SEPARATIONS)
+        if grows and self.done % every == every - 1:
+            self.separate(min(_SEPARATING_VIEWS, int(np.ceil(_SEPARATING_SHARE * every))))
         self.done += 1
         now = self._change_density() if due else None
         if due or self.done % _LIT_EVERY == 0:
             self._follow_light()
         return now
+
+    def separate(self, count: int) -> None:
+        """Tells anew which nodes move, from at most a number of views (Fov-GS, section 3.3)."""
+        if not self._separates or self._motion is None:
+            return
+        count = min(len(self.views), count)
+        chosen = np.random.default_rng([*self._seed, 3, self.done]).choice(len(self.views), count, False)
+        views = [self.views[index] for index in sorted(chosen)]
+        evidence = evidence_of(self._arrays, self.layer, views, self._motion, self._instances)
+        self._tree = separated(self.layer, evidence, self._motion)
+        self._optimizer.replace(self._tree.gaussians, torch.arange(len(self._tree)))
 
     def _change_density(self) -> torch.Tensor:
         """Removes and adds nodes; returns the index (N,) that each former node has now, -1 if removed."""

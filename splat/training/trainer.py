@@ -22,7 +22,7 @@ from splat.model.dynamics import Dynamics
 from splat.model.forest import Forest
 from splat.model.layer import NO_PARENT, Layer, without_parents
 from splat.model.motion import Motion
-from splat.model.motion_model import MotionModel
+from splat.model.motion_model import Labels, MotionModel
 from splat.model.settling import settle
 from splat.model.surface_light import SurfaceLight
 from splat.training.density import INITIAL_SHARE
@@ -42,6 +42,8 @@ _ALONE_AGAIN = 0.6
 _FINEST = 0.6
 # Share of the steps after which density control is finished in all layers and the trees stay as they are.
 _SETTLED = 0.8
+# Views at most that tell in the end which nodes move.
+_LAST_SEPARATION = 64
 # Prefix of a field's tensors in checkpoints.
 _FIELD = "field."
 
@@ -57,6 +59,7 @@ class TrainingSettings:
         degree: of the spherical harmonics, 0 to 3.
         seed: the same seed gives the same forest; from 0 to compose.base.seeds.MOST_SEED.
         motion: how what moves is modelled.
+        labels: what tells which pixels move; None to take masks where frames have them.
 
     Raises:
         UserError: the seed is out of range.
@@ -69,6 +72,7 @@ class TrainingSettings:
     degree: int = 2
     seed: int = 0
     motion: MotionModel = MotionModel.KNOWN
+    labels: Labels | None = None
 
     def __post_init__(self) -> None:
         if self.iterations <= 0 or self.gaussians <= 0:
@@ -77,6 +81,11 @@ class TrainingSettings:
             raise ValueError(f"layers is {self.layers}; a forest must have at least 1")
         if not 0 <= self.degree <= 3:
             raise ValueError(f"degree is {self.degree}; must be 0, 1, 2 or 3")
+        if self.labels is Labels.FLOW and self.motion is not MotionModel.D_GS_OF_DYNAMIC:
+            raise ValueError(
+                f"labels {self.labels.value} with motion {self.motion.value}: must be with motion "
+                f"{MotionModel.D_GS_OF_DYNAMIC.value}; others need no labels, or masks"
+            )
         require_seed(self.seed)
 
 
@@ -184,6 +193,11 @@ class Trainer:
         index = int(self._schedule[self.iteration])
         if index < len(self._layers) - 1 and not self._layers[index].begun:
             self._build()
+        if self.iteration == self._settling:
+            # For the last time, and therefore from many views.
+            for training in self._layers:
+                if training.begun:
+                    training.separate(_LAST_SEPARATION)
         if self.iteration == self._settling and self._layers[0].begun:
             settled = settle([training.layer for training in self._layers])
             for training, layer in zip(self._layers, settled, strict=True):
@@ -245,7 +259,7 @@ def _labelled(view: TrainingView, motion: MotionModel) -> TrainingView:
         return view
     if motion is not MotionModel.D_GS_OF_DYNAMIC or view.instance is None:
         return replace(view, instance=np.zeros(view.distance.shape, dtype=np.int32))
-    return replace(view, instance=np.minimum(view.instance, 0))
+    return view
 
 
 def _box(views: list[TrainingView]) -> tuple[torch.Tensor, torch.Tensor]:

@@ -18,6 +18,7 @@ from hybrid.cli.benches.periphery import periphery
 from hybrid.cli.benches.raster import raster
 from hybrid.cli.benches.relighting import relighting
 from hybrid.cli.benches.seam import seam
+from hybrid.cli.benches.separation import separation
 from hybrid.cli.benches.still import still
 
 bench_app = typer.Typer(no_args_is_help=True, help="Measure one part alone.")
@@ -34,6 +35,7 @@ for command in (
     motion,
     moving,
     seam,
+    separation,
     still,
     endurance,
 ):

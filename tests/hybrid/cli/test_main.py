@@ -26,6 +26,7 @@ from hybrid.cli.benches.periphery import periphery
 from hybrid.cli.benches.raster import raster
 from hybrid.cli.benches.relighting import relighting
 from hybrid.cli.benches.seam import seam
+from hybrid.cli.benches.separation import separation
 from hybrid.cli.benches.still import still
 from hybrid.cli.capture import capture
 from hybrid.cli.demo import demo
@@ -69,6 +70,7 @@ BENCHES = {
     "motion": motion,
     "moving": moving,
     "seam": seam,
+    "separation": separation,
     "still": still,
     "endurance": endurance,
     "held-out": held_out,

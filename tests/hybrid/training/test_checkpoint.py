@@ -10,7 +10,7 @@ import torch
 
 from compose.base.errors import UserError
 from hybrid.training.checkpoint import checkpoint_path, restore_checkpoint, save_checkpoint
-from hybrid.training.forest import training_view
+from hybrid.training.views import training_view
 from splat.io.tensors import load_tensors, save_tensors
 from splat.training.trainer import Trainer
 from tests.extremes import extreme

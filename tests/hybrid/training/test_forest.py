@@ -13,7 +13,8 @@ import torch
 from compose.base.errors import UserError
 from hybrid.training import forest as module
 from hybrid.training.checkpoint import checkpoint_path
-from hybrid.training.forest import train, training_view
+from hybrid.training.forest import train
+from hybrid.training.views import training_view
 from pathtrace.dataset.capture import capture
 from pathtrace.dataset.exr import read_frame
 from pathtrace.dataset.settings import CaptureSettings

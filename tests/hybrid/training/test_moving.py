@@ -15,8 +15,9 @@ from hybrid.frame.renderer import Renderer
 from hybrid.frame.settings import FrameSettings
 from hybrid.runtime.device import device_arrays
 from hybrid.training import fusion
-from hybrid.training.forest import motion_of, train, training_view
+from hybrid.training.forest import motion_of, train
 from hybrid.training.held_out import held_out_quality
+from hybrid.training.views import training_view
 from pathtrace.dataset.capture import capture
 from pathtrace.dataset.exr import read_frame
 from pathtrace.dataset.frames import FrameSet, read_frame_set

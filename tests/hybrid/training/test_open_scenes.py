@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hybrid.training import forest as module
-from hybrid.training.forest import training_view
+from hybrid.training import views as module
+from hybrid.training.views import training_view
 from pathtrace.dataset.rendering import render_frame
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.tracer import Tracer

@@ -15,11 +15,12 @@ from hybrid.training.checkpoint import checkpoint_path
 from hybrid.training.forest import train
 from hybrid.training.held_out import held_out_quality
 from hybrid.training.posed import motion_for, posed_views, read_frames
+from hybrid.training.views import labelled_views
 from pathtrace.dataset.frames import FrameSet
 from pathtrace.posed.pixels import read_pixels
 from splat.deformation.learned import LearnedMotion
 from splat.io.forest_file import load_forest
-from splat.model.motion_model import MotionModel
+from splat.model.motion_model import Labels, MotionModel
 from splat.training.trainer import TrainingSettings
 from tests import posed
 from tests.hybrid.training.conftest import ignore
@@ -104,11 +105,23 @@ def test_an_interrupted_training_ends_as_one_that_was_not(folders, tmp_path):
 def test_a_motion_that_frames_do_not_know_is_refused(folders, tmp_path):
     with pytest.raises(UserError, match=r"motion known: .* does not say how anything moves"):
         train(read_frames(folders["d-nerf"]), tmp_path / "f", SETTINGS)
-    with pytest.raises(UserError, match=r"motion d-gs-dynamic: .* has no label images"):
-        motion_for(read_frames(folders["nerfies"]), MotionModel.D_GS_OF_DYNAMIC)
+    with pytest.raises(UserError, match=r"labels masks: .* has no label images"):
+        motion_for(read_frames(folders["nerfies"]), MotionModel.D_GS_OF_DYNAMIC, Labels.MASKS)
     with pytest.raises(UserError, match="all frames show the same time"):
         train(read_frames(folders["still"]), tmp_path / "f", replace(SETTINGS, motion=MotionModel.D_GS))
     assert not (tmp_path / "f").exists()
+
+
+def test_without_label_images_flow_tells_what_moves(folders):
+    settings = replace(SETTINGS, motion=MotionModel.D_GS_OF_DYNAMIC)
+    for name, labelled in (("nerfies", False), ("nerf-ds", True)):
+        frames = read_frames(folders[name])
+        assert all((image.labels is not None) == labelled for image in frames.training)
+        views = labelled_views(frames, settings)
+        assert all(view.instance is not None for view in views)
+        flow = labelled_views(frames, replace(settings, labels=Labels.FLOW))
+        same = all(np.array_equal(a.instance, b.instance) for a, b in zip(views, flow, strict=True))
+        assert same != labelled
 
 
 def test_a_frame_set_is_read_as_one(frames, tmp_path):

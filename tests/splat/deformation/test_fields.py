@@ -176,7 +176,7 @@ def test_a_field_comes_back_from_its_tensors(kind):
     a, b = (m.shown(g, none, 0.5) for m in (motion, back))
     for name in ("means", "rotations", "log_scales"):
         torch.testing.assert_close(getattr(a, name), getattr(b, name), rtol=0, atol=0)
-    assert (back.kind, len(back)) == (kind, 1)
+    assert (back.kind, len(back)) == (kind, len(motion))
 
 
 def test_a_single_gaussian_can_be_deformed():

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from splat.model.motion import Motion, posed
+from splat.model.motion_model import MotionModel
 from splat.raster.differentiable import render_differentiable
 from splat.training.trainer import Trainer, TrainingSettings
 from splat.training.views import TrainingView
@@ -102,3 +103,32 @@ def test_a_motion_without_instances_changes_nothing(arrays):
         trainer.run()
         found.append(trainer.forest()[-1].gaussians.means)
     torch.testing.assert_close(*found, rtol=0, atol=0)
+
+
+LEARNED = replace(SETTINGS, motion=MotionModel.D_GS_OF_DYNAMIC)
+
+
+def test_labels_of_nodes_are_told_anew_where_a_motion_is_learned(arrays):
+    """Of nodes that all begin as background, each where it was seen."""
+    trainer = Trainer(arrays, VIEWS, LEARNED)
+    finest = trainer._layers[-1]
+    seeds = finest.layer
+    still = replace(
+        seeds, semantic=torch.full_like(seeds.semantic, -1), dynamic=torch.zeros_like(seeds.dynamic)
+    )
+    finest.begin(still, SETTINGS.gaussians)
+    finest.separate(len(VIEWS))
+    found = finest.layer.dynamic
+    assert float(found[seeds.dynamic].float().mean()) > 0.7
+    assert float(found[~seeds.dynamic].float().mean()) < 0.2
+
+
+@pytest.mark.parametrize("label", [0, None, -1])
+def test_where_everything_moves_or_nothing_labels_stay(arrays, label):
+    instance = None if label is None else np.full((SIZE, SIZE), label, dtype=np.int32)
+    trainer = Trainer(arrays, [replace(view, instance=instance) for view in VIEWS], LEARNED)
+    before = trainer._layers[-1].layer
+    trainer._layers[-1].separate(len(VIEWS))
+    after = trainer._layers[-1].layer
+    torch.testing.assert_close(after.semantic, before.semantic)
+    torch.testing.assert_close(after.gaussians.means, before.gaussians.means)

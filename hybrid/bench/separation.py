@@ -1,0 +1,86 @@
+"""How well nodes that move are told from those that stand still, with masks and without."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.bench.moving import require_moving
+from hybrid.measure.dynamics import nodes_that_move
+from hybrid.runtime.device import device_arrays
+from hybrid.training.views import labelled_views
+from pathtrace.dataset.frames import FrameSet
+from pathtrace.scene.scene import Scene
+from splat.model.motion_model import Labels, MotionModel
+from splat.training.trainer import Trainer, TrainingSettings
+
+
+def bench_separation(
+    scene: Scene,
+    frames: FrameSet,
+    settings: TrainingSettings,
+    progress: Callable[[int, int], None],
+) -> list[dict[str, Any]]:
+    """One row per kind of labels: how many nodes of the finest layer are labelled as the scene moves.
+
+    Args:
+        scene: which moves.
+        frames: of the scene.
+        settings: of the trainings, which learn the motion of labelled nodes.
+        progress: called with steps done and steps in total.
+
+    Returns:
+        Rows of `labels`, `precision` and `recall` of dynamic nodes against the scene's own surfaces
+        (hybrid.measure.dynamics), `nodes` that count and how many of them are `dynamic`, how many `objects`
+        these belong to, and `pixel_precision` and `pixel_recall` of the labels of pixels that the training
+        began with, against the exact masks.
+
+    Raises:
+        UserError: nothing moves in the scene.
+    """
+    moving = require_moving(scene)
+    times = [entry.time for entry in frames.training]
+    truth = [view.instance for view in labelled_views(frames, TrainingSettings())]
+    rows, total = [], settings.iterations
+    for number, labels in enumerate(Labels):
+        wanted = replace(settings, motion=MotionModel.D_GS_OF_DYNAMIC, labels=labels)
+        views = labelled_views(frames, wanted)
+        trainer = Trainer(device_arrays(), views, wanted)
+        trainer.run(_from(number * total, len(Labels) * total, progress))
+        layer = trainer.forest()[-1]
+        moves, counts = nodes_that_move(scene, moving, trainer, layer, times)
+        dynamic = layer.dynamic.numpy()
+        rows.append(
+            {
+                "labels": labels.value,
+                **_scores("", dynamic[counts], moves[counts]),
+                "nodes": int(counts.sum()),
+                "dynamic": int(dynamic[counts].sum()),
+                "objects": len(np.unique(layer.semantic[layer.dynamic])),
+                **_scores("pixel_", _joined([view.instance for view in views]), _joined(truth)),
+            }
+        )
+    return rows
+
+
+def _from(first: int, total: int, progress: Callable[[int, int], None]) -> Callable[[int], None]:
+    """Tells how much is done of several trainings."""
+    return lambda done: progress(first + done, total)
+
+
+def _joined(instances: list[NDArray[np.int32] | None]) -> NDArray[np.bool_]:
+    """Which pixels of all views show an instance."""
+    return np.concatenate([one.ravel() >= 0 for one in instances if one is not None])
+
+
+def _scores(prefix: str, found: NDArray[np.bool_], truth: NDArray[np.bool_]) -> dict[str, float | None]:
+    """Precision and recall of what is found; None of nothing."""
+    both = int((found & truth).sum())
+    return {
+        f"{prefix}{name}": both / int(of.sum()) if of.any() else None
+        for name, of in (("precision", found), ("recall", truth))
+    }

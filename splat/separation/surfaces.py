@@ -1,0 +1,57 @@
+"""Takes what a frame shows to pieces: smooth surfaces of one colour each."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+# Pixels that neighbours on one surface may lie apart, across it.
+_STEP = 2.0
+# Largest difference of appearance between neighbours on one surface.
+_COLOUR = 0.08
+
+
+def surfaces_of(points: NDArray[np.float64], appearance: NDArray[np.float32]) -> NDArray[np.int64]:
+    """(H, W) number of the surface that each pixel shows, from 0; -1 for none.
+
+    Neighbouring pixels show the same surface if one lies in the plane of the other, or nearly, and they look
+    nearly alike.
+
+    Args:
+        points: (H, W, 3) world positions, NaN where nothing is seen.
+        appearance: (H, W, 3) what the surfaces look like.
+    """
+    height, width = points.shape[:2]
+    known = np.asarray(np.isfinite(points).all(axis=-1))
+    normal, size = _planes(points)
+    number = np.arange(height * width).reshape(height, width)
+    links = []
+    for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        way = points[b] - points[a]
+        across = np.minimum(
+            np.abs((normal[a] * way).sum(axis=-1)) / size[a], np.abs((normal[b] * way).sum(axis=-1)) / size[b]
+        )
+        alike = np.abs(appearance[b] - appearance[a]).max(axis=-1) < _COLOUR
+        joined = known[a] & known[b] & alike & (across < _STEP)
+        links.append((number[a][joined], number[b][joined]))
+    first, second = (np.concatenate(part) for part in zip(*links, strict=True))
+    graph = coo_matrix((np.ones(len(first)), (first, second)), shape=(number.size, number.size))
+    _, found = connected_components(graph, directed=False)
+    return np.where(known, found.reshape(height, width), -1).astype(np.int64)
+
+
+def _planes(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(H, W, 3) unit normals, of the flatter side of each pixel, and (H, W) sizes of pixels."""
+    steps = []
+    for axis in (0, 1):
+        ahead = np.diff(points, axis=axis, append=np.nan)
+        behind = np.diff(points, axis=axis, prepend=np.nan)
+        lengths = [np.where(np.isnan(s[..., 0]), np.inf, (s**2).sum(axis=-1)) for s in (ahead, behind)]
+        steps.append(np.where((lengths[0] <= lengths[1])[..., None], ahead, behind))
+    normal = np.cross(steps[0], steps[1])
+    length = np.linalg.norm(normal, axis=-1)
+    size = np.minimum(*(np.linalg.norm(step, axis=-1) for step in steps))
+    unit = normal / np.where(length > 0, length, 1)[..., None]
+    return np.nan_to_num(unit), np.nan_to_num(size, nan=np.inf) + 1e-12
