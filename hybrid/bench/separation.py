@@ -12,11 +12,19 @@ from numpy.typing import NDArray
 from hybrid.bench.moving import require_moving
 from hybrid.measure.dynamics import nodes_that_move
 from hybrid.runtime.device import device_arrays
+from hybrid.training.forest import motion_of
 from hybrid.training.views import labelled_views
 from pathtrace.dataset.frames import FrameSet
 from pathtrace.scene.scene import Scene
 from splat.model.motion_model import Labels, MotionModel
 from splat.training.trainer import Trainer, TrainingSettings
+
+# Motions and labels that are compared: as scenes are prepared, and as learned without courses.
+_KINDS = (
+    (MotionModel.KNOWN, Labels.MASKS),
+    (MotionModel.D_GS_OF_DYNAMIC, Labels.MASKS),
+    (MotionModel.D_GS_OF_DYNAMIC, Labels.FLOW),
+)
 
 
 def bench_separation(
@@ -25,16 +33,16 @@ def bench_separation(
     settings: TrainingSettings,
     progress: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
-    """One row per kind of labels: how many nodes of the finest layer are labelled as the scene moves.
+    """One row per motion and labels: how many nodes of the finest layer are labelled as the scene moves.
 
     Args:
         scene: which moves.
         frames: of the scene.
-        settings: of the trainings, which learn the motion of labelled nodes.
+        settings: of the trainings.
         progress: called with steps done and steps in total.
 
     Returns:
-        Rows of `labels`, `precision` and `recall` of dynamic nodes against the scene's own surfaces
+        Rows of `motion`, `labels`, `precision` and `recall` of dynamic nodes against the scene's own surfaces
         (hybrid.measure.dynamics), `nodes` that count and how many of them are `dynamic`, how many `objects`
         these belong to, and `pixel_precision` and `pixel_recall` of the labels of pixels that the training
         began with, against the exact masks.
@@ -46,16 +54,18 @@ def bench_separation(
     times = [entry.time for entry in frames.training]
     truth = [view.instance for view in labelled_views(frames, TrainingSettings())]
     rows, total = [], settings.iterations
-    for number, labels in enumerate(Labels):
-        wanted = replace(settings, motion=MotionModel.D_GS_OF_DYNAMIC, labels=labels)
+    for number, (motion, labels) in enumerate(_KINDS):
+        wanted = replace(settings, motion=motion, labels=labels)
         views = labelled_views(frames, wanted)
-        trainer = Trainer(device_arrays(), views, wanted)
-        trainer.run(_from(number * total, len(Labels) * total, progress))
+        known = motion_of(frames.courses) if motion is MotionModel.KNOWN else None
+        trainer = Trainer(device_arrays(), views, wanted, motion=known)
+        trainer.run(_from(number * total, len(_KINDS) * total, progress))
         layer = trainer.forest()[-1]
         moves, counts = nodes_that_move(scene, moving, trainer, layer, times)
         dynamic = layer.dynamic.numpy()
         rows.append(
             {
+                "motion": motion.value,
                 "labels": labels.value,
                 **_scores("", dynamic[counts], moves[counts]),
                 "nodes": int(counts.sum()),

@@ -81,13 +81,13 @@ def separation(
 
 
 def _print(rows: list[dict[str, Any]]) -> None:
-    print("labels  precision  recall   nodes  dynamic  objects  pixels: precision  recall")
+    print("motion        labels  precision  recall   nodes  dynamic  objects  pixels: precision  recall")
     for row in rows:
         shares = [
             "      -" if row[name] is None else f"{row[name]:7.3f}"
             for name in ("precision", "recall", "pixel_precision", "pixel_recall")
         ]
         print(
-            f"{row['labels']:<6}  {shares[0]:>9} {shares[1]:>7} {row['nodes']:>7,} {row['dynamic']:>8,}"
-            f"  {row['objects']:>7}  {shares[2]:>17} {shares[3]:>7}"
+            f"{row['motion']:<12}  {row['labels']:<6}  {shares[0]:>9} {shares[1]:>7}"
+            f" {row['nodes']:>7,} {row['dynamic']:>8,}  {row['objects']:>7}  {shares[2]:>17} {shares[3]:>7}"
         )

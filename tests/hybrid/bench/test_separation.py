@@ -26,13 +26,16 @@ def test_both_kinds_of_labels_have_a_row(backend, tmp_path):
     scene = moving_corner(tmp_path)
     frames = capture(scene, tmp_path / "frames", CaptureSettings(16, 0, 32, 32, spp=2), silent)
     done = []
-    masks, flow = bench_separation(scene, frames, SETTINGS, lambda *now: done.append(now))
-    assert (masks["labels"], flow["labels"]) == ("masks", "flow")
-    assert masks["pixel_precision"] == masks["pixel_recall"] == 1
-    assert masks["objects"] == 1
+    known, masks, flow = bench_separation(scene, frames, SETTINGS, lambda *now: done.append(now))
+    assert [row["motion"] for row in (known, masks, flow)] == ["known", "d-gs-dynamic", "d-gs-dynamic"]
+    assert [row["labels"] for row in (known, masks, flow)] == ["masks", "masks", "flow"]
+    for row in (known, masks):
+        assert row["pixel_precision"] == row["pixel_recall"] == 1
+        assert row["objects"] == 1
+    assert min(known["precision"], known["recall"]) > 0.9
     assert min(flow["pixel_precision"], flow["pixel_recall"]) > 0.6
     assert min(masks["precision"], masks["recall"], flow["precision"], flow["recall"]) > 0.6
-    assert done[-1] == (60, 60)
+    assert done[-1] == (90, 90)
 
 
 def test_a_scene_that_stands_still_is_refused(backend, tmp_path, monkeypatch, capsys):
