@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ from splat.training.initialization import seed_at
 from splat.training.node_light import NodeLight
 from splat.training.views import TrainingView
 from tests import small
+from tests.extremes import extreme
 
 # The card is over the middle of the wall at t = 0.5.
 TIMES = (0.1, 0.5, 0.9)
@@ -92,6 +94,16 @@ def frames(scene, tmp_path_factory) -> FrameSet:
 @pytest.fixture(scope="module")
 def light(scene, frames) -> SurfaceLight:
     return light_of(scene, frames)
+
+
+def light_with(folder: Path, change: Callable[[dict[str, Any]], None]) -> SurfaceLight:
+    """Of the scene with the card and some change to its description."""
+    file, scene = folder / "any.motion.json", described()
+    track = {"keyframes": [{"t": 0, "translate": [-4, 0, 0]}, {"t": 1, "translate": [4, 0, 0]}]}
+    file.write_text(json.dumps({"shapes": {"card": track}}))
+    change(scene)
+    loaded = load_scene(scene, motion=file)
+    return light_of(loaded, captured(loaded, folder / "frames"))
 
 
 def forest_in(light: SurfaceLight | None, scene: Scene) -> Forest:
@@ -175,3 +187,30 @@ def test_what_moves_has_the_light_of_where_it_is(backend, tmp_path):
     np.testing.assert_allclose(
         factors / factors[0], np.tile((exact / exact[0])[:, None], (1, 3, 1)), rtol=0.03
     )
+
+
+@extreme("light that changes, without light", given="a lamp of intensity 0", expected="no factor but one")
+def test_where_there_is_no_light_none_changes(backend, tmp_path, got):
+    found = light_with(tmp_path, lambda scene: scene["lamp"]["intensity"].update(value=0.0))
+    assert not bool(found.changes.any())
+    assert got(float((found.factors - 1).abs().max()), ".0g") == 0
+
+
+@extreme(
+    "light that is a million times as bright", given="a lamp of intensity 6e7", expected="the same factors"
+)
+def test_factors_do_not_depend_on_the_lamps_brightness(backend, tmp_path, light, got):
+    found = light_with(tmp_path, lambda scene: scene["lamp"]["intensity"].update(value=6e7))
+    least, most = (float(part.min()) for part in (found.factors, light.factors))
+    assert got(least, ".3f") == pytest.approx(most, abs=0.02)
+    assert abs(float(found.changes.float().mean()) - float(light.changes.float().mean())) < 0.05
+
+
+@extreme(
+    "light on a mover that is never seen",
+    given="a board behind the camera",
+    expected="light on the wall alone",
+)
+def test_a_mover_that_nobody_sees_has_no_light(light, got):
+    assert got(len(light.instance.unique())) == 1
+    assert int(light.instance.max()) == -1
