@@ -60,6 +60,14 @@ def capture(
             rich_help_panel=FRAME,
         ),
     ] = Integrator.CACHED.value,
+    monocular: Annotated[
+        bool,
+        typer.Option(
+            "--monocular",
+            help="One camera that sways around the scene's own, one instant after the other, as in a video.",
+            rich_help_panel=FRAME,
+        ),
+    ] = False,
     max_depth: MaxDepth = None,
     thin_glass: ThinGlass = False,
     seed: Seed = 0,
@@ -74,7 +82,7 @@ def capture(
     from pathtrace.dataset.settings import CaptureSettings
 
     with user_errors():
-        settings = CaptureSettings(views, held_out, *size, spp, held_out_spp, seed=seed)
+        settings = CaptureSettings(views, held_out, *size, spp, held_out_spp, seed=seed, monocular=monocular)
     require_size(size)
     is_cached = integrator_named(integrator) is Integrator.CACHED
     start = time.perf_counter()

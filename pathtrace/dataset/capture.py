@@ -22,7 +22,7 @@ from pathtrace.dataset.frames import FrameSet, read_frame_set
 from pathtrace.dataset.rendering import render_estimates, render_frame, render_with_halves
 from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.dataset.transforms import describe_capture, write_description
-from pathtrace.dataset.views import choose_views
+from pathtrace.dataset.views import choose_views, monocular_views
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.surfaces import Surfaces
 from pathtrace.trace.integrator import Integrator
@@ -45,7 +45,8 @@ def capture(
     spaced evenly over the others. Two of three held-out views also have estimates, traced with fewer samples,
     two independent halves of their own samples, and close-ups at two and four times the resolution: what the
     fusion is fitted to. Held-out frames are unbiased; close-ups, which measure nothing else, need not be. Of
-    a scene that moves, views have times of their own, which the scene shows one after another.
+    a scene that moves, views have times of their own, which the scene shows one after another; a monocular
+    capture is that of one camera, which sways around the scene's own.
 
     The folder gets a `transforms.json` in the Nerfstudio / instant-ngp convention and one multi-channel
     OpenEXR file per frame, estimate and close-up. Files are written atomically, and those that exist and are
@@ -74,7 +75,13 @@ def capture(
         (40, 4)
     """
     count = settings.views + settings.held_out
-    views = choose_views(scene, Surfaces(scene), count, settings.width, settings.height, settings.seed)
+    # The free space is that of the beginning, whatever the scene has shown last.
+    scene.show(0.0)
+    size, surfaces = (settings.width, settings.height), Surfaces(scene)
+    if settings.monocular:
+        views = monocular_views(scene, surfaces, count, *size)
+    else:
+        views = choose_views(scene, surfaces, count, *size, settings.seed)
     integrator = Integrator.PATH if cache is None else Integrator.CACHED
     document = describe_capture(scene, views, settings, integrator)
     write_description(folder, document)

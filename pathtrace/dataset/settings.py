@@ -18,6 +18,8 @@ class CaptureSettings:
         spp: samples per pixel of a training view, which is denoised afterwards.
         held_out_spp: samples per pixel of a held-out view, which is denoised as well, at least 2.
         close_ups: multiples of the resolution at which parts of held-out views are rendered, too.
+        monocular: whether views are those of one camera that sways around the scene's own, one instant after
+            the other; otherwise they are free, and each shows a time of its own.
         seed: same seed, same frames; from 0 to compose.base.seeds.MOST_SEED.
 
     Raises:
@@ -33,6 +35,7 @@ class CaptureSettings:
     held_out_spp: int = 256
     close_ups: tuple[int, ...] = (2, 4)
     seed: int = 0
+    monocular: bool = False
 
     def __post_init__(self) -> None:
         for name in ("views", "width", "height", "spp", "held_out_spp"):

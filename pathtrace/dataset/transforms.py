@@ -21,7 +21,7 @@ from compose.camera.place import WORLD
 from compose.camera.serialization import camera_to_json
 from pathtrace.dataset.frames import FORMAT_VERSION
 from pathtrace.dataset.settings import CaptureSettings
-from pathtrace.dataset.views import ViewSet, time_of
+from pathtrace.dataset.views import ViewSet
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.integrator import Integrator
 
@@ -52,13 +52,13 @@ def describe_capture(
             settings.held_out_spp if index in held_out else settings.spp,
             _estimate_spp(settings.held_out_spp) if index in fitted else [],
             index in held_out,
-            _time(scene, index),
+            views.times[index],
         )
         for index, camera in enumerate(cameras)
     ]
     rng = np.random.default_rng(settings.seed)
     close_ups = [
-        _close_up(cameras[index], index, factor, settings.held_out_spp, _time(scene, index), rng)
+        _close_up(cameras[index], index, factor, settings.held_out_spp, views.times[index], rng)
         for index in sorted(fitted)
         for factor in settings.close_ups
     ]
@@ -67,7 +67,7 @@ def describe_capture(
         **_intrinsics(cameras[0]),
         "format_version": FORMAT_VERSION,
         "scene": described_scene(scene),
-        "settings": {**asdict(settings), "close_ups": list(settings.close_ups)},
+        "settings": _described_settings(settings),
         "integrator": integrator.value,
         **described_motion(scene),
         "frames": frames,
@@ -123,9 +123,12 @@ def _held_out(views: ViewSet, count: int) -> set[int]:
     return {len(views.fixed) + round((i + 1) * step) - 1 for i in range(count)}
 
 
-def _time(scene: Scene, index: int) -> float:
-    """The time that a view shows."""
-    return 0.0 if scene.moving is None else time_of(index)
+def _described_settings(settings: CaptureSettings) -> dict[str, Any]:
+    """The settings; of free views as captures had them when there were no others."""
+    found = {**asdict(settings), "close_ups": list(settings.close_ups)}
+    if not settings.monocular:
+        del found["monocular"]
+    return found
 
 
 def _entry(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from compose.camera.camera import Camera
 from compose.camera.view import View
 from pathtrace.region.near import BORDER, UNSEEN_SEED, Neighbourhood
@@ -20,11 +22,14 @@ class ViewSet:
 
     Attributes:
         fixed: the scene's own camera, then the same turned to the border of what the others see.
-        spread: spread evenly over positions and directions; any of them may be held out of training.
+        spread: spread evenly over positions and directions, or along a path; any of them may be held out of
+            training.
+        times: that all of them show, from 0 to 1, the fixed ones first; 0 if nothing moves.
     """
 
     fixed: list[Camera]
     spread: list[Camera]
+    times: list[float]
 
 
 def unseen_views(scene: Scene, count: int, width: int, height: int) -> list[View]:
@@ -56,7 +61,18 @@ def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, heigh
     fixed = [neighbourhood.home]
     if count > 2 * len(BORDER):
         fixed += neighbourhood.border()
-    return ViewSet(fixed, neighbourhood.spread(count - len(fixed), seed))
+    times = [0.0 if scene.moving is None else time_of(number) for number in range(count)]
+    return ViewSet(fixed, neighbourhood.spread(count - len(fixed), seed), times)
+
+
+def monocular_views(scene: Scene, surfaces: Surfaces, count: int, width: int, height: int) -> ViewSet:
+    """Views of one camera that sways around the scene's own, one instant after the other, as of a video.
+
+    Args and raises as of `choose_views`.
+    """
+    shares = np.linspace(0, 1, count)
+    cameras = Neighbourhood.of(scene, surfaces, width, height).path(shares.tolist())
+    return ViewSet([], cameras, [0.0 if scene.moving is None else float(share) for share in shares])
 
 
 def time_of(number: float) -> float:

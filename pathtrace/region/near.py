@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +26,9 @@ _YAW, _PITCH = 20.0, 10.0  # largest turns, degrees to either side
 # did not overlap would show nothing twice.
 _NARROW = 0.3
 _TRIES_PER_VIEW = 200
+# Sizes of a camera's path that are tried, in units of the reach, and the share of the largest yaw by which it
+# looks back to the middle from either end.
+_SWAYS, _LOOKS_BACK = (0.7, 0.4, 0.2, 0.1, 0.05), 0.4
 # In which the nearest surface to a point is looked for.
 _DIRECTIONS = 96
 # Unlikely to be the seed of a training.
@@ -124,6 +128,24 @@ class Neighbourhood:
                 "around the scene's camera; ask for fewer views"
             )
         return found
+
+    def path(self, shares: Sequence[float]) -> list[Camera]:
+        """Views along a closed path around the scene's own camera, at shares 0 to 1 of it.
+
+        It sways as far as there is free space: a scene that leaves none has a camera that stands still.
+        """
+        for size in _SWAYS:
+            found = [self._swayed(2 * np.pi * share, size) for share in shares]
+            if all(self._is_usable(view) for view in found):
+                return found
+        return [self.home for _ in shares]
+
+    def _swayed(self, turn: float, size: float) -> Camera:
+        """The scene's own camera at an angle of the path, on which it looks back to what it sees."""
+        axes = self.home.camera_to_world[:3, :3]
+        across, down, ahead = np.sin(turn), np.sin(2 * turn) / 2, np.cos(turn) / 4
+        offset = axes @ np.array([across, down, ahead]) * (size * self.radius)
+        return _moved(self.home, offset, -_LOOKS_BACK * size * across * self.share, 0.0)
 
     def _is_usable(self, candidate: Camera) -> bool:
         """Whether a view is reachable from the scene's own camera and not too near to surfaces."""

@@ -26,7 +26,7 @@ def camera(x: float) -> Camera:
 
 
 # Two cameras that are always trained on, and eight of which four are held out.
-VIEWS = ViewSet([camera(x) for x in (0, 0.1)], [camera(x) for x in np.linspace(0.2, 0.9, 8)])
+VIEWS = ViewSet([camera(x) for x in (0, 0.1)], [camera(x) for x in np.linspace(0.2, 0.9, 8)], [0.0] * 10)
 
 
 def described(**changes) -> dict:
