@@ -21,8 +21,8 @@ from compose.image.colour import Image, luminance, srgb_from_radiance
 from hybrid.evaluation.equal_time import at_equal_time
 from hybrid.evaluation.families import enlarged
 from hybrid.frame.live import LiveRenderer
-from hybrid.frame.periphery import Periphery
 from hybrid.frame.settings import FrameSettings
+from hybrid.frame.splat_frame import SplatRenderer
 from hybrid.measure.metrics.fovvideovdp import jod_of_video
 from hybrid.measure.metrics.psnr import psnr_of_error
 from hybrid.measure.metrics.registration import registration_px
@@ -31,7 +31,6 @@ from hybrid.measure.regions import Region, regions
 from hybrid.measure.timing import percentiles, ratio_of_medians
 from hybrid.methods.hybrid import HybridMethod
 from hybrid.methods.method import Method
-from hybrid.runtime.device import device_arrays
 from hybrid.store.identity import require_scene
 from pathtrace.scene.moving import MovingScene
 from pathtrace.scene.scene import Scene
@@ -273,17 +272,13 @@ class _Methods:
 
 def _splats(name: str, forest: Forest) -> dict[str, _Frame]:
     """The finest layer of a forest over the whole frame; of one with layers, those by acuity as well."""
-    periphery = Periphery(device_arrays(), forest)
+    renderer = SplatRenderer(forest)
 
     def whole(settings: FrameSettings, seed: int) -> Image:
-        assert settings.camera is not None
-        periphery.set_time(settings.time)
-        return periphery.whole(settings.camera, settings)
+        return renderer.splats(settings)
 
     def foveated(model: str, settings: FrameSettings, seed: int) -> Image:
-        assert settings.camera is not None
-        periphery.set_time(settings.time)
-        return periphery.foveated(settings.camera, replace(settings, acuity_model=model))
+        return renderer.frame(replace(settings, acuity_model=model)).image
 
     models = _MODELS if len(forest.counts) > 1 else ()
     found: dict[str, _Frame] = {name: whole}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from compose.base.arrays import Arrays
@@ -145,8 +143,3 @@ class Periphery:
     def whole(self, camera: Camera, settings: FrameSettings) -> Image:
         """(H, W, 3) the finest allowed layer over the whole frame at full rate."""
         return self._renderer.render_layer(camera, self.layers_of(settings)[1]).image()
-
-    def foveated(self, camera: Camera, settings: FrameSettings) -> Image:
-        """(H, W, 3) the whole frame, as under a fovea as well, with the detail that the viewer resolves."""
-        nowhere = replace(settings, fov_a=0.0, fov_b=0.0).foveation.region(camera.width, camera.height)
-        return self.draw(camera, self.detail(camera, settings), nowhere).image()

@@ -32,7 +32,7 @@ from hybrid.cli.capture import capture
 from hybrid.cli.demo import demo
 from hybrid.cli.doctor import doctor
 from hybrid.cli.evaluate import evaluate
-from hybrid.cli.exchange import export_ply, import_ply
+from hybrid.cli.exchange import export_ply, import_file
 from hybrid.cli.main import app, main
 from hybrid.cli.prepare import prepare
 from hybrid.cli.quickstart import quickstart
@@ -55,7 +55,7 @@ COMMANDS = {
     "evaluate": evaluate,
     "sweep": sweep,
     "export": export_ply,
-    "import": import_ply,
+    "import": import_file,
 }
 BENCHES = {
     "raster": raster,

@@ -20,7 +20,10 @@ def alone(forest) -> SplatRenderer:
 def test_they_are_the_splats_of_hybrid_frames(alone, renderer, scene):
     settings = FrameSettings(gaze=(-3.0, 0.5), fov_a=0, fov_b=0, camera=scene.camera)
     frame = alone.frame(settings)
-    assert np.array_equal(frame.image, renderer.foveated_splats(settings))
+    camera, periphery = scene.camera, renderer.periphery
+    nowhere = settings.foveation.region(camera.width, camera.height)
+    detail = periphery.detail(camera, settings)
+    assert np.array_equal(frame.image, periphery.draw(camera, detail, nowhere).image())
     assert np.array_equal(frame.aovs()["splat"], renderer.splats(settings))
     assert frame.nodes_drawn > 0
     assert frame.milliseconds["total"] == pytest.approx(sum(frame.milliseconds.values()) / 2)

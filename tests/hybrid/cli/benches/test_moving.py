@@ -25,7 +25,14 @@ def test_each_method_has_a_line(monkeypatch, tmp_path, capsys):
     options = ["--reference-spp", 8, "--against", tmp_path / "other.forest", "--json", out]
     assert run(monkeypatch, *common, *options) == 0
     methods = list(dict.fromkeys(row["method"] for row in json.loads(out.read_text())["rows"]))
-    assert {"hybrid", "splats alone", "path-traced, denoised", "other", "other, foveated"} <= set(methods)
+    assert {
+        "hybrid",
+        "splats alone",
+        "path-traced, denoised",
+        "other",
+        "other, fov-gs",
+        "other, stelacsf",
+    } <= set(methods)
     shown = capsys.readouterr().out.splitlines()
     first = next(number for number, line in enumerate(shown) if line.startswith("method "))
     assert shown[first].split()[:3] == ["method", "whole", "foveal"]
