@@ -72,10 +72,18 @@ class Planner:
         number = len(self.stages) - 1
         return self._journal.once(f"frame seconds {number}", lambda: self._since_begin(number))
 
+    def lit(self) -> float:
+        """Takes down that its light is known, too; returns the seconds that it took."""
+        number = len(self.stages) - 1
+        return self._journal.once(
+            f"light seconds {number}", lambda: self._since_begin(number) - self.framed()
+        )
+
     def trained(self) -> None:
         """Takes down that the last stage is finished."""
         number = len(self.stages) - 1
-        self._journal[f"training seconds {number}"] = self._since_begin(number) - self.framed()
+        seconds = self._since_begin(number) - self.framed() - self.lit()
+        self._journal[f"training seconds {number}"] = seconds
 
     def _since_begin(self, number: int) -> float:
         """Seconds since a stage began, in all runs of the job."""
@@ -95,7 +103,11 @@ class Planner:
     def _planned(self, number: int, curve: list[dict[str, Any]]) -> dict[str, Any] | None:
         if number and self._is_enough(number, [row["psnr"] for row in curve if "psnr" in row]):
             return None
-        stage = next_stage(self.stages, self.needs, self._pace(), self._left())
+        left = self._left()
+        if left is not None and f"light seconds {number - 1}" in self._journal:
+            # What it depends on, Gaussians and times, grows little from stage to stage.
+            left -= self._journal[f"light seconds {number - 1}"]
+        stage = next_stage(self.stages, self.needs, self._pace(), left)
         return asdict(stage) if stage else None
 
     def _is_enough(self, number: int, psnr: list[float]) -> bool:

@@ -176,9 +176,10 @@ class _Job:
         views = views_of(self._region, stages, self._settings.seed)
         with self._bars(f"stage {number + 1}: frames (samples)") as bar:
             frames.grow(wanted_of(frames, views, stages[-1], before), bar)
+        seconds = self._planner.framed()
         found = read_frame_set(frames.folder)
         light = self._light(found, stages[-1].gaussians)
-        seconds = self._planner.framed()
+        self._planner.lit()
         self._planner.look(lambda: complexity_of(frames))
         traced = self._journal.once(f"pass {number}", lambda: asdict(self._pass(frames, seconds)))
         self._passes.append(Pass(**traced))
