@@ -18,6 +18,7 @@ from pathtrace.dataset.frames import FrameSet
 from pathtrace.scene.scene import Scene
 from splat.model.motion_model import Labels, MotionModel
 from splat.training.trainer import Trainer, TrainingSettings
+from splat.training.views import TrainingView
 
 # Motions and labels that are compared: as scenes are prepared, and as learned without courses.
 _KINDS = (
@@ -52,11 +53,11 @@ def bench_separation(
     """
     moving = require_moving(scene)
     times = [entry.time for entry in frames.training]
-    truth = [view.instance for view in labelled_views(frames, TrainingSettings())]
+    exact = labelled_views(frames, TrainingSettings())
     rows, total = [], settings.iterations
     for number, (motion, labels) in enumerate(_KINDS):
         wanted = replace(settings, motion=motion, labels=labels)
-        views = labelled_views(frames, wanted)
+        views = exact if labels is Labels.MASKS else labelled_views(frames, wanted)
         known = motion_of(frames.courses) if motion is MotionModel.KNOWN else None
         trainer = Trainer(device_arrays(), views, wanted, motion=known)
         trainer.run(_from(number * total, len(_KINDS) * total, progress))
@@ -71,7 +72,7 @@ def bench_separation(
                 "nodes": int(counts.sum()),
                 "dynamic": int(dynamic[counts].sum()),
                 "objects": len(np.unique(layer.semantic[layer.dynamic])),
-                **_scores("pixel_", _joined([view.instance for view in views]), _joined(truth)),
+                **_scores("pixel_", _moving(views), _moving(exact)),
             }
         )
     return rows
@@ -82,9 +83,9 @@ def _from(first: int, total: int, progress: Callable[[int, int], None]) -> Calla
     return lambda done: progress(first + done, total)
 
 
-def _joined(instances: list[NDArray[np.int32] | None]) -> NDArray[np.bool_]:
+def _moving(views: list[TrainingView]) -> NDArray[np.bool_]:
     """Which pixels of all views show an instance."""
-    return np.concatenate([one.ravel() >= 0 for one in instances if one is not None])
+    return np.concatenate([view.instance.ravel() >= 0 for view in views if view.instance is not None])
 
 
 def _scores(prefix: str, found: NDArray[np.bool_], truth: NDArray[np.bool_]) -> dict[str, float | None]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from compose.base.errors import UserError
+from compose.camera.view import View
 from hybrid.cli.options import sized
 from hybrid.frame.settings import FrameSettings
 from hybrid.runtime.progress import progress_bar
@@ -90,8 +91,8 @@ def render_frames(folder: Path, request: FramesRequest, settings: FrameSettings)
     if is_video:
         facts, settings = _render_video(found, renderer, request, settings)
     else:
-        camera, time = _view(found, request)
-        settings = replace(settings, camera=camera, time=time)
+        view = _view(found, request)
+        settings = replace(settings, camera=view.camera, time=view.time)
         facts = _render_frame(renderer, request, settings)
     assert settings.camera is not None
     return {
@@ -119,19 +120,19 @@ def _forest_of(folder: PosedFolder, given: Path | None) -> Forest:
     return forest
 
 
-def _views(folder: PosedFolder) -> list[tuple[Camera, float]]:
-    """Cameras and times of the held-out frames, or of the training ones if none is held out."""
-    return [(image.camera, image.time) for image in folder.held_out or folder.training]
+def _views(folder: PosedFolder) -> list[View]:
+    """Those of the held-out frames, or of the training ones if none is held out."""
+    return [View(image.camera, image.time) for image in folder.held_out or folder.training]
 
 
-def _view(folder: PosedFolder, request: FramesRequest) -> tuple[Camera, float]:
-    """The camera and the time of a frame that was asked for."""
+def _view(folder: PosedFolder, request: FramesRequest) -> View:
+    """The view of a frame that was asked for."""
     views, number = _views(folder), request.view or 0
     if not 0 <= number < len(views):
         raise UserError(f"--view {number}: {folder.folder} has views 0 to {len(views) - 1}")
-    camera, time = views[number]
-    camera = request.camera or camera
-    return sized(camera, request.size), time if request.time is None else request.time
+    view = views[number]
+    time = view.time if request.time is None else request.time
+    return View(sized(request.camera or view.camera, request.size), time)
 
 
 def _render_frame(renderer: SplatRenderer, request: FramesRequest, settings: FrameSettings) -> dict[str, Any]:
@@ -170,17 +171,17 @@ def _render_video(
     from hybrid.video.splats import render_splat_video
     from hybrid.video.view_path import ViewPath
 
-    views = sorted(_views(folder), key=lambda view: view[1])
-    first = views[0][0]
+    views = sorted(_views(folder), key=lambda view: view.time)
+    camera = views[0].camera
     # Videos have even sides.
-    size = request.size or (first.width - first.width % 2, first.height - first.height % 2)
-    first = sized(first, size)
+    size = request.size or (camera.width - camera.width % 2, camera.height - camera.height % 2)
+    first = View(sized(camera, size), views[0].time)
     check_video(*size)
-    path = ViewPath([(first, views[0][1]), *views[1:]])
+    path = ViewPath([first, *views[1:]])
     seconds = _SECONDS if request.trace is None else request.trace.duration
     with progress_bar("video (frames)") as bar:
         times = render_splat_video(
             request.output, renderer, settings, path, seconds, request.fps, bar, request.trace
         )
     print(f"{request.output}: {len(times)} frames of {size[0]} x {size[1]}")
-    return {"fps": request.fps, "frames": times}, replace(settings, camera=first, time=views[0][1])
+    return {"fps": request.fps, "frames": times}, replace(settings, camera=first.camera, time=first.time)

@@ -9,7 +9,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.eye.detail import DetailMap
 from compose.fovea.region import FoveaRegion
@@ -19,7 +18,7 @@ from hybrid.frame.fill import Fill
 from hybrid.frame.fovea import FoveaImage
 from hybrid.frame.settings import FrameSettings
 from hybrid.frame.underlay import Underlay
-from hybrid.output.images import write_exr, write_png
+from hybrid.output.images import save_frame
 
 
 class AovSource(Protocol):
@@ -98,14 +97,8 @@ class Frame:
         Raises:
             UserError: the file has another extension, or cannot be written.
         """
-        path = Path(path)
-        if path.suffix.lower() == ".exr":
-            facts = {
-                "integrator": self.settings.used_integrator.value,
-                "unbiased": str(self.settings.is_unbiased),
-            }
-            write_exr(path, self.aovs(), facts)
-        elif path.suffix.lower() == ".png":
-            write_png(path, self.composite)
-        else:
-            raise UserError(f"{path}: must end in .exr or .png")
+        facts = {
+            "integrator": self.settings.used_integrator.value,
+            "unbiased": str(self.settings.is_unbiased),
+        }
+        save_frame(path, self.composite, self.aovs, facts)

@@ -16,7 +16,7 @@ from compose.fovea.region import FoveaRegion
 from compose.image.colour import Image
 from hybrid.frame.periphery import Periphery
 from hybrid.frame.settings import FrameSettings
-from hybrid.output.images import write_exr, write_png
+from hybrid.output.images import save_frame
 from hybrid.runtime.clock import Clock
 from hybrid.runtime.device import device_arrays
 from splat.model.forest import Forest
@@ -67,13 +67,7 @@ class SplatFrame:
         Raises:
             UserError: the file has another extension, or cannot be written.
         """
-        path = Path(path)
-        if path.suffix.lower() == ".exr":
-            write_exr(path, self.aovs())
-        elif path.suffix.lower() == ".png":
-            write_png(path, self.image)
-        else:
-            raise UserError(f"{path}: must end in .exr or .png")
+        save_frame(path, self.image, self.aovs)
 
 
 class SplatRenderer:

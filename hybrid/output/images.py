@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,32 @@ def write_exr(
         for channel, plane in planes.items():
             channels[prefix + channel] = np.ascontiguousarray(plane, dtype=np.float32)
     write_channels(path, channels, attributes)
+
+
+def save_frame(
+    path: Path | str,
+    image: Image,
+    aovs: Callable[[], dict[str, NDArray[np.float32]]],
+    attributes: dict[str, str] | None = None,
+) -> None:
+    """Writes a frame: .exr with all AOVs in linear radiance, or .png with the image in sRGB.
+
+    Args:
+        path: of the file.
+        image: (H, W, 3) linear radiance.
+        aovs: makes what an EXR file contains.
+        attributes: further entries of its header.
+
+    Raises:
+        UserError: the file has another extension, or cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".exr":
+        write_exr(path, aovs(), attributes)
+    elif path.suffix.lower() == ".png":
+        write_png(path, image)
+    else:
+        raise UserError(f"{path}: must end in .exr or .png")
 
 
 def read_exr(path: Path, size: tuple[int, int] | None = None) -> dict[str, NDArray[np.float32]]:

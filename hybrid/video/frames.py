@@ -25,6 +25,13 @@ _EVERY = 30.0
 State = dict[str, NDArray[np.generic]]
 
 
+def frame_count(seconds: float, fps: int) -> int:
+    """Number of frames of a video, at least 1; UserError if there would be too many."""
+    if seconds * fps > MOST_FRAMES:
+        raise UserError(f"{seconds:g} s at {fps} frames per second: must be {MOST_FRAMES} frames at most")
+    return max(1, round(seconds * fps))
+
+
 class VideoFrames:
     """The rendered frames of a video, in a folder, and the fovea's history after the last of them.
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from compose.base.errors import UserError
 from compose.base.seeds import MOST_SEED, require_seed
 from compose.eye.gaze_trace import GazeTrace
 from compose.image.colour import bytes_from_radiance
@@ -15,7 +14,7 @@ from hybrid.frame.renderer import Renderer
 from hybrid.frame.settings import FrameSettings
 from hybrid.output.video import write_mp4
 from hybrid.runtime.interrupts import interrupts_between_steps
-from hybrid.video.frames import MOST_FRAMES, VideoFrames
+from hybrid.video.frames import VideoFrames, frame_count
 from pathtrace.scene.scene import Scene
 
 
@@ -53,12 +52,8 @@ def render_video(
             holds another video, or the file cannot be written.
     """
     require_seed(seed)
-    if trace.duration * fps > MOST_FRAMES:
-        raise UserError(
-            f"{trace.duration:g} s at {fps} frames per second: must be {MOST_FRAMES} frames at most"
-        )
+    count = frame_count(trace.duration, fps)
     camera, _ = settings.resolved(renderer.scene.camera)
-    count = max(1, round(trace.duration * fps))
     disc = renderer.fovea_of(settings).disc
     frames = VideoFrames(path.with_name(path.name + ".frames"), identity)
     disc.restore_history(camera, frames.history())

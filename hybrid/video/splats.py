@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.errors import UserError
 from compose.eye.gaze_trace import GazeTrace
 from compose.image.colour import bytes_from_radiance
 from hybrid.frame.settings import FrameSettings
 from hybrid.frame.splat_frame import SplatRenderer
 from hybrid.output.video import write_mp4
-from hybrid.video.frames import MOST_FRAMES
+from hybrid.video.frames import frame_count
 from hybrid.video.view_path import ViewPath
 
 
@@ -47,21 +46,19 @@ def render_splat_video(
     Raises:
         UserError: the video would have too many frames, or the file cannot be written.
     """
-    count = max(1, round(seconds * fps))
-    if count > MOST_FRAMES:
-        raise UserError(f"{seconds:g} s at {fps} frames per second: must be {MOST_FRAMES} frames at most")
+    count = frame_count(seconds, fps)
     times: list[dict[str, float]] = []
 
     def images() -> Iterator[NDArray[np.uint8]]:
         for number in range(count):
             progress(number, count)
-            camera, time = views.at(number / max(1, count - 1))
+            view = views.at(number / max(1, count - 1))
             gaze = settings.gaze if trace is None else trace.at(number / fps)
-            frame = renderer.frame(replace(settings, camera=camera, time=time, gaze=gaze))
+            frame = renderer.frame(replace(settings, camera=view.camera, time=view.time, gaze=gaze))
             times.append(frame.milliseconds)
             yield bytes_from_radiance(frame.image)
         progress(count, count)
 
-    camera, _ = views.at(0.0)
+    camera = views.at(0.0).camera
     write_mp4(path, images(), (camera.width, camera.height), fps)
     return times

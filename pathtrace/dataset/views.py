@@ -61,7 +61,7 @@ def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, heigh
     fixed = [neighbourhood.home]
     if count > 2 * len(BORDER):
         fixed += neighbourhood.border()
-    times = [0.0 if scene.moving is None else time_of(number) for number in range(count)]
+    times = [_time(scene, number) for number in range(count)]
     return ViewSet(fixed, neighbourhood.spread(count - len(fixed), seed), times)
 
 
@@ -82,4 +82,8 @@ def time_of(number: float) -> float:
 
 def unseen_time(scene: Scene, number: int) -> float:
     """The time that a view to measure on shows: half a step from those of training; 0 if nothing moves."""
-    return 0.0 if scene.moving is None else time_of(number + 0.5)
+    return _time(scene, number + 0.5)
+
+
+def _time(scene: Scene, number: float) -> float:
+    return 0.0 if scene.moving is None else time_of(number)

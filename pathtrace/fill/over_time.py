@@ -52,14 +52,14 @@ def irradiance_over_time(
     indirect = _indirect(scene, cache, points(0.0), seed)
     found = np.empty((len(times), *indirect.shape), dtype=np.float32)
     some = np.unique(np.linspace(0, len(times) - 1, _INDIRECT).round().astype(int))
-    arriving = np.empty((len(some), 3, len(moving)), dtype=np.float32)
+    arriving = []
     for number, time in enumerate(times):
         scene.set_time(time)
         now = points(time)
         rounds = [gather_direct(scene.mitsuba, now, seed + n).irradiance for n in range(_ROUNDS)]
         found[number] = indirect + np.mean(rounds, axis=0).T
-        for row in np.flatnonzero(some == number) if len(moving) else ():
-            arriving[row] = _indirect(scene, cache, now.take(moving), seed)
+        if len(moving) and number in some:
+            arriving.append(_indirect(scene, cache, now.take(moving), seed))
         progress(number + 1, len(times))
     if len(moving):
         found[..., moving] += interp1d(some, arriving, axis=0)(np.arange(len(times))) - indirect[:, moving]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from pathtrace.motion.rotations import nearest_rotations
 from pathtrace.motion.tracks import Keyframe, RigidTrack
 
 Array = NDArray[np.float64]
@@ -30,9 +31,7 @@ def is_rigid(poses: Array) -> bool:
 def without_scale(poses: Array) -> Array:
     """(T, 4, 4) rigid transforms that are nearest to given ones: what lights and cameras follow."""
     found = np.tile(np.eye(4), (len(poses), 1, 1))
-    left, _, right = np.linalg.svd(poses[:, :3, :3])
-    left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
-    found[:, :3, :3], found[:, :3, 3] = left @ right, poses[:, :3, 3]
+    found[:, :3, :3], found[:, :3, 3] = nearest_rotations(poses[:, :3, :3]), poses[:, :3, 3]
     return found
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from pathtrace.motion.course import Array, Course, course_of_poses
+from pathtrace.motion.rotations import nearest_rotations
 
 # Numbers of pieces that are tried.
 _COUNTS = 1, 16, 32, 64, 128, 256
@@ -64,11 +65,8 @@ def _poses(rest: Array, moved: Array, centres: NDArray[np.int64]) -> Array:
 def _piece(rest: Array, moved: Array, centre: Array, centre_moved: Array) -> Array:
     """(T, 4, 4) the transform of vertices (N, 3) to (T, N, 3) that brings a centre (3,) to (T, 3)."""
     before, after = rest - centre, moved - centre_moved[:, None]
-    left, _, right = np.linalg.svd(np.einsum("tni,nj->tij", after, before))
-    # No mirror image.
-    left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
     poses = np.tile(np.eye(4), (len(moved), 1, 1))
-    poses[:, :3, :3] = left @ right
+    poses[:, :3, :3] = nearest_rotations(np.einsum("tni,nj->tij", after, before))
     poses[:, :3, 3] = centre_moved - poses[:, :3, :3] @ centre
     return poses
 

@@ -66,21 +66,19 @@ class LayerChanges:
         eye = camera.position.tobytes() if len(light.sided) else b""
         if (self._lit_at, self._eye) == (time, eye):
             return None
-        sided = self._lit_at == time
-        self._lit_at, self._eye = time, eye
-        if sided:
-            nodes = light.nodes[light.sided]
-            return nodes, in_light(self._own.sh[..., nodes], self._of_sides(light, camera))
-        factors = light.at(time)
+        nodes, factors = light.nodes, light.at(time)
         if len(light.sided):
-            factors[:, light.sided] = self._of_sides(light, camera)
-        return light.nodes, in_light(self._own.sh[..., light.nodes], factors)
+            behind = self._seen_from_behind(light, camera)
+            factors[:, light.sided] = torch.where(behind, light.behind_at(time), factors[:, light.sided])
+        if self._lit_at == time:
+            # Another eye may see another side; all else is as it was.
+            nodes, factors = nodes[light.sided], factors[:, light.sided]
+        self._lit_at, self._eye = time, eye
+        return nodes, in_light(self._own.sh[..., nodes], factors)
 
-    def _of_sides(self, light: LightCourse, camera: Camera) -> torch.Tensor:
-        """(3, B) factors of nodes with two sides, of that which is seen."""
+    def _seen_from_behind(self, light: LightCourse, camera: Camera) -> torch.Tensor:
+        """(B,) whether nodes with two sides are seen from behind where they are now."""
         nodes = light.nodes[light.sided]
         rest, now, means = (part[:, nodes] for part in (self._own.rotations, self._rotations, self._means))
         eye = torch.from_numpy(camera.position.copy()).float()
-        behind = seen_from_behind(light.normals, rest, now, means, eye)
-        front = light.at(self._lit_at)[:, light.sided]
-        return torch.where(behind, light.behind_at(self._lit_at), front)
+        return seen_from_behind(light.normals, rest, now, means, eye)
