@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from compose.base.errors import UserError
-from hybrid.cli.options import ForestArgument, finite, select
+from hybrid.cli.options import ForestArgument, NumberPrecision, finite, select
+from splat.io.precision import Precision
 
 
 def export_ply(
@@ -57,6 +58,7 @@ def import_file(
             "things, else the first one.",
         ),
     ] = None,
+    precision: NumberPrecision = Precision.COMPACT,
 ) -> None:
     """Read a PLY file of 3D Gaussian splatting as a forest, or a glTF file as a scene that moves."""
     if source.suffix.lower() in (".glb", ".gltf"):
@@ -64,7 +66,7 @@ def import_file(
         return
     if fps is not None or animation is not None:
         raise UserError(f"--fps, --animation: only of .glb and .gltf files; {source} is none")
-    import_ply(source, target)
+    import_ply(source, target, precision)
 
 
 def import_scene(source: Path, folder: Path, fps: float | None, animation: str | None) -> None:
@@ -79,8 +81,9 @@ def import_scene(source: Path, folder: Path, fps: float | None, animation: str |
         print(remark)
 
 
-def import_ply(source: Path, forest: Path) -> None:
+def import_ply(source: Path, forest: Path, precision: Precision = Precision.COMPACT) -> None:
     """Reads a PLY file of 3D Gaussian splatting; the forest fits any scene."""
+    from splat.io.compact import compact
     from splat.io.forest_file import save_forest
     from splat.io.ply import UNBOUND_FOCAL, load_ply
     from splat.model.forest import forest_of
@@ -90,5 +93,6 @@ def import_ply(source: Path, forest: Path) -> None:
     gaussians = load_ply(source)
     place = place_of_gaussians(gaussians)
     layer = static_layer(from_world(gaussians, place))
-    save_forest(forest, forest_of([layer], UNBOUND_FOCAL, source.stem, "", place))
+    imported = forest_of([layer], UNBOUND_FOCAL, source.stem, "", place)
+    save_forest(forest, imported if precision is Precision.FLOAT32 else compact(imported))
     print(f"{forest}: {len(gaussians):,} Gaussians, degree {gaussians.degree}")

@@ -20,6 +20,7 @@ from compose.base.seeds import MOST_SEED
 from hybrid.frame.settings import MOST_SPP
 from hybrid.runtime.progress import progress_bar
 from hybrid.runtime.valid_json import json_text
+from splat.io.precision import Precision
 
 if TYPE_CHECKING:
     from compose.camera.camera import Camera
@@ -179,6 +180,12 @@ Seed = Annotated[
     int,
     typer.Option(
         help="Same seed, same result on the same machine.", min=0, max=MOST_SEED, rich_help_panel=RUN
+    ),
+]
+NumberPrecision = Annotated[
+    Precision,
+    typer.Option(
+        help="Of the numbers in a forest file: rounded to what can be seen, a fifth of the size, or exact."
     ),
 ]
 Json = Annotated[

@@ -14,12 +14,14 @@ from hybrid.cli.options import (
     Backend,
     FramesFolder,
     Json,
+    NumberPrecision,
     Seed,
     select,
     user_errors,
     write_json,
 )
 from hybrid.runtime.progress import progress_bar
+from splat.io.precision import Precision
 from splat.model.motion_model import Labels, MotionModel
 
 if TYPE_CHECKING:
@@ -55,6 +57,7 @@ def train(
             show_default=False,
         ),
     ] = None,
+    precision: NumberPrecision = Precision.COMPACT,
     seed: Seed = 0,
     backend: Backend = "auto",
     json_file: Json = None,
@@ -87,7 +90,7 @@ def train(
     start = time.perf_counter()
     left_out: list[LeftOut] = []
     with progress_bar("train (steps)") as bar:
-        trained = run(found, forest, settings, bar, left_out.append)
+        trained = run(found, forest, settings, bar, left_out.append, precision=precision)
     seconds = time.perf_counter() - start
     say_left_out(left_out[0])
     # The hash of frames of others is that of the images, which were trained on here.

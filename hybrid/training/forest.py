@@ -21,7 +21,9 @@ from hybrid.training.posed import Frames, motion_for
 from hybrid.training.views import labelled_views, pieces_of
 from pathtrace.dataset.frames import FrameSet
 from pathtrace.motion.course import Course
+from splat.io.compact import compact
 from splat.io.forest_file import save_forest
+from splat.io.precision import Precision
 from splat.model.check import check_forest
 from splat.model.forest import Forest, forest_of
 from splat.model.motion import Motion
@@ -76,6 +78,7 @@ def train(
     report: Callable[[LeftOut], None] = say_left_out,
     start: Forest | None = None,
     light: SurfaceLight | None = None,
+    precision: Precision = Precision.COMPACT,
 ) -> Forest:
     """Trains a forest, fits the fusion to it, and writes both to one file; resumes if interrupted.
 
@@ -87,6 +90,7 @@ def train(
         report: called in the end with what was not finite and therefore left out.
         start: whose finest layer to go on from.
         light: on the surfaces that the frames show, in their coordinates; None if it is not known to change.
+        precision: of the numbers in the file, which are those of the forest that is returned.
 
     Raises:
         UserError: there are no frames to train on, a motion is to be learned from frames of a single time, a
@@ -118,6 +122,9 @@ def train(
     if not forest.nodes.gaussians.is_finite():
         raise RuntimeError("training ended with numbers that are not finite")
     check_forest(forest.layers)
+    if precision is Precision.COMPACT:
+        # Before the fusion, which is fitted to what will be drawn.
+        forest = compact(forest)
     forest = with_fusion(
         frames, forest, settings.seed, lambda done, _: progress(settings.iterations + done, total)
     )

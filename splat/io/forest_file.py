@@ -1,4 +1,8 @@
-"""Forest files: safetensors with metadata. Nothing is ever unpickled."""
+"""Forest files: safetensors with metadata. Nothing is ever unpickled.
+
+A file holds exactly the numbers of the forest that it was saved from: compactly if these are numbers that the
+compact encoding has (`splat.io.compact`), otherwise as float32.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,16 @@ from compose.base.named import under
 from compose.base.scene_names import claimed_scene
 from compose.camera.place import WORLD, Place
 from splat.deformation.learned import LearnedMotion
-from splat.io.tensors import FORMAT_VERSION, PLACED_VERSION, load_metadata, load_tensors, save_tensors
+from splat.io.compact import decoded, encoded, is_compact
+from splat.io.packing import packed, unpacked
+from splat.io.tensors import (
+    COMPACT_VERSION,
+    FORMAT_VERSION,
+    PLACED_VERSION,
+    load_metadata,
+    load_tensors,
+    save_tensors,
+)
 from splat.model.check import check_forest
 from splat.model.dynamics import Dynamics
 from splat.model.forest import Forest
@@ -24,6 +37,8 @@ from splat.model.light_course import LightCourse
 from splat.model.motion import Motion
 
 _ATTACHED, _MOTION, _LIGHT = "attached.", "motion.", "light."
+# In the metadata of compact files: type and shape of each packed tensor.
+_PACKED = "packed"
 _UNIT_TOLERANCE = 1e-6
 _TYPES = {"parent": torch.int32, "semantic": torch.int32, "dynamic": torch.bool}
 # Each one halves the resolution of the one below.
@@ -49,13 +64,17 @@ def save_forest(path: str | Path, forest: Forest) -> None:
         "scene_hash": forest.scene_hash,
         **place,
     }
-    tensors = {name: tensor.detach().cpu() for name, tensor in nodes.gaussians.tensors()}
-    tensors |= dict(nodes.labels())
-    tensors |= {_ATTACHED + name: tensor for name, tensor in forest.attached.items()}
+    tensors = {_ATTACHED + name: tensor for name, tensor in forest.attached.items()}
     motion = {} if forest.motion is None else forest.motion.tensors()
     tensors |= {_MOTION + name: tensor for name, tensor in motion.items()}
     light = {} if forest.light is None else forest.light.tensors()
     tensors |= {_LIGHT + name: tensor for name, tensor in light.items()}
+    if is_compact(forest):
+        tensors, kinds = packed({**encoded(nodes, forest.counts), **tensors})
+        metadata |= {"format_version": COMPACT_VERSION, _PACKED: kinds}
+    else:
+        own = (*nodes.gaussians.tensors(), *nodes.labels())
+        tensors |= {name: tensor.detach().cpu() for name, tensor in own}
     save_tensors(Path(path), tensors, metadata)
 
 
@@ -70,10 +89,13 @@ def load_forest(path: str | Path) -> Forest:
     tensors, metadata = load_tensors(path, "train it again")
     _require_forest(path, metadata)
     try:
-        _check_types(tensors)
-        gaussians = Gaussians(**{name: tensors[name] for name in Gaussians.__dataclass_fields__})
+        if metadata.get("format_version") == COMPACT_VERSION:
+            tensors = unpacked(tensors, metadata.get(_PACKED))
+            nodes = decoded(tensors)
+        else:
+            nodes = _exact(tensors)
         forest = Forest(
-            Layer(gaussians, *(tensors[name] for name in LABELS)),
+            nodes,
             _counts(metadata["layers"]),
             float(metadata["trained_focal"]),
             *claimed_scene(metadata["scene_name"], metadata["scene_hash"]),
@@ -85,7 +107,7 @@ def load_forest(path: str | Path) -> Forest:
         check_forest(forest.layers)
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path}: damaged forest file ({one_line(error)}); train it again") from error
-    if not gaussians.is_finite() or not 0 < forest.trained_focal < math.inf:
+    if not nodes.gaussians.is_finite() or not 0 < forest.trained_focal < math.inf:
         raise UserError(f"{path}: the forest holds numbers that are not finite; train it again")
     return forest
 
@@ -154,6 +176,13 @@ def scene_of_forest(path: Path) -> tuple[str, str]:
 def _require_forest(path: Path, metadata: dict[str, Any]) -> None:
     if metadata.get("kind") != "forest":
         raise UserError(f"{path}: not a forest file; must be one that a training wrote")
+
+
+def _exact(tensors: dict[str, torch.Tensor]) -> Layer:
+    """The nodes of a file of float32 numbers."""
+    _check_types(tensors)
+    gaussians = Gaussians(**{name: tensors[name] for name in Gaussians.__dataclass_fields__})
+    return Layer(gaussians, *(tensors[name] for name in LABELS))
 
 
 def _check_types(tensors: dict[str, torch.Tensor]) -> None:

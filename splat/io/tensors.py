@@ -18,6 +18,9 @@ from compose.base.json_file import parse_json
 FORMAT_VERSION = 2
 # That of forests in coordinates of their own, which programs that read version 2 alone would misplace.
 PLACED_VERSION = 3
+# That of forests whose tensors are codes, and packed.
+COMPACT_VERSION = 4
+_VERSIONS = (FORMAT_VERSION, PLACED_VERSION, COMPACT_VERSION)
 _METADATA, _CHECKSUM = "hybrid", "crc32"
 # Says that there is a checksum: otherwise, one whose name is damaged would be none.
 _CHECKED = "checked"
@@ -115,8 +118,8 @@ def _load_once(path: Path, advice: str, with_tensors: bool) -> tuple[dict[str, t
     except _REFUSALS as error:
         raise UserError(f"{path}: truncated or corrupt ({one_line(error)}); {advice}") from error
     version = metadata.get("format_version")
-    if version is not None and version not in (FORMAT_VERSION, PLACED_VERSION):
-        readable = f"{FORMAT_VERSION} and {PLACED_VERSION}"
+    if version is not None and version not in _VERSIONS:
+        readable = f"{_VERSIONS[0]} to {_VERSIONS[-1]}"
         raise UserError(f"{path}: format version {str(version)[:40]}, this program reads {readable}")
     return tensors, metadata
 

@@ -27,11 +27,12 @@ from pathtrace.posed.pixels import read_pixels
 from pathtrace.posed.reading import read_posed_folder
 from pathtrace.region.path_file import read_path
 from pathtrace.scene.description import read_description
+from splat.io.compact import compact
 from splat.io.forest_file import load_forest, save_forest
 from splat.io.ply import load_ply, save_ply
 from splat.io.tensors import load_tensors, save_tensors
 from splat.model.building import build_forest
-from splat.model.forest import forest_of
+from splat.model.forest import Forest, forest_of
 from splat.model.layer import static_layer
 from tests import posed, small
 from tests.pathtrace.gltf.building import QUAD, QUAD_FACES, Building, bending_tube
@@ -57,10 +58,10 @@ class Reader:
     errors: tuple[type[Exception], ...] = (UserError,)
 
 
-def _forest(path: Path) -> None:
+def _made() -> Forest:
     layers = build_forest(static_layer(gaussians("overlap", n=8, degree=1)), 0.2, 2)
     made = forest_of(layers, 120.5, "somewhere", "ab" * 32)
-    save_forest(path, replace(made, attached={"x": torch.ones(2)}))
+    return replace(made, attached={"x": torch.ones(2)})
 
 
 def _frame(path: Path) -> None:
@@ -149,7 +150,8 @@ _TENSORS = {"a": torch.arange(6.0).reshape(2, 3), "b": torch.tensor([True]), "c"
 _DISPLAY = '{"width": 2560, "height": 1440, "fov": 60, "luminance": 120.5}'
 
 READERS = {
-    "forest": Reader("a.forest", _forest, load_forest),
+    "forest": Reader("a.forest", lambda p: save_forest(p, _made()), load_forest),
+    "compact forest": Reader("c.forest", lambda p: save_forest(p, compact(_made())), load_forest),
     "tensors": Reader("a.safetensors", lambda p: save_tensors(p, _TENSORS, {"n": [1]}), load_tensors),
     "PLY": Reader("a.ply", lambda p: save_ply(p, gaussians("overlap", n=5, degree=1)), load_ply),
     "frame": Reader("a.exr", _frame, lambda p: read_frame(p, (6, 4))),

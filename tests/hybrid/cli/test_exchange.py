@@ -43,7 +43,7 @@ def test_an_exported_forest_is_imported_and_fits_any_scene(made, monkeypatch, tm
 
 def test_a_real_ply_goes_through_import(monkeypatch, tmp_path):
     source = real_file("splats/kacytran_try_it7000.ply")
-    assert run(monkeypatch, "import", source, tmp_path / "k.forest") == 0
+    assert run(monkeypatch, "import", source, tmp_path / "k.forest", "--precision", "float32") == 0
     assert run(monkeypatch, "export", tmp_path / "k.forest", tmp_path / "k.ply") == 0
     # A forest keeps its Gaussians in an order of its own.
     found, expected = load_ply(tmp_path / "k.ply"), load_ply(source)

@@ -13,6 +13,7 @@ from hybrid.training import forest as module
 from pathtrace.dataset.frames import read_frame_set
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
+from splat.io.precision import Precision
 from splat.training.trainer import TrainingSettings
 from tests.extremes import extreme
 from tests.hybrid.command import TINY_TRAINING, run
@@ -57,23 +58,24 @@ def test_frames_of_elsewhere_make_no_newest_forest(made, monkeypatch, tmp_path, 
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        ([], TrainingSettings()),
+        ([], (TrainingSettings(), Precision.COMPACT)),
         (
             ["--iterations", 5, "--gaussians", 60, "--layers", 1, "--degree", 3, "--seed", 4],
-            TrainingSettings(5, 60, 1, 3, 4),
+            (TrainingSettings(5, 60, 1, 3, 4), Precision.COMPACT),
         ),
+        (["--precision", "float32"], (TrainingSettings(), Precision.FLOAT32)),
     ],
 )
 def test_every_option_reaches_the_settings(options, expected, made, monkeypatch, tmp_path):
     given = []
 
-    def train(frames, path, settings, progress, report):
-        given.extend([frames.folder, path, settings])
+    def train(frames, path, settings, progress, report, precision):
+        given.extend([frames.folder, path, settings, precision])
         raise KeyboardInterrupt
 
     monkeypatch.setattr(module, "train", train)
     assert run(monkeypatch, command.train.__name__, made / "frames", tmp_path / "f", *options) != 0
-    assert given == [made / "frames", tmp_path / "f", expected]
+    assert given == [made / "frames", tmp_path / "f", *expected]
 
 
 @extreme(

@@ -19,7 +19,9 @@ from pathtrace.dataset.capture import capture
 from pathtrace.dataset.exr import read_frame
 from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.scene.scene import load_scene
+from splat.io.compact import compact, is_compact
 from splat.io.forest_file import load_forest
+from splat.io.precision import Precision
 from splat.training.trainer import TrainingSettings
 from tests import small
 from tests.hybrid.training.conftest import ignore
@@ -58,6 +60,15 @@ def test_a_forest_belongs_to_the_scene_of_its_frames(frames, trained, training_s
     assert (trained.scene_name, trained.scene_hash) == (frames.scene_name, frames.scene_hash)
     assert trained.trained_focal == frames.training[0].camera.fy
     assert len(trained.counts) == training_settings.layers
+
+
+def test_numbers_are_rounded_unless_exact_ones_are_asked_for(frames, trained, training_settings, tmp_path):
+    """What is returned is what the file holds, and what the fusion was fitted to."""
+    assert is_compact(trained)
+    exact = train(frames, tmp_path / "f", training_settings, precision=Precision.FLOAT32)
+    assert not is_compact(exact)
+    assert load_forest(tmp_path / "f").digest() == exact.digest()
+    assert compact(exact).digest() == replace(trained, attached=exact.attached).digest()
 
 
 def test_ctrl_c_leaves_a_checkpoint_and_the_next_run_ends_the_same(
