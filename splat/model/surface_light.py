@@ -21,6 +21,11 @@ _NEIGHBOUR = 4
 # Among so many neighbours of a point there is one of the other side of something thin, whose normal's
 # product with that of the point is at most so much.
 _AROUND, _OPPOSITE = 32, -0.3
+# Neighbours of a point that tell how light changes from place to place, and the least product of their
+# normals with its own: light that changes around a corner is no edge of a shadow.
+_NEIGHBOURS, _ALIKE = 6, 0.7
+# Of the curve on which radiance is compared, about.
+_GAMMA = 2.2
 
 
 @dataclass(frozen=True)
@@ -92,6 +97,37 @@ class SurfaceLight:
         opposite &= away < self._apart / 2
         first = near[np.arange(len(self)), opposite.argmax(axis=1)]
         return gap, torch.from_numpy(np.where(opposite.any(axis=1), first, np.arange(len(self))))
+
+    @cached_property
+    def _unevenness(self) -> NDArray[np.float64]:
+        """(P,) mean squared change of the perceived light per distance from a point, over all times."""
+        perceived = self.factors.float().numpy() ** np.float32(1 / _GAMMA)
+        count = min(_NEIGHBOURS + 1, len(self))
+        away, near = (part.reshape(len(self), -1) for part in self._tree.query(self._tree.data, k=count))
+        normals = self.normals.numpy().T
+        total, alike = np.zeros(len(self)), np.zeros(len(self))
+        for distance, other in zip(away.T[1:], near.T[1:], strict=True):
+            counts = np.einsum("pi,pi->p", normals, normals[other]) > _ALIKE
+            counts &= (distance > 0) & (distance < self._apart / 2)
+            change = ((perceived - perceived[..., other]) ** 2).mean(axis=(0, 1))
+            total += np.where(counts, change / np.where(counts, distance, 1), 0)
+            alike += counts
+        return total / np.maximum(alike, 1)
+
+    def unevenness(self, means: torch.Tensor, instance: torch.Tensor) -> torch.Tensor:
+        """(N,) how much light differs around nodes, as a mean over time.
+
+        The squared difference of the perceived factors between two places, over their distance. Where edges
+        of shadows pass, it does not depend on that distance: the farther the places are apart, the longer
+        an edge lies between them.
+
+        Args:
+            means: (3, N) centres at rest.
+            instance: (N,) what moves them.
+        """
+        gap, _ = self._around
+        away, nearest = self._tree.query(self._keys(means, instance))
+        return torch.from_numpy(np.where(away <= _REACH * gap[nearest], self._unevenness[nearest], 0)).float()
 
     def near(self, means: torch.Tensor, instance: torch.Tensor) -> Near:
         """The points that nodes with centres (3, N) at rest, of instances (N,), have their light from."""

@@ -24,6 +24,7 @@ from splat.training.node_light import NodeLight
 from splat.training.optimizer import GaussianOptimizer
 from splat.training.order import order_of_views
 from splat.training.sizes import largest_log_scales
+from splat.training.splitting import halves, too_large
 from splat.training.views import TrainingView, pixel_footprint
 from splat.training.visible import visible
 
@@ -166,11 +167,22 @@ class LayerTraining:
         before = self.layer
         rng = np.random.default_rng([*self._seed, 1, self.done])
         kept, added = self._density.change(before.gaussians, self.views, rng, self._measured)
+        if self._light is not None:
+            kept, added = self._split(self._light.surface, before, kept, added)
         self._tree = concatenated_layers([before.select(kept), added])
         self._optimizer.replace(self._tree.gaussians, kept)
         now = torch.full((len(before),), NO_PARENT, dtype=torch.int32)
         now[kept] = torch.arange(len(kept), dtype=torch.int32)
         return now
+
+    def _split(
+        self, light: SurfaceLight, before: Layer, kept: torch.Tensor, added: Layer
+    ) -> tuple[torch.Tensor, Layer]:
+        """What stays and what is new, with halves of those nodes that are too large for their light."""
+        staying = before.select(kept)
+        large = too_large(staying, light, self.views)
+        self._density.allow(int(large.sum()))
+        return kept[~large], concatenated_layers([added, halves(staying.select(large))])
 
     def _measured(self, view: TrainingView) -> TrainingView:
         """The view, with the distances that the nodes show now if nobody knows them."""

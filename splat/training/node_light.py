@@ -21,15 +21,18 @@ class NodeLight:
 
     Args:
         light: at the points, in the coordinates of the nodes.
+
+    Attributes:
+        surface: as given.
     """
 
     def __init__(self, light: SurfaceLight):
-        self._light = light
+        self.surface = light
         self._near = Near(torch.zeros(0, dtype=torch.int64), torch.zeros(0, dtype=torch.int64))
 
     def follow(self, layer: Layer) -> None:
         """Finds the points that are nearest to the nodes as they are now."""
-        self._near = self._light.near(layer.gaussians.means, layer.semantic)
+        self._near = self.surface.near(layer.gaussians.means, layer.semantic)
 
     def lit(
         self, rest: Gaussians, shown: Gaussians, index: torch.Tensor, camera: Camera, time: float
@@ -50,7 +53,7 @@ class NodeLight:
 
     def in_usual_light(self, layer: Layer, shown: Gaussians, camera: Camera, time: float) -> Layer:
         """Nodes at rest that have the radiance seen by a camera, with that in usual light instead."""
-        near = self._light.near(layer.gaussians.means, layer.semantic)
+        near = self.surface.near(layer.gaussians.means, layer.semantic)
         changed = torch.nonzero(near.front >= 0)[:, 0]
         own = layer.gaussians
         factor = self._factor(near.select(changed), own.select(changed), shown.select(changed), camera, time)
@@ -63,10 +66,10 @@ class NodeLight:
     ) -> torch.Tensor:
         """(3, M) factors of nodes whose light changes."""
         eye = torch.from_numpy(camera.position.copy()).float()
-        normals = self._light.normals[:, near.front]
+        normals = self.surface.normals[:, near.front]
         behind = seen_from_behind(normals, rest.rotations, shown.rotations, shown.means, eye)
         point = torch.where(behind, near.back, near.front)
-        return factors_at(self._light.factors, time)[:, point]
+        return factors_at(self.surface.factors, time)[:, point]
 
     def state(self) -> dict[str, torch.Tensor]:
         """Tensors for a checkpoint."""
