@@ -18,6 +18,8 @@ from compose.camera.view import View
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image, luminance, srgb_from_radiance
+from compose.image.gloss import SPECULAR
+from hybrid.bench.last_frame import LastFrameRenderer
 from hybrid.evaluation.equal_time import at_equal_time
 from hybrid.evaluation.families import enlarged
 from hybrid.frame.live import LiveRenderer
@@ -46,6 +48,8 @@ HYBRID, ALONE, SPLATS, TRACED = "hybrid", "hybrid, no history", "splats alone", 
 TWO_EYES = "splats alone, two eyes"
 # By what layers are chosen in Fov-GS's ablation (Table 3): acuity, and contrast sensitivity.
 _MODELS = "fov-gs", "stelacsf"
+# By what its first two rows select nodes: where they were in the frame before, by acuity.
+_LAST_FRAME = "last frame"
 # Between the eyes, as a share of the median distance of what is seen: 6.4 cm in a room of four metres.
 _BETWEEN_EYES = 1 / 64
 # Clips, spread over the time of the scene; frames of each, of which the last is judged; and of a second.
@@ -57,6 +61,8 @@ _SHADOW = 0.05
 _DARK = 1e-3
 # Pixels up to which a still surface is beside a moving shadow.
 _BESIDE = 8
+# How much farther than a flat mirror what it shows is, at least.
+_BEYOND = 1.001
 # Frames of a clip that are not timed: the first ones wait for kernels.
 _WARM_UP = 2
 # Paths per pixel of the path-traced frames, from which their number at equal time is sought.
@@ -124,9 +130,10 @@ class _Clip:
         times: (T,) of the frames, from 0 to 1.
         gaze: on what moves.
         truths: T of (H, W, 3) reference radiance.
-        moves, uncovered, shadow, beside: (H, W) what moves; what stands still and was hidden by what moves;
-            what stands still, was not hidden, and has another luminance than a few frames before; and what is
-            close to that, stands still and has not changed.
+        moves, uncovered, shadow, beside, reflected: (H, W) what moves; what stands still and was hidden by
+            what moves; what stands still, was not hidden, and has another luminance than a few frames before;
+            what is close to that, stands still and has not changed; and what has changed in mirrors, which
+            belongs to neither.
     """
 
     times: Sequence[float]
@@ -136,6 +143,7 @@ class _Clip:
     uncovered: NDArray[np.bool_]
     shadow: NDArray[np.bool_]
     beside: NDArray[np.bool_]
+    reflected: NDArray[np.bool_]
 
     @property
     def truth(self) -> Image:
@@ -150,6 +158,7 @@ class _Clip:
             "uncovered": self.uncovered,
             "shadow": self.shadow,
             "beside": self.beside,
+            "reflected": self.reflected,
         }
         return {name: found[name] for name in (*_AS_VIDEO, "salient")} | {
             name: Region.of(name, mask) for name, mask in more.items() if mask.any()
@@ -218,8 +227,11 @@ class _Methods:
     def __init__(self, renderer: LiveRenderer, forests: Mapping[str, Forest], settings: FrameSettings):
         self._renderer, self._settings = renderer, settings
         self._splats: dict[str, _Frame] = {}
+        self._selecting: dict[str, LastFrameRenderer] = {}
         for name, forest in forests.items():
             self._splats |= _splats(name, forest)
+            if forest.motion is not None and len(forest.counts) > 1:
+                self._selecting[f"{name}, {_LAST_FRAME}"] = LastFrameRenderer(forest)
         assert settings.camera is not None
         depth = renderer.depth(settings.camera)
         seen = float(np.median(depth[np.isfinite(depth)])) / renderer.scene.place.unit
@@ -232,7 +244,8 @@ class _Methods:
         methods = {HYBRID: self._frame, ALONE: self._fresh_frame, **self._splats, TWO_EYES: self._both_eyes}
         if self._traced is not None:
             methods[TRACED] = partial(self._traced_frame, self._traced)
-        return {name: self._timed(clip, method) for name, method in methods.items()}
+        found = {name: self._timed(clip, method) for name, method in methods.items()}
+        return found | {name: self._selected(clip, method) for name, method in self._selecting.items()}
 
     def _timed(self, clip: _Clip, method: _Frame) -> _Shown:
         milliseconds, images = [], []
@@ -240,6 +253,18 @@ class _Methods:
             settings = replace(self._settings, time=at, gaze=clip.gaze)
             start = time.perf_counter()
             images.append(method(settings, number))
+            milliseconds.append((time.perf_counter() - start) * 1000)
+        return _Shown(images, milliseconds[_WARM_UP:])
+
+    def _selected(self, clip: _Clip, renderer: LastFrameRenderer) -> _Shown:
+        """The clip with what each frame before has selected; selecting is not timed."""
+        renderer.forget()
+        milliseconds, images = [], []
+        for at in clip.times:
+            settings = replace(self._settings, time=at, gaze=clip.gaze, acuity_model=_MODELS[0])
+            renderer.select(settings)
+            start = time.perf_counter()
+            images.append(renderer.frame(settings))
             milliseconds.append((time.perf_counter() - start) * 1000)
         return _Shown(images, milliseconds[_WARM_UP:])
 
@@ -296,17 +321,27 @@ def _clip(tracer: Tracer, moving: MovingScene, camera: Camera, number: int, spp:
     step = 1 / (moving.motion.seconds * _FRAMES_PER_SECOND)
     last = (number + 1) / (_CLIPS + 0.5)
     times = [max(0.0, last - step * before) for before in range(_FRAMES - 1, -1, -1)]
-    masks, truths = [], []
+    moving_pixels, truths = [], []
     for at in times:
-        masks.append(_moves(tracer, moving, camera, at))
+        moving_pixels.append(_moves(tracer, moving, camera, at))
         truths.append(reference(tracer, camera, spp, REFERENCE_SEED).radiance)
-    moves, hidden = masks[-1], np.any(masks[-1 - _UNCOVERED : -1], axis=0)
+    moves, hidden = moving_pixels[-1], np.any(moving_pixels[-1 - _UNCOVERED : -1], axis=0)
     before, now = luminance(truths[-1 - _UNCOVERED]), luminance(truths[-1])
     changed = np.abs(now - before) > _SHADOW * (now + _DARK)
-    still = ~moves & ~hidden
-    shadow = changed & still
-    beside = binary_dilation(shadow, iterations=_BESIDE) & still & ~shadow
-    return _Clip(times, _gaze_on(moves), truths, moves, hidden & ~moves, shadow, beside)
+    still, mirrors = ~moves & ~hidden, _mirrors(tracer, camera)
+    shadow = changed & still & ~mirrors
+    beside = binary_dilation(shadow, iterations=_BESIDE) & still & ~mirrors & ~shadow
+    masks = moves, hidden & ~moves, shadow, beside, changed & still & mirrors
+    return _Clip(times, _gaze_on(moves), truths, *masks)
+
+
+def _mirrors(tracer: Tracer, camera: Camera) -> NDArray[np.bool_]:
+    """(H, W) where something specular is seen: what changes there is no shadow."""
+    positions = frame_positions(camera)
+    hits = tracer.hits(camera, positions)
+    gloss = tracer.auxiliary(camera, positions, 1, REFERENCE_SEED).gloss.numpy()
+    found = (hits.unfolded > _BEYOND * hits.distance) | (gloss == SPECULAR)
+    return np.asarray(found.reshape(camera.height, camera.width))
 
 
 def _moves(tracer: Tracer, moving: MovingScene, camera: Camera, at: float) -> NDArray[np.bool_]:
