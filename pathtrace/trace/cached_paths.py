@@ -7,7 +7,7 @@ of its direct light, and one scattered ray. The surface which that one hits refl
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -43,6 +43,13 @@ class PathSettings:
     most_indirect: float | None = None
 
 
+class Tally(Protocol):
+    """Takes what paths add to radiance."""
+
+    def add(self, radiance: Any, segments: Any) -> None:
+        """Takes N colours, and (N,) how many segments their paths have."""
+
+
 @dr.syntax
 def path_radiance(
     scene: Any,
@@ -53,6 +60,7 @@ def path_radiance(
     settings: PathSettings,
     sequences: Sequences,
     cache: CacheArrays,
+    tally: Tally | None = None,
 ) -> Any:
     """N linear colours: radiance along rays, as multiple importance sampling estimates it.
 
@@ -64,6 +72,7 @@ def path_radiance(
         settings: how paths are traced.
         sequences: where the first surface's samples of lights and directions come from.
         cache: in which paths end; with one that knows no cell, the result is unbiased.
+        tally: adds up what paths of each number of segments bring.
     """
     depths = settings.max_depth if settings.max_depth >= 0 else _UNBOUNDED
     radiance, throughput, ray, active = mi.Color3f(0), mi.Color3f(1), mi.Ray3f(ray), mi.Bool(active)
@@ -75,9 +84,10 @@ def path_radiance(
     depth, scattered, spread = mi.UInt32(0), mi.Bool(False), mi.Float(0)
     # Whether what is hit sheds indirect light on the first surface that scatters.
     indirect = mi.Bool(False)
-    while dr.hint(active, exclude=[settings, sequences, cache, lights]):
+    while dr.hint(active, exclude=[settings, sequences, cache, lights, tally]):
         emitted = _emitted(scene, lights, hit, before, row, pdf / light_samples, specular, active)
-        radiance += _bounded(settings, throughput * emitted, indirect)
+        shone = _bounded(settings, throughput * emitted, indirect)
+        radiance += shone
         active &= hit.is_valid() & (depth + 1 < depths)
         spread += dr.select(specular, 0, _step(hit, ray, pdf))
         side = dr.select(dr.dot(hit.n, ray.d) < 0, hit.n, -hit.n)
@@ -99,7 +109,9 @@ def path_radiance(
         here = lights.row(hit.p, side, lit)
         count = dr.select(first, mi.UInt32(settings.shadow_rays), 1)
         direct = _direct(lights, sampler, sequences, hit, here, first, count, known, lit)
-        radiance += _bounded(settings, throughput * direct, scattered)
+        found = _bounded(settings, throughput * direct, scattered)
+        radiance += found
+        _told(tally, (shone, depth + 1), (found, depth + 2))
         active &= sampler.next_1d(active) >= share
         throughput = dr.select(active, throughput * reflected, throughput)
         delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
@@ -116,6 +128,13 @@ def path_radiance(
         throughput, active = _roulette(sampler, throughput, depth >= settings.roulette_depth, active)
         hit = scene.ray_intersect(ray, mi.RayFlags.All, False, active)
     return radiance
+
+
+def _told(tally: Tally | None, *added: tuple[Any, Any]) -> None:
+    """Tells a tally what is added by paths of how many segments."""
+    if tally is not None:
+        for radiance, segments in added:
+            tally.add(radiance, segments)
 
 
 def _bounded(settings: PathSettings, added: Any, indirect: Any) -> Any:
