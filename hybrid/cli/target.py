@@ -11,7 +11,7 @@ from compose.base.errors import UserError
 from hybrid.frame.settings import DEFAULTS, FrameSettings
 
 if TYPE_CHECKING:
-    from hybrid.plan.measured import MeasuredSettings
+    from hybrid.trade.measured import MeasuredSettings
     from pathtrace.scene.scene import Scene
     from splat.model.forest import Forest
 
@@ -50,8 +50,8 @@ class Target:
         """
         if not self.is_set:
             return settings
-        from hybrid.plan.choice import chosen
-        from hybrid.plan.measured import MeasuredStore
+        from hybrid.trade.choice import chosen
+        from hybrid.trade.measured import MeasuredStore
 
         camera, _ = settings.resolved(scene.camera)
         store = MeasuredStore.of("trade", scene, forest, (camera.width, camera.height), settings)

@@ -22,7 +22,7 @@ from hybrid.measure.metrics.fovvideovdp import jod
 from hybrid.measure.metrics.ssim import ssim
 from hybrid.measure.reference import REFERENCE_SEED, reference
 from hybrid.measure.timing import gaze_path
-from hybrid.plan.measured import MeasuredSettings, MeasuredStore, front_of
+from hybrid.trade.measured import MeasuredSettings, MeasuredStore, front_of
 from hybrid.runtime.progress import Report
 from pathtrace.dataset.views import unseen_views
 

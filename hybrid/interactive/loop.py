@@ -10,8 +10,8 @@ from hybrid.frame.settings import FrameSettings
 from hybrid.interactive.request import Request
 from hybrid.interactive.shown import Shown
 from hybrid.interactive.source import FrameSource
-from hybrid.plan.controller import FrameTimeController, applied
-from hybrid.plan.measured import MeasuredSettings
+from hybrid.trade.controller import FrameTimeController, applied
+from hybrid.trade.measured import MeasuredSettings
 
 # Seconds without a change after which frames may take longer, for more samples each.
 _QUICK_FOR = 1.0

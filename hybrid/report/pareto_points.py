@@ -8,7 +8,7 @@ from typing import Any
 from hybrid.evaluation.keys import Key
 from hybrid.evaluation.results import keys_of, mean_of, times_of
 from hybrid.measure.quality import METRICS
-from hybrid.plan.pareto import pareto_front
+from hybrid.trade.pareto import pareto_front
 
 
 @dataclass(frozen=True)

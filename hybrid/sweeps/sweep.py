@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from hybrid.plan.measured import MeasuredSettings, MeasuredStore
+from hybrid.trade.measured import MeasuredSettings, MeasuredStore
 from hybrid.runtime.machine import machine
 from hybrid.store.cache import scene_folder
 from hybrid.store.identity import short_hash

@@ -19,7 +19,7 @@ from compose.eye.gaze_trace import GazeTrace
 from hybrid.demo import run
 from hybrid.demo.run import WindowOptions, run_window
 from hybrid.frame.settings import INTERACTIVE
-from hybrid.plan.measured import MeasuredSettings
+from hybrid.trade.measured import MeasuredSettings
 from tests.hybrid.demo.fakes import Source
 
 FOREST = Path("some.forest")

@@ -15,7 +15,7 @@ from compose.eye.gaze import Gaze
 from hybrid.frame.settings import FrameSettings
 from hybrid.interactive.loop import FrameLoop
 from hybrid.interactive.request import Request, View
-from hybrid.plan.measured import MeasuredSettings
+from hybrid.trade.measured import MeasuredSettings
 
 CAMERA = Camera(np.eye(4), 64, 48, 50.0, 50.0, 32.0, 24.0)
 # 10 to 60 milliseconds, as the source below takes them.

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from compose.base.errors import UserError
 from hybrid.measure.metrics.fovvideovdp import INSTALL
-from hybrid.plan.measured import MeasuredSettings
+from hybrid.trade.measured import MeasuredSettings
 
 
 def chosen(

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hybrid.frame.settings import FrameSettings
-from hybrid.plan.controller import FrameTimeController, applied
-from hybrid.plan.measured import MeasuredSettings
+from hybrid.trade.controller import FrameTimeController, applied
+from hybrid.trade.measured import MeasuredSettings
 from tests import small
 
 

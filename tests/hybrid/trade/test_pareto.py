@@ -6,7 +6,7 @@ from itertools import permutations
 
 import pytest
 
-from hybrid.plan.pareto import pareto_front
+from hybrid.trade.pareto import pareto_front
 from tests import small
 
 

@@ -8,10 +8,10 @@ import pytest
 
 from compose.base.errors import UserError
 from hybrid.frame.settings import FrameSettings
-from hybrid.plan.choice import chosen
-from hybrid.plan.controller import FrameTimeController
-from hybrid.plan.measured import MeasuredSettings
-from hybrid.plan.pareto import pareto_front
+from hybrid.trade.choice import chosen
+from hybrid.trade.controller import FrameTimeController
+from hybrid.trade.measured import MeasuredSettings
+from hybrid.trade.pareto import pareto_front
 from tests.extremes import extreme
 
 LADDER = [MeasuredSettings(FrameSettings(spp=spp), 10.0 * spp, float(spp)) for spp in (1, 2, 4)]

@@ -9,7 +9,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 from hybrid.frame.settings import FrameSettings
-from hybrid.plan.measured import MeasuredSettings
+from hybrid.trade.measured import MeasuredSettings
 
 # Share of the target time that frames are planned to take, because times vary.
 _PLANNED = 0.85

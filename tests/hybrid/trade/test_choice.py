@@ -6,8 +6,8 @@ import pytest
 
 from compose.base.errors import UserError
 from hybrid.frame.settings import FrameSettings
-from hybrid.plan.choice import chosen
-from hybrid.plan.measured import MeasuredSettings
+from hybrid.trade.choice import chosen
+from hybrid.trade.measured import MeasuredSettings
 
 
 def measured(*rows: tuple[float, float]) -> list[MeasuredSettings]:
