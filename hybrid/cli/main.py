@@ -13,6 +13,7 @@ from hybrid.cli.demo import demo
 from hybrid.cli.doctor import doctor
 from hybrid.cli.evaluate import evaluate
 from hybrid.cli.exchange import export_ply, import_file
+from hybrid.cli.plan import plan
 from hybrid.cli.prepare import prepare
 from hybrid.cli.quickstart import quickstart
 from hybrid.cli.render import render
@@ -26,7 +27,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Path-traced fovea, Gaussian-splat periphery: one scene, two renderers, one frame.",
 )
-for command in (doctor, scenes, quickstart, prepare, capture, train, render, demo, evaluate, sweep):
+for command in (doctor, scenes, quickstart, plan, prepare, capture, train, render, demo, evaluate, sweep):
     app.command()(command)
 app.command("export")(export_ply)
 app.command("import")(import_file)

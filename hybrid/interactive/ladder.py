@@ -22,8 +22,8 @@ from hybrid.measure.metrics.fovvideovdp import jod
 from hybrid.measure.metrics.ssim import ssim
 from hybrid.measure.reference import REFERENCE_SEED, reference
 from hybrid.measure.timing import gaze_path
-from hybrid.trade.measured import MeasuredSettings, MeasuredStore, front_of
 from hybrid.runtime.progress import Report
+from hybrid.trade.measured import MeasuredSettings, MeasuredStore, front_of
 from pathtrace.dataset.views import unseen_views
 
 _REFERENCE_SPP = 16

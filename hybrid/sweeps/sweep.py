@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from hybrid.trade.measured import MeasuredSettings, MeasuredStore
 from hybrid.runtime.machine import machine
 from hybrid.store.cache import scene_folder
 from hybrid.store.identity import short_hash
@@ -17,6 +16,7 @@ from hybrid.sweeps.effort import Effort
 from hybrid.sweeps.record import applied, identity_of
 from hybrid.sweeps.run import swept
 from hybrid.sweeps.setting import Setting
+from hybrid.trade.measured import MeasuredSettings, MeasuredStore
 from pathtrace.dataset.views import unseen_views
 from pathtrace.scene.scene import Scene
 from splat.model.forest import Forest

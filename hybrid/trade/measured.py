@@ -12,10 +12,10 @@ from compose.base.errors import UserError, one_line
 from compose.base.files import write_whole
 from compose.base.json_file import read_json
 from hybrid.frame.settings import FrameSettings
-from hybrid.trade.pareto import pareto_front
 from hybrid.runtime.valid_json import json_text
 from hybrid.store.cache import scene_folder
 from hybrid.store.identity import measured_identity, require_same, short_hash
+from hybrid.trade.pareto import pareto_front
 from pathtrace.scene.scene import Scene
 from splat.model.forest import Forest
 

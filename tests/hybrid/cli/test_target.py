@@ -12,8 +12,8 @@ import pytest
 from compose.base.errors import UserError
 from hybrid.cli.target import Target, measuring_command
 from hybrid.frame.settings import FrameSettings
-from hybrid.trade.measured import MeasuredSettings, MeasuredStore
 from hybrid.sweeps import catalogue
+from hybrid.trade.measured import MeasuredSettings, MeasuredStore
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from tests.hybrid.command import run

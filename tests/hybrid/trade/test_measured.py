@@ -11,10 +11,10 @@ import pytest
 from compose.base.errors import UserError
 from compose.eye.display import Display
 from hybrid.frame.settings import FrameSettings
-from hybrid.trade import measured as module
-from hybrid.trade.measured import MeasuredSettings, MeasuredStore, front_of
 from hybrid.store import identity
 from hybrid.store.cache import scene_folder
+from hybrid.trade import measured as module
+from hybrid.trade.measured import MeasuredSettings, MeasuredStore, front_of
 from tests.hybrid.forests import white_dot
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import mitsuba as mi
 import numpy as np
 import pytest
 
@@ -16,27 +15,12 @@ from tests.pathtrace.trace.test_cached_paths import room
 pytestmark = pytest.mark.usefixtures("backend")
 
 
-def furnace(albedo: float) -> dict:
-    """Inside a sphere that glows and reflects alike everywhere."""
-    inside = mi.ScalarTransform4f().look_at([0, 0, 0.2], [0.3, 0, 0], [0, 1, 0])
-    return {
-        "type": "scene",
-        "shape": {
-            "type": "sphere",
-            "flip_normals": True,
-            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 1.0}},
-            "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": albedo}},
-        },
-        "sensor": small.corner()["sensor"] | {"to_world": inside},
-    }
-
-
 @pytest.mark.parametrize("albedo", [0.2, 0.8])
 def test_in_a_furnace_each_bounce_brings_its_albedo(albedo: float):
-    """Paths of d segments bring albedo^(d - 1)."""
-    scene = load_scene(furnace(albedo))
+    """Of a radiance of 1, paths of d segments bring (1 - albedo) albedo^(d - 1)."""
+    scene = load_scene(small.furnace(albedo))
     found = depth_shares(scene, [scene.camera], 1 << 15, 0)
-    expected = albedo ** np.arange(12)
+    expected = (1 - albedo) * albedo ** np.arange(12)
     np.testing.assert_allclose(found.radiance.mean(axis=0)[:12], expected, rtol=0.05, atol=2e-4)
     np.testing.assert_allclose(found.shares.sum(), 1)
 
