@@ -34,6 +34,7 @@ from hybrid.cli.doctor import doctor
 from hybrid.cli.evaluate import evaluate
 from hybrid.cli.exchange import export_ply, import_file
 from hybrid.cli.main import app, main
+from hybrid.cli.plan import plan
 from hybrid.cli.prepare import prepare
 from hybrid.cli.quickstart import quickstart
 from hybrid.cli.render import render
@@ -47,6 +48,7 @@ COMMANDS = {
     "doctor": doctor,
     "scenes": scenes,
     "quickstart": quickstart,
+    "plan": plan,
     "prepare": prepare,
     "capture": capture,
     "train": train,
