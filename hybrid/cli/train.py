@@ -94,7 +94,12 @@ def train(
     seconds = time.perf_counter() - start
     say_left_out(left_out[0])
     # The hash of frames of others is that of the images, which were trained on here.
-    if isinstance(found, PosedFolder) or has_receipt(found):
+    if not isinstance(found, PosedFolder) and settings.motion.field is not None:
+        print(
+            f"the motion was learned, for comparison with that of the scene: the forest does not become the "
+            f"newest one of {found.scene_name}; name it by --forest"
+        )
+    elif isinstance(found, PosedFolder) or has_receipt(found):
         store_forest(trained, forest.stem)
     else:
         print(

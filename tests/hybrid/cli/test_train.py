@@ -90,3 +90,13 @@ def test_a_motion_cannot_be_learned_from_frames_of_one_time(made, monkeypatch, t
     assert "all frames show the same time; a motion (d-gs)" in said
     got("refused")
     assert not (tmp_path / "f").exists()
+
+
+def test_a_learned_motion_does_not_replace_that_of_the_scene(monkeypatch, tmp_path, capsys):
+    few = ["--views", 4, "--held-out", 1, "--size", 48, 48, "--spp", 1, "--held-out-spp", 2]
+    assert run(monkeypatch, "capture", "cloth", tmp_path / "frames", *few) == 0
+    options = [*TINY_TRAINING, "--motion", "d-gs"]
+    assert run(monkeypatch, "train", tmp_path / "frames", tmp_path / "f", *options) == 0
+    assert "does not become the newest one of cloth" in capsys.readouterr().out.replace("\n", " ")
+    assert load_forest(tmp_path / "f").motion is not None
+    assert newest_forest(load_scene("cloth")) is None
