@@ -65,7 +65,7 @@ class Triangles:
     def distance(self, points: Array) -> Array:
         """(N,) distance of points (N, 3) to the nearest triangle, among those with the nearest samples."""
         _, near = self._tree.query(points, k=min(_TRIED, self._tree.n))
-        near = near.reshape(len(points), -1)
+        near = near.reshape(len(points), min(_TRIED, self._tree.n))
         tried = [_to_triangles(points, self._corners[self._triangle[column]]) for column in near.T]
         return np.min(tried, axis=0)
 

@@ -45,6 +45,10 @@ def test_triangles_without_area_are_points_and_edges():
     np.testing.assert_allclose(Triangles(corners).distance(np.array([[0, 1, 0], [2.5, 2, 0]])), [1, 2])
 
 
+def test_of_no_points_there_are_no_distances():
+    assert Triangles(np.zeros((1, 3, 3))).distance(np.zeros((0, 3))).shape == (0,)
+
+
 @pytest.fixture(scope="module")
 def corner(backend, tmp_path_factory):
     return moving_corner(tmp_path_factory.mktemp("moving"))

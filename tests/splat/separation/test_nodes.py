@@ -33,6 +33,8 @@ class View:
     time: float
     instance: np.ndarray
     distance: np.ndarray
+    normal: np.ndarray
+    guessed: bool = False
 
 
 def row_of_nodes(xs: list[float], z: float) -> Gaussians:
@@ -51,7 +53,9 @@ def view(time: float) -> View:
     labels[:, (place > -0.75 + WAY * time) & (place < -0.25 + WAY * time)] = 0
     depth = np.where(labels == BACKGROUND, 3.0, 2.0).reshape(-1)
     cosine = CAMERA.rays(CAMERA.pixel_centres())[:, 2]
-    return View(CAMERA, time, labels, (depth / cosine).reshape(SIZE, SIZE).astype(np.float32))
+    distance = (depth / cosine).reshape(SIZE, SIZE).astype(np.float32)
+    normal = np.tile(np.float32([0, 0, -1]), (SIZE, SIZE, 1))
+    return View(CAMERA, time, labels, distance, normal)
 
 
 STILL = np.linspace(-1.2, 1.2, 25).round(3).tolist()
@@ -108,3 +112,15 @@ def test_what_something_has_left_behind_is_no_part_of_what_stands_still(arrays):
     found = separated(layer, evidence_of(arrays, layer, views, MOTION, 1), MOTION)
     assert found.dynamic[: len(smear)].all()
     assert found.dynamic[len(smear) :].float().mean() < 0.2
+
+
+def test_a_still_node_that_hovers_is_put_on_the_surface(arrays):
+    """Nodes of 0.02 hover by 0.03 before the wall, of which they contribute to pixels; others stay."""
+    nodes = row_of_nodes([0.3, 0.6, 0.9], -0.03)
+    nodes.log_scales[:] = np.log(0.02)
+    nodes.log_scales[:, 1] = np.log(0.04)
+    layer = static_layer(nodes)
+    evidence = evidence_of(arrays, layer, VIEWS[:1], MOTION, 1)
+    found = separated(layer, evidence, MOTION).gaussians.means
+    torch.testing.assert_close(found[2], torch.tensor([0.0, -0.03, 0.0]), atol=1e-5, rtol=0)
+    torch.testing.assert_close(found[:2], nodes.means[:2], atol=1e-5, rtol=0)
