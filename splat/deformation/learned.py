@@ -27,6 +27,11 @@ class LearnedMotion:
 
     def __init__(self, kind: FieldKind, field: Field):
         self.kind, self.field = kind, field
+        self._anchors: tuple[torch.Tensor, torch.Tensor] | None = None
+
+    def anchor(self, points: torch.Tensor, instance: torch.Tensor) -> None:
+        """Tells points (3, A) of instances (A,), at rest: what is shown comes to rest beside the nearest."""
+        self._anchors = points, instance
 
     @staticmethod
     def begun(kind: FieldKind, low: torch.Tensor, high: torch.Tensor, seed: int) -> LearnedMotion:
@@ -71,10 +76,21 @@ class LearnedMotion:
         return partial(self.shown, gaussians, instance)
 
     def at_rest(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """As of `Dynamics`; to first order, and as turned and as large as they are shown."""
+        """As of `Dynamics`; as turned and as large as they are shown.
+
+        Nodes are as far from rest as the nearest anchor of their instance; without anchors, as they would be
+        if they were at rest where they are shown (first order).
+        """
         with torch.no_grad():
-            moved = self.shown(gaussians, instance, time)
-        return Gaussians(**{**dict(gaussians.tensors()), "means": 2 * gaussians.means - moved.means})
+            shifts = self.shown(gaussians, instance, time).means - gaussians.means
+            if self._anchors is not None:
+                points, of = self._anchors
+                moved = self.field(points, time).shifts
+                for number in torch.unique(of).tolist():
+                    own, here = of == number, torch.nonzero(instance == number)[:, 0]
+                    apart = torch.cdist(gaussians.means[:, here].T, (points + moved)[:, own].T)
+                    shifts[:, here] = moved[:, own][:, apart.argmin(dim=1)]
+        return Gaussians(**{**dict(gaussians.tensors()), "means": gaussians.means - shifts})
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All numbers, by name, which begins with that of the field."""

@@ -16,7 +16,7 @@ from splat.model.layer import LABELS, NO_PARENT, Layer, concatenated_layers
 from splat.model.surface_light import SurfaceLight
 from splat.raster.differentiable import render_differentiable
 from splat.raster.projection import PIXEL_FILTER
-from splat.separation.nodes import evidence_of, separated
+from splat.separation.nodes import Evidence, evidence_of, separated
 from splat.training.density import DensityControl
 from splat.training.depths import measured
 from splat.training.loss import Target
@@ -153,23 +153,50 @@ class LayerTraining:
 
     def separate(self, count: int) -> None:
         """Tells anew which nodes move, from at most a number of views (Fov-GS, section 3.3)."""
-        if not self._separates or self._motion is None:
-            return
-        count = min(len(self.views), count)
-        chosen = np.random.default_rng([*self._seed, 3, self.done]).choice(len(self.views), count, False)
-        views = [self.views[index] for index in sorted(chosen)]
+        if self._separates:
+            count = min(len(self.views), count)
+            chosen = np.random.default_rng([*self._seed, 3, self.done]).choice(len(self.views), count, False)
+            self._separate([self.views[index] for index in sorted(chosen)])
+
+    def separate_at_last(self) -> torch.Tensor | None:
+        """Tells from all views which nodes move, and removes those that move and that none of them shows.
+
+        A field has led these behind something. Nobody will tell any more that they do not belong there.
+
+        Returns:
+            As of `step`.
+        """
+        if not self._separates:
+            return None
+        evidence = self._separate(self.views)
+        kept = torch.nonzero(evidence.is_seen | ~self._tree.dynamic)[:, 0]
+        if len(kept) in (0, len(self._tree)):
+            return None
+        now = self._continue_with(kept, [])
+        self._follow_light()
+        return now
+
+    def _separate(self, views: list[TrainingView]) -> Evidence:
+        assert self._motion is not None
+        views = [self._measured(view) for view in views]
         evidence = evidence_of(self._arrays, self.layer, views, self._motion, self._instances)
         self._tree = separated(self.layer, evidence, self._motion)
         self._optimizer.replace(self._tree.gaussians, torch.arange(len(self._tree)))
+        return evidence
 
     def _change_density(self) -> torch.Tensor:
-        """Removes and adds nodes; returns the index (N,) that each former node has now, -1 if removed."""
-        before = self.layer
+        """Removes and adds nodes; returns as `step`."""
         rng = np.random.default_rng([*self._seed, 1, self.done])
+        before = self.layer
         kept, added = self._density.change(before.gaussians, self.views, rng, self._measured)
         if self._light is not None:
             kept, added = self._split(self._light.surface, before, kept, added)
-        self._tree = concatenated_layers([before.select(kept), added])
+        return self._continue_with(kept, [added])
+
+    def _continue_with(self, kept: torch.Tensor, added: list[Layer]) -> torch.Tensor:
+        """Continues with nodes of an index and others after them; returns as `step`."""
+        before = self.layer
+        self._tree = concatenated_layers([before.select(kept), *added])
         self._optimizer.replace(self._tree.gaussians, kept)
         now = torch.full((len(before),), NO_PARENT, dtype=torch.int32)
         now[kept] = torch.arange(len(kept), dtype=torch.int32)

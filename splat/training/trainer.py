@@ -31,6 +31,7 @@ from splat.training.initialization import seed_from_views
 from splat.training.layer import LayerTraining
 from splat.training.loss import SMALLEST_SIDE
 from splat.training.node_light import NodeLight
+from splat.training.registration import register
 from splat.training.views import TrainingView, at_resolution, finest_focal, pixel_footprint, place_of, placed
 
 # Share of the steps before the forest is built.
@@ -42,8 +43,6 @@ _ALONE_AGAIN = 0.6
 _FINEST = 0.6
 # Share of the steps after which density control is finished in all layers and the trees stay as they are.
 _SETTLED = 0.8
-# Views at most that tell in the end which nodes move.
-_LAST_SEPARATION = 64
 # Prefix of a field's tensors in checkpoints.
 _FIELD = "field."
 
@@ -139,6 +138,8 @@ class Trainer:
         self._field: FieldOptimizer | None = None
         if settings.motion.field is not None:
             self.motion = learned = LearnedMotion.begun(settings.motion.field, *_box(views), settings.seed)
+            if settings.motion is MotionModel.D_GS_OF_DYNAMIC:
+                register(learned, views, settings.iterations, settings.seed)
             self._field = FieldOptimizer(learned, settings.iterations)
         self._pixel = pixel_footprint(at_resolution(views, 0, strictly=True))
         self._schedule = training_schedule(settings, _ALONE if start is None else _ALONE_AGAIN)
@@ -194,10 +195,9 @@ class Trainer:
         if index < len(self._layers) - 1 and not self._layers[index].begun:
             self._build()
         if self.iteration == self._settling:
-            # For the last time, and therefore from many views.
-            for training in self._layers:
+            for number, training in enumerate(self._layers):
                 if training.begun:
-                    training.separate(_LAST_SEPARATION)
+                    self._tell_children(number, training.separate_at_last())
         if self.iteration == self._settling and self._layers[0].begun:
             settled = settle([training.layer for training in self._layers])
             for training, layer in zip(self._layers, settled, strict=True):
@@ -206,6 +206,10 @@ class Trainer:
         moved = self._layers[index].step(grows=self.iteration < self._settling)
         if self._field is not None:
             self._field.step(self.iteration, self._layers[index].stepped)
+        self._tell_children(index, moved)
+
+    def _tell_children(self, index: int, moved: torch.Tensor | None) -> None:
+        """Tells the next layer which index each node of this one has now (N,); None if all have their own."""
         if moved is not None and index + 1 < len(self._layers) and self._layers[index + 1].begun:
             # Children of removed nodes get other parents when the trees are settled.
             below = self._layers[index + 1]

@@ -132,3 +132,19 @@ def test_where_everything_moves_or_nothing_labels_stay(arrays, label):
     after = trainer._layers[-1].layer
     torch.testing.assert_close(after.semantic, before.semantic)
     torch.testing.assert_close(after.gaussians.means, before.gaussians.means)
+
+
+def test_moving_nodes_that_no_view_shows_are_removed_at_last(arrays):
+    """Those that a field has led behind the wall; the others stay, and the layer below hears of it."""
+    trainer = Trainer(arrays, VIEWS, LEARNED)
+    finest = trainer._layers[-1]
+    before = finest.layer
+    behind = torch.nonzero(before.dynamic)[:3, 0]
+    before.gaussians.means[2, behind] += 30
+    finest.begin(before, SETTINGS.gaussians)
+    now = finest.separate_at_last()
+    assert now is not None
+    assert (now[behind] == -1).all()
+    assert bool((now >= 0)[~before.dynamic].all())
+    assert int((now >= 0).sum()) == len(finest.layer)
+    torch.testing.assert_close(now[now >= 0], torch.arange(len(finest.layer), dtype=torch.int32))
