@@ -12,6 +12,7 @@ from hybrid.plan.decision import Decision
 from hybrid.plan.layers import layers_decision
 from hybrid.plan.look import Look, look_at_scene
 from hybrid.plan.paths import path_decisions
+from hybrid.plan.samples import denoising_decision
 from hybrid.runtime.progress import no_progress
 from pathtrace.scene.difficulties import light_difficulties
 from pathtrace.scene.scene import Scene
@@ -71,11 +72,15 @@ def plan_of(
     progress(1, _PARTS)
     paths = path_decisions(scene, look.cameras, seed)
     progress(2, _PARTS)
+    denoising = denoising_decision(scene, look.views, seed)
+    if scene.moving is not None:
+        scene.set_time(0.0)
     decisions = (
         _motion_decision(scene),
         *paths,
         degree_decision(look),
         layers_decision(display, size),
+        denoising,
         _light_decision(scene, look),
     )
     progress(3, _PARTS)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from compose.camera.view import View
 from compose.eye.display import DISPLAYS
+from compose.image.colour import srgb_from_radiance
 from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
 from hybrid.plan.appearance import degree_decision, range_evidence
 from hybrid.plan.decision import Decision
@@ -13,11 +15,15 @@ from hybrid.plan.layers import layers_decision
 from hybrid.plan.look import Look, look_at_scene
 from hybrid.plan.paths import MOST_BIAS, UNBOUNDED, path_decisions
 from hybrid.plan.plan import plan_of
+from hybrid.plan.samples import denoising_decision
 from pathtrace.scene.scene import load_scene
+from pathtrace.trace.film import frame_positions
+from pathtrace.trace.image import trace_image
+from pathtrace.trace.tracer import Tracer
 from tests import small
 from tests.moving import moving_corner
 
-NAMES = ["motion", "path depth", "roulette depth", "degree", "layers", "light"]
+NAMES = ["motion", "path depth", "roulette depth", "degree", "layers", "denoising", "light"]
 
 
 def looked(
@@ -85,6 +91,35 @@ def test_a_still_scene_with_a_mirror_ball(backend):
     assert 3 <= found.value("path depth") <= 6
     assert found.rows()[0] == found.decisions[0].row()
     assert set(found.rows()[0]) == set(Decision.__dataclass_fields__)
+
+
+def test_noise_is_denoised_and_what_has_none_is_not(backend):
+    noisy = load_scene(small.corner())
+    found = denoising_decision(noisy, [View(noisy.camera.resized(64, 64))], 0)
+    assert found.value == "denoised"
+    assert found.gain > 2
+    # A raw frame of as many samples as the denoised one has half the squared error.
+    ahead = found.evidence["denoised_db"] - found.evidence["raw_db"] - 10 * np.log10(2)
+    assert ahead == pytest.approx(10 * np.log10(found.gain))
+    flat = load_scene(small.furnace(0.0))
+    clean = denoising_decision(flat, [View(flat.camera.resized(64, 64))], 0)
+    assert (clean.value, clean.gain) == ("raw", 1.0)
+    assert clean.evidence["raw_db"] > 60
+
+
+def test_raw_noise_is_that_of_many_frames(backend):
+    """Against the variance over 48 frames of as many samples."""
+    scene = load_scene(small.corner())
+    camera, tracer = scene.camera.resized(48, 48), Tracer(scene)
+    found = [denoising_decision(scene, [View(camera)], seed).evidence["raw_db"] for seed in range(6)]
+    frames = [
+        srgb_from_radiance(trace_image(tracer, camera, frame_positions(camera), 48, 4, seed).radiance)
+        for seed in range(100, 148)
+    ]
+    variance = np.var(frames, axis=0, ddof=1).mean()
+    assert -10 * np.log10(np.mean(10 ** (-np.array(found) / 10))) == pytest.approx(
+        -10 * np.log10(variance), abs=0.7
+    )
 
 
 def test_a_scene_that_moves_is_looked_at_at_several_times(backend, tmp_path):
