@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import torch
@@ -69,7 +70,7 @@ class LearnedMotion:
         parts = {
             name: getattr(gaussians, name).index_copy(1, moving, getattr(deformed, name)) for name in names
         }
-        return Gaussians(**{**dict(gaussians.tensors()), **parts})
+        return replace(gaussians, **parts)
 
     def course(self, gaussians: Gaussians, instance: torch.Tensor) -> Callable[[float], Gaussians]:
         """As of `Dynamics`; a field knows nothing that all times share."""
@@ -90,7 +91,7 @@ class LearnedMotion:
                     own, here = of == number, torch.nonzero(instance == number)[:, 0]
                     apart = torch.cdist(gaussians.means[:, here].T, (points + moved)[:, own].T)
                     shifts[:, here] = moved[:, own][:, apart.argmin(dim=1)]
-        return Gaussians(**{**dict(gaussians.tensors()), "means": gaussians.means - shifts})
+        return replace(gaussians, means=gaussians.means - shifts)
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All numbers, by name, which begins with that of the field."""

@@ -25,7 +25,7 @@ from splat.io.rounding import (
     logits_of_codes,
 )
 from splat.model.forest import Forest
-from splat.model.gaussians import Gaussians
+from splat.model.gaussians import Directional, Gaussians, apart
 from splat.model.layer import Layer
 
 _BOXES = "boxes."
@@ -43,13 +43,18 @@ def compact(forest: Forest) -> Forest:
 
 def is_compact(forest: Forest) -> bool:
     """Whether a compact file holds its numbers exactly, to the bit."""
-    gaussians = forest.nodes.gaussians
-    return gaussians.is_finite() and all(
-        torch.equal(own.detach().view(torch.int32), held.view(torch.int32))
-        for (_, own), (_, held) in zip(
-            gaussians.tensors(), compact(forest).nodes.gaussians.tensors(), strict=True
-        )
-    )
+    if not forest.nodes.gaussians.is_finite():
+        return False
+    own, held = (_contents(made.nodes.gaussians) for made in (forest, compact(forest)))
+    return own == held
+
+
+def _contents(gaussians: Gaussians) -> list[bytes]:
+    """All bits of Gaussians."""
+    further = gaussians.directional
+    tensors = [tensor for _, tensor in gaussians.tensors()]
+    tensors += [] if further is None else [further.index, further.sh]
+    return [np.ascontiguousarray(tensor.detach().numpy()).tobytes() for tensor in tensors]
 
 
 def encoded(nodes: Layer, counts: tuple[int, ...]) -> dict[str, torch.Tensor]:
@@ -62,9 +67,14 @@ def encoded(nodes: Layer, counts: tuple[int, ...]) -> dict[str, torch.Tensor]:
     Raises:
         ValueError: a number is not finite.
     """
-    gaussians = nodes.gaussians
+    gaussians = apart(nodes.gaussians)
     if not gaussians.is_finite():
         raise ValueError("a number is not finite")
+    assert gaussians.directional is not None
+    further = gaussians.directional
+    directional = codes_of_harmonics(further.sh.detach().numpy().astype(np.float64))
+    # What is rounded to nothing is left out.
+    turns = directional.any(axis=(0, 1))
     exact = {name: t.detach().numpy().astype(np.float64) for name, t in gaussians.tensors()}
     log_scales = codes_of_log_scales(exact["log_scales"])
     boxes = boxed(exact["means"], tolerance(log_scales_of_codes(log_scales)), counts)
@@ -78,7 +88,8 @@ def encoded(nodes: Layer, counts: tuple[int, ...]) -> dict[str, torch.Tensor]:
         "opacities": codes_of_opacities(exact["opacity_logits"]),
         "sh.constant": codes_of_constants(exact["sh"][0]),
         # The coefficients of a node side by side: where one is small, others are.
-        "sh.directional": codes_of_harmonics(exact["sh"][1:]).transpose(2, 0, 1),
+        "sh.directional": directional[..., turns].transpose(2, 0, 1),
+        "sh.turning": _mask(further.index.numpy()[turns], len(nodes)),
         # Parents follow each other as their children do.
         "parent": np.diff(parent, prepend=parent.dtype.type(0)),
     }
@@ -96,7 +107,10 @@ def decoded(tensors: dict[str, torch.Tensor]) -> Layer:
     codes = {name: _codes(tensors, name, kind) for name, kind in _KINDS.items()}
     boxes = Boxes(**{field.name: codes[_BOXES + field.name] for field in fields(Boxes)})
     directional = harmonics_of_codes(codes["sh.directional"]).transpose(1, 2, 0)
-    sh = np.concatenate([constants_of_codes(codes["sh.constant"])[None], directional])
+    further = Directional(
+        torch.from_numpy(np.flatnonzero(codes["sh.turning"])),
+        torch.from_numpy(np.ascontiguousarray(directional, dtype=np.float32)),
+    )
     gaussians = Gaussians(
         *(
             torch.from_numpy(np.ascontiguousarray(part, dtype=np.float32))
@@ -105,9 +119,10 @@ def decoded(tensors: dict[str, torch.Tensor]) -> Layer:
                 log_scales_of_codes(codes["log_scales"]),
                 rotations_of_codes(codes["rotations.largest"], codes["rotations.others"]),
                 logits_of_codes(codes["opacities"]),
-                sh,
+                constants_of_codes(codes["sh.constant"])[None],
             )
-        )
+        ),
+        directional=further,
     )
     parent = np.cumsum(codes["parent"], dtype=np.int32)
     return Layer(gaussians, *map(torch.from_numpy, (parent, codes["semantic"], codes["dynamic"])))
@@ -125,10 +140,18 @@ _KINDS: dict[str, tuple[torch.dtype, int]] = {
     "opacities": (torch.uint8, 1),
     "sh.constant": (torch.int16, 2),
     "sh.directional": (torch.int16, 3),
+    "sh.turning": (torch.bool, 1),
     "parent": (torch.int32, 1),
     "semantic": (torch.int32, 1),
     "dynamic": (torch.bool, 1),
 }
+
+
+def _mask(index: Codes, count: int) -> Codes:
+    """(N,) bool, true at an index, of N = `count`."""
+    found = np.zeros(count, dtype=bool)
+    found[index] = True
+    return found
 
 
 def _codes(tensors: dict[str, torch.Tensor], name: str, kind: tuple[torch.dtype, int]) -> Codes:

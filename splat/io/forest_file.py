@@ -31,12 +31,12 @@ from splat.io.tensors import (
 from splat.model.check import check_forest
 from splat.model.dynamics import Dynamics
 from splat.model.forest import Forest
-from splat.model.gaussians import Gaussians
+from splat.model.gaussians import TENSORS, Directional, Gaussians
 from splat.model.layer import LABELS, Layer
 from splat.model.light_course import LightCourse
 from splat.model.motion import Motion
 
-_ATTACHED, _MOTION, _LIGHT = "attached.", "motion.", "light."
+_ATTACHED, _MOTION, _LIGHT, _DIRECTIONAL = "attached.", "motion.", "light.", "directional."
 # In the metadata of compact files: type and shape of each packed tensor.
 _PACKED = "packed"
 _UNIT_TOLERANCE = 1e-6
@@ -73,8 +73,11 @@ def save_forest(path: str | Path, forest: Forest) -> None:
         tensors, kinds = packed({**encoded(nodes, forest.counts), **tensors})
         metadata |= {"format_version": COMPACT_VERSION, _PACKED: kinds}
     else:
-        own = (*nodes.gaussians.tensors(), *nodes.labels())
-        tensors |= {name: tensor.detach().cpu() for name, tensor in own}
+        own, further = dict([*nodes.gaussians.tensors(), *nodes.labels()]), nodes.gaussians.directional
+        if further is not None:
+            own |= {_DIRECTIONAL + "index": further.index, _DIRECTIONAL + "sh": further.sh}
+            metadata["format_version"] = COMPACT_VERSION
+        tensors |= {name: tensor.detach().cpu() for name, tensor in own.items()}
     save_tensors(Path(path), tensors, metadata)
 
 
@@ -89,8 +92,8 @@ def load_forest(path: str | Path) -> Forest:
     tensors, metadata = load_tensors(path, "train it again")
     _require_forest(path, metadata)
     try:
-        if metadata.get("format_version") == COMPACT_VERSION:
-            tensors = unpacked(tensors, metadata.get(_PACKED))
+        if _PACKED in metadata:
+            tensors = unpacked(tensors, metadata[_PACKED])
             nodes = decoded(tensors)
         else:
             nodes = _exact(tensors)
@@ -181,13 +184,18 @@ def _require_forest(path: Path, metadata: dict[str, Any]) -> None:
 def _exact(tensors: dict[str, torch.Tensor]) -> Layer:
     """The nodes of a file of float32 numbers."""
     _check_types(tensors)
-    gaussians = Gaussians(**{name: tensors[name] for name in Gaussians.__dataclass_fields__})
+    found, further = under(_DIRECTIONAL, tensors), None
+    if found:
+        further = Directional(found["index"], found["sh"])
+        if further.sh.dtype != torch.float32:
+            raise ValueError(f"directional harmonics are {further.sh.dtype}, expected float32")
+    gaussians = Gaussians(*(tensors[name] for name in TENSORS), directional=further)
     return Layer(gaussians, *(tensors[name] for name in LABELS))
 
 
 def _check_types(tensors: dict[str, torch.Tensor]) -> None:
     """Raises a ValueError if a tensor is of another type, which kernels would misread, or has no axis."""
-    for name in (*Gaussians.__dataclass_fields__, *LABELS):
+    for name in (*TENSORS, *LABELS):
         expected = _TYPES.get(name, torch.float32)
         if tensors[name].dtype != expected or not tensors[name].ndim:
             raise ValueError(f"{name} is {tensors[name].dtype}, expected an array of {expected}")

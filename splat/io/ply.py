@@ -46,7 +46,7 @@ def save_ply(path: str | Path, gaussians: Gaussians) -> None:
     """
     n = len(gaussians)
     names = _ply_properties(gaussians.degree)
-    sh = gaussians.sh.detach().cpu()
+    sh = gaussians.all_turning().sh.detach().cpu()
     columns = [
         gaussians.means,
         torch.zeros(3, n),

@@ -18,7 +18,7 @@ from compose.base.json_file import parse_json
 FORMAT_VERSION = 2
 # That of forests in coordinates of their own, which programs that read version 2 alone would misplace.
 PLACED_VERSION = 3
-# That of forests whose tensors are codes, and packed.
+# That of forests of which only some nodes have directional harmonics, or whose tensors are codes.
 COMPACT_VERSION = 4
 _VERSIONS = (FORMAT_VERSION, PLACED_VERSION, COMPACT_VERSION)
 _METADATA, _CHECKSUM = "hybrid", "crc32"

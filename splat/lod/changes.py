@@ -34,6 +34,9 @@ class LayerChanges:
             instance = forest.nodes.semantic[self._dynamic]
             self._course = forest.motion.course(self._own.select(self._dynamic), instance)
         self._light = None if forest.light is None else forest.light.among(first, end)
+        # Those whose light changes, in usual light.
+        lit = torch.zeros(0, dtype=torch.int64) if self._light is None else self._light.nodes
+        self._usual = self._own.select(lit)
         self._means, self._rotations = self._own.means, self._own.rotations
         self._moved_to, self._lit_at, self._eye = -1.0, -1.0, b""
 
@@ -53,8 +56,8 @@ class LayerChanges:
             self._rotations = self._own.rotations.index_copy(1, self._dynamic, found.rotations)
         return self._dynamic, found
 
-    def lit(self, time: float, camera: Camera) -> tuple[torch.Tensor, torch.Tensor] | None:
-        """Indices (M,) of nodes and their harmonics (K, 3, M) in the light of a time; None if given out.
+    def lit(self, time: float, camera: Camera) -> tuple[torch.Tensor, Gaussians] | None:
+        """Indices (M,) of nodes, and Gaussians (M) with harmonics in the light of a time; None if given out.
 
         Args:
             time: at which the nodes are already.
@@ -66,15 +69,16 @@ class LayerChanges:
         eye = camera.position.tobytes() if len(light.sided) else b""
         if (self._lit_at, self._eye) == (time, eye):
             return None
-        nodes, factors = light.nodes, light.at(time)
+        nodes, factors, shown = light.nodes, light.at(time), self._usual
         if len(light.sided):
             behind = self._seen_from_behind(light, camera)
             factors[:, light.sided] = torch.where(behind, light.behind_at(time), factors[:, light.sided])
         if self._lit_at == time:
             # Another eye may see another side; all else is as it was.
             nodes, factors = nodes[light.sided], factors[:, light.sided]
+            shown = shown.select(light.sided)
         self._lit_at, self._eye = time, eye
-        return nodes, in_light(self._own.sh[..., nodes], factors)
+        return nodes, in_light(shown, torch.arange(len(nodes)), factors)
 
     def _seen_from_behind(self, light: LightCourse, camera: Camera) -> torch.Tensor:
         """(B,) whether nodes with two sides are seen from behind where they are now."""

@@ -14,9 +14,16 @@ from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from splat.lod.changes import LayerChanges
 from splat.model.forest import Forest
-from splat.model.gaussians import Gaussians
+from splat.model.gaussians import Directional, Gaussians
 from splat.raster.binning import depth_order
-from splat.raster.projection import PIXEL_FILTER, Footprints, Parameters, footprints, may_show
+from splat.raster.projection import (
+    PIXEL_FILTER,
+    Footprints,
+    Parameters,
+    directional_constant,
+    footprints,
+    may_show,
+)
 from splat.raster.records import RecordLayout, Records, concatenated_records
 
 # The fields of `Footprints`. One float is spare.
@@ -135,7 +142,7 @@ class ForestFootprints:
         index = dr.compress(may_show(self.arrays, bounds.means, bounds.size, camera, low_pass))
         if not dr.width(index):
             return None
-        raw = footprints(self._nodes.parameters(index + bounds.first), camera)
+        raw = footprints(self._nodes.parameters(index + bounds.first, camera), camera)
         records = _FOOTPRINT.pack(self.arrays, **vars(raw))
         dr.eval(records.tables, raw.depth)
         near = records.at(depth_order(self.arrays, raw.depth, plain.Bool(True)))
@@ -187,12 +194,14 @@ class _NodeTable:
     def __init__(self, arrays: Arrays, gaussians: Gaussians):
         coefficients = gaussians.sh.shape[0]
         widths = {"means": 3, "log_scales": 3, "rotations": 4, "opacity_logits": 1, "sh": 3 * coefficients}
-        # 2, 1, 2, 5 floats are spare for spherical harmonics of degree 0, 1, 2, 3.
-        loads = -(-sum(widths.values()) // _NODE_LOAD)
-        layout = RecordLayout([_NODE_LOAD] * loads, (), **widths)
-        tensors = {name: t.reshape(widths[name], len(gaussians)).numpy() for name, t in gaussians.tensors()}
+        tensors = {name: t.reshape(widths[name], len(gaussians)) for name, t in gaussians.tensors()}
         self._arrays, self._coefficients = arrays, coefficients
-        self._records = layout.upload(arrays, **tensors)
+        # 2, 1, 2, 5 floats are spare for spherical harmonics of degree 0, 1, 2, 3.
+        self._records = _uploaded(arrays, tensors)
+        further = gaussians.directional
+        self._directional = None
+        if further is not None and further.sh.numel():
+            self._directional = _DirectionalTable(arrays, further, len(gaussians))
 
     def move(self, nodes: torch.Tensor, gaussians: Gaussians) -> None:
         """Gives some nodes (M,) of the forest place, orientation and size of Gaussians (M)."""
@@ -202,13 +211,59 @@ class _NodeTable:
             index, **{name: [_row(self._arrays, row) for row in tensor] for name, tensor in rows.items()}
         )
 
-    def light(self, nodes: torch.Tensor, sh: torch.Tensor) -> None:
-        """Gives some nodes (M,) of the forest other spherical harmonics (K, 3, M)."""
+    def light(self, nodes: torch.Tensor, gaussians: Gaussians) -> None:
+        """Gives some nodes (M,) of the forest the spherical harmonics of Gaussians (M)."""
         index = self._arrays.plain.UInt(nodes.numpy())
-        self._records.write(index, sh=[_row(self._arrays, row) for row in sh.flatten(0, 1)])
+        self._records.write(index, sh=[_row(self._arrays, row) for row in gaussians.sh.flatten(0, 1)])
+        if self._directional is not None and gaussians.directional is not None:
+            self._directional.light(nodes, gaussians.directional)
 
-    def parameters(self, index: Any) -> Parameters:
-        """Parameters of the nodes at an index (M,)."""
+    def parameters(self, index: Any, camera: Camera) -> Parameters:
+        """Parameters of the nodes at an index (M,), with what they show to a camera as constant harmonics."""
         node = self._records.at(index)
         sh = [node.sh[3 * k : 3 * k + 3] for k in range(self._coefficients)]
+        if self._directional is not None:
+            added = self._directional.constant(index, self._records, camera)
+            sh = [[own + more for own, more in zip(sh[0], added, strict=True)]]
         return Parameters(node.means, node.log_scales, node.rotations, node.opacity_logits, sh)
+
+
+class _DirectionalTable:
+    """Harmonics above the constant one, of the nodes that have them."""
+
+    def __init__(self, arrays: Arrays, further: Directional, count: int):
+        self._arrays, self._slot_of = arrays, further.slots(count)
+        self._coefficients = further.sh.shape[0]
+        self._slots = arrays.plain.Int(self._slot_of.int().numpy())
+        self._records = _uploaded(arrays, {"sh": further.sh.flatten(0, 1)})
+
+    def light(self, nodes: torch.Tensor, further: Directional) -> None:
+        """Gives those of some nodes (L,) of the forest that have such harmonics others."""
+        if len(further):
+            index = self._arrays.plain.UInt(self._slot_of[nodes[further.index]].numpy())
+            self._records.write(index, sh=[_row(self._arrays, row) for row in further.sh.flatten(0, 1)])
+
+    def constant(self, index: Any, nodes: Records, camera: Camera) -> list[Any]:
+        """Three channels (M,), of nodes at an index (M,), to be added to their constant harmonic.
+
+        Only nodes that have such harmonics are computed; they lie together in vectors.
+        """
+        Float, UInt = self._arrays.plain.Float, self._arrays.plain.UInt
+        added = [dr.zeros(Float, dr.width(index)) for _ in range(3)]
+        slot = dr.gather(self._arrays.plain.Int, self._slots, index)
+        some = dr.compress(slot >= 0)
+        if dr.width(some):
+            coefficients = self._records.at(UInt(dr.gather(type(slot), slot, some))).sh
+            sh = [coefficients[3 * k : 3 * k + 3] for k in range(self._coefficients)]
+            means = nodes.at(dr.gather(UInt, UInt(index), some)).means
+            for target, value in zip(added, directional_constant(sh, means, camera), strict=True):
+                dr.scatter(target, value, some, mode=dr.ReduceMode.Permute)
+        return added
+
+
+def _uploaded(arrays: Arrays, tensors: dict[str, torch.Tensor]) -> Records:
+    """Records of tensors (width, N), on the device."""
+    widths = {name: tensor.shape[0] for name, tensor in tensors.items()}
+    loads = -(-sum(widths.values()) // _NODE_LOAD)
+    layout = RecordLayout([_NODE_LOAD] * loads, (), **widths)
+    return layout.upload(arrays, **{name: tensor.numpy() for name, tensor in tensors.items()})

@@ -8,7 +8,7 @@ radiance 50 is only 5.3.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, replace
 
 import torch
 
@@ -25,6 +25,38 @@ def sh_count(degree: int) -> int:
     return (degree + 1) ** 2
 
 
+# Names of the tensors that all Gaussians have.
+TENSORS = ("means", "log_scales", "rotations", "opacity_logits", "sh")
+
+
+@dataclass
+class Directional:
+    """The spherical harmonics above the constant one, of those of N Gaussians that have any.
+
+    Attributes:
+        index: (M,) int64, which Gaussians, ascending.
+        sh: (K - 1, 3, M) float32, the coefficients of the perceptual radiance.
+    """
+
+    index: torch.Tensor
+    sh: torch.Tensor
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def slots(self, count: int) -> torch.Tensor:
+        """(N,) int64, of N = `count` Gaussians the position of each one among the M; -1 if it is none."""
+        slots = torch.full((count,), -1, dtype=torch.int64, device=self.index.device)
+        slots[self.index] = torch.arange(len(self), device=self.index.device)
+        return slots
+
+    def select(self, keep: torch.Tensor, count: int) -> Directional:
+        """Those of the Gaussians at an index (L,) or a mask of N = `count`."""
+        slot = self.slots(count)[keep]
+        index = torch.nonzero(slot >= 0)[:, 0]
+        return Directional(index, self.sh[..., slot[index]].contiguous())
+
+
 @dataclass
 class Gaussians:
     """N Gaussians.
@@ -36,7 +68,9 @@ class Gaussians:
         log_scales: (3, N) natural logarithms of the standard deviations along the principal axes.
         rotations: (4, N) quaternions (w, x, y, z), not necessarily of unit length.
         opacity_logits: (N,) opacity before the sigmoid.
-        sh: (K, 3, N) spherical harmonics of the perceptual radiance minus 0.5, K = (degree + 1)^2.
+        sh: (K, 3, N) spherical harmonics of the perceptual radiance minus 0.5, K = (degree + 1)^2; with
+            `directional` the constant one alone, (1, 3, N).
+        directional: the other ones, where only some Gaussians have them; None if all do, or none.
 
     Raises:
         ValueError: a tensor has the wrong shape.
@@ -47,6 +81,7 @@ class Gaussians:
     rotations: torch.Tensor
     opacity_logits: torch.Tensor
     sh: torch.Tensor
+    directional: Directional | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         n = self.opacity_logits.shape[-1]
@@ -59,6 +94,8 @@ class Gaussians:
             raise ValueError(
                 f"sh has shape {tuple(self.sh.shape)}, expected (K, 3, {n}) with K in 1, 4, 9, 16"
             )
+        if self.directional is not None:
+            _check_directional(self.directional, k, n)
 
     def __len__(self) -> int:
         return self.opacity_logits.shape[0]
@@ -66,12 +103,13 @@ class Gaussians:
     @property
     def degree(self) -> int:
         """Degree of the spherical harmonics."""
-        return round(self.sh.shape[0] ** 0.5) - 1
+        further = 0 if self.directional is None else self.directional.sh.shape[0]
+        return round((self.sh.shape[0] + further) ** 0.5) - 1
 
     def tensors(self) -> Iterator[tuple[str, torch.Tensor]]:
-        """Names and tensors, in the order of declaration."""
-        for field in fields(self):
-            yield field.name, getattr(self, field.name)
+        """Names and tensors of what all Gaussians have, in the order of declaration."""
+        for name in TENSORS:
+            yield name, getattr(self, name)
 
     @staticmethod
     def none(degree: int) -> Gaussians:
@@ -81,14 +119,47 @@ class Gaussians:
 
     def select(self, keep: torch.Tensor) -> Gaussians:
         """The Gaussians at an index or a mask (N,), copied."""
-        return Gaussians(**{name: tensor[..., keep].contiguous() for name, tensor in self.tensors()})
+        own = (tensor[..., keep].contiguous() for _, tensor in self.tensors())
+        further = None if self.directional is None else self.directional.select(keep, len(self))
+        return Gaussians(*own, directional=further)
+
+    def part(self, start: int, end: int) -> Gaussians:
+        """The Gaussians from start up to end; shares memory."""
+        own, further = (tensor[..., start:end] for _, tensor in self.tensors()), self.directional
+        if further is not None:
+            first, last = torch.searchsorted(further.index, torch.tensor([start, end])).tolist()
+            further = Directional(further.index[first:last] - start, further.sh[..., first:last])
+        return Gaussians(*own, directional=further)
+
+    def turning(self, kept: torch.Tensor) -> Gaussians:
+        """The same Gaussians, of which only those at a mask (N,) keep harmonics above the constant one."""
+        if self.directional is not None:
+            stay = kept[self.directional.index]
+            further = Directional(self.directional.index[stay], self.directional.sh[..., stay].contiguous())
+        else:
+            # Of degree 0, there is nothing to keep.
+            kept = kept if self.degree else torch.zeros_like(kept)
+            further = Directional(torch.nonzero(kept)[:, 0], self.sh[1:, :, kept].contiguous())
+        return replace(self, sh=self.sh[:1].contiguous(), directional=further)
+
+    def all_turning(self) -> Gaussians:
+        """The same Gaussians with all harmonics in `sh`; those that some did not have are 0."""
+        if self.directional is None:
+            return self
+        further = self.directional.sh
+        if len(self.directional) < len(self):
+            further = self.sh.new_zeros(further.shape[0], 3, len(self)).index_copy(
+                2, self.directional.index, further
+            )
+        return replace(self, sh=torch.cat([self.sh, further]), directional=None)
 
     def is_finite(self) -> bool:
         """Whether every number is finite."""
+        further = [] if self.directional is None else [self.directional.sh]
         # An infinity is an extreme and NaN becomes both extremes, so that no tensor of flags is needed.
         return all(
             bool(torch.isfinite(extreme))
-            for _, t in self.tensors()
+            for t in [*(tensor for _, tensor in self.tensors()), *further]
             if t.numel()
             for extreme in torch.aminmax(t)
         )
@@ -96,5 +167,59 @@ class Gaussians:
 
 def concatenated(parts: list[Gaussians]) -> Gaussians:
     """All Gaussians of several sets of the same degree, in order."""
-    names = [name for name, _ in parts[0].tensors()]
-    return Gaussians(**{name: torch.cat([getattr(p, name) for p in parts], dim=-1) for name in names})
+    further = None
+    if any(part.directional is not None for part in parts):
+        parts = [apart(part) for part in parts]
+        further = _concatenated_directional(parts)
+    own = (torch.cat([getattr(p, name) for p in parts], dim=-1) for name in TENSORS)
+    return Gaussians(*own, directional=further)
+
+
+def written(gaussians: Gaussians, index: torch.Tensor, part: Gaussians) -> Gaussians:
+    """N Gaussians, of which those at an index (M,) are others; `part` has M of the same degree."""
+    if gaussians.directional is not None or part.directional is not None:
+        gaussians, part = apart(gaussians), apart(part)
+        assert gaussians.directional is not None
+        assert part.directional is not None
+        former = torch.ones(len(gaussians), dtype=torch.bool).index_fill(0, index, False)
+        stay = former[gaussians.directional.index]
+        which = torch.cat([gaussians.directional.index[stay], index[part.directional.index]])
+        sh = torch.cat([gaussians.directional.sh[..., stay], part.directional.sh], dim=-1)
+        order = torch.argsort(which)
+        gaussians = replace(gaussians, directional=Directional(which[order], sh[..., order]))
+    pairs = zip(gaussians.tensors(), part.tensors(), strict=True)
+    copied = (own.index_copy(-1, index, other) for (_, own), (_, other) in pairs)
+    return Gaussians(*copied, directional=gaussians.directional)
+
+
+def apart(gaussians: Gaussians) -> Gaussians:
+    """The same Gaussians with harmonics above the constant one apart from it, also if all have them."""
+    if gaussians.directional is not None:
+        return gaussians
+    return gaussians.turning(torch.ones(len(gaussians), dtype=torch.bool))
+
+
+def _concatenated_directional(parts: list[Gaussians]) -> Directional:
+    """Those of several sets that have them apart."""
+    indices, coefficients, before = [], [], 0
+    for part in parts:
+        assert part.directional is not None
+        indices.append(part.directional.index + before)
+        coefficients.append(part.directional.sh)
+        before += len(part)
+    return Directional(torch.cat(indices), torch.cat(coefficients, dim=-1))
+
+
+def _check_directional(directional: Directional, constant: int, count: int) -> None:
+    """Raises a ValueError if these are not harmonics of some of `count` Gaussians."""
+    index, sh = directional.index, directional.sh
+    known = [sh_count(degree) - 1 for degree in range(MAX_DEGREE + 1)]
+    if constant != 1 or sh.ndim != 3 or tuple(sh.shape[1:]) != (3, len(index)) or sh.shape[0] not in known:
+        raise ValueError(
+            f"directional harmonics of shape {tuple(sh.shape)} of {len(index)} Gaussians beside {constant} "
+            "others, expected (K - 1, 3, M) with K in 1, 4, 9, 16 beside one"
+        )
+    if index.dtype != torch.int64 or index.ndim != 1:
+        raise ValueError("an index of directional harmonics that is not of int64 numbers")
+    if len(index) and (int(index[0]) < 0 or int(index[-1]) >= count or bool((index.diff() <= 0).any())):
+        raise ValueError(f"directional harmonics of others than {count} Gaussians in ascending order")

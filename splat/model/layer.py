@@ -55,8 +55,7 @@ class Layer:
 
     def part(self, start: int, end: int) -> Layer:
         """The nodes from start up to end; shares this layer's memory."""
-        gaussians = Gaussians(**{name: t[..., start:end] for name, t in self.gaussians.tensors()})
-        return Layer(gaussians, *(tensor[start:end] for _, tensor in self.labels()))
+        return Layer(self.gaussians.part(start, end), *(tensor[start:end] for _, tensor in self.labels()))
 
 
 def static_layer(gaussians: Gaussians) -> Layer:

@@ -6,12 +6,12 @@ factor on their radiance at some times; those of something thin have one for eac
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import torch
 
 from compose.base.steps import between_steps
-from splat.model.gaussians import SH_DC
+from splat.model.gaussians import SH_DC, Directional, Gaussians
 from splat.model.motion import multiplied, turned
 from splat.model.perceptual import perceptual_from_radiance, radiance_from_perceptual
 
@@ -113,14 +113,19 @@ def seen_from_behind(
     return (now * (eye[:, None] - means)).sum(dim=0) < 0
 
 
-def in_light(sh: torch.Tensor, factor: torch.Tensor) -> torch.Tensor:
-    """Spherical harmonics (K, 3, M) of nodes whose radiance has factors (3, M).
+def in_light(gaussians: Gaussians, nodes: torch.Tensor, factor: torch.Tensor) -> Gaussians:
+    """Gaussians, of which the radiance of those at an index (M,) has factors (3, M).
 
     The factors are exact for the mean over directions; what depends on direction is scaled as much.
     """
+    sh, further = gaussians.sh[..., nodes], gaussians.directional
     mean = 0.5 + SH_DC * sh[0]
     radiance = radiance_from_perceptual(mean.clamp(min=0))
     change = perceptual_from_radiance(radiance * factor) / mean.clamp(min=_DARK)
     change = torch.where(radiance > _DARK, change, torch.ones_like(change))
     constant = (mean * change - 0.5) / SH_DC
-    return torch.cat([constant[None], sh[1:] * change])
+    if further is not None:
+        whole = torch.ones_like(gaussians.means).index_copy(1, nodes, change)
+        further = Directional(further.index, further.sh * whole[:, further.index])
+    lit = gaussians.sh.index_copy(2, nodes, torch.cat([constant[None], sh[1:] * change]))
+    return replace(gaussians, sh=lit, directional=further)

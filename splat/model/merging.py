@@ -19,7 +19,8 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
     """Merges N pairs of Gaussians.
 
     The weights are w = o S, with o the opacity and S = s1 s2 + s1 s3 + s2 s3, half the surface of a box with
-    the standard deviations as sides. Mean, covariance and colour are means weighted by w; the opacity is
+    the standard deviations as sides. Mean, covariance and colour are means weighted by w; a
+    Gaussian has directional harmonics if one of its two has; the opacity is
     (w_a + w_b) / S of the result, at most 0.99.
 
     Args:
@@ -47,13 +48,21 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
     quaternion = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]] if len(axes) else np.zeros((0, 4))
     to_torch = lambda values: torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))  # noqa: E731
     part = to_torch(share)
-    return Gaussians(
+    merged = Gaussians(
         to_torch(mean.T),
         to_torch(log_scales.T),
         to_torch(quaternion.T),
         to_torch(log_opacity - np.log1p(-np.exp(log_opacity))),
-        part * a.sh + (1 - part) * b.sh,
+        part * a.all_turning().sh + (1 - part) * b.all_turning().sh,
     )
+    apart = a.directional is not None or b.directional is not None
+    return merged.turning(_turns(a) | _turns(b)) if apart else merged
+
+
+def _turns(gaussians: Gaussians) -> torch.Tensor:
+    """(N,) which ones have harmonics above the constant one."""
+    turns = torch.full((len(gaussians),), gaussians.directional is None)
+    return turns if gaussians.directional is None else turns.index_fill(0, gaussians.directional.index, True)
 
 
 def _log_opacity(gaussians: Gaussians) -> Floats:

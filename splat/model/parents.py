@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from splat.model.gaussians import written
 from splat.model.layer import MAX_CHILDREN, NO_PARENT, Layer, concatenated_layers
 from splat.model.merging import merge
 from splat.model.neighbours import Neighbours
@@ -141,7 +142,5 @@ def _made_parents(below: Layer, children: Ints, number: Ints) -> Layer:
     if len(pairs):
         left = below.gaussians.select(torch.from_numpy(children[first[pairs]]))
         right = below.gaussians.select(torch.from_numpy(children[first[pairs] + 1]))
-        merged = merge(left, right)
-        for name, tensor in gaussians.tensors():
-            tensor[..., torch.from_numpy(pairs)] = getattr(merged, name)
+        gaussians = written(gaussians, torch.from_numpy(pairs), merge(left, right))
     return replace(single, gaussians=gaussians, parent=torch.full_like(single.parent, NO_PARENT))

@@ -17,6 +17,7 @@ from splat.model.gaussians import Gaussians
 from splat.model.placing import from_world
 from splat.raster.binning import Candidates
 from splat.raster.blocks import CHANNELS
+from splat.raster.directional import seen_from
 from splat.raster.parts import Parts, rasterize_parts, rasterize_parts_backward
 from splat.raster.projection import PIXEL_FILTER, Parameters, project
 from splat.raster.tiles import TileGrid
@@ -86,12 +87,13 @@ def render_differentiable(
     if not len(gaussians):
         # An empty sum carries the gradient, which has no elements. Dr.Jit refuses arrays of none.
         black = gaussians.opacity_logits.new_zeros(camera.height, camera.width, 3)
-        return black + sum(tensor.sum() for _, tensor in gaussians.tensors())
-    return _Render.apply(arrays, camera, low_pass, *(tensor for _, tensor in gaussians.tensors()))
+        return black + sum(tensor.sum() for _, tensor in seen_from(gaussians, camera.position).tensors())
+    shown = seen_from(gaussians, camera.position)
+    return _Render.apply(arrays, camera, low_pass, *(tensor for _, tensor in shown.tensors()))
 
 
 def parameters_from(arrays: Arrays, gaussians: Gaussians) -> Parameters:
-    """The Gaussians' rows as Dr.Jit floats, in a copy."""
+    """The Gaussians' rows as Dr.Jit floats, in a copy; of those that have all harmonics in `sh`."""
     rows = aligned_rows(arrays, [tensor for _, tensor in gaussians.tensors()])
     means, log_scales, rotations, sh = rows[:3], rows[3:6], rows[6:10], rows[11:]
     coefficients = [sh[k : k + 3] for k in range(0, len(sh), 3)]

@@ -19,7 +19,8 @@ import numpy as np
 
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
-from splat.raster.harmonics import perceptual_radiance, radiance_from_perceptual
+from splat.model.gaussians import SH_DC
+from splat.raster.harmonics import perceptual_radiance, radiance_from_perceptual, sh_basis
 
 # Variance of the pixel filter in px^2 at the pixel grid (Mip-Splatting's screen-space filter).
 PIXEL_FILTER = 0.1
@@ -246,6 +247,20 @@ def _covariance(parameters: Parameters, row_x: list[Any], row_y: list[Any]) -> t
         for i, j in ((0, 1), (0, 2), (1, 2))
     )
     return xx, xy, yy, dr.maximum(conditional, _NARROWEST)
+
+
+def directional_constant(sh: list[list[Any]], means: list[Any], camera: Camera) -> list[Any]:
+    """What harmonics above the constant one look like from an eye, as a constant one: three channels (N,).
+
+    Args:
+        sh: for each of these harmonics its three channels.
+        means: three rows.
+        camera: whose eye it is, in the same coordinates.
+    """
+    number = type(means[0])
+    _, eye, _, _ = _opaque(number, camera)
+    basis = sh_basis(len(sh) + 1, _normalized([number(part) for part in _from_eye(means, eye)]))[1:]
+    return [sum(row[c] * value for row, value in zip(sh, basis, strict=True)) / SH_DC for c in range(3)]
 
 
 def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any, Any, Any, Any]:

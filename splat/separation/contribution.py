@@ -50,7 +50,7 @@ def contributions(
     for first in range(0, weights.shape[2], _CHANNELS):
         part = torch.from_numpy(np.ascontiguousarray(weights[..., first : first + _CHANNELS]))
         sh = torch.zeros(1, 3, len(gaussians), requires_grad=True)
-        image = render_differentiable(arrays, replace(gaussians, sh=sh), camera, low_pass)
+        image = render_differentiable(arrays, replace(gaussians, sh=sh, directional=None), camera, low_pass)
         opacity = image.detach()[..., :1] / grey
         share = torch.where(opacity > _LEAST_OPACITY, part / opacity.clamp(min=_LEAST_OPACITY), 0)
         (image[..., : share.shape[-1]] * share).sum().backward()

@@ -10,7 +10,7 @@ import torch
 
 from compose.base.arrays import Arrays
 from splat.model.dynamics import Dynamics
-from splat.model.gaussians import Gaussians
+from splat.model.gaussians import Gaussians, written
 from splat.model.layer import BACKGROUND, Layer
 from splat.separation.attachment import Attachment, LabelledView
 from splat.separation.contribution import contributions
@@ -118,7 +118,7 @@ def separated(layer: Layer, evidence: Evidence, motion: Dynamics) -> Layer:
         index = torch.nonzero(changed & (times == time))[:, 0]
         with torch.no_grad():
             there = motion.shown(gaussians.select(index), layer.semantic[index], time)
-            gaussians = _written(gaussians, index, motion.at_rest(there, semantic[index], time))
+            gaussians = written(gaussians, index, motion.at_rest(there, semantic[index], time))
     return replace(
         layer, gaussians=_attached(gaussians, semantic, evidence), semantic=semantic, dynamic=semantic >= 0
     )
@@ -129,11 +129,3 @@ def _attached(gaussians: Gaussians, semantic: torch.Tensor, evidence: Evidence) 
     size = gaussians.log_scales.max(dim=0).values.exp()
     hovers = (semantic == BACKGROUND) & (evidence.offsets.norm(dim=1) > size)
     return replace(gaussians, means=gaussians.means + torch.where(hovers, evidence.offsets.T, 0))
-
-
-def _written(gaussians: Gaussians, index: torch.Tensor, part: Gaussians) -> Gaussians:
-    """Gaussians, of which those at an index (M,) are others."""
-    others = dict(part.tensors())
-    return Gaussians(
-        **{name: tensor.index_copy(-1, index, others[name]) for name, tensor in gaussians.tensors()}
-    )

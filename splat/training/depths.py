@@ -36,7 +36,7 @@ def measured(arrays: Arrays, gaussians: Gaussians, view: TrainingView) -> Traini
     unit = distance[here].median().clamp(min=1e-6)
     values = torch.stack([distance[here] / unit, torch.ones(len(here)), torch.zeros(len(here))])
     sh = ((perceptual_from_radiance(values) - 0.5) / SH_DC)[None]
-    shown = replace(gaussians.select(here), sh=sh)
+    shown = replace(gaussians.select(here), sh=sh, directional=None)
     with torch.no_grad():
         image = render_differentiable(arrays, shown, view.camera, PIXEL_FILTER).numpy()
     total, coverage = image[..., 0] * float(unit), image[..., 1]

@@ -25,6 +25,7 @@ from splat.training.optimizer import GaussianOptimizer
 from splat.training.order import order_of_views
 from splat.training.sizes import largest_log_scales
 from splat.training.splitting import halves, too_large
+from splat.training.turning import without_unseen_turning
 from splat.training.views import TrainingView, pixel_footprint
 from splat.training.visible import visible
 
@@ -35,6 +36,9 @@ _LIT_EVERY = 100
 # How often in a training nodes are told anew which of them move; views from which, at most, and as a share of
 # the steps since the last time: each takes about as long as a step.
 _SEPARATIONS, _SEPARATING_VIEWS, _SEPARATING_SHARE = 8, 32, 0.2
+# When it is told, as a share of the steps, which nodes turn with the view, and from how many views at most:
+# harmonics have gone most of their way by then, and all nodes can still make up for those that go.
+_TURNING, _TURNING_VIEWS = 0.8, 32
 
 
 class LayerTraining:
@@ -86,7 +90,11 @@ class LayerTraining:
         self._separates = isinstance(motion, LearnedMotion) and self._instances > 0 and partly
 
     def begin(self, layer: Layer, final_count: int) -> None:
-        """Starts from the given nodes; density control brings their number to the final one."""
+        """Starts from the given nodes; density control brings their number to the final one.
+
+        All of them may turn with the view, also those that did not in an earlier training.
+        """
+        layer = replace(layer, gaussians=layer.gaussians.all_turning())
         self._tree, self.begun = layer, True
         self._optimizer = GaussianOptimizer(layer.gaussians, self._pixel)
         self._density = self._controlled(len(layer), final_count)
@@ -147,6 +155,8 @@ class LayerTraining:
             self.separate(min(_SEPARATING_VIEWS, int(np.ceil(_SEPARATING_SHARE * every))))
         self.done += 1
         now = self._change_density() if due else None
+        if self.done == int(_TURNING * self._steps):
+            self._keep_turning()
         if due or self.done % _LIT_EVERY == 0:
             self._follow_light()
         return now
@@ -183,6 +193,15 @@ class LayerTraining:
         self._tree = separated(self.layer, evidence, self._motion)
         self._optimizer.replace(self._tree.gaussians, torch.arange(len(self._tree)))
         return evidence
+
+    def _keep_turning(self) -> None:
+        """Leaves harmonics above the constant one to those nodes whose radiance is seen to turn."""
+        count = min(len(self.views), _TURNING_VIEWS)
+        chosen = np.random.default_rng([*self._seed, 4]).choice(len(self.views), count, False)
+        views = [self.views[index] for index in sorted(chosen)]
+        gaussians = without_unseen_turning(self._arrays, self._optimizer.gaussians, views, self._shown)
+        self._tree = replace(self._tree, gaussians=gaussians)
+        self._optimizer.replace(gaussians, torch.arange(len(gaussians)))
 
     def _change_density(self) -> torch.Tensor:
         """Removes and adds nodes; returns as `step`."""

@@ -48,8 +48,7 @@ class NodeLight:
         near = self._near.select(index)
         changed = torch.nonzero(near.front >= 0)[:, 0]
         factor = self._factor(near.select(changed), rest.select(changed), shown.select(changed), camera, time)
-        sh = in_light(shown.sh[..., changed], factor)
-        return replace(shown, sh=shown.sh.index_copy(2, changed, sh))
+        return in_light(shown, changed, factor)
 
     def in_usual_light(self, layer: Layer, shown: Gaussians, camera: Camera, time: float) -> Layer:
         """Nodes at rest that have the radiance seen by a camera, with that in usual light instead."""
@@ -57,8 +56,7 @@ class NodeLight:
         changed = torch.nonzero(near.front >= 0)[:, 0]
         own = layer.gaussians
         factor = self._factor(near.select(changed), own.select(changed), shown.select(changed), camera, time)
-        sh = own.sh.index_copy(2, changed, in_light(own.sh[..., changed], 1 / factor.clamp(min=_LEAST)))
-        return replace(layer, gaussians=replace(own, sh=sh))
+        return replace(layer, gaussians=in_light(own, changed, 1 / factor.clamp(min=_LEAST)))
 
     @torch.no_grad()
     def _factor(

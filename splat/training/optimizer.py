@@ -10,8 +10,10 @@ import math
 
 import torch
 
-from splat.model.gaussians import Gaussians
+from compose.base.named import under
+from splat.model.gaussians import Directional, Gaussians, apart
 from splat.model.remoteness import remoteness
+from splat.training.adam import Adam
 
 # Learning rates at the start and at the end, exponential between them. Those of 3D Gaussian splatting are
 # for 30,000 steps; with a tenth of the steps the positions need larger ones, and the sizes above all: seeds
@@ -19,13 +21,14 @@ from splat.model.remoteness import remoteness
 # pixel at the views' median distance.
 _MEANS, _SCALES, _ROTATIONS, _OPACITY = (0.15, 0.006), (0.05, 0.01), (0.004, 0.001), (0.05, 0.01)
 _CONSTANT, _DIRECTIONAL = (0.016, 0.0024), (0.0016, 0.0004)
-# Decay of the moments, and what keeps their quotient finite (Kingma and Ba 2015).
-_FIRST_DECAY, _SECOND_DECAY, _LEAST = 0.9, 0.999, 1e-15
-_STATE = ("values", "first_moments", "second_moments", "steps")
+# Prefix, in checkpoints, of what belongs to harmonics above the constant one.
+_DIRECTIONAL_STATE = "directional."
 
 
 class GaussianOptimizer:
     """Optimizes Gaussians; the constant spherical harmonic has a learning rate of its own.
+
+    The others are apart from it, and have moments only where Gaussians have them.
 
     Args:
         gaussians: where to start; copied.
@@ -37,22 +40,30 @@ class GaussianOptimizer:
         self._start(gaussians)
 
     def _start(self, gaussians: Gaussians) -> None:
+        gaussians = apart(gaussians)
+        assert gaussians.directional is not None
         # One row per number that a Gaussian has.
-        self._values = _rows(gaussians)
-        self._first_moments, self._second_moments = (torch.zeros_like(self._values) for _ in range(2))
-        self._steps = torch.zeros(len(gaussians))
+        self._all = Adam(torch.cat([_flat(tensor.detach()) for _, tensor in gaussians.tensors()]))
+        self._turning = Adam(_flat(gaussians.directional.sh.detach()).clone())
+        self._index = gaussians.directional.index
         self.chosen(torch.zeros(0, dtype=torch.int64))
 
     @property
     def gaussians(self) -> Gaussians:
         """The Gaussians as they are now, without gradients; shares memory."""
-        return _gaussians(self._values)
+        return _gaussians(self._all.values, self._index, self._turning.values)
 
     def chosen(self, index: torch.Tensor) -> Gaussians:
         """The Gaussians at an index (M,), copied; the next step moves these, by the gradients they get."""
-        self._chosen, self._chosen_values = index, self._values.index_select(1, index)
-        leaves = _gaussians(self._chosen_values)
-        self._leaves = Gaussians(**{name: part.detach().requires_grad_() for name, part in leaves.tensors()})
+        slot = Directional(self._index, self._turning.values).slots(len(self._all.steps))[index]
+        owners = torch.nonzero(slot >= 0)[:, 0]
+        self._chosen, self._chosen_turning = index, slot[owners]
+        columns = self._all.values.index_select(1, index)
+        leaves = _gaussians(columns, owners, self._turning.values.index_select(1, self._chosen_turning))
+        assert leaves.directional is not None
+        own = (part.detach().requires_grad_() for _, part in leaves.tensors())
+        further = Directional(owners, leaves.directional.sh.detach().requires_grad_())
+        self._leaves = Gaussians(*own, directional=further)
         return self._leaves
 
     def step(self, loss: torch.Tensor, progress: float) -> bool:
@@ -68,32 +79,23 @@ class GaussianOptimizer:
         if not bool(torch.isfinite(loss)):
             return False
         loss.backward()
+        assert self._leaves.directional is not None
         gradient = torch.cat([_gradient(leaf) for _, leaf in self._leaves.tensors()])
-        if not _has_finite_squares(gradient):
+        turning = _gradient(self._leaves.directional.sh)
+        if not (_has_finite_squares(gradient) and _has_finite_squares(turning)):
             return False
-        index = self._chosen
-        steps = self._steps.index_select(0, index).add_(1)
-        first = self._first_moments.index_select(1, index).lerp_(gradient, 1 - _FIRST_DECAY)
-        second = self._second_moments.index_select(1, index).mul_(_SECOND_DECAY)
-        second.addcmul_(gradient, gradient, value=1 - _SECOND_DECAY)
-        self._steps.index_copy_(0, index, steps)
-        self._first_moments.index_copy_(1, index, first)
-        self._second_moments.index_copy_(1, index, second)
-        # Each Gaussian's moments are means over its own steps.
-        deviation = second.div_(_share_seen(_SECOND_DECAY, steps)).sqrt_().add_(_LEAST)
-        move = first.div_(_share_seen(_FIRST_DECAY, steps)).div_(deviation).mul_(self._rates(progress))
+        rates = self._rates(progress).repeat(1, len(self._chosen))
         # The unit is the size of a pixel at the median distance; far away a pixel is larger.
-        move[:3] *= remoteness(self._leaves.means.detach())
-        self._values.index_copy_(1, index, self._chosen_values - move)
+        rates[:3] *= remoteness(self._leaves.means.detach())
+        self._all.step(self._chosen, gradient, rates)
+        self._turning.step(self._chosen_turning, turning, _rates([_DIRECTIONAL], progress))
         return True
 
     def _rates(self, progress: float) -> torch.Tensor:
-        """(R, 1) learning rate of each row."""
+        """(R, 1) learning rate of each row that all Gaussians have."""
         means = tuple(self._pixel * rate for rate in _MEANS)
-        ends = [means] * 3 + [_SCALES] * 3 + [_ROTATIONS] * 4 + [_OPACITY] + [_CONSTANT] * 3
-        ends += [_DIRECTIONAL] * (len(self._values) - len(ends))
-        start, end = torch.tensor(ends).log().T
-        return torch.lerp(start, end, progress).exp()[:, None]
+        rows = [means] * 3 + [_SCALES] * 3 + [_ROTATIONS] * 4 + [_OPACITY] + [_CONSTANT] * 3
+        return _rates(rows, progress)
 
     def limit_scales(self, largest: torch.Tensor) -> None:
         """Makes scales smaller whose logarithms exceed (N,) largest ones."""
@@ -107,32 +109,39 @@ class GaussianOptimizer:
             gaussians: M or more, the first M of which were optimized before and keep their moments.
             kept: (M,) the indices they had.
         """
-        before = self.state()
+        before, turning = self._all, self._turning
+        former = Directional(self._index, turning.values).slots(len(before.steps))[kept]
         self._start(gaussians)
-        for name in _STATE[1:]:
-            self.state()[name][..., : len(kept)] = before[name][..., kept]
+        self._all.remember(before, torch.arange(len(kept)), kept)
+        first = int(torch.searchsorted(self._index, len(kept)))
+        known = torch.nonzero(former[self._index[:first]] >= 0)[:, 0]
+        self._turning.remember(turning, known, former[self._index[known]])
 
     def state(self) -> dict[str, torch.Tensor]:
         """Tensors for a checkpoint: parameters and moments; they share memory."""
-        return {name: getattr(self, f"_{name}") for name in _STATE}
+        turning = {**self._turning.state(), "index": self._index}
+        return {**self._all.state(), **{_DIRECTIONAL_STATE + name: t for name, t in turning.items()}}
 
     @classmethod
     def restored(cls, tensors: dict[str, torch.Tensor], pixel: float) -> GaussianOptimizer:
         """The optimizer whose `state` these tensors are; other tensors are ignored."""
-        optimizer = cls(_gaussians(tensors["values"]), pixel)
-        for name in _STATE[1:]:
-            optimizer.state()[name][:] = tensors[name]
+        turning = under(_DIRECTIONAL_STATE, tensors)
+        optimizer = cls(_gaussians(tensors["values"], turning["index"], turning["values"]), pixel)
+        optimizer._all.restore(tensors)
+        optimizer._turning.restore(turning)
         return optimizer
 
 
-def _rows(gaussians: Gaussians) -> torch.Tensor:
-    """(R, N) all numbers of N Gaussians, copied."""
-    return torch.cat([_flat(tensor.detach()) for _, tensor in gaussians.tensors()])
+def _gaussians(rows: torch.Tensor, index: torch.Tensor, turning: torch.Tensor) -> Gaussians:
+    """Gaussians of their rows, and of those of the harmonics that some have; shares memory."""
+    further = Directional(index, turning.reshape(len(turning) // 3, 3, len(index)))
+    return Gaussians(rows[:3], rows[3:6], rows[6:10], rows[10], rows[11:][None], directional=further)
 
 
-def _gaussians(rows: torch.Tensor) -> Gaussians:
-    """The Gaussians whose `_rows` these are; shares memory."""
-    return Gaussians(rows[:3], rows[3:6], rows[6:10], rows[10], rows[11:].unflatten(0, (-1, 3)))
+def _rates(rows: list[tuple[float, ...]], progress: float) -> torch.Tensor:
+    """(R, 1) learning rates between those at the start and at the end, on a logarithmic scale."""
+    start, end = torch.tensor(rows).log().T
+    return torch.lerp(start, end, progress).exp()[:, None]
 
 
 def _gradient(leaf: torch.Tensor) -> torch.Tensor:
@@ -143,11 +152,6 @@ def _gradient(leaf: torch.Tensor) -> torch.Tensor:
 def _flat(tensor: torch.Tensor) -> torch.Tensor:
     """(rows, N) of (..., N)."""
     return tensor.reshape(math.prod(tensor.shape[:-1]), tensor.shape[-1])
-
-
-def _share_seen(decay: float, steps: torch.Tensor) -> torch.Tensor:
-    """1 - decay^steps: the weight in a moment of the gradients so far."""
-    return torch.expm1(steps * math.log(decay)).neg_()
 
 
 def _has_finite_squares(gradient: torch.Tensor) -> bool:

@@ -69,5 +69,6 @@ def leaves_of(g: Gaussians, dtype: torch.dtype = torch.float32) -> dict[str, tor
 
 
 def equal(a: Gaussians, b: Gaussians) -> bool:
-    """Whether two sets agree in every bit."""
-    return all(torch.equal(x, y) for (_, x), (_, y) in zip(a.tensors(), b.tensors(), strict=True))
+    """Whether two sets agree in every number, wherever their harmonics are."""
+    pairs = zip(a.all_turning().tensors(), b.all_turning().tensors(), strict=True)
+    return all(torch.equal(x, y) for (_, x), (_, y) in pairs)

@@ -69,6 +69,41 @@ def test_the_file_has_its_documented_keys(tmp_path):
     }
 
 
+def some_turning() -> Forest:
+    made = forest()
+    own = made.nodes.gaussians.turning(torch.arange(len(made.nodes)) % 4 == 0)
+    return replace(made, nodes=replace(made.nodes, gaussians=own))
+
+
+def test_harmonics_that_some_have_come_back(tmp_path):
+    """In a version that older programs refuse: they would draw the others alone."""
+    save_forest(tmp_path / "f", some_turning())
+    assert load_forest(tmp_path / "f").digest() == some_turning().digest()
+    tensors, metadata = load_tensors(tmp_path / "f")
+    assert tensors["sh"].shape[0] == 1
+    assert metadata["format_version"] == 4
+    save_forest(tmp_path / "whole", forest())
+    assert (tmp_path / "f").stat().st_size < 0.7 * (tmp_path / "whole").stat().st_size
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"directional.sh": torch.zeros(8, 3, 1)},
+        {"directional.sh": torch.zeros(8, 3, 10, dtype=torch.float64)},
+        {"directional.index": torch.zeros(10, dtype=torch.int64)},
+        {"directional.index": torch.arange(10).int()},
+        {"directional.index": torch.arange(10) + 10**6},
+    ],
+)
+def test_damaged_harmonics_are_named(change, tmp_path):
+    save_forest(tmp_path / "f", some_turning())
+    tensors, metadata = load_tensors(tmp_path / "f")
+    save_tensors(tmp_path / "f", {**tensors, **change}, metadata)
+    with pytest.raises(UserError, match="f: damaged forest file"):
+        load_forest(tmp_path / "f")
+
+
 @pytest.mark.parametrize("keep", [0, 7, 100, -1])
 def test_a_truncated_forest_is_named(tmp_path, keep):
     path = tmp_path / "f.safetensors"

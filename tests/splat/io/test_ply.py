@@ -165,3 +165,10 @@ def test_unknown_properties_are_refused(tmp_path, old, new):
     edited(tmp_path, old, new)
     with pytest.raises(UserError, match=r"g\.ply: not a 3D Gaussian splatting PLY"):
         load_ply(tmp_path / "g.ply")
+
+
+def test_harmonics_that_others_lack_are_zero_in_the_file(tmp_path):
+    some = gaussians(n=9, degree=2).turning(torch.arange(9) < 3)
+    save_ply(tmp_path / "a.ply", some)
+    found = load_ply(tmp_path / "a.ply")
+    assert torch.equal(found.sh, some.all_turning().sh)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import drjit as dr
 import numpy as np
 import pytest
+import torch
 
 from splat.lod.footprints import ForestFootprints
 from splat.model.forest import Forest, forest_of
@@ -50,6 +51,23 @@ def test_footprints_are_those_of_the_projection(arrays, degree):
     for name in FIELDS:
         np.testing.assert_allclose(getattr(found, name).numpy(), every[name][node], rtol=1e-5, atol=1e-6)
     assert (np.diff(found.depth.numpy()) >= -1e-4).all()
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("every", [1, 3, 1000])
+def test_nodes_of_which_some_turn_look_as_if_the_others_had_harmonics_of_zero(arrays, degree, every):
+    forest, camera = spread_forest(degree), frame_camera()
+    own = forest.nodes.gaussians.turning(torch.arange(300) % every == every // 2)
+    found = []
+    for gaussians_of in (own, own.all_turning()):
+        changed = replace(forest, nodes=replace(forest.nodes, gaussians=gaussians_of))
+        cache = ForestFootprints(arrays, changed)
+        (layer,) = cache.layers(camera, 1.0, [1])
+        found.append(cache.footprints([1], [index(arrays, dr.width(layer.x))]))
+    for name in FIELDS:
+        np.testing.assert_allclose(
+            *(getattr(one, name).numpy() for one in found), rtol=1e-4, atol=1e-6, err_msg=name
+        )
 
 
 @pytest.mark.parametrize("blur", [1.0, 30.0])

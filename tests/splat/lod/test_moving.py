@@ -92,17 +92,20 @@ def test_only_layers_that_are_drawn_are_deformed(arrays, monkeypatch):
     assert sum(posed_nodes) == own[2] + own[0]
 
 
-def test_nodes_have_the_light_of_the_time(arrays):
+@pytest.mark.parametrize("some", [False, True])
+def test_nodes_have_the_light_of_the_time(arrays, some):
     forest, camera = moving_forest(), frame_camera()
+    if some:
+        own = forest.nodes.gaussians.turning(torch.arange(len(forest.nodes)) % 3 == 0)
+        forest = replace(forest, nodes=replace(forest.nodes, gaussians=own))
     nodes = torch.arange(0, len(forest.nodes), 2)
     factors = (torch.rand(3, 3, len(nodes), generator=torch.Generator().manual_seed(4)) * 2).half()
     lit = replace(forest, light=LightCourse(nodes, factors))
     renderer = ForestRenderer(arrays, lit)
     for time in (0.0, 0.7, 0.2):
         renderer.set_time(time)
-        sh = forest.nodes.gaussians.sh.clone()
-        sh[..., nodes] = in_light(sh[..., nodes], lit.light.at(time))
-        shown = replace(forest, nodes=replace(forest.nodes, gaussians=replace(forest.nodes.gaussians, sh=sh)))
+        now = in_light(forest.nodes.gaussians, nodes, lit.light.at(time))
+        shown = replace(forest, nodes=replace(forest.nodes, gaussians=now))
         expected = ForestRenderer(arrays, as_posed(shown, time)).render_layer(camera, 3).image()
         np.testing.assert_allclose(renderer.render_layer(camera, 3).image(), expected, atol=1e-4)
 
@@ -126,8 +129,8 @@ def test_sided_nodes_have_the_light_of_the_side_that_is_seen(arrays):
         own = as_posed(forest, time).nodes.gaussians
         rest = forest.nodes.gaussians
         behind = seen_from_behind(light.normals, rest.rotations, own.rotations, own.means, eye)
-        sh = in_light(rest.sh, torch.where(behind, light.behind_at(time), light.at(time)))
-        shown = replace(forest, nodes=replace(forest.nodes, gaussians=replace(rest, sh=sh)))
+        now = in_light(rest, nodes, torch.where(behind, light.behind_at(time), light.at(time)))
+        shown = replace(forest, nodes=replace(forest.nodes, gaussians=now))
         expected = ForestRenderer(arrays, as_posed(shown, time)).render_layer(camera, 3).image()
         found = renderer.render_layer(camera, 3).image()
         np.testing.assert_allclose(found, expected, atol=1e-4)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from splat.model.gaussians import SH_DC
+from splat.model.gaussians import SH_DC, Gaussians
 from splat.model.light_course import LightCourse, in_light
 from splat.model.perceptual import perceptual_from_radiance, radiance_from_perceptual
+from tests.splat.samples import gaussians
 
 
 def white(factors: list[list[float]]) -> torch.Tensor:
@@ -18,6 +19,13 @@ def white(factors: list[list[float]]) -> torch.Tensor:
 
 def ones(times: int, nodes: int) -> torch.Tensor:
     return white([[1.0] * nodes] * times)
+
+
+def lit(sh: torch.Tensor, factor: torch.Tensor) -> torch.Tensor:
+    """Spherical harmonics (K, 3, M) of Gaussians in a light."""
+    n = sh.shape[2]
+    zero = torch.zeros(3, n)
+    return in_light(Gaussians(zero, zero, torch.zeros(4, n), zero[0], sh), torch.arange(n), factor).sh
 
 
 def course() -> LightCourse:
@@ -53,7 +61,7 @@ def test_the_mean_radiance_has_the_factor():
 
     sh = torch.from_numpy(np.random.default_rng(0).normal(0, 0.1, (4, 3, 3)))
     sh[0] = torch.from_numpy((curve(radiance) - 0.5) / SH_DC)
-    found = in_light(sh, torch.from_numpy(factor))
+    found = lit(sh, torch.from_numpy(factor))
     np.testing.assert_allclose(0.5 + SH_DC * found[0], curve(radiance * factor), rtol=1e-6)
     ratio = curve(radiance * factor) / curve(radiance)
     np.testing.assert_allclose(found[1:], sh[1:] * torch.from_numpy(ratio), rtol=1e-6)
@@ -62,10 +70,20 @@ def test_the_mean_radiance_has_the_factor():
 def test_without_light_there_is_nothing_to_change():
     sh = torch.full((1, 3, 2), -0.5 / SH_DC)
     for factor in (0.0, 1.0, 8.0):
-        torch.testing.assert_close(in_light(sh, torch.full((2,), factor)), sh)
-    lit = torch.zeros(4, 3, 2)
-    torch.testing.assert_close(in_light(lit, torch.ones(2)), lit, atol=1e-6, rtol=0)
-    assert bool(torch.isfinite(in_light(lit, torch.zeros(2))).all())
+        torch.testing.assert_close(lit(sh, torch.full((3, 2), factor)), sh)
+    grey = torch.zeros(4, 3, 2)
+    torch.testing.assert_close(lit(grey, torch.ones(3, 2)), grey, atol=1e-6, rtol=0)
+    assert bool(torch.isfinite(lit(grey, torch.zeros(3, 2))).all())
+
+
+def test_harmonics_that_only_some_have_are_scaled_as_much():
+    g = gaussians(n=9, degree=2)
+    nodes, factor = torch.tensor([7, 1, 4]), torch.rand(3, 3, generator=torch.Generator().manual_seed(3)) * 2
+    kept = torch.tensor([True, False, False] * 3)
+    some = in_light(g.turning(kept), nodes, factor).all_turning()
+    whole = in_light(g, nodes, factor)
+    torch.testing.assert_close(some.sh[0], whole.sh[0])
+    torch.testing.assert_close(some.sh[1:], torch.where(kept, whole.sh[1:], 0))
 
 
 @pytest.mark.parametrize(

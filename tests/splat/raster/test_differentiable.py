@@ -27,6 +27,12 @@ def both(arrays, g: Gaussians, cam: Camera, low_pass: float, weight: torch.Tenso
     return results
 
 
+def smooth(cam: Camera) -> torch.Tensor:
+    """(H, W, 3) weights that vary slowly."""
+    x, y = torch.meshgrid(torch.arange(cam.width), torch.arange(cam.height), indexing="xy")
+    return torch.stack([torch.sin(x / 9.0), torch.cos(y / 7.0), torch.sin((x + y) / 11.0)], dim=-1)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_image_and_gradients_equal_the_twins(arrays, kind):
     g, cam = gaussians(kind), camera()
@@ -59,9 +65,7 @@ def test_gradients_equal_finite_differences(arrays):
     slowly, what it adds on one side it removes on the other.
     """
     g, cam = gaussians("overlap", n=25, degree=1), camera()
-    x, y = torch.meshgrid(torch.arange(cam.width), torch.arange(cam.height), indexing="xy")
-    weight = torch.stack([torch.sin(x / 9.0), torch.cos(y / 7.0), torch.sin((x + y) / 11.0)], dim=-1)
-    leaves = leaves_of(g)
+    weight, leaves = smooth(cam), leaves_of(g)
     (render_differentiable(arrays, Gaussians(**leaves), cam) * weight).sum().backward()
     for name, leaf in leaves.items():
         # Uphill, the derivative is as large as it gets, and rounding matters least.

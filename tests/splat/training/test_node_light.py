@@ -68,9 +68,7 @@ def test_known_light_is_learnt_out_of_the_frames(arrays):
         gaussians = layer.gaussians
         if known:
             course = trainer.light.course(layer)
-            sh = gaussians.sh.clone()
-            sh[..., course.nodes] = in_light(sh[..., course.nodes], course.at(1.0))
-            gaussians = replace(gaussians, sh=sh)
+            gaussians = in_light(gaussians, course.nodes, course.at(1.0))
         view = shaded(0.1, 1.0)
         image = render_differentiable(arrays, gaussians, trainer.place.camera(view.camera)).numpy()
         dark = view.points(np.arange(SIZE**2))[:, 0].reshape(SIZE, SIZE) > 0.1

@@ -12,7 +12,8 @@ from tests.splat.samples import equal, gaussians
 
 def loss_of(g: Gaussians) -> torch.Tensor:
     """Pulls every parameter towards 0."""
-    return sum((tensor**2).sum() for _, tensor in g.tensors())
+    further = [] if g.directional is None else [g.directional.sh]
+    return sum((tensor**2).sum() for tensor in [*(tensor for _, tensor in g.tensors()), *further])
 
 
 def stepped(optimizer: GaussianOptimizer, steps: int = 1, progress: float = 0.0) -> GaussianOptimizer:
@@ -43,7 +44,7 @@ def test_it_starts_from_copies():
 def test_the_first_step_is_as_long_as_the_rate(progress, rates):
     """Adam's first step is the rate itself, against the gradient; positions are in units of a pixel."""
     g = gaussians(n=5, degree=1)
-    moved = stepped(GaussianOptimizer(g, 0.2), 1, progress).gaussians
+    moved = stepped(GaussianOptimizer(g, 0.2), 1, progress).gaussians.all_turning()
     for name, rate in rates.items():
         unit = 0.2 if name == "means" else 1.0
         expected = getattr(g, name) - unit * rate * getattr(g, name).sign()
@@ -83,9 +84,9 @@ def test_an_optimizer_without_steps_is_restored_too():
 
 def test_an_incomplete_state_is_refused():
     state = stepped(GaussianOptimizer(gaussians(n=6), 0.5)).state()
-    assert len(state) == 4
+    assert len(state) == 9
     for missing in state:
-        with pytest.raises(KeyError, match=missing):
+        with pytest.raises(KeyError, match=missing.removeprefix("directional.")):
             GaussianOptimizer.restored({n: t for n, t in state.items() if n != missing}, 0.5)
 
 
@@ -134,3 +135,20 @@ def test_a_step_of_no_gaussians_is_taken():
     optimizer = GaussianOptimizer(g, 1.0)
     assert optimizer.step(loss_of(optimizer.chosen(torch.zeros(0, dtype=torch.int64))), 0.0)
     assert equal(optimizer.gaussians, g)
+
+
+def test_moments_exist_only_where_harmonics_do():
+    """Those that keep their harmonics go on as if nothing had happened."""
+    whole = stepped(GaussianOptimizer(gaussians(n=6, degree=2), 1.0), 5)
+    part = stepped(GaussianOptimizer(gaussians(n=6, degree=2), 1.0), 5)
+    kept = torch.tensor([False, True, False, False, True, False])
+    part.replace(part.gaussians.turning(kept), torch.arange(6))
+    state = part.state()
+    assert tuple(state["first_moments"].shape) == (14, 6)
+    assert tuple(state["directional.first_moments"].shape) == (24, 2)
+    for optimizer in (whole, part):
+        for _ in range(3):
+            optimizer.step(loss_of(optimizer.chosen(torch.tensor([0, 1, 4, 5]))), 0.3)
+    assert equal(part.gaussians, whole.gaussians.turning(kept))
+    again = GaussianOptimizer.restored(part.state(), 1.0)
+    assert equal(stepped(part, 2).gaussians, stepped(again, 2).gaussians)
