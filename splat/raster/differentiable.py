@@ -93,7 +93,13 @@ def render_differentiable(
 
 
 def parameters_from(arrays: Arrays, gaussians: Gaussians) -> Parameters:
-    """The Gaussians' rows as Dr.Jit floats, in a copy; of those that have all harmonics in `sh`."""
+    """The Gaussians' rows as Dr.Jit floats, in a copy.
+
+    Raises:
+        ValueError: some harmonics are apart from `sh`; `seen_from` makes them part of it.
+    """
+    if gaussians.directional is not None:
+        raise ValueError("Gaussians with directional harmonics of their own: must be seen from an eye first")
     rows = aligned_rows(arrays, [tensor for _, tensor in gaussians.tensors()])
     means, log_scales, rotations, sh = rows[:3], rows[3:6], rows[6:10], rows[11:]
     coefficients = [sh[k : k + 3] for k in range(0, len(sh), 3)]

@@ -182,6 +182,8 @@ class Records:
             index: of the records.
             values: by slot a list of as many floats (M,) as it is wide; no integers.
         """
+        # What still waits to be written, of another number of records, would run at the same time.
+        dr.eval(self.tables)
         for name, rows in values.items():
             slot = self.layout.slots[name]
             for number, row in zip(range(slot.start, slot.stop), rows, strict=True):

@@ -22,7 +22,7 @@ def test_a_layer_is_exported_by_its_number(options, number, made, monkeypatch, t
     assert run(monkeypatch, "export", made / "box.forest", tmp_path / "a.ply", *options) == 0
     forest = load_forest(made / "box.forest")
     # Other programs know no coordinates but the world's.
-    gaussians = in_world(forest.layers[number - 1].gaussians, forest.place)
+    gaussians = in_world(forest.layers[number - 1].gaussians, forest.place).all_turning()
     found = load_ply(tmp_path / "a.ply")
     for name in ("means", "log_scales", "opacity_logits", "sh"):
         assert torch.equal(getattr(found, name), getattr(gaussians, name))
