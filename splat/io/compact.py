@@ -51,10 +51,7 @@ def is_compact(forest: Forest) -> bool:
 
 def _contents(gaussians: Gaussians) -> list[bytes]:
     """All bits of Gaussians."""
-    further = gaussians.directional
-    tensors = [tensor for _, tensor in gaussians.tensors()]
-    tensors += [] if further is None else [further.index, further.sh]
-    return [np.ascontiguousarray(tensor.detach().numpy()).tobytes() for tensor in tensors]
+    return [np.ascontiguousarray(t.detach().numpy()).tobytes() for t in gaussians.every_tensor()]
 
 
 def encoded(nodes: Layer, counts: tuple[int, ...]) -> dict[str, torch.Tensor]:

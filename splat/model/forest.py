@@ -91,9 +91,7 @@ class Forest:
         state = hashlib.sha256(repr((self.counts, self.trained_focal, *place)).encode())
         motion = () if self.motion is None else (self.nodes.semantic, *self.motion.tensors().values())
         light = () if self.light is None else tuple(self.light.tensors().values())
-        own = [tensor for _, tensor in self.nodes.gaussians.tensors()]
-        further = self.nodes.gaussians.directional
-        own += [] if further is None else [further.index, further.sh]
+        own = self.nodes.gaussians.every_tensor()
         for tensor in [*own, *self.attached.values(), *motion, *light]:
             state.update(np.ascontiguousarray(tensor.detach().numpy()).tobytes())
         return state.hexdigest()[:16]

@@ -111,6 +111,14 @@ class Gaussians:
         for name in TENSORS:
             yield name, getattr(self, name)
 
+    def every_tensor(self) -> list[torch.Tensor]:
+        """All tensors, those of `directional` last."""
+        further = self.directional
+        return [
+            *(tensor for _, tensor in self.tensors()),
+            *(() if further is None else (further.index, further.sh)),
+        ]
+
     @staticmethod
     def none(degree: int) -> Gaussians:
         """No Gaussians, with spherical harmonics of a degree."""
@@ -155,11 +163,10 @@ class Gaussians:
 
     def is_finite(self) -> bool:
         """Whether every number is finite."""
-        further = [] if self.directional is None else [self.directional.sh]
         # An infinity is an extreme and NaN becomes both extremes, so that no tensor of flags is needed.
         return all(
             bool(torch.isfinite(extreme))
-            for t in [*(tensor for _, tensor in self.tensors()), *further]
+            for t in self.every_tensor()
             if t.numel()
             for extreme in torch.aminmax(t)
         )

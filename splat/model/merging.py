@@ -19,9 +19,8 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
     """Merges N pairs of Gaussians.
 
     The weights are w = o S, with o the opacity and S = s1 s2 + s1 s3 + s2 s3, half the surface of a box with
-    the standard deviations as sides. Mean, covariance and colour are means weighted by w; a
-    Gaussian has directional harmonics if one of its two has; the opacity is
-    (w_a + w_b) / S of the result, at most 0.99.
+    the standard deviations as sides. Mean, covariance and colour are means weighted by w; the opacity is
+    (w_a + w_b) / S of the result, at most 0.99. It has directional harmonics if one of the two has.
 
     Args:
         a, b: N Gaussians each, of one degree.

@@ -67,7 +67,7 @@ def render(
         ValueError: the tensors are on several devices, or on one that is neither CPU nor CUDA; or the
             low-pass is negative or not finite.
     """
-    devices = {tensor.device for _, tensor in gaussians.tensors()}
+    devices = {tensor.device for tensor in gaussians.every_tensor()}
     if len(devices) > 1:
         raise ValueError(f"Gaussians on {', '.join(sorted(map(str, devices)))}: must be on one device")
     kind = devices.pop().type

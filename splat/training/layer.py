@@ -155,7 +155,7 @@ class LayerTraining:
             self.separate(min(_SEPARATING_VIEWS, int(np.ceil(_SEPARATING_SHARE * every))))
         self.done += 1
         now = self._change_density() if due else None
-        if self.done == int(_TURNING * self._steps):
+        if self.done == int(_TURNING * self._steps) and self._optimizer.gaussians.degree:
             self._keep_turning()
         if due or self.done % _LIT_EVERY == 0:
             self._follow_light()

@@ -111,7 +111,7 @@ EXTREMES = {
     "a scene of 1e-4 units": ("a forest, times 1e-4", lambda: scaled(forest(), 1e-4)),
     "a scene of 1e6 units": ("a forest, times 1e6", lambda: scaled(forest(), 1e6)),
     "radiance of 1e12": ("constant harmonics of 3.7e5", lambda: _one(sh=torch.full((16, 3, 1), 3.7e5))),
-    "invisible and opaque": (
+    "an invisible node": (
         "opacity logits of -1e38",
         lambda: _one(opacity_logits=torch.tensor([-1e38])),
     ),
