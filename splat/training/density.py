@@ -121,11 +121,6 @@ class DensityControl:
                 parts.append(seed_at(shown, pixels, _SIZE, degree, self._motion, self._light))
         return concatenated_layers(parts)
 
-    def allow(self, count: int) -> None:
-        """Lets there be so many Gaussians more, which came from elsewhere."""
-        self.initial_count += count
-        self.final_count += count
-
     def state(self) -> dict[str, torch.Tensor]:
         """Tensors for a checkpoint."""
         return {f"error.{view}": error for view, error in self._errors.items()}

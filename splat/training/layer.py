@@ -227,7 +227,6 @@ class LayerTraining:
         """What stays and what is new, with halves of those nodes that are too large for their light."""
         staying = before.select(kept)
         large = too_large(staying, light, self.views)
-        self._density.allow(int(large.sum()))
         return kept[~large], concatenated_layers([added, halves(staying.select(large))])
 
     def _measured(self, view: TrainingView) -> TrainingView:

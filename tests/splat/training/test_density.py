@@ -153,12 +153,3 @@ def test_new_ones_go_where_the_set_shows_a_surface_if_distances_are_guesses():
     assert len({camera.key for camera in seen}) == len(seen) == 16
     # Half-way from the cameras at z = -3 to the wall at z = 0.
     assert torch.allclose(added.gaussians.means[2], torch.tensor(-1.5), atol=1e-5)
-
-
-def test_gaussians_from_elsewhere_do_not_count():
-    """50 more than the 100 to 600 there are to be, of which the first round adds as many as without them."""
-    density = control(100, 600)
-    density.allow(50)
-    kept, added = density.change(seeds(150), WALLS, np.random.default_rng(0))
-    assert (density.initial_count, density.final_count) == (150, 650)
-    assert (len(kept), len(added)) == (150, 100)
