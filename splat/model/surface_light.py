@@ -24,6 +24,8 @@ _AROUND, _OPPOSITE = 32, -0.3
 # Neighbours of a point that tell how light changes from place to place, and the least product of their
 # normals with its own: light that changes around a corner is no edge of a shadow.
 _NEIGHBOURS, _ALIKE = 6, 0.7
+# Times that tell it, about.
+_SAMPLED = 32
 # Of the curve on which radiance is compared, about.
 _GAMMA = 2.2
 
@@ -100,8 +102,9 @@ class SurfaceLight:
 
     @cached_property
     def _unevenness(self) -> NDArray[np.float64]:
-        """(P,) mean squared change of the perceived light per distance from a point, over all times."""
-        perceived = self.factors.float().numpy() ** np.float32(1 / _GAMMA)
+        """(P,) mean squared change of the perceived light per distance from a point, over many times."""
+        sampled = self.factors[:: max(1, len(self.factors) // _SAMPLED)]
+        perceived = sampled.float().numpy() ** np.float32(1 / _GAMMA)
         count = min(_NEIGHBOURS + 1, len(self))
         away, near = (part.reshape(len(self), -1) for part in self._tree.query(self._tree.data, k=count))
         normals = self.normals.numpy().T

@@ -24,7 +24,7 @@ from splat.training.node_light import NodeLight
 from splat.training.optimizer import GaussianOptimizer
 from splat.training.order import order_of_views
 from splat.training.sizes import largest_log_scales
-from splat.training.splitting import halves, too_large
+from splat.training.splitting import LEAST_STEPS, halves, too_large
 from splat.training.turning import without_unseen_turning
 from splat.training.views import TrainingView, pixel_footprint
 from splat.training.visible import visible
@@ -208,7 +208,7 @@ class LayerTraining:
         rng = np.random.default_rng([*self._seed, 1, self.done])
         before = self.layer
         kept, added = self._density.change(before.gaussians, self.views, rng, self._measured)
-        if self._light is not None:
+        if self._light is not None and self._steps >= LEAST_STEPS:
             kept, added = self._split(self._light.surface, before, kept, added)
         return self._continue_with(kept, [added])
 

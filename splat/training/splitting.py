@@ -24,6 +24,8 @@ _ERROR = 0.03
 _SMALLEST = 0.6
 # A node is split that is larger by this factor than it may be.
 _MARGIN = 1.3
+# Steps that a layer must get for nodes to be split: halves have to become what they stand for.
+LEAST_STEPS = 400
 # Share of a layer's nodes that are split at once, at most.
 _MOST = 0.1
 # Standard deviation of a half along the axis that is split, and its distance from the middle, as shares of
@@ -36,9 +38,9 @@ _WHITE = 1.0
 
 
 def too_large(layer: Layer, light: SurfaceLight, views: list[TrainingView]) -> torch.Tensor:
-    """(N,) bool, which nodes of a layer are too large for the light that passes over them.
+    """(N,) bool, which nodes that stand still are too large for the light that passes over them.
 
-    Of many, those are named that exceed their limits most.
+    The light on what moves changes all over it. Of many, those are named that exceed their limits most.
 
     Args:
         layer: N nodes, at rest.
@@ -50,9 +52,10 @@ def too_large(layer: Layer, light: SurfaceLight, views: list[TrainingView]) -> t
     uneven = light.unevenness(gaussians.means, layer.semantic) * perceived**2
     largest = torch.maximum(_ERROR**2 / uneven.clamp(min=1e-20), _smallest(gaussians.means, views))
     excess = gaussians.log_scales.max(dim=0).values - largest.log()
-    found = excess > np.log(_MARGIN)
+    found = (excess > np.log(_MARGIN)) & (layer.semantic < 0)
     most = int(_MOST * len(layer))
     if int(found.sum()) > most:
+        excess[~found] = -torch.inf
         found = torch.zeros_like(found).index_fill(0, excess.topk(most).indices, True)
     return found
 

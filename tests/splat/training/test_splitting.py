@@ -11,14 +11,14 @@ import torch
 from splat.model.motion import turned
 from splat.model.surface_light import SurfaceLight
 from splat.raster.differentiable import render_differentiable
-from splat.training.splitting import halves, too_large
+from splat.training.splitting import LEAST_STEPS, halves, too_large
 from splat.training.trainer import Trainer, TrainingSettings
 from splat.training.views import TrainingView
 from tests.splat.model.test_surface_light import floor, nodes
 from tests.splat.training.frames import SIZE, WALLS, wall
 
 TIMES = np.linspace(0, 1, 21)
-SETTINGS = TrainingSettings(iterations=120, gaussians=400, layers=2, degree=0, seed=3)
+SETTINGS = TrainingSettings(iterations=LEAST_STEPS, gaussians=400, layers=1, degree=0, seed=3)
 
 
 def sweeping(changes: bool = True) -> SurfaceLight:
@@ -84,6 +84,13 @@ def test_large_nodes_under_passing_edges_are_too_large():
     assert int(found.sum()) == int(0.1 * len(layer))
 
 
+def test_nodes_of_what_moves_are_not_too_large():
+    light = replace(sweeping(), instance=torch.zeros(SIZE**2, dtype=torch.int32))
+    layer = under(light, 0.3)
+    semantic = torch.zeros(len(layer), dtype=torch.int32)
+    assert not bool(too_large(replace(layer, semantic=semantic), light, WALLS).any())
+
+
 @pytest.mark.parametrize(
     ("scale", "brightness", "changes"),
     [(1e-4, 0.5, True), (0.3, 0.0, True), (0.3, 0.5, False)],
@@ -140,6 +147,13 @@ def test_training_has_more_and_smaller_nodes_under_shadows(arrays):
     assert counts[0] == SETTINGS.gaussians
     assert counts[1] > counts[0]
     assert sizes[1] < sizes[0]
+
+
+def test_short_trainings_split_nothing(arrays):
+    settings = replace(SETTINGS, iterations=LEAST_STEPS - 1)
+    trainer = Trainer(arrays, [_at(0.0), _at(0.9)], settings, light=sweeping())
+    trainer.run()
+    assert len(trainer.forest()[-1]) == SETTINGS.gaussians
 
 
 def _at(time: float) -> TrainingView:
