@@ -12,6 +12,7 @@ from compose.eye.display import DISPLAYS
 from hybrid.plan.plan import ScenePlan, plan_of
 from pathtrace.scene.scene import load_scene
 from tests import small
+from tests.extremes import extreme
 
 pytestmark = pytest.mark.usefixtures("backend")
 
@@ -96,7 +97,9 @@ def test_glass_before_the_lamp_is_named():
     assert plan.value("degree") == 0
 
 
-def test_an_empty_scene_is_refused():
+@extreme("a plan of an empty scene", given="a sky, no shape", expected="one line that says so")
+def test_an_empty_scene_is_refused(got):
     scene = {"type": "scene", "sensor": small.sensor(), "sky": {"type": "constant"}}
-    with pytest.raises(UserError, match="surface"):
+    with pytest.raises(UserError, match="surface") as refused:
         planned(scene)
+    got(str(refused.value))
