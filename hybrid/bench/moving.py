@@ -61,8 +61,6 @@ _SHADOW = 0.05
 _DARK = 1e-3
 # Pixels up to which a still surface is beside a moving shadow.
 _BESIDE = 8
-# How much farther than a flat mirror what it shows is, at least.
-_BEYOND = 1.001
 # Frames of a clip that are not timed: the first ones wait for kernels.
 _WARM_UP = 2
 # Paths per pixel of the path-traced frames, from which their number at equal time is sought.
@@ -247,26 +245,28 @@ class _Methods:
         found = {name: self._timed(clip, method) for name, method in methods.items()}
         return found | {name: self._selected(clip, method) for name, method in self._selecting.items()}
 
-    def _timed(self, clip: _Clip, method: _Frame) -> _Shown:
+    def _timed(
+        self, clip: _Clip, method: _Frame, before: Callable[[FrameSettings], None] = lambda settings: None
+    ) -> _Shown:
+        """The clip by a method; what is done before each frame is not timed."""
         milliseconds, images = [], []
         for number, at in enumerate(clip.times):
             settings = replace(self._settings, time=at, gaze=clip.gaze)
+            before(settings)
             start = time.perf_counter()
             images.append(method(settings, number))
             milliseconds.append((time.perf_counter() - start) * 1000)
         return _Shown(images, milliseconds[_WARM_UP:])
 
     def _selected(self, clip: _Clip, renderer: LastFrameRenderer) -> _Shown:
-        """The clip with what each frame before has selected; selecting is not timed."""
+        """The clip with what each frame before has selected."""
         renderer.forget()
-        milliseconds, images = [], []
-        for at in clip.times:
-            settings = replace(self._settings, time=at, gaze=clip.gaze, acuity_model=_MODELS[0])
-            renderer.select(settings)
-            start = time.perf_counter()
-            images.append(renderer.frame(settings))
-            milliseconds.append((time.perf_counter() - start) * 1000)
-        return _Shown(images, milliseconds[_WARM_UP:])
+        by_acuity = partial(replace, acuity_model=_MODELS[0])
+        return self._timed(
+            clip,
+            lambda settings, seed: renderer.frame(by_acuity(settings)),
+            lambda settings: renderer.select(by_acuity(settings)),
+        )
 
     def _frame(self, settings: FrameSettings, seed: int) -> Image:
         return self._renderer.frame(settings, seed).composite
@@ -338,9 +338,8 @@ def _clip(tracer: Tracer, moving: MovingScene, camera: Camera, number: int, spp:
 def _mirrors(tracer: Tracer, camera: Camera) -> NDArray[np.bool_]:
     """(H, W) where something specular is seen: what changes there is no shadow."""
     positions = frame_positions(camera)
-    hits = tracer.hits(camera, positions)
     gloss = tracer.auxiliary(camera, positions, 1, REFERENCE_SEED).gloss.numpy()
-    found = (hits.unfolded > _BEYOND * hits.distance) | (gloss == SPECULAR)
+    found = tracer.hits(camera, positions).reflected | (gloss == SPECULAR)
     return np.asarray(found.reshape(camera.height, camera.width))
 
 

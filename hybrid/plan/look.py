@@ -13,13 +13,11 @@ from compose.image.colour import Image
 from pathtrace.dataset.views import choose_views
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.surfaces import Surfaces
-from pathtrace.trace.film import frame_positions
+from pathtrace.trace.film import frame_positions, interleaved
 from pathtrace.trace.tracer import Tracer
 
 # Views, the side of their frames in pixels, and samples per pixel.
 _VIEWS, _SIDE, _SPP = 6, 96, 8
-# How much farther than a flat mirror what it shows is, at least.
-_BEYOND = 1.001
 
 
 @dataclass(frozen=True)
@@ -58,18 +56,13 @@ def look_at_scene(scene: Scene, seed: int) -> Look:
     tracer = Tracer(scene)
     radiance, gloss, reflected = [], [], []
     for number, view in enumerate(views):
-        if scene.moving is not None:
-            scene.set_time(view.time)
+        scene.show(view.time)
         positions = frame_positions(view.camera)
         traced = tracer.trace(view.camera, positions, _SPP, seed + number, features=True)
-        hits = tracer.hits(view.camera, positions)
         assert traced.features is not None
         shape = (view.camera.height, view.camera.width)
-        channels = [channel.numpy() for channel in traced.radiance]
-        radiance.append(np.stack(channels, axis=-1).reshape(*shape, 3))
+        radiance.append(interleaved(traced.radiance).reshape(*shape, 3))
         gloss.append(traced.features.gloss.numpy().astype(np.int64).reshape(shape))
-        beyond = hits.unfolded > _BEYOND * hits.distance
-        reflected.append(beyond.reshape(shape))
-    if scene.moving is not None:
-        scene.set_time(0.0)
+        reflected.append(tracer.hits(view.camera, positions).reflected.reshape(shape))
+    scene.show(0.0)
     return Look(views, radiance, gloss, reflected)

@@ -26,15 +26,10 @@ class ScenePlan:
     """What a scene requires of the renderers.
 
     Attributes:
-        scene_name, scene_hash: of the scene.
         decisions: one per part.
-        look: what they were made from.
     """
 
-    scene_name: str
-    scene_hash: str
     decisions: tuple[Decision, ...]
-    look: Look
 
     def value(self, name: str) -> Any:
         """What is decided for a part.
@@ -73,8 +68,7 @@ def plan_of(
     paths = path_decisions(scene, look.cameras, seed)
     progress(2, _PARTS)
     denoising = denoising_decision(scene, look.views, seed)
-    if scene.moving is not None:
-        scene.set_time(0.0)
+    scene.show(0.0)
     decisions = (
         _motion_decision(scene),
         *paths,
@@ -84,7 +78,7 @@ def plan_of(
         _light_decision(scene, look),
     )
     progress(3, _PARTS)
-    return ScenePlan(scene.name, scene.hash, decisions, look)
+    return ScenePlan(decisions)
 
 
 def _motion_decision(scene: Scene) -> Decision:

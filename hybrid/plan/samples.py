@@ -38,8 +38,7 @@ def denoising_decision(scene: Scene, views: Sequence[View], seed: int) -> Decisi
     """
     tracer, errors, noise = Tracer(scene), [], []
     for number, view in enumerate(views[:_VIEWS]):
-        if scene.moving is not None:
-            scene.set_time(view.time)
+        scene.show(view.time)
         positions = frame_positions(view.camera)
         one, other = (
             trace_image(tracer, view.camera, positions, view.camera.width, _HALF, seed + 2 * number + half)

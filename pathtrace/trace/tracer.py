@@ -40,6 +40,8 @@ from pathtrace.trace.sequences import Sequences
 # traced in several passes, and positions in several parts where they alone are more than that.
 _MAX_LANES = 1 << 22
 RUSSIAN_ROULETTE_DEPTH = 5
+# How much farther than a flat mirror what it shows is, at least.
+_BEYOND = 1.001
 # A way through panes of glass is straight if the cosine of its bend differs from 1 by no more than this.
 _UNBENT = 1e-5
 # Shadow rays at the first surface of paths that end in a cache.
@@ -81,6 +83,11 @@ class Hits:
     distance: NDArray[np.float32]
     unfolded: NDArray[np.float32]
     shape: NDArray[np.int32]
+
+    @property
+    def reflected(self) -> NDArray[np.bool_]:
+        """(N,) where a flat mirror or a pane shows something else."""
+        return self.unfolded > _BEYOND * self.distance
 
 
 def auxiliary_spp(spp: int) -> int:

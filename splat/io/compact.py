@@ -43,10 +43,16 @@ def compact(forest: Forest) -> Forest:
 
 def is_compact(forest: Forest) -> bool:
     """Whether a compact file holds its numbers exactly, to the bit."""
+    return exactly_encoded(forest) is not None
+
+
+def exactly_encoded(forest: Forest) -> dict[str, torch.Tensor] | None:
+    """Tensors as of `encoded` that hold the numbers of a forest exactly, to the bit; None if none do."""
     if not forest.nodes.gaussians.is_finite():
-        return False
-    own, held = (_contents(made.nodes.gaussians) for made in (forest, compact(forest)))
-    return own == held
+        return None
+    codes = encoded(forest.nodes, forest.counts)
+    exact = _contents(forest.nodes.gaussians) == _contents(decoded(codes).gaussians)
+    return codes if exact else None
 
 
 def _contents(gaussians: Gaussians) -> list[bytes]:

@@ -18,7 +18,7 @@ from compose.base.named import under
 from compose.base.scene_names import claimed_scene
 from compose.camera.place import WORLD, Place
 from splat.deformation.learned import LearnedMotion
-from splat.io.compact import decoded, encoded, is_compact
+from splat.io.compact import decoded, exactly_encoded
 from splat.io.packing import packed, unpacked
 from splat.io.tensors import (
     COMPACT_VERSION,
@@ -69,8 +69,9 @@ def save_forest(path: str | Path, forest: Forest) -> None:
     tensors |= {_MOTION + name: tensor for name, tensor in motion.items()}
     light = {} if forest.light is None else forest.light.tensors()
     tensors |= {_LIGHT + name: tensor for name, tensor in light.items()}
-    if is_compact(forest):
-        tensors, kinds = packed({**encoded(nodes, forest.counts), **tensors})
+    codes = exactly_encoded(forest)
+    if codes is not None:
+        tensors, kinds = packed({**codes, **tensors})
         metadata |= {"format_version": COMPACT_VERSION, _PACKED: kinds}
     else:
         own, further = dict([*nodes.gaussians.tensors(), *nodes.labels()]), nodes.gaussians.directional
