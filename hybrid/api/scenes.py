@@ -29,11 +29,13 @@ def load_scene(
     thin_glass: bool = False,
     backend: str = "auto",
 ) -> Scene:
-    """Loads a scene. The first call in a process also selects the backend.
+    """Loads a scene with the paths that are planned for it. The first call also selects the backend.
+
+    The plan is made in seconds when a scene is loaded for the first time, and stored in the cache folder.
 
     Args:
         source: name of a bundled scene, path of a Mitsuba 3 XML file, or scene dictionary.
-        max_depth: path depth; the scene's own if None.
+        max_depth: path depth; as planned if None.
         thin_glass: whether panes of glass let shadow rays pass; such a scene has a hash of its own.
         backend: auto (CUDA if available), cuda or llvm; it cannot change within a process.
 
@@ -42,9 +44,9 @@ def load_scene(
             backend is not available, or thin glass is asked for and there is no pane.
     """
     select_backend(backend)
-    from pathtrace.scene.scene import load_scene as load
+    from hybrid.plan.stored import planned_scene
 
-    return load(source, max_depth, thin_glass)
+    return planned_scene(source, max_depth, thin_glass)
 
 
 def capture(

@@ -78,6 +78,7 @@ def _loaded_and_rendered(path: Path, backend: BackendName) -> dict[str, Any]:
     from hybrid.frame.periphery import Periphery
     from hybrid.frame.settings import FrameSettings
     from hybrid.runtime.device import device_arrays
+    from hybrid.runtime.memory import peak_memory
     from pathtrace.base.backend import select_backend
 
     select_backend(backend)
@@ -90,13 +91,7 @@ def _loaded_and_rendered(path: Path, backend: BackendName) -> dict[str, Any]:
     region = settings.foveation.region(camera.width, camera.height)
     drawn = periphery.draw(camera, periphery.detail(camera, settings), region)
     drawn.image()
-    return {"load_s": loaded, "peak_bytes": _peak_bytes(), "nodes_drawn": drawn.nodes}
-
-
-def _peak_bytes() -> int:
-    """Peak memory of this process; getrusage would include that of the process that spawned it."""
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) * 1024
+    return {"load_s": loaded, "peak_bytes": peak_memory(), "nodes_drawn": drawn.nodes}
 
 
 def _inside() -> Camera:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -46,9 +47,14 @@ def capture(
     ] = 8,
     size: FixedSize = (256, 256),
     spp: Annotated[
-        int,
-        typer.Option(help="Samples per pixel of a training view.", max=MOST_SPP, rich_help_panel=FRAME),
-    ] = 32,
+        int | None,
+        typer.Option(
+            help="Samples per pixel of a training view; as planned for the scene if left out.",
+            min=1,
+            max=MOST_SPP,
+            rich_help_panel=FRAME,
+        ),
+    ] = None,
     held_out_spp: Annotated[
         int,
         typer.Option(help="Samples per pixel of a held-out view.", max=MOST_SPP, rich_help_panel=MEASUREMENT),
@@ -77,16 +83,20 @@ def capture(
     """Render training frames; resumes if interrupted."""
     select(backend)
     from hybrid.frame.irradiance import cache_for
+    from hybrid.plan.samples import FIXED_SAMPLES, SAMPLES
     from hybrid.store.receipts import keep_receipt
     from pathtrace.dataset.capture import capture as run
     from pathtrace.dataset.settings import CaptureSettings
 
     with user_errors():
-        settings = CaptureSettings(views, held_out, *size, spp, held_out_spp, seed=seed, monocular=monocular)
+        settings = CaptureSettings(
+            views, held_out, *size, spp or FIXED_SAMPLES, held_out_spp, seed=seed, monocular=monocular
+        )
     require_size(size)
     is_cached = integrator_named(integrator) is Integrator.CACHED
     start = time.perf_counter()
     loaded = loaded_scene(scene, max_depth, thin_glass)
+    settings = replace(settings, spp=spp or loaded.plan.get(SAMPLES, FIXED_SAMPLES))
     cache = cache_for(loaded, progress_bar) if is_cached else None
     with progress_bar("capture (samples)") as bar:
         found = run(loaded, Path(frames), settings, bar, cache)
@@ -97,7 +107,7 @@ def capture(
         "held_out": len(found.held_out),
         "width": size[0],
         "height": size[1],
-        "spp": spp,
+        "spp": settings.spp,
         "integrator": found.integrator,
         "seconds": time.perf_counter() - start,
     }

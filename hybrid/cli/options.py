@@ -89,9 +89,10 @@ Spp = Annotated[
     typer.Option("--spp", help="Samples per pixel in the disc.", min=1, max=MOST_SPP, rich_help_panel=FRAME),
 ]
 Fovea = Annotated[
-    str,
+    str | None,
     typer.Option(
-        help="raw: unbiased samples; denoised: by OIDN; fused: with the splats under the disc.",
+        help="raw: unbiased samples; denoised: by OIDN; fused: with the splats under the disc. Default: raw "
+        "where noise is planned to be negligible, else fused.",
         rich_help_panel=FRAME,
     ),
 ]
@@ -146,7 +147,7 @@ MaxDepth = Annotated[
     int | None,
     typer.Option(
         "--max-depth",
-        help="Path depth; the scene's if left out.",
+        help="Path depth; as planned for the scene if left out.",
         min=1,
         max=MOST_DEPTH,
         rich_help_panel=INPUT,
@@ -158,6 +159,15 @@ ThinGlass = Annotated[
         "--thin-glass",
         help="Panes of glass let shadow rays pass: far less noise where light comes through them.",
         rich_help_panel=INPUT,
+    ),
+]
+RegionName = Annotated[
+    str | None,
+    typer.Option(
+        "--region",
+        metavar="near|reachable|FILE",
+        help="Where viewers may be: around the scene's camera, in all free space, or along a path. As "
+        "planned, else near, if left out.",
     ),
 ]
 Repeats = Annotated[
@@ -213,10 +223,10 @@ def select(backend: str) -> None:
 
 
 def loaded_scene(source: str, max_depth: int | None = None, thin_glass: bool = False) -> Scene:
-    """A scene by a bundled name or from a Mitsuba XML file."""
-    from pathtrace.scene.scene import load_scene
+    """A scene by a bundled name or from a Mitsuba XML file, as planned; the plan is made if there is none."""
+    from hybrid.plan.stored import planned_scene
 
-    return load_scene(source, max_depth, thin_glass)
+    return planned_scene(source, max_depth, thin_glass, progress_bar)
 
 
 def fill_irradiance(scene: Scene, settings: FrameSettings) -> None:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
 
 from hybrid.cli.options import (
     Backend,
     DisplayName,
     FixedSize,
     Json,
-    MaxDepth,
+    RegionName,
     SceneName,
     Seed,
     ThinGlass,
-    loaded_scene,
     select,
     write_json,
 )
@@ -22,29 +24,55 @@ from hybrid.runtime.progress import progress_bar
 
 def plan(
     scene: SceneName,
+    region: RegionName = None,
     size: FixedSize = (1920, 1080),
     display: DisplayName = "desktop",
-    max_depth: MaxDepth = None,
+    override: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="Decide an item yourself, such as degree=0 or 'path depth=12'. May be given repeatedly.",
+        ),
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also a PNG that shows what the scene was planned by.")
+    ] = None,
     thin_glass: ThinGlass = False,
     seed: Seed = 0,
     backend: Backend = "auto",
     json_file: Json = None,
 ) -> None:
-    """Look at a scene for a few seconds, and say what it requires of the renderers, and why."""
+    """Look at a scene for a few seconds, and decide what it requires of the renderers, and why.
+
+    All commands take the newest plan of a scene as their default; without one, they make it themselves.
+    """
     select(backend)
     from compose.eye.display import display_named
+    from hybrid.output.images import check_writable
+    from hybrid.plan.overrides import overridden, parsed
+    from hybrid.plan.picture import write_picture
     from hybrid.plan.plan import plan_of
+    from hybrid.plan.stored import store_plan
     from hybrid.runtime.machine import machine
+    from pathtrace.scene.scene import load_scene
 
-    shown = display_named(display)
-    loaded = loaded_scene(scene, max_depth, thin_glass)
+    shown, wanted = display_named(display), parsed(override or ())
+    if picture is not None:
+        check_writable(picture)
+    loaded = load_scene(scene, None, thin_glass)
     with progress_bar("plan (parts)") as bar:
-        found = plan_of(loaded, shown, size, seed, bar)
+        found = plan_of(loaded, shown, size, region or "near", seed, bar)
+    found = overridden(found, wanted, loaded)
+    store_plan(found)
+    assert found.look is not None
     for row in found.rows():
         print(
             f"{row['name']:<16}{row['value']!s:<10}(else {row['fixed']!s}; {row['of']} / {row['gain']:.2f})"
         )
         print(f"{'':<16}{_shown(row['evidence'])}")
+    if picture is not None:
+        write_picture(picture, found, found.look)
     write_json(
         json_file, {"scene": loaded.name, "size": size, "decisions": found.rows(), "machine": machine()}
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +17,7 @@ from hybrid.cli.options import (
     FixedSize,
     Json,
     MaxDepth,
+    RegionName,
     SceneName,
     Seed,
     ThinGlass,
@@ -36,13 +38,7 @@ def prepare(
     quality: Annotated[str, typer.Option(help="draft, standard or high: how far to go.")] = "standard",
     minutes: Annotated[float | None, typer.Option(help="Time to use instead.")] = None,
     psnr: Annotated[float | None, typer.Option(help="dB on held-out views to reach instead.")] = None,
-    region: Annotated[
-        str,
-        typer.Option(
-            metavar="near|reachable|FILE",
-            help="Where viewers may be: around the scene's camera, in all free space, or along a path.",
-        ),
-    ] = "near",
+    region: RegionName = None,
     held_out: Annotated[
         int,
         typer.Option(
@@ -68,15 +64,20 @@ def prepare(
     started = time.perf_counter()
     from hybrid.preparation.settings import PreparationSettings
 
-    settings = PreparationSettings(region, quality, minutes, psnr, held_out, size, clamp_indirect, seed)
+    settings = PreparationSettings(
+        region or "near", quality, minutes, psnr, held_out, size, clamp_indirect, seed
+    )
     require_size(size)
     select(backend)
     from hybrid.output.images import check_writable
+    from hybrid.plan.region import REGION
     from hybrid.preparation.preparation import prepare as run
 
     if forest is not None:
         check_writable(forest)
-    prepared = run(loaded_scene(scene, max_depth, thin_glass), settings, started=started)
+    loaded = loaded_scene(scene, max_depth, thin_glass)
+    settings = replace(settings, region=region or str(loaded.plan.get(REGION, settings.region)))
+    prepared = run(loaded, settings, started=started)
     facts = prepared.facts
     if forest is not None:
         shutil.copyfile(facts["forest"], forest)

@@ -97,7 +97,7 @@ def render(
     fov_b: FovB = DEFAULTS.fov_b,
     spp: Spp = DEFAULTS.spp,
     size: Size = None,
-    fovea: Fovea = DEFAULTS.fovea.value,
+    fovea: Fovea = None,
     integrator: IntegratorName = None,
     target_ms: Annotated[
         float | None,
@@ -170,7 +170,7 @@ def render(
         fov_a,
         fov_b,
         spp,
-        fovea,
+        DEFAULTS.fovea if fovea is None else fovea,
         acuity_model,
         layers,
         display=display,
@@ -202,6 +202,8 @@ def render(
         )
         write_json(json_file, render_frames(Path(scene), asked, settings))
         return
+    from compose.fovea.mode import FoveaMode
+    from hybrid.plan.samples import DENOISING, RAW
     from hybrid.preparation.quick import forest_for
 
     loaded = loaded_scene(scene, max_depth, thin_glass)
@@ -213,6 +215,8 @@ def render(
     target = Target(target_ms, target_jod, command)
     target.require_forest(loaded, forest)
     found = forest_for(loaded, forest)
+    if fovea is None and loaded.plan.get(DENOISING) == RAW:
+        settings = replace(settings, fovea=FoveaMode.RAW)
     settings = target.applied(loaded, found, replace(settings, camera=shown))
     # Refused before anything is filled.
     settings.layers_of(len(found.counts))

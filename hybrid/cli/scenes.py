@@ -19,12 +19,12 @@ def scenes(backend: Backend = "auto", json_file: Json = None) -> None:
 
 
 def _facts(name: str) -> dict[str, Any]:
+    from hybrid.plan.stored import scene_as_stored
     from hybrid.store.cache import newest_forest
     from pathtrace.scene.bundled import bundled_scenes
-    from pathtrace.scene.scene import load_scene
     from splat.io.forest_file import load_forest
 
-    scene = load_scene(name)
+    scene = scene_as_stored(name)
     forest = newest_forest(scene)
     counts = load_forest(forest).counts if forest else ()
     return {

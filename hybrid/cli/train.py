@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -37,10 +37,23 @@ def train(
         int, typer.Option(help="Optimizer steps over all layers.", max=_MOST_ITERATIONS)
     ] = 3000,
     gaussians: Annotated[
-        int, typer.Option(help="Final number of Gaussians in the finest layer.", max=MOST_GAUSSIANS)
-    ] = 40_000,
-    layers: Annotated[int, typer.Option(help="Layers of the forest; 1 for Gaussians without trees.")] = 4,
-    degree: Annotated[int, typer.Option(help="Degree of the spherical harmonics, 0 to 3.")] = 2,
+        int | None,
+        typer.Option(
+            help="Final number of Gaussians in the finest layer; as planned for the scene, "
+            "else 40,000, if left out.",
+            max=MOST_GAUSSIANS,
+        ),
+    ] = None,
+    layers: Annotated[
+        int | None,
+        typer.Option(
+            help="Layers of the forest; 1 for Gaussians without trees. As planned, else 4, if left out."
+        ),
+    ] = None,
+    degree: Annotated[
+        int | None,
+        typer.Option(help="Degree of the spherical harmonics, 0 to 3; as planned, else 2, if left out."),
+    ] = None,
     motion: Annotated[
         MotionModel | None,
         typer.Option(
@@ -75,15 +88,18 @@ def train(
     from hybrid.training.forest import train as run
     from hybrid.training.fusion import fusion_verdicts
     from hybrid.training.held_out import held_out_quality
+    from hybrid.training.planned import planned_settings
     from hybrid.training.posed import motion_for, read_frames
     from pathtrace.posed.folder import PosedFolder
-    from splat.training.trainer import TrainingSettings
 
+    shape = {"gaussians": gaussians, "layers": layers, "degree": degree}
+    given = {"iterations": iterations, "seed": seed, **shape}
     with user_errors():
-        settings = TrainingSettings(iterations, gaussians, layers, degree, seed)
+        # What is given is checked before the frames are read.
+        planned_settings(None, **given)
     found = read_frames(frames)
     with user_errors():
-        settings = replace(settings, motion=motion_for(found, motion, labels), labels=labels)
+        settings = planned_settings(found, **given, motion=motion_for(found, motion, labels), labels=labels)
     check_writable(forest)
     if isinstance(found, PosedFolder):
         _print_folder(found, settings.motion)

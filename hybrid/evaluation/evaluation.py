@@ -23,6 +23,7 @@ from hybrid.frame.periphery import Periphery
 from hybrid.frame.renderer import Renderer
 from hybrid.measure.reference import REFERENCE_SEED, Reference, reference
 from hybrid.methods.splats import SplatsAlone
+from hybrid.plan.values import plan_of_forest
 from hybrid.runtime.device import device_arrays
 from hybrid.runtime.machine import machine
 from hybrid.store.cache import scene_folder
@@ -61,7 +62,7 @@ class Evaluation:
         integrator = settings.frame.used_integrator
         settings = replace(settings, frame=replace(settings.frame, integrator=integrator))
         self.scene, self.settings, self.folder = scene, settings, folder
-        self.renderer = Renderer(scene, forest)
+        self.renderer, self.forest = Renderer(scene, forest), forest
         self.tracer, self.baseline_tracer = self.renderer.tracer, self.renderer.tracer_of(integrator)
         self.splats = SplatsAlone(Periphery(device_arrays(), forest))
         self.flat = None if flat is None else SplatsAlone(Periphery(device_arrays(), flat))
@@ -109,6 +110,7 @@ class Evaluation:
             "methods": [self._method_row(entry, views[0].camera) for entry in entries],
             "quality": quality,
             "time": times,
+            "plan": plan_of_forest(self.forest),
             "machine": machine(),
         }
 

@@ -66,13 +66,13 @@ class CachedTracer:
     Args:
         scene: the scene.
         cache: of it.
-        roulette_depth: path depth from which Russian roulette ends paths.
+        roulette_depth: path depth from which Russian roulette ends paths; that of the scene if None.
 
     Attributes:
         tracer: traces, with what is known of the light now.
     """
 
-    def __init__(self, scene: Scene, cache: IrradianceCache, roulette_depth: int):
+    def __init__(self, scene: Scene, cache: IrradianceCache, roulette_depth: int | None):
         self.tracer = Tracer(scene, roulette_depth=roulette_depth, cache=cache)
         self._scene, self._cache = scene, cache
         self._relighting: Relighting | None = None

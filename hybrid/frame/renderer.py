@@ -27,7 +27,7 @@ from pathtrace.scene.moving import MovingScene
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.integrator import Integrator
-from pathtrace.trace.tracer import RUSSIAN_ROULETTE_DEPTH, Tracer
+from pathtrace.trace.tracer import Tracer
 from splat.model.forest import Forest
 
 
@@ -38,7 +38,7 @@ class Renderer:
         scene: what is path-traced.
         forest: its Gaussians.
         history: whether the fovea reuses the samples of earlier frames.
-        roulette_depth: path depth from which Russian roulette ends paths.
+        roulette_depth: path depth from which Russian roulette ends paths; that of the scene by default.
 
     Raises:
         UserError: the forest belongs to another scene.
@@ -56,7 +56,7 @@ class Renderer:
         forest: Forest,
         *,
         history: bool = False,
-        roulette_depth: int = RUSSIAN_ROULETTE_DEPTH,
+        roulette_depth: int | None = None,
     ):
         require_scene(forest, scene.name, scene.hash, "this forest")
         self.scene = scene

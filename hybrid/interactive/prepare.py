@@ -11,11 +11,11 @@ from hybrid.frame.irradiance import cache_for
 from hybrid.frame.live import LiveRenderer
 from hybrid.frame.settings import FrameSettings
 from hybrid.interactive.source import FrameSource
+from hybrid.plan.stored import planned_scene
 from hybrid.preparation.quick import forest_for
 from hybrid.runtime.progress import Bar, Report
 from hybrid.store.cache import newest_forest
 from pathtrace.base.backend import select_backend
-from pathtrace.scene.scene import load_scene
 from pathtrace.trace.integrator import Integrator
 
 
@@ -49,7 +49,7 @@ def prepared(
 
     # Before the scene is loaded, since the backend decides what it is loaded into.
     select_backend(backend)
-    loaded = load_scene(scene, thin_glass=thin_glass)
+    loaded = planned_scene(scene, thin_glass=thin_glass, bars=bars)
     if not trains and forest is None and newest_forest(loaded) is None:
         raise UserError(f"{scene}: there is no forest yet; run hybrid demo {scene} first, which trains one")
     found = forest_for(loaded, forest, bars)

@@ -106,7 +106,7 @@ def tie_metrics(
     whole = Region.of("whole", np.ones_like(fovea.mask))
     values = {(fovea.name, name): value for name, value in found.items()}
     for region, names in ((fovea, fallback), (whole, ("ssim",))):
-        plain = _plain(image, half, region)
+        plain = plain_metrics(image, half, region)
         values |= {(region.name, name): plain[name] for name in names if name in plain}
     return [{"region": region, "metric": name, "value": value} for (region, name), value in values.items()]
 
@@ -117,8 +117,8 @@ def acuity_weight(viewer: Viewer, size: tuple[int, int]) -> NDArray[np.float32]:
     return (geisler_perry(angles) / geisler_perry(np.zeros(1))[0]).astype(np.float32)
 
 
-def _plain(image: Image, reference: Image, region: Region) -> dict[str, float]:
-    """PSNR and SSIM of a region."""
+def plain_metrics(image: Image, reference: Image, region: Region) -> dict[str, float]:
+    """PSNR and SSIM of a region, as far as they have a value there."""
     similarity = _map(region.alone(image, reference), reference)
     weight = region.mask.astype(np.float32)
     return _known({"psnr": psnr(image, reference, region.mask), "ssim": _similarity(similarity, weight)})

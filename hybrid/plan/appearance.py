@@ -13,6 +13,7 @@ from splat.model.gaussians import MAX_DEGREE, sh_count
 # Share of the pixels that must show gloss for Gaussians to have directional harmonics, and their degree where
 # they do; of the degree above, `room` gains next to nothing.
 _LEAST_GLOSS, _DEGREE = 0.002, 2
+DEGREE = "degree"
 # Shares of the pixels between which radiance is said to range.
 _LEAST, _MOST = 0.01, 0.999
 
@@ -23,14 +24,15 @@ def degree_decision(look: Look) -> Decision:
     reflected = np.concatenate([mask.ravel() for mask in look.reflected])
     turns = (gloss != DIFFUSE) | reflected
     share = float(turns.mean())
-    degree = _DEGREE if share > _LEAST_GLOSS else 0
+    degree = _DEGREE if share > _LEAST_GLOSS and not look.is_one_point else 0
     evidence = {
         "turning": share,
+        "is_one_point": look.is_one_point,
         "specular": float(((gloss == SPECULAR) | reflected).mean()),
         "least": _LEAST_GLOSS,
     }
     gain = sh_count(MAX_DEGREE) / sh_count(degree)
-    return Decision("degree", degree, MAX_DEGREE, evidence, gain, "harmonics per Gaussian")
+    return Decision(DEGREE, degree, MAX_DEGREE, evidence, gain, "harmonics per Gaussian")
 
 
 def range_evidence(look: Look) -> dict[str, float]:

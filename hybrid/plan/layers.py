@@ -8,7 +8,7 @@ from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from hybrid.plan.decision import Decision
 
-FIXED_LAYERS = 4
+LAYERS, FIXED_LAYERS = "layers", 4
 # Gazes that decide: from the corner, most of the frame is far.
 _GAZES = Gaze(0.0, 0.0), Gaze(0.5, 0.5)
 # Radius of the full-quality region in percent of the height: the smaller, the more is periphery.
@@ -34,7 +34,7 @@ def layers_decision(display: Display, size: tuple[int, int]) -> Decision:
         "layers_by_model": {model: FIXED_LAYERS - coarsest + 1 for model, coarsest in drawn.items()},
     }
     total = [sum(_COARSER**step for step in range(count)) for count in (FIXED_LAYERS, layers)]
-    return Decision("layers", layers, FIXED_LAYERS, evidence, total[0] / total[1], "Gaussians in all layers")
+    return Decision(LAYERS, layers, FIXED_LAYERS, evidence, total[0] / total[1], "Gaussians in all layers")
 
 
 def _coarsest(display: Display, size: tuple[int, int], model: str) -> int:

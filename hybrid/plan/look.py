@@ -1,7 +1,8 @@
-"""A quick look at a scene: small frames of views around its own camera."""
+"""A quick look at a scene: small frames of views of a region."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,14 +11,20 @@ from numpy.typing import NDArray
 from compose.camera.camera import Camera
 from compose.camera.view import View
 from compose.image.colour import Image
-from pathtrace.dataset.views import choose_views
+from pathtrace.dataset.views import view_times
+from pathtrace.region.region import Region
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.surfaces import Surfaces
 from pathtrace.trace.film import frame_positions, interleaved
+from pathtrace.trace.image import TracedImage, trace_image
 from pathtrace.trace.tracer import Tracer
 
 # Views, the side of their frames in pixels, and samples per pixel.
 _VIEWS, _SIDE, _SPP = 6, 96, 8
+# Views of which frames as large as those to train on are traced, their side, and samples of each half.
+_LARGER, _LARGER_SIDE, HALF_SPP = 3, 256, 4
+# Views nearer together than this, over the distance to what they see, are one point.
+_ONE_POINT = 0.002
 
 
 @dataclass(frozen=True)
@@ -29,32 +36,44 @@ class Look:
         radiance: V of (H, W, 3), noisy.
         gloss: V of (H, W), class of gloss of what each pixel shows (compose.image.gloss).
         reflected: V of (H, W) bool, where a flat mirror or a pane shows something else.
+        halves: of some views, larger: two independent halves of HALF_SPP samples per pixel each.
+        parallax: largest distance between two views, over the median distance to what they see.
     """
 
     views: list[View]
     radiance: list[Image]
     gloss: list[NDArray[np.int64]]
     reflected: list[NDArray[np.bool_]]
+    halves: list[tuple[TracedImage, TracedImage]]
+    parallax: float
 
     @property
     def cameras(self) -> list[Camera]:
         """Of the views."""
         return [view.camera for view in self.views]
 
+    @property
+    def is_one_point(self) -> bool:
+        """Whether everything is seen from one direction only."""
+        return self.parallax < _ONE_POINT
 
-def look_at_scene(scene: Scene, seed: int) -> Look:
+
+def look_at_scene(scene: Scene, surfaces: Surfaces, region: Region, seed: int) -> Look:
     """Looks at a scene; afterwards, one that moves shows its first time.
 
+    Args:
+        scene: the scene.
+        surfaces: its surfaces.
+        region: where viewers may be.
+        seed: of the views and their samples.
+
     Raises:
-        UserError: the scene's own camera sees no surface, or there is no free space around it.
+        UserError: there is no free space in the region.
     """
-    cameras = choose_views(scene, Surfaces(scene), _VIEWS, _SIDE, _SIDE, seed)
-    views = [
-        View(camera, time)
-        for camera, time in zip([*cameras.fixed, *cameras.spread], cameras.times, strict=True)
-    ]
+    cameras = region.views(_VIEWS, _SIDE, _SIDE, seed)
+    views = [View(*one) for one in zip(cameras, view_times(scene, len(cameras)), strict=True)]
     tracer = Tracer(scene)
-    radiance, gloss, reflected = [], [], []
+    radiance, gloss, reflected, halves = [], [], [], []
     for number, view in enumerate(views):
         scene.show(view.time)
         positions = frame_positions(view.camera)
@@ -64,5 +83,25 @@ def look_at_scene(scene: Scene, seed: int) -> Look:
         radiance.append(interleaved(traced.radiance).reshape(*shape, 3))
         gloss.append(traced.features.gloss.numpy().astype(np.int64).reshape(shape))
         reflected.append(tracer.hits(view.camera, positions).reflected.reshape(shape))
+        if number < _LARGER:
+            larger = view.camera.resized(_LARGER_SIDE, _LARGER_SIDE)
+            halves.append(traced_halves(tracer, larger, seed + number))
     scene.show(0.0)
-    return Look(views, radiance, gloss, reflected)
+    return Look(views, radiance, gloss, reflected, halves, _parallax(surfaces, cameras))
+
+
+def traced_halves(tracer: Tracer, camera: Camera, seed: int) -> tuple[TracedImage, TracedImage]:
+    """Two independent halves of the samples of a frame."""
+    positions = frame_positions(camera)
+    one, other = (
+        trace_image(tracer, camera, positions, camera.width, HALF_SPP, int(half))
+        for half in np.random.SeedSequence(seed).generate_state(2)
+    )
+    return one, other
+
+
+def _parallax(surfaces: Surfaces, cameras: Sequence[Camera]) -> float:
+    places = np.stack([camera.position for camera in cameras])
+    apart = np.linalg.norm(places[:, None] - places, axis=-1).max()
+    away = np.median([surfaces.median_distance(camera) for camera in cameras])
+    return float(apart / away) if np.isfinite(away) else 0.0

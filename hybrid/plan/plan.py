@@ -8,16 +8,22 @@ from typing import Any
 
 from compose.eye.display import Display
 from hybrid.plan.appearance import degree_decision, range_evidence
-from hybrid.plan.decision import Decision
+from hybrid.plan.breadth import breadth_of
+from hybrid.plan.decision import Decision, Value
+from hybrid.plan.detail import gaussians_decision
 from hybrid.plan.layers import layers_decision
 from hybrid.plan.look import Look, look_at_scene
 from hybrid.plan.paths import path_decisions
-from hybrid.plan.samples import denoising_decision
+from hybrid.plan.region import region_decision
+from hybrid.plan.samples import sample_decisions
 from hybrid.runtime.progress import no_progress
+from pathtrace.region.region import NEAR, region_of
 from pathtrace.scene.difficulties import light_difficulties
 from pathtrace.scene.scene import Scene
+from pathtrace.scene.surfaces import Surfaces
 
-_STILL, _MOVING = "still", "moving"
+MOTION, LIGHT = "motion", "light"
+STILL, MOVING = "still", "moving"
 _PARTS = 3
 
 
@@ -26,10 +32,15 @@ class ScenePlan:
     """What a scene requires of the renderers.
 
     Attributes:
+        scene_name, scene_hash: the scene, at its own path depth.
         decisions: one per part.
+        look: that they follow from; None if it was stored.
     """
 
+    scene_name: str
+    scene_hash: str
     decisions: tuple[Decision, ...]
+    look: Look | None = None
 
     def value(self, name: str) -> Any:
         """What is decided for a part.
@@ -37,7 +48,11 @@ class ScenePlan:
         Raises:
             KeyError: there is no such part.
         """
-        return {decision.name: decision.value for decision in self.decisions}[name]
+        return self.values()[name]
+
+    def values(self) -> dict[str, Value]:
+        """What is decided, by name."""
+        return {decision.name: decision.value for decision in self.decisions}
 
     def rows(self) -> list[dict[str, Any]]:
         """As `hybrid plan --json` writes them."""
@@ -48,6 +63,7 @@ def plan_of(
     scene: Scene,
     display: Display,
     size: tuple[int, int],
+    region: str = NEAR,
     seed: int = 0,
     progress: Callable[[int, int], None] = no_progress,
 ) -> ScenePlan:
@@ -57,28 +73,32 @@ def plan_of(
         scene: the scene; afterwards, one that moves shows its first time.
         display: that frames are shown on.
         size: width and height of these frames in pixels.
-        seed: of what is looked at; times, of which one decision depends, differ from run to run.
+        region: where viewers may be, as of pathtrace.region.
+        seed: same seed, same plan on the same machine.
         progress: called with parts done and their number.
 
     Raises:
-        UserError: the scene's own camera sees no surface, or there is no free space around it.
+        UserError: the scene's own camera sees no surface, there is no such region, or no free space in it.
     """
-    look = look_at_scene(scene, seed)
-    progress(1, _PARTS)
-    paths = path_decisions(scene, look.cameras, seed)
-    progress(2, _PARTS)
-    denoising = denoising_decision(scene, look.views, seed)
     scene.show(0.0)
+    surfaces = Surfaces(scene)
+    where = region_of(scene, surfaces, region)
+    breadth = breadth_of(where, surfaces, seed)
+    progress(1, _PARTS)
+    look = look_at_scene(scene, surfaces, where, seed)
+    progress(2, _PARTS)
     decisions = (
         _motion_decision(scene),
-        *paths,
+        region_decision(region, look, breadth),
+        *path_decisions(scene, look.cameras, seed),
         degree_decision(look),
         layers_decision(display, size),
-        denoising,
+        gaussians_decision(look, breadth),
+        *sample_decisions(look),
         _light_decision(scene, look),
     )
     progress(3, _PARTS)
-    return ScenePlan(decisions)
+    return ScenePlan(scene.name, scene.own_hash, decisions, look)
 
 
 def _motion_decision(scene: Scene) -> Decision:
@@ -87,7 +107,12 @@ def _motion_decision(scene: Scene) -> Decision:
     shapes = 0 if moving is None else len(moving.shapes)
     triangles = 0 if moving is None else sum(int(shape.face_count()) for shape in moving.shapes)
     evidence = {"shapes": shapes, "triangles": triangles}
-    return Decision("motion", _MOVING if shapes else _STILL, _MOVING, evidence, 1.0, "times")
+    return Decision(MOTION, motion_of(scene), MOVING, evidence, 1.0, "times")
+
+
+def motion_of(scene: Scene) -> str:
+    """STILL or MOVING."""
+    return STILL if scene.moving is None else MOVING
 
 
 def _light_decision(scene: Scene, look: Look) -> Decision:
@@ -98,5 +123,5 @@ def _light_decision(scene: Scene, look: Look) -> Decision:
         **range_evidence(look),
     }
     return Decision(
-        "light", "+".join(difficulty.kind for difficulty in found) or "plain", "plain", evidence, 1.0, "noise"
+        LIGHT, "+".join(difficulty.kind for difficulty in found) or "plain", "plain", evidence, 1.0, "noise"
     )

@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-# Frames of this PSNR in dB limit no forest noticeably.
-CONVERGED_DB = 34.0
+from hybrid.plan.samples import CONVERGED_DB
+
 # What doubling the samples of a denoised frame gains at least and at most, in dB; it was 1.0 (caustics) to
 # 2.2 on five scenes, and is 3 without a denoiser.
 _LEAST_GAIN, _MOST_GAIN = 0.5, 3.0

@@ -6,9 +6,10 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from typing import Any
 
+from hybrid.plan.needs import Needs
 from hybrid.preparation.clock import Clock
 from hybrid.preparation.settings import PreparationSettings
-from hybrid.preparation.stages import QUALITIES, Needs, Stage
+from hybrid.preparation.stages import QUALITIES, Stage
 from hybrid.preparation.timing import AS_EXPECTED, Seconds, affordable_steps, expected_seconds, next_stage
 from hybrid.store.journal import Journal
 

@@ -11,21 +11,25 @@ import numpy as np
 
 from compose.base.errors import UserError
 from hybrid.frame.irradiance import cache_for
+from hybrid.plan.breadth import breadth_of
+from hybrid.plan.complexity import complexity_of
+from hybrid.plan.layers import LAYERS
+from hybrid.plan.samples import CONVERGED_DB
 from hybrid.preparation.clamping import clamping_bias
 from hybrid.preparation.clock import Clock
-from hybrid.preparation.complexity import complexity_of
-from hybrid.preparation.convergence import CONVERGED_DB, Pass, converging_seconds
+from hybrid.preparation.convergence import Pass, converging_seconds
 from hybrid.preparation.judges import Judges
 from hybrid.preparation.lighting import light_over_time
 from hybrid.preparation.planner import Planner
 from hybrid.preparation.settings import PreparationSettings
-from hybrid.preparation.views import breadth_of, stated_error, views_of, wanted_of
+from hybrid.preparation.views import stated_error, views_of, wanted_of
 from hybrid.runtime.progress import Bars, console, progress_bar
 from hybrid.store.cache import scene_folder, store_forest
 from hybrid.store.identity import short_hash
 from hybrid.store.journal import Journal
 from hybrid.training.forest import train
 from hybrid.training.fusion import with_fusion
+from hybrid.training.planned import planned_settings
 from pathtrace.dataset.capture import capture
 from pathtrace.dataset.frames import FrameSet, read_frame_set
 from pathtrace.dataset.growing import GrowingFrames
@@ -40,7 +44,6 @@ from pathtrace.trace.tracer import Tracer
 from splat.io.forest_file import load_forest, save_forest
 from splat.model.forest import Forest
 from splat.model.surface_light import SurfaceLight
-from splat.training.trainer import TrainingSettings
 
 # What the fusion is fitted to: views with unbiased frames, and parts of them.
 FUSION_CAPTURE = CaptureSettings(views=1, held_out=4, spp=1, held_out_spp=64)
@@ -89,7 +92,8 @@ def prepare(
         console.print(str(difficulty), soft_wrap=True)
     surfaces = Surfaces(scene)
     region = region_of(scene, surfaces, settings.region)
-    identity = {"scene": scene.hash, "region": region.identity(), **asdict(settings)}
+    planned = {"plan": dict(scene.plan)} if scene.plan else {}
+    identity = {"scene": scene.hash, "region": region.identity(), **asdict(settings), **planned}
     folder = folder or scene_folder(scene.name, scene.hash) / f"prepared-{short_hash(identity)}"
     folder.mkdir(parents=True, exist_ok=True)
     journal = Journal(folder / "job.json", identity)
@@ -180,7 +184,7 @@ class _Job:
         found = read_frame_set(frames.folder)
         light = self._light(found, stages[-1].gaussians)
         self._planner.lit()
-        self._planner.look(lambda: complexity_of(frames))
+        self._planner.look(lambda: complexity_of(frames.every_radiance()))
         traced = self._journal.once(f"pass {number}", lambda: asdict(self._pass(frames, seconds)))
         self._passes.append(Pass(**traced))
         forest = self._trained(found, light, path, before)
@@ -198,9 +202,12 @@ class _Job:
     ) -> Forest:
         """The forest of a stage, in as many steps as there is time for."""
         stage, number = self._planner.stages[-1], self._number
-        layers = stage.layers if number else 1
+        # More layers than the display tells apart are none that a frame draws.
+        layers = min(stage.layers, frames.plan.get(LAYERS, stage.layers)) if number else 1
         seed = self._settings.seed + number
-        settings = TrainingSettings(self._planner.steps(), stage.gaussians, layers, seed=seed)
+        settings = planned_settings(
+            frames, iterations=self._planner.steps(), gaussians=stage.gaussians, layers=layers, seed=seed
+        )
         with self._bars(f"stage {number + 1}: forest (steps)") as bar:
             forest = train(frames, path, settings, bar, start=before, light=light)
         self._planner.trained()

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from hybrid.plan.values import plan_of_forest, require_plan
 from hybrid.preparation.preparation import prepare
 from hybrid.preparation.settings import PreparationSettings
 from hybrid.runtime.progress import Bars, console, progress_bar
@@ -50,6 +51,7 @@ def forest_for(scene: Scene, given: Path | None, bars: Bars = progress_bar) -> F
     if path is not None:
         forest = load_forest(path)
         require_scene(forest, scene.name, scene.hash, path)
+        require_plan(plan_of_forest(forest), scene, path)
         return forest
     console.print(f"No forest for scene {scene.name} yet: preparing one first.")
     return prepare(scene, PreparationSettings(quality=_QUALITY, held_out=0), bars).forest

@@ -4,33 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from hybrid.plan.needs import Needs
+
 # Pixels of a side of a frame at scale 1.
 SIDE = 256
 # Larger frames are parts of a view, so that what they cost does not grow with the resolution.
 _LARGEST_SIDE = 512
 # Fewer samples leave the denoiser nothing to go by.
 _LEAST_SPP = 4
-# What there is to model grows with this power of the views that a region takes: some surfaces take many views
-# to be seen at all, behind and between things.
-_SURFACES = 0.7
-# The same with the share of the frames that shows edges and texture, within a range that was tried.
-_DETAIL, _LEAST_GAUSSIANS, _MOST_GAUSSIANS = 0.7, 0.25, 1.5
 # Side in pixels of what a whole view measures at the resolution of the coarsest layer: what sees less detail
 # than that is hardly part of any frame, with any display or acuity model.
 _COARSEST = 64
-
-
-@dataclass(frozen=True)
-class Needs:
-    """What a region and a scene take, over what the default region of `room` takes.
-
-    Attributes:
-        breadth: views of the region until little is unseen.
-        complexity: share of the frames that shows edges and texture; 1 before there are frames.
-    """
-
-    breadth: float = 1.0
-    complexity: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -75,21 +59,18 @@ class Stage:
 
     def for_needs(self, needs: Needs) -> Stage:
         """The stage for a region and a scene other than those it is described for."""
-        gaussians = min(max(needs.complexity**_DETAIL, _LEAST_GAUSSIANS), _MOST_GAUSSIANS)
-        broad = self.of_breadth(needs.breadth)
-        return replace(broad, gaussians=round(broad.gaussians * gaussians))
+        return replace(self.of_breadth(needs.breadth), gaussians=round(self.gaussians * needs.gaussians))
 
     def of_breadth(self, breadth: float) -> Stage:
         """The stage for a region that takes some times as many views to show as the default one.
 
         There, forests lack views rather than samples, so that more views have fewer samples each.
         """
-        surfaces = breadth**_SURFACES
         return replace(
             self,
             views=round(self.views * breadth),
             spp=max(_LEAST_SPP, round(self.spp / breadth)),
-            gaussians=round(self.gaussians * surfaces),
+            gaussians=round(self.gaussians * Needs(breadth).gaussians),
             steps=round(self.steps * breadth**0.5),
             breadth=breadth,
         )

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hybrid.preparation.stages import SIDE, Needs, Stage, planned_stage
+from hybrid.plan.needs import Needs
+from hybrid.preparation.stages import SIDE, Stage, planned_stage
 
 # What things take on two cores of an AMD EPYC, in the scene `room`, in seconds: to trace and denoise a pixel,
 # and each of its samples; to read a pixel and make a target of it; to build trees of a Gaussian.

@@ -88,6 +88,8 @@ def _overview(found: dict[str, Any]) -> dict[str, Any]:
             f"{FOVEAL_REFERENCE * settings['reference_spp']} in the disc, denoised."
         ),
         "verdicts": verdicts(found),
+        # Evaluations of earlier versions have none.
+        "plan": found.get("plan", {}),
         "reference_note": _reference_note(found),
         "tolerance": f"{100 * TOLERANCE:g}",
         "size": f"{settings['width']} × {settings['height']}",

@@ -29,7 +29,8 @@ def measured_identity(scene: Scene, forest: Forest, **settings: Any) -> dict[str
         scene, forest: what is rendered.
         settings: everything else that the results depend on, in types that JSON has.
     """
-    rendered = {"scene": scene.hash, "max_depth": scene.max_depth, "forest": forest.digest()}
+    paths = {"max_depth": scene.max_depth, "roulette_depth": scene.roulette_depth}
+    rendered = {"scene": scene.hash, **paths, "forest": forest.digest()}
     return {**rendered, **settings, "code": code(), "machine": machine()}
 
 

@@ -12,11 +12,13 @@ import torch
 
 from compose.base.errors import UserError
 from hybrid.frame.trained_views import attach_views
+from hybrid.plan.values import attach_plan
 from hybrid.runtime.device import device_arrays
 from hybrid.runtime.interrupts import interrupts_between_steps
 from hybrid.runtime.progress import console, no_progress
 from hybrid.training.checkpoint import checkpoint_path, restore_checkpoint, save_checkpoint
 from hybrid.training.fusion import fusion_steps, with_fusion
+from hybrid.training.planned import plan_with, planned_settings
 from hybrid.training.posed import Frames, motion_for
 from hybrid.training.views import labelled_views, pieces_of
 from pathtrace.dataset.frames import FrameSet
@@ -85,7 +87,7 @@ def train(
     Args:
         frames: to train on; those of others have no estimates to fit a fusion to.
         path: forest file to write; a checkpoint is kept beside it until training is complete.
-        settings: how to train; the defaults of TrainingSettings if None.
+        settings: how to train; as planned for the frames' scene if None.
         progress: called with steps done and steps in total.
         report: called in the end with what was not finite and therefore left out.
         start: whose finest layer to go on from.
@@ -97,7 +99,7 @@ def train(
             frame is damaged, no frame is finite, none shows a surface, frames are too small for the layers,
             or the file cannot be written.
     """
-    settings = settings or TrainingSettings(motion=motion_for(frames, None))
+    settings = settings or planned_settings(frames, motion=motion_for(frames, None))
     _require_enough(frames, settings)
     views = labelled_views(frames, settings)
     courses = frames.courses if isinstance(frames, FrameSet) else ()
@@ -129,6 +131,7 @@ def train(
         frames, forest, settings.seed, lambda done, _: progress(settings.iterations + done, total)
     )
     forest = attach_views(forest, [view.camera for view in views])
+    forest = attach_plan(forest, plan_with(frames, settings))
     save_forest(path, forest)
     report(LeftOut(trainer.dropped, trainer.skipped))
     checkpoint.unlink(missing_ok=True)

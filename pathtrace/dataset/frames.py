@@ -6,7 +6,8 @@ The layout follows the Nerfstudio / instant-ngp convention, so that other progra
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,7 @@ class FrameSet:
         close_ups: parts of held-out views at a multiple of their resolution.
         integrator: name of the one that training frames and estimates were traced with.
         courses: of the shapes that move rigidly.
+        plan: what was planned for the scene, by name; empty if nothing was.
     """
 
     folder: Path
@@ -72,6 +74,7 @@ class FrameSet:
     close_ups: list[FrameEntry]
     integrator: str
     courses: tuple[Course, ...] = ()
+    plan: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def training(self) -> list[FrameEntry]:
@@ -109,11 +112,12 @@ def read_frame_set(folder: Path) -> FrameSet:
         scene = claimed_scene(document["scene"]["name"], document["scene"]["hash"])
         integrator = str(document["integrator"])
         courses = tuple(course_from_json(course) for course in document.get("courses", ()))
+        plan = dict(document["scene"].get("plan", {}))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UserError(f"{path}: not the description of a frame set ({one_line(repr(error))})") from error
     _check_files(folder, entries + close_ups)
     digest = hashlib.sha256(text.encode()).hexdigest()
-    return FrameSet(folder, digest, *scene, entries, close_ups, integrator, courses)
+    return FrameSet(folder, digest, *scene, entries, close_ups, integrator, courses, plan)
 
 
 def _check_files(folder: Path, entries: list[FrameEntry]) -> None:

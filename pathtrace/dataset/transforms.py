@@ -77,9 +77,10 @@ def describe_capture(
 
 
 def described_scene(scene: Scene) -> dict[str, Any]:
-    """The scene in transforms.json, with the coordinates of cameras and distances if not the world's."""
+    """The scene in transforms.json, with coordinates if not the world's, and what is planned for it."""
     place = {} if scene.place == WORLD else asdict(scene.place)
-    return {"name": scene.name, "hash": scene.hash, "max_depth": scene.max_depth, **place}
+    plan = {"plan": dict(scene.plan)} if scene.plan else {}
+    return {"name": scene.name, "hash": scene.hash, "max_depth": scene.max_depth, **place, **plan}
 
 
 def described_motion(scene: Scene) -> dict[str, Any]:

@@ -61,7 +61,7 @@ def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, heigh
     fixed = [neighbourhood.home]
     if count > 2 * len(BORDER):
         fixed += neighbourhood.border()
-    times = [_time(scene, number) for number in range(count)]
+    times = view_times(scene, count)
     return ViewSet(fixed, neighbourhood.spread(count - len(fixed), seed), times)
 
 
@@ -83,6 +83,11 @@ def time_of(number: float) -> float:
 def unseen_time(scene: Scene, number: int) -> float:
     """The time that a view to measure on shows: half a step from those of training; 0 if nothing moves."""
     return _time(scene, number + 0.5)
+
+
+def view_times(scene: Scene, count: int) -> list[float]:
+    """The times that views to train on show; 0 if nothing moves."""
+    return [_time(scene, number) for number in range(count)]
 
 
 def _time(scene: Scene, number: float) -> float:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,8 @@ from pathtrace.scene.panes import with_thin_glass
 from pathtrace.scene.sensor import camera_of_sensor
 from pathtrace.scene.sunsky import balanced_dictionary
 
+RUSSIAN_ROULETTE_DEPTH = 5
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -41,10 +44,15 @@ class Scene:
             these are not the world's, and of thin glass.
         mitsuba: the Mitsuba scene, in the scene's coordinates.
         camera: the scene's own camera at its own film size, in the scene's coordinates.
-        max_depth: path depth: the one requested, else the scene's own, else 8.
+        max_depth: path depth: the one requested, else `own_depth`.
+        own_depth: path depth that the scene's file asks for, DEFAULT_MAX_DEPTH at most.
+        own_hash: `hash` at that depth.
         place: the scene's coordinates; `place.camera` converts cameras of the world to them.
         thin_glass: whether panes of glass let shadow rays pass (pathtrace.scene.panes).
         moving: what moves in it; None if nothing does.
+        roulette_depth: path depth from which on Russian roulette may end paths: the smaller, the quicker and
+            noisier are samples.
+        plan: what is planned for it, by name; frames take it down.
     """
 
     name: str
@@ -52,9 +60,19 @@ class Scene:
     mitsuba: Any
     camera: Camera
     max_depth: int
+    own_depth: int
+    own_hash: str
     place: Place = WORLD
     thin_glass: bool = False
     moving: MovingScene | None = None
+    roulette_depth: int = RUSSIAN_ROULETTE_DEPTH
+    plan: Mapping[str, Any] = field(default_factory=dict)
+
+    def at_depth(self, depth: int) -> Scene:
+        """The scene with another path depth, 1 or more, or -1 for no bound; it shares all else."""
+        changed = depth != self.own_depth
+        fingerprint = fingerprint_at_depth(self.own_hash, depth) if changed else self.own_hash
+        return replace(self, max_depth=depth, hash=fingerprint)
 
     def set_time(self, time: float) -> None:
         """Shows the scene at a time from 0 to 1, in place; when it is loaded, it is at 0.
@@ -100,14 +118,14 @@ def load_scene(
             and cannot be moved or scaled; or its motion is damaged, or not of this scene.
     """
     if isinstance(source, dict):
-        name, own_depth = "dictionary", DEFAULT_MAX_DEPTH
+        name, depth = "dictionary", DEFAULT_MAX_DEPTH
         content = Source(name, balanced_dictionary(source))
         fingerprint = dictionary_fingerprint(source)
     else:
         path = scene_file(source)
         name = path.parent.name if path.stem == "scene" else path.stem
         description = read_description(path)
-        own_depth, fingerprint = description.max_depth, description.fingerprint
+        depth, fingerprint = description.max_depth, description.fingerprint
         content = Source(str(source), description.text, path.parent)
         beside = path.with_suffix(".motion.json")
         motion = beside if motion is None and beside.is_file() else motion
@@ -118,9 +136,6 @@ def load_scene(
         raise UserError(f"{content.name}: the scene has no camera; add a <sensor type='perspective'>")
     if not loaded.emitters():
         raise UserError(f"{content.name}: the scene has no light; add an <emitter>")
-    depth = max_depth or own_depth
-    if depth != own_depth:
-        fingerprint = fingerprint_at_depth(fingerprint, depth)
     camera = camera_of_sensor(loaded.sensors()[0], content.name)
     loaded, camera, place = in_good_coordinates(content, loaded, camera, apart)
     fingerprint = fingerprint_in(place, fingerprint)
@@ -129,8 +144,9 @@ def load_scene(
             raise UserError(f"{content.name}: thin glass: the scene has no panes of glass; leave it out")
         fingerprint = fingerprint_with_thin_glass(fingerprint)
     ordered, names = with_ordered_shapes(loaded)
-    if moves is None:
-        return Scene(name, fingerprint, ordered, camera, depth, place, thin_glass)
-    moving = MovingScene(ordered, moves, names, place, name)
-    fingerprint = fingerprint_in_motion(fingerprint, moves.fingerprint)
-    return Scene(name, fingerprint, ordered, camera, depth, place, thin_glass, moving)
+    moving = None
+    if moves is not None:
+        moving = MovingScene(ordered, moves, names, place, name)
+        fingerprint = fingerprint_in_motion(fingerprint, moves.fingerprint)
+    scene = Scene(name, fingerprint, ordered, camera, depth, depth, fingerprint, place, thin_glass, moving)
+    return scene if max_depth is None else scene.at_depth(max_depth)

@@ -44,10 +44,13 @@ class PathSettings:
 
 
 class Tally(Protocol):
-    """Takes what paths add to radiance."""
+    """Takes what paths add to radiance, and what they cost."""
 
     def add(self, radiance: Any, segments: Any) -> None:
         """Takes N colours, and (N,) how many segments their paths have."""
+
+    def follow(self, active: Any) -> None:
+        """Takes (N,) which paths have another segment."""
 
 
 @dr.syntax
@@ -111,7 +114,7 @@ def path_radiance(
         direct = _direct(lights, sampler, sequences, hit, here, first, count, known, lit)
         found = _bounded(settings, throughput * direct, scattered)
         radiance += found
-        _told(tally, (shone, depth + 1), (found, depth + 2))
+        _told(tally, active, (shone, depth + 1), (found, depth + 2))
         active &= sampler.next_1d(active) >= share
         throughput = dr.select(active, throughput * reflected, throughput)
         delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
@@ -130,9 +133,10 @@ def path_radiance(
     return radiance
 
 
-def _told(tally: Tally | None, *added: tuple[Any, Any]) -> None:
-    """Tells a tally what is added by paths of how many segments."""
+def _told(tally: Tally | None, active: Any, *added: tuple[Any, Any]) -> None:
+    """Tells a tally which paths scatter, and what is added by paths of how many segments."""
     if tally is not None:
+        tally.follow(active)
         for radiance, segments in added:
             tally.add(radiance, segments)
 

@@ -19,10 +19,14 @@ from pathtrace.trace.cached_paths import PathSettings, path_radiance
 from pathtrace.trace.rays import opaque_camera, ray_through
 from pathtrace.trace.sequences import Sequences, sobol_tables
 
+# Path depth without a bound.
+UNBOUNDED = -1
 # Longest paths that are told apart.
 MOST_SEGMENTS = 64
 # Segments from which on roulette ends paths. Later than when rendering: long paths are what is asked for.
 _ROULETTE = 8
+# Share of the brightest paths that tell nothing of the variance: of fireflies, too few are seen.
+_FIREFLIES = 0.01
 # Independent parts of the samples of a view, from which errors are found.
 _PARTS = 4
 # Samples in a row of a sequence.
@@ -71,16 +75,33 @@ class DepthShares:
         return int(self.radiance.shape[1])
 
 
+@dataclass(frozen=True)
+class PathCosts:
+    """What paths of some settings cost.
+
+    Attributes:
+        segments: mean number of segments of a path; rays to lights are not counted.
+        variance: of its luminance within a view, mean over views, without the brightest paths.
+    """
+
+    segments: float
+    variance: float
+
+
 class _Bins:
-    """Adds up luminance by the number of segments."""
+    """Adds up luminance by the number of segments, and counts segments."""
 
     def __init__(self) -> None:
         self.sums = dr.zeros(mi.Float, MOST_SEGMENTS)
+        self.segments = dr.zeros(mi.UInt32, 1)
 
     def add(self, radiance: Any, segments: Any) -> None:
         luminance = mi.luminance(radiance)
         index = dr.minimum(segments, MOST_SEGMENTS) - 1
         dr.scatter_add(self.sums, luminance, index, dr.isfinite(luminance) & (luminance > 0))
+
+    def follow(self, active: Any) -> None:
+        dr.scatter_add(self.segments, mi.UInt32(1), mi.UInt32(0), active)
 
 
 def depth_shares(scene: Scene, cameras: Sequence[Camera], samples: int, seed: int) -> DepthShares:
@@ -92,23 +113,46 @@ def depth_shares(scene: Scene, cameras: Sequence[Camera], samples: int, seed: in
         samples: paths of each view, spread over the frame.
         seed: same seed, same result on the same machine.
     """
-    settings = PathSettings(-1, _ROULETTE, 1, scene.thin_glass)
-    empty = IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), len(scene.mitsuba.emitters()))
-    known, count = empty.arrays(scene.mitsuba), -(-samples // _PARTS)
+    count = -(-samples // _PARTS)
     means = np.zeros((_PARTS, MOST_SEGMENTS))
     for part in range(_PARTS):
         for number, camera in enumerate(cameras):
-            state = np.random.SeedSequence([seed, part, number]).generate_state(1)[0]
-            sampler = mi.load_dict({"type": "independent"})
-            sampler.seed(dr.opaque(mi.UInt32, int(state)), count)
-            x, y = sampler.next_1d() * camera.width, sampler.next_1d() * camera.height
-            ray = ray_through(opaque_camera(camera), x, y)
-            lane = dr.arange(mi.UInt32, count)
-            scramble = lane // _ROW, dr.opaque(mi.UInt32, int(state))
-            sequences = Sequences(sobol_tables(), lane % _ROW, scramble)
-            bins, surface, active = _Bins(), scene.mitsuba.ray_intersect(ray), mi.Bool(True)
-            paths = scene.mitsuba, sampler, ray, surface, active, settings, sequences, known
-            radiance = path_radiance(*paths, bins)
-            dr.eval(radiance, bins.sums)
+            _, bins = _traced(scene, camera, count, (UNBOUNDED, _ROULETTE), [seed, part, number])
             means[part] += bins.sums.numpy() / count
     return DepthShares(means / len(cameras))
+
+
+def path_costs(
+    scene: Scene, cameras: Sequence[Camera], samples: int, depths: tuple[int, int], seed: int
+) -> PathCosts:
+    """What paths cost that are no longer than a depth, below 0 for any, and play roulette from another one.
+
+    Other args as of `depth_shares`.
+    """
+    segments, variances = 0.0, []
+    for number, camera in enumerate(cameras):
+        radiance, bins = _traced(scene, camera, samples, depths, [seed, number])
+        found = np.sort(mi.luminance(radiance).numpy())[: max(1, int(samples * (1 - _FIREFLIES)))]
+        variances.append(float(found.var()))
+        # What the camera sees is the first segment of every path.
+        segments += 1 + int(bins.segments.numpy()[0]) / samples
+    return PathCosts(segments / len(cameras), float(np.mean(variances)))
+
+
+def _traced(
+    scene: Scene, camera: Camera, count: int, depths: tuple[int, int], seed: list[int]
+) -> tuple[Any, _Bins]:
+    """Radiance of paths spread over the frame, and what they bring and cost by their segments."""
+    state = int(np.random.SeedSequence(seed).generate_state(1)[0])
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(dr.opaque(mi.UInt32, state), count)
+    x, y = sampler.next_1d() * camera.width, sampler.next_1d() * camera.height
+    ray, lane = ray_through(opaque_camera(camera), x, y), dr.arange(mi.UInt32, count)
+    sequences = Sequences(sobol_tables(), lane % _ROW, (lane // _ROW, dr.opaque(mi.UInt32, state)))
+    settings = PathSettings(*depths, 1, scene.thin_glass)
+    empty = IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), len(scene.mitsuba.emitters()))
+    bins, surface, active = _Bins(), scene.mitsuba.ray_intersect(ray), mi.Bool(True)
+    known = empty.arrays(scene.mitsuba)
+    radiance = path_radiance(scene.mitsuba, sampler, ray, surface, active, settings, sequences, known, bins)
+    dr.eval(radiance, bins.sums, bins.segments)
+    return radiance, bins

@@ -39,7 +39,6 @@ from pathtrace.trace.sequences import Sequences
 # Lanes traced at once: bounds the memory that many samples of a large frame take. Samples of a position are
 # traced in several passes, and positions in several parts where they alone are more than that.
 _MAX_LANES = 1 << 22
-RUSSIAN_ROULETTE_DEPTH = 5
 # How much farther than a flat mirror what it shows is, at least.
 _BEYOND = 1.001
 # A way through panes of glass is straight if the cosine of its bend differs from 1 by no more than this.
@@ -112,8 +111,7 @@ class Tracer:
     Args:
         scene: the scene.
         max_depth: path depth; the scene's own by default.
-        roulette_depth: depth from which Russian roulette may end a path: with a smaller one, samples are
-            quicker and noisier.
+        roulette_depth: depth from which Russian roulette may end a path; that of the scene by default.
         cache: irradiance of the scene, in which paths end (pathtrace.trace.cached_paths): quicker, with less
             noise, but biased. Without it, the result is unbiased.
         most_indirect: bound on what indirect light adds to a path at once (PathSettings), over 0: without
@@ -124,13 +122,13 @@ class Tracer:
         self,
         scene: Scene,
         max_depth: int | None = None,
-        roulette_depth: int = RUSSIAN_ROULETTE_DEPTH,
+        roulette_depth: int | None = None,
         cache: IrradianceCache | None = None,
         most_indirect: float | None = None,
     ):
         self.scene = scene
-        depth = max_depth or scene.max_depth
-        self._path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": roulette_depth})
+        depth, roulette = max_depth or scene.max_depth, roulette_depth or scene.roulette_depth
+        self._path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": roulette})
         self._clear = has_clear_surfaces(scene.mitsuba)
         self._movers = _movers(scene)
         # Frozen per tracer: the scene is part of the recording.
@@ -142,7 +140,7 @@ class Tracer:
             # Mitsuba's `path` has no shadow rays that pass glass, and no bound.
             known = known or IrradianceCache.empty(_ANY_GRID, len(scene.mitsuba.emitters()))
         self._known = known.arrays(scene.mitsuba) if known is not None else None
-        self._settings = PathSettings(depth, roulette_depth, shadow_rays, scene.thin_glass, most_indirect)
+        self._settings = PathSettings(depth, roulette, shadow_rays, scene.thin_glass, most_indirect)
         self._trace_radiance = Frozen(self._radiance if self._known is None else self._cached_radiance)
         self._trace_auxiliary = Frozen(self._auxiliary)
 

@@ -51,6 +51,7 @@ class LayerTraining:
         seed: determines the order of the views and the new Gaussians.
         motion: of the instances that views show; None if nothing moves.
         light: on the surfaces that they show; None if it does not change.
+        all_harmonics: whether nodes whose radiance is not seen to turn keep harmonics.
 
     Attributes:
         views: as given.
@@ -74,8 +75,9 @@ class LayerTraining:
         seed: list[int],
         motion: Dynamics | None = None,
         light: SurfaceLight | None = None,
+        all_harmonics: bool = False,
     ):
-        self._motion = motion
+        self._motion, self._all_harmonics = motion, all_harmonics
         self._light = None if light is None else NodeLight(light)
         self.views, self.done, self.skipped, self.begun = views, 0, 0, False
         self.stepped = False
@@ -155,7 +157,8 @@ class LayerTraining:
             self.separate(min(_SEPARATING_VIEWS, int(np.ceil(_SEPARATING_SHARE * every))))
         self.done += 1
         now = self._change_density() if due else None
-        if self.done == int(_TURNING * self._steps) and self._optimizer.gaussians.degree:
+        turns = self._optimizer.gaussians.degree and not self._all_harmonics
+        if turns and self.done == int(_TURNING * self._steps):
             self._keep_turning()
         if due or self.done % _LIT_EVERY == 0:
             self._follow_light()

@@ -59,6 +59,8 @@ class TrainingSettings:
         seed: the same seed gives the same forest; from 0 to compose.base.seeds.MOST_SEED.
         motion: how what moves is modelled.
         labels: what tells which pixels move; None to take masks where frames have them.
+        all_harmonics: whether Gaussians whose radiance is not seen to turn with the view keep harmonics above
+            the constant one.
 
     Raises:
         UserError: the seed is out of range.
@@ -72,6 +74,7 @@ class TrainingSettings:
     seed: int = 0
     motion: MotionModel = MotionModel.KNOWN
     labels: Labels | None = None
+    all_harmonics: bool = False
 
     def __post_init__(self) -> None:
         if self.iterations <= 0 or self.gaussians <= 0:
@@ -151,6 +154,7 @@ class Trainer:
                 [settings.seed, index],
                 self.motion,
                 self.light,
+                settings.all_harmonics,
             )
             for index in range(settings.layers)
         ]

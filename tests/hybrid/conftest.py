@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
 import pytest
 
 from hybrid.frame import irradiance
+from hybrid.plan import stored
+from hybrid.plan.plan import ScenePlan, plan_of
 from pathtrace.fill.fill import fill_cache
+from pathtrace.scene.scene import Scene
 from tests.hybrid.command import TINY_CAPTURE, TINY_TRAINING, run
 
 
@@ -20,10 +24,25 @@ def small_caches() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def plans_made_once() -> Iterator[None]:
+    """Plans of the scenes that commands load: many tests have a cache folder of their own."""
+    made: dict[str, ScenePlan] = {}
+
+    def once(scene: Scene, *args: Any, **options: Any) -> ScenePlan:
+        if scene.own_hash not in made:
+            made[scene.own_hash] = plan_of(scene, *args, **options)
+        return made[scene.own_hash]
+
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setattr(stored, "plan_of", once)
+        yield
+
+
 @pytest.fixture
-def own_home(monkeypatch, tmp_path):
+def own_home(monkeypatch, tmp_path_factory):
     """A cache folder of the test's own."""
-    monkeypatch.setenv("HYBRID_HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("HYBRID_HOME", str(tmp_path_factory.mktemp("home")))
 
 
 @pytest.fixture(scope="session")

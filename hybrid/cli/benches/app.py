@@ -15,6 +15,7 @@ from hybrid.cli.benches.motion import motion
 from hybrid.cli.benches.moving import moving
 from hybrid.cli.benches.passes import passes
 from hybrid.cli.benches.periphery import periphery
+from hybrid.cli.benches.plan import plan
 from hybrid.cli.benches.raster import raster
 from hybrid.cli.benches.relighting import relighting
 from hybrid.cli.benches.seam import seam
@@ -36,6 +37,7 @@ for command in (
     moving,
     seam,
     separation,
+    plan,
     still,
     endurance,
 ):

@@ -7,6 +7,7 @@ import json
 import pytest
 
 from hybrid.cli import capture as command
+from hybrid.plan.stored import planned_scene
 from pathtrace.dataset import capture as module
 from pathtrace.dataset.frames import read_frame_set
 from pathtrace.dataset.settings import CaptureSettings
@@ -53,7 +54,8 @@ def test_the_defaults_are_those_of_the_settings(monkeypatch, tmp_path):
 
     monkeypatch.setattr(module, "capture", capture)
     assert run(monkeypatch, command.capture.__name__, "cornell", tmp_path / "f") != 0
-    assert given == [CaptureSettings(), True]
+    planned = planned_scene("cornell").plan["samples"]
+    assert given == [CaptureSettings(spp=planned), True]
 
 
 def test_an_unknown_integrator_is_refused(monkeypatch, tmp_path, capsys):

@@ -23,6 +23,7 @@ from hybrid.cli.benches.motion import motion
 from hybrid.cli.benches.moving import moving
 from hybrid.cli.benches.passes import passes
 from hybrid.cli.benches.periphery import periphery
+from hybrid.cli.benches.plan import plan as bench_plan
 from hybrid.cli.benches.raster import raster
 from hybrid.cli.benches.relighting import relighting
 from hybrid.cli.benches.seam import seam
@@ -73,6 +74,7 @@ BENCHES = {
     "moving": moving,
     "seam": seam,
     "separation": separation,
+    "plan": bench_plan,
     "still": still,
     "endurance": endurance,
     "held-out": held_out,

@@ -12,9 +12,9 @@ import pytest
 from compose.base.errors import UserError
 from hybrid.cli.target import Target, measuring_command
 from hybrid.frame.settings import FrameSettings
+from hybrid.plan.stored import planned_scene
 from hybrid.sweeps import catalogue
 from hybrid.trade.measured import MeasuredSettings, MeasuredStore
-from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from tests.hybrid.command import run
 
@@ -43,7 +43,7 @@ def render(made, monkeypatch, tmp_path, capsys):
 def store(made, metric: str = "jod", **base: str) -> MeasuredStore:
     """Stores measurements as a sweep does: 10 ms for quality 7, 20 ms for 8, and 40 ms for 9."""
     settings = FrameSettings(**base)
-    forest, scene = load_forest(made / "box.forest"), load_scene("cornell")
+    forest, scene = load_forest(made / "box.forest"), planned_scene("cornell")
     found = MeasuredStore.of("trade", scene, forest, (48, 40), settings)
     rows = ((10.0, 7.0), (20.0, 8.0), (40.0, 9.0))
     measured = [

@@ -2,36 +2,45 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from compose.camera.view import View
 from compose.eye.display import DISPLAYS
 from compose.image.colour import srgb_from_radiance
 from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
 from hybrid.plan.appearance import degree_decision, range_evidence
 from hybrid.plan.decision import Decision
+from hybrid.plan.detail import gaussians_decision
 from hybrid.plan.layers import layers_decision
-from hybrid.plan.look import Look, look_at_scene
-from hybrid.plan.paths import MOST_BIAS, UNBOUNDED, path_decisions
+from hybrid.plan.look import Look, look_at_scene, traced_halves
+from hybrid.plan.paths import MOST_BIAS, path_decisions
 from hybrid.plan.plan import plan_of
-from hybrid.plan.samples import denoising_decision
-from pathtrace.scene.scene import load_scene
+from hybrid.plan.samples import sample_decisions
+from pathtrace.region.region import region_of
+from pathtrace.scene.scene import Scene, load_scene
+from pathtrace.scene.surfaces import Surfaces
+from pathtrace.trace.depths import UNBOUNDED
 from pathtrace.trace.film import frame_positions
-from pathtrace.trace.image import trace_image
+from pathtrace.trace.image import TracedImage, trace_image
 from pathtrace.trace.tracer import Tracer
 from tests import small
 from tests.moving import moving_corner
 
-NAMES = ["motion", "path depth", "roulette depth", "degree", "layers", "denoising", "light"]
+NAMES = ["motion", "region", "path depth", "roulette depth", "degree", "layers", "gaussians"]
+NAMES += ["samples", "denoising", "light"]
 
 
 def looked(
-    gloss: np.ndarray, reflected: np.ndarray | None = None, radiance: np.ndarray | None = None
+    gloss: np.ndarray,
+    reflected: np.ndarray | None = None,
+    radiance: np.ndarray | None = None,
+    parallax: float = 0.2,
 ) -> Look:
     reflected = np.zeros(gloss.shape, dtype=bool) if reflected is None else reflected
     radiance = np.ones((*gloss.shape, 3), np.float32) if radiance is None else radiance
-    return Look([], [radiance], [gloss], [reflected])
+    return Look([], [radiance], [gloss], [reflected], [], parallax)
 
 
 @pytest.mark.parametrize(("kind", "degree"), [(DIFFUSE, 0), (GLOSSY, 2), (SPECULAR, 2)])
@@ -51,6 +60,12 @@ def test_a_flat_mirror_of_diffuse_things_needs_harmonics():
     found = degree_decision(looked(gloss, reflected))
     assert found.value == 2
     assert found.evidence["specular"] == pytest.approx(0.15)
+
+
+def test_what_is_seen_from_one_point_needs_none():
+    glossy = np.full((20, 20), GLOSSY)
+    assert degree_decision(looked(glossy)).value == 2
+    assert degree_decision(looked(glossy, parallax=1e-4)).value == 0
 
 
 def test_the_range_counts_factors_of_two():
@@ -93,25 +108,33 @@ def test_a_still_scene_with_a_mirror_ball(backend):
     assert set(found.rows()[0]) == set(Decision.__dataclass_fields__)
 
 
+def halved(scene: Scene, side: int, seed: int = 0) -> Look:
+    """A look that has halves of one view only."""
+    halves = traced_halves(Tracer(scene), scene.camera.resized(side, side), seed)
+    return replace(looked(np.zeros((4, 4), dtype=int)), halves=[halves])
+
+
 def test_noise_is_denoised_and_what_has_none_is_not(backend):
-    noisy = load_scene(small.corner())
-    found = denoising_decision(noisy, [View(noisy.camera.resized(64, 64))], 0)
+    samples, found = sample_decisions(halved(load_scene(small.corner()), 64))
     assert found.value == "denoised"
     assert found.gain > 2
     # A raw frame of as many samples as the denoised one has half the squared error.
     ahead = found.evidence["denoised_db"] - found.evidence["raw_db"] - 10 * np.log10(2)
     assert ahead == pytest.approx(10 * np.log10(found.gain))
-    flat = load_scene(small.furnace(0.0))
-    clean = denoising_decision(flat, [View(flat.camera.resized(64, 64))], 0)
+    # As many samples as frames of 34 dB take at 1.5 dB per doubling, rounded up.
+    doublings = np.ceil((34 - samples.evidence["db"]) / 1.5)
+    assert samples.value == np.clip(8 * 2.0**doublings, 16, 128)
+    few, clean = sample_decisions(halved(load_scene(small.furnace(0.0)), 64))
     assert (clean.value, clean.gain) == ("raw", 1.0)
     assert clean.evidence["raw_db"] > 60
+    assert few.value == 16
 
 
 def test_raw_noise_is_that_of_many_frames(backend):
     """Against the variance over 48 frames of as many samples."""
     scene = load_scene(small.corner())
     camera, tracer = scene.camera.resized(48, 48), Tracer(scene)
-    found = [denoising_decision(scene, [View(camera)], seed).evidence["raw_db"] for seed in range(6)]
+    found = [sample_decisions(halved(scene, 48, seed))[1].evidence["raw_db"] for seed in range(6)]
     frames = [
         srgb_from_radiance(trace_image(tracer, camera, frame_positions(camera), 48, 4, seed).radiance)
         for seed in range(100, 148)
@@ -122,11 +145,25 @@ def test_raw_noise_is_that_of_many_frames(backend):
     )
 
 
+def test_more_detail_takes_more_gaussians():
+    flat, noisy = np.full((64, 64, 3), 0.5, np.float32), np.random.default_rng(0).random((64, 64, 3))
+    counts = []
+    for radiance in (flat, noisy.astype(np.float32)):
+        # What albedo shows is no noise, to the denoiser.
+        image = TracedImage(radiance, radiance, np.zeros_like(radiance))
+        look = replace(looked(np.zeros((4, 4), dtype=int)), halves=[(image, image)])
+        counts += [gaussians_decision(look, 1.0).value, gaussians_decision(look, 4.0).value]
+    assert counts[0] == 20_000 < counts[2]
+    assert counts[1] > counts[0]
+
+
 def test_a_scene_that_moves_is_looked_at_at_several_times(backend, tmp_path):
     scene = moving_corner(tmp_path)
-    found = look_at_scene(scene, 0)
+    surfaces = Surfaces(scene)
+    near = region_of(scene, surfaces, "near")
+    found = look_at_scene(scene, surfaces, near, 0)
     assert len({view.time for view in found.views}) == len(found.views)
     assert scene.moving.time == 0
-    again = look_at_scene(scene, 0)
+    again = look_at_scene(scene, surfaces, near, 0)
     np.testing.assert_array_equal(found.gloss[2], again.gloss[2])
     np.testing.assert_allclose(found.radiance[2], again.radiance[2], rtol=1e-5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import mitsuba as mi
@@ -17,8 +18,8 @@ from tests.extremes import extreme
 pytestmark = pytest.mark.usefixtures("backend")
 
 
-def planned(scene: dict[str, Any]) -> ScenePlan:
-    return plan_of(load_scene(scene), DISPLAYS["desktop"], (512, 512))
+def planned(scene: dict[str, Any], region: str = "near") -> ScenePlan:
+    return plan_of(load_scene(scene), DISPLAYS["desktop"], (512, 512), region)
 
 
 def evidence(plan: ScenePlan, name: str) -> dict[str, Any]:
@@ -95,6 +96,19 @@ def test_glass_before_the_lamp_is_named():
     plan = planned(scene)
     assert "panes" in plan.value("light")
     assert plan.value("degree") == 0
+
+
+def test_what_is_seen_from_one_point_only_has_no_harmonics(tmp_path):
+    """However much of it shines: nothing is ever seen from another direction."""
+    scene = diffuse()
+    scene["back"] = {**scene["back"], "bsdf": {"type": "twosided", "b": {"type": "conductor"}}}
+    point = {"radius": 1e-4, "frames": [{"position": [0, 0, -1], "look_at": [0, 0, 1], "up": [0, 1, 0]}]}
+    (tmp_path / "point.json").write_text(json.dumps(point))
+    plan = planned(scene, str(tmp_path / "point.json"))
+    assert evidence(plan, "region")["is_one_point"]
+    assert plan.value("degree") == 0
+    assert plan.value("region") == str(tmp_path / "point.json")
+    assert not evidence(planned(scene), "region")["is_one_point"]
 
 
 @extreme("a plan of an empty scene", given="a sky, no shape", expected="one line that says so")

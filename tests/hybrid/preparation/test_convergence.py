@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hybrid.preparation.convergence import CONVERGED_DB, Pass, converging_seconds
+from hybrid.plan.samples import CONVERGED_DB
+from hybrid.preparation.convergence import Pass, converging_seconds
 from tests.extremes import extreme
 
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from hybrid.preparation.stages import STAGES, Needs, planned_stage
+from hybrid.plan.needs import Needs
+from hybrid.preparation.stages import STAGES, planned_stage
 
 
 @pytest.mark.parametrize("stage", STAGES)

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from hybrid.preparation.stages import STAGES, Needs
+from hybrid.plan.needs import Needs
+from hybrid.preparation.stages import STAGES
 from hybrid.preparation.timing import (
     AS_EXPECTED,
     Seconds,

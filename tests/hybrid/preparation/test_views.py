@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hybrid.plan.breadth import breadth_of
 from hybrid.preparation import views as module
 from hybrid.preparation.stages import Stage
-from hybrid.preparation.views import breadth_of, stated_error, views_of, wanted_of
+from hybrid.preparation.views import stated_error, views_of, wanted_of
 from pathtrace.dataset.growing import GrowingFrames, Wanted
 from pathtrace.region.region import region_of
 from pathtrace.scene.scene import Scene, load_scene

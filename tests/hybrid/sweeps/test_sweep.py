@@ -10,6 +10,7 @@ import pytest
 from hybrid.frame import saliency
 from hybrid.methods import path_traced
 from hybrid.methods.hybrid import HybridMethod
+from hybrid.store.cache import home
 from hybrid.sweeps import catalogue, fpc
 from hybrid.sweeps import run as run_module
 from hybrid.sweeps.effort import Effort
@@ -131,7 +132,7 @@ def test_an_interrupted_sweep_resumes(swept, monkeypatch, tmp_path):
     monkeypatch.setattr(run_module, "interleaved_passes", interrupted)
     with pytest.raises(AssertionError, match="130"):
         swept("radius")
-    (kept,) = (tmp_path / "home").glob("*/sweep-radius-*.json")
+    (kept,) = home().glob("*/sweep-radius-*.json")
     first = json.loads(kept.read_text())["results"]["0"]
 
     def counted(*arguments):
@@ -146,7 +147,7 @@ def test_an_interrupted_sweep_resumes(swept, monkeypatch, tmp_path):
     assert len(times) == 4
     assert rows[:2] == first
     assert [(row["width"], row["radius"]) for row in rows] == [(w, r) for w in (48, 64) for r in (20, 90)]
-    assert not list((tmp_path / "home").glob("*/sweep-*"))
+    assert not list(home().glob("*/sweep-*"))
 
 
 def test_a_seam_whose_quality_is_not_measured_may_be_empty(swept):
@@ -207,7 +208,7 @@ def test_targets_are_stored_for_later(swept, monkeypatch, tmp_path):
     monkeypatch.setattr(catalogue, "_TRADE_OUTER", (20.0,))
     monkeypatch.setattr(catalogue, "_TRADE_SPP", (1, 2))
     found = swept("trade", "--size", 48, 40, "--reference-spp", 4)
-    (file,) = (tmp_path / "home").glob("*/measured-trade-48x40-*.json")
+    (file,) = home().glob("*/measured-trade-48x40-*.json")
     stored = json.loads(file.read_text())
     assert stored["metric"] == "jod"
     assert [row["milliseconds"] for row in stored["rows"]] == [row["ms"]["p50"] for row in found["rows"]]
@@ -262,7 +263,7 @@ def test_the_result_is_written_before_what_it_resumes_from_is_deleted(
     kept = []
 
     def write(content: dict) -> None:
-        kept.append(list((tmp_path / "home").glob("*/sweep-band-*.json")))
+        kept.append(list(home().glob("*/sweep-band-*.json")))
         assert len(content["rows"]) == 4
 
     content = sweep(corner, rough, "band", base, Effort(3, 1, 4), write, lambda done, total: None)

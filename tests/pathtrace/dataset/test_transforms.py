@@ -31,7 +31,7 @@ VIEWS = ViewSet([camera(x) for x in (0, 0.1)], [camera(x) for x in np.linspace(0
 
 def described(**changes) -> dict:
     settings = CaptureSettings(**{**SETTINGS.__dict__, **changes})
-    scene = Scene("attic", "abc", None, camera(0), max_depth=6)
+    scene = Scene("attic", "abc", None, camera(0), 6, 6, "abc")
     return describe_capture(scene, VIEWS, settings, Integrator.CACHED)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from hybrid.bench import moving as module
 from hybrid.cli.benches.moving import moving as command
-from pathtrace.scene.scene import load_scene
+from hybrid.plan.stored import planned_scene
 from splat.io.forest_file import save_forest
 from tests.hybrid.command import run
 from tests.hybrid.forests import rough_forest
@@ -18,10 +18,10 @@ pytestmark = pytest.mark.usefixtures("backend", "own_home")
 
 def test_each_method_has_a_line(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(module, "_CLIPS", 1)
-    save_forest(tmp_path / "f", rough_forest(load_scene("room-moving")))
+    save_forest(tmp_path / "f", rough_forest(planned_scene("room-moving")))
     out = tmp_path / "rows.json"
     common = ["bench", command.__name__, "room-moving", "--forest", tmp_path / "f", "--size", 48, 32]
-    save_forest(tmp_path / "other.forest", rough_forest(load_scene("room-moving")))
+    save_forest(tmp_path / "other.forest", rough_forest(planned_scene("room-moving")))
     options = ["--reference-spp", 8, "--against", tmp_path / "other.forest", "--json", out]
     assert run(monkeypatch, *common, *options) == 0
     methods = list(dict.fromkeys(row["method"] for row in json.loads(out.read_text())["rows"]))

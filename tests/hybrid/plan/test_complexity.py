@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from hybrid.preparation.complexity import complexity_of
-
-
-def _frames(*images):
-    return SimpleNamespace(samples=[4] * len(images), radiance=lambda number: images[number])
+from hybrid.plan.complexity import complexity_of
 
 
 def _checked(contrast: float, side: int = 16) -> np.ndarray:
@@ -22,17 +16,17 @@ def _checked(contrast: float, side: int = 16) -> np.ndarray:
 
 
 def test_smooth_frames_have_nothing_to_model():
-    assert complexity_of(_frames(_checked(0.0))) == 0
-    assert complexity_of(_frames(_checked(0.005))) == 0
+    assert complexity_of([_checked(0.0)]) == 0
+    assert complexity_of([_checked(0.005)]) == 0
 
 
 def test_what_shows_detail_counts_by_its_share_however_strong_it_is():
-    half = complexity_of(_frames(_checked(0.3)))
+    half = complexity_of([_checked(0.3)])
     assert half == pytest.approx(0.5 / 0.46)
-    assert complexity_of(_frames(_checked(0.6))) == half
-    assert complexity_of(_frames(_checked(0.3), _checked(0.0))) == pytest.approx(half / 2)
+    assert complexity_of([_checked(0.6)]) == half
+    assert complexity_of([_checked(0.3), _checked(0.0)]) == pytest.approx(half / 2)
 
 
 def test_a_last_row_without_another_beside_it_is_left_out():
     image = _checked(0.3)
-    assert complexity_of(_frames(np.vstack([image, image[:1]]))) == complexity_of(_frames(image))
+    assert complexity_of([np.vstack([image, image[:1]])]) == complexity_of([image])

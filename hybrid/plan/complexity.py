@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
+from numpy.typing import NDArray
 
 from compose.image.colour import Image, srgb_from_radiance
-from pathtrace.dataset.growing import GrowingFrames
 
 # Deviation from the mean of a group of pixels, in sRGB values, from which on the group shows detail: at
 # less, a Gaussian that covers all of it is close enough.
@@ -16,16 +18,15 @@ _GROUP = 2
 _ORDINARY = 0.46
 
 
-def complexity_of(frames: GrowingFrames) -> float:
-    """Share of the frames that shows edges and texture, over that of `room`; as of `stages.Needs`."""
-    shares = [_detailed(frames.radiance(number)) for number in range(len(frames.samples))]
-    return float(np.mean(shares) / _ORDINARY)
+def complexity_of(frames: Iterable[Image]) -> float:
+    """Share of frames (H, W, 3) that shows edges and texture, over that of `room`; as of `stages.Needs`."""
+    return float(np.mean([detailed(frame).mean() for frame in frames]) / _ORDINARY)
 
 
-def _detailed(radiance: Image) -> float:
-    """Share of the groups of pixels of a frame that show detail."""
+def detailed(radiance: Image) -> NDArray[np.bool_]:
+    """Which groups of _GROUP x _GROUP pixels of a frame show detail."""
     height, width = (side // _GROUP * _GROUP for side in radiance.shape[:2])
     image = srgb_from_radiance(radiance[:height, :width])
     groups = image.reshape(height // _GROUP, _GROUP, width // _GROUP, _GROUP, 3)
     deviation = np.abs(groups - groups.mean(axis=(1, 3), keepdims=True)).max(axis=(1, 3, 4))
-    return float(np.mean(deviation > _VISIBLE))
+    return np.asarray(deviation > _VISIBLE)
