@@ -8,6 +8,7 @@ import pytest
 
 from hybrid.cli import train as command
 from hybrid.plan.stored import planned_scene
+from hybrid.plan.values import plan_of_forest
 from hybrid.store.cache import newest_forest
 from hybrid.store.receipts import keep_receipt
 from hybrid.training import forest as module
@@ -38,6 +39,9 @@ def test_a_forest_is_written_stored_and_measured(made, monkeypatch, tmp_path, ca
     stored = newest_forest(planned_scene("cornell"))
     assert stored.name == "f.safetensors"
     assert load_forest(stored).digest() == load_forest(tmp_path / "f.a").digest()
+    planned = plan_of_forest(load_forest(stored))
+    assert (planned["degree"], planned["layers"], planned["gaussians"]) == (1, 2, 400)
+    assert planned["path depth"] == planned_scene("cornell").max_depth
     shown = capsys.readouterr().out.splitlines()
     assert f"in {row['trees']:,} trees" in shown[0]
     assert shown[2].startswith(f"layer 2: {row['layers'][1]['nodes']:,} nodes, held-out views ")
