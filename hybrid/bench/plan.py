@@ -30,6 +30,7 @@ from pathtrace.dataset.capture import capture
 from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.dataset.views import unseen_views
 from pathtrace.scene.scene import Scene
+from pathtrace.trace.depths import UNBOUNDED
 from pathtrace.trace.tracer import Tracer
 from splat.io.compact import compact
 from splat.io.forest_file import load_forest, save_forest
@@ -38,6 +39,9 @@ from splat.io.precision import Precision
 # Steps of a pilot training, from which those at equal time follow.
 _PILOT = 0.25
 _WARM_UP = 4
+# Frames that fusions are fitted to and prove themselves on, and their samples per pixel: with half of either,
+# whether a fusion shows its network is a matter of luck, and worth 3 dB in `staircase2`.
+_HELD_OUT, _HELD_OUT_SPP = 6, 128
 _REGIONS = ("whole", "foveal")
 
 
@@ -56,7 +60,7 @@ class Effort:
     """
 
     iterations: int = 300
-    views: int = 32
+    views: int = 40
     side: int = 192
     judged: int = 3
     reference_spp: int = 128
@@ -106,7 +110,7 @@ def bench_plan(
             "frame_ms": percentiles(times[name]),
             **trained[name],
             "file_bytes": job.file(row).stat().st_size,
-            "bias": evidence["beyond"] if row.path_depth == plan.value(DEPTH) else 0.0,
+            "bias": 0.0 if row.path_depth == UNBOUNDED else evidence["beyond"],
         }
         for name, row in choices.items()
     ]
@@ -170,7 +174,9 @@ class _Job:
         """Folder of the frames of a row."""
         folder, effort = self._folder / row.frames, self._effort
         size = effort.side, effort.side
-        settings = CaptureSettings(effort.views, 3, *size, row.samples, 64, seed=effort.seed)
+        settings = CaptureSettings(
+            effort.views, _HELD_OUT, *size, row.samples, _HELD_OUT_SPP, seed=effort.seed
+        )
         scene = replace(row.of(self._scene), roulette_depth=Choices().roulette_depth)
         cache = cache_for(scene, self._bars)
         with self._bars(f"{row.frames} (samples)") as bar:

@@ -13,7 +13,7 @@ from compose.image.colour import Image, srgb_from_radiance
 # less, a Gaussian that covers all of it is close enough.
 _VISIBLE = 1 / 32
 # Side in pixels of a group.
-_GROUP = 2
+GROUP = 2
 # Share of the groups that show detail in the first frames of `room`.
 _ORDINARY = 0.46
 
@@ -24,9 +24,9 @@ def complexity_of(frames: Iterable[Image]) -> float:
 
 
 def detailed(radiance: Image) -> NDArray[np.bool_]:
-    """Which groups of _GROUP x _GROUP pixels of a frame show detail."""
-    height, width = (side // _GROUP * _GROUP for side in radiance.shape[:2])
+    """Which groups of GROUP x GROUP pixels of a frame show detail."""
+    height, width = (side // GROUP * GROUP for side in radiance.shape[:2])
     image = srgb_from_radiance(radiance[:height, :width])
-    groups = image.reshape(height // _GROUP, _GROUP, width // _GROUP, _GROUP, 3)
+    groups = image.reshape(height // GROUP, GROUP, width // GROUP, GROUP, 3)
     deviation = np.abs(groups - groups.mean(axis=(1, 3), keepdims=True)).max(axis=(1, 3, 4))
     return np.asarray(deviation > _VISIBLE)

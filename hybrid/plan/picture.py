@@ -11,7 +11,7 @@ import numpy as np
 from compose.base.files import write_whole
 from compose.image.colour import srgb_from_radiance
 from compose.image.gloss import DIFFUSE
-from hybrid.plan.complexity import detailed
+from hybrid.plan.complexity import GROUP, detailed
 from hybrid.plan.look import Look
 from hybrid.plan.paths import DEPTH
 from hybrid.plan.plan import ScenePlan
@@ -34,12 +34,13 @@ def write_picture(path: Path, plan: ScenePlan, look: Look) -> None:
     grid = figure.add_gridspec(2, 3)
     shown, turning, detail = (figure.add_subplot(grid[0, column]) for column in range(3))
     depths, decisions = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1:])
-    frame = srgb_from_radiance(joined(*look.halves[0]).denoised())
+    radiance = joined(*look.halves[0]).denoised()
+    frame = srgb_from_radiance(radiance)
     _image(shown, frame, f"{plan.scene_name}, one of {len(look.views)} views")
     view = srgb_from_radiance(look.radiance[0])
     turns = (look.gloss[0] != DIFFUSE) | look.reflected[0]
     _image(turning, _marked(view, turns, _TURNING), "radiance turns with the view (red)")
-    groups = np.kron(detailed(joined(*look.halves[0]).denoised()), np.ones((2, 2))).astype(bool)
+    groups = np.kron(detailed(radiance), np.ones((GROUP, GROUP))).astype(bool)
     _image(detail, _marked(frame[: groups.shape[0], : groups.shape[1]], groups, _DETAIL), "detail (blue)")
     _plot_depths(depths, plan)
     rows = [(row["name"], str(row["value"]), str(row["fixed"])) for row in plan.rows()]
@@ -64,7 +65,7 @@ def _marked(image: Any, where: Any, colour: tuple[float, float, float]) -> Any:
 def _plot_depths(axes: Any, plan: ScenePlan) -> None:
     """Share of the radiance by the segments of paths, and where they are cut."""
     evidence = next(decision.evidence for decision in plan.decisions if decision.name == DEPTH)
-    depth, shares = int(plan.value(DEPTH)), evidence["share_by_depth"]
+    depth, shares = evidence["needed"], evidence["share_by_depth"]
     axes.bar(range(1, len(shares) + 1), np.maximum(shares, 1e-6), color="#36c")
     axes.axvline(depth + 0.5, color="#c33")
     axes.set_yscale("log")

@@ -33,7 +33,7 @@ def plan(
     iterations: Annotated[
         int, typer.Option(help="Training steps with fixed settings; others train as long.", min=8)
     ] = 300,
-    views: Annotated[int, typer.Option(help="Training views.", min=4, max=MOST_FRAMES)] = 32,
+    views: Annotated[int, typer.Option(help="Training views.", min=4, max=MOST_FRAMES)] = 40,
     side: Annotated[int, typer.Option(help="Side of their frames in pixels.", min=32)] = 192,
     reference_spp: ReferenceSpp = 128,
     repeats: Repeats = 20,

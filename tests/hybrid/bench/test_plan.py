@@ -18,7 +18,7 @@ from splat.io.precision import Precision
 from tests import small
 
 SIZE = (64, 64)
-EFFORT = Effort(iterations=24, views=6, side=32, judged=1, reference_spp=8, repeats=3)
+EFFORT = Effort(iterations=24, views=18, side=32, judged=1, reference_spp=8, repeats=3)
 
 
 def test_items_that_are_as_if_fixed_have_no_row():
@@ -36,7 +36,7 @@ def test_each_decision_has_a_row(backend, own_home, tmp_path):
     plan = plan_of(scene, DISPLAYS["desktop"], SIZE)
     settings = FrameSettings(camera=scene.camera.resized(*SIZE))
     # Frames of 32 pixels are too small for four layers.
-    few = replace(Choices.planned(plan), layers=2, gaussians=300)
+    few = replace(Choices.planned(plan), path_depth=4, layers=2, gaussians=300)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Choices, "planned", staticmethod(lambda plan: few))
         patch.setattr(Choices, "training", _tiny(Choices.training))
@@ -51,7 +51,7 @@ def test_each_decision_has_a_row(backend, own_home, tmp_path):
         assert planned["file_bytes"] < fixed["file_bytes"] / 4
         assert by_name["precision"]["file_bytes"] < fixed["file_bytes"]
         assert (fixed["bias"], by_name["path depth"]["fixed"]) == (0, -1)
-        assert 0 < planned["bias"] < 0.005
+        assert 0 < planned["bias"] < 0.1
         for row in rows:
             assert min(row["psnr"], row["foveal_psnr"]) > 5
             assert 0 < row["ssim"] <= 1

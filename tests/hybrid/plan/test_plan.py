@@ -89,8 +89,10 @@ def test_paths_are_as_long_as_they_bring_light(backend):
     """In a furnace of albedo 0.5, each segment halves what is left: 2^-8 is below half a percent."""
     scene = load_scene(small.furnace(0.5))
     depth, roulette = path_decisions(scene, [scene.camera], 0)
-    assert depth.value in (8, 9)
-    assert depth.fixed == UNBOUNDED
+    assert depth.evidence["needed"] in (8, 9)
+    # Hardly any path is longer, so that a bound saves nothing.
+    assert depth.value == depth.fixed == UNBOUNDED
+    assert depth.gain == 1
     assert depth.evidence["beyond"] < MOST_BIAS
     assert depth.evidence["beyond_own_depth"] == pytest.approx(0.5**scene.max_depth, rel=0.3)
     assert roulette.value in (3, 5, 8)
@@ -103,7 +105,7 @@ def test_a_still_scene_with_a_mirror_ball(backend):
     assert [decision.name for decision in found.decisions] == NAMES
     assert found.value("motion") == "still"
     assert found.value("degree") == 2
-    assert 3 <= found.value("path depth") <= 6
+    assert 3 <= found.decisions[2].evidence["needed"] <= 6
     assert found.rows()[0] == found.decisions[0].row()
     assert set(found.rows()[0]) == set(Decision.__dataclass_fields__)
 
