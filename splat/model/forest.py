@@ -92,7 +92,9 @@ class Forest:
         motion = () if self.motion is None else (self.nodes.semantic, *self.motion.tensors().values())
         light = () if self.light is None else tuple(self.light.tensors().values())
         own = self.nodes.gaussians.every_tensor()
-        for tensor in [*own, *self.attached.values(), *motion, *light]:
+        # Files do not keep their order.
+        attached = [self.attached[name] for name in sorted(self.attached)]
+        for tensor in [*own, *attached, *motion, *light]:
             state.update(np.ascontiguousarray(tensor.detach().numpy()).tobytes())
         return state.hexdigest()[:16]
 

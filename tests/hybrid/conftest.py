@@ -25,6 +25,14 @@ def small_caches() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def nobodys_home(tmp_path_factory) -> Iterator[None]:
+    """Not the user's cache folder, whose plans may be others."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setenv("HYBRID_HOME", str(tmp_path_factory.mktemp("home")))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def plans_made_once() -> Iterator[None]:
     """Plans of the scenes that commands load: many tests have a cache folder of their own."""
     made: dict[str, ScenePlan] = {}

@@ -192,11 +192,11 @@ def test_a_sweep_goes_into_the_page(evaluated, made, monkeypatch, capsys):
 
 
 def test_a_sweep_stays_off_the_page_of_another_scene_and_of_a_damaged_evaluation(
-    evaluated, tmp_path, monkeypatch, capsys
+    evaluated, tmp_path, tmp_path_factory, monkeypatch, capsys
 ):
     """Refused before any work: there is no forest, and none is trained."""
     text = (evaluated[0] / "first" / "evaluation.json").read_text()
-    monkeypatch.setenv("HYBRID_HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("HYBRID_HOME", str(tmp_path_factory.mktemp("home")))
     damaged = (text[:-20], "[]", json.dumps({"scene": "cornell"}), "7")
     for content, said in [
         (text.replace('"scene": "cornell"', '"scene": "room"'), "an evaluation of room, not of")

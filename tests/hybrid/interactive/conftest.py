@@ -6,14 +6,14 @@ import pytest
 
 from hybrid.frame.live import LiveRenderer
 from hybrid.interactive.source import FrameSource
-from pathtrace.scene.scene import load_scene
+from hybrid.plan.stored import planned_scene
 from splat.io.forest_file import load_forest
 
 
 @pytest.fixture(scope="session")
 def renderer(backend, made) -> LiveRenderer:
     """Renders the Cornell box."""
-    return LiveRenderer(load_scene("cornell"), load_forest(made / "box.forest"))
+    return LiveRenderer(planned_scene("cornell"), load_forest(made / "box.forest"))
 
 
 @pytest.fixture

@@ -18,7 +18,8 @@ RAW = FrameSettings(fovea="raw")
 
 
 def silent(activity: str, done: int, total: int) -> None:
-    pytest.fail(f"{activity} is reported")
+    if not activity.startswith("plan for"):
+        pytest.fail(f"{activity} is reported")
 
 
 def test_a_scene_and_its_forest_become_a_source(made):
@@ -29,9 +30,9 @@ def test_a_scene_and_its_forest_become_a_source(made):
 
 def test_the_backend_is_selected_before_the_scene_is_loaded(made, monkeypatch):
     done: list[str] = []
-    load = prepare.load_scene
+    load = prepare.planned_scene
     monkeypatch.setattr(prepare, "select_backend", done.append)
-    monkeypatch.setattr(prepare, "load_scene", lambda name, **_: done.append(name) or load(name))
+    monkeypatch.setattr(prepare, "planned_scene", lambda name, **_: done.append(name) or load(name))
     prepared("cornell", made / "box.forest", "llvm", False, RAW, silent)
     assert done == ["llvm", "cornell"]
 

@@ -19,7 +19,7 @@ from hybrid.measure.timing import (
     jittered,
     percentiles,
 )
-from pathtrace.scene.scene import load_scene
+from hybrid.plan.stored import planned_scene
 from splat.io.forest_file import load_forest
 
 
@@ -70,7 +70,7 @@ def test_times_of_methods_are_told_apart():
 class TestJitter:
     @pytest.fixture
     def renderer(self, made):
-        return Renderer(load_scene("cornell"), load_forest(made / "box.forest"))
+        return Renderer(planned_scene("cornell"), load_forest(made / "box.forest"))
 
     def test_jittered_cameras_differ_by_less_than_can_be_seen(self, renderer):
         camera = renderer.scene.camera.resized(96, 64)

@@ -43,6 +43,7 @@ def folder(scene):
 
 
 def test_the_cache_folder_is_the_platforms_unless_the_environment_names_one(monkeypatch, tmp_path):
+    monkeypatch.setenv("HYBRID_HOME", str(tmp_path / "home"))
     monkeypatch.setattr(cache.platformdirs, "user_cache_dir", lambda name: f"/caches/{name}")
     assert home() == tmp_path / "home"
     for unset in (lambda: monkeypatch.setenv("HYBRID_HOME", ""), lambda: monkeypatch.delenv("HYBRID_HOME")):

@@ -65,12 +65,12 @@ def test_another_version_of_the_same_scene_is_refused_with_a_reason():
 
 def test_measurements_depend_on_scene_depth_forest_settings_and_machine(backend):
     forest, other = white_dot((0, 0, 1)), white_dot((0, 0, 1), opacity_logit=7.0)
-    scene = SimpleNamespace(hash="ab" * 32, max_depth=8)
+    scene = SimpleNamespace(hash="ab" * 32, max_depth=8, roulette_depth=5)
     identity = measured_identity(scene, forest, spp=4)
     assert identity["machine"] == machine()
     assert identity["spp"] == 4
-    deeper = SimpleNamespace(hash="ab" * 32, max_depth=9)
-    changed = SimpleNamespace(hash="cd" * 32, max_depth=8)
+    deeper = SimpleNamespace(hash="ab" * 32, max_depth=9, roulette_depth=5)
+    changed = SimpleNamespace(hash="cd" * 32, max_depth=8, roulette_depth=5)
 
     others = [
         measured_identity(deeper, forest, spp=4),
@@ -87,7 +87,7 @@ def test_measurements_depend_on_scene_depth_forest_settings_and_machine(backend)
     expected="another identity: what was stored is measured anew",
 )
 def test_measurements_of_other_code_are_not_used(backend, monkeypatch, tmp_path, got):
-    forest, scene = white_dot((0, 0, 1)), SimpleNamespace(hash="ab" * 32, max_depth=8)
+    forest, scene = white_dot((0, 0, 1)), SimpleNamespace(hash="ab" * 32, max_depth=8, roulette_depth=5)
 
     def identity() -> str:
         module.code.cache_clear()

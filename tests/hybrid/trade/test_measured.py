@@ -18,7 +18,7 @@ from hybrid.trade.measured import MeasuredSettings, MeasuredStore, front_of
 from tests.hybrid.forests import white_dot
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
-SCENE = SimpleNamespace(name="room", hash="ab" * 32, max_depth=8)
+SCENE = SimpleNamespace(name="room", hash="ab" * 32, max_depth=8, roulette_depth=5)
 BASE = FrameSettings(acuity_model="fov-gs", display=Display(800, 600, 50))
 # Every quantity that is varied, away from its default.
 MEASURED = [
@@ -64,7 +64,7 @@ def test_gaze_and_camera_are_those_of_the_use_not_of_the_measurement(forest, sto
     "changed",
     [
         {"kind": "window"},
-        {"scene": SimpleNamespace(name="room", hash="ab" * 32, max_depth=9)},
+        {"scene": SimpleNamespace(name="room", hash="ab" * 32, max_depth=9, roulette_depth=5)},
         {"forest": white_dot((0, 0, 2))},
         {"size": (48, 64)},
         {"base": replace(BASE, acuity_model="none")},
@@ -132,7 +132,7 @@ def test_a_damaged_file_is_named(store, content):
 
 
 def test_a_folder_that_cannot_be_written_is_named(store):
-    store.file.parent.parent.mkdir(parents=True)
+    store.file.parent.parent.mkdir(parents=True, exist_ok=True)
     store.file.parent.write_text("")
     with pytest.raises(UserError, match=f"^{store.file}: cannot be written"):
         store.save("jod", MEASURED)
