@@ -101,7 +101,7 @@ def bench_plan(
     renderers = {name: job.renderer(row) for name, row in choices.items()}
     times = job.times(renderers)
     qualities = job.qualities(renderers)
-    evidence = next(decision.evidence for decision in plan.decisions if decision.name == DEPTH)
+    beyond = plan.decision(DEPTH).evidence["beyond"]
     return [
         {
             "decision": name,
@@ -110,7 +110,7 @@ def bench_plan(
             "frame_ms": percentiles(times[name]),
             **trained[name],
             "file_bytes": job.file(row).stat().st_size,
-            "bias": 0.0 if row.path_depth == UNBOUNDED else evidence["beyond"],
+            "bias": 0.0 if row.path_depth == UNBOUNDED else beyond,
         }
         for name, row in choices.items()
     ]

@@ -63,7 +63,7 @@ def plan(
     loaded = load_scene(scene, None, thin_glass)
     with progress_bar("plan (parts)") as bar:
         found = plan_of(loaded, shown, size, region or "near", seed, bar)
-    found = overridden(found, wanted, loaded)
+    found = overridden(found, wanted)
     store_plan(found)
     assert found.look is not None
     for row in found.rows():

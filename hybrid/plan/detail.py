@@ -6,7 +6,6 @@ from hybrid.plan.complexity import complexity_of
 from hybrid.plan.decision import Decision
 from hybrid.plan.look import Look
 from hybrid.plan.needs import Needs
-from pathtrace.dataset.frame_error import joined
 
 # Gaussians of the finest layer where nothing is known of a scene.
 GAUSSIANS, FIXED_GAUSSIANS = "gaussians", 40_000
@@ -22,8 +21,7 @@ def gaussians_decision(look: Look, breadth: float) -> Decision:
         look: at the scene; its larger frames tell how much of them shows detail.
         breadth: how many times as many views as the default region the region takes.
     """
-    frames = [joined(*halves).denoised() for halves in look.halves]
-    needs = Needs(breadth, complexity_of(frames))
+    needs = Needs(breadth, complexity_of(look.denoised))
     count = round(FIXED_GAUSSIANS * max(needs.gaussians, _LEAST) / _ROUNDED) * _ROUNDED
-    evidence = {"complexity": needs.complexity, "breadth": breadth, "frames": len(frames)}
+    evidence = {"complexity": needs.complexity, "breadth": breadth, "frames": len(look.denoised)}
     return Decision(GAUSSIANS, count, FIXED_GAUSSIANS, evidence, FIXED_GAUSSIANS / count, "Gaussians")

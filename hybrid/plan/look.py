@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from compose.camera.camera import Camera
 from compose.camera.view import View
 from compose.image.colour import Image
+from pathtrace.dataset.frame_error import joined
 from pathtrace.dataset.views import view_times
 from pathtrace.region.region import Region
 from pathtrace.scene.scene import Scene
@@ -51,6 +53,11 @@ class Look:
     def cameras(self) -> list[Camera]:
         """Of the views."""
         return [view.camera for view in self.views]
+
+    @cached_property
+    def denoised(self) -> list[Image]:
+        """(H, W, 3) radiance of the larger frames, denoised from all of their samples."""
+        return [joined(*halves).denoised() for halves in self.halves]
 
     @property
     def is_one_point(self) -> bool:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from compose.base.errors import UserError
+from hybrid.frame.settings import MOST_SPP
 from hybrid.plan.appearance import DEGREE
 from hybrid.plan.decision import Decision, Value
 from hybrid.plan.detail import GAUSSIANS
@@ -13,8 +14,6 @@ from hybrid.plan.layers import LAYERS
 from hybrid.plan.paths import DEPTH, ROULETTE
 from hybrid.plan.plan import ScenePlan
 from hybrid.plan.samples import DENOISED, DENOISING, RAW, SAMPLES
-from hybrid.plan.values import require_plan
-from pathtrace.scene.scene import Scene
 from splat.model.gaussians import MAX_DEGREE
 
 # Least and greatest whole number that each item may be.
@@ -24,7 +23,7 @@ _NUMBERS = {
     DEGREE: (0, MAX_DEGREE),
     LAYERS: (1, 32),
     GAUSSIANS: (1, 100_000_000),
-    SAMPLES: (1, 1 << 24),
+    SAMPLES: (1, MOST_SPP),
 }
 _WORDS = {DENOISING: (DENOISED, RAW)}
 
@@ -58,13 +57,8 @@ def _value(name: str, value: str) -> Value:
     raise UserError(f"--set {name}={value}: must be one of {names}; the scene decides all else")
 
 
-def overridden(plan: ScenePlan, values: Mapping[str, Value], scene: Scene) -> ScenePlan:
-    """A plan with some decisions taken by the user; those have no gain that anybody knows.
-
-    Raises:
-        UserError: they contradict the scene.
-    """
-    require_plan(values, scene, "--set")
+def overridden(plan: ScenePlan, values: Mapping[str, Value]) -> ScenePlan:
+    """A plan with some decisions taken by the user; those have no gain that anybody knows."""
     decisions = [
         _by_user(decision, values[decision.name]) if decision.name in values else decision
         for decision in plan.decisions

@@ -15,7 +15,6 @@ from hybrid.plan.complexity import GROUP, detailed
 from hybrid.plan.look import Look
 from hybrid.plan.paths import DEPTH
 from hybrid.plan.plan import ScenePlan
-from pathtrace.dataset.frame_error import joined
 
 _TURNING, _DETAIL = (0.9, 0.2, 0.1), (0.1, 0.6, 0.9)
 _SHARE = 0.7
@@ -34,7 +33,7 @@ def write_picture(path: Path, plan: ScenePlan, look: Look) -> None:
     grid = figure.add_gridspec(2, 3)
     shown, turning, detail = (figure.add_subplot(grid[0, column]) for column in range(3))
     depths, decisions = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1:])
-    radiance = joined(*look.halves[0]).denoised()
+    radiance = look.denoised[0]
     frame = srgb_from_radiance(radiance)
     _image(shown, frame, f"{plan.scene_name}, one of {len(look.views)} views")
     view = srgb_from_radiance(look.radiance[0])
@@ -64,7 +63,7 @@ def _marked(image: Any, where: Any, colour: tuple[float, float, float]) -> Any:
 
 def _plot_depths(axes: Any, plan: ScenePlan) -> None:
     """Share of the radiance by the segments of paths, and where they are cut."""
-    evidence = next(decision.evidence for decision in plan.decisions if decision.name == DEPTH)
+    evidence = plan.decision(DEPTH).evidence
     depth, shares = evidence["needed"], evidence["share_by_depth"]
     axes.bar(range(1, len(shares) + 1), np.maximum(shares, 1e-6), color="#36c")
     axes.axvline(depth + 0.5, color="#c33")

@@ -42,13 +42,21 @@ class ScenePlan:
     decisions: tuple[Decision, ...]
     look: Look | None = None
 
+    def decision(self, name: str) -> Decision:
+        """What is decided for a part, and why.
+
+        Raises:
+            KeyError: there is no such part.
+        """
+        return {decision.name: decision for decision in self.decisions}[name]
+
     def value(self, name: str) -> Any:
         """What is decided for a part.
 
         Raises:
             KeyError: there is no such part.
         """
-        return self.values()[name]
+        return self.decision(name).value
 
     def values(self) -> dict[str, Value]:
         """What is decided, by name."""

@@ -34,7 +34,8 @@ def sample_decisions(look: Look) -> list[Decision]:
         srgb_from_radiance(one.radiance) - srgb_from_radiance(other.radiance) for one, other in look.halves
     ]
     raw = float(np.mean(np.square(apart))) / 2
-    denoised = mean_frame_error([frame_error(*halves) for halves in look.halves]).mse
+    frames = zip(look.halves, look.denoised, strict=True)
+    denoised = mean_frame_error([frame_error(*halves, denoised) for halves, denoised in frames]).mse
     gain = max(raw / 2, _LEAST_ERROR) / max(denoised, _LEAST_ERROR)
     kind = DENOISED if gain >= _LEAST_GAIN else RAW
     evidence = {

@@ -18,7 +18,6 @@ from hybrid.cli.options import (
     SceneName,
     Seed,
     ThinGlass,
-    loaded_scene,
     select,
     sized,
     write_json,
@@ -51,9 +50,11 @@ def plan(
     from hybrid.runtime.device import device_arrays
     from hybrid.runtime.machine import machine
     from hybrid.store.cache import scene_folder
+    from pathtrace.scene.scene import load_scene
 
     shown = display_named(display)
-    loaded = loaded_scene(scene, None, thin_glass)
+    # Not as planned: each row has its own paths.
+    loaded = load_scene(scene, None, thin_glass)
     with progress_bar("plan (parts)") as bar:
         found = plan_of(loaded, shown, size, seed=seed, progress=bar)
     settings = replace(DEFAULTS, camera=sized(loaded.camera, size), display=shown)

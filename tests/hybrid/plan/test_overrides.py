@@ -8,14 +8,12 @@ from compose.base.errors import UserError
 from hybrid.plan.decision import Decision
 from hybrid.plan.overrides import overridden, parsed
 from hybrid.plan.plan import ScenePlan
-from pathtrace.scene.scene import load_scene
-from tests import small
 
 
-def test_an_item_is_decided_by_the_user(backend):
+def test_an_item_is_decided_by_the_user():
     depth = Decision("path depth", 9, -1, {"beyond": 0.001}, 1.5, "segments per path")
     plan = ScenePlan("any", "hash", (depth, Decision("degree", 2, 3, {}, 1.8, "harmonics")))
-    found = overridden(plan, parsed(["path depth = 12"]), load_scene(small.corner()))
+    found = overridden(plan, parsed(["path depth = 12"]))
     assert found.values() == {"path depth": 12, "degree": 2}
     assert found.decisions[0].evidence == {"planned": 9, "beyond": 0.001}
     assert found.decisions[0].gain == 1
