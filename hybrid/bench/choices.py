@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from hybrid.plan.appearance import DEGREE
+from hybrid.plan.appearance import DEGREE, FRAME_PRECISION, HALF, SINGLE
 from hybrid.plan.detail import FIXED_GAUSSIANS, GAUSSIANS
 from hybrid.plan.layers import FIXED_LAYERS, LAYERS
 from hybrid.plan.paths import DEPTH, ROULETTE
@@ -27,6 +27,7 @@ class Choices:
     Attributes:
         path_depth, roulette_depth: of all paths.
         samples: per pixel of training frames.
+        frame_precision: of training frames in memory.
         degree: of the spherical harmonics.
         harmonics: whether Gaussians whose radiance is not seen to turn keep those above the constant one.
         layers, gaussians: of the forest, and of its finest layer.
@@ -36,6 +37,7 @@ class Choices:
     path_depth: int = UNBOUNDED
     roulette_depth: int = RUSSIAN_ROULETTE_DEPTH
     samples: int = FIXED_SAMPLES
+    frame_precision: str = SINGLE
     degree: int = MAX_DEGREE
     harmonics: bool = True
     layers: int = FIXED_LAYERS
@@ -49,6 +51,7 @@ class Choices:
             plan.value(DEPTH),
             plan.value(ROULETTE),
             plan.value(SAMPLES),
+            plan.value(FRAME_PRECISION),
             plan.value(DEGREE),
             False,
             plan.value(LAYERS),
@@ -79,13 +82,19 @@ class Choices:
     def forest(self) -> str:
         """Name of the forest, whatever the precision of its file."""
         harmonics = "all" if self.harmonics else "turning"
-        parts = self.degree, harmonics, self.layers, self.gaussians
+        parts = self.frame_precision, self.degree, harmonics, self.layers, self.gaussians
         return "-".join(map(str, (f"forest-{self.path_depth}-{self.samples}", *parts)))
 
     def training(self, iterations: int, seed: int) -> TrainingSettings:
         """Settings of its training."""
         return TrainingSettings(
-            iterations, self.gaussians, self.layers, self.degree, seed, all_harmonics=self.harmonics
+            iterations,
+            self.gaussians,
+            self.layers,
+            self.degree,
+            seed,
+            all_harmonics=self.harmonics,
+            half_frames=self.frame_precision == HALF,
         )
 
     def value(self, name: str) -> Any:

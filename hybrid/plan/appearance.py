@@ -16,6 +16,10 @@ _LEAST_GLOSS, _DEGREE = 0.002, 2
 DEGREE = "degree"
 # Shares of the pixels between which radiance is said to range.
 _LEAST, _MOST = 0.01, 0.999
+# Precision of the frames that a training keeps in memory. The first one holds radiance up to 65,504 in steps
+# finer than those of a 10-bit display; a look misses what is brighter and small.
+FRAME_PRECISION, HALF, SINGLE = "frame precision", "float16", "float32"
+_LARGEST_IN_HALF = 16_000.0
 
 
 def degree_decision(look: Look) -> Decision:
@@ -35,11 +39,16 @@ def degree_decision(look: Look) -> Decision:
     return Decision(DEGREE, degree, MAX_DEGREE, evidence, gain, "harmonics per Gaussian")
 
 
-def range_evidence(look: Look) -> dict[str, float]:
-    """How far radiance ranges: factors of two between dark and bright pixels, and the largest radiance."""
+def frame_precision_decision(look: Look) -> Decision:
+    """The precision of frames in memory, by how far radiance ranges.
+
+    Its evidence is factors of two between dark and bright pixels, and the largest radiance of a channel.
+    """
     shown = np.concatenate([luminance(image).ravel() for image in look.radiance])
+    largest = max((float(image.max(initial=0)) for image in look.radiance), default=0.0)
     lit = shown[shown > 0]
-    if not len(lit):
-        return {"stops": 0.0, "largest": 0.0}
-    low, high = np.quantile(lit, [_LEAST, _MOST])
-    return {"stops": float(np.log2(high / low)), "largest": float(lit.max())}
+    stops = float(np.log2(np.divide(*np.quantile(lit, [_MOST, _LEAST])))) if len(lit) else 0.0
+    precision = HALF if largest <= _LARGEST_IN_HALF else SINGLE
+    evidence = {"stops": stops, "largest": largest}
+    gain = 2.0 if precision == HALF else 1.0
+    return Decision(FRAME_PRECISION, precision, SINGLE, evidence, gain, "memory of frames")

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from compose.base.errors import UserError
 from hybrid.frame.settings import MOST_SPP
-from hybrid.plan.appearance import DEGREE
+from hybrid.plan.appearance import DEGREE, FRAME_PRECISION, HALF, SINGLE
 from hybrid.plan.decision import Decision, Value
 from hybrid.plan.detail import GAUSSIANS
 from hybrid.plan.layers import LAYERS
@@ -25,7 +25,7 @@ _NUMBERS = {
     GAUSSIANS: (1, 100_000_000),
     SAMPLES: (1, MOST_SPP),
 }
-_WORDS = {DENOISING: (DENOISED, RAW)}
+_WORDS = {DENOISING: (DENOISED, RAW), FRAME_PRECISION: (HALF, SINGLE)}
 
 
 def parsed(given: Sequence[str]) -> dict[str, Value]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from compose.eye.display import Display
-from hybrid.plan.appearance import degree_decision, range_evidence
+from hybrid.plan.appearance import degree_decision, frame_precision_decision
 from hybrid.plan.breadth import breadth_of
 from hybrid.plan.decision import Decision, Value
 from hybrid.plan.detail import gaussians_decision
@@ -100,10 +100,11 @@ def plan_of(
         region_decision(region, look, breadth),
         *path_decisions(scene, look.cameras, seed),
         degree_decision(look),
+        frame_precision_decision(look),
         layers_decision(display, size),
         gaussians_decision(look, breadth),
         *sample_decisions(look),
-        _light_decision(scene, look),
+        _light_decision(scene),
     )
     progress(3, _PARTS)
     return ScenePlan(scene.name, scene.own_hash, decisions, look)
@@ -123,13 +124,9 @@ def motion_of(scene: Scene) -> str:
     return STILL if scene.moving is None else MOVING
 
 
-def _light_decision(scene: Scene, look: Look) -> Decision:
+def _light_decision(scene: Scene) -> Decision:
     """Whether the light converges as it is, or what would help."""
     found = light_difficulties(scene)
-    evidence = {
-        "causes": {difficulty.kind: list(difficulty.causes) for difficulty in found},
-        **range_evidence(look),
-    }
-    return Decision(
-        LIGHT, "+".join(difficulty.kind for difficulty in found) or "plain", "plain", evidence, 1.0, "noise"
-    )
+    evidence = {"causes": {difficulty.kind: list(difficulty.causes) for difficulty in found}}
+    kinds = "+".join(difficulty.kind for difficulty in found)
+    return Decision(LIGHT, kinds or "plain", "plain", evidence, 1.0, "noise")

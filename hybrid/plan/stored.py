@@ -19,7 +19,7 @@ from hybrid.runtime.valid_json import json_text
 from hybrid.store.cache import scene_folder
 from pathtrace.scene.scene import Scene, load_scene
 
-_VERSION = 1
+_VERSION = 2
 # Of frames where nothing else is asked for.
 DISPLAY, SIZE = "desktop", (1920, 1080)
 

@@ -102,19 +102,22 @@ def train(
     settings = settings or planned_settings(frames, motion=motion_for(frames, None))
     _require_enough(frames, settings)
     views = labelled_views(frames, settings)
+    cameras, focal = [view.camera for view in views], finest_focal(views)
     courses = frames.courses if isinstance(frames, FrameSet) else ()
     try:
         known = motion_of(courses) if settings.motion is MotionModel.KNOWN else None
         trainer = Trainer(device_arrays(), views, settings, start, known, light)
     except ValueError as error:
         raise UserError(f"{frames.folder}: {error}") from error
+    # The trainer has its own, in its coordinates.
+    del views
     checkpoint = checkpoint_path(path)
     restore_checkpoint(trainer, checkpoint, frames)
     total = settings.iterations + fusion_steps(frames)
     _run(trainer, lambda: save_checkpoint(trainer, checkpoint, frames), lambda done: progress(done, total))
     forest = forest_of(
         trainer.forest(),
-        finest_focal(views),
+        focal,
         frames.scene_name,
         frames.scene_hash,
         trainer.place,
@@ -130,7 +133,7 @@ def train(
     forest = with_fusion(
         frames, forest, settings.seed, lambda done, _: progress(settings.iterations + done, total)
     )
-    forest = attach_views(forest, [view.camera for view in views])
+    forest = attach_views(forest, cameras)
     forest = attach_plan(forest, plan_with(frames, settings))
     save_forest(path, forest)
     report(LeftOut(trainer.dropped, trainer.skipped))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hybrid.plan.appearance import DEGREE
+from hybrid.plan.appearance import DEGREE, FRAME_PRECISION, HALF
 from hybrid.plan.decision import Value
 from hybrid.plan.detail import GAUSSIANS
 from hybrid.plan.layers import LAYERS
@@ -27,6 +27,7 @@ def planned_settings(frames: Frames | None, **given: Any) -> TrainingSettings:
     """
     plan = _plan(frames)
     planned = {field: int(plan[name]) for field, name in _PLANNED.items() if name in plan}
+    planned["half_frames"] = plan.get(FRAME_PRECISION) == HALF
     return TrainingSettings(**planned | {name: value for name, value in given.items() if value is not None})
 
 

@@ -19,7 +19,7 @@ from splat.separation.objects import objects_of
 from splat.separation.observation import Observation
 from splat.training.sky import shows_sky
 from splat.training.trainer import TrainingSettings
-from splat.training.views import TrainingView
+from splat.training.views import TrainingView, in_half_precision
 
 
 def labelled_views(frames: Frames, settings: TrainingSettings) -> list[TrainingView]:
@@ -29,7 +29,8 @@ def labelled_views(frames: Frames, settings: TrainingSettings) -> list[TrainingV
     there are none and the motion is one of labelled nodes only.
     """
     if isinstance(frames, FrameSet):
-        views = [training_view(entry, frames.courses) for entry in frames.training]
+        each = (training_view(entry, frames.courses) for entry in frames.training)
+        views = [in_half_precision(view) if settings.half_frames else view for view in each]
     else:
         views = posed_views(frames)
     wanted = settings.labels
@@ -41,7 +42,7 @@ def labelled_views(frames: Frames, settings: TrainingSettings) -> list[TrainingV
 def _with_flow(frames: Frames, views: list[TrainingView]) -> list[TrainingView]:
     """Views whose pixels are labelled by what frames of other times show."""
     observations = [
-        Observation(view.camera, view.radiance, view.distance, view.time, albedo)
+        Observation(view.camera, view.radiance.astype(np.float32), view.distance, view.time, albedo)
         for view, albedo in zip(views, _albedos(frames), strict=True)
     ]
     objects = objects_of(observations, moving_pixels(observations))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from splat.model.rows import Floats
+from splat.model.rows import Floats, Ints
 
 
 class Neighbours:
@@ -17,17 +17,16 @@ class Neighbours:
         count: neighbours per position; all M if there are fewer.
 
     Attributes:
-        distance, index: for each position, lists over its neighbours, nearest first.
-        reach: for each position, the distance up to which no point is missing; infinite if all M are listed.
+        distance, index: (N, K) of each position's neighbours, nearest first.
+        reach: (N,) the distance up to which no point is missing; infinite if all M are listed.
     """
 
     def __init__(self, points: Floats, positions: Floats, count: int):
         count = min(count, len(points))
-        self.distance: list[list[float]] = [[]] * len(positions)
-        self.index: list[list[int]] = [[]] * len(positions)
-        self.reach = [np.inf] * len(positions)
+        self.distance: Floats = np.zeros((len(positions), count))
+        self.index: Ints = np.zeros((len(positions), count), dtype=np.int64)
         if count:
-            distance, index = cKDTree(points).query(positions, k=np.arange(1, count + 1), workers=-1)
-            self.distance, self.index = distance.tolist(), index.tolist()
-            if count < len(points):
-                self.reach = distance[:, -1].tolist()
+            nearest = np.arange(1, count + 1)
+            self.distance, self.index = cKDTree(points).query(positions, k=nearest, workers=-1)
+        listed = count < len(points)
+        self.reach = self.distance[:, -1] if listed else np.full(len(positions), np.inf)

@@ -96,9 +96,10 @@ class _ParentSearch:
     def _nearest(self, child: int) -> list[int]:
         """The nearest parents that there are so far, at most `tries`, nearest first."""
         given, near, tries = self._near_parents, self._near_children, self._tries
-        candidates = list(zip(given.distance[child], given.index[child], strict=True))
+        # Lists of plain numbers are quicker to go through, but those of all children take much memory.
+        candidates = list(zip(given.distance[child].tolist(), given.index[child].tolist(), strict=True))
         new = 0
-        for distance, j in zip(near.distance[child], near.index[child], strict=True):
+        for distance, j in zip(near.distance[child].tolist(), near.index[child].tolist(), strict=True):
             if self._made_for[j] >= 0:
                 candidates.append((distance, self._given + self._made_for[j]))
                 new += 1

@@ -98,7 +98,7 @@ def _some_directions(view: TrainingView, sky: bool) -> tuple[NDArray[np.float64]
     """Some directions (M, 3) in which a view shows the sky, or else a surface, and their radiance (M, 3)."""
     seen = view.sky_pixels if sky else np.setdiff1d(view.surface_pixels, view.sky_pixels)
     seen = seen[:: max(1, len(seen) // _DIRECTIONS)]
-    return view.rays(seen), view.radiance.reshape(-1, 3)[seen]
+    return view.rays(seen), view.radiance.reshape(-1, 3)[seen].astype(np.float32)
 
 
 def _first_seed(
@@ -142,11 +142,11 @@ def seed_at(
     means = view.points(pixels)
     deviation = size * view.pixel_sizes(pixels)
     scales = np.stack([deviation, deviation, deviation * _FLATNESS])
-    radiance = torch.from_numpy(view.radiance.reshape(-1, 3)[pixels].T.copy())
+    radiance = torch.from_numpy(view.radiance.reshape(-1, 3)[pixels].T.astype(np.float32))
     n = len(pixels)
     sh = torch.zeros(sh_count(degree), 3, n)
     sh[0] = (perceptual_from_radiance(radiance.clamp(min=0)) - 0.5) / SH_DC
-    normals = view.normal.reshape(-1, 3)[pixels]
+    normals = view.normal.reshape(-1, 3)[pixels].astype(np.float64)
     seeds = Gaussians(
         torch.from_numpy(means.T.astype(np.float32).copy()),
         torch.from_numpy(np.log(scales).astype(np.float32)),

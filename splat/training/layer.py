@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from compose.base.arrays import Arrays
+from compose.camera.view import View
 from splat.deformation.learned import LearnedMotion
 from splat.model.dynamics import Dynamics
 from splat.model.gaussians import Gaussians
@@ -36,9 +37,12 @@ _LIT_EVERY = 100
 # How often in a training nodes are told anew which of them move; views from which, at most, and as a share of
 # the steps since the last time: each takes about as long as a step.
 _SEPARATIONS, _SEPARATING_VIEWS, _SEPARATING_SHARE = 8, 32, 0.2
-# When it is told, as a share of the steps, which nodes turn with the view, and from how many views at most:
-# harmonics have gone most of their way by then, and all nodes can still make up for those that go.
-_TURNING, _TURNING_VIEWS = 0.8, 32
+# When it is told, as a share of the steps, which nodes turn with the view: harmonics have gone most of their
+# way by then, and all nodes can still make up for those that go.
+_TURNING = 0.8
+# Views that tell it, as a share of the steps, and their least and greatest number: short trainings have no
+# time for more. They are half as large along each side, which takes less than half of the time of a step.
+_TURNING_SHARE, _TURNING_VIEWS = 0.1, (8, 32)
 
 
 class LayerTraining:
@@ -199,9 +203,9 @@ class LayerTraining:
 
     def _keep_turning(self) -> None:
         """Leaves harmonics above the constant one to those nodes whose radiance is seen to turn."""
-        count = min(len(self.views), _TURNING_VIEWS)
+        count = min(len(self.views), int(np.clip(_TURNING_SHARE * self._steps, *_TURNING_VIEWS)))
         chosen = np.random.default_rng([*self._seed, 4]).choice(len(self.views), count, False)
-        views = [self.views[index] for index in sorted(chosen)]
+        views = [_smaller(self.views[index]) for index in sorted(chosen)]
         gaussians = without_unseen_turning(self._arrays, self._optimizer.gaussians, views, self._shown)
         self._tree = replace(self._tree, gaussians=gaussians)
         self._optimizer.replace(gaussians, torch.arange(len(gaussians)))
@@ -280,3 +284,9 @@ class LayerTraining:
         self.done, self.skipped = int(numbers["done"]), int(numbers["skipped"])
         if self.done:
             self._order = tensors["order"]
+
+
+def _smaller(view: TrainingView) -> View:
+    """From where and when a view shows something, with half as many pixels along each side."""
+    camera = view.camera
+    return View(camera.resized(camera.width // 2, camera.height // 2), view.time)

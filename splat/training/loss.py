@@ -5,7 +5,6 @@ Value and gradient come out of the same kernels: of a loss that is computed at e
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
@@ -24,29 +23,25 @@ _STRAIGHT, _SLOPE = 0.0031308, 12.92
 _BRIGHT_SLOPE = 1.055 / 2.4
 
 
-# What is stored at an index of a map, from the means of the window there.
-Finish = Callable[[Any, list[Any]], list[Any]]
-
-
 class Target:
-    """A frame to match, with the terms of the similarity that depend on it alone.
+    """A frame to match.
+
+    What depends on the frame alone is computed again each time: kept, it would take three times the memory of
+    the frame, of every frame of a training, and save a fiftieth of a step.
 
     Args:
         arrays: the backend's array types, on whose device the loss is computed.
-        radiance: (H, W, 3) linear, both sides at least 11 pixels.
+        radiance: (H, W, 3) linear, float32 or float16, both sides at least 11 pixels; kept, not copied.
     """
 
     def __init__(self, arrays: Arrays, radiance: torch.Tensor):
-        self._arrays = arrays
+        self._arrays, self._radiance = arrays, radiance
         self._height, self._width = radiance.shape[:2]
-        seen, _ = _logarithmic(_flat(arrays, radiance))
+        seen, _ = _logarithmic(self._frame())
         # Variances do not depend on where zero is. With zero amid the frame's own values, little cancels in
         # them; where all is very bright, rounding would otherwise exceed the similarity's constants.
         means = arrays.to_torch(seen, torch.device("cpu")).reshape(-1, CHANNELS).double().mean(dim=0)
         self._zero = arrays.plain.Float(means.float().numpy())
-        self._seen = seen - self._zero_at(dr.arange(arrays.plain.UInt, dr.width(seen)))
-        dr.eval(self._seen)
-        self._mean, self._variance = self._windows(self._seen, lambda _, m: [m[0], m[1] - m[0] * m[0]])
 
     def loss(self, rendered: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """(1 - w) L1 + w (1 - SSIM), on a scale for lamps beside shadows (Fov-GS Eq. 4).
@@ -62,18 +57,18 @@ class Target:
 
     def loss_and_gradient(self, rendered: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Loss, error per pixel (H, W), and the derivative of the loss by the radiance (H, W, 3)."""
-        UInt = self._arrays.plain.UInt
-        radiance = _flat(self._arrays, rendered)
-        seen, slope = _logarithmic(radiance)
-        seen = seen - self._zero_at(dr.arange(UInt, dr.width(radiance)))
-        distance = dr.abs(seen - self._seen)
-        dr.eval(seen, slope, distance)
+        zero = self._zero_at(dr.arange(self._arrays.plain.UInt, rendered.numel()))
+        seen, slope = _logarithmic(_flat(self._arrays, rendered))
+        own, _ = _logarithmic(self._frame())
+        seen, own = seen - zero, own - zero
+        distance = dr.abs(seen - own)
+        dr.eval(seen, own, slope, distance)
         error = dr.block_sum(distance, CHANNELS) / CHANNELS
-        dissimilarity, *flow = self._compared(seen)
+        dissimilarity, *flow = self._compared(seen, own)
         # Means of as many numbers as there are.
         by_distance = (1 - SSIM_WEIGHT) / dr.width(seen)
         by_similarity = -SSIM_WEIGHT / dr.width(dissimilarity)
-        gradient = self._gradient(flow, seen, slope, by_distance, by_similarity)
+        gradient = self._gradient(flow, seen, own, slope, by_distance, by_similarity)
         loss = by_distance * dr.sum(distance) - by_similarity * dr.sum(dissimilarity)
         dr.eval(error, loss)
         there = lambda array: self._arrays.to_torch(array, rendered.device)  # noqa: E731
@@ -83,33 +78,30 @@ class Target:
             there(gradient).reshape(rendered.shape),
         )
 
-    def _windows(self, seen: Any, finish: Finish) -> list[Any]:
-        """What `finish` makes of the means of an image, of its square and of its product with the target."""
+    def _frame(self) -> Any:
+        """The frame's radiance, flat."""
+        return _flat(self._arrays, self._radiance.float())
+
+    def _compared(self, seen: Any, own: Any) -> list[Any]:
+        """Per window 1 - SSIM, and SSIM's derivatives by the means of an image, its square and its product.
+
+        Args:
+            seen: the image.
+            own: the frame, and the other factor of the product.
+        """
         Float = self._arrays.plain.Float
 
         def load(index: Any, inside: Any) -> list[Any]:
-            a = dr.gather(Float, seen, index, inside)
-            return [a, a * a, a * dr.gather(Float, self._seen, index, inside)]
-
-        width, height = self._width, self._height
-        rows = blur(self._arrays, across(width, height), load)
-        return blur(self._arrays, down(width - TAPS + 1, height), self._loaded(rows), finish)
-
-    def _compared(self, seen: Any) -> list[Any]:
-        """Per window 1 - SSIM, and SSIM's derivatives by the three means of `_windows`."""
-        Float = self._arrays.plain.Float
+            a, b = dr.gather(Float, seen, index, inside), dr.gather(Float, own, index, inside)
+            return [a, a * a, a * b, b, b * b]
 
         def finish(index: Any, means: list[Any]) -> list[Any]:
-            mean, square, product = means
-            own_mean, own_variance = (
-                dr.gather(Float, self._mean, index),
-                dr.gather(Float, self._variance, index),
-            )
+            mean, square, product, own_mean, own_square = means
             zero = self._zero_at(index)
             level, own_level = mean + zero, own_mean + zero
             light = dr.fma(level, level, dr.fma(own_level, own_level, _C1))
-            contrast = dr.fma(-mean, mean, square) + own_variance + _C2
-            by_light, by_contrast = dr.rcp(light), dr.rcp(contrast)
+            variances = dr.fma(-mean, mean, square) + dr.fma(-own_mean, own_mean, own_square)
+            by_light, by_contrast = dr.rcp(light), dr.rcp(variances + _C2)
             alike = dr.fma(2 * level, own_level, _C1) * by_light
             structure = dr.fma(2, dr.fma(-mean, own_mean, product), _C2) * by_contrast
             similarity = alike * structure
@@ -118,12 +110,14 @@ class Target:
             by_mean = by_level - by_product * own_mean - 2 * by_square * mean
             return [1 - similarity, by_mean, by_square, by_product]
 
-        return self._windows(seen, finish)
+        width, height = self._width, self._height
+        rows = blur(self._arrays, across(width, height), load)
+        return blur(self._arrays, down(width - TAPS + 1, height), self._loaded(rows), finish)
 
     def _gradient(
-        self, flow: list[Any], seen: Any, slope: Any, by_distance: float, by_similarity: float
+        self, flow: list[Any], seen: Any, own: Any, slope: Any, by_distance: float, by_similarity: float
     ) -> Any:
-        """Derivative of the loss by the radiance from SSIM's derivatives by the means of `_windows`."""
+        """Derivative of the loss by the radiance from SSIM's derivatives by the means of `_compared`."""
         arrays, width, height = self._arrays, self._width, self._height
         Float, shares = (
             arrays.plain.Float,
@@ -131,7 +125,7 @@ class Target:
         )
 
         def finish(index: Any, sums: list[Any]) -> list[Any]:
-            a, b = dr.gather(Float, seen, index), dr.gather(Float, self._seen, index)
+            a, b = dr.gather(Float, seen, index), dr.gather(Float, own, index)
             by_seen = dr.fma(2 * a, sums[1], dr.fma(b, sums[2], sums[0]))
             sign = dr.select(a > b, shares[0], dr.select(a < b, -shares[0], 0))
             return [dr.fma(shares[1], by_seen, sign) * dr.gather(Float, slope, index)]

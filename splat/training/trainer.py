@@ -61,6 +61,7 @@ class TrainingSettings:
         labels: what tells which pixels move; None to take masks where frames have them.
         all_harmonics: whether Gaussians whose radiance is not seen to turn with the view keep harmonics above
             the constant one.
+        half_frames: whether frames are kept in half precision, which holds radiance up to 65,504.
 
     Raises:
         UserError: the seed is out of range.
@@ -75,6 +76,7 @@ class TrainingSettings:
     motion: MotionModel = MotionModel.KNOWN
     labels: Labels | None = None
     all_harmonics: bool = False
+    half_frames: bool = False
 
     def __post_init__(self) -> None:
         if self.iterations <= 0 or self.gaussians <= 0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,8 @@ from splat.training.sky import SKY_DISTANCE, shows_sky
 
 # Pixels of a view, about, from which medians are found.
 _SAMPLED = 4096
+# Largest number of float16.
+_LARGEST_HALF = float(np.finfo(np.float16).max)
 # Degrees from the axis up to which pixels count as equally large.
 _WIDE = 45.0
 
@@ -23,10 +26,10 @@ class TrainingView:
 
     Attributes:
         camera: the view.
-        radiance: (H, W, 3) float32, linear.
+        radiance: (H, W, 3) linear, float32 or float16.
         distance: (H, W) float32 along the ray to the visible surface; for a mirror, to where the reflected
             surface appears behind it; inf where nothing is hit.
-        normal: (H, W, 3) float32 in world space, zero where it is unknown.
+        normal: (H, W, 3) in world space, of the same type, zero where it is unknown.
         sky: distance of pixels that show the sky, and no surface; inf for a view of the world.
         time: that the view shows, from 0 to 1.
         instance: (H, W) int32, which instance that moves a pixel shows, -1 for none; None if nothing moves.
@@ -34,9 +37,9 @@ class TrainingView:
     """
 
     camera: Camera
-    radiance: NDArray[np.float32]
+    radiance: NDArray[np.floating[Any]]
     distance: NDArray[np.float32]
-    normal: NDArray[np.float32]
+    normal: NDArray[np.floating[Any]]
     sky: float = np.inf
     time: float = 0.0
     instance: NDArray[np.int32] | None = None
@@ -92,6 +95,15 @@ class TrainingView:
         return self.distance.ravel()[pixels].astype(np.float64) * narrowing / self.camera.fy
 
 
+def in_half_precision(view: TrainingView) -> TrainingView:
+    """The view with radiance and normals in half precision; what is brighter than that holds is cut there.
+
+    What is not finite remains so.
+    """
+    radiance = np.where(np.isinf(view.radiance), view.radiance, np.minimum(view.radiance, _LARGEST_HALF))
+    return replace(view, radiance=radiance.astype(np.float16), normal=view.normal.astype(np.float16))
+
+
 def place_of(views: list[TrainingView]) -> Place:
     """The coordinates for Gaussians that are trained on views: amid what these see.
 
@@ -116,7 +128,7 @@ def placed(view: TrainingView, place: Place) -> TrainingView:
     normal = view.normal
     if far.any():
         rays = view.camera.rays(view.camera.pixel_centres()).reshape(normal.shape)
-        normal = np.where(far[..., None], -rays, normal).astype(np.float32)
+        normal = np.where(far[..., None], -rays, normal).astype(normal.dtype)
     return replace(
         view,
         camera=place.camera(view.camera),

@@ -10,7 +10,7 @@ import pytest
 from compose.eye.display import DISPLAYS
 from compose.image.colour import srgb_from_radiance
 from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
-from hybrid.plan.appearance import degree_decision, range_evidence
+from hybrid.plan.appearance import HALF, SINGLE, degree_decision, frame_precision_decision
 from hybrid.plan.decision import Decision
 from hybrid.plan.detail import gaussians_decision
 from hybrid.plan.layers import layers_decision
@@ -28,8 +28,8 @@ from pathtrace.trace.tracer import Tracer
 from tests import small
 from tests.moving import moving_corner
 
-NAMES = ["motion", "region", "path depth", "roulette depth", "degree", "layers", "gaussians"]
-NAMES += ["samples", "denoising", "light"]
+NAMES = ["motion", "region", "path depth", "roulette depth", "degree", "frame precision", "layers"]
+NAMES += ["gaussians", "samples", "denoising", "light"]
 
 
 def looked(
@@ -68,13 +68,22 @@ def test_what_is_seen_from_one_point_needs_none():
     assert degree_decision(looked(glossy, parallax=1e-4)).value == 0
 
 
-def test_the_range_counts_factors_of_two():
+def test_the_range_counts_factors_of_two_and_decides_the_precision_of_frames():
     radiance = np.ones((100, 100, 3), np.float32)
     radiance[:50] = 1 / 16
-    found = range_evidence(looked(np.zeros((100, 100), dtype=int), radiance=radiance))
-    assert found == {"stops": pytest.approx(4), "largest": 1.0}
+    found = frame_precision_decision(looked(np.zeros((100, 100), dtype=int), radiance=radiance))
+    assert found.evidence == {"stops": pytest.approx(4), "largest": 1.0}
+    assert (found.value, found.gain) == (HALF, 2.0)
     dark = looked(np.zeros((4, 4), dtype=int), radiance=np.zeros((4, 4, 3), np.float32))
-    assert range_evidence(dark) == {"stops": 0.0, "largest": 0.0}
+    assert frame_precision_decision(dark).evidence == {"stops": 0.0, "largest": 0.0}
+
+
+def test_frames_of_blue_light_beyond_half_precision_are_kept_as_they_are():
+    """Its luminance, a fourteenth of it, would fit."""
+    radiance = np.zeros((10, 10, 3), np.float32)
+    radiance[2, 2, 2] = 1e5
+    found = frame_precision_decision(looked(np.zeros((10, 10), dtype=int), radiance=radiance))
+    assert (found.value, found.gain, found.evidence["largest"]) == (SINGLE, 1.0, 1e5)
 
 
 def test_a_larger_frame_can_tell_more_layers_apart():

@@ -61,9 +61,12 @@ def test_a_lamp_of_ten_thousand_widens_the_range():
         "radius": 0.1,
         "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 1e4}},
     }
-    found = evidence(planned(scene), "light")
+    plan = planned(scene)
+    found = evidence(plan, "frame precision")
     assert found["largest"] == pytest.approx(1e4, rel=0.05)
-    assert found["stops"] > evidence(planned(diffuse()), "light")["stops"]
+    assert found["stops"] > evidence(planned(diffuse()), "frame precision")["stops"]
+    # Half precision ends at 65,504.
+    assert plan.value("frame precision") == "float16"
 
 
 def test_outdoors_light_comes_from_the_sky_at_once():

@@ -25,6 +25,11 @@ def test_what_is_given_counts_then_what_is_planned_then_the_default():
     assert planned_settings(frames()) == planned_settings(None) == TrainingSettings()
 
 
+def test_frames_are_halved_if_that_is_planned():
+    assert planned_settings(frames(frame_precision="float16")).half_frames
+    assert not planned_settings(frames(frame_precision="float32")).half_frames
+
+
 def test_a_plan_says_what_the_training_made_of_it():
     found = plan_with(frames(degree=0, gaussians=9000, path_depth=4), TrainingSettings(degree=3, layers=2))
     assert found == {"degree": 3, "gaussians": 40_000, "layers": 2, "path depth": 4}

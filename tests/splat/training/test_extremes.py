@@ -16,7 +16,7 @@ from splat.raster.differentiable import render_differentiable
 from splat.training.loss import Target
 from splat.training.optimizer import GaussianOptimizer
 from splat.training.trainer import Trainer, TrainingSettings
-from splat.training.views import TrainingView
+from splat.training.views import TrainingView, in_half_precision
 from tests.extremes import extreme
 from tests.splat.samples import equal
 from tests.splat.samples import gaussians as random_gaussians
@@ -90,6 +90,11 @@ def test_a_scene_of_any_size_and_place_is_learnt_as_well(arrays, ordinary, scale
     views = [elsewhere(view, scale, offset) for view in WALLS]
     found = psnr(arrays, trained(arrays, views), elsewhere(wall(0.2), scale, offset))
     assert got(found - ordinary, "+.2f") == pytest.approx(0, abs=0.4)
+
+
+def test_frames_in_half_precision_are_learnt_as_well(arrays, ordinary):
+    found = trained(arrays, [in_half_precision(view) for view in WALLS])
+    assert psnr(arrays, found, wall(0.2)) == pytest.approx(ordinary, abs=0.4)
 
 
 @extreme(

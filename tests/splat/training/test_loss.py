@@ -29,6 +29,13 @@ def test_loss_and_gradient_equal_the_twins(arrays, shape):
     assert (rendered.grad - exact.grad).abs().max() < 1e-5 * exact.grad.abs().max()
 
 
+def test_a_frame_in_half_precision_is_compared_as_it_is(arrays):
+    rendered, target = images((18, 19, 3), largest=2.5)
+    target = target.half()
+    loss, _ = Target(arrays, target).loss(rendered)
+    assert loss.item() == pytest.approx(reference.loss(rendered.double(), target.double()).item(), abs=1e-6)
+
+
 def test_the_twins_gradient_equals_finite_differences():
     rng = np.random.default_rng(0)
     image = torch.tensor(rng.uniform(0.05, 3, (14, 13, 3)), dtype=torch.float64, requires_grad=True)

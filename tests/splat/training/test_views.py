@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splat.training.views import pixel_footprint, reduced
+from compose.image.colour import srgb_from_radiance
+from splat.training.views import in_half_precision, pixel_footprint, reduced
+from tests.extremes import extreme
 from tests.splat.training.frames import SIZE, wall
 
 
@@ -65,3 +67,30 @@ def test_the_footprint_is_that_of_the_median_distance():
     assert pixel_footprint([full, far, far]) == pytest.approx(8 / 40)
     empty = replace(full, distance=np.full_like(full.distance, np.inf))
     assert pixel_footprint([empty]) == pytest.approx(1 / 40)
+
+
+def test_half_precision_is_finer_than_a_display_of_ten_bits():
+    view = wall(0.1)
+    halved = in_half_precision(view)
+    assert halved.radiance.dtype == halved.normal.dtype == np.float16
+    seen, exact = (srgb_from_radiance(v.radiance.astype(np.float32)) for v in (halved, view))
+    assert np.abs(seen - exact).max() < 0.5 / 1023
+    np.testing.assert_array_equal(halved.distance, view.distance)
+    assert reduced(halved, 2).radiance.dtype == np.float16
+
+
+@extreme(
+    "training frames in half precision",
+    given="radiance 1e6, infinite and NaN",
+    expected="cut at 65,504; what is not finite remains so",
+)
+def test_what_half_precision_does_not_hold_is_cut_there(got):
+    view = wall(0.1)
+    radiance = view.radiance.copy()
+    radiance[0, :3] = [[1e6] * 3, [np.inf] * 3, [np.nan] * 3]
+    halved = in_half_precision(replace(view, radiance=radiance))
+    assert got(float(halved.radiance[0, 0, 0])) == 65504
+    assert np.isinf(halved.radiance[0, 1]).all()
+    assert np.isnan(halved.radiance[0, 2]).all()
+    assert not halved.is_finite
+    assert in_half_precision(view).is_finite
