@@ -11,7 +11,7 @@ from hybrid.plan.needs import Needs
 GAUSSIANS, FIXED_GAUSSIANS = "gaussians", 40_000
 _ROUNDED = 100
 # Fewer than this share of them show in shades that no edge or texture tells of.
-_LEAST = 0.5
+_LEAST = 0.6
 
 
 def gaussians_decision(look: Look, breadth: float) -> Decision:

@@ -26,7 +26,7 @@ from splat.training.optimizer import GaussianOptimizer
 from splat.training.order import order_of_views
 from splat.training.sizes import largest_log_scales
 from splat.training.splitting import LEAST_STEPS, halves, too_large
-from splat.training.turning import without_unseen_turning
+from splat.training.turning import turning_as_nearest, without_unseen_turning
 from splat.training.views import TrainingView, pixel_footprint
 from splat.training.visible import visible
 
@@ -37,9 +37,10 @@ _LIT_EVERY = 100
 # How often in a training nodes are told anew which of them move; views from which, at most, and as a share of
 # the steps since the last time: each takes about as long as a step.
 _SEPARATIONS, _SEPARATING_VIEWS, _SEPARATING_SHARE = 8, 32, 0.2
-# When it is told, as a share of the steps, which nodes turn with the view: harmonics have gone most of their
-# way by then, and all nodes can still make up for those that go.
-_TURNING = 0.8
+# When it is told which nodes turn with the view, as shares of the steps, and by what share of what is visible
+# they must: while there are few, so that most never have harmonics, which have not gone far then; and when
+# these have, and all nodes can still make up for those that go.
+_TURNING = {0.3: 0.2, 0.8: 1.0}
 # Views that tell it, as a share of the steps, and their least and greatest number: short trainings have no
 # time for more. They are half as large along each side, which takes less than half of the time of a step.
 _TURNING_SHARE, _TURNING_VIEWS = 0.1, (8, 32)
@@ -96,11 +97,7 @@ class LayerTraining:
         self._separates = isinstance(motion, LearnedMotion) and self._instances > 0 and partly
 
     def begin(self, layer: Layer, final_count: int) -> None:
-        """Starts from the given nodes; density control brings their number to the final one.
-
-        All of them may turn with the view, also those that did not in an earlier training.
-        """
-        layer = replace(layer, gaussians=layer.gaussians.all_turning())
+        """Starts from the given nodes; density control brings their number to the final one."""
         self._tree, self.begun = layer, True
         self._optimizer = GaussianOptimizer(layer.gaussians, self._pixel)
         self._density = self._controlled(len(layer), final_count)
@@ -162,8 +159,9 @@ class LayerTraining:
         self.done += 1
         now = self._change_density() if due else None
         turns = self._optimizer.gaussians.degree and not self._all_harmonics
-        if turns and self.done == int(_TURNING * self._steps):
-            self._keep_turning()
+        for share, least in _TURNING.items():
+            if turns and self.done == int(share * self._steps):
+                self._keep_turning(least)
         if due or self.done % _LIT_EVERY == 0:
             self._follow_light()
         return now
@@ -201,12 +199,12 @@ class LayerTraining:
         self._optimizer.replace(self._tree.gaussians, torch.arange(len(self._tree)))
         return evidence
 
-    def _keep_turning(self) -> None:
-        """Leaves harmonics above the constant one to those nodes whose radiance is seen to turn."""
+    def _keep_turning(self, least: float) -> None:
+        """Leaves harmonics to those nodes whose radiance is seen to turn, by a share of what is visible."""
         count = min(len(self.views), int(np.clip(_TURNING_SHARE * self._steps, *_TURNING_VIEWS)))
         chosen = np.random.default_rng([*self._seed, 4]).choice(len(self.views), count, False)
         views = [_smaller(self.views[index]) for index in sorted(chosen)]
-        gaussians = without_unseen_turning(self._arrays, self._optimizer.gaussians, views, self._shown)
+        gaussians = without_unseen_turning(self._arrays, self._optimizer.gaussians, views, self._shown, least)
         self._tree = replace(self._tree, gaussians=gaussians)
         self._optimizer.replace(gaussians, torch.arange(len(gaussians)))
 
@@ -215,6 +213,7 @@ class LayerTraining:
         rng = np.random.default_rng([*self._seed, 1, self.done])
         before = self.layer
         kept, added = self._density.change(before.gaussians, self.views, rng, self._measured)
+        added = replace(added, gaussians=turning_as_nearest(added.gaussians, before.gaussians))
         if self._light is not None and self._steps >= LEAST_STEPS:
             kept, added = self._split(self._light.surface, before, kept, added)
         return self._continue_with(kept, [added])

@@ -169,6 +169,8 @@ class Trainer:
             known = seed_from_views(views, first, settings.degree, rng, self.motion, lit)
         else:
             known = without_parents(start.layers[-1])
+            # All may turn with the view, also those that did not in the earlier training.
+            known = replace(known, gaussians=known.gaussians.all_turning())
         self._layers[-1].begin(known, max(settings.gaussians, len(known)))
 
     def run(self, progress: Callable[[int], None] = lambda done: None, until: int | None = None) -> None:

@@ -13,6 +13,7 @@ from typing import Protocol
 
 import numpy as np
 import torch
+from scipy.spatial import cKDTree
 
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
@@ -81,17 +82,32 @@ def turning_of(
 
 
 def without_unseen_turning(
-    arrays: Arrays, gaussians: Gaussians, views: Sequence[SeenView], shown: Callable[[float], Gaussians]
+    arrays: Arrays,
+    gaussians: Gaussians,
+    views: Sequence[SeenView],
+    shown: Callable[[float], Gaussians],
+    least: float = 1.0,
 ) -> Gaussians:
     """Gaussians, of which only those whose radiance visibly turns keep harmonics above the constant one.
 
-    Arguments as of `turning_of`.
+    Args:
+        arrays, gaussians, views, shown: as of `turning_of`.
+        least: share of what is visible by which it must turn.
     """
     gaussians = apart(gaussians)
     assert gaussians.directional is not None
     index = gaussians.directional.index
     found = turning_of(arrays, gaussians, views, shown)
-    dropped = found.deviation < _LEAST_DEVIATION
+    dropped = found.deviation < least * _LEAST_DEVIATION
     constant = gaussians.sh[0].index_add(1, index[dropped], found.mean[:, dropped] / SH_DC)
     kept = torch.zeros(len(gaussians), dtype=torch.bool).index_fill(0, index[~dropped], True)
     return replace(gaussians, sh=constant[None]).turning(kept)
+
+
+def turning_as_nearest(new: Gaussians, known: Gaussians) -> Gaussians:
+    """New Gaussians, of which those keep harmonics above the constant one whose nearest known one has any."""
+    if known.directional is None or not len(new) or not new.degree:
+        return new
+    _, nearest = cKDTree(known.means.numpy().T).query(new.means.numpy().T)
+    turns = known.directional.slots(len(known)) >= 0
+    return new.turning(turns[torch.from_numpy(nearest)])

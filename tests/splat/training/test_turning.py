@@ -14,7 +14,7 @@ from splat.model.gaussians import SH_LINEAR, Gaussians
 from splat.raster.differentiable import render_differentiable
 from splat.separation.contribution import contributions
 from splat.training.trainer import Trainer, TrainingSettings
-from splat.training.turning import turning_of, without_unseen_turning
+from splat.training.turning import turning_as_nearest, turning_of, without_unseen_turning
 from splat.training.views import TrainingView
 from tests.splat.training.frames import SIZE, made, pose
 
@@ -116,3 +116,15 @@ def test_an_earlier_training_decides_nothing_for_a_later_one(arrays, trained):
     again = Trainer(arrays, [wall(x) for x in EYES], trained.settings, forest)
     begun = again.state()[0]["1.directional.values"]
     assert begun.shape[1] == len(forest.finest)
+
+
+def test_a_new_gaussian_may_turn_if_the_nearest_one_does():
+    known = two(0.1).turning(torch.tensor([True, False]))
+    new = replace(two(0.0), means=torch.tensor([[0.2, -0.4], [0.1, 0.1], [0.0, 0.0]]))
+    found = turning_as_nearest(new, known)
+    assert found.degree == new.degree
+    assert found.directional is not None
+    assert found.directional.index.tolist() == [1]
+    # Nobody has told yet, or there is nothing to tell of.
+    assert turning_as_nearest(new, two(0.1)) is new
+    assert turning_as_nearest(Gaussians.none(1), known).directional is None
