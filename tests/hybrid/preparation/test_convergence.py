@@ -16,7 +16,7 @@ def test_the_time_follows_from_what_doubling_the_samples_brought():
 
 
 def test_frames_that_hardly_gain_take_long_but_not_forever():
-    passes = [Pass(4, 25.0, 10.0), Pass(8, 24.9, 20.0)]
+    passes = [Pass(4, CONVERGED_DB - 9, 10.0), Pass(8, CONVERGED_DB - 9.1, 20.0)]
     assert 20 * 2**18 < converging_seconds(passes) < 20 * 2**19
 
 
