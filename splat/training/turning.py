@@ -105,9 +105,17 @@ def without_unseen_turning(
 
 
 def turning_as_nearest(new: Gaussians, known: Gaussians) -> Gaussians:
-    """New Gaussians, of which those keep harmonics above the constant one whose nearest known one has any."""
-    if known.directional is None or not len(new) or not new.degree:
+    """New Gaussians, of which those keep harmonics above the constant one whose nearest known one has any.
+
+    Known ones whose centres are not finite count as none: they are about to be removed.
+    """
+    further = known.directional
+    # Where all have them, as long as nobody has told, there is nothing to look up.
+    if further is None or len(further) == len(known) or not len(new) or not new.degree:
         return new
-    _, nearest = cKDTree(known.means.numpy().T).query(new.means.numpy().T)
-    turns = known.directional.slots(len(known)) >= 0
-    return new.turning(turns[torch.from_numpy(nearest)])
+    there = torch.nonzero(known.means.isfinite().all(dim=0))[:, 0]
+    if not len(there):
+        return new
+    _, nearest = cKDTree(known.means[:, there].numpy().T).query(new.means.numpy().T)
+    turns = further.slots(len(known)) >= 0
+    return new.turning(turns[there[torch.from_numpy(nearest)]])

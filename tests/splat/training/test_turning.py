@@ -10,7 +10,7 @@ import torch
 
 from compose.camera.camera import camera_from_pose
 from splat.model.forest import forest_of
-from splat.model.gaussians import SH_LINEAR, Gaussians
+from splat.model.gaussians import SH_LINEAR, Gaussians, apart
 from splat.raster.differentiable import render_differentiable
 from splat.separation.contribution import contributions
 from splat.training.trainer import Trainer, TrainingSettings
@@ -127,4 +127,16 @@ def test_a_new_gaussian_may_turn_if_the_nearest_one_does():
     assert found.directional.index.tolist() == [1]
     # Nobody has told yet, or there is nothing to tell of.
     assert turning_as_nearest(new, two(0.1)) is new
+    assert turning_as_nearest(new, apart(two(0.1))) is new
     assert turning_as_nearest(Gaussians.none(1), known).directional is None
+
+
+def test_a_known_gaussian_that_is_not_finite_decides_nothing():
+    known = two(0.1).turning(torch.tensor([True, False]))
+    new = replace(two(0.0), means=torch.tensor([[0.2, -0.4], [0.1, 0.1], [0.0, 0.0]]))
+    lost = replace(known, means=known.means.clone().index_fill(1, torch.tensor([0]), float("nan")))
+    found = turning_as_nearest(new, lost)
+    assert found.directional is not None
+    assert not len(found.directional)
+    nowhere = replace(known, means=torch.full_like(known.means, float("nan")))
+    assert turning_as_nearest(new, nowhere) is new
