@@ -10,8 +10,6 @@ from hybrid.plan.needs import Needs
 # Gaussians of the finest layer where nothing is known of a scene.
 GAUSSIANS, FIXED_GAUSSIANS = "gaussians", 40_000
 _ROUNDED = 100
-# Fewer than this share of them show in shades that no edge or texture tells of.
-_LEAST = 0.6
 
 
 def gaussians_decision(look: Look, breadth: float) -> Decision:
@@ -21,7 +19,8 @@ def gaussians_decision(look: Look, breadth: float) -> Decision:
         look: at the scene; its larger frames tell how much of them shows detail.
         breadth: how many times as many views as the default region the region takes.
     """
-    needs = Needs(breadth, complexity_of(look.denoised))
-    count = round(FIXED_GAUSSIANS * max(needs.gaussians, _LEAST) / _ROUNDED) * _ROUNDED
-    evidence = {"complexity": needs.complexity, "breadth": breadth, "frames": len(look.denoised)}
+    complexity = complexity_of(look.denoised)
+    needs = Needs.of(breadth, complexity)
+    count = round(FIXED_GAUSSIANS * needs.gaussians / _ROUNDED) * _ROUNDED
+    evidence = {"complexity": complexity, "breadth": breadth, "frames": len(look.denoised)}
     return Decision(GAUSSIANS, count, FIXED_GAUSSIANS, evidence, FIXED_GAUSSIANS / count, "Gaussians")

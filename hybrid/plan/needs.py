@@ -7,8 +7,9 @@ from dataclasses import dataclass
 # What there is to model grows with this power of the views that a region takes: some surfaces take many views
 # to be seen at all, behind and between things.
 _SURFACES = 0.7
-# The same with the share of the frames that shows edges and texture, within a range that was tried.
-_DETAIL, _LEAST_GAUSSIANS, _MOST_GAUSSIANS = 0.7, 0.25, 1.5
+# The same with the share of the frames that shows edges and texture, within a range that was tried: fewer
+# Gaussians than 0.6 times those of `room` show in shades that no edge or texture tells of.
+_DETAIL, _LEAST_DETAIL, _MOST_DETAIL = 0.7, 0.6, 1.5
 
 
 @dataclass(frozen=True)
@@ -17,14 +18,23 @@ class Needs:
 
     Attributes:
         breadth: views of the region until little is unseen.
-        complexity: share of the frames that shows edges and texture; 1 before there are frames.
+        detail: Gaussians for equal breadth.
     """
 
     breadth: float = 1.0
-    complexity: float = 1.0
+    detail: float = 1.0
+
+    @staticmethod
+    def of(breadth: float, complexity: float) -> Needs:
+        """As the breadth of a region and the complexity of its frames (hybrid.plan.complexity) tell."""
+        return Needs(breadth, min(max(complexity**_DETAIL, _LEAST_DETAIL), _MOST_DETAIL))
+
+    @staticmethod
+    def of_gaussians(breadth: float, gaussians: float) -> Needs:
+        """Those of a region of some breadth that takes so many Gaussians."""
+        return Needs(breadth, gaussians / breadth**_SURFACES)
 
     @property
     def gaussians(self) -> float:
         """Gaussians that they take."""
-        detail = min(max(self.complexity**_DETAIL, _LEAST_GAUSSIANS), _MOST_GAUSSIANS)
-        return self.breadth**_SURFACES * detail
+        return self.breadth**_SURFACES * self.detail

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -30,14 +29,14 @@ class Planner:
         settings: what was asked for.
         journal: of the job.
         clock: of the job.
-        breadth: of the region (hybrid.preparation.views.breadth_of).
+        needs: of the region and the scene.
 
     Attributes:
         stages: those begun.
     """
 
-    def __init__(self, settings: PreparationSettings, journal: Journal, clock: Clock, breadth: float):
-        self._settings, self._journal, self._clock, self._breadth = settings, journal, clock, breadth
+    def __init__(self, settings: PreparationSettings, journal: Journal, clock: Clock, needs: Needs):
+        self._settings, self._journal, self._clock, self._needs = settings, journal, clock, needs
         self.stages: list[Stage] = []
 
     def begin(self, curve: list[dict[str, Any]]) -> bool:
@@ -52,17 +51,6 @@ class Planner:
             self._journal.once(f"began {number}", self._clock.seconds)
             self.stages.append(Stage(**planned))
         return bool(planned)
-
-    def look(self, complexity: Callable[[], float]) -> None:
-        """Takes down what the first frames show, as of `Needs`: later stages have Gaussians for it."""
-        self._journal.once("complexity", complexity)
-
-    @property
-    def needs(self) -> Needs:
-        """Of the region and the scene, as far as known."""
-        if "complexity" not in self._journal:
-            return Needs(self._breadth)
-        return Needs(self._breadth, self._journal["complexity"])
 
     def steps(self) -> int:
         """Training steps of the last stage, for which its frames have left the time."""
@@ -108,7 +96,7 @@ class Planner:
         if left is not None and f"light seconds {number - 1}" in self._journal:
             # What it depends on, Gaussians and times, grows little from stage to stage.
             left -= self._journal[f"light seconds {number - 1}"]
-        stage = next_stage(self.stages, self.needs, self._pace(), left)
+        stage = next_stage(self.stages, self._needs, self._pace(), left)
         return asdict(stage) if stage else None
 
     def _is_enough(self, number: int, psnr: list[float]) -> bool:

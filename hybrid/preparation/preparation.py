@@ -12,9 +12,11 @@ import numpy as np
 from compose.base.errors import UserError
 from hybrid.frame.irradiance import cache_for
 from hybrid.plan.breadth import breadth_of
-from hybrid.plan.complexity import complexity_of
+from hybrid.plan.detail import FIXED_GAUSSIANS, GAUSSIANS
 from hybrid.plan.layers import LAYERS
-from hybrid.plan.samples import CONVERGED_DB
+from hybrid.plan.needs import Needs
+from hybrid.plan.region import REGION
+from hybrid.plan.samples import CONVERGED_DB, SAMPLES
 from hybrid.preparation.clamping import clamping_bias
 from hybrid.preparation.clock import Clock
 from hybrid.preparation.convergence import Pass, converging_seconds
@@ -35,7 +37,7 @@ from pathtrace.dataset.frames import FrameSet, read_frame_set
 from pathtrace.dataset.growing import GrowingFrames
 from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.dataset.views import unseen_time
-from pathtrace.region.region import Region, region_of
+from pathtrace.region.region import NEAR, Region, region_of
 from pathtrace.scene.difficulties import light_difficulties
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.surfaces import Surfaces
@@ -90,6 +92,8 @@ def prepare(
     start = time.perf_counter() if started is None else started
     for difficulty in light_difficulties(scene):
         console.print(str(difficulty), soft_wrap=True)
+    # As many samples as there is time for, where they help.
+    scene = replace(scene, plan={name: value for name, value in scene.plan.items() if name != SAMPLES})
     surfaces = Surfaces(scene)
     region = region_of(scene, surfaces, settings.region)
     planned = {"plan": dict(scene.plan)} if scene.plan else {}
@@ -121,8 +125,7 @@ class _Job:
     ):
         self._scene, self._region, self._settings = scene, region, settings
         self._bars, self._folder, self._journal, self._clock = bars, folder, journal, clock
-        breadth = journal.once("breadth", lambda: breadth_of(region, surfaces, settings.seed))
-        self._planner = Planner(settings, journal, clock, breadth)
+        self._planner = Planner(settings, journal, clock, self._needs(surfaces))
         self._passes: list[Pass] = []
         self._curve: list[dict[str, Any]] = []
 
@@ -145,6 +148,18 @@ class _Job:
         self._say_converging(facts)
         self._require_target(facts)
         return Prepared(forest, facts)
+
+    def _needs(self, surfaces: Surfaces) -> Needs:
+        """Of the region and the scene, with as many Gaussians as a plan for such a region has."""
+        plan, wanted = self._scene.plan, self._settings.region
+        find = lambda: breadth_of(self._region, surfaces, self._settings.seed)  # noqa: E731
+        breadth = self._journal.once("breadth", find)
+        if GAUSSIANS not in plan or plan[REGION] not in (wanted, NEAR):
+            return Needs(breadth)
+        # That of the default region is 1.
+        of_plan = breadth if plan[REGION] == wanted else 1.0
+        share = int(plan[GAUSSIANS]) / FIXED_GAUSSIANS
+        return replace(Needs.of_gaussians(of_plan, share), breadth=breadth)
 
     def _clamping_bias(self, bounded: Tracer, tracer: Tracer) -> float | None:
         """Share of the radiance that training frames lack because indirect light was bounded; None if not."""
@@ -184,7 +199,6 @@ class _Job:
         found = read_frame_set(frames.folder)
         light = self._light(found, stages[-1].gaussians)
         self._planner.lit()
-        self._planner.look(lambda: complexity_of(frames.every_radiance()))
         traced = self._journal.once(f"pass {number}", lambda: asdict(self._pass(frames, seconds)))
         self._passes.append(Pass(**traced))
         forest = self._trained(found, light, path, before)
@@ -268,7 +282,6 @@ class _Job:
             "region": self._region.name,
             "seconds": self._journal.once("total", self._clock.seconds),
             "gaussians": len(forest.finest),
-            "complexity": self._planner.needs.complexity,
             "views": len(samples),
             "spp": {"mean": sum(samples) / len(samples), "least": min(samples), "most": max(samples)},
             "frame_error_db": self._passes[-1].error_db,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -103,10 +103,6 @@ class GrowingFrames:
     def radiance(self, view: int) -> Image:
         """(H, W, 3) denoised radiance of a view."""
         return self._stored_frame(self._entries[view]).radiance
-
-    def every_radiance(self) -> Iterator[Image]:
-        """(H, W, 3) denoised radiance of each view, one after the other."""
-        return (self.radiance(view) for view in range(len(self.samples)))
 
     def halves(self, view: int) -> tuple[TracedImage, TracedImage]:
         """The two independent halves of a view's samples, each with the features of both."""

@@ -8,6 +8,10 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
+from hybrid.plan.detail import FIXED_GAUSSIANS, GAUSSIANS
+from hybrid.plan.region import REGION
+from hybrid.plan.samples import SAMPLES
+from hybrid.plan.values import plan_of_forest
 from hybrid.preparation import planner
 from hybrid.preparation import preparation as module
 from hybrid.preparation.preparation import prepare
@@ -51,6 +55,18 @@ def test_from_nothing_to_a_forest(scene, tmp_path):
     assert newest_forest(scene) is not None
     assert len(read_frame_set(tmp_path / "fusion").held_out) == 3
     assert prepared.forest.digest() == load_forest(tmp_path / "forest.safetensors").digest()
+
+
+@pytest.mark.parametrize(("region", "least", "most"), [("near", 250, 250), ("reachable", 251, 12 * 250)])
+def test_gaussians_are_as_planned(scene, tmp_path, region, least, most):
+    """The plan is for the default region, with half as many as where nothing is known; others take more."""
+    plan = {GAUSSIANS: FIXED_GAUSSIANS // 2, SAMPLES: 64, REGION: "near"}
+    settings = replace(DRAFT, region=region)
+    prepared = prepare(replace(scene, plan=plan), settings, no_bars, tmp_path)
+    found = plan_of_forest(prepared.forest)
+    assert least <= found[GAUSSIANS] <= most
+    assert least <= prepared.facts["gaussians"] <= most
+    assert SAMPLES not in found
 
 
 def test_further_stages_have_frames_of_a_higher_resolution(scene, tmp_path):
