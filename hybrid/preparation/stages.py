@@ -59,7 +59,8 @@ class Stage:
 
     def for_needs(self, needs: Needs) -> Stage:
         """The stage for a region and a scene other than those it is described for."""
-        return replace(self.of_breadth(needs.breadth), gaussians=round(self.gaussians * needs.gaussians))
+        gaussians = max(1, round(self.gaussians * needs.gaussians))
+        return replace(self.of_breadth(needs.breadth), gaussians=gaussians)
 
     def of_breadth(self, breadth: float) -> Stage:
         """The stage for a region that takes some times as many views to show as the default one.

@@ -69,6 +69,15 @@ def test_gaussians_are_as_planned(scene, tmp_path, region, least, most):
     assert SAMPLES not in found
 
 
+@extreme("a plan of one Gaussian", given="a preparation", expected="a forest of one Gaussian that is judged")
+def test_one_gaussian(scene, tmp_path, got):
+    plan = {GAUSSIANS: 1, REGION: "near"}
+    facts = prepare(replace(scene, plan=plan), DRAFT, no_bars, tmp_path).facts
+    got(f"{facts['gaussians']} Gaussian, {facts['splat']['psnr']:.1f} dB")
+    assert facts["gaussians"] == 1
+    assert np.isfinite(facts["splat"]["psnr"])
+
+
 def test_further_stages_have_frames_of_a_higher_resolution(scene, tmp_path):
     """The finest layer is that of frames of 64 x 64 pixels; there is one layer more."""
     prepared = prepare(scene, replace(DRAFT, quality="standard"), no_bars, tmp_path)
