@@ -19,7 +19,7 @@ _ORDINARY = 0.46
 
 
 def complexity_of(frames: Iterable[Image]) -> float:
-    """Share of frames (H, W, 3) that shows edges and texture, over that of `room`; as of `stages.Needs`."""
+    """Share of frames (H, W, 3) that shows edges and texture, over that of `room`; as of `Needs.of`."""
     return float(np.mean([detailed(frame).mean() for frame in frames]) / _ORDINARY)
 
 

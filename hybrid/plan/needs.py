@@ -29,11 +29,6 @@ class Needs:
         """As the breadth of a region and the complexity of its frames (hybrid.plan.complexity) tell."""
         return Needs(breadth, min(max(complexity**_DETAIL, _LEAST_DETAIL), _MOST_DETAIL))
 
-    @staticmethod
-    def of_gaussians(breadth: float, gaussians: float) -> Needs:
-        """Those of a region of some breadth that takes so many Gaussians."""
-        return Needs(breadth, gaussians / breadth**_SURFACES)
-
     @property
     def gaussians(self) -> float:
         """Gaussians that they take."""

@@ -12,10 +12,8 @@ import numpy as np
 from compose.base.errors import UserError
 from hybrid.frame.irradiance import cache_for
 from hybrid.plan.breadth import breadth_of
-from hybrid.plan.detail import FIXED_GAUSSIANS, GAUSSIANS
+from hybrid.plan.detail import planned_needs
 from hybrid.plan.layers import LAYERS
-from hybrid.plan.needs import Needs
-from hybrid.plan.region import REGION
 from hybrid.plan.samples import CONVERGED_DB, SAMPLES
 from hybrid.preparation.clamping import clamping_bias
 from hybrid.preparation.clock import Clock
@@ -37,7 +35,7 @@ from pathtrace.dataset.frames import FrameSet, read_frame_set
 from pathtrace.dataset.growing import GrowingFrames
 from pathtrace.dataset.settings import CaptureSettings
 from pathtrace.dataset.views import unseen_time
-from pathtrace.region.region import NEAR, Region, region_of
+from pathtrace.region.region import Region, region_of
 from pathtrace.scene.difficulties import light_difficulties
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.surfaces import Surfaces
@@ -125,7 +123,9 @@ class _Job:
     ):
         self._scene, self._region, self._settings = scene, region, settings
         self._bars, self._folder, self._journal, self._clock = bars, folder, journal, clock
-        self._planner = Planner(settings, journal, clock, self._needs(surfaces))
+        breadth = journal.once("breadth", lambda: breadth_of(region, surfaces, settings.seed))
+        needs = planned_needs(scene.plan, settings.region, breadth)
+        self._planner = Planner(settings, journal, clock, needs)
         self._passes: list[Pass] = []
         self._curve: list[dict[str, Any]] = []
 
@@ -148,18 +148,6 @@ class _Job:
         self._say_converging(facts)
         self._require_target(facts)
         return Prepared(forest, facts)
-
-    def _needs(self, surfaces: Surfaces) -> Needs:
-        """Of the region and the scene, with as many Gaussians as a plan for such a region has."""
-        plan, wanted = self._scene.plan, self._settings.region
-        find = lambda: breadth_of(self._region, surfaces, self._settings.seed)  # noqa: E731
-        breadth = self._journal.once("breadth", find)
-        if GAUSSIANS not in plan or plan[REGION] not in (wanted, NEAR):
-            return Needs(breadth)
-        # That of the default region is 1.
-        of_plan = breadth if plan[REGION] == wanted else 1.0
-        share = int(plan[GAUSSIANS]) / FIXED_GAUSSIANS
-        return replace(Needs.of_gaussians(of_plan, share), breadth=breadth)
 
     def _clamping_bias(self, bounded: Tracer, tracer: Tracer) -> float | None:
         """Share of the radiance that training frames lack because indirect light was bounded; None if not."""

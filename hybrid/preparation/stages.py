@@ -58,22 +58,17 @@ class Stage:
         return max(_LEAST_SPP, self.spp // scale**2) if 2 * scale >= self.scale else 0
 
     def for_needs(self, needs: Needs) -> Stage:
-        """The stage for a region and a scene other than those it is described for."""
-        gaussians = max(1, round(self.gaussians * needs.gaussians))
-        return replace(self.of_breadth(needs.breadth), gaussians=gaussians)
+        """The stage for a region and a scene other than those it is described for.
 
-    def of_breadth(self, breadth: float) -> Stage:
-        """The stage for a region that takes some times as many views to show as the default one.
-
-        There, forests lack views rather than samples, so that more views have fewer samples each.
+        In broad regions, forests lack views rather than samples, so that more views have fewer samples each.
         """
         return replace(
             self,
-            views=round(self.views * breadth),
-            spp=max(_LEAST_SPP, round(self.spp / breadth)),
-            gaussians=round(self.gaussians * Needs(breadth).gaussians),
-            steps=round(self.steps * breadth**0.5),
-            breadth=breadth,
+            views=round(self.views * needs.breadth),
+            spp=max(_LEAST_SPP, round(self.spp / needs.breadth)),
+            gaussians=max(1, round(self.gaussians * needs.gaussians)),
+            steps=round(self.steps * needs.breadth**0.5),
+            breadth=needs.breadth,
         )
 
     def in_time(self, share: float) -> Stage:

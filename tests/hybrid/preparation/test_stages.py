@@ -12,13 +12,13 @@ from hybrid.preparation.stages import STAGES, planned_stage
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_the_default_region_has_the_stages_as_they_are_described(stage):
-    assert stage.of_breadth(1.0) == stage
+    assert stage.for_needs(Needs()) == stage
 
 
 @pytest.mark.parametrize("breadth", [1.5, 4.0, 12.0])
 @pytest.mark.parametrize("stage", STAGES)
 def test_broad_regions_have_more_views_of_no_more_samples_in_all(stage, breadth):
-    broad = stage.of_breadth(breadth)
+    broad = stage.for_needs(Needs(breadth))
     assert broad.views == round(stage.views * breadth)
     assert stage.gaussians < broad.gaussians < stage.gaussians * breadth
     assert broad.steps > stage.steps

@@ -57,7 +57,7 @@ def test_where_frames_take_longer_than_expected_there_are_fewer_and_steps_keep_t
 def test_steps_cost_what_a_view_shows():
     """In a broad region most Gaussians are elsewhere."""
     for stage in STAGES:
-        broad = stage.of_breadth(12.0)
+        broad = stage.for_needs(Needs(12.0))
         assert broad.gaussians > 5 * stage.gaussians
         assert step_seconds(broad) == pytest.approx(step_seconds(stage), rel=0.15)
 
