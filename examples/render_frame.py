@@ -36,7 +36,7 @@ def main() -> None:
     frame = renderer.frame(settings)
     frame.save(folder / "frame.png")
     frame.save(folder / "frame.exr")
-    traced = len(frame.region.pixels)
+    traced = frame.region.count
     print(f"{folder / 'frame.png'}: {frame.milliseconds['total']:.0f} ms, {traced:,} pixels traced")
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 from collections.abc import Sequence
+from functools import lru_cache
 from types import ModuleType
 from typing import Any, Literal
 
@@ -12,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 BackendName = Literal["llvm", "cuda"]
+_NUMPY = {dr.VarType.UInt32: np.uint32, dr.VarType.Float32: np.float32, dr.VarType.Float64: np.float64}
 # Bytes. Dr.Jit compiles other kernels for arrays that do not start at a multiple of it.
 _ALIGNMENT = 64
 # So many floats lie between two places where an array may start.
@@ -99,6 +102,35 @@ class Arrays:
             shift += bits
         return order
 
+    def constant(self, value: int) -> Any:
+        """Like `number`, but made once: for values that come back frame after frame, such as sizes."""
+        return constant(self.plain.UInt, value)
+
+    def scalars(self, kind: Any, values: Sequence[float]) -> list[Any]:
+        """Numbers as arrays of a kind and of width 1 that kernels read from memory, all in one upload.
+
+        Integers must not be divided by them: lanes beyond the last read 0, and the CPU stops at 0 / 0.
+        """
+        table = uploaded(kind, np.array(values, dtype=_NUMPY[dr.type_v(kind)]))
+        # Read at a literal, each would be copied on its own.
+        start = self.constant(0)
+        return [dr.gather(kind, table, start + i) for i in range(len(values))]
+
+
+@lru_cache(maxsize=4096)
+def _constant(kind: Any, value: float) -> Any:
+    return dr.opaque(kind, value)
+
+
+# Dr.Jit complains of arrays that outlive it.
+atexit.register(_constant.cache_clear)
+
+
+def constant(kind: Any, value: float) -> Any:
+    """Array of a kind and of width 1, as of `Arrays.constant`."""
+    # Another handle: who changes his in place leaves the kept one alone.
+    return kind(_constant(kind, value))
+
 
 def uploaded(kind: Any, values: NDArray[Any]) -> Any:
     """Flat array of a kind, from a copy of numbers in host memory that have the kind's size.
@@ -110,3 +142,10 @@ def uploaded(kind: Any, values: NDArray[Any]) -> Any:
     aligned = memory[start : start + values.nbytes].view(values.dtype)
     aligned[:] = values.reshape(-1)
     return kind(aligned)
+
+
+def compressed(values: Any, mask: Any) -> Any:
+    """Those of N values whose mask is set, in order; waits for their number."""
+    chosen = dr.compress(mask)
+    # Dr.Jit refuses to index with arrays of width 0.
+    return dr.gather(type(values), values, chosen) if dr.width(chosen) else dr.zeros(type(values), 0)

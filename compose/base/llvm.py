@@ -98,6 +98,22 @@ def point_drjit_to_llvm() -> Llvm | UserError:
         llvm = find_llvm()
     except UserError as problem:
         os.environ[_PATH_VARIABLE] = os.devnull
+        _import_drjit_silently()
         return problem
     os.environ[_PATH_VARIABLE] = str(llvm.path)
     return llvm
+
+
+def _import_drjit_silently() -> None:
+    """Loads Dr.Jit, which complains of the missing LLVM to the process's standard error, not to Python's."""
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        import drjit
+
+        drjit.has_backend(drjit.JitBackend.LLVM)
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)

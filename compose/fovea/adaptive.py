@@ -6,11 +6,13 @@ is wrong, and only samples can tell which.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
+from typing import Any
 
-from compose.image.colour import Image, srgb_from_radiance
+import drjit as dr
+import numpy as np
+
+from compose.base.arrays import Arrays
+from compose.fovea.counts import Counts
 
 # Least and greatest worth of a pixel, relative to the mean.
 _LEAST, _MOST = 0.15, 5.0
@@ -25,58 +27,106 @@ _WINDOW = 5  # pixels
 _POWER = 0.8
 
 
-def disagreement(denoised: Image, splat: Image) -> NDArray[np.float32]:
-    """(H, W) worth of further samples: how much two images (H, W, 3) differ in sRGB, over 5 x 5 pixels.
+def disagreement(arrays: Arrays, denoised: list[Any], splat: list[Any], shape: tuple[int, int]) -> Any:
+    """Float (h * w,), worth of further samples: how much two images differ in sRGB, over 5 x 5 pixels.
 
     Where one of them is not a number, nothing is known, and they count as entirely different.
+
+    Args:
+        arrays: the backend's array types.
+        denoised, splat: three channels each, Floats (h * w,) of linear radiance.
+        shape: (h, w), at least one pixel.
     """
-    difference = ((srgb_from_radiance(denoised) - srgb_from_radiance(splat)) ** 2).mean(axis=2)
-    # Here rather than in their mean: a running sum would carry it to the end of the row.
-    difference = np.where(np.isnan(difference), np.float32(1), difference)
-    mean = np.maximum(uniform_filter(difference, _WINDOW, mode="nearest"), 0)
-    return (np.sqrt(mean) + _FLOOR) ** _POWER
+    squares = [dr.square(_srgb(a) - _srgb(b)) for a, b in zip(denoised, splat, strict=True)]
+    difference = sum(squares) * (1 / 3)
+    difference = dr.select(dr.isnan(difference), 1, difference)
+    mean = window_sum(arrays, difference, shape, _WINDOW) * (1 / _WINDOW**2)
+    return dr.power(dr.sqrt(mean) + _FLOOR, _POWER)
 
 
-def allotted(
-    worth: NDArray[np.float32], have: NDArray[np.float32], total: int, seed: int
-) -> NDArray[np.int64]:
-    """(D,) further samples per pixel, `total` in all, that bring all pixels to what they are worth.
+def _srgb(radiance: Any) -> Any:
+    """Linear radiance clipped to 0..1, on the sRGB curve, as of compose.image.colour; NaN stays."""
+    clipped = dr.select(radiance > 1, 1, dr.select(radiance < 0, 0, radiance))
+    return dr.select(clipped <= 0.0031308, 12.92 * clipped, 1.055 * dr.power(clipped, 1 / 2.4) - 0.055)
+
+
+def window_sum(arrays: Arrays, image: Any, shape: tuple[int, int], window: int) -> Any:
+    """Float (h * w,), sums over square windows of so many pixels a side, the border repeated."""
+    Int, UInt = arrays.plain.Int, arrays.plain.UInt
+    width, height = (dr.opaque(Int, side) for side in shape[::-1])
+    index = dr.arange(Int, shape[0] * shape[1])
+    row = index // width
+    column = index - row * width
+    for axis in range(2):
+        # Only evaluated arrays can be indexed; and their sum is no function of this one's neighbours.
+        dr.eval(image)
+        total = 0.0
+        for shift in range(-(window // 2), window // 2 + 1):
+            i, j = (row, column + shift) if axis else (row + shift, column)
+            at = dr.clip(i, 0, height - 1) * width + dr.clip(j, 0, width - 1)
+            total += dr.gather(arrays.plain.Float, image, UInt(at))
+        image = total
+    return image
+
+
+def allotted(worth: Any, have: Any, total: int, seed: int) -> int | Counts:
+    """Further samples of D pixels, `total` in all, that bring all pixels to what they are worth.
 
     Pixels that already have more get none; pixels that have none get at least one.
 
     Args:
-        worth: (D,) samples that pixels should have, relative to each other; those whose worth is not finite
-            get as many as any.
-        have: (D,) samples that they have.
+        worth: Float (D,), samples that pixels should have, relative to each other; those whose worth is not
+            finite get as many as any.
+        have: Float (D,), samples that they have.
         total: 0, or at least D.
         seed: of the rounding to the whole number below or above a pixel's due, by systematic sampling.
+
+    Returns:
+        One number for all pixels if they get the same, else the number of each.
     """
+    size, wide = dr.width(have), dr.float64_array_t(type(have))
     if not total:
-        return np.zeros(len(have), dtype=np.int64)
-    worth = _relative(worth)
-    if (have == have[0]).all() and (worth == worth[0]).all() and total % len(have) == 0:
-        return np.full(len(have), total // len(have), dtype=np.int64)
-    least, most = (have < 1).astype(np.float64), _MOST_AT_ONCE * total / len(have)
-    low, high = 0.0, float((have.max() + most) / worth.min())
+        return 0
+    worth = _relative(wide, worth)
+    ends = dr.min(have), dr.max(have), dr.min(worth), dr.max(worth)
+    dr.eval(worth, ends)
+    least_have, most_have, least_worth, most_worth = (float(end[0]) for end in ends)
+    if least_have == most_have and least_worth == most_worth and total % size == 0:
+        return total // size
+    have, most = wide(have), _MOST_AT_ONCE * total / size
+    least = dr.select(have < 1, wide(1), 0)
+    low, high = dr.opaque(wide, 0.0), dr.opaque(wide, (most_have + most) / least_worth)
+    limit = dr.opaque(wide, most)
     for _ in range(_HALVINGS):
         level = 0.5 * (low + high)
-        due = np.clip(worth * level - have, least, most)
-        low, high = (level, high) if due.sum() < total else (low, level)
-    ends = np.cumsum(due, dtype=np.float64) * (total / due.sum())
-    start = np.random.default_rng(seed).random()
-    return np.diff(np.floor(np.concatenate([[0.0], ends[:-1], [total]]) + start)).astype(np.int64)
+        few = dr.sum(_due(worth, have, level, least, limit)) < total
+        low, high = dr.select(few, level, low), dr.select(few, high, level)
+        dr.eval(low, high)
+    due = _due(worth, have, 0.5 * (low + high), least, limit)
+    start = dr.opaque(wide, np.random.default_rng(seed).random())
+    end = dr.cumsum(due) * (total / dr.sum(due))
+    # Exactly the total, whatever the rounding of sums.
+    last = dr.arange(dr.uint32_array_t(wide), size) == size - 1
+    end = dr.floor(dr.select(last, dr.opaque(wide, total), end) + start)
+    dr.eval(end)
+    index = dr.arange(dr.uint32_array_t(wide), size)
+    before = dr.gather(wide, end, index - 1, index > 0)
+    # Sums of parts, whose rounding may let one fall below the one before it.
+    each = dr.uint32_array_t(type(end))(dr.maximum(end - before, 0))
+    dr.eval(each)
+    return Counts(each, total, int(most) + 2)
 
 
-def _relative(worth: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(D,) worth relative to its mean, within bounds; the most where it is not known."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        mean = worth.mean()
-    if np.isfinite(mean) and mean > 0:
-        return np.clip(worth / mean, _LEAST, _MOST)
-    known = np.isfinite(worth)
-    wide = np.where(known, worth, 0).astype(np.float64)
-    if not wide.any():
-        # Nothing says which of the known pixels are worth more.
-        return np.where(known, 1, _MOST).astype(np.float32)
-    relative = np.clip(wide / (wide.sum() / known.sum()), _LEAST, _MOST)
-    return np.where(known, relative, _MOST).astype(np.float32)
+def _due(worth: Any, have: Any, level: Any, least: Any, most: Any) -> Any:
+    """Samples (D,) that bring pixels to a level of what they are worth."""
+    return dr.clip(worth * level - have, least, most)
+
+
+def _relative(wide: Any, worth: Any) -> Any:
+    """Float64 (D,), worth relative to its mean, within bounds; the most where it is not known."""
+    known = dr.isfinite(worth)
+    finite = dr.select(known, wide(worth), 0)
+    # 0 where nothing says which of the known pixels are worth more.
+    mean = dr.sum(finite) / dr.maximum(dr.sum(dr.select(known, wide(1), 0)), 1)
+    relative = dr.select(mean > 0, dr.clip(finite / mean, _LEAST, _MOST), 1)
+    return dr.select(known, relative, _MOST)

@@ -10,10 +10,9 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.arrays import Arrays, uploaded
+from compose.base.arrays import Arrays
 from compose.fovea.movers import ALWAYS
 from compose.fovea.record import RECORD
-from compose.fovea.samples import Floats
 
 # Views that are remembered.
 MOST_VIEWS = 16
@@ -33,18 +32,18 @@ class EarlierView:
     """What was traced from one camera, for N of its pixels.
 
     Attributes:
-        records: (N, 16) (compose.fovea.record), at least one sample each.
-        position: (N, 3) of what was hit, in the world; of what moves, where that is at rest.
-        gloss: (N,) of what was hit.
-        mover: (N,) number of what was hit among what moves (compose.fovea.movers).
+        records: sixteen Floats (N,) (compose.fovea.record), at least one sample each.
+        position: three Floats (N,), of what was hit, in the world; of what moves, where that is at rest.
+        gloss: Float (N,), of what was hit.
+        mover: Float (N,), number of what was hit among what moves (compose.fovea.movers).
         viewpoint: (3,) position of the camera.
         time: that it showed, from 0 to 1.
     """
 
-    records: Floats
-    position: Floats
-    gloss: NDArray[np.uint8]
-    mover: NDArray[np.uint16]
+    records: list[Any]
+    position: list[Any]
+    gloss: Any
+    mover: Any
     viewpoint: NDArray[np.float64]
     time: float = 0.0
 
@@ -79,7 +78,7 @@ class _Known:
 class EarlierViews:
     """The samples of the last MOST_VIEWS views, one view after another in a ring.
 
-    A view is copied to the device when it is added; after that nothing moves unless the ring must grow.
+    Once a view is added, nothing of it moves unless the ring must grow.
 
     Args:
         arrays: the backend's array types.
@@ -125,7 +124,7 @@ class EarlierViews:
         now = self.moment.time
         while len({view.time, *(known.time for known in self._views)} - {now}) > MOST_MOMENTS:
             self._drop_oldest()
-        number, size, before = self._added % MOST_VIEWS, len(view.records), self.samples
+        number, size, before = self._added % MOST_VIEWS, dr.width(view.gloss), self.samples
         self._views.append(_Known(number, size, view.viewpoint, view.time))
         self._added += 1
         if before + size > self._room:
@@ -176,16 +175,12 @@ class EarlierViews:
             self._scatter(*moved)
 
     def _write(self, view: EarlierView, number: int, start: int) -> None:
-        """Copies a view's samples to the device, from an index on."""
+        """Copies a view's samples to the ring, from an index on."""
         plain = self.arrays.plain
-        size = len(view.records)
-        row = dr.arange(plain.UInt, size)
-        position, records = uploaded(plain.Float, view.position), uploaded(plain.Float, view.records)
-        tag = view.gloss.astype(np.uint32) | view.mover.astype(np.uint32) << (_GLOSS_BITS + _VIEW_BITS)
-        tag = uploaded(plain.UInt, tag) | self.arrays.number(number << _GLOSS_BITS)
-        place = [dr.gather(plain.Float, position, row * 3 + i) for i in range(3)]
-        slot = self._slot(row + self.arrays.number(start))
-        self._scatter(plain.ArrayXf([*place, plain.Float(tag)]), self._packet(records, RECORD, row), slot)
+        tag = plain.UInt(view.gloss) | plain.UInt(view.mover) << (_GLOSS_BITS + _VIEW_BITS)
+        tag |= self.arrays.number(number << _GLOSS_BITS)
+        slot = self._slot(dr.arange(plain.UInt, dr.width(tag)) + self.arrays.number(start))
+        self._scatter(plain.ArrayXf([*view.position, plain.Float(tag)]), plain.ArrayXf(view.records), slot)
 
     def _scatter(self, places: Any, records: Any, slot: Any) -> None:
         dr.scatter(self._places, places, slot, mode=dr.ReduceMode.Permute)

@@ -7,13 +7,15 @@ traced it: nothing is resampled twice, so that nothing blurs or drifts however l
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.arrays import Arrays
+from compose.base.arrays import Arrays, compressed, uploaded
 from compose.camera.camera import Camera
+from compose.fovea.disc import Disc
 from compose.fovea.earlier import EarlierView, EarlierViews
 from compose.fovea.movers import STILL, Moment
 from compose.fovea.record import (
@@ -24,13 +26,13 @@ from compose.fovea.record import (
     RADIANCE,
     RECORD,
     SQUARES,
-    add_features,
-    add_light,
-    limit,
+    limited,
     means,
+    with_features,
+    with_light,
 )
 from compose.fovea.reprojection import Reprojected, reproject
-from compose.fovea.samples import Floats, Samples
+from compose.fovea.samples import Samples
 
 # Samples, and sample positions of auxiliary features, per pixel of an earlier view: old errors fade.
 _MOST_SAMPLES = 32.0
@@ -40,7 +42,8 @@ MOST_LATER = 0.5
 # Most sample positions in a pixel over which its auxiliary features are averaged.
 _MOST_POSITIONS = 64
 # What a view knows of a pixel besides what adds up: of what its first sample hit, position, gloss and mover.
-_HIT = 5
+# Three floats are spare.
+_HIT = 8
 _POINT, _GLOSS, _MOVER = slice(0, 3), 3, 4
 # Columns of a view's records and hits by their keys in saved states; files of interrupted videos contain
 # these keys.
@@ -65,18 +68,22 @@ class History:
     """
 
     def __init__(self, arrays: Arrays):
+        self._arrays = arrays
         self._view: _View | None = None
         self._earlier = EarlierViews(arrays)
         # What the earlier views contribute to the current one.
         self._past: Reprojected | None = None
 
     def state(self) -> dict[str, NDArray[np.generic]]:
-        """Arrays from which `restored` continues: those of the current view, without earlier views."""
+        """Host arrays from which `restored` continues: those of the current view, without earlier views."""
         view = self._view
         if view is None:
             return {}
-        known = {key: view.records[:, column] for key, column in _SAVED_RECORDS.items()}
-        known |= {key: view.hits[:, column] for key, column in _SAVED_HITS.items()}
+        records, hits = (
+            np.asarray(table).reshape(-1, size) for table, size in ((view.records, RECORD), (view.hits, _HIT))
+        )
+        known = {key: records[:, column] for key, column in _SAVED_RECORDS.items()}
+        known |= {key: hits[:, column] for key, column in _SAVED_HITS.items()}
         known = {key: values.copy() for key, values in known.items()}
         known |= {key: known[key].astype(kind) for key, kind in _SAVED_TYPES.items()}
         moment = {"time": np.array([view.moment.time]), "poses": view.moment.poses}
@@ -90,30 +97,36 @@ class History:
         if "time" in state:
             history.show(Moment(float(state["time"][0]), state["poses"].astype(np.float64)))  # type: ignore[arg-type]
         pattern = int(state["pattern"][0])  # type: ignore[call-overload]
-        view = history._view = _View.of(camera, history._earlier.moment, pattern)
+        view = history._view = _View(arrays, camera, history._earlier.moment, pattern)
+        size = camera.width * camera.height
+        records, hits = (np.zeros((size, width), dtype=np.float32) for width in (RECORD, _HIT))
         for key, column in _SAVED_RECORDS.items():
-            view.records[:, column] = state[key]
+            records[:, column] = state[key]
         for key, column in _SAVED_HITS.items():
-            view.hits[:, column] = state.get(key, STILL)
-        view.known[:] = (view.records[:, COUNT] > 0) | (view.records[:, POSITIONS] > 0)
+            hits[:, column] = state.get(key, STILL)
+        view.records, view.hits = (uploaded(arrays.plain.Float, table) for table in (records, hits))
+        known = (records[:, COUNT] > 0) | (records[:, POSITIONS] > 0)
+        view.known = arrays.plain.Bool(known)
         return history
 
     def show(self, moment: Moment) -> None:
         """Says which moment is seen from now on."""
         self._earlier.moment = moment
 
-    def sampled(self, camera: Camera, pixels: NDArray[np.uint32], seed: int) -> tuple[NDArray[np.int64], int]:
-        """(D,) number of samples that pixels (D,) have from this very camera, and the seed of their pattern.
+    def sampled(self, camera: Camera, pixels: Any, seed: int) -> tuple[Any, int]:
+        """UInt, samples that pixels (D,) have from this very camera, and the seed of their pattern.
 
         With these the tracer places further samples where earlier ones left gaps. A camera without samples
-        has the seed that is passed in.
+        has 0, one number for all, and the seed that is passed in.
         """
         view = self._view_of(camera)
         if view is None:
-            return np.zeros(len(pixels), dtype=np.int64), seed
-        return view.records[pixels, COUNT].astype(np.int64), view.pattern
+            return 0, seed
+        count = self._arrays.plain.UInt(dr.gather(type(view.records), view.records, pixels * RECORD))
+        dr.eval(count)
+        return count, view.pattern
 
-    def unseen(self, camera: Camera, pixels: NDArray[np.uint32], positions: int) -> NDArray[np.uint32]:
+    def unseen(self, camera: Camera, pixels: Any, positions: int) -> Any:
         """Those of some pixels whose auxiliary features should be traced (again).
 
         They are means over fewer sample positions than `positions`, or than the pixel has samples, up to 64.
@@ -121,14 +134,15 @@ class History:
         view = self._view_of(camera)
         if view is None:
             return pixels
-        known = self._records(view, pixels)
-        wanted = np.clip(known[:, COUNT], positions, _MOST_POSITIONS)
+        own = view.record(pixels)
+        known = self._with_past(view, own, pixels)
+        wanted = dr.clip(known[COUNT], positions, _MOST_POSITIONS)
         # Half a position: numbers of earlier views, which are scaled, are rounded.
-        lacking = known[:, POSITIONS] < wanted - 0.5
+        lacking = known[POSITIONS] < wanted - 0.5
         # What earlier views show is not where this one's samples hit.
-        return pixels[lacking | (view.records[pixels, POSITIONS] == 0)]
+        return compressed(pixels, lacking | (own[POSITIONS] == 0))
 
-    def see(self, camera: Camera, seen: Samples, positions: int, seed: int) -> None:
+    def see(self, camera: Camera, seen: Samples, positions: int, seed: int, disc: Disc) -> None:
         """Makes the camera's view the current one, and adds auxiliary features of it.
 
         Args:
@@ -136,18 +150,20 @@ class History:
             seen: some pixels with newly traced auxiliary features; their light does not count.
             positions: number of sample positions of which these features are means.
             seed: of the samples to come.
+            disc: in which the pixels lie.
         """
-        self._view = self._entered(camera, seen, seed)
-        self._view.add_features(seen, positions)
+        self._view = self._entered(camera, seen, seed, disc)
+        if seen.size:
+            self._view.add_features(seen, positions)
 
-    def recall(self, pixels: NDArray[np.uint32]) -> Samples:
+    def recall(self, pixels: Any) -> Samples:
         """What is known of pixels (D,) of the current view, all of which have been seen."""
         view = self._current()
-        count, radiance, squares, albedo, normal = means(self._records(view, pixels))
-        hits = view.hits.take(pixels, axis=0)
-        gloss = hits[:, _GLOSS].astype(np.uint8)
-        mover = hits[:, _MOVER].astype(np.uint16)
-        return Samples(pixels, count, radiance, squares, albedo, normal, hits[:, _POINT], gloss, mover)
+        known = means(self._with_past(view, view.record(pixels), pixels))
+        hits = view.hit(pixels)
+        recalled = Samples(pixels, *known, hits[_POINT], hits[_GLOSS], hits[_MOVER])
+        dr.eval(recalled)
+        return recalled
 
     def remember(self, new: Samples) -> None:
         """Adds samples of the current view."""
@@ -157,12 +173,12 @@ class History:
         assert self._view is not None, "nothing was seen"
         return self._view
 
-    def _records(self, view: _View, pixels: NDArray[np.uint32]) -> Floats:
-        """(D, 16) records of pixels of the current view, what earlier views contribute to them included."""
-        records = view.records.take(pixels, axis=0)
-        if self._past is not None:
-            records += self._past.at(*np.divmod(pixels, np.uint32(view.camera.width)))
-        return records
+    def _with_past(self, view: _View, records: list[Any], pixels: Any) -> list[Any]:
+        """Records of pixels (D,) of the current view with what earlier views contribute to them."""
+        if self._past is None:
+            return records
+        past = self._past.at(pixels, view.camera.width)
+        return [own + more for own, more in zip(records, past, strict=True)]
 
     def _view_of(self, camera: Camera) -> _View | None:
         """The current view if it is this camera's at this time."""
@@ -171,82 +187,100 @@ class History:
             return None
         return view
 
-    def _entered(self, camera: Camera, seen: Samples, seed: int) -> _View:
+    def _entered(self, camera: Camera, seen: Samples, seed: int, disc: Disc) -> _View:
         """The camera's view now; the view before it, if of the same size, becomes an earlier one."""
         view = self._view
         if view is None or (view.camera.width, view.camera.height) != (camera.width, camera.height):
             self._earlier.clear()
             self._past = None
-            view = _View.of(camera, self._earlier.moment, seed)
+            view = _View(self._arrays, camera, self._earlier.moment, seed)
         elif self._view_of(camera) is None:
             self._earlier.add(view.as_earlier(self._earlier.moment))
-            self._past = reproject(self._earlier, camera, seen)
+            assert disc.box is not None, "a view is entered with a pixel of it"
+            self._past = reproject(self._earlier, camera, seen, disc.box)
             view.begin(camera, self._earlier.moment, seed)
         return view
 
 
-@dataclass
 class _View:
     """What has been traced from one camera, for all N = H * W pixels.
 
-    Attributes:
+    Args:
+        arrays: the backend's array types.
         camera: the view.
         moment: that it shows.
         pattern: seed of the pattern of its samples.
-        records: (N, 16) (compose.fovea.record).
-        hits: (N, 5) position, class of gloss and mover of what the first sample hit.
-        known: (N,) pixels of which anything is known.
+
+    Attributes:
+        records: flat Float, N records (compose.fovea.record).
+        hits: flat Float, for each pixel position, class of gloss and mover of what the first sample hit.
+        known: Bool (N,), pixels of which anything is known.
     """
 
-    camera: Camera
-    moment: Moment
-    pattern: int
-    records: Floats
-    hits: Floats
-    known: NDArray[np.bool_]
-
-    @staticmethod
-    def of(camera: Camera, moment: Moment, pattern: int) -> _View:
-        """A view from which nothing has been traced yet."""
+    def __init__(self, arrays: Arrays, camera: Camera, moment: Moment, pattern: int):
+        self._arrays, self.camera, self.moment, self.pattern = arrays, camera, moment, pattern
         size = camera.width * camera.height
-        records, hits = (np.zeros((size, width), dtype=np.float32) for width in (RECORD, _HIT))
-        return _View(camera, moment, pattern, records, hits, np.zeros(size, dtype=bool))
+        self.records, self.hits = (dr.zeros(arrays.plain.Float, width * size) for width in (RECORD, _HIT))
+        self.known = dr.zeros(arrays.plain.Bool, size)
+
+    def record(self, pixels: Any) -> list[Any]:
+        """Sixteen Floats (D,), the records of pixels."""
+        return self._packet(self.records, RECORD, pixels)
+
+    def hit(self, pixels: Any) -> list[Any]:
+        """Eight Floats (D,), what the first samples of pixels hit."""
+        return self._packet(self.hits, _HIT, pixels)
+
+    def _packet(self, table: Any, size: int, index: Any) -> list[Any]:
+        found = list(dr.gather(self._arrays.plain.ArrayXf, table, index, shape=(size, dr.width(index))))
+        # What still waits to be read from a table would have all of it copied when it is written.
+        dr.eval(found)
+        return found
+
+    def _write(self, table: Any, values: list[Any], index: Any, active: Any = True) -> None:
+        dr.scatter(table, self._arrays.plain.ArrayXf(values), index, active, mode=dr.ReduceMode.Permute)
 
     def begin(self, camera: Camera, moment: Moment, pattern: int) -> None:
         """Becomes the view of another camera or moment, of which nothing has been traced yet.
 
         The memory stays: as much of it anew in each frame takes longer than all that is written to it.
         """
-        pixels = np.flatnonzero(self.known)
-        self.records[pixels] = self.hits[pixels] = 0
-        self.known[pixels] = False
+        plain, pixels = self._arrays.plain, dr.compress(self.known)
+        if dr.width(pixels):
+            for table, size in ((self.records, RECORD), (self.hits, _HIT)):
+                self._write(table, [plain.Float(0)] * size, pixels)
+            dr.scatter(self.known, plain.Bool(False), pixels)
+            dr.eval(self.records, self.hits, self.known)
         self.camera, self.moment, self.pattern = camera, moment, pattern
 
     def add_features(self, seen: Samples, positions: int) -> None:
         """Adds auxiliary features."""
-        pixels = seen.pixels
-        records = self.records.take(pixels, axis=0)
-        first = np.flatnonzero(records[:, POSITIONS] == 0)
-        self.hits[pixels[first]] = np.column_stack(
-            [seen.position[first], seen.gloss[first], seen.mover[first]]
-        )
-        add_features(records, seen, positions)
-        self.records[pixels] = records
-        self.known[pixels] = True
+        records = self.record(seen.pixels)
+        first = records[POSITIONS] == 0
+        nothing = self._arrays.plain.Float(0)
+        hit = [*seen.position, seen.gloss, seen.mover, *[nothing] * (_HIT - 5)]
+        number = self._arrays.plain.Float(self._arrays.constant(positions))
+        self._write(self.hits, hit, seen.pixels, first)
+        self._write(self.records, with_features(records, seen, number), seen.pixels)
+        dr.scatter(self.known, self._arrays.plain.Bool(True), seen.pixels)
+        dr.eval(self.records, self.hits, self.known)
 
     def add_light(self, new: Samples) -> None:
         """Adds samples of radiance."""
-        records = self.records.take(new.pixels, axis=0)
-        add_light(records, new)
-        self.records[new.pixels] = records
-        self.known[new.pixels] = True
+        self._write(self.records, with_light(self.record(new.pixels), new), new.pixels)
+        dr.scatter(self.known, self._arrays.plain.Bool(True), new.pixels)
+        dr.eval(self.records, self.known)
 
     def as_earlier(self, now: Moment) -> EarlierView:
         """The pixels that have samples, as they are worth now."""
-        pixels = np.flatnonzero(self.known)
-        pixels = pixels[self.records[pixels, COUNT] > 0]
-        records, hits = self.records.take(pixels, axis=0), self.hits.take(pixels, axis=0)
-        limit(records, _MOST_SAMPLES if now.time == self.moment.time else MOST_LATER)
-        gloss, mover = hits[:, _GLOSS].astype(np.uint8), hits[:, _MOVER].astype(np.uint16)
-        rest = self.moment.at_rest(hits[:, _POINT], mover)
-        return EarlierView(records, rest, gloss, mover, self.camera.position, self.moment.time)
+        known = dr.compress(self.known)
+        pixels = compressed(known, self.record(known)[COUNT] > 0) if dr.width(known) else known
+        viewpoint = self.camera.position
+        if not dr.width(pixels):
+            nothing = dr.zeros(self._arrays.plain.Float, 0)
+            return EarlierView([], [], nothing, nothing, viewpoint, self.moment.time)
+        most = _MOST_SAMPLES if now.time == self.moment.time else MOST_LATER
+        records, hits = limited(self.record(pixels), most), self.hit(pixels)
+        rest = self.moment.at_rest(self._arrays, hits[_POINT], hits[_MOVER])
+        dr.eval(records, rest, hits)
+        return EarlierView(records, rest, hits[_GLOSS], hits[_MOVER], viewpoint, self.moment.time)

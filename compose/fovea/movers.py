@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
+
+from compose.base.arrays import Arrays, uploaded
 
 # Numbers that samples have: of what stands still; from 1 on, of what moves rigidly; and of what deforms, or
 # is seen in a mirror, so that nobody knows where it is at another time.
@@ -25,17 +29,26 @@ class Moment:
     time: float
     poses: NDArray[np.float64]
 
-    def at_rest(self, position: NDArray[np.float32], mover: NDArray[np.uint16]) -> NDArray[np.float32]:
-        """Where points (D, 3) of movers (D,) are at rest; those that stand still or are unsteady stay."""
+    def at_rest(self, arrays: Arrays, position: list[Any], mover: Any) -> list[Any]:
+        """Where points, three Floats (D,), of movers Float (D,) are at rest.
+
+        Those that stand still or are unsteady stay.
+        """
         if len(self.poses) == 1:
             return position
-        rest = position.copy()
-        moving = np.flatnonzero((mover != STILL) & (mover != UNSTEADY))
-        pose = self.poses[mover[moving]]
-        shifted = position[moving].astype(np.float64) - pose[:, :, 3]
+        plain = arrays.plain
+        moves = (mover != STILL) & (mover != UNSTEADY)
+        row = dr.gather(
+            plain.ArrayXf64, self.table(arrays), plain.UInt(mover), moves, shape=(12, dr.width(mover))
+        )
+        shifted = [plain.Float64(at) - row[4 * i + 3] for i, at in enumerate(position)]
         # The inverse of a rotation is its transpose.
-        rest[moving] = np.einsum("nji,nj->ni", pose[:, :, :3], shifted)
-        return rest
+        rest = [sum(row[4 * i + j] * shifted[i] for i in range(3)) for j in range(3)]
+        return [dr.select(moves, plain.Float(at), own) for at, own in zip(rest, position, strict=True)]
+
+    def table(self, arrays: Arrays) -> Any:
+        """Flat Float64 of the poses."""
+        return uploaded(arrays.plain.Float64, self.poses.reshape(-1, 12))
 
 
 # Of a scene in which nothing moves.

@@ -2,7 +2,7 @@
 
 A record is sixteen floats: the number of samples, three sums of their radiance, three of its squares; the
 number of sample positions whose auxiliary features are known, three sums of their albedo, three of their
-normals; and two zeros. Kernels load it at once.
+normals; and two zeros. Kernels load it at once. Here, N records are a list of sixteen Floats (N,).
 
 Sums of squares that are beyond float32 are inf. Sums of radiance that are, which takes several samples near
 the largest float, count as that.
@@ -10,46 +10,52 @@ the largest float, count as that.
 
 from __future__ import annotations
 
+from typing import Any
+
+import drjit as dr
 import numpy as np
 
-from compose.fovea.samples import Floats, Samples
+from compose.fovea.samples import Samples
 
-# Floats of a record, and its columns.
+# Floats of a record, and which of them are what.
 RECORD = 16
 COUNT, RADIANCE, SQUARES = 0, slice(1, 4), slice(4, 7)
 POSITIONS, ALBEDO, NORMAL = 7, slice(8, 11), slice(11, 14)
-_LIGHT, _FEATURES = slice(0, 7), slice(7, 14)
+_LIGHT, _FEATURES = range(7), range(7, 14)
 # Makes 0 of 0 / 0.
-_NOTHING = np.float32(1e-6)
-_LARGEST = np.finfo(np.float32).max
+_NOTHING = 1e-6
+_LARGEST = float(np.finfo(np.float32).max)
 
 
-def add_light(records: Floats, samples: Samples) -> None:
-    """Adds the light of samples to records (D, 16)."""
-    count = samples.count[:, None]
-    records[:, COUNT] += samples.count
-    with np.errstate(over="ignore"):
-        records[:, RADIANCE] += samples.radiance * count
-        records[:, SQUARES] += samples.squares * count
+def with_light(records: list[Any], samples: Samples) -> list[Any]:
+    """Records (D,) with the light of samples added."""
+    light = [1, *samples.radiance, *samples.squares]
+    return [dr.fma(samples.count, more, own) for own, more in zip(records, light, strict=False)] + records[7:]
 
 
-def add_features(records: Floats, samples: Samples, positions: int) -> None:
-    """Adds auxiliary features, means over a number of sample positions, to records (D, 16)."""
-    records[:, POSITIONS] += positions
-    records[:, ALBEDO] += samples.albedo * positions
-    records[:, NORMAL] += samples.normal * positions
+def with_features(records: list[Any], samples: Samples, positions: Any) -> list[Any]:
+    """Records (D,) with auxiliary features added, means over a number of sample positions."""
+    features = zip(records[7:], [1, *samples.albedo, *samples.normal], strict=False)
+    return records[:7] + [own + more * positions for own, more in features] + records[14:]
 
 
-def means(records: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """(D,) counts, and (D, 3) means of radiance, squares, albedo and normal from records (D, 16)."""
-    by_count = 1 / np.maximum(records[:, COUNT, None], _NOTHING)
-    by_positions = 1 / np.maximum(records[:, POSITIONS, None], _NOTHING)
-    light = np.minimum(records[:, RADIANCE], _LARGEST) * by_count, records[:, SQUARES] * by_count
-    features = (records[:, part] * by_positions for part in (ALBEDO, NORMAL))
-    return records[:, COUNT], *light, *features
+def means(records: list[Any]) -> tuple[Any, list[Any], list[Any], list[Any], list[Any]]:
+    """Counts (D,), and three Floats (D,) each: means of radiance, squares, albedo and normal."""
+    by_count, by_positions = (1 / dr.maximum(records[of], _NOTHING) for of in (COUNT, POSITIONS))
+    radiance = [dr.minimum(total, _LARGEST) * by_count for total in records[RADIANCE]]
+    squares = [total * by_count for total in records[SQUARES]]
+    albedo, normal = ([total * by_positions for total in records[part]] for part in (ALBEDO, NORMAL))
+    return records[COUNT], radiance, squares, albedo, normal
 
 
-def limit(records: Floats, most: float) -> None:
-    """Scales records (D, 16) that stand for more samples or sample positions than `most` down to it."""
-    for number, part in ((COUNT, _LIGHT), (POSITIONS, _FEATURES)):
-        records[:, part] *= np.minimum(most / np.maximum(records[:, number, None], _NOTHING), 1)
+def limited(records: list[Any], most: float) -> list[Any]:
+    """Records (D,) that stand for more samples or sample positions than `most` scaled down to it."""
+    scales = {
+        part: dr.minimum(most / dr.maximum(records[n], _NOTHING), 1)
+        for n, part in ((COUNT, _LIGHT), (POSITIONS, _FEATURES))
+    }
+    found = list(records)
+    for part, scale in scales.items():
+        for number in part:
+            found[number] = records[number] * scale
+    return found

@@ -12,12 +12,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.arrays import Arrays, uploaded
 from compose.base.errors import UserError
 from compose.eye.gaze import Gaze
-from compose.fovea.rectangle import Rectangle
+from compose.fovea.disc import Disc
 
 # Radius of a disc that leaves no splats, whatever fov-b is, over the distance of the furthest pixel.
 _WHOLE = 1.2
@@ -53,22 +55,15 @@ class Foveation:
 
     def region(self, width: int, height: int) -> FoveaRegion:
         """The pixels and weights of this foveation on a frame of that size in pixels."""
-        gaze_x, gaze_y = self.gaze.pixel(width, height)
+        x, y = self.gaze.pixel(width, height)
         outer, inner = self.fov_a / 100 * height, self.fov_b / 100 * height
-        across, down = (max(at, side - at) - 0.5 for at, side in ((gaze_x, width), (gaze_y, height)))
+        across, down = (max(at, side - at) - 0.5 for at, side in ((x, width), (y, height)))
         furthest = float(np.hypot(across, down))
-        if outer > 0 and (outer >= _WHOLE * furthest or inner >= furthest):
-            # No periphery is left to blend with.
-            pixels = np.arange(width * height, dtype=np.uint32)
-            weights = np.ones(len(pixels), dtype=np.float32)
-        else:
-            pixels, radius = _disc(gaze_x, gaze_y, outer, width, height)
-            band = outer - inner
-            weights = np.clip((outer - radius) / band, 0, 1) if band > _THINNEST else np.ones_like(radius)
-            if outer > furthest:
-                faded = (outer - furthest) / ((_WHOLE - 1) * furthest)
-                weights += (1 - weights) * np.float32(faded)
-        return FoveaRegion(width, height, pixels, weights, (gaze_x, gaze_y), inner)
+        # No periphery is left to blend with.
+        whole = outer > 0 and (outer >= _WHOLE * furthest or inner >= furthest)
+        fades = outer > furthest and not whole
+        faded = (outer - furthest) / ((_WHOLE - 1) * furthest) if fades else 0.0
+        return FoveaRegion(width, height, (x, y), inner, outer, whole, faded)
 
 
 @dataclass(frozen=True)
@@ -77,47 +72,105 @@ class FoveaRegion:
 
     Attributes:
         width, height: frame in pixels.
-        pixels: (D,) row-major indices of the pixels to path-trace.
-        weights: (D,) weight of the path-traced radiance in each of them, 0..1; it is 0 in all other pixels.
         centre: (x, y) of the disc in pixels.
         inner: radius in pixels inside which no splats are visible.
+        outer: radius in pixels of the disc.
+        covers_frame: whether no periphery is left.
+        faded: share of the splats' weight that is left out.
     """
 
     width: int
     height: int
-    pixels: NDArray[np.uint32]
-    weights: NDArray[np.float32]
     centre: tuple[float, float]
     inner: float
+    outer: float
+    covers_frame: bool = False
+    faded: float = 0.0
 
     @cached_property
-    def covers_frame(self) -> bool:
-        """Whether no periphery is left."""
-        return len(self.pixels) == self.width * self.height and bool((self.weights == 1).all())
+    def _rows(self) -> _Rows:
+        """The disc's pixels by rows: work that grows with the frame's height only."""
+        if self.covers_frame:
+            return _Rows.all(self.width, self.height)
+        return _Rows.within(self.centre, self.outer, self.width, self.height)
+
+    @property
+    def count(self) -> int:
+        """D, the number of the disc's pixels."""
+        return self._rows.count
+
+    @cached_property
+    def pixels(self) -> NDArray[np.uint32]:
+        """(D,) row-major indices of the pixels, in host memory."""
+        counts = np.diff(np.append(self._rows.before, self.count))
+        first = (self._rows.top + np.arange(len(counts))) * self.width + self._rows.start - self._rows.before
+        return (np.arange(self.count) + np.repeat(first, counts)).astype(np.uint32)
 
     def weight_image(self) -> NDArray[np.float32]:
-        """(H, W) weight of the path-traced radiance; the weight of the splats is one minus it."""
+        """(H, W) weight of the path-traced radiance, in host memory; that of the splats is one minus it."""
         image = np.zeros(self.width * self.height, dtype=np.float32)
-        image[self.pixels] = self.weights
+        row, column = np.divmod(self.pixels, np.uint32(self.width))
+        radius = np.hypot(column + np.float32(0.5 - self.centre[0]), row + np.float32(0.5 - self.centre[1]))
+        outer, slope = self._slope
+        weight = 1.0 if self.covers_frame else np.clip((outer - radius) * slope, 0, 1)
+        image[self.pixels] = weight + (1 - weight) * self.faded
         return image.reshape(self.height, self.width)
 
-    def image_of(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(H, W, C) image of the region's values (D, C), 0 elsewhere."""
-        image = np.zeros((self.height * self.width, values.shape[1]), dtype=np.float32)
-        image[self.pixels] = values
-        return image.reshape(self.height, self.width, -1)
+    @property
+    def _slope(self) -> tuple[float, float]:
+        """Radius at which the weight is 0, and by how much it rises per pixel towards the centre."""
+        band = self.outer - self.inner
+        return (self.outer, 1 / band) if band > _THINNEST else (np.inf, 1.0)
 
-    @cached_property
-    def rectangle(self) -> Rectangle:
-        """The rectangle around the disc, which must have a pixel."""
-        return Rectangle.around(self.pixels, self.width, self.height)
+    @property
+    def box(self) -> tuple[slice, slice]:
+        """Rows and columns of the rectangle around the disc, which must have a pixel."""
+        return self._rows.box(self.width, self.height)
+
+    def disc(self, arrays: Arrays) -> Disc:
+        """The pixels and their weights on the device."""
+        plain = arrays.plain
+        if not self.count:
+            nothing = dr.zeros(plain.UInt, 0), dr.zeros(plain.Float, 0)
+            return Disc(arrays, self.width, self.height, *nothing, None, False)
+        pixels, weights = self._listed(arrays)
+        # In one kernel with what needs them first.
+        dr.schedule(pixels, weights)
+        return Disc(arrays, self.width, self.height, pixels, weights, self.box, self.covers_frame)
+
+    def _listed(self, arrays: Arrays) -> tuple[Any, Any]:
+        """Row-major indices (D,) and weights (D,), not evaluated."""
+        plain, rows = arrays.plain, self._rows
+        if self.covers_frame:
+            return dr.arange(plain.UInt, self.count), dr.full(plain.Float, 1, self.count)
+        # The number of rows is part of the kernel, so there are as many as the next power of two.
+        size = 1 << max(len(rows.before) - 1, 63).bit_length()
+        fill = size - len(rows.before)
+        table = [np.pad(rows.before, (0, fill), constant_values=self.count), np.pad(rows.start, (0, fill))]
+        ints = uploaded(plain.UInt, np.concatenate([*table, [rows.top, self.width]]).astype(np.uint32))
+        floats = uploaded(
+            plain.Float,
+            np.concatenate(
+                [np.pad(rows.down_squared, (0, fill)), [0.5 - self.centre[0], *self._slope, self.faded]]
+            ).astype(np.float32),
+        )
+        # Read at a literal, each would be copied on its own.
+        end, one = arrays.constant(size), arrays.constant(1)
+        shift, outer, slope, faded = (dr.gather(plain.Float, floats, end + i) for i in range(4))
+        top, width = (dr.gather(plain.UInt, ints, 2 * end + i) for i in range(2))
+        index = dr.arange(plain.UInt, self.count)
+        row = dr.binary_search(0, size - 1, lambda at: dr.gather(plain.UInt, ints, at + one) <= index)
+        column = dr.gather(plain.UInt, ints, size + row) + index - dr.gather(plain.UInt, ints, row)
+        across = plain.Float(column) + shift
+        radius = dr.sqrt(dr.square(across) + dr.gather(plain.Float, floats, row))
+        weight = dr.clip((outer - radius) * slope, 0, 1)
+        return (top + row) * width + column, weight + (1 - weight) * faded
 
     def foveal_tiles(self, tile: int) -> NDArray[np.bool_]:
         """(rows, columns) bool: tiles that overlap the rectangle around the disc, `tile` pixels per side."""
         tiles = np.zeros((-(-self.height // tile), -(-self.width // tile)), dtype=bool)
-        if len(self.pixels):
-            rows, columns = self.rectangle.box
-            down, across = (slice(s.start // tile, -(-s.stop // tile)) for s in (rows, columns))
+        if self.count:
+            down, across = (slice(s.start // tile, -(-s.stop // tile)) for s in self.box)
             tiles[down, across] = True
         return tiles
 
@@ -134,24 +187,60 @@ class FoveaRegion:
         return np.hypot(y[:, None], x[None, :]) >= self.inner
 
 
-def _disc(
-    x: float, y: float, radius: float, width: int, height: int
-) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
-    """Row-major indices (D,) of the pixels whose centres lie within a radius, and their distances (D,).
+@dataclass(frozen=True)
+class _Rows:
+    """Pixels of a disc, row by row.
 
-    It works row by row, because a frame has many times the disc's pixels.
+    Attributes:
+        top: first row.
+        start: (R,) first column in each row.
+        before: (R,) number of pixels in the rows above.
+        count: number of all pixels.
+        right: largest column, plus 1.
+        down_squared: (R,) squared vertical distance of each row from the centre.
     """
-    first, stop = _span(y, np.float64(radius), height)
-    down = np.arange(first, stop) + 0.5 - y
-    starts, stops = _span(x, np.sqrt(np.maximum(radius**2 - down**2, 0)), width)
-    counts = np.maximum(stops - starts, 0)
-    # int32 instead of numpy's int64: memory bandwidth limits this.
-    before = (np.cumsum(counts) - counts).astype(np.int32)
-    column = np.arange(counts.sum(), dtype=np.int32) - np.repeat(before - starts.astype(np.int32), counts)
-    pixels = column + np.repeat(np.arange(first, stop, dtype=np.int32) * width, counts)
-    across = column.astype(np.float32) + np.float32(0.5 - x)
-    radius_squared = across**2 + np.repeat((down**2).astype(np.float32), counts)
-    return pixels.view(np.uint32), np.sqrt(radius_squared)
+
+    top: int
+    start: NDArray[np.int64]
+    before: NDArray[np.int64]
+    count: int
+    right: int
+    down_squared: NDArray[np.float64]
+
+    @staticmethod
+    def all(width: int, height: int) -> _Rows:
+        """The whole frame."""
+        nothing = np.zeros(height)
+        start = nothing.astype(np.int64)
+        return _Rows(0, start, np.arange(height) * width, width * height, width, nothing)
+
+    @staticmethod
+    def within(centre: tuple[float, float], radius: float, width: int, height: int) -> _Rows:
+        """The pixels of a frame whose centres lie within a radius."""
+        x, y = centre
+        top, stop = _span(y, np.float64(radius), height)
+        down_squared = (np.arange(top, stop) + 0.5 - y) ** 2
+        starts, stops = _span(x, np.sqrt(np.maximum(radius**2 - down_squared, 0)), width)
+        counts = np.maximum(stops - starts, 0)
+        used = np.flatnonzero(counts)
+        if not len(used):
+            return _Rows(0, starts[:0], starts[:0], 0, 0, down_squared[:0])
+        # Rows without a pixel, at the ends only, are left out.
+        rows = slice(int(used[0]), int(used[-1]) + 1)
+        counts = counts[rows]
+        before = np.cumsum(counts) - counts
+        right = int((starts[rows] + counts).max())
+        return _Rows(
+            int(top) + rows.start, starts[rows], before, int(counts.sum()), right, down_squared[rows]
+        )
+
+    def box(self, width: int, height: int) -> tuple[slice, slice]:
+        """Rows and columns of the rectangle around the pixels.
+
+        Its sides are even where the frame allows it, since the fusion judges blocks of 2 x 2 pixels.
+        """
+        rows = _evenly(self.top, self.top + len(self.start), height)
+        return rows, _evenly(int(self.start.min()), self.right, width)
 
 
 def _span(centre: float, half: Any, size: int) -> tuple[Any, Any]:
@@ -159,3 +248,12 @@ def _span(centre: float, half: Any, size: int) -> tuple[Any, Any]:
     ends = np.floor(centre - half - 0.5) + 1, np.ceil(centre + half - 0.5)
     first, stop = (np.clip(end, 0, size).astype(np.int64) for end in ends)
     return first, stop
+
+
+def _evenly(start: int, stop: int, end: int) -> slice:
+    """From start to stop within 0..end, one longer if that makes it even."""
+    if (stop - start) % 2 and stop < end:
+        return slice(start, stop + 1)
+    if (stop - start) % 2 and start > 0:
+        return slice(start - 1, stop)
+    return slice(start, stop)

@@ -12,14 +12,13 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
 from compose.camera.camera import Camera
 from compose.fovea.earlier import EarlierViews, Places
 from compose.fovea.movers import UNSTEADY
 from compose.fovea.record import RECORD
-from compose.fovea.samples import Floats, Samples
+from compose.fovea.samples import Samples
 from compose.fovea.surfaces import SAME_SURFACE, VisibleSurfaces
 from compose.image.gloss import DIFFUSE, GLOSSY
 
@@ -39,30 +38,36 @@ class Reprojected:
     """Sums over reprojected samples, for the pixels of a rectangle of a frame.
 
     Attributes:
+        arrays: the backend's array types.
         rows, columns: the rectangle.
-        records: (h, w, 16) (compose.fovea.record).
+        records: flat Float, h * w records (compose.fovea.record), row by row.
     """
 
+    arrays: Arrays
     rows: slice
     columns: slice
-    records: Floats
+    records: Any
 
-    def at(self, row: NDArray[np.uint32], column: NDArray[np.uint32]) -> Floats:
-        """(D, 16) records of pixels of the frame; 0 outside the rectangle."""
-        inside = (row >= self.rows.start) & (row < self.rows.stop)
-        inside &= (column >= self.columns.start) & (column < self.columns.stop)
-        index = (row[inside] - self.rows.start) * self.records.shape[1] + (
-            column[inside] - self.columns.start
+    def at(self, pixels: Any, width: int) -> list[Any]:
+        """Sixteen Floats (D,), records of pixels (D,) of a frame of that width; 0 outside the rectangle."""
+        arrays = self.arrays
+        height, columns = (side.stop - side.start for side in (self.rows, self.columns))
+        numbers = [self.rows.start, self.columns.start, height, columns]
+        top, left, height, columns = arrays.scalars(arrays.plain.UInt, numbers)
+        across = arrays.constant(width)
+        row = pixels // across
+        # What lies above or to the left wraps around to beyond the rectangle.
+        down, right = row - top, pixels - row * across - left
+        inside = (down < height) & (right < columns)
+        shape = RECORD, dr.width(pixels)
+        return list(
+            dr.gather(arrays.plain.ArrayXf, self.records, down * columns + right, inside, shape=shape)
         )
-        found = self.records.reshape(-1, RECORD).take(index, axis=0)
-        if len(found) == len(row):
-            return found
-        everywhere = np.zeros((len(row), RECORD), dtype=np.float32)
-        everywhere[inside] = found
-        return everywhere
 
 
-def reproject(views: EarlierViews, camera: Camera, new: Samples) -> Reprojected | None:
+def reproject(
+    views: EarlierViews, camera: Camera, new: Samples, box: tuple[slice, slice]
+) -> Reprojected | None:
     """What earlier views contribute to a camera's view, without what no longer holds.
 
     Positions and directions are computed in float64: a fifth of a degree decides about mirrors, and a sample
@@ -72,16 +77,17 @@ def reproject(views: EarlierViews, camera: Camera, new: Samples) -> Reprojected 
         views: the earlier views.
         camera: the view.
         new: samples of it, which show the surfaces that are visible now.
+        box: rows and columns in which all of these lie.
 
     Returns:
-        Sums over the rectangle around the new samples; None if there are no samples on either side.
+        Sums over that rectangle; None if there are no samples on either side.
     """
-    if not views.samples or not len(new.pixels):
+    if not views.samples or not new.size:
         return None
-    surfaces = VisibleSurfaces.of(views.arrays, camera, new)
+    surfaces = VisibleSurfaces.of(views.arrays, camera, new, box)
     height, width = surfaces.shape
-    records = _summed(views, _arrivals(views, camera, surfaces), height * width).numpy()
-    return Reprojected(surfaces.rows, surfaces.columns, records.reshape(height, width, RECORD))
+    records = _summed(views, _arrivals(views, camera, surfaces), height * width)
+    return Reprojected(views.arrays, surfaces.rows, surfaces.columns, records)
 
 
 @dataclass(frozen=True)
@@ -132,7 +138,7 @@ def _now(views: EarlierViews, place: Places) -> Places:
         return place
     # What is unsteady stays where it was: its samples are of use until the next moment.
     mover = dr.select(place.mover < len(poses), place.mover, 0)
-    table = uploaded(plain.Float64, poses.reshape(-1, 12))
+    table = views.moment.table(views.arrays)
     row = dr.gather(plain.ArrayXf64, table, mover, shape=(12, dr.width(mover)))
     rest = [plain.Float64(at) for at in place.position]
     position = [_product([row[4 * i + j] for j in range(3)], rest) + row[4 * i + 3] for i in range(3)]

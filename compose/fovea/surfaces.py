@@ -8,7 +8,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from compose.base.arrays import Arrays, uploaded
+from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from compose.fovea.samples import Samples
 from compose.image.gloss import SPECULAR
@@ -42,14 +42,22 @@ class VisibleSurfaces:
         return self.rows.stop - self.rows.start, self.columns.stop - self.columns.start
 
     @staticmethod
-    def of(arrays: Arrays, camera: Camera, new: Samples) -> VisibleSurfaces:
-        """The surfaces that samples of a camera's view hit, at least one sample."""
-        row, column = np.divmod(new.pixels, np.uint32(camera.width))
-        rows = slice(int(row.min()), int(row.max()) + 1)
-        columns = slice(int(column.min()), int(column.max()) + 1)
+    def of(arrays: Arrays, camera: Camera, new: Samples, box: tuple[slice, slice]) -> VisibleSurfaces:
+        """The surfaces that samples of a camera's view hit, at least one sample.
+
+        Args:
+            arrays: the backend's array types.
+            camera: the view.
+            new: the samples.
+            box: rows and columns in which all of these lie.
+        """
+        rows, columns = box
         height, width = rows.stop - rows.start, columns.stop - columns.start
         # A frame of one pixel around the rectangle spares its edges a test.
-        target = (row - rows.start + 1) * np.uint32(width + 2) + (column - columns.start + 1)
+        row = new.pixels // arrays.number(camera.width)
+        column = new.pixels - row * arrays.number(camera.width)
+        corner = arrays.number(rows.start), arrays.number(columns.start)
+        target = (row - corner[0] + 1) * arrays.number(width + 2) + (column - corner[1] + 1)
         sampled = _sampled(arrays, camera, new, target, (height + 2) * (width + 2))
         return VisibleSurfaces(arrays, rows, columns, _around(arrays, sampled, height, width))
 
@@ -73,15 +81,13 @@ class VisibleSurfaces:
 def _sampled(arrays: Arrays, camera: Camera, new: Samples, target: Any, size: int) -> Any:
     """Flat Float of `size` pixels: distance of what a sample hits, or -1; and 1 if that is specular."""
     plain = arrays.plain
-    index = dr.arange(plain.UInt, len(new.pixels))
-    position = uploaded(plain.Float, new.position)
     eye = [dr.opaque(plain.Float64, value) for value in camera.position.tolist()]
-    sight = [plain.Float64(dr.gather(plain.Float, position, index * 3 + i)) - eye[i] for i in range(3)]
+    sight = [plain.Float64(at) - origin for at, origin in zip(new.position, eye, strict=True)]
     distance = plain.Float(dr.sqrt(sum(side * side for side in sight)))
-    specular = dr.select(uploaded(plain.UInt, new.gloss.astype(np.uint32)) == SPECULAR, plain.Float(1), 0)
+    specular = dr.select(new.gloss == SPECULAR, plain.Float(1), 0)
     table = dr.full(plain.Float, -1, _SAMPLED * size)
     values = plain.ArrayXf([distance, specular])
-    dr.scatter(table, values, uploaded(plain.UInt, target), mode=dr.ReduceMode.Permute)
+    dr.scatter(table, values, target, mode=dr.ReduceMode.Permute)
     dr.eval(table)
     return table
 

@@ -18,7 +18,6 @@ per pixel what each is worth. Five things are built around it:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -29,8 +28,7 @@ from compose.fusion.maps import as_batch, box_mean, enlarged, halved, luminance,
 from compose.fusion.network import Fusion
 from compose.fusion.parents import PARENTS, Fused, Parents
 from compose.fusion.shares import shares_at
-from compose.image.colour import Image
-from compose.image.outliers import MOST, is_plain, outliers
+from compose.image.outliers import MOST, outliers
 
 # Relative bias that no estimate but the traced radiance is trusted to stay below.
 _FLOOR = 0.005
@@ -53,12 +51,12 @@ def fuse(parents: Parents, fusion: Fusion | None) -> Fused:
         fusion: fitted to the scene; without it `statistical` decides.
     """
     height, width = parents.traced.shape[:2]
-    usable, excluded = _usable(parents)
     with torch.inference_mode():
+        images, excluded = _usable({name: as_batch(getattr(parents, name)) for name in _IMAGES})
         # (1, C, H, W) each; the network sees blocks of 2 x 2.
-        images = {name: padded_to_even(as_batch(getattr(usable, name))) for name in _IMAGES}
+        images = {name: padded_to_even(image) for name, image in images.items()}
         traced, denoised, variance, count = (images[n] for n in ("traced", "denoised", "variance", "count"))
-        radiance, weights = _first_estimate(images, usable, fusion)
+        radiance, weights = _first_estimate(images, parents, fusion)
         if float(count.mean()) >= _TELLING_COUNT:
             share = regressed(radiance, denoised, traced, variance)
             radiance, weights = torch.lerp(radiance, denoised, share), weights * (1 - share)
@@ -91,9 +89,9 @@ def _first_estimate(
     return radiance, weights + network * of_estimate
 
 
-def _as_image(batch: Tensor, height: int, width: int) -> Image:
+def _as_image(batch: Tensor, height: int, width: int) -> Tensor:
     """(H, W, 3) from (1, 3, H or more, W or more)."""
-    return batch[0, :, :height, :width].permute(1, 2, 0).numpy()
+    return batch[0, :, :height, :width].permute(1, 2, 0)
 
 
 def statistical(traced: Tensor, denoised: Tensor, splat: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
@@ -171,16 +169,16 @@ def _squarable(*images: Tensor) -> tuple[Tensor, ...]:
     return tuple(image.double() for image in images) if wide else images
 
 
-def _usable(parents: Parents) -> tuple[Parents, int]:
+def _usable(images: dict[str, Tensor]) -> tuple[dict[str, Tensor], int]:
     """The parents with whatever cannot be radiance replaced, and the number of pixels concerned.
 
     That is what is negative, not finite, or out of proportion to its neighbours and to the other parents.
     """
-    radiance = [getattr(parents, name) for name in PARENTS]
-    auxiliary = parents.albedo, parents.normal
-    if all(is_plain(image) for image in radiance) and all(np.isfinite(image.sum()) for image in auxiliary):
-        return parents, 0
-    traced, denoised, splat = radiance
+    radiance = torch.cat([images[name] for name in PARENTS])
+    plain = (radiance >= 0).all() & (radiance <= MOST).all()
+    if bool(plain & torch.isfinite(images["albedo"] + images["normal"]).all()):
+        return images, 0
+    traced, denoised, splat = (image.permute(1, 2, 0).cpu().numpy() for image in radiance)
     # (H, W, 1) each. Where splats and denoised samples are wrong, they are so in whole patches.
     no_traced = outliers(traced, splat)
     samples = np.where(no_traced, 0, traced)
@@ -188,14 +186,15 @@ def _usable(parents: Parents) -> tuple[Parents, int]:
     no_denoised = outliers(denoised, samples, np.where(no_splat, 0, splat), beside=False)
     # Denoising has used the neighbouring pixels, so its result is the first substitute for the others.
     denoised = np.where(no_denoised, np.where(no_splat, 0, splat), denoised)
-    albedo, normal = (np.nan_to_num(image, posinf=0, neginf=0) for image in auxiliary)
-    replaced = replace(
-        parents,
-        traced=np.where(no_traced, denoised, traced),
-        denoised=denoised,
-        splat=np.where(no_splat, denoised, splat),
-        albedo=albedo,
-        normal=normal,
-        variance=np.where(no_traced, np.inf, parents.variance),
-    )
-    return replaced, int(np.count_nonzero(no_traced | no_denoised | no_splat))
+    replaced = {
+        "traced": np.where(no_traced, denoised, traced),
+        "denoised": denoised,
+        "splat": np.where(no_splat, denoised, splat),
+    }
+    device = radiance.device
+    auxiliary = {n: torch.nan_to_num(images[n], posinf=0, neginf=0) for n in ("albedo", "normal")}
+    unknown = as_batch(no_traced.astype(np.float32)).bool().to(device)
+    variance = images["variance"].masked_fill(unknown, torch.inf)
+    usable = {name: as_batch(image).to(device) for name, image in replaced.items()}
+    excluded = int(np.count_nonzero(no_traced | no_denoised | no_splat))
+    return {**images, **usable, **auxiliary, "variance": variance}, excluded

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import torch
 from torch import Tensor
 
 from compose.fusion.features import features_of
@@ -24,7 +23,8 @@ def estimated(
     """
     three = [images[name] for name in PARENTS]
     enlargement, quick = (
-        torch.tensor([float(getattr(one, name)) for one in parents]) for name in ("enlargement", "quick")
+        three[0].new_tensor([float(getattr(one, name)) for one in parents])
+        for name in ("enlargement", "quick")
     )
     auxiliary = images["albedo"], images["normal"]
     features = features_of([*three, *auxiliary], images["count"], enlargement, quick)

@@ -43,9 +43,11 @@ def variance_of(moments: Tensor) -> Tensor:
     return (moments[:, 1:2] - moments[:, 0:1] ** 2).clamp(min=0)
 
 
-def as_batch(image: Image) -> Tensor:
-    """(1, C, H, W) from an image (H, W, C)."""
-    return torch.from_numpy(np.ascontiguousarray(image, dtype=np.float32)).permute(2, 0, 1).contiguous()[None]
+def as_batch(image: Image | Tensor) -> Tensor:
+    """(1, C, H, W) from an image (H, W, C), of NumPy or of torch on any device."""
+    if not isinstance(image, Tensor):
+        image = torch.from_numpy(np.ascontiguousarray(image, dtype=np.float32))
+    return image.permute(2, 0, 1).contiguous()[None]
 
 
 def padded_to_even(image: Tensor) -> Tensor:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from torch import Tensor
+
 from compose.image.colour import Image
 
 # Parents, in the order of their weights.
@@ -12,7 +14,7 @@ PARENTS = ("traced", "denoised", "splat")
 
 @dataclass(frozen=True)
 class Parents:
-    """Images of one view from which its radiance is estimated.
+    """Images of one view from which its radiance is estimated, all of NumPy or all of torch on one device.
 
     Attributes:
         traced: (H, W, 3) mean of the path-traced samples, linear radiance.
@@ -28,20 +30,20 @@ class Parents:
         ValueError: the shapes do not match.
     """
 
-    traced: Image
-    variance: Image
-    denoised: Image
-    splat: Image
-    albedo: Image
-    normal: Image
-    count: Image
+    traced: Image | Tensor
+    variance: Image | Tensor
+    denoised: Image | Tensor
+    splat: Image | Tensor
+    albedo: Image | Tensor
+    normal: Image | Tensor
+    count: Image | Tensor
     enlargement: float
     quick: bool = False
 
     def __post_init__(self) -> None:
         size = self.traced.shape[:2]
         for name in ("traced", "variance", "denoised", "splat", "albedo", "normal", "count"):
-            shape = getattr(self, name).shape
+            shape = tuple(getattr(self, name).shape)
             expected = (*size, 1 if name == "count" else 3)
             if shape != expected:
                 raise ValueError(f"{name} is {shape}, must be {expected} to match traced")
@@ -49,7 +51,7 @@ class Parents:
 
 @dataclass(frozen=True)
 class Fused:
-    """One estimate of radiance.
+    """One estimate of radiance, of torch, where the parents are.
 
     Attributes:
         radiance: (H, W, 3) linear.
@@ -58,6 +60,6 @@ class Fused:
             of proportion to its neighbours and to the other parents (compose.image.outliers).
     """
 
-    radiance: Image
-    weights: Image
+    radiance: Tensor
+    weights: Tensor
     excluded: int

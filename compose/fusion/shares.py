@@ -67,8 +67,8 @@ def shares_at(shares: Tensor, quick: bool, count: Tensor, enlargement: float) ->
         count: (N, 1, H, W) samples.
         enlargement: side of the splats' pixels in pixels of the image.
     """
-    by_count = _weights(ENLARGEMENTS, enlargement) @ shares[int(quick)]  # (COUNTS, MIXED)
-    table = _steps() @ by_count
+    by_count = _weights(ENLARGEMENTS, enlargement).to(shares.device) @ shares[int(quick)]  # (COUNTS, MIXED)
+    table = _steps().to(shares.device) @ by_count
     last = len(table) - 1
     step = (_STEPS * torch.log2(count[:, 0].clamp(min=1))).round().clamp(max=last).long()  # (N, H, W)
     return table[step].permute(0, 3, 1, 2).contiguous()

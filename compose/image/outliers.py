@@ -8,6 +8,12 @@ it is kept out of what is computed for it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import reduce
+from operator import or_
+from typing import Any
+
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
@@ -22,13 +28,14 @@ _BESIDE = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=bool)
 _AROUND = np.ones((3, 3), dtype=bool)
 
 
-def is_plain(image: Image) -> bool:
-    """Whether all of an image (..., C) is finite, not negative and below MOST, as it nearly always is."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        total = image.sum()
-    return bool(
-        np.isfinite(total) and image.min(initial=0) >= 0 and (total <= MOST or image.max(initial=0) <= MOST)
-    )
+def all_plain(channels: Sequence[Any]) -> bool:
+    """Whether all numbers are finite, not negative and at most MOST, as they nearly always are.
+
+    Args:
+        channels: Dr.Jit floats, which this waits for.
+    """
+    wrong = [~((values >= 0) & (values <= MOST)) for values in channels]
+    return not bool(dr.any(reduce(or_, wrong)))
 
 
 def outliers(image: Image, *others: Image, beside: bool = True) -> NDArray[np.bool_]:

@@ -14,6 +14,7 @@ from hybrid.frame.fusion import fusion_of
 from hybrid.frame.periphery import Periphery
 from hybrid.frame.settings import DEFAULTS
 from hybrid.frame.underlay import Underlay
+from hybrid.runtime.device import device_arrays
 from pathtrace.base.denoise import denoise
 from pathtrace.cache.cache import IrradianceCache
 from pathtrace.scene.scene import Scene
@@ -26,7 +27,11 @@ _WHOLE = 1000.0
 
 def whole_underlay(periphery: Periphery, camera: Camera) -> Underlay:
     """The finest layer over the whole frame."""
-    return Underlay(camera, periphery.whole(camera, DEFAULTS), periphery.enlargement(camera, DEFAULTS))
+    return Underlay(
+        camera,
+        periphery.whole(camera, DEFAULTS).on_device(device_arrays()),
+        periphery.enlargement(camera, DEFAULTS),
+    )
 
 
 class Candidates:
@@ -58,27 +63,28 @@ class Candidates:
         """
         underlay = whole_underlay(self._periphery, camera)
         region = Foveation(Gaze(), _WHOLE, _WHOLE).region(camera.width, camera.height)
+        disc, splats = region.disc(device_arrays()), underlay.radiance.numpy()
 
         def traced(under: Underlay | None, fovea: Fovea) -> Samples:
-            return fovea.trace(FoveaMode.FUSED, camera, region, spp, seed, under)[1]
+            return fovea.trace(FoveaMode.FUSED, camera, disc, spp, seed, under)[1]
 
         def denoised(samples: Samples) -> Image:
             images = samples.radiance, samples.albedo, samples.normal
-            radiance, albedo, normal = (region.image_of(image) for image in images)
+            radiance, albedo, normal = (disc.frame_image(image) for image in images)
             return denoise(radiance, albedo, normal)
 
         def fused(fovea: Fovea, samples: Samples) -> Image:
-            made = fovea.image(FoveaMode.FUSED, region, samples, underlay.radiance, underlay)
-            return region.image_of(made.radiance)
+            made = fovea.image(FoveaMode.FUSED, disc, samples, underlay.radiance, underlay)
+            return disc.frame_image(made.radiance)
 
         even = traced(None, self._fused)
         cleaned = denoised(even)
         return {
-            "splat": underlay.radiance,
-            "raw": region.image_of(even.radiance),
+            "splat": splats,
+            "raw": disc.frame_image(even.radiance),
             "denoised": cleaned,
             "denoised, path": denoised(traced(None, self._unbiased)),
-            "mean": 0.5 * (cleaned + underlay.radiance),
+            "mean": 0.5 * (cleaned + splats),
             "statistical": fused(self._statistical, even),
             "fused, even": fused(self._fused, even),
             "fused": fused(self._fused, traced(underlay, self._fused)),

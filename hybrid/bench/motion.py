@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
+from compose.fovea.disc import Disc
 from compose.fovea.mode import FoveaMode
-from compose.fovea.rectangle import Rectangle
-from compose.fovea.region import FoveaRegion, Foveation
+from compose.fovea.region import Foveation
 from compose.fusion.network import Fusion
 from compose.image.colour import Image
 from hybrid.bench.candidates import whole_underlay
@@ -94,12 +94,11 @@ def bench_motion(
     for done, view in enumerate(views):
         camera = view.resized(view.width * _SCALE, view.height * _SCALE)
         region = _disc(camera, Gaze())
-        around = region.rectangle
-        truth = _reference(tracer, camera, around, reference_spp)
+        truth = _reference(tracer, camera, region, reference_spp)
         for mode in FoveaMode:
             discs = _discs(cached, periphery, fusion, mode, camera, region)
             for method, disc in discs.radiance.items():
-                row = _measured(around, disc, truth, discs.fresh)
+                row = _measured(region, disc, truth, discs.fresh)
                 found.setdefault((mode.value, method), []).append(row)
         progress(done + 1, len(views))
     return [
@@ -121,8 +120,8 @@ class _Discs:
     fresh: NDArray[np.bool_]
 
 
-def _disc(camera: Camera, gaze: Gaze) -> FoveaRegion:
-    return Foveation(gaze, _RADIUS, _RADIUS).region(camera.width, camera.height)
+def _disc(camera: Camera, gaze: Gaze) -> Disc:
+    return Foveation(gaze, _RADIUS, _RADIUS).region(camera.width, camera.height).disc(device_arrays())
 
 
 def _discs(
@@ -131,7 +130,7 @@ def _discs(
     fusion: Fusion | None,
     mode: FoveaMode,
     camera: Camera,
-    region: FoveaRegion,
+    disc: Disc,
 ) -> _Discs:
     """The last disc of a walk that ends at a camera, and discs of single frames."""
     distance = _distance(tracer, camera)
@@ -141,15 +140,16 @@ def _discs(
     underlay = whole_underlay(periphery, camera)
 
     def shown(made_by: Fovea, spp: int) -> Image:
-        _, samples = made_by.trace(mode, camera, region, spp, FRAMES)
-        return made_by.image(mode, region, samples, underlay.radiance, underlay).radiance
+        _, samples = made_by.trace(mode, camera, disc, spp, FRAMES)
+        made = made_by.image(mode, disc, samples, underlay.radiance, underlay)
+        return _values(disc, made.radiance)
 
     path = walk(camera, distance)
     for seed, earlier in enumerate(path[:-1]):
         pixel, _ = earlier.project(watched)
         gaze = Gaze(float(pixel[0, 0]) / camera.width, float(pixel[0, 1]) / camera.height)
         fovea.trace(mode, earlier, _disc(earlier, gaze), 1, seed)
-    fresh = fovea.disc.known(DiscRequest(camera, region, 1, FRAMES)).count == 0
+    fresh = fovea.disc.known(DiscRequest(camera, disc, 1, FRAMES)).numpy("count") == 0
     discs = {f"{FRAMES} frames of 1 spp": shown(fovea, 1)}
     for spp in _SINGLE_SPP:
         discs[f"single frame, {spp} spp"] = shown(alone, spp)
@@ -166,29 +166,45 @@ def _distance(tracer: Tracer, camera: Camera) -> float:
     return distance
 
 
-def _reference(tracer: Tracer, camera: Camera, around: Rectangle, spp: int) -> Image:
+def _values(disc: Disc, channels: list[Any]) -> Image:
+    """(D, 3) channels of a disc, in host memory."""
+    return disc.frame_image(channels).reshape(-1, 3)[np.asarray(disc.pixels)]
+
+
+def _inside(disc: Disc) -> NDArray[np.uint32]:
+    """(D,) indices of the pixels among those of the rectangle around them, in host memory."""
+    return np.asarray(disc.inside)
+
+
+def _reference(tracer: Tracer, camera: Camera, disc: Disc, spp: int) -> Image:
     """(D, 3) reference radiance of the disc, traced in a crop around it."""
-    rows, columns = around.box
-    height, width = around.shape
+    assert disc.box is not None
+    (rows, columns), (height, width) = disc.box, disc.shape
     crop = camera.cropped(columns.start, rows.start, width, height)
-    return around.gathered(reference(tracer, crop, spp, REFERENCE_SEED).radiance)
+    return reference(tracer, crop, spp, REFERENCE_SEED).radiance.reshape(-1, 3)[_inside(disc)]
 
 
-def _measured(around: Rectangle, disc: Image, truth: Image, fresh: NDArray[np.bool_]) -> dict[str, float]:
+def _measured(around: Disc, disc: Image, truth: Image, fresh: NDArray[np.bool_]) -> dict[str, float]:
     """Metrics over the rectangle around the disc, whose corners are equal; PSNR over the disc alone.
 
     Args:
-        around: the rectangle.
+        around: the disc's pixels.
         disc, truth: (D, 3) radiance.
         fresh: (D,) pixels without history.
     """
     black = np.zeros((*around.shape, 3), dtype=np.float32)
-    right = around.scattered(black, truth)
-    found = image_metrics(around.scattered(black, disc), right)
+
+    def image(values: Image) -> Image:
+        scattered = black.copy()
+        scattered.reshape(-1, 3)[_inside(around)] = values
+        return scattered
+
+    right = image(truth)
+    found = image_metrics(image(disc), right)
     # Pixels without error do not change the sum of squares, only their number.
     found["psnr"] += 10 * float(np.log10(len(disc) / black[..., 0].size))
     if fresh.any():
-        elsewhere_right = around.scattered(black, np.where(fresh[:, None], disc, truth))
+        elsewhere_right = image(np.where(fresh[:, None], disc, truth))
         share = np.count_nonzero(fresh) / black[..., 0].size
         found["fresh_psnr"] = psnr(elsewhere_right, right) + 10 * float(np.log10(share))
     return found

@@ -75,12 +75,12 @@ def bench_seam(
 
 def _seam(frame: Frame, band: Region, truth: Image) -> dict[str, float]:
     """One frame's part of a row; only traced pixels of the band count."""
-    region = frame.region
-    traced = band.mask.ravel()[region.pixels]
-    pixels = region.pixels[traced]
+    region, disc = frame.region, np.asarray(frame.fovea.disc.pixels)
+    pixels = disc[band.mask.ravel()[disc]]
     right = luminance(truth.reshape(-1, 3)[pixels])
     outer = luminance(frame.periphery.reshape(-1, 3)[pixels])
-    difference = luminance(frame.fovea.radiance[traced]) - outer
+    inner = luminance(frame.of_disc(frame.fovea.radiance).reshape(-1, 3)[pixels])
+    difference = inner - outer
     sector = _sectors(region, pixels)
     present = np.unique(sector)
     local = [difference[sector == s].mean() / max(right[sector == s].mean(), _DARK) for s in present]

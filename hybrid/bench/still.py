@@ -126,7 +126,9 @@ def _watched(
         shown = loop.make(request)
         frame = shown.frame
         at = time.perf_counter() - start
-        seen.append(_Seen(at, shown.spp, frame.region.pixels, frame.fovea.radiance.copy()))
+        pixels = np.array(frame.fovea.disc.pixels)
+        radiance = frame.of_disc(frame.fovea.radiance).reshape(-1, 3)[pixels]
+        seen.append(_Seen(at, shown.spp, pixels, radiance))
         progress(int(seen[-1].seconds), int(seconds) + 1)
     return seen
 

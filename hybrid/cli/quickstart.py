@@ -31,7 +31,7 @@ def quickstart(
     from hybrid.quickstart.quickstart import SIZE
     from hybrid.quickstart.quickstart import quickstart as run
 
-    if not len(settings.foveation.region(SIZE, SIZE).pixels):
+    if not settings.foveation.region(SIZE, SIZE).count:
         raise UserError(f"--fov-a {fov_a}: there is no fovea to show, it holds no pixel of {SIZE} x {SIZE}")
     check_writable(out / "result.json")
     result = run(loaded_scene(scene, None, thin_glass), out, settings, seed)

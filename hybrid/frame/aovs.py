@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from compose.eye.detail import DetailMap
 from compose.eye.gaze import eccentricity
-from compose.fovea.region import FoveaRegion
 from compose.fusion.parents import PARENTS
 from compose.image.colour import Image
 from hybrid.frame.fovea import FoveaImage
@@ -15,7 +14,7 @@ from hybrid.frame.settings import FrameSettings
 
 
 def aovs_of(
-    composite: Image, settings: FrameSettings, detail: DetailMap, region: FoveaRegion, fovea: FoveaImage
+    composite: Image, settings: FrameSettings, detail: DetailMap, fovea: FoveaImage
 ) -> dict[str, NDArray[np.float32]]:
     """The AOVs that follow from the parts of a frame, (H, W, 3) or (H, W) each.
 
@@ -25,27 +24,28 @@ def aovs_of(
         of each parent (fusion.traced, fusion.denoised, fusion.splat); weight of the fovea; eccentricity in
         degrees on the display; level (1 to L); rate (log2 of pixels per sample along each axis).
     """
-    viewer = settings.display.viewer(region.width, region.height)
+    disc = fovea.disc
+    viewer, image_of = settings.display.viewer(disc.width, disc.height), disc.frame_image
     return {
         "": composite,
         "composite": composite,
-        "fovea": region.image_of(fovea.radiance),
-        "path-traced": region.image_of(fovea.samples.radiance),
-        "variance": region.image_of(fovea.samples.variance()),
-        **_of_parents(region, fovea),
-        "weight": region.weight_image(),
+        "fovea": image_of(fovea.radiance),
+        "path-traced": image_of(fovea.samples.radiance),
+        "variance": image_of(fovea.samples.variance()),
+        **_of_parents(fovea),
+        "weight": image_of([disc.weights])[..., 0],
         "eccentricity": eccentricity(viewer, settings.gaze),
         "level": detail.per_pixel(detail.drawn_level),
         "rate": detail.per_pixel(detail.drawn_rate),
     }
 
 
-def _of_parents(region: FoveaRegion, fovea: FoveaImage) -> dict[str, NDArray[np.float32]]:
+def _of_parents(fovea: FoveaImage) -> dict[str, NDArray[np.float32]]:
     """The AOVs that only a denoised or a fused fovea has."""
     found = {}
     if fovea.denoised is not None:
-        found["denoised"] = region.image_of(fovea.denoised)
+        found["denoised"] = fovea.disc.frame_image(fovea.denoised)
     if fovea.weights is not None:
-        shares = region.image_of(fovea.weights)
+        shares = fovea.disc.frame_image(fovea.weights)
         found |= {f"fusion.{name}": shares[..., i] for i, name in enumerate(PARENTS)}
     return found

@@ -3,104 +3,164 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
+import torch
 
-from compose.fovea.rectangle import Rectangle
-from compose.fovea.region import FoveaRegion
+from compose.base.arrays import Arrays
+from compose.fovea.disc import Disc
 from compose.fovea.samples import Samples
 from compose.fusion.parents import Parents
 from compose.image.colour import Image
-from compose.image.outliers import MOST, filled, is_plain, outliers
+from compose.image.outliers import MOST, all_plain, filled, outliers
 from hybrid.frame.underlay import Underlay
+from hybrid.runtime.device import torch_device
 from pathtrace.base.denoise import denoise, denoise_coarsely
 
 
-def parents_of(region: FoveaRegion, samples: Samples, underlay: Underlay, quick: bool = False) -> Parents:
+def parents_of(disc: Disc, samples: Samples, underlay: Underlay, quick: bool = False) -> Parents:
     """The images that are fused, cropped to the rectangle around the disc.
 
     Args:
-        region: the disc.
+        disc: the disc.
         samples: of its pixels.
         underlay: of the same view.
         quick: whether to use the quicker denoiser.
     """
-    rectangle = region.rectangle
-    splats = rectangle.crop(underlay.radiance)
-    images = DiscImages.of(samples, splats, rectangle)
-    return Parents(
-        traced=images.radiance,
-        variance=rectangle.scattered(np.full_like(splats, np.inf), samples.variance()),
-        denoised=denoised_for_fusion(images, quick),
-        splat=splats,
-        albedo=images.albedo,
-        normal=images.normal,
-        count=images.count,
-        enlargement=underlay.enlargement,
-        quick=quick,
-    )
+    assert disc.box is not None, "a disc without pixels has no images"
+    splats = underlay.radiance.of_box(disc.box)
+    images = DiscImages.of(disc, samples, splats)
+    variance = [disc.image(values, dr.inf) for values in samples.variance()]
+    planes = _planes(disc, [*images.channels, *splats, *variance])
+    traced, albedo, normal, count, splat, unknown = torch.split(planes, [3, 3, 3, 1, 3, 3])
+    denoised = _torch(denoised_for_fusion(images.tensors(), quick)).permute(2, 0, 1)
+    shown = (traced, unknown, denoised, splat, albedo, normal, count)
+    traced, unknown, denoised, splat, albedo, normal, count = (image.permute(1, 2, 0) for image in shown)
+    return Parents(traced, unknown, denoised, splat, albedo, normal, count, underlay.enlargement, quick)
 
 
 @dataclass(frozen=True)
 class DiscImages:
-    """Samples and their auxiliary features as images.
+    """Samples and their auxiliary features as images of the rectangle around a disc, Floats (h * w,).
 
     Attributes:
-        radiance: (h, w, 3) linear, mean of the samples.
-        albedo, normal: (h, w, 3).
-        count: (h, w, 1) samples per pixel.
+        disc: the disc.
+        radiance: three channels, linear, mean of the samples.
+        albedo, normal: three channels each.
+        count: samples per pixel.
     """
 
-    radiance: Image
-    albedo: Image
-    normal: Image
-    count: Image
+    disc: Disc
+    radiance: list[Any]
+    albedo: list[Any]
+    normal: list[Any]
+    count: Any
 
     @staticmethod
-    def of(samples: Samples, surroundings: Image, rectangle: Rectangle) -> DiscImages:
+    def of(disc: Disc, samples: Samples, surroundings: list[Any]) -> DiscImages:
         """The samples of a disc, in the rectangle around it.
 
         Args:
-            samples: of the disc's D pixels.
-            surroundings: (h, w, 3) radiance of the rectangle's pixels outside the disc; those that are not
-                finite, or out of proportion to all samples, count as black.
-            rectangle: around the disc.
+            disc: the disc.
+            samples: of its D pixels.
+            surroundings: three Floats (h * w,), radiance of the rectangle's pixels outside the disc; those
+                that are not finite, or out of proportion to all samples, count as black.
         """
         surroundings = _usable(surroundings, samples.radiance)
-        scattered = rectangle.scattered
-        return DiscImages(
-            scattered(surroundings, samples.radiance),
-            # No albedo is traced outside the disc; the image is the best substitute.
-            scattered(np.clip(surroundings, 0, 1), samples.albedo),
-            scattered(np.zeros_like(surroundings), samples.normal),
-            scattered(np.ones((*rectangle.shape, 1), dtype=np.float32), samples.count[:, None]),
+        over = lambda channels, grounds: [  # noqa: E731
+            disc.image(values, ground) for values, ground in zip(channels, grounds, strict=True)
+        ]
+        # No albedo is traced outside the disc; the image is the best substitute.
+        like_albedo = [dr.clip(channel, 0, 1) for channel in surroundings]
+        images = DiscImages(
+            disc,
+            over(samples.radiance, surroundings),
+            over(samples.albedo, like_albedo),
+            over(samples.normal, [0.0] * 3),
+            disc.image(samples.count, 1.0),
         )
+        dr.eval(images.channels)
+        return images
 
-    def denoised(self, quick: bool) -> Image:
-        """(h, w, 3) denoised radiance, by the quicker network if `quick`; outliers stay as they are."""
-        wrong = self.outliers()
-        if wrong is None:
-            return denoise(self.radiance, self.albedo, self.normal, quick)
-        denoised = denoise(filled(self.radiance, wrong), self.albedo, self.normal, quick)
-        return np.where(wrong, self.radiance, denoised)
+    @property
+    def channels(self) -> list[Any]:
+        """All ten channels, in the order of the attributes."""
+        return [*self.radiance, *self.albedo, *self.normal, self.count]
 
-    def outliers(self) -> NDArray[np.bool_] | None:
-        """(h, w, 1) pixels that would spoil those around them; None if there are none."""
-        return None if is_plain(self.radiance) else outliers(self.radiance)
+    def tensors(self) -> list[Any]:
+        """Radiance, albedo and normal as tensors (h, w, 3)."""
+        arrays = self.disc.arrays
+        shape = (*self.disc.shape, 3)
+        found = [
+            arrays.plain.TensorXf(dr.ravel(arrays.plain.Array3f(*channels)), shape)
+            for channels in (self.radiance, self.albedo, self.normal)
+        ]
+        dr.eval(found)
+        return found
+
+    def denoised(self, quick: bool) -> Any:
+        """(h, w, 3) tensor of denoised radiance, by the quicker network if `quick`; outliers stay."""
+        radiance, albedo, normal = self.tensors()
+        if all_plain(self.radiance):
+            return denoise(radiance, albedo, normal, quick)
+        image = np.asarray(radiance)
+        wrong = outliers(image)
+        right = np.asarray(denoise(type(radiance)(filled(image, wrong)), albedo, normal, quick))
+        return type(radiance)(np.where(wrong, image, right))
 
 
-def denoised_for_fusion(images: DiscImages, quick: bool) -> Image:
-    """(h, w, 3) denoised radiance, as one parent of several; at half the resolution if `quick`."""
-    denoiser, wrong = denoise_coarsely if quick else denoise, images.outliers()
-    radiance = images.radiance if wrong is None else filled(images.radiance, wrong)
-    return denoiser(radiance, images.albedo, images.normal)
+def denoised_for_fusion(tensors: list[Any], quick: bool) -> Any:
+    """(h, w, 3) tensor of denoised radiance, as one parent of several; at half the resolution if `quick`.
+
+    Args:
+        tensors: radiance, albedo and normal (h, w, 3).
+        quick: whether to use the quicker denoiser.
+    """
+    radiance, albedo, normal = tensors
+    if not all_plain([radiance.array]):
+        image: Image = np.asarray(radiance)
+        radiance = type(radiance)(filled(image, outliers(image)))
+    return (denoise_coarsely if quick else denoise)(radiance, albedo, normal)
 
 
-def _usable(surroundings: Image, samples: NDArray[np.float32]) -> Image:
-    """Surroundings (h, w, 3) that are black where they cannot be radiance beside samples (D, 3)."""
-    if is_plain(surroundings):
-        return surroundings
-    brightest = float(samples.max(initial=1, where=np.isfinite(samples)))
-    usable = np.isfinite(surroundings) & (surroundings >= 0) & (surroundings <= MOST * brightest)
-    return np.where(usable.all(axis=2, keepdims=True), surroundings, 0)
+def channels_of(arrays: Arrays, image: Image | torch.Tensor) -> list[Any]:
+    """Floats (h * w,), the channels of an image (h, w, C), planes of which lie side by side."""
+    assert isinstance(image, torch.Tensor)
+    planes = image.permute(2, 0, 1).reshape(image.shape[2], -1).contiguous()
+    if arrays.backend == "cuda" and not image.is_cuda:
+        return [arrays.plain.Float(plane.numpy()) for plane in planes]
+    return [arrays.plain.Float(plane) for plane in planes]
+
+
+def _planes(disc: Disc, channels: list[Any]) -> torch.Tensor:
+    """(C, h, w) channels of the rectangle as one tensor of torch."""
+    plain, (height, width) = disc.arrays.plain, disc.shape
+    size = height * width
+    buffer = dr.empty(plain.Float, size * len(channels))
+    index, stride = dr.arange(plain.UInt, size), disc.arrays.constant(size)
+    for number, values in enumerate(channels):
+        dr.scatter(buffer, values, index + number * stride, mode=dr.ReduceMode.Permute)
+    return _torch(plain.TensorXf(buffer, (len(channels), height, width)))
+
+
+def _torch(tensor: Any) -> torch.Tensor:
+    """The tensor as torch's, in the same memory; in a copy if this torch has no card.
+
+    On a card, Dr.Jit's queue and torch's default one wait for each other.
+    """
+    on_card = dr.backend_v(tensor) is dr.JitBackend.CUDA
+    if on_card and torch_device().type != "cuda":
+        return torch.from_numpy(tensor.numpy())
+    shared: torch.Tensor = tensor.torch()
+    return shared
+
+
+def _usable(surroundings: list[Any], samples: list[Any]) -> list[Any]:
+    """Three Floats (h * w,), black where they cannot be radiance beside samples, three Floats (D,)."""
+    brightest: Any = 1.0
+    for channel in samples:
+        brightest = dr.maximum(brightest, dr.select(dr.isfinite(channel), channel, 0))
+    most = MOST * dr.max(brightest)
+    return [dr.select((channel >= 0) & (channel <= most), channel, 0) for channel in surroundings]

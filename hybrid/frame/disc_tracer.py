@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
+from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
-from compose.fovea.adaptive import allotted, disagreement
+from compose.fovea.adaptive import allotted, disagreement, window_sum
+from compose.fovea.counts import Counts
+from compose.fovea.disc import Disc
 from compose.fovea.history import History
 from compose.fovea.movers import Moment
-from compose.fovea.region import FoveaRegion
 from compose.fovea.samples import Samples, averaged_features, merged, put, taken
-from hybrid.frame.disc import parents_of
+from hybrid.frame.disc import channels_of, parents_of
 from hybrid.frame.underlay import Underlay, underlay_of
 from hybrid.runtime.device import device_arrays
-from pathtrace.trace.film import interleaved, pixel_positions
+from pathtrace.trace.film import pixel_positions
 from pathtrace.trace.first_hit import AuxiliaryFeatures
 from pathtrace.trace.tracer import Traced, Tracer, auxiliary_spp, features_along
 
@@ -40,14 +43,14 @@ class DiscRequest:
 
     Attributes:
         camera: the view.
-        region: the disc.
+        disc: the disc.
         spp: samples per pixel, on average over the disc.
         seed: same seed, same samples.
         auxiliary: whether albedo and normal are required.
     """
 
     camera: Camera
-    region: FoveaRegion
+    disc: Disc
     spp: int
     seed: int
     auxiliary: bool = True
@@ -63,7 +66,8 @@ class DiscTracer:
 
     def __init__(self, tracer: Tracer, history: bool):
         self._tracer = tracer
-        self._history = History(device_arrays()) if history else None
+        self._arrays = device_arrays()
+        self._history = History(self._arrays) if history else None
 
     @property
     def has_history(self) -> bool:
@@ -73,7 +77,7 @@ class DiscTracer:
     def forget(self) -> None:
         """Drops all samples of earlier frames."""
         if self._history is not None:
-            self._history = History(device_arrays())
+            self._history = History(self._arrays)
 
     def show(self, moment: Moment) -> None:
         """Says which moment of a scene that moves is traced from now on."""
@@ -87,7 +91,7 @@ class DiscTracer:
     def restore_history(self, camera: Camera, state: dict[str, NDArray[np.generic]]) -> None:
         """Continues from the saved samples of a camera's view; does nothing if none were saved."""
         if state:
-            self._history = History.restored(device_arrays(), camera, state)
+            self._history = History.restored(self._arrays, camera, state)
 
     def trace(self, request: DiscRequest, underlay: Underlay | None = None, quick: bool = False) -> Samples:
         """Samples of the disc's pixels, merged with what is known of them.
@@ -103,8 +107,8 @@ class DiscTracer:
         Raises:
             ValueError: the underlay, if it is used, belongs to another camera.
         """
-        if not len(request.region.pixels):
-            return _dark(request.region.pixels)
+        if not request.disc.count:
+            return Samples.none(self._arrays, request.disc.pixels)
         if quick or request.spp < _ADAPTIVE_FROM:
             underlay = None
         checked = None if underlay is None else underlay_of(request.camera, underlay)
@@ -113,28 +117,25 @@ class DiscTracer:
         if quick and features_along(request.spp):
             return self._quickly(request, self._history)
         known = self.known(request)
-        sequence = self._sequence(request.camera, request.region.pixels, request.seed)
+        sequence = self._sequence(request.camera, request.disc.pixels, request.seed)
         if checked is not None:
             new = self._adaptive(request, known, sequence, checked)
         elif quick:
-            new = self._traced(request.camera, _without_light(known), _even(request), request.seed, sequence)
+            new = self._traced(request.camera, _without_light(known), request.spp, request.seed, sequence)
         else:
             new = self._filled(request, known, sequence)
         self._history.remember(new)
         return merged(known, new)
 
-    def trace_each(
-        self, camera: Camera, pixels: NDArray[np.uint32], counts: NDArray[np.int64], seed: int
-    ) -> Samples:
-        """Samples of (D,) pixels, `counts` (D,) in each, at least 1; earlier frames are ignored."""
-        if not len(pixels):
-            return _dark(pixels)
-        spp, positions = _one_for_all(counts), pixel_positions(mi.UInt32(pixels), camera.width)
-        return _sampled(pixels, spp, self._tracer.trace(camera, positions, spp, seed))
+    def trace_each(self, camera: Camera, pixels: Any, counts: int | Counts, seed: int) -> Samples:
+        """Samples of UInt (D,) pixels, at least 1 in each; earlier frames are ignored."""
+        if not dr.width(pixels):
+            return Samples.none(self._arrays, pixels)
+        return self._sampled(pixels, counts, self._shot(camera, pixels, counts, seed))
 
     def known(self, request: DiscRequest) -> Samples:
         """What is known of the disc before any radiance is traced: auxiliary features and the history."""
-        camera, pixels, seed = request.camera, request.region.pixels, request.seed
+        camera, pixels, seed = request.camera, request.disc.pixels, request.seed
         spp = auxiliary_spp(request.spp)
         if self._history is None:
             return self._seen(camera, pixels, spp, self._sequence(camera, pixels, seed))
@@ -147,13 +148,11 @@ class DiscTracer:
 
         After a saccade and where something appears, a few sample positions more than those are seen at once.
         """
-        camera, pixels, spp, seed = request.camera, request.region.pixels, request.spp, request.seed
-        drawn, pattern = history.sampled(camera, pixels, seed)
-        positions = pixel_positions(mi.UInt32(pixels), camera.width)
-        traced = self._tracer.trace(camera, positions, spp, seed, _one_for_all(drawn), pattern, features=True)
-        assert traced.features is not None
-        new = _showing(_sampled(pixels, spp, traced), traced.features)
-        history.see(camera, new, spp, seed)
+        camera, pixels, spp, seed = request.camera, request.disc.pixels, request.spp, request.seed
+        sequence = _Sequence(*history.sampled(camera, pixels, seed))
+        traced = self._shot(camera, pixels, spp, seed, sequence, features=True)
+        new = self._sampled(pixels, spp, traced)
+        history.see(camera, new, spp, seed, request.disc)
         history.remember(new)
         self._see(request, auxiliary_spp(spp), max(auxiliary_spp(spp) - spp, 1), history)
         return history.recall(pixels)
@@ -161,14 +160,15 @@ class DiscTracer:
     def _see(self, request: DiscRequest, wanted: int, spp: int, history: History) -> None:
         """Adds auxiliary features where they are means over fewer than `wanted` sample positions."""
         camera, seed = request.camera, request.seed
-        unseen = history.unseen(camera, request.region.pixels, wanted)
-        seen = self._seen(camera, unseen, spp, self._sequence(camera, unseen, seed))
-        history.see(camera, seen, spp, seed)
+        unseen = history.unseen(camera, request.disc.pixels, wanted)
+        if dr.width(unseen):
+            seen = self._seen(camera, unseen, spp, self._sequence(camera, unseen, seed))
+            history.see(camera, seen, spp, seed, request.disc)
 
     def _alone(self, request: DiscRequest, underlay: Underlay | None) -> Samples:
         """Samples without a history; with the splats under the disc, they go where they help most."""
         if not request.auxiliary:
-            return self.trace_each(request.camera, request.region.pixels, _even(request), request.seed)
+            return self.trace_each(request.camera, request.disc.pixels, request.spp, request.seed)
         if underlay is None:
             return self._with_features(request)
         if features_along(request.spp):
@@ -180,77 +180,77 @@ class DiscTracer:
         self, request: DiscRequest, known: Samples, sequence: _Sequence, underlay: Underlay
     ) -> Samples:
         """New samples: a few everywhere, the others where these disagree with the splats."""
-        even = np.ones(len(request.region.pixels), dtype=np.float32)
-        have = self._have(request.region, known)
-        counts = allotted(even, have, _first_spp(request.spp) * len(even), request.seed)
+        have, total = self._have(request.disc, known), _first_spp(request.spp) * request.disc.count
+        counts = allotted(dr.full(type(have), 1, known.size), have, total, request.seed)
         new = self._traced(request.camera, _without_light(known), counts, request.seed, sequence)
         counts = _second_counts(request, merged(known, new), have + new.count, underlay)
         return self._traced(request.camera, new, counts, request.seed + _SECOND_STREAM, sequence)
 
     def _adaptive_with_features(self, request: DiscRequest, underlay: Underlay) -> Samples:
         """As `_adaptive`, without a history; auxiliary features are those of the samples."""
-        camera, pixels, seed = request.camera, request.region.pixels, request.seed
+        camera, pixels, seed = request.camera, request.disc.pixels, request.seed
         spp = _first_spp(request.spp)
         first = self._with_features(request, spp)
         counts = _second_counts(request, first, first.count, underlay)
-        chosen = np.flatnonzero(counts)
-        counts = counts[chosen]
-        positions = pixel_positions(mi.UInt32(pixels[chosen]), camera.width)
-        traced = self._tracer.trace(
-            camera, positions, _one_for_all(counts), seed + _SECOND_STREAM, spp, seed, features=True
-        )
-        assert traced.features is not None
-        second = _showing(_sampled(pixels[chosen], counts, traced), traced.features)
+        chosen, counts = _chosen(self._arrays, counts, first.size)
+        some, sequence = dr.gather(type(pixels), pixels, chosen), _Sequence(spp, seed)
+        traced = self._shot(camera, some, counts, seed + _SECOND_STREAM, sequence, features=True)
+        second = self._sampled(some, counts, traced)
         share = second.count / (auxiliary_spp(spp) + second.count)
         part = averaged_features(taken(first, chosen), second, share)
         return put(first, chosen, merged(part, second))
 
     def _with_features(self, request: DiscRequest, spp: int | None = None) -> Samples:
         """Samples with their auxiliary features, `spp` instead of the request's in each pixel."""
-        pixels, camera, spp = request.region.pixels, request.camera, spp or request.spp
+        pixels, camera, spp = request.disc.pixels, request.camera, spp or request.spp
         positions = pixel_positions(mi.UInt32(pixels), camera.width)
         traced, features = self._tracer.trace_with_features(camera, positions, spp, request.seed)
-        return _showing(_sampled(pixels, spp, traced), features)
+        return self._sampled(pixels, spp, replace(traced, features=features))
 
     def _filled(self, request: DiscRequest, known: Samples, sequence: _Sequence) -> Samples:
         """New samples, more of them where fewer are known."""
-        region = request.region
-        even = np.ones(len(region.pixels), dtype=np.float32)
-        new = _without_light(known)
-        have = self._have(region, known) + new.count
-        counts = allotted(even, have, request.spp * len(region.pixels), request.seed)
-        return self._traced(request.camera, new, counts, request.seed, sequence)
+        have = self._have(request.disc, known)
+        even = dr.full(type(have), 1, known.size)
+        counts = allotted(even, have, request.spp * known.size, request.seed)
+        return self._traced(request.camera, _without_light(known), counts, request.seed, sequence)
 
-    def _sequence(self, camera: Camera, pixels: NDArray[np.uint32], seed: int) -> _Sequence:
+    def _sequence(self, camera: Camera, pixels: Any, seed: int) -> _Sequence:
         if self._history is None:
             return _Sequence(0, seed)
         return _Sequence(*self._history.sampled(camera, pixels, seed))
 
-    def _seen(self, camera: Camera, pixels: NDArray[np.uint32], spp: int, sequence: _Sequence) -> Samples:
-        """Pixels with auxiliary features but without radiance."""
-        if not len(pixels):
-            return _dark(pixels)
+    def _seen(self, camera: Camera, pixels: Any, spp: int, sequence: _Sequence) -> Samples:
+        """Pixels, at least one, with auxiliary features but without radiance."""
         positions = pixel_positions(mi.UInt32(pixels), camera.width)
         seen = self._tracer.auxiliary(camera, positions, spp, sequence.pattern, sequence.taken)
-        return _showing(_dark(pixels), seen)
+        return _showing(Samples.none(self._arrays, pixels), seen)
 
     def _traced(
-        self, camera: Camera, known: Samples, counts: NDArray[np.int64], seed: int, sequence: _Sequence
+        self, camera: Camera, known: Samples, counts: int | Counts, seed: int, sequence: _Sequence
     ) -> Samples:
         """The pixels with `counts` further samples each, placed in the gaps between earlier ones."""
-        chosen = np.flatnonzero(counts)
-        drawn = (sequence.taken + known.count.astype(np.int64))[chosen]
-        counts = counts[chosen]
-        positions = pixel_positions(mi.UInt32(known.pixels[chosen]), camera.width)
-        numbers = _one_for_all(counts), seed, _one_for_all(drawn)
-        traced = self._tracer.trace(camera, positions, *numbers, sequence.pattern)
-        count, radiance, squares = map(np.zeros_like, (known.count, known.radiance, known.squares))
-        count[chosen] = counts
-        radiance[chosen], squares[chosen] = interleaved(traced.radiance), interleaved(traced.squares)
-        return merged(known, replace(known, count=count, radiance=radiance, squares=squares))
+        plain = self._arrays.plain
+        drawn = _Sequence(sequence.taken + plain.UInt(known.count), sequence.pattern)
+        traced = self._shot(camera, known.pixels, counts, seed, drawn)
+        added = self._sampled(known.pixels, counts, traced)
+        return merged(known, added)
 
-    def _have(self, region: FoveaRegion, known: Samples) -> NDArray[np.float32]:
-        """(D,) samples per pixel in the neighbourhood of each pixel.
+    def _shot(
+        self,
+        camera: Camera,
+        pixels: Any,
+        counts: int | Counts,
+        seed: int,
+        sequence: _Sequence | None = None,
+        features: bool = False,
+    ) -> Traced:
+        """Traces pixels."""
+        sequence = sequence or _Sequence(0, seed)
+        positions = pixel_positions(mi.UInt32(pixels), camera.width)
+        return self._tracer.trace(camera, positions, counts, seed, sequence.taken, sequence.pattern, features)
+
+    def _have(self, disc: Disc, known: Samples) -> Any:
+        """Float (D,), samples per pixel in the neighbourhood of each pixel.
 
         Reprojected samples fall on pixels at random. Filling every gap among them would take several samples
         of one pixel at once, which blur when they are reprojected in turn. Gaps are therefore filled only
@@ -258,12 +258,25 @@ class DiscTracer:
         """
         if self._history is None:
             return known.count
-        rectangle = region.rectangle
-        nothing = np.zeros((*rectangle.shape, 1), dtype=np.float32)
-        counted = rectangle.scattered(nothing, np.stack([known.count], axis=1))[..., 0]
-        inside = rectangle.scattered(nothing, np.ones((len(known.count), 1), dtype=np.float32))[..., 0]
-        mean = uniform_filter(counted, _WINDOW) / np.maximum(uniform_filter(inside, _WINDOW), 1e-3)
-        return np.where(known.count < 1, 0, np.maximum(rectangle.gathered(mean[..., None])[:, 0], 1))
+        counted, inside = (
+            disc.image(of, 0.0) for of in (known.count, dr.full(type(known.count), 1, known.size))
+        )
+        sums = [window_sum(disc.arrays, image, disc.shape, _WINDOW) for image in (counted, inside)]
+        total, number = (dr.gather(type(of), of, disc.inside) for of in sums)
+        return dr.select(known.count < 1, 0, dr.maximum(total / number, 1))
+
+    def _sampled(self, pixels: Any, counts: int | Counts, traced: Traced) -> Samples:
+        """What was traced of (D,) pixels, `counts` samples in each."""
+        plain = self._arrays.plain
+        count = (
+            dr.full(plain.Float, counts, dr.width(pixels))
+            if isinstance(counts, int)
+            else plain.Float(counts.each)
+        )
+        light = (_plain(channels) for channels in (traced.radiance, traced.squares))
+        names = zip(("radiance", "squares"), light, strict=True)
+        found = replace(Samples.none(self._arrays, pixels), count=count, **dict(names))
+        return found if traced.features is None else _showing(found, traced.features)
 
 
 @dataclass(frozen=True)
@@ -271,17 +284,12 @@ class _Sequence:
     """Where the next samples lie in their pixels.
 
     Attributes:
-        taken: samples already drawn, (D,) or one number for all pixels.
+        taken: samples already drawn, UInt (D,) or one number for all pixels.
         pattern: seed of the sampling pattern.
     """
 
-    taken: int | NDArray[np.int64]
+    taken: Any
     pattern: int
-
-
-def _even(request: DiscRequest) -> NDArray[np.int64]:
-    """(D,) the same number of samples for each pixel."""
-    return np.full(len(request.region.pixels), request.spp, dtype=np.int64)
 
 
 def _first_spp(spp: int) -> int:
@@ -289,62 +297,53 @@ def _first_spp(spp: int) -> int:
     return max(_FEWEST_FIRST, int(_FIRST_SHARE * spp))
 
 
-def _second_counts(
-    request: DiscRequest, known: Samples, have: NDArray[np.float32], underlay: Underlay
-) -> NDArray[np.int64]:
-    """(D,) samples that go where what is known disagrees with the splats.
+def _second_counts(request: DiscRequest, known: Samples, have: Any, underlay: Underlay) -> int | Counts:
+    """The samples that go where what is known disagrees with the splats.
 
     Args:
         request: of all samples.
         known: of the disc's pixels.
-        have: (D,) samples around each pixel.
+        have: Float (D,), samples around each pixel.
         underlay: the splats.
     """
-    region = request.region
+    disc = request.disc
     # Where samples go needs no fine detail: the quicker denoiser takes a fifth of the time.
-    parents = parents_of(region, known, underlay, quick=True)
-    differs = disagreement(parents.denoised, parents.splat)
-    worth = region.rectangle.gathered(differs[..., None])[:, 0]
-    left = (request.spp - _first_spp(request.spp)) * len(region.pixels)
+    parents = parents_of(disc, known, underlay, quick=True)
+    denoised, splat = (channels_of(disc.arrays, image) for image in (parents.denoised, parents.splat))
+    differs = disagreement(disc.arrays, denoised, splat, disc.shape)
+    worth = dr.gather(type(differs), differs, disc.inside)
+    left = (request.spp - _first_spp(request.spp)) * disc.count
     # The second samples must not repeat the random numbers of the first ones.
     return allotted(worth, have, left, request.seed + _SECOND_STREAM)
 
 
-def _one_for_all(numbers: NDArray[np.int64]) -> int | NDArray[np.int64]:
-    """A single number if all are equal, which saves the tracer an array."""
-    return int(numbers[0]) if (numbers == numbers[0]).all() else numbers
+def _chosen(arrays: Arrays, counts: int | Counts, size: int) -> tuple[Any, int | Counts]:
+    """Indices (M,) of those of D pixels that get samples, and how many."""
+    if isinstance(counts, int):
+        return dr.arange(arrays.plain.UInt, size), counts
+    chosen = dr.compress(counts.each > 0)
+    return chosen, replace(counts, each=dr.gather(type(counts.each), counts.each, chosen))
 
 
 def _without_light(samples: Samples) -> Samples:
     """The same pixels without any samples of radiance."""
-    dark = np.zeros_like(samples.radiance)
-    return replace(samples, count=dark[:, 0], radiance=dark, squares=dark)
+    dark = dr.zeros(type(samples.count), samples.size)
+    return replace(samples, count=dark, radiance=[dark] * 3, squares=[dark] * 3)
 
 
-def _dark(pixels: NDArray[np.uint32]) -> Samples:
-    """Pixels about which nothing is known."""
-    triple, gloss = np.zeros((len(pixels), 3), dtype=np.float32), np.zeros(len(pixels), dtype=np.uint8)
-    mover = gloss.astype(np.uint16)
-    return Samples(pixels, triple[:, 0], triple, triple, triple, triple, triple, gloss, mover)
-
-
-def _sampled(pixels: NDArray[np.uint32], counts: int | NDArray[np.int64], traced: Traced) -> Samples:
-    """What was traced of (D,) pixels, `counts` samples in each."""
-    return replace(
-        _dark(pixels),
-        count=np.full(len(pixels), counts, dtype=np.float32),
-        radiance=interleaved(traced.radiance),
-        squares=interleaved(traced.squares),
-    )
+def _plain(channels: list[Any]) -> list[Any]:
+    """Mitsuba's floats as arrays without derivatives."""
+    return [dr.detach(channel, preserve_type=False) for channel in channels]
 
 
 def _showing(samples: Samples, seen: AuxiliaryFeatures) -> Samples:
     """The samples with auxiliary features of the same pixels."""
+    gloss, *mover = _plain([seen.gloss] if seen.mover is None else [seen.gloss, seen.mover])
     return replace(
         samples,
-        albedo=interleaved(seen.albedo),
-        normal=interleaved(seen.normal),
-        position=interleaved(seen.position),
-        gloss=seen.gloss.numpy().astype(np.uint8),
-        mover=samples.mover if seen.mover is None else seen.mover.numpy().astype(np.uint16),
+        albedo=_plain(seen.albedo),
+        normal=_plain(seen.normal),
+        position=_plain(seen.position),
+        gloss=gloss,
+        mover=mover[0] if mover else samples.mover,
     )

@@ -19,8 +19,9 @@ from scipy.ndimage import maximum_filter
 from compose.base.arrays import Arrays, uploaded
 from compose.blend.blend import blend
 from compose.camera.camera import Camera
-from compose.fovea.region import FoveaRegion
+from compose.fovea.disc import Disc
 from compose.image.colour import Image
+from compose.image.device import DeviceImage
 from hybrid.frame.coverage import Coverage
 from pathtrace.base.denoise import denoise
 from pathtrace.trace.film import box_positions, interleaved, pixel_positions
@@ -59,21 +60,21 @@ class Fill:
     """What is filled of a frame.
 
     Attributes:
-        region: the D pixels, and the weight of the filled radiance in each.
-        radiance: (D, 3) linear.
+        disc: the D pixels, and the weight of the filled radiance in each.
+        radiance: three Floats (D,), linear.
     """
 
-    region: FoveaRegion
-    radiance: NDArray[np.float32]
+    disc: Disc
+    radiance: list[Any]
 
     @property
     def share(self) -> float:
         """Part of the frame that is filled, 0 to 1."""
-        return float(self.region.weights.sum()) / (self.region.width * self.region.height)
+        return float(dr.sum(self.disc.weights)[0]) / (self.disc.width * self.disc.height)
 
-    def over(self, splats: Image) -> Image:
-        """(H, W, 3) splats with the filled radiance in place of what they do not know."""
-        return blend(splats, self.radiance, self.region)
+    def over(self, splats: DeviceImage) -> DeviceImage:
+        """Splats with the filled radiance in place of what they do not know."""
+        return blend(splats, self.radiance, self.disc)
 
 
 class Filler:
@@ -113,14 +114,14 @@ class Filler:
         if not unknown.any():
             return None
         side = self._coverage.cell(camera)
-        region = _region(camera, unknown, side)
+        disc = _disc(self._arrays, camera, unknown, side)
         # What is beside them as well: it shines through the enlargement, and denoising looks at it.
         cells = maximum_filter(unknown, 3, mode="nearest") > 0
         traced = _light(light(), camera, cells, side, effort, seed + _STREAM)
         albedo = probe.auxiliary(
-            camera, pixel_positions(mi.UInt32(region.pixels), camera.width), effort.albedo_spp, seed
+            camera, pixel_positions(mi.UInt32(disc.pixels), camera.width), effort.albedo_spp, seed
         ).albedo
-        return Fill(region, self._lit(region, albedo, traced))
+        return Fill(disc, self._lit(disc, albedo, traced))
 
     def kept(
         self, camera: Camera, probe: Tracer, light: Callable[[], Tracer], key: object, seed: int
@@ -133,13 +134,13 @@ class Filler:
             self._kept = (camera, key), made
         return self._kept[1]
 
-    def _lit(self, region: FoveaRegion, albedo: list[Any], light: Image) -> NDArray[np.float32]:
-        """(D, 3) radiance of pixels with an albedo in a light (h, w, 3) that is linear between its pixels."""
+    def _lit(self, disc: Disc, albedo: list[Any], light: Image) -> list[Any]:
+        """Radiance of pixels with an albedo in a light (h, w, 3) that is linear between its pixels."""
         plain = self._arrays.plain
         rows, columns = (self._arrays.number(side) for side in light.shape[:2])
-        values, pixel = uploaded(plain.Float, light), uploaded(plain.UInt, region.pixels)
-        row = pixel // self._arrays.number(region.width)
-        column = pixel - row * self._arrays.number(region.width)
+        values, pixel = uploaded(plain.Float, light), disc.pixels
+        row = pixel // self._arrays.number(disc.width)
+        column = pixel - row * self._arrays.number(disc.width)
         x, y = ((plain.Float(at) + 0.5) * (1 / _SIDE) - 0.5 for at in (column, row))
         left, top = plain.Int(dr.floor(x)), plain.Int(dr.floor(y))
         total = [plain.Float(0) for _ in range(3)]
@@ -151,10 +152,12 @@ class Filler:
             for c in range(3):
                 tap = dr.gather(plain.Float, values, (i * columns + j) * 3 + c)
                 total[c] = dr.fma(weight, tap, total[c])
-        return interleaved([mi.Float(t) * (a + _ALBEDO_OFFSET) for t, a in zip(total, albedo, strict=True)])
+        lit = [t * (plain.Float(a) + _ALBEDO_OFFSET) for t, a in zip(total, albedo, strict=True)]
+        dr.eval(lit)
+        return lit
 
 
-def _region(camera: Camera, unknown: NDArray[np.float32], side: int) -> FoveaRegion:
+def _disc(arrays: Arrays, camera: Camera, unknown: NDArray[np.float32], side: int) -> Disc:
     """The pixels with a share of what is unknown, given for cells; it is linear between their centres."""
     height, width = camera.height, camera.width
     axes = []
@@ -166,7 +169,7 @@ def _region(camera: Camera, unknown: NDArray[np.float32], side: int) -> FoveaReg
     rows = unknown[top] + (unknown[bottom] - unknown[top]) * down[:, None]
     weights = (rows[:, left] + (rows[:, right] - rows[:, left]) * across).ravel()
     pixels = np.flatnonzero(weights > 0).astype(np.uint32)
-    return FoveaRegion(width, height, pixels, weights[pixels], (width / 2, height / 2), 0.0)
+    return Disc.of(arrays, width, height, pixels, weights[pixels])
 
 
 def _light(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from compose.camera.camera import Camera
 from compose.eye.detail import DetailMap
 from compose.fovea.region import FoveaRegion
 from compose.image.colour import Image
+from compose.image.device import DeviceImage
 from hybrid.frame.aovs import aovs_of
 from hybrid.frame.fill import Fill
 from hybrid.frame.fovea import FoveaImage
@@ -31,29 +32,30 @@ class AovSource(Protocol):
         """(H, W) depth of the first hit along the view axis, inf where nothing is hit."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Frame:
-    """One frame and its parts.
+    """One frame and its parts, in the memory of the device that made it.
 
     Attributes:
-        composite: (H, W, 3) linear radiance, the frame itself.
+        image: linear radiance, the frame itself; its `tensor` is for kernels, NumPy and torch.
         settings: how it was made, as resolved for its camera.
         camera: the view.
-        periphery: (H, W, 3) the splats, and what was filled; black in tiles that the fovea hides.
+        splats: the periphery, and what was filled; black in tiles that the fovea hides.
         detail: the detail that the viewer resolves in each part of the frame.
         nodes_drawn: Gaussians drawn in the periphery, counted once per layer image.
-        fovea: the disc and what it was made from.
+        fovea: the disc and what it was made from; its `disc` has the weights of the blend and, of a raw
+            fovea, the pixels with samples only.
         underlay: the splats under the disc, if fused.
-        region: the disc's pixels and the weights of the blend; for a raw fovea, the pixels with samples.
+        region: the disc.
         milliseconds: per pass (region, detail, splat, fill, underlay, trace, fovea, blend), and in total.
         source: renders further AOVs when the frame is saved.
         fill: what was path-traced because the forest does not know it; None if it knows all of the frame.
     """
 
-    composite: Image
+    image: DeviceImage
     settings: FrameSettings
     camera: Camera
-    periphery: Image
+    splats: DeviceImage
     detail: DetailMap
     nodes_drawn: int
     fovea: FoveaImage
@@ -64,13 +66,27 @@ class Frame:
     fill: Fill | None = None
 
     @property
+    def composite(self) -> Image:
+        """(H, W, 3) linear radiance in host memory; on the CPU, that is where it is."""
+        return self.image.numpy()
+
+    @property
+    def periphery(self) -> Image:
+        """(H, W, 3) `splats` in host memory; on the CPU, that is where it is."""
+        return self.splats.numpy()
+
+    @property
     def filled(self) -> float:
         """Share of the frame, 0 to 1, that was path-traced because the forest does not know it."""
         return 0.0 if self.fill is None else self.fill.share
 
-    def of_disc(self, values: NDArray[np.float32]) -> Image:
-        """(H, W, C) image of values (D, C) of the region's pixels, black elsewhere."""
-        return self.region.image_of(values)
+    def of_disc(self, channels: list[Any]) -> NDArray[np.float32]:
+        """(H, W, C) host image of channels, C Floats (D,), of the disc's pixels; black elsewhere."""
+        return self.fovea.disc.frame_image(channels)
+
+    def weight_image(self) -> NDArray[np.float32]:
+        """(H, W) weight of the fovea; the weight of the splats is one minus it."""
+        return self.of_disc([self.fovea.disc.weights])[..., 0]
 
     def aovs(self) -> dict[str, NDArray[np.float32]]:
         """The images that the frame consists of, by name: the layers of its EXR file.
@@ -82,8 +98,8 @@ class Frame:
         splats, depth = self.source.splats(self.settings), self.source.depth(self.camera)
         coverage = np.ones(depth.shape, dtype=np.float32)
         if self.fill is not None:
-            coverage -= self.fill.region.weight_image()
-        return aovs_of(self.composite, self.settings, self.detail, self.region, self.fovea) | {
+            coverage -= self.fill.disc.frame_image([self.fill.disc.weights])[..., 0]
+        return aovs_of(self.composite, self.settings, self.detail, self.fovea) | {
             "splat": splats,
             "depth": depth,
             "coverage": coverage,

@@ -11,7 +11,6 @@ from compose.eye.detail import DetailMap, LayerRange, detail_map
 from compose.eye.lattice import CELL
 from compose.eye.steps import COARSEST_RATE
 from compose.fovea.region import FoveaRegion
-from compose.image.colour import Image
 from hybrid.frame.saliency import ViewSaliency
 from hybrid.frame.settings import FrameSettings
 from splat.lod.cached_images import CachedLayerImages
@@ -40,7 +39,7 @@ class Periphery:
         self._renderer = ForestRenderer(arrays, forest)
         self._saliency = ViewSaliency(self._renderer, forest)
         # What the layers of the last still view were drawn for; their images; the finest one as a whole.
-        self._kept: tuple[tuple[object, ...], CachedLayerImages, Image] | None = None
+        self._kept: tuple[tuple[object, ...], CachedLayerImages, SplatImage] | None = None
         self._time = 0.0
 
     def set_time(self, time: float) -> None:
@@ -115,18 +114,18 @@ class Periphery:
         kept, _ = self._kept_layers(camera, settings, detail)
         return kept.composite(shares, region.peripheral_tiles(TILE))
 
-    def whole_still(self, camera: Camera, settings: FrameSettings, detail: DetailMap) -> Image:
+    def whole_still(self, camera: Camera, settings: FrameSettings, detail: DetailMap) -> SplatImage:
         """Like `whole`, drawn once per camera."""
         return self._kept_layers(camera, settings, detail)[1]
 
     def _kept_layers(
         self, camera: Camera, settings: FrameSettings, detail: DetailMap
-    ) -> tuple[CachedLayerImages, Image]:
+    ) -> tuple[CachedLayerImages, SplatImage]:
         steps = [(step.layer, step.rate) for step in detail.steps]
         drawn_for = camera, self.layers_of(settings), steps
         if self._kept is None or self._kept[0] != drawn_for:
-            whole = np.array(self.whole(camera, settings))
-            self._kept = drawn_for, CachedLayerImages(self._renderer, camera, steps), whole
+            layers = CachedLayerImages(self._renderer, camera, steps)
+            self._kept = drawn_for, layers, self.whole(camera, settings)
         return self._kept[1:]
 
     def under_disc(self, camera: Camera, settings: FrameSettings, region: FoveaRegion) -> SplatImage:
@@ -140,6 +139,6 @@ class Periphery:
         """Side of the pixels that the finest allowed layer was trained on, in pixels of a camera."""
         return camera.fy / self.forest.focal_of(self.layers_of(settings)[1])
 
-    def whole(self, camera: Camera, settings: FrameSettings) -> Image:
-        """(H, W, 3) the finest allowed layer over the whole frame at full rate."""
-        return self._renderer.render_layer(camera, self.layers_of(settings)[1]).image()
+    def whole(self, camera: Camera, settings: FrameSettings) -> SplatImage:
+        """The finest allowed layer over the whole frame at full rate."""
+        return self._renderer.render_layer(camera, self.layers_of(settings)[1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,11 +10,14 @@ from compose.base.errors import UserError
 from compose.base.seeds import require_seed
 from compose.blend.blend import blend
 from compose.camera.camera import Camera
+from compose.eye.detail import DetailMap
+from compose.fovea.disc import Disc
 from compose.fovea.mode import FoveaMode
 from compose.fovea.region import FoveaRegion
 from compose.image.colour import Image
+from compose.image.device import DeviceImage
 from hybrid.frame.fill import STILL, Fill, Filler
-from hybrid.frame.fovea import Fovea
+from hybrid.frame.fovea import Fovea, FoveaImage
 from hybrid.frame.frame import Frame
 from hybrid.frame.fusion import fusion_of
 from hybrid.frame.irradiance import CachedTracer, cache_for, filled_cache
@@ -28,6 +32,7 @@ from pathtrace.scene.scene import Scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.integrator import Integrator
 from pathtrace.trace.tracer import Tracer
+from splat.lod.image import SplatImage
 from splat.model.forest import Forest
 
 
@@ -50,6 +55,9 @@ class Renderer:
         >>> frame.save("frame.exr")
     """
 
+    # Whether samples are distributed evenly, and made an image by the quicker denoiser.
+    _is_quick = False
+
     def __init__(
         self,
         scene: Scene,
@@ -59,10 +67,10 @@ class Renderer:
         roulette_depth: int | None = None,
     ):
         require_scene(forest, scene.name, scene.hash, "this forest")
-        self.scene = scene
+        self.scene, self._arrays = scene, device_arrays()
         self.tracer = Tracer(scene, roulette_depth=roulette_depth)
-        self.periphery = Periphery(device_arrays(), forest)
-        self._filler = Filler(device_arrays(), forest)
+        self.periphery = Periphery(self._arrays, forest)
+        self._filler = Filler(self._arrays, forest)
         self._fusion, self._history, self._roulette_depth = fusion_of(forest), history, roulette_depth
         self._foveas: dict[Integrator, Fovea] = {}
         self._cached: CachedTracer | None = None
@@ -138,29 +146,76 @@ class Renderer:
                 range.
         """
         seed = require_seed(seed)
-        maker, clock = self.fovea_of(settings), Clock()
+        # First: a cache that is filled for it leaves the scene at another time.
+        self.fovea_of(settings)
+        clock = Clock()
         camera, settings = self._begun(settings)
-        disc = settings.foveation.region(camera.width, camera.height)
+        region = settings.foveation.region(camera.width, camera.height)
+        disc = region.disc(self._arrays)
         clock.lap("region")
-        detail = self.periphery.detail(camera, settings)
-        clock.lap("detail")
-        drawn = self.periphery.draw(camera, detail, disc)
-        periphery = drawn.image()
+        detail, drawn = self._drawn(camera, settings, region, clock)
+        periphery = drawn.on_device(self._arrays)
         clock.lap("splat")
         self._relight(settings)
         fill = self._fill(camera, settings, seed)
         periphery = periphery if fill is None else fill.over(periphery)
         clock.lap("fill")
-        underlay = self.underlay(camera, settings, disc, fill)
+        underlay = self._underlay(camera, settings, region, detail, fill)
         clock.lap("underlay")
-        region, samples = maker.trace(settings.fovea, camera, disc, settings.spp, seed, underlay)
-        clock.lap("trace")
-        fovea = maker.image(settings.fovea, region, samples, periphery, underlay)
-        clock.lap("fovea")
-        composite = blend(periphery, fovea.radiance, region)
+        fovea = self._fovea(settings, camera, disc, seed, periphery, underlay, clock)
+        composite = blend(periphery, fovea.radiance, fovea.disc)
         clock.lap("blend")
-        parts = periphery, detail, drawn.nodes, fovea, underlay, region, clock.milliseconds()
-        return Frame(composite, settings, camera, *parts, self, fill)
+        return Frame(
+            image=composite,
+            settings=settings,
+            camera=camera,
+            splats=periphery,
+            detail=detail,
+            nodes_drawn=drawn.nodes,
+            fovea=fovea,
+            underlay=underlay,
+            region=region,
+            milliseconds=clock.milliseconds(),
+            source=self,
+            fill=fill,
+        )
+
+    def _fovea(
+        self,
+        settings: FrameSettings,
+        camera: Camera,
+        disc: Disc,
+        seed: int,
+        periphery: DeviceImage | None,
+        underlay: Underlay | None,
+        clock: Clock,
+    ) -> FoveaImage:
+        """Traces a disc and makes the fovea from its samples."""
+        maker, mode = self.fovea_of(settings), settings.fovea
+        disc, samples = maker.trace(mode, camera, disc, settings.spp, seed, underlay, self._is_quick)
+        clock.lap("trace")
+        fovea = maker.image(mode, disc, samples, periphery, underlay, self._is_quick)
+        clock.lap("fovea")
+        return fovea
+
+    def _drawn(
+        self, camera: Camera, settings: FrameSettings, region: FoveaRegion, clock: Clock
+    ) -> tuple[DetailMap, SplatImage]:
+        """The detail of a frame, and the splats that the fovea leaves visible."""
+        detail = self.periphery.detail(camera, settings)
+        clock.lap("detail")
+        return detail, self.periphery.draw(camera, detail, region)
+
+    def _underlay(
+        self,
+        camera: Camera,
+        settings: FrameSettings,
+        region: FoveaRegion,
+        detail: DetailMap,
+        fill: Fill | None,
+    ) -> Underlay | None:
+        """The splats under the disc of a frame of some detail."""
+        return self.underlay(camera, settings, region, fill)
 
     def _begun(self, settings: FrameSettings) -> tuple[Camera, FrameSettings]:
         """The camera and the settings of a frame; scene and forest show its time from now on."""
@@ -191,39 +246,46 @@ class Renderer:
         return self._filler.fill(camera, self.tracer, lambda: self.tracer_of(integrator), STILL, seed)
 
     def underlay(
-        self, camera: Camera, settings: FrameSettings, disc: FoveaRegion, fill: Fill | None = None
+        self, camera: Camera, settings: FrameSettings, region: FoveaRegion, fill: Fill | None = None
     ) -> Underlay | None:
         """The splats under the disc, with what is filled; None unless the settings fuse them with it."""
         if settings.fovea is not FoveaMode.FUSED:
             return None
-        radiance = self.periphery.under_disc(camera, settings, disc).image()
+        radiance = self.periphery.under_disc(camera, settings, region).on_device(self._arrays)
         radiance = radiance if fill is None else fill.over(radiance)
         return Underlay(camera, radiance, self.periphery.enlargement(camera, settings))
 
-    def disc_alone(self, settings: FrameSettings, seed: int) -> Image:
-        """(D, 3) linear radiance of a frame's disc, without rendering a periphery; D as in its region."""
+    def disc_alone(self, settings: FrameSettings, seed: int) -> FoveaImage:
+        """A frame's disc, without rendering a periphery."""
         # First: a cache that is filled for it leaves the scene at another time.
-        maker = self.fovea_of(settings)
+        self.fovea_of(settings)
         camera, settings = self._begun(settings)
-        disc = settings.foveation.region(camera.width, camera.height)
+        region = settings.foveation.region(camera.width, camera.height)
         self._relight(settings)
-        fused = settings.fovea is FoveaMode.FUSED
-        fill = self._fill(camera, settings, seed) if fused else None
-        underlay = self.underlay(camera, settings, disc, fill)
-        region, samples = maker.trace(settings.fovea, camera, disc, settings.spp, seed, underlay)
-        surroundings = np.zeros((region.height, region.width, 3), dtype=np.float32)
-        return maker.image(settings.fovea, region, samples, surroundings, underlay).radiance
+        fill = self._fill(camera, settings, seed) if settings.fovea is FoveaMode.FUSED else None
+        underlay = self.underlay(camera, settings, region, fill)
+        black = DeviceImage.filled(
+            self._arrays,
+            camera.width,
+            camera.height,
+            [dr.zeros(self._arrays.plain.Float, camera.width * camera.height)] * 3,
+        )
+        disc = region.disc(self._arrays)
+        fovea = self._fovea(settings, camera, disc, seed, black, underlay, Clock())
+        dr.eval(fovea.radiance)
+        dr.sync_thread()
+        return fovea
 
     def paths(self, settings: FrameSettings) -> float:
         """Expected number of paths traced for a frame."""
         camera, settings = settings.resolved(self.scene.camera)
-        disc = settings.foveation.region(camera.width, camera.height)
+        disc = settings.foveation.region(camera.width, camera.height).disc(self._arrays)
         return self.fovea_of(settings).paths(settings.fovea, disc, settings.spp)
 
     def splats(self, settings: FrameSettings = DEFAULTS) -> Image:
         """(H, W, 3) the finest allowed layer over the whole frame, including what a fovea would hide."""
         camera, settings = self._begun(settings)
-        return self.periphery.whole(camera, settings)
+        return self.periphery.whole(camera, settings).image()
 
     def depth(self, camera: Camera) -> NDArray[np.float32]:
         """(H, W) depth of the first hit along the view axis, in world units; inf where nothing is hit."""

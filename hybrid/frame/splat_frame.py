@@ -116,7 +116,7 @@ class SplatRenderer:
         """
         camera, settings = _resolved(settings)
         self._periphery.set_time(settings.time)
-        return self._periphery.whole(camera, settings)
+        return self._periphery.whole(camera, settings).image()
 
 
 def _resolved(settings: FrameSettings) -> tuple[Camera, FrameSettings]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from compose.camera.camera import Camera
-from compose.image.colour import Image
+from compose.image.device import DeviceImage
 
 
 @dataclass(frozen=True)
@@ -14,7 +14,7 @@ class Underlay:
 
     Attributes:
         camera: the view.
-        radiance: (H, W, 3) linear, of the whole frame; only the rectangle around the disc is used.
+        radiance: linear, of the whole frame; only the rectangle around the disc is used.
         enlargement: side of the pixels that the splats were trained on, in pixels of this image.
 
     Raises:
@@ -22,11 +22,11 @@ class Underlay:
     """
 
     camera: Camera
-    radiance: Image
+    radiance: DeviceImage
     enlargement: float
 
     def __post_init__(self) -> None:
-        height, width = self.radiance.shape[:2]
+        width, height = self.radiance.width, self.radiance.height
         if (width, height) != (self.camera.width, self.camera.height):
             raise ValueError(
                 f"the underlay is {width} x {height}, the frame {self.camera.width} x {self.camera.height}"

@@ -36,5 +36,4 @@ class Shown:
     @property
     def spp(self) -> float:
         """Mean samples per pixel of the disc, including those of earlier frames."""
-        count = self.frame.fovea.samples.count
-        return float(count.mean()) if len(count) else 0.0
+        return self.frame.fovea.samples.mean_count()

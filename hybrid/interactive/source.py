@@ -136,11 +136,11 @@ class FrameSource:
         spp = request.settings.spp
         if frame is None:
             frame = self.renderer.frame(request.settings, self._seed)
-            return frame, spp * len(frame.region.pixels)
+            return frame, spp * frame.fovea.disc.count
         if request.view is View.PATH_TRACED or _is_finished(frame):
             return frame, 0
         spp = spp if quick else max(_PATIENT_SPP, spp)
-        return self.renderer.refined(frame, spp, self._seed, quick), spp * len(frame.region.pixels)
+        return self.renderer.refined(frame, spp, self._seed, quick), spp * frame.fovea.disc.count
 
     def _path_traced(self, frame: Frame, quick: bool) -> tuple[ConvergingFrame, int]:
         """A frame's view, path-traced with more samples, and how many paths those took."""
@@ -154,5 +154,5 @@ class FrameSource:
 
 def _is_finished(frame: Frame) -> bool:
     """Whether further samples would make no visible difference."""
-    count = frame.fovea.samples.count
-    return not len(count) or bool(count.mean() >= _ENOUGH)
+    samples = frame.fovea.samples
+    return not samples.size or samples.mean_count() >= _ENOUGH

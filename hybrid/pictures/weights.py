@@ -20,5 +20,7 @@ def weights_picture(frame: Frame) -> NDArray[np.uint8]:
     if frame.fovea.weights is None:
         raise ValueError("only a fused fovea has weights")
     shown = bytes_from_radiance(frame.composite).mean(axis=2, keepdims=True).repeat(3, axis=2) * 0.4
-    shown.reshape(-1, 3)[frame.region.pixels] = frame.fovea.weights * 255
+    inside = np.asarray(frame.fovea.disc.pixels)
+    shares = frame.of_disc(frame.fovea.weights).reshape(-1, 3)[inside]
+    shown.reshape(-1, 3)[inside] = shares * 255
     return (np.clip(shown, 0, 255) + 0.5).astype(np.uint8)

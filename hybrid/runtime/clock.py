@@ -6,21 +6,35 @@ import time
 
 import drjit as dr
 
+from hybrid.runtime.device import device_arrays
+
 
 class Clock:
-    """Measures consecutive passes. A pass ends when the device has finished its work."""
+    """Measures consecutive passes.
+
+    On the CPU, a pass ends when its kernels have finished. On a card, which is to work on one pass while the
+    host prepares the next, a pass is what the host does for it, and "device" what it waits for in the end.
+    """
 
     def __init__(self) -> None:
+        self._waits = device_arrays().backend == "llvm"
         self._start = self._last = time.perf_counter()
         self._laps: dict[str, float] = {}
 
     def lap(self, name: str) -> None:
         """Ends a pass."""
-        dr.sync_thread()
+        if self._waits:
+            dr.sync_thread()
+        self._note(name)
+
+    def milliseconds(self) -> dict[str, float]:
+        """Milliseconds of each pass, and of all passes together ("total"), when all have finished."""
+        if not self._waits:
+            dr.sync_thread()
+            self._note("device")
+        return {**self._laps, "total": (self._last - self._start) * 1000}
+
+    def _note(self, name: str) -> None:
         now = time.perf_counter()
         self._laps[name] = (now - self._last) * 1000
         self._last = now
-
-    def milliseconds(self) -> dict[str, float]:
-        """Milliseconds of each pass, and of all passes together ("total")."""
-        return {**self._laps, "total": (self._last - self._start) * 1000}

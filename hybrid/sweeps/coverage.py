@@ -44,4 +44,4 @@ def covered(radius: float, camera: Camera, count: int, reach: tuple[float, float
     """
     width, height = camera.width, camera.height
     along = (Foveation(gaze, radius, radius).region(width, height) for gaze in gaze_path(count, reach))
-    return float(np.mean([len(region.pixels) for region in along]) / (width * height))
+    return float(np.mean([region.count for region in along]) / (width * height))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import torch
 from scipy.ndimage import gaussian_filter
@@ -18,7 +19,7 @@ from compose.fusion.proof import TRIAL_ITERATIONS, prove, trials
 from compose.fusion.reference import Reference
 from compose.fusion.shares import COUNTS, ENLARGEMENTS, MIXED
 from compose.image.colour import Image
-from hybrid.frame.disc import DiscImages, denoised_for_fusion
+from hybrid.frame.disc import denoised_for_fusion
 from hybrid.frame.fusion import attach_fusion, fusion_of
 from hybrid.runtime.device import device_arrays
 from hybrid.training.posed import Frames
@@ -121,7 +122,7 @@ def _examples(frames: Frames, forest: Forest, rng: np.random.Generator) -> Itera
         enlargement = entry.camera.fy / forest.focal_of(finest)
         estimates = {spp: read_estimate(file, entry.size) for spp, file in entry.estimates.items()}
         traced = [
-            _images_of(found, spp)
+            _Estimate.of(found, spp)
             for spp, found in estimates.items()
             if _is_finite(found.radiance, found.albedo, found.normal)
         ]
@@ -136,25 +137,37 @@ def _is_finite(*images: Image) -> bool:
     return all(np.isfinite(image).all() for image in images)
 
 
-def _images_of(estimate: TracedImage, spp: int) -> DiscImages:
-    count = np.full((*estimate.radiance.shape[:2], 1), spp, dtype=np.float32)
-    return DiscImages(estimate.radiance, estimate.albedo, estimate.normal, count)
+@dataclass(frozen=True)
+class _Estimate:
+    """A path-traced estimate of a view, (H, W, 3) each, and its samples per pixel (H, W, 1)."""
+
+    radiance: Image
+    albedo: Image
+    normal: Image
+    count: Image
+
+    @staticmethod
+    def of(estimate: TracedImage, spp: int) -> _Estimate:
+        """One with `spp` samples in every pixel."""
+        count = np.full((*estimate.radiance.shape[:2], 1), spp, dtype=np.float32)
+        return _Estimate(estimate.radiance, estimate.albedo, estimate.normal, count)
 
 
-def _parents(images: DiscImages, splat: Image, enlargement: float, quick: bool) -> Parents:
-    denoised = denoised_for_fusion(images, quick)
+def _parents(images: _Estimate, splat: Image, enlargement: float, quick: bool) -> Parents:
+    tensors = [mi.TensorXf(image) for image in (images.radiance, images.albedo, images.normal)]
+    denoised = np.array(denoised_for_fusion(tensors, quick))
     unknown = np.full_like(denoised, np.inf)
     auxiliary = images.albedo, images.normal, images.count
     return Parents(images.radiance, unknown, denoised, splat, *auxiliary, enlargement, quick)
 
 
-def _mixed(traced: list[DiscImages], rng: np.random.Generator) -> DiscImages:
+def _mixed(traced: list[_Estimate], rng: np.random.Generator) -> _Estimate:
     """Two estimates in random patches, as a short history and adaptive sampling leave them."""
     one, other = (traced[index] for index in rng.choice(len(traced), 2, replace=False))
     noise = gaussian_filter(rng.normal(size=one.count.shape[:2]), rng.uniform(*_PATCHES))
     first = (noise > np.quantile(noise, rng.uniform(0.2, 0.8)))[..., None]
-    mixed = (np.where(first, getattr(one, f.name), getattr(other, f.name)) for f in fields(DiscImages))
-    return DiscImages(*mixed)
+    mixed = (np.where(first, getattr(one, f.name), getattr(other, f.name)) for f in fields(_Estimate))
+    return _Estimate(*mixed)
 
 
 def _part(example: Example, rng: np.random.Generator) -> Example:

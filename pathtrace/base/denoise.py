@@ -1,13 +1,14 @@
-"""Intel Open Image Denoise for path-traced images and their auxiliary features."""
+"""Intel Open Image Denoise for path-traced images and their auxiliary features, on the device they are on."""
 
 from __future__ import annotations
 
 import math
+from typing import Any, TypeVar
 
+import drjit as dr
+import mitsuba as mi
 import mitsuba_oidn
 import numpy as np
-
-from compose.image.colour import Image
 
 # Added to the albedo before radiance is divided by it, so that dark surfaces do not amplify noise.
 _ALBEDO_OFFSET = 0.1
@@ -15,8 +16,11 @@ _ALBEDO_OFFSET = 0.1
 # Images with a smaller peak than this are scaled by a power of two, exactly, before and after.
 _LEAST_PEAK = 2.0**-8
 
+# A NumPy array, or a tensor of Dr.Jit.
+Picture = TypeVar("Picture")
 
-def denoise(radiance: Image, albedo: Image, normal: Image, quick: bool = False) -> Image:
+
+def denoise(radiance: Picture, albedo: Picture, normal: Picture, quick: bool = False) -> Picture:
     """Removes Monte Carlo noise.
 
     Args:
@@ -26,56 +30,103 @@ def denoise(radiance: Image, albedo: Image, normal: Image, quick: bool = False) 
         quick: uses the quicker network, for frames shown in real time.
 
     Returns:
-        (H, W, 3) denoised radiance.
+        (H, W, 3) denoised radiance, of the same kind as what is given.
     """
+    if isinstance(radiance, np.ndarray):
+        # Scaled here, since kernels take the least floats for 0.
+        exponent = _exponent(float(radiance.max(initial=0)))
+        images = np.ldexp(radiance, -exponent) if exponent else radiance, albedo, normal
+        noisy, *guides = (mi.TensorXf(np.ascontiguousarray(of, dtype=np.float32)) for of in images)
+        denoised = np.array(_denoised(noisy, guides[0], guides[1], quick))
+        return np.ldexp(denoised, exponent) if exponent else denoised  # type: ignore[return-value]
+    return _denoised(radiance, albedo, normal, quick)  # type: ignore[no-any-return]
+
+
+def _denoised(radiance: Any, albedo: Any, normal: Any, quick: bool) -> Any:
+    """As `denoise`, of tensors."""
     quality = mitsuba_oidn.Quality.Fast if quick else mitsuba_oidn.Quality.High
-    peak = float(radiance.max(initial=0))
+    peak = float(dr.max(radiance.array)[0]) if radiance.array.shape[0] else 0.0
     if peak == 0:
         # OIDN shows up to 8e-4 where there is no light at all.
-        return np.zeros(radiance.shape, dtype=np.float32)
-    exponent = math.frexp(peak)[1] if 0 < peak < _LEAST_PEAK else 0
-    denoised = np.asarray(
-        mitsuba_oidn.denoise(
-            np.ascontiguousarray(np.ldexp(radiance, -exponent) if exponent else radiance, dtype=np.float32),
-            np.clip(albedo, 0, 1).astype(np.float32),
-            np.ascontiguousarray(normal, dtype=np.float32),
-            hdr=True,
-            quality=quality,
-        )
-    )
-    return np.ldexp(denoised, exponent) if exponent else denoised
+        return dr.zeros(type(radiance), radiance.shape)
+    exponent = _exponent(peak)
+    albedo = dr.clip(albedo, 0, 1)
+    if exponent:
+        radiance = radiance * 2.0**-exponent
+    dr.eval(radiance, albedo, normal)
+    # OIDN does not know of Dr.Jit's queue.
+    dr.sync_thread()
+    denoised = mitsuba_oidn.denoise(radiance, albedo, normal, hdr=True, quality=quality)
+    return denoised * 2.0**exponent if exponent else denoised
 
 
-def denoise_coarsely(radiance: Image, albedo: Image, normal: Image) -> Image:
-    """Denoises at half the resolution and restores the albedo's detail, in less than half the time.
+def _exponent(peak: float) -> int:
+    """The power of two that an image with this peak is divided by for OIDN."""
+    return math.frexp(peak)[1] if 0 < peak < _LEAST_PEAK else 0
+
+
+def denoise_coarsely(radiance: Any, albedo: Any, normal: Any) -> Any:
+    """Denoises tensors at half the resolution and restores the albedo's detail, in less than half the time.
 
     Args and result as of `denoise`.
     """
-    coarse_radiance, coarse_albedo, coarse_normal = map(_halved, (radiance, albedo, normal))
+    coarse = _halved([radiance, albedo, normal])
     # Radiance over albedo varies slowly: it loses little at half the resolution.
-    light = denoise(coarse_radiance, coarse_albedo, coarse_normal, quick=True) / (
-        coarse_albedo + _ALBEDO_OFFSET
-    )
-    return _doubled(light)[: radiance.shape[0], : radiance.shape[1]] * (albedo + _ALBEDO_OFFSET)
+    light = _denoised(coarse[0], coarse[1], coarse[2], True) / (coarse[1] + _ALBEDO_OFFSET)
+    dr.eval(light)
+    return _doubled(light, radiance.shape) * (albedo + _ALBEDO_OFFSET)
 
 
-def _halved(image: Image) -> Image:
+def _halved(images: list[Any]) -> list[Any]:
     """(ceil(H / 2), ceil(W / 2), 3) means of 2 x 2 pixels; an odd last row or column is repeated."""
-    height, width = image.shape[:2]
-    if height % 2 or width % 2:
-        image = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
-    return np.float32(0.25) * (image[::2, ::2] + image[1::2, ::2] + image[::2, 1::2] + image[1::2, 1::2])
+    height, width = images[0].shape[:2]
+    shape = (height + 1) // 2, (width + 1) // 2, 3
+    values = _Values(images[0], shape)
+    taps = [values.at(2 * values.row + k // 2, 2 * values.column + k % 2) for k in range(4)]
+    halved = [
+        type(image)(0.25 * sum(dr.gather(type(image.array), image.array, tap) for tap in taps), shape)
+        for image in images
+    ]
+    dr.eval(halved)
+    return halved
 
 
-def _doubled(image: Image) -> Image:
-    """(2 H, 2 W, 3) by linear interpolation; the border is repeated."""
-    for axis in (0, 1):
-        # Each new pixel centre lies a quarter of the way from an old one to the next.
-        ahead, behind = (np.roll(image, shift, axis) for shift in (-1, 1))
-        last, first = (slice(None),) * axis + (slice(-1, None),), (slice(None),) * axis + (slice(0, 1),)
-        ahead[last], behind[first] = image[last], image[first]
-        near = np.float32(0.75) * image
-        pair = near + np.float32(0.25) * behind, near + np.float32(0.25) * ahead
-        shape = [side * (1 + (number == axis)) for number, side in enumerate(image.shape)]
-        image = np.stack(pair, axis=axis + 1).reshape(shape)
-    return image
+def _doubled(image: Any, shape: tuple[int, ...]) -> Any:
+    """(*shape) by linear interpolation of an image of half the size; the border is repeated."""
+    values = _Values(image, shape)
+    # Each new pixel centre lies a quarter of the way from an old one to the next.
+    rows, columns = (
+        ((at // 2, 0.75), (at // 2 + 2 * (at & 1) - 1, 0.25)) for at in (values.row, values.column)
+    )
+    mixed = sum(
+        down * right * dr.gather(type(image.array), image.array, values.at(row, column))
+        for row, down in rows
+        for column, right in columns
+    )
+    return type(image)(mixed, shape)
+
+
+class _Values:
+    """The values of an image of a shape (H, W, 3), one lane each, and where they are in another one.
+
+    Args:
+        source: the other image.
+        shape: of the image.
+
+    Attributes:
+        row, column: signed integers.
+    """
+
+    def __init__(self, source: Any, shape: tuple[int, ...]):
+        Int = dr.int32_array_t(type(source.array))
+        width, self._height, self._width = (dr.opaque(Int, n) for n in (shape[1], *source.shape[:2]))
+        index = dr.arange(Int, shape[0] * shape[1] * 3)
+        pixel = index // 3
+        self._channel = index - 3 * pixel
+        self.row = pixel // width
+        self.column = pixel - self.row * width
+
+    def at(self, row: Any, column: Any) -> Any:
+        """Where in the source the values of a row and column are, its border repeated."""
+        row, column = dr.clip(row, 0, self._height - 1), dr.clip(column, 0, self._width - 1)
+        return dr.uint32_array_t(type(row))((row * self._width + column) * 3 + self._channel)

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.arrays import constant
 from compose.camera.camera import Camera
 
 
@@ -50,7 +51,7 @@ def pixel_positions(indices: Any, width: int) -> FilmPositions:
         width: frame width in pixels.
     """
     # Opaque, like everything that may change from frame to frame: a literal would be compiled in.
-    columns = dr.opaque(mi.UInt32, width)
+    columns = constant(mi.UInt32, width)
     row = indices // columns
     positions = FilmPositions(mi.Float(indices - row * columns), mi.Float(row))
     dr.eval(positions.x, positions.y)

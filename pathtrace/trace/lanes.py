@@ -7,9 +7,9 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
-from numpy.typing import NDArray
 
+from compose.base.arrays import constant
+from compose.fovea.counts import Counts
 from pathtrace.trace.film import FilmPositions
 from pathtrace.trace.sequences import FILM, Sequences, sobol_tables
 
@@ -28,7 +28,7 @@ class Lanes:
         index: film position of each lane.
         sample: number of each lane's sample among those of its position, from 0.
         first: (N,) lane of each position's first sample.
-        spp: samples per position, one number for all or (N,) numpy integers.
+        spp: samples per position, one number for all or Counts of N positions.
     """
 
     count: int
@@ -36,22 +36,28 @@ class Lanes:
     index: Any
     sample: Any
     first: Any
-    spp: int | NDArray[np.int64]
+    spp: int | Counts
 
     @staticmethod
-    def of(positions: int, spp: int | NDArray[np.int64]) -> Lanes:
+    def of(positions: int, spp: int | Counts) -> Lanes:
         """Lanes for `spp` samples of each of a number of positions, some of which may have none."""
-        count = positions * spp if isinstance(spp, int) else int(spp.sum())
+        count = positions * spp if isinstance(spp, int) else spp.total
         padded = max(1, -(-count // _LANE_MULTIPLE)) * _LANE_MULTIPLE
         lane = dr.arange(mi.UInt32, padded)
-        active = lane < dr.opaque(mi.UInt32, count)
+        active = lane < constant(mi.UInt32, count)
         if isinstance(spp, int):
             index = lane // spp
             first = dr.arange(mi.UInt32, positions) * spp
             return Lanes(count, active, index, lane - index * spp, first, spp)
+        each = mi.UInt32(spp.each)
+        start = dr.prefix_sum(each)
+        # Each run of lanes starts with its position's number, which holds until the next run.
+        marks = dr.zeros(mi.UInt32, padded)
+        dr.scatter(marks, dr.arange(mi.UInt32, positions), start, each > 0)
+        index = dr.prefix_reduce(dr.ReduceOp.Max, marks, exclusive=False)
         # A position without samples has no lane; it must not point beyond the last one either.
-        first = mi.UInt32(np.minimum(np.cumsum(spp) - spp, max(count - 1, 0)))
-        index = mi.UInt32(np.pad(np.repeat(np.arange(positions), spp), (0, padded - count)))
+        first = dr.minimum(start, constant(mi.UInt32, max(count - 1, 0)))
+        dr.eval(first, index)
         sample = lane - dr.gather(mi.UInt32, first, index, active)
         return Lanes(count, active, index, sample, first, spp)
 
@@ -91,10 +97,11 @@ class Lanes:
         # One kernel, even if the channels have not been computed yet.
         dr.eval(channels)
         if isinstance(self.spp, int):
-            used = dr.arange(mi.UInt32, self.count)
-            channels = [dr.gather(mi.Float, channel, used) for channel in channels]
-            return channels if self.spp == 1 else [dr.block_sum(channel, self.spp) for channel in channels]
-        return _runs_summed(channels, self.first, self.first + mi.UInt32(self.spp))
+            if self.spp == 1:
+                used = dr.arange(mi.UInt32, self.count)
+                return [dr.gather(mi.Float, channel, used) for channel in channels]
+            return _runs_summed(channels, self.first, self.first + constant(mi.UInt32, self.spp))
+        return _runs_summed(channels, self.first, self.first + mi.UInt32(self.spp.each))
 
 
 def _runs_summed(channels: list[Any], first: Any, end: Any) -> list[Any]:

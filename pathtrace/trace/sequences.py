@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -32,7 +33,17 @@ def _bits() -> NDArray[np.uint32]:
 
 def sobol_tables() -> list[Any]:
     """The Sobol points as Dr.Jit arrays, one for each dimension."""
+    return _tables(mi.variant())
+
+
+@cache
+def _tables(variant: str) -> list[Any]:
+    """The Sobol points on the device of the variant that is set; uploaded once."""
     return [mi.UInt32(bits) for bits in _bits()]
+
+
+# Dr.Jit complains of arrays that outlive it.
+atexit.register(_tables.cache_clear)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.arrays import constant, uploaded
 from compose.camera.camera import Camera
+from compose.fovea.counts import Counts
 from pathtrace.base.frozen import Frozen
 from pathtrace.cache.cache import CacheArrays, IrradianceCache
 from pathtrace.cache.cells import Grid
@@ -50,6 +52,8 @@ _ANY_GRID = Grid(np.zeros(3, dtype=np.float32), 1.0)
 # With fewer samples, the noise of the auxiliary features shows in what they guide; each costs a twentieth of
 # a path.
 _MIN_AUXILIARY_SPP, _MAX_AUXILIARY_SPP = 4, 16
+# Samples of N film positions: one number for all, or one of each.
+SampleCounts = int | NDArray[np.int64] | Counts
 
 
 @dataclass(frozen=True)
@@ -153,9 +157,9 @@ class Tracer:
         self,
         camera: Camera,
         positions: FilmPositions,
-        spp: int | NDArray[np.int64] = 1,
+        spp: SampleCounts = 1,
         seed: int = 0,
-        offset: int | NDArray[np.int64] = 0,
+        offset: Any = 0,
         pattern: int | None = None,
         features: bool = False,
     ) -> Traced:
@@ -164,9 +168,9 @@ class Tracer:
         Args:
             camera: the view; its film coordinates are those of `positions`.
             positions: N film positions.
-            spp: samples per position, one number for all, at least 1, or (N,); those without any are black.
+            spp: samples per position, one number for all, at least 1, or N; those without any are black.
             seed: same seed, same result.
-            offset: samples already drawn from each position's sequence, one number for all or (N,); with the
+            offset: samples already drawn from each position's sequence, one number for all or N; with the
                 same pattern, new samples fill the gaps between those.
             pattern: seed of the sample positions within the boxes; by default `seed`.
             features: whether to return the auxiliary features of what the samples hit first as well, as
@@ -176,7 +180,7 @@ class Tracer:
             ValueError: no samples are asked for.
         """
         pattern = seed if pattern is None else pattern
-        batch = _Batch(camera, positions, _counts(spp), _counts(offset), pattern)
+        batch = _Batch(camera, positions, _counts(spp), _offset(offset), pattern)
         if isinstance(batch.spp, int) and batch.spp < 1:
             raise ValueError(f"spp is {spp}, must be at least 1")
         parts = [
@@ -202,9 +206,7 @@ class Tracer:
         if spp == wanted:
             return traced, traced.features
         more = self.auxiliary(camera, positions, wanted - spp, seed, spp)
-        features = traced.features.averaged(more, (wanted - spp) / wanted)
-        dr.eval(features)
-        return traced, features
+        return traced, traced.features.averaged(more, (wanted - spp) / wanted)
 
     def auxiliary(
         self,
@@ -212,7 +214,7 @@ class Tracer:
         positions: FilmPositions,
         spp: int,
         pattern: int,
-        offset: int | NDArray[np.int64] = 0,
+        offset: Any = 0,
     ) -> AuxiliaryFeatures:
         """Auxiliary features at each position.
 
@@ -225,7 +227,7 @@ class Tracer:
             spp: samples per position.
             pattern, offset: as in `trace`.
         """
-        batch = _Batch(camera, positions, _counts(spp), _counts(offset), pattern)
+        batch = _Batch(camera, positions, _counts(spp), _offset(offset), pattern)
         # All samples of a position at once, if they fit: their sum is the same however many parts there are.
         parts = [self._features(part) for part in batch.parts(max(1, _MAX_LANES // int(spp)))]
         found = _joined(parts)
@@ -233,7 +235,7 @@ class Tracer:
 
     def hits(self, camera: Camera, positions: FilmPositions) -> Hits:
         """First hits of the rays through the centre of each position."""
-        whole = _Batch(camera, positions, 1, 0, 0)
+        whole = _Batch(camera, positions, 1, _offset(0), 0)
         found = [self._hits(camera, part.positions) for part in whole.parts(_MAX_LANES)]
         return Hits(*(np.concatenate([getattr(hits, f.name) for hits in found]) for f in fields(Hits)))
 
@@ -273,12 +275,15 @@ class Tracer:
         for number, share in enumerate(batch.passes()):
             # The first part has the random numbers of a frame that is traced at once.
             channels, seen = self._sums(share, [seed, number, part] if part else [seed, number], features)
-            sums = [a + b for a, b in zip(sums, channels, strict=True)] if sums else channels
-            first = first or seen
-            dr.eval(sums, first)
-        samples = batch.spp if isinstance(batch.spp, int) else mi.Float(np.maximum(batch.spp, 1))
-        means = [channel / samples for channel in sums]
-        dr.eval(means)
+            if sums:
+                channels = [a + b for a, b in zip(sums, channels, strict=True)]
+                dr.eval(channels)
+            sums, first = channels, first or seen
+        samples = (
+            batch.spp if isinstance(batch.spp, int) else mi.Float(dr.maximum(mi.UInt32(batch.spp.each), 1))
+        )
+        means = sums if batch.spp == 1 else [channel / samples for channel in sums]
+        dr.eval(means, first)
         return means, first
 
     def _features(self, batch: _Batch) -> list[Any]:
@@ -289,11 +294,13 @@ class Tracer:
             features = self._trace_auxiliary(self.scene.mitsuba, *share.rays())
             dr.eval(features)
             channels = share.lanes.sums([*features.albedo, *features.normal])
-            sums = [a + b for a, b in zip(sums, channels, strict=True)] if sums else channels
+            if sums:
+                channels = [a + b for a, b in zip(sums, channels, strict=True)]
+                dr.eval(channels, first)
+            sums = channels
             first = first or [
                 dr.gather(mi.Float, channel, share.lanes.first) for channel in features.of_first
             ]
-            dr.eval(sums, first)
         found = [*(channel / batch.spp for channel in sums), *first]
         dr.eval(found)
         return found
@@ -311,18 +318,22 @@ class Tracer:
             with `features`, position, gloss and, where something moves, mover.
         """
         # Seeds of different frames and passes must not overlap; numpy's seed sequence mixes them.
-        state = dr.opaque(mi.UInt32, _mixed(seeds))
+        state = _mixed(seeds)
         if self._known is None:
             channels = self._trace_radiance(features, self.scene.mitsuba, state, *batch.rays())
         else:
             # Unbiased paths only need the film positions of it.
-            dr.eval(batch.sequences)
-            sampled = batch.sequences, *batch.rays()
+            sampled = batch.sequences, *batch.rays(batch.sequences)
             channels = self._trace_radiance(features, self.scene.mitsuba, state, self._known, *sampled)
         dr.eval(channels)
         radiance, means, first = channels[:3], channels[3:9], channels[9:]
         lanes = batch.lanes
-        sums = lanes.sums([*radiance, *(dr.square(channel) for channel in radiance), *means])
+        if batch.spp == 1:
+            # A sample is its own sum, which is squared in the kernel that comes next.
+            radiance, means = (lanes.sums(of) for of in (radiance, means))
+            sums = [*radiance, *(dr.square(channel) for channel in radiance), *means]
+        else:
+            sums = lanes.sums([*radiance, *(dr.square(channel) for channel in radiance), *means])
         return sums, [dr.gather(mi.Float, channel, lanes.first) for channel in first]
 
     def _radiance(
@@ -395,15 +406,15 @@ class _Batch:
     Attributes:
         camera: the view.
         positions: N film positions.
-        spp: samples per position, one number for all or (N,).
-        offset: samples already drawn from each position's sequence, one number for all or (N,).
+        spp: samples per position, one number for all or N.
+        offset: samples already drawn from each position's sequence, mi.UInt32 of width 1 or N.
         pattern: seed of the sample positions.
     """
 
     camera: Camera
     positions: FilmPositions
-    spp: int | NDArray[np.int64]
-    offset: int | NDArray[np.int64]
+    spp: int | Counts
+    offset: Any
     pattern: int
 
     def parts(self, most: int) -> Iterator[_Batch]:
@@ -413,19 +424,33 @@ class _Batch:
             yield self
             return
         for start in range(0, count, most):
-            part = slice(start, min(start + most, count))
-            spp, offset = (of if isinstance(of, int) else of[part] for of in (self.spp, self.offset))
-            yield replace(self, positions=self.positions.part(part.start, part.stop), spp=spp, offset=offset)
+            stop = min(start + most, count)
+            index = dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, stop - start)
+            spp, offset = self.spp, self.offset
+            if isinstance(spp, Counts):
+                spp = Counts.of(dr.gather(mi.UInt32, mi.UInt32(spp.each), index), spp.most)
+            if dr.width(offset) > 1:
+                offset = dr.gather(mi.UInt32, offset, index)
+            yield replace(self, positions=self.positions.part(start, stop), spp=spp, offset=offset)
 
     def passes(self) -> Iterator[_Batch]:
         """The same samples in batches that have some of each position."""
-        spp, done = self.spp, self.spp * 0
-        lanes = self.positions.count * spp if isinstance(spp, int) else int(spp.sum())
-        passes = max(1, min(int(np.max(spp)), -(-lanes // _MAX_LANES)))
+        most = self.spp.most if isinstance(self.spp, Counts) else self.spp
+        lanes = self.spp.total if isinstance(self.spp, Counts) else self.positions.count * self.spp
+        passes = max(1, min(most, -(-lanes // _MAX_LANES)))
+        if passes == 1:
+            yield self
+            return
+        done: Any = 0
         for number in range(passes):
             # Shares as even as whole numbers can be; in the first pass, every position has a sample.
-            share = (spp * (number + 1) + passes - 1) // passes - done
-            yield replace(self, spp=share, offset=self.offset + done)
+            if isinstance(self.spp, int):
+                share: Any = (self.spp * (number + 1) + passes - 1) // passes - done
+                yield replace(self, spp=share, offset=self.offset + done)
+            else:
+                each = mi.UInt64(self.spp.each)
+                share = mi.UInt32((each * (number + 1) + passes - 1) // passes) - done
+                yield replace(self, spp=Counts.of(share, -(-most // passes) + 1), offset=self.offset + done)
             done = done + share
 
     @cached_property
@@ -436,23 +461,34 @@ class _Batch:
     @cached_property
     def sequences(self) -> Sequences:
         """Where the samples of these lanes come from."""
-        if isinstance(self.offset, int):
-            offset = dr.opaque(mi.UInt32, self.offset)
-        else:
-            offset = mi.UInt32(self.offset.astype(np.uint32))
-        return self.lanes.sequences(self.positions, offset, dr.opaque(mi.UInt32, _mixed(self.pattern)))
+        return self.lanes.sequences(self.positions, self.offset, _mixed(self.pattern))
 
-    def rays(self) -> tuple[Any, ...]:
-        """Film coordinates x and y, mask and camera of all lanes, as the frozen functions take them."""
+    def rays(self, *others: Any) -> tuple[Any, ...]:
+        """Film coordinates x and y, mask and camera of all lanes, as the frozen functions take them.
+
+        Computed in one kernel with `others`.
+        """
         x, y = self.lanes.sample_positions(self.positions, self.sequences)
         active = self.lanes.active
-        dr.eval(x, y, active)
+        dr.eval(x, y, active, others)
         return x, y, active, *opaque_camera(self.camera)
 
 
-def _counts(given: int | NDArray[np.int64]) -> int | NDArray[np.int64]:
-    """A number of samples as Python's integer, or (N,) numbers as numpy's."""
-    return int(given) if np.ndim(given) == 0 else np.asarray(given, dtype=np.int64)
+def _counts(given: SampleCounts) -> int | Counts:
+    """A number of samples as Python's integer, or the numbers of N positions."""
+    if isinstance(given, Counts):
+        return given
+    if np.ndim(given) == 0:
+        return int(given)
+    each = np.asarray(given)
+    return Counts(mi.UInt32(each.astype(np.uint32)), int(each.sum()), int(each.max(initial=0)))
+
+
+def _offset(given: Any) -> Any:
+    """Numbers of samples as mi.UInt32, opaque, of width 1 or N."""
+    if isinstance(given, np.ndarray):
+        return mi.UInt32(given.astype(np.uint32))
+    return constant(mi.UInt32, given) if isinstance(given, int) else mi.UInt32(given)
 
 
 def _joined(parts: list[list[Any]]) -> list[Any]:
@@ -464,9 +500,9 @@ def _joined(parts: list[list[Any]]) -> list[Any]:
     return channels
 
 
-def _mixed(entropy: int | list[int]) -> int:
-    """32 bits in which neighbouring seeds have nothing in common."""
-    return int(np.random.SeedSequence(entropy).generate_state(1)[0])
+def _mixed(entropy: int | list[int]) -> Any:
+    """mi.UInt32 of width 1, opaque: 32 bits in which neighbouring seeds have nothing in common."""
+    return uploaded(mi.UInt32, np.random.SeedSequence(entropy).generate_state(1))
 
 
 def _movers(scene: Scene) -> list[tuple[int, int]]:

@@ -15,7 +15,7 @@ from compose.camera.camera import Camera
 from splat.lod.image import SplatImage
 from splat.lod.layer_images import AtlasEntry, Mask
 from splat.raster.blocks import CHANNELS, PIXEL
-from splat.raster.records import RecordLayout, Records
+from splat.raster.records import RecordLayout, Records, records_before
 from splat.raster.tiles import TILE, TileGrid
 
 # A lane composites 4 x 4 pixels: that is one sample at rate 2, four at rate 1.
@@ -33,7 +33,7 @@ def composite(
     entries: Sequence[AtlasEntry],
     atlas: SplatImage,
     camera: Camera,
-    left_out: Mask | None = None,
+    frame: SplatImage | None = None,
 ) -> SplatImage:
     """The frame, black in cells in which no entry has a weight.
 
@@ -42,31 +42,33 @@ def composite(
         entries: of the atlas, at least one; their weights sum to 1 in every cell in which any has one.
         atlas: the entries' samples.
         camera: the view.
-        left_out: (rows, columns) cells that are not written and stay black: somebody else draws there, into a
-            frame that has the rasterizer's channels.
+        frame: the rasterizer's, in which those cells keep what they show, and which is changed; a new one by
+            default.
     """
-    Float, UInt, grid = arrays.plain.Float, arrays.plain.UInt, TileGrid(camera.width, camera.height)
-    channels, new = (3, dr.empty) if left_out is None else (CHANNELS, dr.zeros)
-    frame = new(arrays.plain.Float, grid.padded_width * grid.padded_height * channels)
+    Float, grid = arrays.plain.Float, TileGrid(camera.width, camera.height)
     covered = np.stack([entry.cells.ravel() for entry in entries])
-    sources = _Sources(arrays, entries, atlas, camera)
-    stride = arrays.number(grid.padded_width)
+    groups = _groups(covered, [entry.image.rate for entry in entries])
+    if frame is None:
+        channels, nodes = 3, atlas.nodes
+        radiance = dr.empty(Float, grid.padded_width * grid.padded_height * channels)
+    else:
+        channels, radiance, nodes = frame.channels, frame.radiance, frame.nodes + atlas.nodes
+        groups = [group for group in groups if group.rates]
+    sources = _Sources(arrays, entries, groups, atlas, camera)
+    stride = arrays.constant(grid.padded_width)
     # Cells that need the same rates share their instructions, whichever entries those come from.
-    for group in _groups(covered, [entry.image.rate for entry in entries], left_out):
-        if left_out is not None and not group.rates:
-            continue  # is black already
-        block = _Block(arrays, UInt(group.cells), arrays.number(grid.columns))
-        values = sources.mixed(block, group.rates, [UInt(numbers) for numbers in group.entries])
+    for number, group in enumerate(groups):
+        block, values = sources.mixed(number, group, arrays.constant(grid.columns))
         if channels == CHANNELS:
             values = [v for p in range(len(values) // 3) for v in (*values[3 * p : 3 * p + 3], Float(1))]
         for chunk in range(len(values) // 4):
             pixel = (block.y + chunk // channels) * stride + block.x
             part = arrays.plain.ArrayXf(values[4 * chunk : 4 * chunk + 4])
             target = pixel * channels // 4 + chunk % channels
-            dr.scatter(frame, part, target, mode=dr.ReduceMode.Permute)
+            dr.scatter(radiance, part, target, mode=dr.ReduceMode.Permute)
     # Only now: scatters that are evaluated together become one kernel.
-    dr.eval(frame)
-    return SplatImage(frame, camera.width, camera.height, grid.padded_width, channels, atlas.nodes)
+    dr.eval(radiance)
+    return SplatImage(radiance, camera.width, camera.height, grid.padded_width, channels, nodes)
 
 
 @dataclass(frozen=True)
@@ -76,21 +78,20 @@ class _Group:
     Attributes:
         rates: of their entries; empty for cells that no entry covers.
         cells: (M,) numbers of the cells.
-        entries: for each of the rates (M,), the number of the entry, cell by cell.
+        entries: (rates, M) the number of the entry, cell by cell.
     """
 
     rates: list[int]
     cells: NDArray[np.uint32]
-    entries: list[NDArray[np.uint32]]
+    entries: NDArray[np.uint32]
 
 
-def _groups(covered: Mask, rates: Sequence[int], left_out: Mask | None) -> list[_Group]:
+def _groups(covered: Mask, rates: Sequence[int]) -> list[_Group]:
     """Groups cells by the rates of the entries that cover them.
 
     Args:
         covered: (entries, cells) bool.
         rates: of the entries.
-        left_out: (rows, columns) cells that belong to no group.
     """
     combination, members = _combinations(covered)
     # For each combination of entries: which group it belongs to, and the entries' numbers in it.
@@ -102,13 +103,9 @@ def _groups(covered: Mask, rates: Sequence[int], left_out: Mask | None) -> list[
         group_of[k] = groups.setdefault(tuple(rates[n] for n in numbers), len(groups))
         number_of[: len(numbers), k] = numbers
     group, found = group_of[combination], []
-    if left_out is not None:
-        group[left_out.ravel()] = -1
     for key, number in groups.items():
         cells = np.flatnonzero(group == number)
-        if not len(cells):
-            continue
-        entries = [row[combination[cells]] for row in number_of[: len(key)]]
+        entries = number_of[: len(key), combination[cells]]
         found.append(_Group(list(key), cells.astype(np.uint32), entries))
     return found
 
@@ -135,64 +132,75 @@ class _Block:
     """The lanes: one per block of pixels, those of a cell side by side.
 
     Attributes:
-        entry: position of each lane's cell among the given ones.
-        cell: its number in the frame.
-        row: its row of cells.
         x, y: the block's first pixel.
     """
 
-    def __init__(self, arrays: Arrays, cells: Any, columns: Any):
-        UInt = arrays.plain.UInt
-        lane = dr.arange(UInt, dr.width(cells) * _PER_CELL)
-        self.entry = lane // _PER_CELL
-        self.cell = dr.gather(UInt, cells, self.entry)
+    def __init__(self, lane: Any, cell: Any, columns: Any):
         block, across = lane % _PER_CELL, TILE // _BLOCK
-        self.row = self.cell // columns
-        self.x = (self.cell - self.row * columns) * TILE + block % across * _BLOCK
-        self.y = self.row * TILE + block // across * _BLOCK
+        row = cell // columns
+        self.x = (cell - row * columns) * TILE + block % across * _BLOCK
+        self.y = row * TILE + block // across * _BLOCK
 
 
 class _Sources:
-    """The entries' samples and weights."""
+    """The entries' samples and weights, and which of them each cell of each group shows.
 
-    def __init__(self, arrays: Arrays, entries: Sequence[AtlasEntry], atlas: SplatImage, camera: Camera):
-        self.arrays, self._stride = arrays, arrays.number(atlas.stride)
+    What changes with the gaze is one array: for each group its start, the groups' cells, and weights.
+    """
+
+    def __init__(
+        self,
+        arrays: Arrays,
+        entries: Sequence[AtlasEntry],
+        groups: Sequence[_Group],
+        atlas: SplatImage,
+        camera: Camera,
+    ):
+        self._arrays, self._stride = arrays, arrays.constant(atlas.stride)
         self._samples = Records(arrays, PIXEL, [atlas.radiance])
-        self._size = arrays.number(camera.width), arrays.number(camera.height)
-        self._tops = arrays.plain.UInt(np.array([entry.top for entry in entries], dtype=np.uint32))
+        self._size = arrays.constant(camera.width), arrays.constant(camera.height)
+        tops = np.array([entry.top for entry in entries], dtype=np.uint32)
         weights = np.stack([entry.image.weight for entry in entries])
-        self._weights = _CORNERS.upload(
-            arrays,
-            top_left=weights[:, :-1, :-1].ravel(),
-            top_right=weights[:, :-1, 1:].ravel(),
-            bottom_left=weights[:, 1:, :-1].ravel(),
-            bottom_right=weights[:, 1:, 1:].ravel(),
-        )
-        self._cells = arrays.number(entries[0].cells.size)
+        above, below = weights[:, :-1], weights[:, 1:]
+        corners = np.stack([above[..., :-1], above[..., 1:], below[..., :-1], below[..., 1:]], axis=-1)
+        # Of each cell of a group its number, and for each rate which corners are its own and the first row.
+        cells = [
+            np.vstack([g.cells, g.entries * entries[0].cells.size + g.cells, tops[g.entries]]).T.astype(
+                np.uint32
+            )
+            for g in groups
+        ]
+        first = corners.size + np.cumsum([len(groups), *(part.size for part in cells)])[:-1]
+        self._corners = records_before(arrays, _CORNERS, corners, first.astype(np.uint32), *cells)
+        self._array = self._corners.tables[0]
+        self._starts = arrays.constant(corners.size)
 
-    def mixed(self, block: _Block, rates: Sequence[int], entries: Sequence[Any]) -> list[Any]:
-        """Red, green, blue of each pixel of a block.
+    def mixed(self, number: int, group: _Group, columns: Any) -> tuple[_Block, list[Any]]:
+        """The blocks of a group, and red, green, blue of each of their pixels.
 
         Args:
-            block: the pixels.
-            rates: of the entries that are mixed.
-            entries: for each of the rates the number of the entry, by cell.
+            number: of the group.
+            group: that one.
+            columns: of cells in the frame.
         """
-        Float = self.arrays.plain.Float
+        Float, UInt, count = self._arrays.plain.Float, self._arrays.plain.UInt, len(group.rates)
+        at = lambda index: dr.reinterpret_array(UInt, dr.gather(Float, self._array, index))  # noqa: E731
+        lane = dr.arange(UInt, len(group.cells) * _PER_CELL)
+        cell = at(self._starts + self._arrays.constant(number)) + lane // _PER_CELL * (1 + 2 * count)
+        block = _Block(lane, at(cell), columns)
         total = [Float(0) for _ in range(3 * _BLOCK * _BLOCK)]
-        for rate, numbers in zip(rates, entries, strict=True):
-            entry = dr.gather(self.arrays.plain.UInt, numbers, block.entry)
-            pixels = self._interpolated(block, rate, dr.gather(self.arrays.plain.UInt, self._tops, entry))
-            weights = self._weight(block, entry) if len(rates) > 1 else [Float(1)] * len(pixels)
-            for number, (pixel, weight) in enumerate(zip(pixels, weights, strict=True)):
+        for k, rate in enumerate(group.rates):
+            pixels = self._interpolated(block, rate, at(cell + (1 + count + k)))
+            weights = [Float(1)] * len(pixels) if count == 1 else self._weight(block, at(cell + (1 + k)))
+            for p, (pixel, weight) in enumerate(zip(pixels, weights, strict=True)):
                 for c in range(3):
-                    total[3 * number + c] = dr.fma(pixel[c], weight, total[3 * number + c])
-        return total
+                    total[3 * p + c] = dr.fma(pixel[c], weight, total[3 * p + c])
+        return block, total
 
-    def _weight(self, block: _Block, entry: Any) -> list[Any]:
-        """Weight of an entry in each pixel of a block."""
-        Float = self.arrays.plain.Float
-        cell = self._weights.at(entry * self._cells + block.cell)
+    def _weight(self, block: _Block, corners: Any) -> list[Any]:
+        """Weight in each pixel of a block, from those at the corners of its cell."""
+        Float = self._arrays.plain.Float
+        cell = self._corners.at(corners)
         left, top = Float(block.x % TILE) * (1 / TILE), Float(block.y % TILE) * (1 / TILE)
         weights = []
         for row in range(_BLOCK):
@@ -210,7 +218,7 @@ class _Sources:
             rate: of the entry.
             top: its first row in the atlas.
         """
-        Int, Float = self.arrays.plain.Int, self.arrays.plain.Float
+        Int, Float = self._arrays.plain.Int, self._arrays.plain.Float
         # Positions of a block's pixel centres in samples, if the block begins with a sample.
         positions = [(p + 0.5) / (1 << rate) - 0.5 for p in range(_BLOCK)]
         if rate <= _BLOCK_RATE:
@@ -237,7 +245,7 @@ class _Sources:
 
     def _tap(self, rate: int, top: Any, x: Any, y: Any) -> list[Any]:
         """Red, green, blue of a sample, or of the nearest one inside the frame."""
-        Int, UInt = self.arrays.plain.Int, self.arrays.plain.UInt
+        Int, UInt = self._arrays.plain.Int, self._arrays.plain.UInt
         last_x, last_y = (Int((size + ((1 << rate) - 1)) >> rate) - 1 for size in self._size)
         index = (top + UInt(dr.clip(y, 0, last_y))) * self._stride + UInt(dr.clip(x, 0, last_x))
         sample = self._samples.at(index)

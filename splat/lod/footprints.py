@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -34,25 +33,6 @@ _FOOTPRINT = RecordLayout(
 _NODE_LOAD = 8
 
 
-@dataclass
-class LayerFootprints:
-    """The N nodes of one layer that may show in a frame, from near to far, as Dr.Jit floats.
-
-    Attributes:
-        x, y: (N,) centre in pixels.
-        xx, yy: (N,) variances in px^2, not filtered.
-        extent: (N,) square of the distance, in standard deviations, beyond which alpha is below 1/255.
-        records: their footprints.
-    """
-
-    x: Any
-    y: Any
-    xx: Any
-    yy: Any
-    extent: Any
-    records: Records
-
-
 class ForestFootprints:
     """Footprints of a forest's layers, cached for the latest camera.
 
@@ -72,10 +52,10 @@ class ForestFootprints:
             for (first, end), changes in zip(ranges, self._changes, strict=True)
         ]
         self._key: tuple[bytes, float] | None = None
-        self._layers: dict[int, LayerFootprints | None] = {}
-        # The records of all cached layers, and where each layer begins among them.
+        self._layers: dict[int, Records | None] = {}
+        # The records of all cached layers, and where each layer lies among them.
         self._records: Records | None = None
-        self._first: dict[int, Any] = {}
+        self._ranges: dict[int, range] = {}
 
     def set_time(self, time: float) -> None:
         """Shows the nodes as they are at a time from 0 to 1."""
@@ -93,47 +73,43 @@ class ForestFootprints:
         if lit is not None:
             self._nodes.light(*lit)
 
-    def layers(self, camera: Camera, blur: float, layers: Sequence[int]) -> list[LayerFootprints | None]:
-        """The nodes of some layers that may show in a camera's frame; None for a layer without any.
+    def layers(self, camera: Camera, blur: float, layers: Sequence[int]) -> list[range]:
+        """Where the nodes of some layers that may show in a camera's frame lie among all footprints.
+
+        Each layer's lie together, from near to far.
 
         Args:
             camera: the view.
             blur: widest filter that will be used, as a multiple of the filter at the pixel grid.
             layers: numbers from 1 to L.
         """
-        own = self._place.camera(camera)
         if self._key is None or self._key[0] != camera.key or self._key[1] < blur:
             self._layers.clear()
             # Rounded up, since the filter's width changes with the gaze.
             self._key = camera.key, 2.0 ** np.ceil(np.log2(blur))
         # A layer at two rates is two images of the same nodes.
         new = [n for n in dict.fromkeys(layers) if n not in self._layers]
-        for n in new:
-            self._change(n, own)
-            self._layers[n] = self._visible(own, n, self._key[1])
         if new:
+            own = self._place.camera(camera)
+            for n in new:
+                self._change(n, own)
+                self._layers[n] = self._visible(own, n, self._key[1])
             self._concatenate()
-        return [self._layers[n] for n in layers]
+        return [self._ranges[n] for n in layers]
 
-    def footprints(self, layers: Sequence[int], chosen: Sequence[Any]) -> Footprints:
-        """Footprints of some nodes, one layer after the other.
-
-        Args:
-            layers: numbers from 1 to L, each passed to `layers` before.
-            chosen: for each of them UInt indices into its `LayerFootprints`; at least one is not empty.
-        """
-        some = [i + self._first[n] for n, i in zip(layers, chosen, strict=True) if dr.width(i)]
+    def footprints(self, index: Any) -> Footprints:
+        """Those at an index (M,) among all of them."""
         assert self._records is not None
-        return Footprints(**vars(self._records.at(self.arrays.concatenated(some))))
+        return Footprints(**vars(self._records.at(index)))
 
     def _concatenate(self) -> None:
-        visible = {n: layer for n, layer in self._layers.items() if layer is not None}
-        starts = np.cumsum([0, *(dr.width(layer.x) for layer in visible.values())])
-        self._first = {n: self.arrays.number(int(start)) for n, start in zip(visible, starts, strict=False)}
-        records = [layer.records for layer in visible.values()]
-        self._records = concatenated_records(records) if records else None
+        parts, end = [part for part in self._layers.values() if part is not None], 0
+        for n, part in self._layers.items():
+            start, end = end, end + (0 if part is None else len(part))
+            self._ranges[n] = range(start, end)
+        self._records = concatenated_records(parts) if parts else None
 
-    def _visible(self, camera: Camera, layer: int, blur: float) -> LayerFootprints | None:
+    def _visible(self, camera: Camera, layer: int, blur: float) -> Records | None:
         """The nodes of a layer that reach into the frame of a camera in their own coordinates."""
         bounds, plain = self._bounds[layer - 1], self.arrays.plain
         if not dr.width(bounds.size):
@@ -145,11 +121,9 @@ class ForestFootprints:
         raw = footprints(self._nodes.parameters(index + bounds.first, camera), camera)
         records = _FOOTPRINT.pack(self.arrays, **vars(raw))
         dr.eval(records.tables, raw.depth)
-        near = records.at(depth_order(self.arrays, raw.depth, plain.Bool(True)))
-        extent = 2 * dr.log(dr.maximum(near.opacity * 255, 1))
-        ordered = _FOOTPRINT.pack(self.arrays, **vars(near))
-        dr.eval(near.x, near.y, near.xx, near.yy, extent, ordered.tables)
-        return LayerFootprints(near.x, near.y, near.xx, near.yy, extent, ordered)
+        ordered = records.gathered(depth_order(self.arrays, raw.depth, plain.Bool(True)))
+        dr.eval(ordered.tables)
+        return ordered
 
 
 def _row(arrays: Arrays, values: torch.Tensor) -> Any:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
+from compose.image.device import DeviceImage
 from splat.raster.tiles import TileGrid
 
 
@@ -32,6 +33,10 @@ class SplatImage:
     stride: int
     channels: int
     nodes: int
+
+    def on_device(self, arrays: Arrays) -> DeviceImage:
+        """The radiance, in the same memory."""
+        return DeviceImage(arrays, self.radiance, self.width, self.height, self.stride, self.channels)
 
     def image(self) -> NDArray[np.float32]:
         """(H, W, 3) float32 view of the radiance."""

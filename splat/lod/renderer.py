@@ -22,16 +22,16 @@ from numpy.typing import NDArray
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from splat.lod.compositing import composite
+from splat.lod.entry_table import EntryTable
 from splat.lod.footprints import ForestFootprints
 from splat.lod.image import SplatImage, black_image
 from splat.lod.layer_images import AtlasEntry, Lattice, LayerImage, Mask, at_corners, pack_atlas
 from splat.lod.selection import touching
 from splat.model.forest import Forest
 from splat.raster.binning import Candidates, TileBounds
-from splat.raster.blocks import CHANNELS
+from splat.raster.blocks import CHANNELS, packed
 from splat.raster.parts import Parts, rasterize_parts
 from splat.raster.projection import PIXEL_FILTER, Splats, filtered
-from splat.raster.records import RecordLayout
 from splat.raster.tiles import TILE, TileGrid
 
 # Side of a tile in samples, where samples are larger than pixels: few splats cover many of those.
@@ -40,9 +40,6 @@ _COARSE_TILE = 8
 _WORTHWHILE = 0.1
 # Filters of this width, as a multiple of the filter at the pixel grid, leave nothing but the faintest haze.
 _WIDEST_BLUR = 1e9
-# What splats need to know of their atlas entry: samples per pixel, minimum width of the filter as a multiple
-# of the filter at the pixel grid, first row of samples, and bounds in tiles. Two floats are spare.
-_ENTRY = RecordLayout((8,), scale=1, least_blur=1, offset=1, columns=1, top=1, bottom=1)
 
 
 class ForestRenderer:
@@ -78,21 +75,16 @@ class ForestRenderer:
         """
         images = [image for image in images if bool((image.weight > 0).any())]
         own, alone = _largest_alone(images, wanted)
-        frame = self._composited(camera, images, cutoff, wanted & ~alone, alone)
-        if own is None:
-            return frame
-        return self.draw_atlas(camera, pack_atlas([own], alone, TILE), cutoff, TILE, frame)
-
-    def _composited(
-        self, camera: Camera, images: Sequence[LayerImage], cutoff: Lattice, wanted: Mask, left_out: Mask
-    ) -> SplatImage:
-        """The cells in which images are drawn at a lower rate or mixed; black elsewhere."""
+        frame = None
+        if own is not None:
+            frame = self.draw_atlas(camera, pack_atlas([own], alone, TILE), cutoff, TILE)
+        # The cells in which images are drawn at a lower rate or mixed.
         tile = tile_side(image.rate for image in images)
-        entries = pack_atlas(images, wanted, tile)
+        entries = pack_atlas(images, wanted & ~alone, tile)
         atlas = self.draw_atlas(camera, entries, cutoff, tile)
-        if not atlas.nodes:
-            return atlas
-        return composite(self.arrays, entries, atlas, camera, left_out if left_out.any() else None)
+        if frame is None or not frame.nodes:
+            return composite(self.arrays, entries, atlas, camera) if atlas.nodes else atlas
+        return composite(self.arrays, entries, atlas, camera, frame) if atlas.nodes else frame
 
     def render_layer(self, camera: Camera, layer: int, rate: int = 0) -> SplatImage:
         """Renders one layer over the whole frame: its samples, (H / 2^rate, W / 2^rate) rounded up.
@@ -109,12 +101,7 @@ class ForestRenderer:
         return replace(samples, width=-(-camera.width >> rate), height=-(-camera.height >> rate))
 
     def draw_atlas(
-        self,
-        camera: Camera,
-        entries: Sequence[AtlasEntry],
-        cutoff: Lattice,
-        tile: int,
-        frame: SplatImage | None = None,
+        self, camera: Camera, entries: Sequence[AtlasEntry], cutoff: Lattice, tile: int
     ) -> SplatImage:
         """Renders the atlas; a black image of the frame's size if no node shows in any entry.
 
@@ -123,27 +110,26 @@ class ForestRenderer:
             entries: of the atlas.
             cutoff: as in `render`.
             tile: side of the rasterizer's tiles, in samples.
-            frame: what a single entry at full rate is drawn into, instead of an atlas of its own; used up.
         """
         self._check(entries, cutoff)
-        # A cut-off of 0 is that of the widest filter.
-        cutoff = np.maximum(cutoff, 0.5 / _WIDEST_BLUR, dtype=np.float32)
-        chosen = self._chosen(camera, entries, cutoff)
-        if not any(dr.width(index) for index in chosen):
-            return frame or black_image(self.arrays, camera, 0)
-        splats, bounds = self._splats(camera, entries, chosen, cutoff, tile)
-        columns = max(entry.tiles.shape[1] for entry in entries)
-        wider = [np.pad(entry.tiles, ((0, 0), (0, columns - entry.tiles.shape[1]))) for entry in entries]
-        mask = np.vstack(wider)
-        grid = TileGrid(columns * tile, mask.shape[0] * tile, tile)
+        table = self._table(camera, entries, cutoff, tile) if entries else None
+        if table is None:
+            return black_image(self.arrays, camera, 0)
+        chosen = dr.compress(touching(self.arrays, table, self._footprints.footprints))
+        if not dr.width(chosen):
+            return black_image(self.arrays, camera, 0)
+        splats, bounds = self._splats(table, chosen)
+        rows, columns = sum(e.tiles.shape[0] for e in entries), max(e.tiles.shape[1] for e in entries)
+        mask = np.zeros((rows, columns), dtype=bool)
+        for entry in entries:
+            mask[entry.top // tile :][: entry.tiles.shape[0], : entry.tiles.shape[1]] = entry.tiles
+        grid = TileGrid(columns * tile, rows * tile, tile)
+        # Packed together with the boxes that the lists are made of: that is one kernel.
+        packed(self.arrays, splats)
         parts = Parts(Candidates(self.arrays, splats, grid, mask, bounds, in_order=True))
-        into, nodes = None, dr.width(splats.x)
-        if frame is not None and frame.nodes:
-            # What keeps its place in the frame need not be copied there.
-            into, nodes = frame.radiance, nodes + frame.nodes
-            frame.radiance = None
-        image = rasterize_parts(self.arrays, splats, parts, into)
-        return SplatImage(image, camera.width, camera.height, grid.padded_width, CHANNELS, nodes)
+        image = rasterize_parts(self.arrays, splats, parts)
+        width = grid.padded_width
+        return SplatImage(image, camera.width, camera.height, width, CHANNELS, dr.width(chosen))
 
     def _check(self, entries: Sequence[AtlasEntry], cutoff: Lattice) -> None:
         count = len(self.forest.counts)
@@ -161,53 +147,28 @@ class ForestRenderer:
         """
         return max(camera.fy / self.forest.focal_of(image.layer), 2.0**image.rate)
 
-    def _chosen(self, camera: Camera, entries: Sequence[AtlasEntry], cutoff: Lattice) -> list[Any]:
-        """For each entry, indices of its layer's footprints that may show in its cells."""
-        lowest = np.minimum.reduce(at_corners(cutoff))
-        blurs = [
-            max(0.5 / float(lowest[entry.cells].min()), self._least_blur(camera, entry.image))
-            for entry in entries
-        ]
-        layers = [entry.image.layer for entry in entries]
-        visible = self._footprints.layers(camera, max(blurs, default=1.0), layers)
-        # At lower rates pixels look up samples that lie up to one sample away.
-        margins = [2.0**entry.image.rate if entry.image.rate else 0.0 for entry in entries]
-        masks = [
-            None if nodes is None else touching(self.arrays, nodes, entry.cells, blur, margin)
-            for entry, nodes, blur, margin in zip(entries, visible, blurs, margins, strict=True)
-        ]
-        dr.eval(masks)
-        none = dr.zeros(self.arrays.plain.UInt, 0)
-        return [none if mask is None else dr.compress(mask) for mask in masks]
+    def _table(
+        self, camera: Camera, entries: Sequence[AtlasEntry], cutoff: Lattice, tile: int
+    ) -> EntryTable | None:
+        """The entries and the footprints that may show in them; None if there is none."""
+        # A cut-off of 0 is that of the widest filter.
+        cutoff = np.maximum(cutoff, 0.5 / _WIDEST_BLUR, dtype=np.float32)
+        lowest, blurs = np.minimum.reduce(at_corners(cutoff)), []
+        for entry in entries:
+            least = self._least_blur(camera, entry.image)
+            blurs.append((max(0.5 / float(lowest[entry.cells].min()), least), least))
+        widest = max(blur for blur, _ in blurs)
+        nodes = self._footprints.layers(camera, widest, [entry.image.layer for entry in entries])
+        if not any(map(len, nodes)):
+            return None
+        return EntryTable(self.arrays, entries, nodes, blurs, cutoff, tile)
 
-    def _splats(
-        self,
-        camera: Camera,
-        entries: Sequence[AtlasEntry],
-        chosen: Sequence[Any],
-        cutoff: Lattice,
-        tile: int,
-    ) -> tuple[Splats, TileBounds]:
-        """The chosen nodes of all entries in samples of the atlas, and the tiles they are confined to."""
-        UInt = self.arrays.plain.UInt
-        raw = self._footprints.footprints([entry.image.layer for entry in entries], chosen)
-        number, lane, start = UInt(0), dr.arange(UInt, dr.width(raw.x)), 0
-        for part in chosen[:-1]:
-            start += dr.width(part)
-            number += dr.select(lane >= self.arrays.number(start), UInt(1), UInt(0))
-        tops = [entry.top // tile for entry in entries]
-        records = _ENTRY.upload(
-            self.arrays,
-            scale=[0.5**entry.image.rate for entry in entries],
-            least_blur=[self._least_blur(camera, entry.image) for entry in entries],
-            offset=[entry.top for entry in entries],
-            columns=[entry.tiles.shape[1] for entry in entries],
-            top=tops,
-            bottom=[top + entry.tiles.shape[0] for top, entry in zip(tops, entries, strict=True)],
-        )
-        entry = records.at(number)
+    def _splats(self, table: EntryTable, chosen: Any) -> tuple[Splats, TileBounds]:
+        """The chosen candidates in samples of the atlas, and the tiles they are confined to."""
+        entry, node = table.of(chosen)
+        raw = self._footprints.footprints(node)
         # Fov-GS's Eq. 8, corrected: variance c (ppd / 2f)^2 px^2.
-        resolved = 0.5 / _interpolated(self.arrays, cutoff, raw.x, raw.y)
+        resolved = 0.5 / table.cutoff(entry, raw.x, raw.y)
         splats = filtered(raw, PIXEL_FILTER * dr.square(dr.maximum(resolved, entry.least_blur)))
         bounds = TileBounds(entry.columns, entry.top, entry.bottom)
         return _in_samples(splats, entry.scale, entry.offset), bounds
@@ -234,20 +195,6 @@ def _in_samples(splats: Splats, scale: Any, offset: Any) -> Splats:
         splats.y_precision * square,
         *(splats.opacity, splats.red, splats.green, splats.blue, splats.depth),
     )
-
-
-def _interpolated(arrays: Arrays, lattice: Lattice, x: Any, y: Any) -> Any:
-    """Values of a lattice with a point every TILE pixels, linear in between, at positions in pixels."""
-    Float, UInt = arrays.plain.Float, arrays.plain.UInt
-    rows, columns = (arrays.number(side) for side in lattice.shape)
-    values = Float(lattice.ravel())
-    u = dr.clip(x * (1 / TILE), 0, Float(columns) - 1.001)
-    v = dr.clip(y * (1 / TILE), 0, Float(rows) - 1.001)
-    column, row = UInt(u), UInt(v)
-    fu, fv = u - Float(column), v - Float(row)
-    corner = row * columns + column
-    at = lambda offset: dr.gather(Float, values, corner + offset)  # noqa: E731
-    return dr.lerp(dr.lerp(at(0), at(1), fu), dr.lerp(at(columns), at(columns + 1), fu), fv)
 
 
 def _largest_alone(images: Sequence[LayerImage], wanted: Mask) -> tuple[LayerImage | None, Mask]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,7 +11,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.arrays import Arrays
+from compose.base.arrays import Arrays, uploaded
 from splat.raster.projection import NEAR, Splats
 from splat.raster.records import RecordLayout
 from splat.raster.tiles import TileGrid
@@ -25,8 +26,6 @@ MINIMUM_ALPHA = 1 / 255
 # columns. Nothing is spare.
 _ELLIPSE = "x", "y", "x_precision", "shear", "y_precision", "opacity"
 _BOX = RecordLayout((8,), ("corner", "across"), **dict.fromkeys(_ELLIPSE, 1), corner=1, across=1)
-# A splat and its first pair. Nothing is spare.
-_RUN = RecordLayout((2,), ("splat", "first"), splat=1, first=1)
 
 
 @dataclass(frozen=True)
@@ -36,19 +35,20 @@ class Bins:
     Before they are sorted, the pairs of a splat lie side by side, in a run; the gradient sums over runs.
 
     Attributes:
+        arrays: the backend's array types.
         grid: the tiles.
-        tiles: (T,) numbers of the tiles that are rasterized, row by row.
+        wanted: (rows, columns) bool, the tiles that are rasterized.
         start, end: (columns * rows + 1,) range of each tile in the lists; the last one is the range of pairs
             that no tile blends.
         splat: (P,) splat of each pair, sorted by tile, then by depth.
         unsorted: (P,) position of each pair before sorting.
-        first, count: (S,) the run of each of the S splats that have one.
+        first, count: (S,) the run of each of S splats, which may be empty.
         owner: (S,) these splats.
-        pairs: P, not counting pairs that no tile blends.
     """
 
+    arrays: Arrays
     grid: TileGrid
-    tiles: Any
+    wanted: NDArray[np.bool_]
     start: Any
     end: Any
     splat: Any
@@ -56,7 +56,16 @@ class Bins:
     first: Any
     count: Any
     owner: Any
-    pairs: int
+
+    @cached_property
+    def tiles(self) -> Any:
+        """(T,) numbers of the tiles that are rasterized, row by row."""
+        return uploaded(self.arrays.plain.UInt, np.flatnonzero(self.wanted).astype(np.uint32))
+
+    @property
+    def pairs(self) -> int:
+        """P, not counting pairs that no tile blends; waits for the lists."""
+        return int(self.start[self.grid.columns * self.grid.rows])
 
 
 @dataclass(frozen=True)
@@ -129,34 +138,27 @@ class Candidates:
         self._arrays, self._splats, self.grid = arrays, splats, grid
         self.whole = Window(0, 0, grid.columns, grid.rows)
         self.wanted, self._all_wanted = grid.mask(wanted), wanted is None
-        everywhere = TileBounds(arrays.number(grid.columns), 0, arrays.number(grid.rows))
+        everywhere = TileBounds(arrays.constant(grid.columns), 0, arrays.constant(grid.rows))
         self._boxes = _boxes(arrays, splats, bounds or everywhere, grid.side)
+        # Later, and together with what else is made of the splats: this makes one kernel of all.
+        dr.schedule(self._boxes.__dict__)
         seen = self._boxes.across > 0
-        self._order = dr.compress(seen) if in_order else depth_order(arrays, splats.depth, seen)
+        self._order = None if in_order else depth_order(arrays, splats.depth, seen)
 
     def runs(self, window: Window) -> Runs:
         """The candidates in a window, counted but not listed."""
         tiles = np.zeros_like(self.wanted)
         inside = slice(window.top, window.bottom), slice(window.left, window.right)
         tiles[inside] = self.wanted[inside]
-        numbers = self._arrays.plain.UInt(np.flatnonzero(tiles).astype(np.uint32))
-        if not dr.width(self._order) or not dr.width(numbers):
-            return Runs(numbers, 0)
-        boxes, order = self._boxes, self._order
-        if window != self.whole:
-            boxes = _clipped(self._arrays, boxes, window)
-            # No empty run may come before another one.
-            order = dr.gather(
-                type(order), order, dr.compress(dr.gather(type(order), boxes.across, order) > 0)
-            )
-            if not dr.width(order):
-                return Runs(numbers, 0)
-        return _runs(self._arrays, self._splats, boxes, order, numbers)
+        if not tiles.any():
+            return Runs(tiles, 0)
+        boxes = self._boxes if window == self.whole else _clipped(self._arrays, self._boxes, window)
+        return _runs(self._arrays, self._splats, boxes, self._order, tiles)
 
     def bins(self, runs: Runs) -> Bins:
         """The lists of a window's tiles from its runs."""
         if not runs.pairs:
-            return _no_bins(self._arrays, self.grid, runs.tiles)
+            return _no_bins(self._arrays, self.grid, runs.wanted)
         mask = None if self._all_wanted else self.wanted
         key, splat = _pairs(self._arrays, runs, self.grid, mask)
         return _sorted(self._arrays, self.grid, runs, key, splat)
@@ -213,22 +215,18 @@ def _boxes(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> _Bo
     numbers = reach_x + reach_y + splats.x + splats.y + splats.red + splats.green + splats.blue
     seen &= (x1 > x0) & (y1 > y0) & dr.isfinite(numbers)
     across, down = dr.select(seen, UInt(x1 - x0), 0), dr.select(seen, UInt(y1 - y0), 0)
-    boxes = _Boxes(UInt(x0), UInt(y0), across, down)
-    # Together with the splats, if those are not evaluated yet: this makes one kernel of both.
-    dr.eval(splats.__dict__, boxes.__dict__)
-    return boxes
+    return _Boxes(UInt(x0), UInt(y0), across, down)
 
 
 def _clipped(arrays: Arrays, boxes: _Boxes, window: Window) -> _Boxes:
     """The parts of boxes inside a window."""
     left, top, right, bottom = (
-        arrays.number(side) for side in (window.left, window.top, window.right, window.bottom)
+        arrays.constant(side) for side in (window.left, window.top, window.right, window.bottom)
     )
     first_x, first_y = dr.maximum(boxes.left, left), dr.maximum(boxes.top, top)
     end_x, end_y = dr.minimum(boxes.left + boxes.across, right), dr.minimum(boxes.top + boxes.down, bottom)
     inside = (boxes.across > 0) & (end_x > first_x) & (end_y > first_y)
     across, down = dr.select(inside, end_x - first_x, 0), dr.select(inside, end_y - first_y, 0)
-    dr.eval(first_x, first_y, across, down)
     return _Boxes(first_x, first_y, across, down)
 
 
@@ -237,36 +235,32 @@ class Runs:
     """Candidate pairs of splat and tile in a window: a run per splat, one tile after another.
 
     Attributes:
-        tiles: (T,) numbers of the window's tiles that are rasterized.
+        wanted: (rows, columns) bool, the window's tiles that are rasterized.
         pairs: number of candidates; if that is 0, nothing else is set.
-        order: (S,) splats, those without a run last.
-        first, count: (S,) the run of each of them.
+        order: (S,) splats; None for all of them as they are.
+        first, count: (S,) the run of each of them; some are empty.
         boxes: records of all splats' ellipses and boxes.
-        runs: records of `order` and `first`.
     """
 
-    tiles: Any
+    wanted: NDArray[np.bool_]
     pairs: int
     order: Any = None
     first: Any = None
     count: Any = None
     boxes: Any = None
-    runs: Any = None
 
 
-def _runs(arrays: Arrays, splats: Splats, boxes: _Boxes, order: Any, tiles: Any) -> Runs:
+def _runs(arrays: Arrays, splats: Splats, boxes: _Boxes, order: Any, wanted: NDArray[np.bool_]) -> Runs:
     """Counts the candidates of each splat."""
     UInt = arrays.plain.UInt
-    count = dr.gather(UInt, boxes.across, order) * dr.gather(UInt, boxes.down, order)
-    first = dr.prefix_sum(count)
     ellipse = {name: getattr(splats, name) for name in _ELLIPSE}
-    box_records = _BOX.pack(arrays, **ellipse, corner=boxes.left | boxes.top << 16, across=boxes.across)
-    run_records = _RUN.pack(arrays, splat=order, first=first)
+    records = _BOX.pack(arrays, **ellipse, corner=boxes.left | boxes.top << 16, across=boxes.across)
+    count = boxes.across * boxes.down
     # Many splats on a large frame are more pairs than 32 bits count. Where it matters, `first` has wrapped,
-    # too, and whoever asked splits the window.
-    pairs = dr.sum(arrays.plain.UInt64(count))
-    dr.eval(order, count, first, box_records.tables, run_records.tables, pairs)
-    return Runs(tiles, int(pairs[0]), order, first, count, box_records, run_records)
+    # and whoever asked splits the window.
+    wide = arrays.plain.UInt64(count if order is None else dr.gather(UInt, count, order))
+    end = dr.cumsum(wide)
+    return Runs(wanted, int(end[dr.width(end) - 1]), order, UInt(end - wide), UInt(wide), records)
 
 
 def _pairs(arrays: Arrays, runs: Runs, grid: TileGrid, wanted: NDArray[np.bool_] | None) -> tuple[Any, Any]:
@@ -275,24 +269,26 @@ def _pairs(arrays: Arrays, runs: Runs, grid: TileGrid, wanted: NDArray[np.bool_]
     The key is the number of the tile, or columns * rows for a candidate that need not be drawn.
     """
     UInt = arrays.plain.UInt
-    # Mark the first pair of each run; the number of marks so far tells whose run a pair lies in.
+    # Mark the first pair of each run by the run's number: the largest so far tells whose run a pair lies in.
     marks = dr.zeros(UInt, runs.pairs)
-    dr.scatter(marks, UInt(1), runs.first, runs.count > 0)
-    run = runs.runs.at(dr.cumsum(marks) - 1)
-    box = runs.boxes.at(run.splat)
-    within = dr.arange(UInt, runs.pairs) - run.first
+    dr.scatter(marks, dr.arange(UInt, dr.width(runs.first)), runs.first, runs.count > 0)
+    dr.eval(runs.first, marks)
+    run = dr.prefix_reduce(dr.ReduceOp.Max, marks, exclusive=False)
+    splat = run if runs.order is None else dr.gather(UInt, runs.order, run)
+    box = runs.boxes.at(splat)
+    within = dr.arange(UInt, runs.pairs) - dr.gather(UInt, runs.first, run)
     # Masked lanes divide as well, and a division by zero raises SIGFPE on the CPU.
     across = dr.maximum(box.across, 1)
     row = within // across
     tile_x = (box.corner & 0xFFFF) + within - row * across
     tile_y = (box.corner >> 16) + row
-    tile = tile_y * arrays.number(grid.columns) + tile_x
+    tile = tile_y * arrays.constant(grid.columns) + tile_x
     keep = _reaches(arrays, box, tile_x, tile_y, grid.side)
     if wanted is not None:
-        keep &= dr.gather(arrays.plain.Bool, arrays.plain.Bool(wanted.ravel()), tile)
-    key = dr.select(keep, tile, arrays.number(grid.columns * grid.rows))
-    dr.eval(key, run.splat)
-    return key, run.splat
+        keep &= dr.gather(arrays.plain.Bool, uploaded(arrays.plain.Bool, wanted), tile)
+    key = dr.select(keep, tile, arrays.constant(grid.columns * grid.rows))
+    dr.eval(key, splat)
+    return key, splat
 
 
 def _reaches(arrays: Arrays, splat: SimpleNamespace, tile_x: Any, tile_y: Any, side: int) -> Any:
@@ -325,19 +321,23 @@ def _sorted(arrays: Arrays, grid: TileGrid, runs: Runs, key: Any, splat: Any) ->
     """The candidates sorted by tile; candidates of one tile keep their order."""
     UInt, count = arrays.plain.UInt, grid.columns * grid.rows
     sorting = arrays.argsort(key, count + 1)
-    per_tile = dr.zeros(UInt, count + 1)
-    dr.scatter_reduce(dr.ReduceOp.Add, per_tile, UInt(1), key)
-    start = dr.prefix_sum(per_tile)
-    end = start + per_tile
+    # What no pair says: lists, also empty ones, end behind the last pair, and so do those to be blended.
+    start, end = dr.full(UInt, runs.pairs, count + 1), dr.full(UInt, runs.pairs, count + 1)
+    lane = dr.arange(UInt, runs.pairs)
+    own = dr.gather(UInt, key, sorting)
+    before = dr.gather(UInt, key, dr.gather(UInt, sorting, lane - 1, lane > 0), lane > 0)
+    dr.scatter(start, lane, own, (lane == 0) | (own != before))
+    dr.scatter(end, lane, before, (lane > 0) & (own != before))
+    # Not evaluated yet: one kernel finds the ranges and gathers what the tiles read.
+    owner = dr.arange(UInt, dr.width(runs.first)) if runs.order is None else runs.order
     sorted_splat = dr.gather(UInt, splat, sorting)
-    dr.eval(sorted_splat, start, end)
-    pairs = int(start[count])
     return Bins(
-        grid, runs.tiles, start, end, sorted_splat, sorting, runs.first, runs.count, runs.order, pairs
+        *(arrays, grid, runs.wanted, start, end),
+        *(sorted_splat, sorting, runs.first, runs.count, owner),
     )
 
 
-def _no_bins(arrays: Arrays, grid: TileGrid, tiles: Any) -> Bins:
+def _no_bins(arrays: Arrays, grid: TileGrid, wanted: NDArray[np.bool_]) -> Bins:
     """Empty lists."""
     none, empty = dr.zeros(arrays.plain.UInt, 0), dr.zeros(arrays.plain.UInt, grid.columns * grid.rows + 1)
-    return Bins(grid, tiles, empty, empty, none, none, none, none, none, 0)
+    return Bins(arrays, grid, wanted, empty, empty, none, none, none, none, none)

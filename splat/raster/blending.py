@@ -7,6 +7,9 @@ alpha_m = min(0.99, opacity exp(-d^T Sigma'^-1 d / 2)), or 0 where that is below
 
 A block stops once all of its pixels transmit less than 1e-4: what lies behind could change them by less
 than 1e-4 of its radiance.
+
+On the CPU, each lane goes by itself from one splat that its block shows to the next. On a GPU, lanes stay
+together.
 """
 
 from __future__ import annotations
@@ -17,10 +20,13 @@ import drjit as dr
 
 from compose.base.arrays import Arrays
 from splat.raster.binning import MINIMUM_ALPHA, Bins
-from splat.raster.blocks import CHANNELS, Blocks, blended_records, exp2
+from splat.raster.blocks import CHANNELS, Blocks, Shown, blended_records, exp2
 from splat.raster.projection import Splats
 
 MAXIMUM_ALPHA = 0.99
+# To find out which blocks show a pair costs 1/40 of blending it. Where tiles have more pairs than this on
+# average, blocks may well stop long before the end, and then it does not pay.
+_LONG_LIST = 400
 
 
 def rasterize(arrays: Arrays, splats: Splats, bins: Bins, image: Any = None) -> Any:
@@ -37,14 +43,18 @@ def rasterize(arrays: Arrays, splats: Splats, bins: Bins, image: Any = None) -> 
     """
     Float = arrays.plain.Float
     width, height = bins.grid.padded_width, bins.grid.padded_height
-    if image is None:
-        # Where every tile is drawn, nothing needs clearing.
-        all_drawn = bins.pairs and dr.width(bins.tiles) == bins.grid.columns * bins.grid.rows
-        image = (dr.empty if all_drawn else dr.zeros)(Float, width * height * CHANNELS)
-    if not bins.pairs:
+    # A new image need not be cleared: every tile has lanes, which leave it black where nothing is drawn.
+    everywhere, listed = image is None, dr.width(bins.splat) > 0
+    if everywhere:
+        image = (dr.empty if listed else dr.zeros)(Float, width * height * CHANNELS)
+    if not listed:
         return image
-    block = Blocks(arrays, bins)
     records = blended_records(arrays, splats, bins)
+    block = Blocks(arrays, bins, everywhere)
+    shown = Shown(arrays, bins, records) if _jumps(arrays, bins) else None
+
+    def following(i: Any) -> Any:
+        return i if shown is None else shown.following(i, block.last, block.number)
 
     def blend(i: Any, transmittance: list[Any], colour: list[Any]) -> tuple[Any, list[Any], list[Any]]:
         splat = records.at(i)
@@ -57,22 +67,26 @@ def rasterize(arrays: Arrays, splats: Splats, bins: Bins, image: Any = None) -> 
             for c in range(3):
                 colour[3 * pixel + c] = dr.fma(weight, radiance[c], colour[3 * pixel + c])
             transmittance[pixel] = transmittance[pixel] - weight
-        return i + 1, transmittance, colour
+        return following(i + 1), transmittance, colour
 
     # Built one by one: [Float(0)] * n would be a single accumulator n times.
     state = (
-        block.first,
+        following(block.first),
         [Float(1) for _ in range(block.pixels)],
         [Float(0) for _ in range(3 * block.pixels)],
     )
     _, transmittance, colour = dr.while_loop(
         state, lambda i, transmittance, colour: block.is_active(i, transmittance), blend, mode="symbolic"
     )
-    # Evaluated before it is scattered: otherwise every scatter runs the whole loop again.
-    dr.eval(transmittance, colour)
     pixels = [[*colour[3 * p : 3 * p + 3], 1 - transmittance[p]] for p in range(block.pixels)]
     for target, first in block.chunks(width):
         values = arrays.plain.ArrayXf([*pixels[first], *pixels[first + 1]])
         dr.scatter(image, values, target, mode=dr.ReduceMode.Permute)
     dr.eval(image)
     return image
+
+
+def _jumps(arrays: Arrays, bins: Bins) -> bool:
+    """Whether lanes go by themselves."""
+    pairs, tiles = dr.width(bins.splat), dr.width(bins.tiles)
+    return arrays.backend == "llvm" and pairs <= _LONG_LIST * tiles

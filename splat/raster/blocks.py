@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
@@ -9,10 +10,10 @@ from typing import Any
 import drjit as dr
 
 from compose.base.arrays import Arrays
-from splat.raster.binning import Bins
+from splat.raster.binning import MINIMUM_ALPHA, Bins
 from splat.raster.projection import Splats
 from splat.raster.records import RecordLayout, Records
-from splat.raster.tiles import LANES_ACROSS
+from splat.raster.tiles import LANES_ACROSS, TileGrid
 
 # A block stops once every pixel transmits less: what lies behind changes them by at most this share of its
 # radiance.
@@ -24,6 +25,10 @@ CHANNELS = 4
 # u = u_x dx + u_y dy and v = v_y dy, and radiance. One float is spare.
 _BLENDED = RecordLayout((8, 2), x=1, y=1, u_x=1, u_y=1, v_y=1, constant=1, red=1, green=1, blue=1)
 LOG2_E = 1.4426950408889634
+# log2 of the smallest alpha, less what rounding may make of it.
+_UNSEEN = math.log2(MINIMUM_ALPHA) - 0.006
+# What divisors are at least.
+_TINY = 1e-37
 # Floats of an image that a lane reads or writes at once: two pixels.
 _CHUNK = 2 * CHANNELS
 # Minimax polynomial of 2^f on -0.5..0.5, relative error 7.5e-8.
@@ -37,27 +42,31 @@ class Blocks:
     Args:
         arrays: the backend's array types.
         bins: the tiles and their lists.
+        everywhere: whether tiles that are not rasterized have lanes, too, with nothing to read.
 
     Attributes:
         side: of a block in pixels.
         pixels: in a block.
-        x, y: each lane's first pixel.
+        number: of each lane's block in its tile, row by row.
+        x, y: its first pixel.
         centre_x, centre_y: that pixel's centre.
         first, last: range of each lane in the lists; `last` is exclusive.
     """
 
-    def __init__(self, arrays: Arrays, bins: Bins):
-        Float, UInt = arrays.plain.Float, arrays.plain.UInt
+    def __init__(self, arrays: Arrays, bins: Bins, everywhere: bool = False):
+        Float, UInt, grid = arrays.plain.Float, arrays.plain.UInt, bins.grid
         self._arrays = arrays
-        self.side = bins.grid.side // LANES_ACROSS
+        self.side = grid.side // LANES_ACROSS
         self.pixels = self.side**2
-        lane = dr.arange(UInt, dr.width(bins.tiles) * LANES_ACROSS**2)
-        tile = dr.gather(UInt, bins.tiles, lane // LANES_ACROSS**2)
-        block = lane % LANES_ACROSS**2
-        columns = arrays.number(bins.grid.columns)
-        row = tile // columns
-        self.x = (tile - row * columns) * bins.grid.side + block % LANES_ACROSS * self.side
-        self.y = row * bins.grid.side + block // LANES_ACROSS * self.side
+        tiles = grid.columns * grid.rows if everywhere else dr.width(bins.tiles)
+        lane = dr.arange(UInt, tiles * LANES_ACROSS**2)
+        tile = lane // LANES_ACROSS**2
+        if not everywhere:
+            tile = dr.gather(UInt, bins.tiles, tile)
+        self.number = lane % LANES_ACROSS**2
+        left, top = first_pixel(arrays, grid, tile)
+        self.x = left + self.number % LANES_ACROSS * self.side
+        self.y = top + self.number // LANES_ACROSS * self.side
         self.centre_x, self.centre_y = Float(self.x) + 0.5, Float(self.y) + 0.5
         self.first = dr.gather(UInt, bins.start, tile)
         self.last = dr.gather(UInt, bins.end, tile)
@@ -92,7 +101,7 @@ class Blocks:
         Args:
             width: of the image in pixels.
         """
-        columns = self._arrays.number(width)
+        columns = self._arrays.constant(width)
         return [
             (((self.y + pixel // self.side) * columns + self.x + pixel % self.side) // 2, pixel)
             for pixel in range(0, self.pixels, 2)
@@ -108,25 +117,139 @@ class Blocks:
         return values
 
 
+class Shown:
+    """Which blocks of a tile show which splats of its list.
+
+    Each lane can go from one splat that its block shows to the next: of the splats of a tile, a block shows
+    a third.
+
+    Args:
+        arrays, bins: as for `Blocks`.
+        records: `blended_records`.
+    """
+
+    def __init__(self, arrays: Arrays, bins: Bins, records: Records):
+        self._arrays = arrays
+        self._words = _by_block(arrays, _shown_in(arrays, bins, records))
+
+    def following(self, i: Any, last: Any, number: Any) -> Any:
+        """The first pair from `i` on that a block shows; `last` or above where none is left.
+
+        Args:
+            i: of each lane, a pair of its tile's list or `last`.
+            last: end of that list.
+            number: of the lane's block in its tile, row by row.
+        """
+        UInt = self._arrays.plain.UInt
+
+        def word(i: Any) -> Any:
+            return dr.gather(UInt, self._words, (i >> 5) * LANES_ACROSS**2 + number, i < last)
+
+        def step(i: Any, left: Any) -> tuple[Any, Any]:
+            following = (i | 31) + 1
+            return following, word(following)
+
+        state = (UInt(i), word(i) >> (i & 31))
+        i, left = dr.while_loop(state, lambda i, left: (left == 0) & (i < last), step, mode="symbolic")
+        return i + dr.tzcnt(left)
+
+
+def _by_block(arrays: Arrays, shown: Any) -> Any:
+    """From per pair a bit for each of 16 blocks, per 32 pairs and block a bit for each of the pairs."""
+    UInt, ArrayXu, pairs = arrays.plain.UInt, arrays.plain.ArrayXu, arrays.constant(dr.width(shown))
+    group = dr.arange(UInt, -(-dr.width(shown) // 32))
+
+    def step(k: Any, words: list[Any]) -> tuple[Any, list[Any]]:
+        pair = group * 32 + k
+        blocks = dr.gather(UInt, shown, pair, pair < pairs)
+        return k + 1, [word | (blocks >> number & 1) << k for number, word in enumerate(words)]
+
+    state = (dr.zeros(UInt, dr.width(group)), [UInt(0) for _ in range(LANES_ACROSS**2)])
+    _, words = dr.while_loop(state, lambda k, words: k < 32, step, mode="symbolic")
+    table = dr.empty(UInt, dr.width(group) * LANES_ACROSS**2)
+    for half in range(2):
+        packet = ArrayXu(words[8 * half : 8 * half + 8])
+        dr.scatter(table, packet, group * 2 + half, mode=dr.ReduceMode.Permute)
+    dr.eval(table)
+    return table
+
+
+def _shown_in(arrays: Arrays, bins: Bins, records: Records) -> Any:
+    """(P,) UInt, per pair one bit for each block of the tile: whether the splat may be visible there.
+
+    The ellipse in which a splat is visible is cut into bands, one per row of blocks, from the first to the
+    last row of pixel centres. A block shows the splat if it meets the part of the ellipse in its band.
+    """
+    Float, UInt, side = arrays.plain.Float, arrays.plain.UInt, bins.grid.side // LANES_ACROSS
+    pair = dr.arange(UInt, dr.width(bins.splat))
+    splat, (x, y) = records.at(pair), first_pixel(arrays, bins.grid, _tile_of_each(arrays, bins))
+    # Of the tile's first pixel centre from the splat's centre; across, in blocks.
+    x, y = (Float(x) + 0.5 - splat.x) * (1 / side), Float(y) + 0.5 - splat.y
+    level, v_squared = splat.constant - _UNSEEN, dr.square(splat.v_y)
+    scale = dr.rcp(dr.maximum(splat.u_x, _TINY)) * (1 / side)
+    lean = splat.u_y * scale
+    # The ellipse reaches farthest to the left so far below the centre, to the right so far above it.
+    norm = dr.maximum(dr.square(splat.u_y) + v_squared, _TINY)
+    tip = splat.u_y / dr.maximum(splat.v_y, _TINY) * dr.sqrt(dr.maximum(level, 0) / norm)
+    shown = UInt(0)
+    for row in range(LANES_ACROSS):
+        top, bottom = y + float(row * side), y + float(row * side + side - 1)
+        nearest, at_left, at_right = (dr.clip(value, top, bottom) for value in (0, tip, -tip))
+        half_left, half_right = (
+            dr.sqrt(dr.maximum(dr.fma(-v_squared * dy, dy, level), 0)) * scale for dy in (at_left, at_right)
+        )
+        left, right = -half_left - lean * at_left - x, half_right - lean * at_right - x
+        # The first block that ends behind the left tip, and the first that begins behind the right one.
+        first = UInt(dr.ceil(dr.clip(left - (side - 1) / side, 0, LANES_ACROSS)))
+        end = UInt(dr.clip(right + 1, 0, LANES_ACROSS))
+        blocks = ((UInt(1) << end) - 1) & ~((UInt(1) << first) - 1)
+        meets = v_squared * dr.square(nearest) <= level
+        shown |= dr.select(meets, blocks << (LANES_ACROSS * row), 0)
+    dr.eval(shown)
+    return shown
+
+
+def _tile_of_each(arrays: Arrays, bins: Bins) -> Any:
+    """(P,) tile of each pair; of pairs that no tile blends, any."""
+    UInt = arrays.plain.UInt
+    # Marks each tile's first pair by the tile's number: the largest so far tells whose a pair is.
+    tiles = dr.arange(UInt, dr.width(bins.start) - 1)
+    start, end = dr.gather(UInt, bins.start, tiles), dr.gather(UInt, bins.end, tiles)
+    marks = dr.zeros(UInt, dr.width(bins.splat))
+    dr.scatter(marks, tiles, start, end > start)
+    return dr.prefix_reduce(dr.ReduceOp.Max, marks, exclusive=False)
+
+
+def first_pixel(arrays: Arrays, grid: TileGrid, tile: Any) -> tuple[Any, Any]:
+    """Column and row of the first pixel of tiles."""
+    columns = arrays.constant(grid.columns)
+    row = tile // columns
+    return (tile - row * columns) * grid.side, row * grid.side
+
+
+def packed(arrays: Arrays, splats: Splats) -> Records:
+    """What the tiles read of splats; packed when it is first asked for."""
+    if splats.packed is None:
+        # Powers of two cost less than powers of e, and the opacity joins the exponent as its logarithm.
+        u_x = dr.sqrt(splats.x_precision * (0.5 * LOG2_E))
+        splats.packed = _BLENDED.pack(
+            arrays,
+            x=splats.x,
+            y=splats.y,
+            u_x=u_x,
+            u_y=u_x * splats.shear,
+            v_y=dr.sqrt(splats.y_precision * (0.5 * LOG2_E)),
+            constant=dr.log2(dr.maximum(splats.opacity, 1e-12)),
+            red=splats.red,
+            green=splats.green,
+            blue=splats.blue,
+        )
+    return splats.packed
+
+
 def blended_records(arrays: Arrays, splats: Splats, bins: Bins) -> Records:
     """The splats' numbers, one record per pair, in the order in which the tiles read them."""
-    UInt = arrays.plain.UInt
-    # Powers of two cost less than powers of e, and the opacity joins the exponent as its logarithm.
-    u_x = dr.sqrt(splats.x_precision * (0.5 * LOG2_E))
-    records = _BLENDED.pack(
-        arrays,
-        x=splats.x,
-        y=splats.y,
-        u_x=u_x,
-        u_y=u_x * splats.shear,
-        v_y=dr.sqrt(splats.y_precision * (0.5 * LOG2_E)),
-        constant=dr.log2(dr.maximum(splats.opacity, 1e-12)),
-        red=splats.red,
-        green=splats.green,
-        blue=splats.blue,
-    )
-    dr.eval(records.tables)
-    per_pair = records.gathered(dr.gather(UInt, bins.splat, dr.arange(UInt, bins.pairs)))
+    per_pair = packed(arrays, splats).gathered(bins.splat)
     dr.eval(per_pair.tables)
     return per_pair
 

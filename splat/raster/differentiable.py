@@ -6,11 +6,13 @@ from functools import lru_cache
 from typing import Any
 
 import drjit as dr
-import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
+from torch.nn import functional
 
+from compose import LLVM
 from compose.base.arrays import ALIGNED_FLOATS, Arrays, BackendName
+from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.camera.place import WORLD, Place
 from splat.model.gaussians import Gaussians
@@ -66,6 +68,7 @@ def render(
     Raises:
         ValueError: the tensors are on several devices, or on one that is neither CPU nor CUDA; or the
             low-pass is negative or not finite.
+        UserError: they are on the CPU, and there is no LLVM that Dr.Jit can use.
     """
     devices = {tensor.device for tensor in gaussians.every_tensor()}
     if len(devices) > 1:
@@ -93,7 +96,7 @@ def render_differentiable(
 
 
 def parameters_from(arrays: Arrays, gaussians: Gaussians) -> Parameters:
-    """The Gaussians' rows as Dr.Jit floats, in a copy.
+    """The Gaussians' rows as Dr.Jit floats; those of `aligned_rows`.
 
     Raises:
         ValueError: some harmonics are apart from `sh`; `seen_from` makes them part of it.
@@ -107,21 +110,36 @@ def parameters_from(arrays: Arrays, gaussians: Gaussians) -> Parameters:
 
 
 def aligned_rows(arrays: Arrays, tensors: list[torch.Tensor]) -> list[Any]:
-    """The rows of tensors (..., N) as Dr.Jit floats, in a copy whose rows start where vectors are aligned.
+    """The rows of tensors (..., N) as Dr.Jit floats, which start where vectors are aligned.
 
-    In the tensors themselves most rows do not, and Dr.Jit would compile other kernels for other numbers of
-    Gaussians. Loads by index need no alignment, but take four times as long as the copy.
+    They share the memory of tensors whose rows all do so, as those of a multiple of 16 Gaussians; others are
+    copied. From rows elsewhere, Dr.Jit would compile other kernels for other numbers of Gaussians. Loads by
+    index need no alignment, but take four times as long as the copy.
     """
     count = tensors[0].shape[-1]
     flat = [tensor.detach().reshape(-1, count) for tensor in tensors]
-    stride = -(-count // ALIGNED_FLOATS) * ALIGNED_FLOATS
-    copy = torch.empty(sum(map(len, flat)), stride, device=flat[0].device)
-    torch.cat(flat, out=copy[:, :count])
-    return [arrays.from_torch(row[:count]) for row in copy]
+    others = [k for k, rows in enumerate(flat) if not _is_aligned(rows)]
+    if others:
+        stride = -(-count // ALIGNED_FLOATS) * ALIGNED_FLOATS
+        sizes = [len(flat[k]) for k in others]
+        copy = torch.empty(sum(sizes), stride, device=flat[0].device)[:, :count]
+        torch.cat([flat[k] for k in others], out=copy)
+        for k, part in zip(others, copy.split(sizes), strict=True):
+            flat[k] = part
+    return [arrays.from_torch(row) for rows in flat for row in rows]
+
+
+def _is_aligned(rows: torch.Tensor) -> bool:
+    """Whether rows (R, N) start where vectors are aligned, each in one piece."""
+    starts = rows.data_ptr(), rows.stride(0) * rows.element_size()
+    return rows.stride(1) == 1 and not any(start % (4 * ALIGNED_FLOATS) for start in starts)
 
 
 @lru_cache
 def _arrays(backend: BackendName) -> Arrays:
+    # Without LLVM, Dr.Jit would end the process.
+    if backend == "llvm" and isinstance(LLVM, UserError):
+        raise LLVM
     return Arrays(backend)
 
 
@@ -134,6 +152,7 @@ class _Render(torch.autograd.Function):
     ) -> torch.Tensor:
         parameters = parameters_from(arrays, Gaussians(*tensors))
         leaves = parameters.leaves()
+        _wait_for_torch(tensors[0].device)
         dr.enable_grad(leaves)
         projected = project(parameters, camera, low_pass)
         splats = projected.detached()
@@ -141,7 +160,9 @@ class _Render(torch.autograd.Function):
         grid = TileGrid(camera.width, camera.height)
         parts = Parts(Candidates(arrays, splats, grid))
         image = rasterize_parts(arrays, splats, parts)
-        ctx.state = (arrays, leaves, projected, splats, parts, image, [t.shape for t in tensors])
+        ctx.state = (arrays, leaves, projected, splats, parts, image)
+        # The gradient reads the tensors again: torch refuses to go on if they have changed meanwhile.
+        ctx.save_for_backward(*tensors)
         shape = grid.padded_height, grid.padded_width, CHANNELS
         buffer = arrays.to_torch(image, tensors[0].device).reshape(shape)
         # A copy: the backward pass still needs the buffer as it is.
@@ -153,20 +174,40 @@ class _Render(torch.autograd.Function):
         # Dr.Jit's graph is gone after one traversal.
         if ctx.state is None:
             raise RuntimeError("this image was differentiated already: render it again")
-        arrays, leaves, projected, splats, parts, image, shapes = ctx.state
+        arrays, leaves, projected, splats, parts, image = ctx.state
+        shapes = [tensor.shape for tensor in ctx.saved_tensors]
         ctx.state = None
         grid = parts.grid
-        padded = torch.zeros(grid.padded_height, grid.padded_width, CHANNELS, device=gradient.device)
-        padded[: grid.height, : grid.width, :3] = gradient
-        flow = dr.detach(arrays.from_torch(padded), preserve_type=False)
+        beyond = (0, CHANNELS - 3, 0, grid.padded_width - grid.width, 0, grid.padded_height - grid.height)
+        flow = dr.detach(arrays.from_torch(functional.pad(gradient, beyond)), preserve_type=False)
+        _wait_for_torch(gradient.device)
         gradients = rasterize_parts_backward(arrays, splats, parts, image, flow)
         for value, by_value in zip(projected.differentiable(), gradients, strict=True):
             dr.accum_grad(value, by_value)
         dr.enqueue(dr.ADMode.Backward, projected.differentiable())
         dr.traverse(dr.ADMode.Backward)
-        by_leaf = [dr.grad(leaf) for leaf in leaves]
-        dr.eval(by_leaf)
-        block = torch.cat([arrays.to_torch(row, gradient.device) for row in by_leaf])
-        sizes = [int(np.prod(shape)) for shape in shapes]
-        results = [part.reshape(s) for part, s in zip(block.split(sizes), shapes, strict=True)]
+        block = _in_rows(arrays, [dr.grad(leaf) for leaf in leaves])
+        rows = arrays.to_torch(block, gradient.device).reshape(len(leaves), -1)
+        sizes = [shape.numel() // shape[-1] for shape in shapes]
+        results = [part.reshape(s) for part, s in zip(rows.split(sizes), shapes, strict=True)]
         return (None, None, None, *results)
+
+
+def _wait_for_torch(device: torch.device) -> None:
+    """Puts what Dr.Jit does next on a GPU behind what torch does on its current stream; the host goes on.
+
+    Dr.Jit's stream follows the default one by itself, and torch's follows Dr.Jit's when it takes an array.
+    """
+    if device.type == "cuda":
+        torch.cuda.default_stream(device).wait_stream(torch.cuda.current_stream(device))
+
+
+def _in_rows(arrays: Arrays, rows: list[Any]) -> Any:
+    """Arrays (N,) one after the other in one: torch waits once, and has nothing to copy."""
+    count = dr.width(rows[0])
+    block = dr.empty(arrays.plain.Float, len(rows) * count)
+    first, step = dr.arange(arrays.plain.UInt, count), arrays.number(count)
+    for row in rows:
+        dr.scatter(block, dr.detach(row, preserve_type=False), first, mode=dr.ReduceMode.Permute)
+        first = first + step
+    return block

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,11 +11,15 @@ import drjit as dr
 from compose.base.arrays import Arrays
 from splat.raster.binning import MINIMUM_ALPHA, Bins
 from splat.raster.blending import MAXIMUM_ALPHA
-from splat.raster.blocks import LOG2_E, Blocks, blended_records, exp2
+from splat.raster.blocks import LOG2_E, Blocks, Shown, blended_records, exp2, first_pixel
 from splat.raster.projection import Splats
+from splat.raster.records import RecordLayout, Records
+from splat.raster.tiles import LANES_ACROSS
 
-# Sums per splat: the six moments and the three channels of `_Sums`.
+# Sums per pair: the six moments and the three channels of `_block_sums`. In packets, to which the lanes of a
+# vector add one after the other; or each by itself, with atomic additions.
 _SUMS = 9
+_IN_PACKETS, _ONE_BY_ONE = RecordLayout((8, 2), sums=_SUMS), RecordLayout((8, 1), sums=_SUMS)
 
 
 def rasterize_backward(arrays: Arrays, splats: Splats, bins: Bins, image: Any, gradient: Any) -> list[Any]:
@@ -57,36 +62,115 @@ def added_sums(
     Returns:
         Nine (N,) arrays.
     """
-    Float, UInt = arrays.plain.Float, arrays.plain.UInt
-    if not bins.pairs:
+    if not dr.width(bins.splat):
         return sums
-    block = Blocks(arrays, bins)
+    UInt, in_packets = arrays.plain.UInt, arrays.backend == "llvm"
     records = blended_records(arrays, splats, bins)
-    width = bins.grid.padded_width
-    flow, final = block.loaded(gradient, width), block.loaded(image, width)
-    behind = [sum(flow[3 * p + c] * final[3 * p + c] for c in range(3)) for p in range(block.pixels)]
-    dr.eval(flow, behind)
-    # One slot per pair and sum. All lanes of a tile reach a pair together and add in their vector, so that
-    # nothing here depends on the timing of threads.
-    slots = [dr.zeros(Float, dr.width(bins.splat)) for _ in range(_SUMS)]
-
-    def walk(i: Any, transmittance: list[Any], behind: list[Any], slots: list[Any]) -> tuple[Any, ...]:
-        transmittance, behind = list(transmittance), list(behind)
-        sums = _block_sums(arrays, block, records.at(i), flow, transmittance, behind)
-        unsorted = dr.gather(UInt, bins.unsorted, i)
-        for slot, value in zip(slots, sums, strict=True):
-            dr.scatter_reduce(dr.ReduceOp.Add, slot, value, unsorted, mode=dr.ReduceMode.Local)
-        return i + 1, transmittance, behind, slots
-
-    state = (block.first, [Float(1) for _ in range(block.pixels)], behind, slots)
-    _, _, _, slots = dr.while_loop(
-        state,
-        lambda i, transmittance, behind, slots: block.is_active(i, transmittance),
-        walk,
-        mode="symbolic",
-    )
+    shown = Shown(arrays, bins, records) if in_packets else None
+    walk = _Walk(arrays, bins, records, image, gradient, shown)
+    slots = [dr.zeros(arrays.plain.Float, p.size * dr.width(bins.splat)) for p in walk.layout.packets]
+    if in_packets:
+        # A vector has four lanes or more and so all those of a tile: two threads never add to a pair.
+        lane = dr.arange(UInt, dr.width(bins.tiles) * LANES_ACROSS)
+        tile, column = lane // LANES_ACROSS, lane % LANES_ACROSS
+        _, slots = dr.while_loop(
+            (dr.zeros(UInt, dr.width(lane)), slots),
+            lambda row, slots: row < LANES_ACROSS,
+            lambda row, slots: (row + 1, walk.added(tile, row * LANES_ACROSS + column, slots)),
+            mode="symbolic",
+        )
+    else:
+        lane = dr.arange(UInt, dr.width(bins.tiles) * LANES_ACROSS**2)
+        slots = walk.added(lane // LANES_ACROSS**2, lane % LANES_ACROSS**2, slots)
     dr.eval(slots)
-    return _sum_runs(arrays, bins, slots, sums)
+    return _sum_runs(arrays, bins, Records(arrays, walk.layout, slots), sums)
+
+
+@dataclass(frozen=True)
+class _Walk:
+    """A walk along the lists of tiles.
+
+    On the CPU, each lane goes by itself from one splat that its block shows to the next: of the splats of a
+    tile, a block shows a third. On a GPU, lanes stay together, and add in their warp.
+
+    Attributes:
+        arrays, bins, image, gradient: as for `added_sums`.
+        records: the splats, per pair.
+        shown: which blocks show which pairs, if lanes go by themselves and add in packets; None if they stay
+            together.
+    """
+
+    arrays: Arrays
+    bins: Bins
+    records: Records
+    image: Any
+    gradient: Any
+    shown: Shown | None
+
+    @property
+    def layout(self) -> RecordLayout:
+        """How the sums of a pair lie in memory."""
+        return _ONE_BY_ONE if self.shown is None else _IN_PACKETS
+
+    def added(self, position: Any, number: Any, slots: list[Any]) -> list[Any]:
+        """Adds what the blocks with a number in the tiles at a position contribute to the sums of pairs."""
+        arrays, bins = self.arrays, self.bins
+        Float, UInt = arrays.plain.Float, arrays.plain.UInt
+        block = _OneBlock(arrays, bins, position, number)
+        width = bins.grid.padded_width
+        flow, final = block.loaded(self.gradient, width), block.loaded(self.image, width)
+        behind = [sum(flow[3 * p + c] * final[3 * p + c] for c in range(3)) for p in range(block.pixels)]
+
+        def step(i: Any, transmittance: list[Any], behind: list[Any], slots: list[Any]) -> tuple[Any, ...]:
+            transmittance, behind = list(transmittance), list(behind)
+            sums = _block_sums(arrays, block, self.records.at(i), flow, transmittance, behind)
+            self._add(sums, dr.gather(UInt, bins.unsorted, i), slots)
+            return self._following(i + 1, block.last, number), transmittance, behind, slots
+
+        start = self._following(block.first, block.last, number)
+        state = (start, [Float(1) for _ in range(block.pixels)], behind, slots)
+        _, _, _, slots = dr.while_loop(
+            state,
+            lambda i, transmittance, behind, slots: block.is_active(i, transmittance),
+            step,
+            mode="symbolic",
+        )
+        return slots
+
+    def _add(self, sums: list[Any], pair: Any, slots: list[Any]) -> None:
+        """Adds the sums of each lane to those of a pair."""
+        mode = dr.ReduceMode.Local
+        if self.shown is not None:
+            # Packets are read, added to and written lane by lane, also where lanes have the same pair.
+            mode, sums = dr.ReduceMode.NoConflicts, [*sums, self.arrays.plain.Float(0)]
+        for packet, slot in zip(self.layout.packets, slots, strict=True):
+            values = self.arrays.plain.ArrayXf(sums[packet.floats])
+            dr.scatter_reduce(dr.ReduceOp.Add, slot, values, pair, mode=mode)
+
+    def _following(self, i: Any, last: Any, number: Any) -> Any:
+        """The first pair from `i` on that a lane looks at."""
+        return i if self.shown is None else self.shown.following(i, last, number)
+
+
+class _OneBlock(Blocks):
+    """Lanes that own one block each.
+
+    Args:
+        arrays, bins: as for `Blocks`.
+        position: of the lanes' tiles in `bins.tiles`.
+        number: of the blocks in them, row by row.
+    """
+
+    def __init__(self, arrays: Arrays, bins: Bins, position: Any, number: Any):
+        Float, UInt = arrays.plain.Float, arrays.plain.UInt
+        self._arrays = arrays
+        self.side = bins.grid.side // LANES_ACROSS
+        self.pixels = self.side**2
+        tile = dr.gather(UInt, bins.tiles, position)
+        left, top = first_pixel(arrays, bins.grid, tile)
+        self.x, self.y = left + number % LANES_ACROSS * self.side, top + number // LANES_ACROSS * self.side
+        self.centre_x, self.centre_y = Float(self.x) + 0.5, Float(self.y) + 0.5
+        self.first, self.last = dr.gather(UInt, bins.start, tile), dr.gather(UInt, bins.end, tile)
 
 
 def _block_sums(
@@ -143,12 +227,12 @@ def _add_moments(moments: list[Any], by_power: Any, u: Any, v: Any) -> None:
     moments[5] = dr.fma(along_v, v, moments[5])
 
 
-def _sum_runs(arrays: Arrays, bins: Bins, slots: list[Any], sums: list[Any]) -> list[Any]:
+def _sum_runs(arrays: Arrays, bins: Bins, slots: Records, sums: list[Any]) -> list[Any]:
     """(N,) sums over each splat's pairs, added to earlier ones always in the same order."""
     Float, UInt = arrays.plain.Float, arrays.plain.UInt
 
     def add(i: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
-        return i + 1, [s + dr.gather(Float, slot, i) for s, slot in zip(sums, slots, strict=True)]
+        return i + 1, [s + further for s, further in zip(sums, slots.at(i).sums, strict=True)]
 
     end = bins.first + bins.count
     state = (UInt(bins.first), [dr.gather(Float, values, bins.owner) for values in sums])

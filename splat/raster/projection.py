@@ -11,16 +11,19 @@ touches no tile.
 
 from __future__ import annotations
 
+import atexit
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import drjit as dr
 import numpy as np
 
-from compose.base.arrays import Arrays
+from compose.base.arrays import Arrays, uploaded
 from compose.camera.camera import Camera
 from splat.model.gaussians import SH_DC
 from splat.raster.harmonics import perceptual_radiance, radiance_from_perceptual, sh_basis
+from splat.raster.records import Records
 
 # Variance of the pixel filter in px^2 at the pixel grid (Mip-Splatting's screen-space filter).
 PIXEL_FILTER = 0.1
@@ -64,6 +67,7 @@ class Splats:
         opacity: in 0..1, 0 for a Gaussian behind the near plane.
         red, green, blue: linear radiance.
         depth: along the view axis; only its order matters.
+        packed: what tiles read of them, once it is packed (`splat.raster.blocks.packed`).
     """
 
     x: Any
@@ -76,6 +80,7 @@ class Splats:
     green: Any
     blue: Any
     depth: Any
+    packed: Records | None = None
 
     @property
     def xx(self) -> Any:
@@ -195,8 +200,8 @@ def filtered(raw: Footprints, low_pass: Any) -> Splats:
 
 def footprints(parameters: Parameters, camera: Camera) -> Footprints:
     """Projects Gaussians onto a camera's film, without a filter."""
-    number = type(parameters.opacity_logits)
-    rotation, eye, (fx, fy, cx, cy), (limit_x, limit_y) = _opaque(number, camera)
+    number: Any = type(parameters.opacity_logits)
+    rotation, eye, (fx, fy, cx, cy), (limit_x, limit_y), _ = _opaque(number, camera)
     from_eye = _from_eye(parameters.means, eye)
     vx, vy, vz = _in_camera(rotation, from_eye)
     seen = vz > NEAR
@@ -257,8 +262,8 @@ def directional_constant(sh: list[list[Any]], means: list[Any], camera: Camera) 
         means: three rows.
         camera: whose eye it is, in the same coordinates.
     """
-    number = type(means[0])
-    _, eye, _, _ = _opaque(number, camera)
+    number: Any = type(means[0])
+    eye = _opaque(number, camera)[1]
     basis = sh_basis(len(sh) + 1, _normalized([number(part) for part in _from_eye(means, eye)]))[1:]
     return [sum(row[c] * value for row, value in zip(sh, basis, strict=True)) / SH_DC for c in range(3)]
 
@@ -273,7 +278,7 @@ def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any
         means: three rows, world space.
         camera: the view.
     """
-    rotation, eye, (fx, fy, cx, cy), (limit_x, limit_y) = _opaque(arrays.plain.Float, camera)
+    rotation, eye, (fx, fy, cx, cy), (limit_x, limit_y), _ = _opaque(arrays.plain.Float, camera)
     vx, vy, vz = _in_camera(rotation, _from_eye(means, eye))
     seen = vz > NEAR
     inverse_z = dr.rcp(dr.select(seen, vz, 1))
@@ -295,33 +300,37 @@ def may_show(arrays: Arrays, means: list[Any], size: Any, camera: Camera, low_pa
     """
     seen, x, y, spread = view_position(arrays, means, camera)
     reach = _REACH * dr.sqrt(dr.square(size * spread) + low_pass)
-    half_width, half_height = (
-        dr.opaque(arrays.plain.Float, side / 2) for side in (camera.width, camera.height)
-    )
+    half_width, half_height = _opaque(arrays.plain.Float, camera)[4]
     within = dr.abs(x - half_width) < half_width + reach
     return seen & within & (dr.abs(y - half_height) < half_height + reach)
 
 
-def _opaque(number: type, camera: Camera) -> tuple[list[Any], list[Any], list[Any], list[Any]]:
-    """World-to-camera rotation (9, row by row) and eye in float64; fx, fy, cx, cy; limits of the tangents.
+@lru_cache(maxsize=4)
+def _opaque(number: Any, camera: Camera) -> tuple[list[Any], list[Any], list[Any], list[Any], list[Any]]:
+    """Rotation (9, row by row) and eye in float64; fx, fy, cx, cy; limits of the tangents; half the size.
 
-    Opaque, so that one kernel serves every camera: literals would be compiled into it.
+    Opaque, so that one kernel serves every camera: literals would be compiled into it. Uploaded together, and
+    kept, since a view has several layers.
     """
-    half = np.array(
-        [
-            max(camera.cx, camera.width - camera.cx) / camera.fx,
-            max(camera.cy, camera.height - camera.cy) / camera.fy,
-        ]
-    )
-    intrinsics = camera.fx, camera.fy, camera.cx, camera.cy
+    half = [
+        max(camera.cx, camera.width - camera.cx) / camera.fx,
+        max(camera.cy, camera.height - camera.cy) / camera.fy,
+    ]
+    double, index = dr.float64_array_t(number), dr.uint32_array_t(number)
+    values = [
+        *(*camera.world_to_camera[:3, :3].flat, *camera.position),
+        *(camera.fx, camera.fy, camera.cx, camera.cy),
+        *(_TANGENT_LIMIT * half[0], _TANGENT_LIMIT * half[1], camera.width / 2, camera.height / 2),
+    ]
+    table, first = uploaded(double, np.array(values)), dr.opaque(index, 0)
+    found = [dr.gather(double, table, first + k) for k in range(len(values))]
+    found[12:] = [number(value) for value in found[12:]]
+    dr.eval(found)
+    return found[:9], found[9:12], found[12:16], found[16:18], found[18:]
 
-    def opaque(kind: type, values: Any) -> list[Any]:
-        return [dr.opaque(kind, float(value)) for value in np.ravel(values)]
 
-    double = dr.float64_array_t(number)
-    rotation = opaque(double, camera.world_to_camera[:3, :3])
-    eye = opaque(double, camera.position)
-    return rotation, eye, opaque(number, intrinsics), opaque(number, _TANGENT_LIMIT * half)
+# Dr.Jit complains of arrays that outlive it.
+atexit.register(_opaque.cache_clear)
 
 
 def _from_eye(means: list[Any], eye: list[Any]) -> list[Any]:

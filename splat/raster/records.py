@@ -14,8 +14,9 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
-from compose.base.arrays import Arrays
+from compose.base.arrays import Arrays, uploaded
 
 
 @dataclass(frozen=True)
@@ -117,24 +118,31 @@ class RecordLayout:
 
         Args:
             arrays: the backend's array types.
-            values: by slot numbers (N,), or (width, N) for a slot wider than 1; no integers.
-
-        Raises:
-            ValueError: the names are not those of the slots, or some slots are integers.
+            values: as for `rows`.
         """
-        self._check_names(values)
-        if self.integers:
-            raise ValueError(f"integers {sorted(self.integers)}: can only be packed on the device")
-        rows = {name: np.atleast_2d(np.asarray(value, dtype=np.float32)) for name, value in values.items()}
-        count = max(row.shape[1] for row in rows.values())
-        host = np.zeros((count, self.packets[-1].floats.stop), dtype=np.float32)
-        for name, slot in self.slots.items():
-            host[:, slot] = rows[name].T
-        tables = []
+        host, tables = self.rows(**values), []
         for table in range(self.packets[-1].table + 1):
             own = [packet.floats for packet in self.packets if packet.table == table]
-            tables.append(arrays.plain.Float(host[:, own[0].start : own[-1].stop].ravel()))
+            tables.append(uploaded(arrays.plain.Float, host[:, own[0].start : own[-1].stop]))
         return Records(arrays, self, tables)
+
+    def rows(self, **values: Any) -> NDArray[np.float32]:
+        """(N, floats) records of numbers in host memory.
+
+        Args:
+            values: by slot numbers (N,), or (width, N) for a slot wider than 1.
+
+        Raises:
+            ValueError: the names are not those of the slots.
+        """
+        self._check_names(values)
+        count = max(np.shape(value)[-1] for value in values.values())
+        host = np.zeros((count, self.packets[-1].floats.stop), dtype=np.float32)
+        bits = host.view(np.uint32)
+        for name, slot in self.slots.items():
+            target = bits if name in self.integers else host
+            target[:, slot] = np.reshape(values[name], (slot.stop - slot.start, -1)).T
+        return host
 
     def scattered(self, arrays: Arrays, packets: Sequence[Any], count: int) -> Records:
         """`count` records of packets, one ArrayXf per load."""
@@ -163,6 +171,10 @@ class Records:
     arrays: Arrays
     layout: RecordLayout
     tables: list[Any]
+
+    def __len__(self) -> int:
+        first = self.layout.packets[0]
+        return int(dr.width(self.tables[0]) // (first.size * first.stride))
 
     def at(self, index: Any) -> SimpleNamespace:
         """The records at an index (M,): by slot an array (M,), or a list of them for a slot wider than 1."""
@@ -207,5 +219,22 @@ class Records:
 def concatenated_records(parts: Sequence[Records]) -> Records:
     """All records of several parts of one layout, in order."""
     first = parts[0]
+    if len(parts) == 1:
+        return first
     tables = zip(*(part.tables for part in parts), strict=True)
     return Records(first.arrays, first.layout, [first.arrays.concatenated(table) for table in tables])
+
+
+def records_before(arrays: Arrays, layout: RecordLayout, *parts: NDArray[Any]) -> Records:
+    """Records of a layout with a single table, and behind them in the same array, which is uploaded at once,
+    other numbers.
+
+    Args:
+        arrays: the backend's array types.
+        layout: of the records.
+        parts: the records' rows (N, floats), and arrays of other numbers of 32 bits.
+    """
+    flat = [part.ravel().view(np.float32) for part in parts]
+    # The array must be a whole number of packets.
+    flat.append(np.zeros(-sum(map(len, flat)) % layout.packets[0].size, dtype=np.float32))
+    return Records(arrays, layout, [uploaded(arrays.plain.Float, np.concatenate(flat))])

@@ -76,17 +76,16 @@ class GaussianOptimizer:
         Returns:
             Whether it did: otherwise, parameters and moments are as before.
         """
-        if not bool(torch.isfinite(loss)):
-            return False
         loss.backward()
         assert self._leaves.directional is not None
         gradient = torch.cat([_gradient(leaf) for _, leaf in self._leaves.tensors()])
         turning = _gradient(self._leaves.directional.sh)
-        if not (_has_finite_squares(gradient) and _has_finite_squares(turning)):
+        if not _are_finite(loss.detach(), gradient, turning):
             return False
         rates = self._rates(progress).repeat(1, len(self._chosen))
         # The unit is the size of a pixel at the median distance; far away a pixel is larger.
-        rates[:3] *= remoteness(self._leaves.means.detach())
+        # Lengths of vectors whose numbers lie side by side take a tenth of the time.
+        rates[:3] *= remoteness(self._leaves.means.detach().T.contiguous().T)
         self._all.step(self._chosen, gradient, rates)
         self._turning.step(self._chosen_turning, turning, _rates([_DIRECTIONAL], progress))
         return True
@@ -154,11 +153,13 @@ def _flat(tensor: torch.Tensor) -> torch.Tensor:
     return tensor.reshape(math.prod(tensor.shape[:-1]), tensor.shape[-1])
 
 
-def _has_finite_squares(gradient: torch.Tensor) -> bool:
-    """Whether a gradient is finite, and its square, of which the moments are made."""
-    flat = gradient.reshape(-1)
-    # Where a sum of squares is finite, each of them is; it takes a tenth of the time of a maximum.
-    if bool(torch.isfinite(torch.dot(flat, flat))):
+def _are_finite(loss: torch.Tensor, *gradients: torch.Tensor) -> bool:
+    """Whether a loss is finite, gradients, and their squares, of which the moments are made."""
+    flat = [gradient.reshape(-1) for gradient in gradients]
+    # Where a sum of squares is finite, each of them is; it takes a tenth of the time of a maximum. One sum of
+    # all, since each look at a number waits for the device.
+    if bool(torch.isfinite(loss + sum(torch.dot(part, part) for part in flat))):
         return True
     # A maximum is NaN if any of its numbers is.
-    return bool(torch.isfinite(torch.linalg.vector_norm(flat, torch.inf).square()))
+    extremes = [torch.linalg.vector_norm(part, torch.inf).square() for part in flat if len(part)]
+    return bool(torch.isfinite(torch.stack([loss, *extremes])).all())

@@ -90,7 +90,7 @@ def fused(
     count = np.full((*shape[:2], 1), _SPP, dtype=np.float32)
     denoised = denoise(radiance, albedo, normal)
     parents = Parents(radiance, variance, denoised, splats, albedo, normal, count, 1.0, False)
-    return denoised, fuse(parents, None).radiance
+    return denoised, fuse(parents, None).radiance.numpy()
 
 
 def measured(name: str, size: int) -> list[dict[str, object]]:

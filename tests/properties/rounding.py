@@ -17,9 +17,9 @@ import torch
 from numpy.typing import NDArray
 
 import splat
-from compose.blend.blend import blend
 from splat.model.gaussians import Gaussians
 from tests.properties import twin
+from tests.properties.blending import blended
 from tests.properties.random_scenes import RandomScene, random_scene
 from tests.splat.raster import reference
 
@@ -73,7 +73,7 @@ def rendered(scene: RandomScene) -> NDArray[np.float64]:
     """(H, W, 3) the composite by the kernels."""
     periphery = splat.render(scene.gaussians, scene.camera).numpy()
     region = scene.foveation.region(scene.camera.width, scene.camera.height)
-    return blend(periphery, scene.fovea, region).astype(np.float64)
+    return blended(periphery, scene.fovea, region).astype(np.float64)
 
 
 def composite_errors(seeds: Iterable[int], spread: float = 2.0) -> Errors:

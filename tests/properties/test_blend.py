@@ -6,13 +6,13 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from compose.blend.blend import blend
 from compose.eye.acuity import ACUITY_MODELS
 from compose.eye.detail import LayerRange, detail_map
 from compose.eye.display import DISPLAYS
 from compose.eye.gaze import Gaze
 from compose.fovea.region import Foveation
 from tests.properties import twin
+from tests.properties.blending import blended, image_of, weight_image
 from tests.properties.effort import tried
 
 SIDES = st.integers(1, 70)
@@ -38,9 +38,9 @@ def parents(seed: int, height: int, width: int, count: int) -> tuple[np.ndarray,
 def test_the_composite_lies_between_its_parents(foveation, width, height, seed):
     region = foveation.region(width, height)
     periphery, fovea = parents(seed, height, width, len(region.pixels))
-    composite = blend(periphery, fovea, region)
-    traced = region.image_of(fovea)
-    weight = region.weight_image()[..., None]
+    composite = blended(periphery, fovea, region)
+    traced = image_of(region, fovea)
+    weight = weight_image(region)[..., None]
     low, high = np.minimum(periphery, traced), np.maximum(periphery, traced)
     # Exact at both ends.
     np.testing.assert_array_equal(composite, np.where(weight == 1, traced, composite))
@@ -55,13 +55,13 @@ def test_the_composite_lies_between_its_parents(foveation, width, height, seed):
 def test_the_blend_is_that_of_the_float64_twin(foveation, width, height, seed):
     region = foveation.region(width, height)
     periphery, fovea = parents(seed, height, width, len(region.pixels))
-    found = blend(periphery, fovea, region).astype(np.float64)
+    found = blended(periphery, fovea, region).astype(np.float64)
     expected = twin.blended(periphery.astype(np.float64), fovea, foveation, region.pixels)
     outer, inner = (radius / 100 * height for radius in (foveation.fov_a, foveation.fov_b))
     if outer - inner > 1e-3:
         # A weight is (outer - r) / (outer - inner): r is rounded to 1e-7 of the frame.
         bound = 1e-6 * (1 + (width + height + outer) / (outer - inner))
-        traced = region.image_of(fovea)
+        traced = image_of(region, fovea)
         assert (np.abs(found - expected) <= bound * (np.maximum(periphery, traced) + 1e-30)).all()
 
 
@@ -69,7 +69,7 @@ def test_the_blend_is_that_of_the_float64_twin(foveation, width, height, seed):
 @given(FOVEATIONS, SIDES, SIDES)
 def test_weights_are_shares(foveation, width, height):
     region = foveation.region(width, height)
-    weight = region.weight_image()
+    weight = weight_image(region)
     assert ((weight >= 0) & (weight <= 1)).all()
     # Splats are hidden only where their weight is 0: what is not rasterized does not show.
     hidden = ~region.peripheral_tiles(8).repeat(8, axis=0).repeat(8, axis=1)[:height, :width]

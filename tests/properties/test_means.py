@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from compose.fovea.region import FoveaRegion
+from compose.eye.gaze import Gaze
+from compose.fovea.region import Foveation
 from hybrid.frame.disc_tracer import DiscRequest, DiscTracer
 from hybrid.frame.renderer import Renderer
 from hybrid.frame.settings import FrameSettings
+from hybrid.runtime.device import device_arrays
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.film import frame_positions, interleaved
 from pathtrace.trace.tracer import Tracer
@@ -65,7 +67,7 @@ def test_a_thinned_band_blends_as_the_whole_one(matt_renderer, truth):
     for seed in range(1000, 1400):
         frame = matt_renderer.frame(RAW, seed)
         found.append(frame.composite)
-        parts.append(len(frame.region.pixels))
+        parts.append(frame.fovea.disc.count)
     weight = RAW.foveation.region(32, 32).weight_image()[..., None]
     expected = (1 - weight) * matt_renderer.splats(RAW) + weight * truth
     assert max(parts) < 0.7 * np.count_nonzero(weight)
@@ -85,15 +87,13 @@ def test_a_raw_fovea_is_the_path_traced_frame_on_average(matt_renderer, truth):
 def adaptive(renderer: Renderer, spp: int) -> Callable[[int], NDArray[np.float32]]:
     """Renders the samples of a fused fovea over the whole frame, which go where they help most."""
     camera = renderer.scene.camera
-    pixels = np.arange(camera.width * camera.height, dtype=np.uint32)
-    ones = np.ones(len(pixels), dtype=np.float32)
-    region = FoveaRegion(camera.width, camera.height, pixels, ones, (16, 16), 16)
+    region = Foveation(Gaze(), 500, 500).region(camera.width, camera.height)
     underlay = renderer.underlay(camera, FrameSettings(fovea="fused"), region)
-    disc = DiscTracer(renderer.tracer, history=False)
+    disc, tracer = region.disc(device_arrays()), DiscTracer(renderer.tracer, history=False)
 
     def image(seed: int) -> NDArray[np.float32]:
-        samples = disc.trace(DiscRequest(camera, region, spp, seed), underlay)
-        return samples.radiance.reshape(camera.height, camera.width, 3)
+        samples = tracer.trace(DiscRequest(camera, disc, spp, seed), underlay)
+        return samples.numpy("radiance").reshape(camera.height, camera.width, 3)
 
     return image
 

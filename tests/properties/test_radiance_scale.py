@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import splat
-from compose.blend.blend import blend
 from compose.fusion.combination import fuse
 from compose.fusion.parents import Parents
 from hybrid.frame.disc import parents_of
@@ -22,12 +21,14 @@ from pathtrace.scene.scene import load_scene
 from splat.model.forest import Forest
 from tests import small
 from tests.extremes import extreme
+from tests.properties.blending import blended
 from tests.properties.effort import tried
 from tests.properties.random_scenes import random_scene
 from tests.properties.similar import brighter, brighter_gaussians
 
 SETTINGS = FrameSettings(gaze=(0.4, 0.6), fov_a=60, fov_b=40, spp=8, acuity_model="none", fill=False)
 RAW = replace(SETTINGS, fovea="raw")
+IMAGES = ("traced", "variance", "denoised", "splat", "albedo", "normal", "count")
 
 
 def brighter_forest(forest: Forest, factor: float) -> Forest:
@@ -95,8 +96,8 @@ def test_the_blend_scales_exactly_by_powers_of_two(seed, power):
     periphery = (
         np.random.default_rng(seed).exponential(1, (camera.height, camera.width, 3)).astype(np.float32)
     )
-    expected = blend(periphery, scene.fovea, region) * factor
-    np.testing.assert_array_equal(blend(periphery * factor, scene.fovea * factor, region), expected)
+    expected = blended(periphery, scene.fovea, region) * factor
+    np.testing.assert_array_equal(blended(periphery * factor, scene.fovea * factor, region), expected)
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +106,9 @@ def parents(renderer) -> Parents:
     frame = renderer.frame(
         replace(SETTINGS, camera=renderer.scene.camera.resized(64, 64), integrator="path"), 1
     )
-    return parents_of(frame.region, frame.fovea.samples, frame.underlay)
+    found = parents_of(frame.fovea.disc, frame.fovea.samples, frame.underlay)
+    images = {name: getattr(found, name).cpu().numpy().copy() for name in IMAGES}
+    return replace(found, **images)
 
 
 def deviation(found: np.ndarray, expected: np.ndarray) -> float:
@@ -135,13 +138,13 @@ def scaled(parents: Parents, factor: float) -> Parents:
 )
 def test_statistical_fusion_is_homogeneous_for_ordinary_light(parents, factor, bound):
     """Below a radiance of some 1e-4, what counts as no light at all is not: its parents differ otherwise."""
-    expected, found = fuse(parents, None).radiance, fuse(scaled(parents, factor), None).radiance
+    expected, found = (fuse(of, None).radiance.numpy() for of in (parents, scaled(parents, factor)))
     assert deviation(found.astype(np.float64) / factor, expected) < bound
 
 
 def test_fusion_of_very_bright_light_is_finite(parents):
     with torch.inference_mode():
-        assert np.isfinite(fuse(scaled(parents, 1e12), None).radiance).all()
+        assert np.isfinite(fuse(scaled(parents, 1e12), None).radiance.numpy()).all()
 
 
 @pytest.mark.parametrize(("factor", "bound"), [(1e-4, 0.03), (1e4, 0.03)])

@@ -7,6 +7,7 @@ import typer
 from hybrid.cli.benches.change import change
 from hybrid.cli.benches.endurance import endurance
 from hybrid.cli.benches.forest import forest
+from hybrid.cli.benches.frame import frame
 from hybrid.cli.benches.fusion import fusion
 from hybrid.cli.benches.gaze import gaze
 from hybrid.cli.benches.held_out import held_out
@@ -31,6 +32,7 @@ for command in (
     gaze,
     forest,
     passes,
+    frame,
     fusion,
     change,
     motion,

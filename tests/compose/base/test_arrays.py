@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from compose.base.arrays import Arrays, uploaded
+from compose.base.arrays import Arrays, compressed, uploaded
 
 
 def test_a_number_is_read_from_memory(arrays):
@@ -15,6 +15,34 @@ def test_a_number_is_read_from_memory(arrays):
     assert number.numpy().tolist() == [7]
     # A literal would be compiled into the kernels that use it.
     assert number.state == dr.VarState.Evaluated
+
+
+def test_a_constant_is_made_once_and_cannot_be_changed(arrays):
+    one, other = arrays.constant(7), arrays.constant(7)
+    assert one.state == dr.VarState.Evaluated
+    assert one.index == other.index
+    one += 1
+    assert (one.numpy().tolist(), other.numpy().tolist()) == ([8], [7])
+    dr.scatter(other, arrays.plain.UInt(9), arrays.plain.UInt(0))
+    assert arrays.constant(7).numpy().tolist() == [7]
+
+
+@pytest.mark.parametrize("size", [1, 3, 100])
+def test_scalars_are_read_from_memory(arrays, size):
+    plain, index = arrays.plain, dr.arange(arrays.plain.UInt, size)
+    least, most = arrays.scalars(plain.UInt, [5, 2**32 - 1])
+    assert (index + least).numpy().tolist() == list(range(5, size + 5))
+    assert (index + most).numpy().tolist() == [2**32 - 1, *range(size - 1)]
+    half, far = arrays.scalars(plain.Float, [0.5, np.inf])
+    assert (plain.Float(index) + half).numpy().tolist() == [i + 0.5 for i in range(size)]
+    assert np.isinf((plain.Float(index) + far).numpy()).all()
+
+
+@pytest.mark.parametrize("kept", [[], [0], [2, 5], [0, 1, 2, 3, 4, 5]])
+def test_those_that_a_mask_chooses_are_kept_in_order(arrays, kept):
+    values = uploaded(arrays.plain.Float, np.arange(6, dtype=np.float32) * 10)
+    mask = np.isin(np.arange(6), kept)
+    assert compressed(values, arrays.plain.Bool(mask)).numpy().tolist() == [10 * i for i in kept]
 
 
 def test_backends_have_their_own_types():

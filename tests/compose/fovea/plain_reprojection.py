@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
-from compose.fovea.earlier import EarlierView
 from compose.fovea.movers import ALWAYS, UNSTEADY, Moment
-from compose.fovea.reprojection import Reprojected
-from compose.fovea.samples import Floats, Samples
 from compose.image.gloss import DIFFUSE, SPECULAR
+from tests.compose.arrays_of import Floats, PlainReprojected, PlainSamples, PlainView
 
 # Relative difference of distances up to which two hits are taken for the same surface.
 _SAME_SURFACE = 0.005
@@ -23,8 +21,8 @@ _LEAST_COSINE = np.cos(np.radians([180.0, 8.0, 0.2]))
 
 
 def plain_reproject(
-    views: Iterable[EarlierView], camera: Camera, new: Samples, moment: Moment = ALWAYS
-) -> Reprojected | None:
+    views: Iterable[PlainView], camera: Camera, new: PlainSamples, moment: Moment = ALWAYS
+) -> PlainReprojected | None:
     """What earlier views contribute to a camera's view, without what no longer holds.
 
     Args:
@@ -48,7 +46,7 @@ def plain_reproject(
     down, across = np.divmod(arrivals.quarter[seen], 2 * width)
     target = down // 2 * width + across // 2
     records = _summed(target, arrivals.records[seen], height * width)
-    return Reprojected(surfaces.rows, surfaces.columns, records.reshape(height, width, -1))
+    return PlainReprojected(surfaces.rows, surfaces.columns, records.reshape(height, width, -1))
 
 
 @dataclass(frozen=True)
@@ -72,7 +70,7 @@ class _Arrivals:
         return _Arrivals(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Arrivals)))
 
 
-def _arrivals(view: EarlierView, camera: Camera, surfaces: _Surfaces, moment: Moment) -> _Arrivals:
+def _arrivals(view: PlainView, camera: Camera, surfaces: _Surfaces, moment: Moment) -> _Arrivals:
     """Samples of an earlier view in the rectangle of the visible surfaces, as far as they still hold."""
     pose = moment.poses[np.where(view.mover < len(moment.poses), view.mover, 0)]
     position = np.einsum("nij,nj->ni", pose[:, :, :3], view.position.astype(np.float64)) + pose[:, :, 3]
@@ -122,11 +120,10 @@ class _Surfaces:
     specular: NDArray[np.bool_]
 
     @staticmethod
-    def of(camera: Camera, new: Samples) -> _Surfaces:
+    def of(camera: Camera, new: PlainSamples) -> _Surfaces:
         """The surfaces that samples of a camera's view hit."""
+        rows, columns = new.box(camera.width)
         row, column = np.divmod(new.pixels.astype(np.int64), camera.width)
-        rows = slice(int(row.min()), int(row.max()) + 1)
-        columns = slice(int(column.min()), int(column.max()) + 1)
         row, column = row - rows.start, column - columns.start
         shape = rows.stop - rows.start, columns.stop - columns.start
         distance = _length(new.position - camera.position)

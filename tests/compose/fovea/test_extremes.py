@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
+import drjit as dr
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from compose.base.arrays import Arrays
 from compose.eye.gaze import Gaze
-from compose.fovea.adaptive import allotted, disagreement
 from compose.fovea.band import thinned
 from compose.fovea.history import History
-from compose.fovea.record import RECORD, add_light, limit, means
+from compose.fovea.record import RECORD, limited, means, with_light
 from compose.fovea.region import Foveation
-from compose.fovea.samples import Samples, merged
+from compose.fovea.samples import merged
 from tests import small
-from tests.compose.fovea.views import camera, samples, wall
+from tests.compose.arrays_of import PlainSamples, channels, each_of, host, indices
+from tests.compose.fovea.views import camera, samples, wall, whole
 from tests.extremes import extreme
 
 SIDES = st.sampled_from([(64, 48), (48, 64), (1, 90), (90, 1), (7, 5)])
@@ -95,18 +99,21 @@ def test_neighbouring_gazes_give_neighbouring_weights(size, gaze, fov_a, share, 
         )
     ],
 )
-def test_radii_at_their_ends(fov_a, fov_b, expected, got):
+def test_radii_at_their_ends(arrays, fov_a, fov_b, expected, got):
     region = Foveation(Gaze(), fov_a, fov_b).region(64, 48)
-    assert got(float(region.weights.sum()), "g") == expected
+    assert got(float(region.weight_image().sum()), "g") == expected
+    assert np.array(region.disc(arrays).weights).sum() == expected
     assert region.covers_frame == (expected == 64 * 48)
 
 
 @pytest.mark.parametrize("band", [0.0, 1e-300, 1e-7, 1e-5])
-def test_a_band_thinner_than_a_pixel_is_an_edge(band):
-    foveation = Foveation(Gaze(), 25 + band, 25)
-    weights = foveation.region(64, 48).weights
+def test_a_band_thinner_than_a_pixel_is_an_edge(arrays, band):
+    region = Foveation(Gaze(), 25 + band, 25).region(64, 48)
+    image, weights = region.weight_image(), np.array(region.disc(arrays).weights)
     assert np.isfinite(weights).all()
     np.testing.assert_array_equal(weights, 1)
+    np.testing.assert_array_equal(image.ravel()[region.pixels], 1)
+    assert image.sum() == len(weights) > 0
 
 
 @pytest.mark.parametrize(
@@ -119,14 +126,18 @@ def test_a_band_thinner_than_a_pixel_is_an_edge(band):
     ],
 )
 @pytest.mark.parametrize("gaze", [(0.5, 0.5)])
-def test_regions_of_extreme_frames(size, gaze, got):
+def test_regions_of_extreme_frames(arrays, size, gaze, got):
     """Against float64, in the rows and columns through the middle where the frame is large."""
     width, height = size
-    weights = Foveation(Gaze(*gaze), 20, 15).region(width, height).weight_image()
+    region = Foveation(Gaze(*gaze), 20, 15).region(width, height)
+    weights = region.weight_image()
     y, x = np.arange(height)[:: max(1, height // 64)], np.arange(width)[:: max(1, width // 64)]
     radius = np.hypot(x[None] + 0.5 - gaze[0] * width, y[:, None] + 0.5 - gaze[1] * height)
     twin = np.clip((0.2 * height - radius) / (0.05 * height), 0, 1)
     assert got(float(np.abs(weights[np.ix_(y, x)] - twin).max()), ".1e") < 1e-5
+    disc = region.disc(arrays)
+    on_device = disc.frame_image([disc.weights])[..., 0]
+    assert np.abs(on_device[np.ix_(y, x)] - twin).max() < 1e-5
 
 
 @pytest.mark.parametrize(
@@ -138,7 +149,7 @@ def test_regions_of_extreme_frames(size, gaze, got):
         for gaze in ((0, 0), (1, 0), (0, 1), (1, 1), (-900.0, 0.5))
     ],
 )
-def test_gazes_at_their_ends(gaze, got):
+def test_gazes_at_their_ends(arrays, gaze, got):
     """The disc reaches into the frame, however far away its middle is."""
     reach = np.hypot(gaze[0] * 640 - 320, gaze[1] * 480 - 240)
     a, b = reach + 100, reach - 100
@@ -148,6 +159,8 @@ def test_gazes_at_their_ends(gaze, got):
     )
     twin = np.clip((a - radius) / (a - b), 0, 1)
     assert got(float(np.abs(region.weight_image() - twin).max()), ".1e") < 1e-3
+    disc = region.disc(arrays)
+    assert np.abs(disc.frame_image([disc.weights])[..., 0] - twin).max() < 1e-3
 
 
 NAN = np.float32("nan")
@@ -156,7 +169,7 @@ NAN = np.float32("nan")
 @extreme(
     "NaN splats in the allotment", given="one NaN pixel of 64x64", expected="all samples go out, a few there"
 )
-def test_a_splat_that_is_not_a_number_does_not_decide_where_samples_go(got):
+def test_a_splat_that_is_not_a_number_does_not_decide_where_samples_go(allotted, disagreement, got):
     denoised = small.rng().random((64, 64, 3)).astype(np.float32)
     splat = denoised * np.float32(0.9)
     expected = disagreement(denoised, splat)
@@ -173,14 +186,14 @@ def test_a_splat_that_is_not_a_number_does_not_decide_where_samples_go(got):
 
 
 @extreme("splats that are all NaN", given="64x64, 4 spp", expected="samples spread evenly")
-def test_splats_without_a_number_leave_samples_even(got):
+def test_splats_without_a_number_leave_samples_even(allotted, disagreement, got):
     worth = disagreement(np.ones((16, 16, 3), np.float32), np.full((16, 16, 3), NAN))
     assert (allotted(worth.ravel(), np.full(256, 2, np.float32), 512, 0) == 2).all()
     assert got(float(np.ptp(worth))) == 0
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_pixels_of_unknown_worth_get_the_most(value):
+def test_pixels_of_unknown_worth_get_the_most(allotted, value):
     worth = np.ones(1000, np.float32)
     worth[7] = value
     counts = allotted(worth, np.zeros(1000, np.float32), 100_000, 0)
@@ -189,13 +202,13 @@ def test_pixels_of_unknown_worth_get_the_most(value):
 
 
 @pytest.mark.parametrize("worth", [0.0, 1e-45, 1e-30, 1e30, 3e38])
-def test_equal_worth_of_any_size_gives_equal_samples(worth):
+def test_equal_worth_of_any_size_gives_equal_samples(allotted, worth):
     counts = allotted(np.full(1000, worth, np.float32), np.zeros(1000, np.float32), 4000, 0)
     assert (counts == 4).all()
 
 
 @extreme("no samples to give", given="a total of 0", expected="0 for each")
-def test_a_total_of_zero_gives_none(got):
+def test_a_total_of_zero_gives_none(allotted, got):
     counts = allotted(np.array([1, 2], np.float32), np.array([1, 3], np.float32), 0, 0)
     assert got(counts.tolist()) == [0, 0]
 
@@ -212,7 +225,7 @@ def allotted_in_float64(worth, have, total):
 
 
 @pytest.mark.parametrize("most", [1, 1e3, 16384])
-def test_the_allotment_matches_float64(most):
+def test_the_allotment_matches_float64(allotted, most):
     rng = small.rng()
     worth, have = rng.random(500).astype(np.float32), (most * rng.random(500)).astype(np.float32)
     total = 500 * int(max(most, 2))
@@ -221,22 +234,22 @@ def test_the_allotment_matches_float64(most):
 
 
 @pytest.mark.parametrize("spp", [1, 16384])
-def test_thinned_bands_keep_their_mean(spp):
-    region = Foveation(Gaze(), 40, 10).region(64, 48)
-    thin, counts = thinned(region, spp, 2**63 - 1)
+def test_thinned_bands_keep_their_mean(arrays, spp):
+    disc = Foveation(Gaze(), 40, 10).region(64, 48).disc(arrays)
+    thin, found = thinned(disc, spp, 2**63 - 1)
+    counts = each_of(found, thin.count)
     assert counts.min() >= 1
     assert counts.max() == spp
-    assert counts.sum() == pytest.approx(spp * float(region.weights.sum()), rel=0.05)
-    assert thin.weights.min() >= 1 / spp
+    assert counts.sum() == pytest.approx(spp * float(np.array(disc.weights).sum()), rel=0.05)
+    assert np.array(thin.weights).min() >= np.float32(1 / spp)
 
 
 LARGEST = float(np.finfo(np.float32).max)
 
 
-def lit(radiance: np.ndarray, count: float = 1) -> Samples:
+def lit(radiance: np.ndarray, count: float = 1) -> PlainSamples:
     """Samples of the first pixels of a wall."""
-    with np.errstate(over="ignore"):
-        return samples(wall(camera())[: len(radiance)], radiance, count=count)
+    return samples(wall(camera())[: len(radiance)], radiance, count=count)
 
 
 @pytest.mark.parametrize(
@@ -248,65 +261,71 @@ def lit(radiance: np.ndarray, count: float = 1) -> Samples:
         for r in (1e-8, 1.0, 1e6, 1e15)
     ],
 )
-def test_the_variance_of_samples_matches_float64(radiance, got):
+def test_the_variance_of_samples_matches_float64(arrays, radiance, got):
     values = radiance * small.rng().gamma(0.5, 2, (16, 300, 3))
     mean, squares = (v.mean(axis=0).astype(np.float32) for v in (values, values**2))
-    found = Samples(**{**vars(lit(mean, 16)), "squares": squares}).variance()
+    found = replace(lit(mean, 16), squares=squares).on(arrays).numpy("variance")
     twin = values.var(axis=0) / 15
     assert got(float(np.abs(found - twin).max() / twin.max()), ".1e") < 1e-6
 
 
 @extreme("variance of a firefly of 1e30", given="squares beyond float32", expected="inf: unknown")
-def test_the_variance_of_squares_beyond_float32_is_unknown(got):
+def test_the_variance_of_squares_beyond_float32_is_unknown(arrays, got):
     radiance = np.full((2, 3), 0.5, np.float32)
     radiance[1] = 1e30
-    variance = lit(radiance, 4).variance()
+    variance = lit(radiance, 4).on(arrays).numpy("variance")
     assert np.isfinite(variance[0]).all()
     assert got(float(variance[1, 0])) == np.inf
 
 
+def nothing(arrays: Arrays, size: int) -> list[Any]:
+    """Records of pixels of which nothing is known."""
+    return channels(arrays, np.zeros((size, RECORD)))
+
+
 @pytest.mark.parametrize("radiance", [1e15, 1e30, LARGEST])
-def test_a_firefly_stays_in_the_mean_of_records(radiance):
+def test_a_firefly_stays_in_the_mean_of_records(arrays, radiance):
     """One among 100 samples of 0.5, and one more later; pixels beside it do not notice."""
-    records = np.zeros((2, RECORD), np.float32)
-    add_light(records, lit(np.full((2, 3), 0.5)))
-    add_light(records, lit(np.array([[0.5] * 3, [radiance] * 3], np.float32)))
-    add_light(records, lit(np.full((2, 3), 0.5), 98))
+    records = with_light(nothing(arrays, 2), lit(np.full((2, 3), 0.5)).on(arrays))
+    bright = lit(np.array([[0.5] * 3, [radiance] * 3], np.float32))
+    for new in (bright, lit(np.full((2, 3), 0.5), 98)):
+        records = with_light(records, new.on(arrays))
     count, mean, squares, *_ = means(records)
-    assert (count == 100).all()
+    assert (np.array(count) == 100).all()
+    mean = host(mean)
     np.testing.assert_allclose(mean[0], 0.5, rtol=1e-6)
     np.testing.assert_allclose(mean[1], radiance / 100, rtol=1e-6)
-    assert not np.isnan(squares).any()
-    limit(records, 32)
-    np.testing.assert_allclose(means(records)[1], mean, rtol=1e-6)
+    assert not np.isnan(host(squares)).any()
+    np.testing.assert_allclose(host(means(limited(records, 32))[1]), mean, rtol=1e-6)
 
 
 @extreme("several samples of float32's maximum", given="3 in one record", expected="finite mean")
-def test_sums_beyond_float32_stay_finite(got):
-    records = np.zeros((1, RECORD), np.float32)
+def test_sums_beyond_float32_stay_finite(arrays, got):
+    records = nothing(arrays, 1)
     for _ in range(3):
-        add_light(records, lit(np.full((1, 3), LARGEST)))
-    assert got(float(means(records)[1].max()), ".1e") == pytest.approx(LARGEST / 3, rel=1e-6)
+        records = with_light(records, lit(np.full((1, 3), LARGEST)).on(arrays))
+    assert got(float(host(means(records)[1]).max()), ".1e") == pytest.approx(LARGEST / 3, rel=1e-6)
 
 
 @pytest.mark.parametrize("radiance", [1e30, LARGEST])
-def test_merging_keeps_fireflies_finite(radiance):
+def test_merging_keeps_fireflies_finite(arrays, radiance):
     one, other = lit(np.full((4, 3), 0.5), 3), lit(np.full((4, 3), radiance, np.float32), 1)
-    both = merged(one, other)
-    np.testing.assert_allclose(both.radiance, radiance / 4, rtol=1e-6)
-    assert not np.isnan(both.squares).any()
-    assert (both.variance() == np.inf).all()
+    both = merged(one.on(arrays), other.on(arrays))
+    np.testing.assert_allclose(both.numpy("radiance"), radiance / 4, rtol=1e-6)
+    assert not np.isnan(both.numpy("squares")).any()
+    assert (both.numpy("variance") == np.inf).all()
 
 
 @extreme("100,000 frames of one view", given="1 sample each, radiance 0.1", expected="mean within 0.1 %")
-def test_long_accumulation_keeps_the_mean(got):
+def test_long_accumulation_keeps_the_mean(arrays, got):
     """Float32 sums lose what is below their last digit; up to here that is less than anyone sees."""
-    records, new = np.zeros((1, RECORD), np.float32), lit(np.full((1, 3), 0.1, np.float32))
-    for _ in range(100_000):
-        add_light(records, new)
+    new = lit(np.full((1, 3), 0.1, np.float32)).on(arrays)
+    start = arrays.plain.UInt(0), nothing(arrays, 1)
+    add = lambda i, records: (i + 1, with_light(records, new))  # noqa: E731
+    _, records = dr.while_loop(start, lambda i, records: i < 100_000, add, mode="symbolic")
     count, mean, *_ = means(records)
-    assert count[0] == 100_000
-    assert got(float(abs(mean[0, 0] / 0.1 - 1)), ".1e") < 1e-3
+    assert np.array(count).tolist() == [100_000]
+    assert got(float(abs(host(mean)[0, 0] / 0.1 - 1)), ".1e") < 1e-3
 
 
 @extreme("history with a firefly", given="1e30 in one pixel, then a step aside", expected="one pixel, finite")
@@ -320,10 +339,10 @@ def test_a_firefly_in_a_history_stays_in_its_pixel(arrays, got):
     for radiance in (plain, bright):
         history = History(arrays)
         for view, light in ((here, radiance), (there, plain)):
-            seen = lit(light) if view is here else samples(wall(there), plain)
-            history.see(view, seen, 4, 0)
+            seen = (lit(light) if view is here else samples(wall(there), plain)).on(arrays)
+            history.see(view, seen, 4, 0, whole(arrays, view))
             history.remember(seen)
-        recalled.append(history.recall(pixels))
+        recalled.append(PlainSamples.of(history.recall(indices(arrays, pixels))))
     assert np.isfinite(recalled[1].radiance).all()
     changed = (recalled[0].radiance != recalled[1].radiance).any(axis=1)
     assert got(int(changed.sum())) == 1
@@ -334,8 +353,8 @@ def test_a_firefly_in_a_history_stays_in_its_pixel(arrays, got):
 def test_a_jump_leaves_nothing_of_the_view_before(arrays, got):
     history = History(arrays)
     for view, light in ((camera(), 0.5), (camera(1e6), 2.0)):
-        seen = samples(wall(view), np.full((48 * 48, 3), light, np.float32))
-        history.see(view, seen, 4, 0)
+        seen = samples(wall(view), np.full((48 * 48, 3), light, np.float32)).on(arrays)
+        history.see(view, seen, 4, 0, whole(arrays, view))
         history.remember(seen)
-    radiance = history.recall(np.arange(48 * 48, dtype=np.uint32)).radiance
+    radiance = history.recall(indices(arrays, np.arange(48 * 48))).numpy("radiance")
     assert got(float(radiance.min()), "g") == got(float(radiance.max()), "g") == 2

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from compose.fovea.history import MOST_LATER, History
 from compose.fovea.movers import ALWAYS, STILL, UNSTEADY, Moment
-from compose.fovea.samples import Samples
 from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
 from tests import small
-from tests.compose.fovea.views import SIZE, camera, random_moment, samples, wall
+from tests.compose.arrays_of import PlainSamples, channels, floats, host, indices
+from tests.compose.fovea.views import SIZE, camera, random_moment, samples, wall, whole
 
 
 def shifted(time: float, x: float) -> Moment:
@@ -20,27 +22,33 @@ def shifted(time: float, x: float) -> Moment:
     return Moment(time, np.stack([np.eye(4)[:3], pose]))
 
 
-def after(history: History, moment: Moment, new: Samples) -> Samples:
-    """All that is known of all pixels after a frame of a moment."""
-    history.show(moment)
-    history.see(camera(), new, 1, 0)
-    history.remember(new)
-    return history.recall(new.pixels)
+@pytest.fixture
+def after(arrays):
+    """All that a history knows of all pixels after a frame of a moment."""
+
+    def run(history: History, moment: Moment, new: PlainSamples) -> PlainSamples:
+        history.show(moment)
+        history.see(camera(), new.on(arrays), 1, 0, whole(arrays, camera()))
+        history.remember(new.on(arrays))
+        return PlainSamples.of(history.recall(indices(arrays, new.pixels)))
+
+    return run
 
 
-def test_points_at_rest_are_where_their_pose_brings_them_back_from():
+def test_points_at_rest_are_where_their_pose_brings_them_back_from(arrays):
     rng = small.rng(4)
     moment = random_moment(rng, 0.5, 1.0)
     mover = np.array([STILL, 1, 2, UNSTEADY, 1], dtype=np.uint16)
     now = rng.normal(0, 1, (5, 3)).astype(np.float32)
-    rest = moment.at_rest(now, mover)
+    given = channels(arrays, now), floats(arrays, mover)
+    rest = host(moment.at_rest(arrays, *given))
     for point, before, number in zip(now, rest, mover, strict=True):
         pose = moment.poses[number if number < 3 else 0]
         np.testing.assert_allclose(pose[:, :3] @ before + pose[:, 3], point, atol=1e-6)
-    np.testing.assert_array_equal(ALWAYS.at_rest(now, np.zeros(5, dtype=np.uint16)), now)
+    np.testing.assert_array_equal(host(ALWAYS.at_rest(arrays, *given)), now)
 
 
-def test_samples_of_a_mover_go_with_it(arrays):
+def test_samples_of_a_mover_go_with_it(arrays, after):
     """A painted wall that is shifted by ten pixels: every sample comes along, and none is left behind."""
     history, place = History(arrays), wall(camera())
     step = 10 * float(place[1, 0] - place[0, 0])
@@ -67,7 +75,7 @@ def test_samples_of_a_mover_go_with_it(arrays):
         (GLOSSY, 1, 0),
     ],
 )
-def test_only_what_looks_the_same_from_everywhere_does_later(arrays, gloss, mover, kept):
+def test_only_what_looks_the_same_from_everywhere_does_later(arrays, after, gloss, mover, kept):
     history, place = History(arrays), wall(camera())
     new = samples(place, np.ones(3), gloss, mover=mover)
     assert (after(history, shifted(0.0, 0.0), new).count == 1).all()
@@ -75,24 +83,24 @@ def test_only_what_looks_the_same_from_everywhere_does_later(arrays, gloss, move
     assert (after(history, shifted(0.1, 0.0), new).count == 1 + kept).all()
 
 
-def test_samples_of_another_moment_count_little(arrays):
+def test_samples_of_another_moment_count_little(arrays, after):
     history, new = History(arrays), samples(wall(camera()), np.ones(3), count=100)
     after(history, shifted(0.0, 0.0), new)
     assert (after(history, shifted(0.1, 0.0), new).count == 100 + MOST_LATER).all()
 
 
-def test_what_a_mover_hid_has_no_samples_of_it(arrays):
+def test_what_a_mover_hid_has_no_samples_of_it(arrays, after):
     """A board before a wall goes aside by more than it is wide: where it was, there is one sample."""
     history, view = History(arrays), camera()
     near, far = wall(view, -1.0), wall(view)
     column = np.arange(SIZE * SIZE) % SIZE
 
-    def scene(left: int) -> Samples:
+    def scene(left: int) -> PlainSamples:
         board = (column >= left) & (column < left + 10)
         place = np.where(board[:, None], near, far)
         bright = np.where(board, 9.0, 1.0)[:, None]
         shown = samples(place, np.repeat(bright, 3, axis=1))
-        return Samples(**{**vars(shown), "mover": board.astype(np.uint16)})
+        return replace(shown, mover=board.astype(np.uint16))
 
     step = 20 * float(near[1, 0] - near[0, 0])
     after(history, shifted(0.0, 0.0), scene(20))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import drjit as dr
 import numpy as np
 import pytest
 
 from compose.base.errors import UserError
 from compose.eye.gaze import Gaze
-from compose.fovea.region import Foveation
+from compose.fovea.region import FoveaRegion, Foveation
+from tests import small
+from tests.compose.arrays_of import channels
 
 GAZES = [Gaze(), Gaze(0, 0), Gaze(1, 0.3), Gaze(-0.1, 0.5), Gaze(5, 5)]
 
@@ -38,9 +41,10 @@ def test_weights_follow_the_definition(gaze, fov_a, fov_b):
     region = foveation.region(61, 40)
     np.testing.assert_allclose(region.weight_image(), brute_force(foveation, 61, 40), atol=1e-6)
     assert (np.diff(region.pixels.astype(np.int64)) > 0).all()
-    assert ((region.weights >= 0) & (region.weights <= 1)).all()
+    weights = region.weight_image()
+    assert ((weights >= 0) & (weights <= 1)).all()
     assert region.pixels.dtype == np.uint32
-    assert region.weights.dtype == np.float32
+    assert weights.dtype == np.float32
 
 
 def test_weights_by_hand():
@@ -91,6 +95,7 @@ def test_what_splats_have_left_fades_out_once_the_disc_reaches_all_pixels(gaze, 
 def test_without_a_disc_everything_is_periphery():
     region = Foveation(Gaze(), 0, 0).region(30, 20)
     assert not len(region.pixels)
+    assert region.count == 0
     assert not region.covers_frame
     assert region.peripheral_tiles(16).all()
     assert not region.foveal_tiles(16).any()
@@ -106,18 +111,18 @@ def test_a_tile_is_left_out_only_if_the_disc_hides_all_of_it(gaze, tile):
 @pytest.mark.parametrize("gaze", [Gaze(), Gaze(0, 0), Gaze(0.37, 0.61)])
 def test_foveal_tiles_overlap_the_rectangle_around_the_disc(gaze):
     region = Foveation(gaze, 25, 10).region(75, 70)
-    rows, columns = region.rectangle.box
+    rows, columns = region.box
     outside = np.ones((70, 75))
     outside[rows, columns] = 0
     np.testing.assert_array_equal(region.foveal_tiles(16), visible(outside, 16))
 
 
-def test_values_become_an_image_of_the_frame():
-    region = Foveation(Gaze(0.3, 0.4), 20, 10).region(12, 10)
-    values = np.arange(2 * len(region.pixels), dtype=np.float32).reshape(-1, 2) + 1
-    image = region.image_of(values)
+def test_values_become_an_image_of_the_frame(arrays):
+    disc = Foveation(Gaze(0.3, 0.4), 20, 10).region(12, 10).disc(arrays)
+    values = np.arange(2 * disc.count, dtype=np.float32).reshape(-1, 2) + 1
+    image = disc.frame_image(channels(arrays, values))
     assert image.shape == (10, 12, 2)
-    np.testing.assert_array_equal(image.reshape(-1, 2)[region.pixels], values)
+    np.testing.assert_array_equal(image.reshape(-1, 2)[np.array(disc.pixels)], values)
     assert np.count_nonzero(image) == values.size
 
 
@@ -143,3 +148,64 @@ def test_default_radii():
 def test_equal_radii_and_no_disc_are_allowed():
     assert Foveation(Gaze(), 20, 20).fov_b == 20
     assert Foveation(Gaze(), 0, 0).fov_a == 0
+
+
+def assert_same_on_device(arrays, region: FoveaRegion) -> None:
+    """The disc on the device has the region's pixels, weights and box."""
+    disc, image = region.disc(arrays), region.weight_image()
+    pixels = np.array(disc.pixels)
+    assert (disc.width, disc.height) == (region.width, region.height)
+    assert disc.count == region.count == len(region.pixels)
+    np.testing.assert_array_equal(pixels, region.pixels)
+    # A radius is known up to a few of its last digits; thin bands magnify that.
+    reach = np.spacing(np.float32(max(region.outer, region.width, *map(abs, region.centre))))
+    atol = 1e-6 + 3 * reach * min(1 / max(region.outer - region.inner, 1e-6), 1e3)
+    np.testing.assert_allclose(np.array(disc.weights), image.ravel()[pixels], atol=atol)
+    np.testing.assert_allclose(disc.frame_image([disc.weights])[..., 0], image, atol=atol)
+    assert disc.covers_frame == region.covers_frame
+    assert (disc.box is None) == (disc.count == 0)
+    if disc.count:
+        assert disc.box == region.box
+        row, column = np.divmod(pixels.astype(np.int64), region.width)
+        for at, side, size in zip((row, column), disc.box, (region.height, region.width), strict=True):
+            assert 0 <= side.start <= at.min()
+            assert at.max() < side.stop <= size
+            # One more at most, for an even side.
+            assert side.stop - side.start - (at.max() + 1 - at.min()) in (0, 1)
+
+
+@pytest.mark.parametrize("gaze", [*GAZES, Gaze(1, 1), Gaze(0.5, 1.2), Gaze(0.31, 0.77)])
+@pytest.mark.parametrize("size", [(64, 48), (61, 40), (1, 1), (1, 90), (90, 1), (7, 5), (300, 200)])
+def test_the_disc_on_the_device_is_that_of_the_host(arrays, gaze, size):
+    """With a band and without one, empty, cut by the frame, fading out, and beyond all of the frame."""
+    radii = [(20, 15), (30, 0), (12, 12), (0, 0), (0.01, 0), (70, 10), (110, 5), (500, 10), (100, 100)]
+    for radius in radii:
+        assert_same_on_device(arrays, Foveation(gaze, *radius).region(*size))
+
+
+def test_random_discs_on_the_device_are_those_of_the_host(arrays):
+    rng = small.rng(7)
+    for _ in range(100):
+        fov_a = float(rng.uniform(0, 150) ** rng.choice([0.5, 1]))
+        foveation = Foveation(Gaze(*rng.uniform(-0.5, 1.5, 2)), fov_a, fov_a * float(rng.uniform()))
+        assert_same_on_device(arrays, foveation.region(*rng.integers(1, 150, 2).tolist()))
+
+
+@pytest.mark.parametrize("gaze", GAZES[:3])
+def test_a_disc_of_a_large_frame_on_the_device(arrays, gaze):
+    """So many rows that their table is one of the larger ones."""
+    assert_same_on_device(arrays, Foveation(gaze, 45, 44).region(1000, 2100))
+
+
+def test_no_kernel_is_compiled_for_another_gaze(arrays):
+    def looked(x: float) -> None:
+        disc = Foveation(Gaze(x, 0.4), 20, 10).region(200, 100).disc(arrays)
+        dr.eval(disc.pixels, disc.weights, disc.inside)
+
+    looked(0.3)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        looked(0.61)
+        kernels = [entry for entry in dr.kernel_history() if entry["type"] == dr.KernelType.JIT]
+    assert kernels
+    assert all(entry["cache_hit"] for entry in kernels)

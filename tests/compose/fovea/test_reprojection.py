@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from compose.camera.camera import Camera
-from compose.fovea.earlier import EarlierView, EarlierViews
+from compose.fovea.earlier import EarlierViews
 from compose.fovea.record import RECORD
 from compose.fovea.reprojection import Reprojected, reproject
-from compose.fovea.samples import Samples
 from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
+from tests.compose.arrays_of import PlainReprojected, PlainSamples, PlainView, host, indices
 from tests.compose.fovea.views import SIZE, camera, samples, wall
 
 # At (0, 0, -4), looking along +z at a wall at z = 0; one pixel is 1/12 wide there.
@@ -24,13 +24,13 @@ ELSEWHERE = np.array([0.05, 0.0, -4.0])
 
 def earlier(
     points: list[list[float]], viewpoint: np.ndarray = ELSEWHERE, gloss: int = DIFFUSE, count: float = 2.0
-) -> EarlierView:
+) -> PlainView:
     """Samples of points; the mean light of number n is n, n + 1, ... n + 5."""
     size = len(points)
     records = np.zeros((size, RECORD), dtype=np.float32)
     records[:, 0] = count
     records[:, 1:7] = count * (np.arange(size)[:, None] + np.arange(6))
-    return EarlierView(
+    return PlainView(
         records,
         np.array(points, dtype=np.float32),
         np.full(size, gloss, dtype=np.uint8),
@@ -43,31 +43,36 @@ def earlier(
 def seen_again(arrays):
     """Reprojects a list of earlier views."""
 
-    def run(views: list[EarlierView], view: Camera, new: Samples) -> Reprojected | None:
+    def run(views: list[PlainView], view: Camera, new: PlainSamples) -> Reprojected | None:
         known = EarlierViews(arrays)
         for earlier_view in views:
-            known.add(earlier_view)
-        return reproject(known, view, new)
+            known.add(earlier_view.on(arrays))
+        return reproject(known, view, new.on(arrays), new.box(view.width))
 
     return run
+
+
+def at(found: Reprojected, row: list[int], column: list[int]) -> np.ndarray:
+    """(D, 16) records of pixels."""
+    return host(found.at(indices(found.arrays, np.array(row) * SIZE + column), SIZE))
 
 
 def count_at(found: Reprojected | None, row: int, column: int) -> float:
     if found is None:
         return 0.0
-    return float(found.at(np.array([row]), np.array([column]))[0, 0])
+    return float(at(found, [row], [column])[0, 0])
 
 
 def test_a_sample_goes_to_the_pixel_in_which_its_point_is_visible(seen_again):
     """World x and image x agree, world y is down: 2.5 and 1.5 pixels off the middle at column and row 24."""
     found = seen_again([earlier([[2.5 * PIXEL, 1.5 * PIXEL, 0]])], VIEW, WALL)
     assert found is not None
-    records = found.at(np.array([25, 25, 24]), np.array([26, 25, 26]))
+    records = at(found, [25, 25, 24], [26, 25, 26])
     assert records[:, 0].tolist() == [2, 0, 0]
     # Twice the light 0, 1, ... 5.
     np.testing.assert_allclose(records[0, 1:7], [0, 2, 4, 6, 8, 10])
     assert records.dtype == np.float32
-    assert found.records[..., 0].sum() == 2
+    assert PlainReprojected.of(found).records[..., 0].sum() == 2
 
 
 @pytest.mark.parametrize(
@@ -88,7 +93,7 @@ def test_samples_of_several_views_add_up_in_a_pixel(seen_again):
     inside = [[2.3 * PIXEL, 1.5 * PIXEL, 0], [2.7 * PIXEL, 1.5 * PIXEL, 0]]
     found = seen_again([earlier(inside), earlier(inside[:1], VIEW.position, count=5)], VIEW, WALL)
     assert found is not None
-    records = found.at(np.array([25]), np.array([26]))[0]
+    records = at(found, [25], [26])[0]
     assert records[0] == 2 + 2 + 5
     # Twice 0, twice 1 and five times 0 for the first of six.
     np.testing.assert_allclose(records[1:7], [2, 11, 20, 29, 38, 47])
@@ -105,14 +110,13 @@ def test_samples_of_several_views_add_up_in_a_pixel(seen_again):
     ],
 )
 def test_points_out_of_view_are_dropped(point, seen_again):
-    assert not seen_again([earlier([point], VIEW.position)], VIEW, WALL).records.any()
+    assert not np.array(seen_again([earlier([point], VIEW.position)], VIEW, WALL).records).any()
 
 
 def test_only_the_rectangle_around_the_new_samples_counts(seen_again):
     """Rows 20 to 22 and columns 30 to 33; outside it, nothing is known."""
     pixels = np.array([20 * SIZE + 30, 21 * SIZE + 33, 22 * SIZE + 31], dtype=np.uint32)
-    index = pixels.astype(int)
-    new = Samples(*(getattr(WALL, name)[index] for name in WALL.__dataclass_fields__))
+    new = WALL.part(pixels.astype(int))
     points = [
         [(c + 0.5 - 24) * PIXEL, (r + 0.5 - 24) * PIXEL, 0]
         for r, c in ((20, 30), (22, 33), (23, 31), (21, 29))
@@ -120,10 +124,10 @@ def test_only_the_rectangle_around_the_new_samples_counts(seen_again):
     found = seen_again([earlier(points, VIEW.position)], VIEW, new)
     assert found is not None
     assert (found.rows, found.columns) == (slice(20, 23), slice(30, 34))
-    assert found.records.shape == (3, 4, RECORD)
-    rows, columns = np.array([20, 22, 23, 21, 19]), np.array([30, 33, 31, 29, 30])
-    assert found.at(rows, columns)[:, 0].tolist() == [2, 2, 0, 0, 0]
-    assert found.at(np.array([20]), np.array([34]))[:, 0].tolist() == [0]
+    assert PlainReprojected.of(found).records.shape == (3, 4, RECORD)
+    rows, columns = [20, 22, 23, 21, 19], [30, 33, 31, 29, 30]
+    assert at(found, rows, columns)[:, 0].tolist() == [2, 2, 0, 0, 0]
+    assert at(found, [20], [34])[:, 0].tolist() == [0]
 
 
 # Limits are half a percent beyond the nearest and farthest of nine pixels, at 4.0004 and 4.0039.
@@ -200,11 +204,11 @@ def test_neighbouring_pixels_tell_which_distances_are_visible(depth, vertical, s
     for beside, kept in ((-2, False), (-1, True), (0, True), (1, True), (2, False)):
         across, along = (beside + 0.5) * scale, 0.5 * scale
         point = [across, along, depth] if vertical else [along, across, depth]
-        at = (24, 24 + beside) if vertical else (24 + beside, 24)
-        assert (count_at(seen_again([earlier([point])], VIEW, new), *at) > 0) == kept
+        pixel = (24, 24 + beside) if vertical else (24 + beside, 24)
+        assert (count_at(seen_again([earlier([point])], VIEW, new), *pixel) > 0) == kept
 
 
 def test_a_glossy_point_must_lie_on_the_visible_surface_as_well(seen_again):
     new = replace(WALL, gloss=np.full_like(WALL.gloss, GLOSSY))
     behind = [0.5 * PIXEL, 0.5 * PIXEL, 1.0]
-    assert not seen_again([earlier([behind], gloss=GLOSSY)], VIEW, new).records.any()
+    assert not np.array(seen_again([earlier([behind], gloss=GLOSSY)], VIEW, new).records).any()

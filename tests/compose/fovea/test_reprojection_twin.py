@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import drjit as dr
 import numpy as np
 import pytest
 
 from compose.camera.camera import Camera, camera_from_pose, look_at
-from compose.fovea.earlier import MOST_VIEWS, EarlierView, EarlierViews
+from compose.fovea.earlier import MOST_VIEWS, EarlierViews
 from compose.fovea.movers import ALWAYS, STILL, UNSTEADY, Moment
 from compose.fovea.record import RECORD
-from compose.fovea.reprojection import Reprojected, reproject
-from compose.fovea.samples import Samples
+from compose.fovea.reprojection import reproject
 from tests import small
+from tests.compose.arrays_of import PlainReprojected, PlainSamples, PlainView
 from tests.compose.fovea.plain_reprojection import plain_reproject
 from tests.compose.fovea.views import random_moment
 
@@ -53,7 +53,7 @@ def mover_of(position: np.ndarray) -> np.ndarray:
     return np.array([STILL, 1, 2, UNSTEADY], dtype=np.uint16)[patch]
 
 
-def disc(view: Camera, rng: np.random.Generator, radius: float, middle: tuple[float, float]) -> Samples:
+def disc(view: Camera, rng: np.random.Generator, radius: float, middle: tuple[float, float]) -> PlainSamples:
     """New samples of a disc around a middle, radius and middle relative to the frame."""
     row, column = np.divmod(np.arange(view.width * view.height), view.width)
     away = np.hypot(column + 0.5 - middle[0] * view.width, row + 0.5 - middle[1] * view.height)
@@ -61,7 +61,7 @@ def disc(view: Camera, rng: np.random.Generator, radius: float, middle: tuple[fl
     position = ground(view, pixels.astype(np.int64), rng).astype(np.float32)
     dark = np.zeros((len(pixels), 3), dtype=np.float32)
     gloss, mover = gloss_of(position), mover_of(position)
-    return Samples(pixels, dark[:, 0], dark, dark, dark, dark, position, gloss, mover)
+    return PlainSamples(pixels, dark[:, 0], dark, dark, dark, dark, position, gloss, mover)
 
 
 def remembered(
@@ -70,24 +70,30 @@ def remembered(
     radius: float = 0.6,
     middle: tuple[float, float] = (0.5, 0.5),
     time: float = 0.0,
-) -> EarlierView:
+) -> PlainView:
     """What was traced of a disc."""
     new = disc(view, rng, radius, middle)
     count = rng.integers(1, 33, len(new.pixels)).astype(np.float32)
     records = rng.lognormal(0, 2, (len(count), RECORD)) * count[:, None]
     records[:, 0], records[:, -1] = count, 0
-    return EarlierView(records.astype(np.float32), new.position, new.gloss, new.mover, view.position, time)
+    return PlainView(records.astype(np.float32), new.position, new.gloss, new.mover, view.position, time)
+
+
+def again(known: EarlierViews, view: Camera, new: PlainSamples) -> PlainReprojected | None:
+    """What the kernels find."""
+    found = reproject(known, view, new.on(known.arrays), new.box(view.width))
+    return None if found is None else PlainReprojected.of(found)
 
 
 def both(
-    arrays, views: list[EarlierView], view: Camera, new: Samples, moment: Moment = ALWAYS
-) -> tuple[Reprojected, Reprojected]:
+    arrays, views: list[PlainView], view: Camera, new: PlainSamples, moment: Moment = ALWAYS
+) -> tuple[PlainReprojected, PlainReprojected]:
     """What the kernels and the plain twin find."""
     known = EarlierViews(arrays)
     known.moment = moment
     for earlier in views:
-        known.add(earlier)
-    found, expected = reproject(known, view, new), plain_reproject(views, view, new, moment)
+        known.add(earlier.on(arrays))
+    found, expected = again(known, view, new), plain_reproject(views, view, new, moment)
     assert found is not None
     if expected is None:
         expected = replace(found, records=np.zeros_like(found.records))
@@ -95,7 +101,7 @@ def both(
     return found, expected
 
 
-def assert_equal(found: Reprojected, expected: Reprojected) -> None:
+def assert_equal(found: PlainReprojected, expected: PlainReprojected) -> None:
     """Counts are whole numbers, exact; sums are float32."""
     np.testing.assert_array_equal(found.records[..., 0], expected.records[..., 0])
     np.testing.assert_allclose(found.records, expected.records, rtol=2e-6, atol=1e-9)
@@ -148,12 +154,11 @@ def test_views_without_samples(arrays):
     new = disc(path[-1], rng, 0.5, (0.5, 0.5))
     assert_equal(*both(arrays, [none, full[0], none, full[1], none], path[-1], new))
     known = EarlierViews(arrays)
-    assert reproject(known, path[-1], new) is None
-    known.add(none)
-    assert reproject(known, path[-1], new) is None
-    known.add(full[0])
-    nothing = Samples(*(getattr(new, field.name)[:0] for field in fields(Samples)))
-    assert reproject(known, path[-1], nothing) is None
+    assert again(known, path[-1], new) is None
+    known.add(none.on(arrays))
+    assert again(known, path[-1], new) is None
+    known.add(full[0].on(arrays))
+    assert again(known, path[-1], new.part(slice(0, 0))) is None
 
 
 def test_points_behind_and_at_the_camera_and_beyond_all_numbers(arrays):
@@ -173,7 +178,7 @@ def test_points_behind_and_at_the_camera_and_beyond_all_numbers(arrays):
         records = rng.random((size, RECORD)).astype(np.float32)
         records[:, 0] = 1
         at = np.zeros((size, 3))
-        earlier = EarlierView(records, point, gloss_of(at), mover_of(at), viewpoint)
+        earlier = PlainView(records, point, gloss_of(at), mover_of(at), viewpoint)
         with np.errstate(all="ignore"):
             found, expected = both(arrays, [earlier], view, new)
         assert_equal(found, expected)
@@ -190,26 +195,26 @@ def test_points_on_the_borders_of_quarters(arrays):
     dark = np.zeros((len(every), 3), dtype=np.float32)
     gloss = np.zeros(len(every), dtype=np.uint8)
     still = gloss.astype(np.uint16)
-    new = Samples(every.astype(np.uint32), dark[:, 0], dark, dark, dark, dark, position, gloss, still)
+    new = PlainSamples(every.astype(np.uint32), dark[:, 0], dark, dark, dark, dark, position, gloss, still)
     x, y = np.meshgrid(np.arange(-4, 4.125, 0.125), np.arange(-2, 2.125, 0.125))
     point = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1).astype(np.float32)
     records = np.ones((len(point), RECORD), dtype=np.float32)
     gloss, still = np.zeros(len(point), dtype=np.uint8), np.zeros(len(point), dtype=np.uint16)
-    earlier = EarlierView(records, point, gloss, still, view.position)
+    earlier = PlainView(records, point, gloss, still, view.position)
     found, expected = both(arrays, [earlier], view, new)
     assert_equal(found, expected)
     # Four quarters per pixel, each with the point in its upper left corner.
     assert (found.records[..., 0] == 4).all()
 
 
-def walked(arrays, seed: int) -> list[Reprojected]:
+def walked(arrays, seed: int) -> list[PlainReprojected]:
     """What a long walk reprojects; the discs differ in size, so that the ring wraps around and grows."""
     rng, known, found = small.rng(seed), EarlierViews(arrays), []
     for step in range(40):
         view = eye(rng, 0.02)
-        known.add(remembered(view, rng, 0.1 + 0.9 * (step % 7 == 6)))
+        known.add(remembered(view, rng, 0.1 + 0.9 * (step % 7 == 6)).on(arrays))
         now = eye(rng, 0.02)
-        found.append(reproject(known, now, disc(now, rng, 0.5, (0.5, 0.5))))
+        found.append(again(known, now, disc(now, rng, 0.5, (0.5, 0.5))))
     return found
 
 
@@ -218,11 +223,11 @@ def test_only_the_last_views_count_however_long_the_walk(arrays):
     for step in range(40):
         view = eye(rng, 0.02)
         last = [*last, remembered(view, rng, 0.1 + 0.9 * (step % 7 == 6))][-MOST_VIEWS:]
-        known.add(last[-1])
+        known.add(last[-1].on(arrays))
         assert known.samples == sum(len(view.records) for view in last)
         now = eye(rng, 0.02)
         new = disc(now, rng, 0.5, (0.5, 0.5))
-        assert_equal(reproject(known, now, new), plain_reproject(last, now, new))
+        assert_equal(again(known, now, new), plain_reproject(last, now, new))
 
 
 def test_the_same_samples_give_the_same_sums_bit_by_bit(arrays):

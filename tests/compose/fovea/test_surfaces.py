@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
-from compose.fovea.samples import Samples
 from compose.fovea.surfaces import VisibleSurfaces
 from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
 from tests import small
+from tests.compose.arrays_of import PlainSamples
 from tests.compose.fovea.views import SIZE, camera, samples, wall
 
 VIEW = camera(0.4, 10.0)
@@ -19,7 +20,7 @@ VIEW = camera(0.4, 10.0)
 TOP, LEFT, HEIGHT, WIDTH = 20, 30, 5, 7
 
 
-def chosen(distance: np.ndarray, gloss: np.ndarray | int = DIFFUSE, seed: int = 0) -> Samples:
+def chosen(distance: np.ndarray, gloss: np.ndarray | int = DIFFUSE, seed: int = 0) -> PlainSamples:
     """Samples in any order of the rectangle's pixels, at distances (HEIGHT, WIDTH); none where it is nan."""
     row, column = np.nonzero(~np.isnan(distance))
     order = small.rng(seed).permutation(len(row))
@@ -29,6 +30,11 @@ def chosen(distance: np.ndarray, gloss: np.ndarray | int = DIFFUSE, seed: int = 
     found = samples(VIEW.position + ray * distance[row, column, None], np.zeros(3))
     classes = np.broadcast_to(np.asarray(gloss, dtype=np.uint8), distance.shape)[row, column]
     return replace(found, pixels=index.astype(np.uint32), gloss=classes)
+
+
+def surfaces_of(arrays: Arrays, new: PlainSamples, view: Camera = VIEW) -> VisibleSurfaces:
+    """The surfaces in the rectangle around samples."""
+    return VisibleSurfaces.of(arrays, view, new.on(arrays), new.box(view.width))
 
 
 def table(surfaces: VisibleSurfaces) -> np.ndarray:
@@ -74,7 +80,7 @@ def random_distances(seed: int) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(3))
 def test_the_nearest_and_the_farthest_of_nine_pixels_are_found(seed, arrays):
     distance = random_distances(seed)
-    surfaces = VisibleSurfaces.of(arrays, VIEW, chosen(distance, seed=seed))
+    surfaces = surfaces_of(arrays, chosen(distance, seed=seed))
     assert (surfaces.rows, surfaces.columns) == (slice(20, 25), slice(30, 37))
     assert surfaces.shape == (HEIGHT, WIDTH)
     found = table(surfaces)
@@ -90,7 +96,7 @@ def test_the_nearest_and_the_farthest_of_nine_pixels_are_found(seed, arrays):
 def test_hits_lie_on_surfaces_as_the_twin_says(seed, arrays):
     rng, distance = small.rng(seed + 10), random_distances(seed)
     gloss = rng.integers(0, 3, distance.shape)
-    surfaces = VisibleSurfaces.of(arrays, VIEW, chosen(distance, gloss, seed))
+    surfaces = surfaces_of(arrays, chosen(distance, gloss, seed))
     pixel = rng.integers(0, HEIGHT * WIDTH, 4000)
     hit, kind, active = rng.uniform(0.5, 22, 4000), rng.integers(0, 3, 4000), rng.uniform(size=4000) < 0.9
     found = contained(surfaces, pixel, hit, kind, active)
@@ -112,7 +118,7 @@ def test_hits_lie_on_surfaces_as_the_twin_says(seed, arrays):
 def test_only_what_is_specular_lies_on_a_specular_pixel_itself(shown, kind, arrays):
     gloss = np.full((HEIGHT, WIDTH), DIFFUSE)
     gloss[2, 3] = shown
-    surfaces = VisibleSurfaces.of(arrays, VIEW, chosen(np.full((HEIGHT, WIDTH), 4.0), gloss))
+    surfaces = surfaces_of(arrays, chosen(np.full((HEIGHT, WIDTH), 4.0), gloss))
     found = contained(surfaces, np.arange(HEIGHT * WIDTH), 4.0, kind).reshape(HEIGHT, WIDTH)
     assert found[2, 3] == (shown != SPECULAR or kind == SPECULAR)
     found[2, 3] = True
@@ -124,14 +130,14 @@ def test_only_what_is_specular_lies_on_a_specular_pixel_itself(shown, kind, arra
 
 @pytest.mark.parametrize(("distance", "same"), [(3.979, False), (3.981, True), (4.019, True), (4.021, False)])
 def test_distances_may_differ_by_half_a_percent(distance, same, arrays):
-    surfaces = VisibleSurfaces.of(arrays, VIEW, chosen(np.full((HEIGHT, WIDTH), 4.0)))
+    surfaces = surfaces_of(arrays, chosen(np.full((HEIGHT, WIDTH), 4.0)))
     assert (contained(surfaces, np.arange(HEIGHT * WIDTH), distance) == same).all()
 
 
 def test_a_single_sample_is_a_rectangle_of_one_pixel(arrays):
     distance = np.full((HEIGHT, WIDTH), np.nan)
     distance[2, 3] = 7.0
-    surfaces = VisibleSurfaces.of(arrays, VIEW, chosen(distance, SPECULAR))
+    surfaces = surfaces_of(arrays, chosen(distance, SPECULAR))
     assert (surfaces.rows, surfaces.columns) == (slice(22, 23), slice(33, 34))
     np.testing.assert_allclose(table(surfaces), [[[7 * 0.995, 7 * 1.005, 1, 0]]], rtol=1e-5)
     found = contained(surfaces, np.zeros(4), np.array([6.9, 7.0, 7.0, 7.1]), [SPECULAR] * 2 + [DIFFUSE] * 2)
@@ -139,7 +145,7 @@ def test_a_single_sample_is_a_rectangle_of_one_pixel(arrays):
 
 
 def test_hits_that_are_not_in_question_lie_on_nothing(arrays):
-    surfaces = VisibleSurfaces.of(arrays, VIEW, chosen(np.full((HEIGHT, WIDTH), 4.0)))
+    surfaces = surfaces_of(arrays, chosen(np.full((HEIGHT, WIDTH), 4.0)))
     asked = np.arange(HEIGHT * WIDTH) % 3 == 0
     for distance in (4.0, np.where(asked, 4.0, 0.0)):
         found = contained(surfaces, np.arange(HEIGHT * WIDTH), distance, active=asked)
@@ -150,7 +156,7 @@ def test_hits_that_are_not_in_question_lie_on_nothing(arrays):
 def test_all_pixels_of_a_frame_have_surfaces(view: Camera, arrays):
     """The corners, too, where five of the nine pixels do not exist."""
     shown = samples(wall(view), np.zeros(3))
-    surfaces = VisibleSurfaces.of(arrays, view, shown)
+    surfaces = surfaces_of(arrays, shown, view)
     assert (surfaces.rows, surfaces.columns) == (slice(0, SIZE), slice(0, SIZE))
     distance = np.linalg.norm(wall(view) - view.position, axis=1)
     assert contained(surfaces, np.arange(SIZE**2), distance).all()
@@ -160,6 +166,5 @@ def test_all_pixels_of_a_frame_have_surfaces(view: Camera, arrays):
 
 def test_the_order_of_samples_does_not_matter(arrays):
     shown = chosen(random_distances(4), SPECULAR)
-    reverse = Samples(*(getattr(shown, field.name)[::-1].copy() for field in fields(Samples)))
-    one, other = (table(VisibleSurfaces.of(arrays, VIEW, given)) for given in (shown, reverse))
+    one, other = (table(surfaces_of(arrays, given)) for given in (shown, shown.part(slice(None, None, -1))))
     np.testing.assert_array_equal(one, other)

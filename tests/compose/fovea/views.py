@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from compose.base.arrays import Arrays
 from compose.camera.camera import Camera, look_at
+from compose.fovea.disc import Disc
 from compose.fovea.movers import Moment
-from compose.fovea.samples import Samples
 from compose.image.gloss import DIFFUSE
+from tests.compose.arrays_of import PlainSamples
 
 SIZE = 48
 
@@ -28,20 +30,30 @@ def wall(view: Camera, z: np.ndarray | float = 0.0) -> np.ndarray:
 
 def samples(
     position: np.ndarray, radiance: np.ndarray, gloss: int = DIFFUSE, count: float = 1, mover: int = 0
-) -> Samples:
+) -> PlainSamples:
     """Samples of the first D pixels that hit positions (D, 3); albedo and normal are the radiance, too."""
     size = len(position)
     flat = np.broadcast_to(np.asarray(radiance, dtype=np.float32), (size, 3)).astype(np.float32)
-    return Samples(
+    with np.errstate(over="ignore"):
+        squares = flat**2
+    return PlainSamples(
         np.arange(size, dtype=np.uint32),
         np.full(size, count, dtype=np.float32),
         flat,
-        flat**2,
+        squares,
         flat,
         flat,
         position.astype(np.float32),
         np.full(size, gloss, dtype=np.uint8),
         np.full(size, mover, dtype=np.uint16),
+    )
+
+
+def whole(arrays: Arrays, view: Camera) -> Disc:
+    """A disc of all pixels of a camera's frame."""
+    size = view.width * view.height
+    return Disc.of(
+        arrays, view.width, view.height, np.arange(size, dtype=np.uint32), np.ones(size, np.float32)
     )
 
 

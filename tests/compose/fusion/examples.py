@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import torch
 from scipy.ndimage import gaussian_filter
 
+from compose.fusion import combination
 from compose.fusion.examples import Example
 from compose.fusion.network import Fusion
 from compose.fusion.parents import Parents
@@ -59,8 +62,30 @@ def random_fusion() -> Fusion:
     return fusion.eval()
 
 
+IMAGES = ("traced", "variance", "denoised", "splat", "albedo", "normal", "count")
+
+
+@dataclass(frozen=True)
+class PlainFused:
+    """A Fused in host memory: radiance and weights (H, W, 3)."""
+
+    radiance: np.ndarray
+    weights: np.ndarray
+    excluded: int
+
+
+def fuse(parents: Parents, fusion: Fusion | None) -> PlainFused:
+    """The estimate from all parents, in host memory."""
+    found = combination.fuse(parents, fusion)
+    return PlainFused(found.radiance.numpy(), found.weights.numpy(), found.excluded)
+
+
+def in_torch(parents: Parents) -> Parents:
+    """The same images as tensors."""
+    return replace(parents, **{name: torch.from_numpy(np.array(getattr(parents, name))) for name in IMAGES})
+
+
 def cropped(parents: Parents, height: int, width: int) -> Parents:
     """The upper left part of all images."""
-    names = ("traced", "variance", "denoised", "splat", "albedo", "normal", "count")
-    images = {name: getattr(parents, name)[:height, :width] for name in names}
+    images = {name: getattr(parents, name)[:height, :width].copy() for name in IMAGES}
     return Parents(**images, enlargement=parents.enlargement, quick=parents.quick)

@@ -8,10 +8,20 @@ import numpy as np
 import pytest
 import torch
 
-from compose.fusion.combination import fuse, regressed, statistical, trust
+from compose.fusion import combination
+from compose.fusion.combination import regressed, statistical, trust
 from compose.fusion.network import Fusion
 from compose.fusion.parents import Parents
-from tests.compose.fusion.examples import cropped, error, example, radiance_of, random_fusion
+from tests.compose.fusion.examples import (
+    IMAGES,
+    cropped,
+    error,
+    example,
+    fuse,
+    in_torch,
+    radiance_of,
+    random_fusion,
+)
 
 
 def flat(value: float, side: int = 32) -> torch.Tensor:
@@ -291,3 +301,50 @@ def test_black_samples_are_as_uncertain_as_their_neighbourhood():
     assert share[0, 0, 28:32, 28:32].min() > 0.1
     # Without any variance around it, it would be believed.
     assert trust(flat(1, 64), traced, 0 * variance, counts(1, 64))[0, 0, 28:32, 28:32].max() < 1e-6
+
+
+def broken(name: str, value: float) -> Parents:
+    """Parents of which one has a pixel that is out of the question."""
+    given = example(6, 4).parents
+    image = np.array(getattr(given, name))
+    image[10, 20, 1] = value
+    return replace(given, **{name: image})
+
+
+@pytest.mark.parametrize("fusion", [None, random_fusion()], ids=["statistical", "unfitted"])
+@pytest.mark.parametrize(("height", "width"), [(64, 64), (33, 47), (1, 1)])
+def test_images_of_torch_are_fused_like_those_of_numpy(fusion, height, width):
+    given = cropped(example(7, 4).parents, height, width)
+    one, other = fuse(given, fusion), fuse(in_torch(given), fusion)
+    np.testing.assert_array_equal(one.radiance, other.radiance)
+    np.testing.assert_array_equal(one.weights, other.weights)
+    assert one.excluded == other.excluded
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("traced", np.nan), ("denoised", -1), ("splat", np.inf), ("albedo", np.nan)]
+)
+def test_images_of_torch_are_left_as_they_are(name, value):
+    given = broken(name, value)
+    tensors = in_torch(given)
+    one, other = fuse(given, random_fusion()), fuse(tensors, random_fusion())
+    np.testing.assert_array_equal(one.radiance, other.radiance)
+    assert one.excluded == other.excluded == (name != "albedo")
+    for image in IMAGES:
+        np.testing.assert_array_equal(getattr(tensors, image), getattr(given, image))
+
+
+def test_planes_side_by_side_are_fused_like_images():
+    """A tensor (3, h, w) that is seen as (h, w, 3)."""
+    given = in_torch(example(7, 4).parents)
+    planes = {n: getattr(given, n).permute(2, 0, 1).contiguous().permute(1, 2, 0) for n in IMAGES}
+    one, other = fuse(given, random_fusion()), fuse(replace(given, **planes), random_fusion())
+    np.testing.assert_array_equal(one.radiance, other.radiance)
+
+
+def test_the_estimate_is_a_tensor_where_the_parents_are():
+    found = combination.fuse(in_torch(example(7, 4).parents), random_fusion())
+    for image in (found.radiance, found.weights):
+        assert isinstance(image, torch.Tensor)
+        assert image.device.type == "cpu"
+        assert image.dtype == torch.float32

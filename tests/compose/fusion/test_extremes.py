@@ -9,9 +9,9 @@ import pytest
 import torch
 from scipy.ndimage import uniform_filter
 
-from compose.fusion.combination import fuse, regressed, statistical, trust
+from compose.fusion.combination import regressed, statistical, trust
 from compose.fusion.parents import Parents
-from tests.compose.fusion.examples import example, random_fusion
+from tests.compose.fusion.examples import example, fuse, random_fusion
 from tests.extremes import extreme
 
 # Statistics alone, and a network.

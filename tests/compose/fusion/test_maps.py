@@ -70,6 +70,15 @@ def test_an_image_becomes_a_batch():
     np.testing.assert_allclose(found[0, 2], image[..., 2], rtol=1e-6)
 
 
+def test_a_tensor_becomes_the_same_batch():
+    image = small.rng().uniform(0, 1, (4, 5, 3)).astype(np.float32)
+    planes = torch.from_numpy(np.moveaxis(image, 2, 0).copy()).permute(1, 2, 0)
+    for tensor in (torch.from_numpy(image), planes):
+        found = as_batch(tensor)
+        assert found.is_contiguous()
+        np.testing.assert_array_equal(found, as_batch(image))
+
+
 @pytest.mark.parametrize(("height", "width"), [(4, 6), (3, 6), (4, 5), (3, 5)])
 def test_odd_sides_are_padded_by_their_last_row_and_column(height, width):
     image = batch(height, width)

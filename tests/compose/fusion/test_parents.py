@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from compose.fusion.parents import PARENTS, Parents
-from tests.compose.fusion.examples import example
+from tests.compose.fusion.examples import example, in_torch
 
 GIVEN = example(8, 4, size=16).parents
 
@@ -17,17 +17,19 @@ def test_parents_are_listed_in_the_order_of_their_weights():
     assert all(hasattr(GIVEN, name) for name in PARENTS)
 
 
+@pytest.mark.parametrize("given", [GIVEN, in_torch(GIVEN)], ids=["numpy", "torch"])
 @pytest.mark.parametrize("name", ["variance", "denoised", "splat", "albedo", "normal", "count"])
-def test_an_image_of_another_size_is_refused_by_name(name):
+def test_an_image_of_another_size_is_refused_by_name(name, given):
     with pytest.raises(ValueError, match=f"^{name} is .* to match traced"):
-        replace(GIVEN, **{name: getattr(GIVEN, name)[:-1]})
+        replace(given, **{name: getattr(given, name)[:-1]})
 
 
 def test_radiance_needs_three_channels_and_the_count_one():
-    with pytest.raises(ValueError, match=r"^traced is \(16, 16, 2\), must be \(16, 16, 3\)"):
-        replace(GIVEN, traced=GIVEN.traced[..., :2])
-    with pytest.raises(ValueError, match=r"^count is \(16, 16, 3\), must be \(16, 16, 1\)"):
-        replace(GIVEN, count=GIVEN.traced)
+    for given in (GIVEN, in_torch(GIVEN)):
+        with pytest.raises(ValueError, match=r"^traced is \(16, 16, 2\), must be \(16, 16, 3\)"):
+            replace(given, traced=given.traced[..., :2])
+        with pytest.raises(ValueError, match=r"^count is \(16, 16, 3\), must be \(16, 16, 1\)"):
+            replace(given, count=given.traced)
 
 
 def test_the_better_denoiser_is_the_default():

@@ -23,7 +23,7 @@ def test_candidates_cover_the_frame(made: Path, arrays):
     images = Candidates(arrays, scene, forest, cache).images(camera, 1, 0)
     assert {image.shape for image in images.values()} == {(24, 32, 3)}
     underlay = whole_underlay(Periphery(arrays, forest), camera)
-    np.testing.assert_array_equal(images["splat"], underlay.radiance)
+    np.testing.assert_array_equal(images["splat"], underlay.radiance.numpy())
     assert not np.array_equal(images["denoised"], images["denoised, path"])
     np.testing.assert_allclose(images["mean"], (images["denoised"] + images["splat"]) / 2, atol=1e-6)
 

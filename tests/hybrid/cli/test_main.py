@@ -15,6 +15,7 @@ from hybrid.cli.benches.app import bench_app
 from hybrid.cli.benches.change import change
 from hybrid.cli.benches.endurance import endurance
 from hybrid.cli.benches.forest import forest
+from hybrid.cli.benches.frame import frame
 from hybrid.cli.benches.fusion import fusion
 from hybrid.cli.benches.gaze import gaze
 from hybrid.cli.benches.held_out import held_out
@@ -68,6 +69,7 @@ BENCHES = {
     "gaze": gaze,
     "forest": forest,
     "passes": passes,
+    "frame": frame,
     "fusion": fusion,
     "change": change,
     "motion": motion,

@@ -2,34 +2,59 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
+from typing import Any
 
+import drjit as dr
 import numpy as np
 import pytest
+import torch
 
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
+from compose.fovea.disc import Disc
 from compose.fovea.region import Foveation
 from compose.fovea.samples import Samples
-from hybrid.frame import disc
+from compose.image.device import DeviceImage
+from hybrid.frame import disc as module
 from hybrid.frame.disc import DiscImages, denoised_for_fusion, parents_of
 from hybrid.frame.underlay import Underlay
 from tests import small
+from tests.compose.arrays_of import channels, host
 
 WIDTH, HEIGHT = 48, 40
 CAMERA = Camera(np.eye(4), WIDTH, HEIGHT, 50.0, 50.0, WIDTH / 2, HEIGHT / 2)
 REGION = Foveation(Gaze(0.4, 0.6), 40, 20).region(WIDTH, HEIGHT)
 
 
-def samples(count: float) -> Samples:
+@pytest.fixture
+def disc(arrays) -> Disc:
+    return REGION.disc(arrays)
+
+
+def samples(disc: Disc, count: float) -> Samples:
     """Different values in every channel of every pixel."""
-    pixels = REGION.pixels
-    rng = small.rng(int(count))
-    triples = [rng.uniform(size=(len(pixels), 3)).astype(np.float32) for _ in range(5)]
+    rng, arrays = small.rng(int(count)), disc.arrays
+    triples = [rng.uniform(size=(disc.count, 3)).astype(np.float32) for _ in range(5)]
     radiance, squares, albedo, normal, position = triples
-    counts = np.full(len(pixels), count, dtype=np.float32)
-    gloss, mover = np.zeros(len(pixels), np.uint8), np.zeros(len(pixels), np.uint16)
-    return Samples(pixels, counts, radiance, squares + 1, albedo, normal, position, gloss, mover)
+    images = (channels(arrays, of) for of in (radiance, squares + 1, albedo, normal, position))
+    counts, nothing = (dr.full(arrays.plain.Float, value, disc.count) for value in (count, 0))
+    return Samples(disc.pixels, counts, *images, nothing, nothing)
+
+
+def around(disc: Disc, value: float) -> list[Any]:
+    """Three channels of one value in all of the rectangle."""
+    return [dr.full(disc.arrays.plain.Float, value, int(np.prod(disc.shape)))] * 3
+
+
+def image(disc: Disc, values: list[Any]) -> np.ndarray:
+    """(h, w, C) image of the rectangle."""
+    return host(values).reshape(*disc.shape, len(values))
+
+
+def of_disc(disc: Disc, values: np.ndarray) -> np.ndarray:
+    """(D, C) values of the disc's pixels in an image of the rectangle."""
+    return values.reshape(-1, values.shape[-1])[np.asarray(disc.inside)]
 
 
 @pytest.fixture
@@ -44,94 +69,88 @@ def denoisers(monkeypatch):
 
         return add
 
-    monkeypatch.setattr(disc, "denoise", named("fine"))
-    monkeypatch.setattr(disc, "denoise_coarsely", named("coarse"))
+    monkeypatch.setattr(module, "denoise", named("fine"))
+    monkeypatch.setattr(module, "denoise_coarsely", named("coarse"))
     return called
 
 
-def test_samples_lie_at_their_pixels_and_the_surroundings_fill_the_corners():
-    rectangle = REGION.rectangle
-    known = samples(5)
-    surroundings = np.full((*rectangle.shape, 3), 2.5, dtype=np.float32)
-    images = DiscImages.of(known, surroundings, rectangle)
+def test_samples_lie_at_their_pixels_and_the_surroundings_fill_the_corners(disc):
+    known = samples(disc, 5)
+    images = DiscImages.of(disc, known, around(disc, 2.5))
     inside = np.zeros((HEIGHT, WIDTH), dtype=bool)
     inside.reshape(-1)[REGION.pixels] = True
-    inside = inside[rectangle.box]
-    np.testing.assert_array_equal(images.radiance[inside], known.radiance)
-    np.testing.assert_array_equal(images.albedo[inside], known.albedo)
-    np.testing.assert_array_equal(images.normal[inside], known.normal)
-    np.testing.assert_array_equal(images.count[inside], np.full((len(REGION.pixels), 1), 5))
+    inside = inside[REGION.box]
     assert (~inside).any()
     # An albedo lies in 0..1; a surrounding pixel counts as a single sample.
-    for image, filled in zip(
-        (images.radiance, images.albedo, images.normal, images.count), (2.5, 1, 0, 1), strict=True
-    ):
-        assert (image[~inside] == filled).all()
+    for name, filled in (("radiance", 2.5), ("albedo", 1), ("normal", 0)):
+        found = image(disc, getattr(images, name))
+        np.testing.assert_array_equal(found[inside], known.numpy(name))
+        assert (found[~inside] == filled).all()
+    count = image(disc, [images.count])
+    np.testing.assert_array_equal(count[inside], np.full((REGION.count, 1), 5))
+    assert (count[~inside] == 1).all()
 
 
 @pytest.mark.parametrize(("quick", "used"), [(True, ["fine, quick", "coarse"]), (False, ["fine", "fine"])])
-def test_a_quicker_denoiser_is_used_only_if_asked_for(quick, used, denoisers):
-    image = np.ones((4, 4, 3), dtype=np.float32)
-    images = DiscImages(image, 2 * image, 3 * image, np.ones((4, 4, 1), dtype=np.float32))
-    assert (images.denoised(quick) == 6).all()
-    assert (denoised_for_fusion(images, quick) == 6).all()
+def test_a_quicker_denoiser_is_used_only_if_asked_for(quick, used, disc, denoisers):
+    images = DiscImages(disc, around(disc, 1), around(disc, 2), around(disc, 3), around(disc, 1)[0])
+    for denoised in (images.denoised(quick), denoised_for_fusion(images.tensors(), quick)):
+        assert denoised.shape == (*disc.shape, 3)
+        assert (np.array(denoised) == 6).all()
     assert denoisers == used
 
 
-def test_all_parents_are_crops_of_one_rectangle(denoisers):
-    known = samples(4)
+def test_all_parents_are_crops_of_one_rectangle(disc, denoisers):
+    known = samples(disc, 4)
     splats = small.rng(9).uniform(size=(HEIGHT, WIDTH, 3)).astype(np.float32)
-    parents = parents_of(REGION, known, Underlay(CAMERA, splats, 1.5))
-    rectangle = REGION.rectangle
-    np.testing.assert_array_equal(parents.splat, splats[rectangle.box])
-    images = DiscImages.of(known, parents.splat, rectangle)
-    np.testing.assert_array_equal(parents.traced, images.radiance)
-    np.testing.assert_array_equal(parents.denoised, images.radiance + images.albedo + images.normal)
-    np.testing.assert_array_equal(parents.albedo, images.albedo)
-    np.testing.assert_array_equal(parents.normal, images.normal)
-    np.testing.assert_array_equal(parents.count, images.count)
-    np.testing.assert_array_equal(rectangle.gathered(parents.variance), known.variance())
+    parents = parents_of(disc, known, Underlay(CAMERA, DeviceImage.of(disc.arrays, splats), 1.5))
+    found = {
+        field.name: value.cpu().numpy()
+        for field in fields(parents)
+        if isinstance(value := getattr(parents, field.name), torch.Tensor)
+    }
+    np.testing.assert_array_equal(found["splat"], splats[REGION.box])
+    images = DiscImages.of(disc, known, channels(disc.arrays, splats[REGION.box].reshape(-1, 3)))
+    radiance, albedo, normal = (image(disc, of) for of in (images.radiance, images.albedo, images.normal))
+    np.testing.assert_array_equal(found["traced"], radiance)
+    np.testing.assert_array_equal(found["denoised"], radiance + albedo + normal)
+    np.testing.assert_array_equal(found["albedo"], albedo)
+    np.testing.assert_array_equal(found["normal"], normal)
+    np.testing.assert_array_equal(found["count"], image(disc, [images.count]))
+    np.testing.assert_array_equal(of_disc(disc, found["variance"]), known.numpy("variance"))
     # Nothing is traced outside the disc.
-    assert np.isinf(parents.variance).sum() == 3 * (np.prod(rectangle.shape) - len(REGION.pixels))
+    assert np.isinf(found["variance"]).sum() == 3 * (np.prod(disc.shape) - disc.count)
     assert (parents.enlargement, parents.quick) == (1.5, False)
 
 
-def test_parents_in_a_hurry_use_the_quicker_denoiser_and_say_so(denoisers):
-    splats = np.zeros((HEIGHT, WIDTH, 3), dtype=np.float32)
-    assert parents_of(REGION, samples(64), Underlay(CAMERA, splats, 1.0), quick=True).quick
+def test_parents_in_a_hurry_use_the_quicker_denoiser_and_say_so(disc, denoisers):
+    splats = DeviceImage.of(disc.arrays, np.zeros((HEIGHT, WIDTH, 3), dtype=np.float32))
+    assert parents_of(disc, samples(disc, 64), Underlay(CAMERA, splats, 1.0), quick=True).quick
     assert denoisers == ["coarse"]
 
 
 @pytest.mark.parametrize("value", [1e15, 1e30, float(np.finfo(np.float32).max), np.inf])
-def test_denoising_leaves_a_firefly_alone(value):
+def test_denoising_leaves_a_firefly_alone(disc, value):
     """As if its pixel were the mean of its neighbours; a finite one stays in the denoised disc as it is."""
-    known = samples(5)
-    spot = len(REGION.pixels) // 2
-    radiance = known.radiance.copy()
-    radiance[spot] = value
-    surroundings = np.full((*REGION.rectangle.shape, 3), 0.5, dtype=np.float32)
+    known = samples(disc, 5)
+    radiance = known.numpy("radiance")
+    radiance[disc.count // 2] = value
     images, plain = (
-        DiscImages.of(replace(known, radiance=light), surroundings, REGION.rectangle)
-        for light in (radiance, known.radiance)
+        DiscImages.of(disc, replace(known, radiance=light), around(disc, 0.5))
+        for light in (channels(disc.arrays, radiance), known.radiance)
     )
-    for denoised in (images.denoised(quick=False), denoised_for_fusion(images, quick=True)):
-        assert (REGION.rectangle.gathered(denoised) < 2).all(axis=1).sum() >= len(radiance) - 1
-    where = (images.radiance == np.float32(value)).all(axis=2)
-    assert (images.denoised(quick=False)[where] == np.float32(value)).all()
-    difference = np.abs(denoised_for_fusion(images, quick=False) - denoised_for_fusion(plain, quick=False))
-    assert np.median(difference) < 0.02
+    fused = lambda images, quick: np.array(denoised_for_fusion(images.tensors(), quick))  # noqa: E731
+    fine = np.array(images.denoised(quick=False))
+    for denoised in (fine, fused(images, quick=True)):
+        assert (of_disc(disc, denoised) < 2).all(axis=1).sum() >= disc.count - 1
+    where = (image(disc, images.radiance) == np.float32(value)).all(axis=2)
+    assert where.any()
+    assert (fine[where] == np.float32(value)).all()
+    assert np.median(np.abs(fused(images, quick=False) - fused(plain, quick=False))) < 0.02
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0, 1e30])
-def test_surroundings_that_cannot_be_radiance_are_black(value):
-    surroundings = np.full((*REGION.rectangle.shape, 3), value, dtype=np.float32)
-    found, black = (
-        DiscImages.of(samples(5), around, REGION.rectangle) for around in (surroundings, black_rectangle())
-    )
-    np.testing.assert_array_equal(found.radiance, black.radiance)
-    np.testing.assert_array_equal(found.albedo, black.albedo)
-
-
-def black_rectangle() -> np.ndarray:
-    """A black image of the rectangle."""
-    return np.zeros((*REGION.rectangle.shape, 3), dtype=np.float32)
+def test_surroundings_that_cannot_be_radiance_are_black(disc, value):
+    found, black = (DiscImages.of(disc, samples(disc, 5), around(disc, radiance)) for radiance in (value, 0))
+    for one, other in ((found.radiance, black.radiance), (found.albedo, black.albedo)):
+        np.testing.assert_array_equal(host(one), host(other))

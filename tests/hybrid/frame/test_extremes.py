@@ -10,15 +10,19 @@ import numpy as np
 import pytest
 
 from compose.eye.gaze import Gaze
+from compose.fovea.disc import Disc
 from compose.fovea.mode import FoveaMode
 from compose.fovea.region import Foveation
+from compose.image.device import DeviceImage
 from hybrid.frame.disc_tracer import DiscRequest, DiscTracer
 from hybrid.frame.fovea import Fovea
 from hybrid.frame.settings import FrameSettings
 from hybrid.frame.underlay import Underlay
+from hybrid.runtime.device import device_arrays
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.tracer import Tracer
 from tests import small
+from tests.compose.arrays_of import channels, host
 from tests.extremes import extreme
 
 pytestmark = pytest.mark.usefixtures("backend")
@@ -57,8 +61,21 @@ SCENES = {
 }
 
 
-def underlay(camera, value: float = 0.3) -> Underlay:
-    return Underlay(camera, np.full((SIDE, SIDE, 3), value, np.float32), 1.0)
+def even(value: float, spot: float | None = None) -> DeviceImage:
+    """A frame of one value, with another one in its middle."""
+    image = np.full((SIDE, SIDE, 3), value, np.float32)
+    if spot is not None:
+        image[16, 16] = spot
+    return DeviceImage.of(device_arrays(), image)
+
+
+def underlay(camera, value: float = 0.3, spot: float | None = None) -> Underlay:
+    return Underlay(camera, even(value, spot), 1.0)
+
+
+@pytest.fixture
+def disc(arrays) -> Disc:
+    return REGION.disc(arrays)
 
 
 @pytest.mark.parametrize(
@@ -71,7 +88,7 @@ def underlay(camera, value: float = 0.3) -> Underlay:
         for name in SCENES
     ],
 )
-def test_foveas_of_extreme_scenes_are_finite(name, got):
+def test_foveas_of_extreme_scenes_are_finite(name, disc, got):
     description = small.corner()
     SCENES[name](description)
     scene = load_scene(description)
@@ -79,11 +96,12 @@ def test_foveas_of_extreme_scenes_are_finite(name, got):
     for mode, history in product(FoveaMode, (False, True)):
         fovea = Fovea(tracer, history=history)
         for frame in range(1 + history):
-            region, samples = fovea.trace(mode, camera, REGION, 4, frame, underlay(camera))
-            made = fovea.image(mode, region, samples, np.zeros((SIDE, SIDE, 3), np.float32), underlay(camera))
-            assert np.isfinite(made.radiance).all()
-            assert not np.isnan(samples.variance()).any()
-            brightest.append(float(made.radiance.max()))
+            traced, samples = fovea.trace(mode, camera, disc, 4, frame, underlay(camera))
+            made = fovea.image(mode, traced, samples, even(0), underlay(camera))
+            radiance = host(made.radiance)
+            assert np.isfinite(radiance).all()
+            assert not np.isnan(samples.numpy("variance")).any()
+            brightest.append(float(radiance.max()))
     assert got(max(brightest), ".2g") >= 0
 
 
@@ -97,36 +115,37 @@ def test_foveas_of_extreme_scenes_are_finite(name, got):
         for v in (np.nan, np.inf, -1.0, 1e30)
     ],
 )
-def test_broken_splats_under_the_disc_leave_it_finite(renderer, value, got):
+def test_broken_splats_under_the_disc_leave_it_finite(renderer, value, disc, got):
     """From 4 samples per pixel on the splats say where the others go."""
     scene = renderer.scene
-    fovea, one, whole = Fovea(renderer.tracer), underlay(scene.camera), underlay(scene.camera, value)
-    one.radiance[16, 16] = value
-    everywhere = int(np.prod(REGION.rectangle.shape))
+    fovea, everywhere = Fovea(renderer.tracer), int(np.prod(disc.shape))
+    one, whole = underlay(scene.camera, spot=value), underlay(scene.camera, value)
     for (broken, excluded), spp in product(((one, 1), (whole, everywhere)), (1, 4, 17)):
-        region, samples = fovea.trace(FoveaMode.FUSED, scene.camera, REGION, spp, 0, broken)
-        assert samples.count.sum() == spp * len(REGION.pixels)
-        assert samples.count.min() >= 1
-        made = fovea.image(FoveaMode.FUSED, region, samples, None, broken)
-        assert np.isfinite(made.radiance).all()
-        assert made.radiance.max() < 100
+        traced, samples = fovea.trace(FoveaMode.FUSED, scene.camera, disc, spp, 0, broken)
+        count = samples.numpy("count")
+        assert count.sum() == spp * disc.count
+        assert count.min() >= 1
+        made = fovea.image(FoveaMode.FUSED, traced, samples, None, broken)
+        radiance = host(made.radiance)
+        assert np.isfinite(radiance).all()
+        assert radiance.max() < 100
         assert got(made.excluded) == excluded
 
 
 @pytest.mark.parametrize("mode", [FoveaMode.DENOISED, FoveaMode.FUSED])
 @pytest.mark.parametrize("value", [1e15, 1e30, float(np.finfo(np.float32).max)])
-def test_a_firefly_changes_a_disc_only_where_it_is(renderer, value, mode):
+def test_a_firefly_changes_a_disc_only_where_it_is(renderer, value, mode, disc):
     """Against the same samples with what their neighbours show in its pixel."""
     camera, fovea = renderer.scene.camera, Fovea(renderer.tracer)
-    around = np.zeros((SIDE, SIDE, 3), np.float32)
-    region, samples = fovea.trace(mode, camera, REGION, 4, 0, underlay(camera))
-    spot = int(np.searchsorted(region.pixels, 16 * SIDE + 16))
-    radiance, squares = samples.radiance.copy(), samples.squares.copy()
+    traced, samples = fovea.trace(mode, camera, disc, 4, 0, underlay(camera))
+    spot = int(np.searchsorted(samples.numpy("pixels"), 16 * SIDE + 16))
+    radiance, squares = samples.numpy("radiance"), samples.numpy("squares")
     with np.errstate(over="ignore"):
         radiance[spot], squares[spot] = value / 4, np.float32(value) ** 2 / 4
-    given = replace(samples, radiance=radiance, squares=squares)
+    light, its_squares = (channels(disc.arrays, of) for of in (radiance, squares))
+    given = replace(samples, radiance=light, squares=its_squares)
     plain, bright = (
-        fovea.image(mode, region, s, around, underlay(camera)).radiance for s in (samples, given)
+        host(fovea.image(mode, traced, of, even(0), underlay(camera)).radiance) for of in (samples, given)
     )
     assert np.isfinite(bright).all()
     changed = np.abs(bright - plain).max(axis=1)
@@ -136,24 +155,24 @@ def test_a_firefly_changes_a_disc_only_where_it_is(renderer, value, mode):
     assert np.median(changed) < 1e-3 * plain.max()
 
 
-def test_the_raw_fovea_keeps_a_firefly(renderer):
+def test_the_raw_fovea_keeps_a_firefly(renderer, disc):
     fovea = Fovea(renderer.tracer)
-    region, samples = fovea.trace(FoveaMode.RAW, renderer.scene.camera, REGION, 2, 0)
-    radiance = samples.radiance.copy()
+    traced, samples = fovea.trace(FoveaMode.RAW, renderer.scene.camera, disc, 2, 0)
+    radiance = samples.numpy("radiance")
     radiance[7] = 1e30
-    made = fovea.image(FoveaMode.RAW, region, replace(samples, radiance=radiance))
-    np.testing.assert_array_equal(made.radiance, radiance)
+    given = replace(samples, radiance=channels(disc.arrays, radiance))
+    np.testing.assert_array_equal(host(fovea.image(FoveaMode.RAW, traced, given).radiance), radiance)
 
 
 @extreme("1 and 16,384 spp in a fused fovea", given="a disc of one pixel", expected="as many samples")
-def test_discs_of_one_pixel_take_any_number_of_samples(renderer, got):
+def test_discs_of_one_pixel_take_any_number_of_samples(renderer, arrays, got):
     camera = renderer.scene.camera
-    region = Foveation(Gaze(16.5 / SIDE, 16.5 / SIDE), 2, 2).region(SIDE, SIDE)
+    pixel = Foveation(Gaze(16.5 / SIDE, 16.5 / SIDE), 2, 2).region(SIDE, SIDE).disc(arrays)
     for spp in (1, 16384):
-        request = DiscRequest(camera, region, spp, 0)
+        request = DiscRequest(camera, pixel, spp, 0)
         samples = DiscTracer(renderer.tracer, history=False).trace(request, underlay(camera))
-        assert got(samples.count.tolist()) == [spp]
-        assert np.isfinite(samples.radiance).all()
+        assert got(samples.numpy("count").tolist()) == [spp]
+        assert np.isfinite(samples.numpy("radiance")).all()
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 300), (300, 1), (2, 3)])
@@ -170,17 +189,17 @@ def test_neighbouring_radii_give_neighbouring_frames(renderer, fov_a):
     """Where the disc begins to cover the frame as well, at 69 % of the height."""
     settings = FrameSettings(fov_b=15, spp=1, fovea="denoised", integrator="path")
     one, other = (renderer.frame(replace(settings, fov_a=a), seed=1) for a in (fov_a, fov_a + 0.2))
-    weights = [frame.region.weight_image() for frame in (one, other)]
+    weights = [frame.weight_image() for frame in (one, other)]
     assert np.abs(weights[0] - weights[1]).max() < 0.02
 
 
-def test_traced_light_of_any_strength_scales(renderer):
+def test_traced_light_of_any_strength_scales(renderer, disc):
     """The same scene under light 2^80 times as bright has the same samples, 2^80 times as bright."""
     found = []
     for strength in (1.0, 2.0**80):
         description = small.corner()
         description["lamp"] = lamp(strength)
         scene = load_scene(description)
-        _, samples = Fovea(Tracer(scene)).trace(FoveaMode.RAW, scene.camera, REGION, 2, 0)
-        found.append(samples.radiance / np.float32(strength))
+        _, samples = Fovea(Tracer(scene)).trace(FoveaMode.RAW, scene.camera, disc, 2, 0)
+        found.append(samples.numpy("radiance") / np.float32(strength))
     np.testing.assert_allclose(*found, rtol=1e-5)

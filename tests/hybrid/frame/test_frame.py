@@ -13,6 +13,7 @@ from compose.image.colour import bytes_from_radiance
 from hybrid.frame.frame import Frame
 from hybrid.frame.settings import FrameSettings
 from hybrid.output.images import read_exr
+from tests.compose.arrays_of import channels
 
 
 @pytest.fixture(scope="module")
@@ -21,9 +22,9 @@ def frame(renderer) -> Frame:
     return renderer.frame(FrameSettings((0.3, 0.7), 40, 20, 1, camera=camera))
 
 
-def test_values_of_the_disc_lie_at_its_pixels(frame):
+def test_values_of_the_disc_lie_at_its_pixels(frame, arrays):
     values = np.arange(2 * len(frame.region.pixels), dtype=np.float32).reshape(-1, 2) + 1
-    image = frame.of_disc(values)
+    image = frame.of_disc(channels(arrays, values))
     assert image.shape == (30, 40, 2)
     np.testing.assert_array_equal(image.reshape(-1, 2)[frame.region.pixels], values)
     assert (image > 0).sum() == values.size
@@ -31,20 +32,19 @@ def test_values_of_the_disc_lie_at_its_pixels(frame):
 
 def test_the_exr_file_holds_every_image_of_the_frame(frame, renderer, tmp_path):
     frame.save(tmp_path / "f.exr")
-    channels = read_exr(tmp_path / "f.exr")
+    found = read_exr(tmp_path / "f.exr")
     expected = set()
     for name, image in frame.aovs().items():
         prefix = f"{name}." if name else ""
         expected |= {prefix + channel for channel in ("V" if image.ndim == 2 else "RGB")}
-    assert {*channels} == expected
+    assert {*found} == expected
     assert {"R", "composite.R", "path-traced.G", "splat.B", "fusion.traced.V", "depth.V"} <= expected
     for index, channel in enumerate("RGB"):
-        np.testing.assert_array_equal(channels[channel], frame.composite[..., index])
-        np.testing.assert_array_equal(
-            channels[f"splat.{channel}"], renderer.splats(frame.settings)[..., index]
-        )
-    np.testing.assert_array_equal(channels["weight.V"], frame.region.weight_image())
-    np.testing.assert_array_equal(channels["depth.V"], renderer.depth(frame.camera))
+        np.testing.assert_array_equal(found[channel], frame.composite[..., index])
+        np.testing.assert_array_equal(found[f"splat.{channel}"], renderer.splats(frame.settings)[..., index])
+    np.testing.assert_array_equal(found["weight.V"], frame.weight_image())
+    np.testing.assert_allclose(found["weight.V"], frame.region.weight_image(), atol=1e-5)
+    np.testing.assert_array_equal(found["depth.V"], renderer.depth(frame.camera))
 
 
 def test_the_splats_in_the_file_are_those_of_the_frames_layers(renderer):

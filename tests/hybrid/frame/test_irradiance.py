@@ -17,6 +17,7 @@ from pathtrace.fill.fill import fill_cache
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.integrator import Integrator
 from tests import small
+from tests.compose.arrays_of import host
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")
 
@@ -65,7 +66,7 @@ def test_histories_of_integrators_are_never_mixed(scene, forest):
     path, cached = (settings(scene, integrator=one) for one in Integrator)
     live.frame(path, 0)
     frames = [live.frame(one, seed) for seed, one in enumerate((path, cached, path), 1)]
-    assert [frame.fovea.samples.count.mean() for frame in frames] == [16, 8, 24]
+    assert [frame.fovea.samples.mean_count() for frame in frames] == [16, 8, 24]
 
 
 def test_forgetting_drops_the_samples_of_every_integrator(scene, forest):
@@ -74,7 +75,7 @@ def test_forgetting_drops_the_samples_of_every_integrator(scene, forest):
         live.frame(settings(scene, integrator=one), 0)
     live.forget()
     for one in Integrator:
-        assert live.frame(settings(scene, integrator=one), 1).fovea.samples.count.mean() == 8
+        assert live.frame(settings(scene, integrator=one), 1).fovea.samples.mean_count() == 8
 
 
 @pytest.fixture
@@ -98,7 +99,7 @@ def set_colours(scene, name: str, value: float) -> None:
 def mean(renderer, scene, integrator: Integrator = Integrator.CACHED) -> float:
     """Mean radiance of several frames."""
     chosen = settings(scene, integrator=integrator)
-    return float(np.mean([renderer.frame(chosen, seed).fovea.radiance.mean() for seed in range(6)]))
+    return float(np.mean([host(renderer.frame(chosen, seed).fovea.radiance).mean() for seed in range(6)]))
 
 
 def test_frames_follow_a_lamp_that_is_dimmed_and_stay_biased(lamp, forest):
@@ -167,7 +168,7 @@ def test_old_samples_of_the_fovea_are_dropped_when_lights_change(lamp, forest):
     live.lights_changed()
     for one in Integrator:
         frame = live.frame(settings(scene, integrator=one), 1)
-        assert frame.fovea.samples.count.mean() == 8
+        assert frame.fovea.samples.mean_count() == 8
     renewed = live.light_renewed
     live.refined(frame, 1, 2, quick=True)
     assert live.light_renewed > renewed > 0

@@ -16,6 +16,7 @@ from hybrid.measure.metrics.psnr import psnr
 from pathtrace.scene.scene import load_scene
 from splat.raster.tiles import TILE
 from tests import small
+from tests.compose.arrays_of import host
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +50,7 @@ def denoisers(monkeypatch):
 def shows_all(frame: Frame) -> bool:
     """Whether the underlay shows splats outside the tiles around the disc."""
     tiles = np.kron(frame.region.foveal_tiles(TILE), np.ones((TILE, TILE), dtype=bool))
-    return bool((frame.underlay.radiance[~tiles] > 0).any())
+    return bool((frame.underlay.radiance.numpy()[~tiles] > 0).any())
 
 
 def test_without_a_disc_moving_and_still_frames_are_the_splats(live, settings):
@@ -63,7 +64,7 @@ def test_each_pixel_is_the_weighted_mean_of_both(live, settings):
     whole = live.splats(settings)
     for number in range(2):
         frame = live.frame(settings, number)
-        weight = frame.region.weight_image()[..., None]
+        weight = frame.weight_image()[..., None]
         expected = weight * frame.of_disc(frame.fovea.radiance) + (1 - weight) * whole
         np.testing.assert_allclose(frame.composite, expected, atol=1e-5)
         assert frame.settings == replace(settings, camera=frame.camera)
@@ -73,17 +74,17 @@ def test_each_pixel_is_the_weighted_mean_of_both(live, settings):
 def test_samples_add_up_while_nothing_moves(live, settings):
     for number in range(3):
         frame = live.frame(replace(settings, spp=2), number)
-        assert (frame.fovea.samples.count == 2 * (number + 1)).all()
+        assert (frame.fovea.samples.numpy("count") == 2 * (number + 1)).all()
     live.forget()
-    assert (live.frame(settings).fovea.samples.count == 1).all()
+    assert (live.frame(settings).fovea.samples.numpy("count") == 1).all()
 
 
 def test_the_whole_frame_is_drawn_under_the_disc_once_the_camera_stands_still(live, settings):
     moving, still = live.frame(settings, 0), live.frame(settings, 1)
     assert not shows_all(moving)
-    np.testing.assert_array_equal(still.underlay.radiance, live.splats(settings))
+    np.testing.assert_array_equal(still.underlay.radiance.numpy(), live.splats(settings))
     assert shows_all(still)
-    cropped = [frame.region.rectangle.crop(frame.underlay.radiance) for frame in (moving, still)]
+    cropped = [frame.underlay.radiance.numpy()[frame.region.box] for frame in (moving, still)]
     np.testing.assert_allclose(*cropped, atol=1e-6)
     assert moving.underlay.enlargement == still.underlay.enlargement == pytest.approx(80 / 32)
     # The gaze may move meanwhile, the camera may not.
@@ -111,7 +112,7 @@ def test_the_periphery_of_a_still_camera_follows_the_gaze(live, scene, forest, s
 def test_times_are_those_of_the_passes_in_their_order(live, settings):
     for number in range(2):
         milliseconds = live.frame(settings, number).milliseconds
-        passes = ["region", "fill", "underlay", "trace", "fovea", "splat", "blend"]
+        passes = ["region", "detail", "splat", "fill", "underlay", "trace", "fovea", "blend"]
         assert list(milliseconds) == [*passes, "total"]
         assert sum(milliseconds[name] for name in passes) == pytest.approx(milliseconds["total"])
 
@@ -119,13 +120,13 @@ def test_times_are_those_of_the_passes_in_their_order(live, settings):
 def test_a_frame_is_refined_in_its_disc_only(live, settings):
     first = live.frame(settings, 0)
     better = live.refined(first, 3, 1, quick=True)
-    assert (better.fovea.samples.count == 4).all()
-    assert better.periphery is first.periphery
+    assert (better.fovea.samples.numpy("count") == 4).all()
+    assert better.splats is first.splats
     changed = (better.composite != first.composite).any(axis=2)
     assert changed.any()
     assert not (changed & (first.region.weight_image() == 0)).any()
     assert list(better.milliseconds) == ["trace", "fovea", "blend", "total"]
-    weight = first.region.weight_image()[..., None]
+    weight = first.weight_image()[..., None]
     expected = weight * better.of_disc(better.fovea.radiance) + (1 - weight) * live.splats(settings)
     np.testing.assert_allclose(better.composite, expected, atol=1e-5)
 
@@ -142,15 +143,33 @@ def test_only_a_patient_frame_waits_for_the_better_denoiser(live, settings, deno
 
 def test_samples_are_spread_evenly_which_takes_no_time(live, settings):
     frame = live.frame(replace(settings, spp=8))
-    assert (frame.fovea.samples.count == 8).all()
+    assert (frame.fovea.samples.numpy("count") == 8).all()
 
 
 def test_a_raw_fovea_reuses_samples_too(live, settings):
     raw = replace(settings, fovea="raw")
     live.frame(raw, 0)
     frame = live.frame(raw, 1)
-    assert (frame.fovea.samples.count == 2).all()
+    assert (frame.fovea.samples.numpy("count") == 2).all()
     assert frame.fovea.radiance is frame.fovea.samples.radiance
+
+
+def test_a_denoised_fovea_reuses_samples_and_is_refined_too(live, settings):
+    denoised = replace(settings, fovea="denoised")
+    frames = [live.frame(denoised, number) for number in range(3)]
+    frames.append(live.refined(frames[-1], 1, 3, quick=False))
+    for number, frame in enumerate(frames, 1):
+        assert (frame.fovea.samples.numpy("count") == number).all()
+        assert frame.fovea.radiance is frame.fovea.denoised
+        assert frame.underlay is None
+        weight = frame.weight_image()[..., None]
+        expected = weight * frame.of_disc(frame.fovea.denoised) + (1 - weight) * live.splats(settings)
+        np.testing.assert_allclose(frame.composite, expected, atol=1e-5)
+    # Less noisy than the samples, and as bright.
+    shown, traced = host(frame.fovea.radiance), frame.fovea.samples.numpy("radiance")
+    steps = [np.median(np.abs(np.diff(image, axis=0))) for image in (shown, traced)]
+    assert steps[0] < 0.7 * steps[1]
+    assert np.median(shown) == pytest.approx(np.median(traced), rel=0.1)
 
 
 def test_paths_end_early(scene, forest, monkeypatch):

@@ -27,6 +27,7 @@ from splat.raster.projection import project
 from splat.training.trainer import Trainer, TrainingSettings
 from splat.training.views import TrainingView
 from tests import small
+from tests.compose.arrays_of import host
 from tests.hybrid.forests import white_dot
 
 pytestmark = pytest.mark.usefixtures("backend")
@@ -61,7 +62,7 @@ def test_no_disc_is_the_splat_frame_exactly(renderer, mode):
 def test_each_pixel_is_the_weighted_mean_of_both(renderer, gaze):
     settings = sized(replace(RAW, gaze=gaze), renderer, 70, 50)
     frame = renderer.frame(settings)
-    weight = frame.region.weight_image()[..., None]
+    weight = frame.weight_image()[..., None]
     whole = renderer.splats(settings)
     expected = weight * frame.of_disc(frame.fovea.radiance) + (1 - weight) * whole
     np.testing.assert_allclose(frame.composite, expected, atol=1e-5)
@@ -71,7 +72,8 @@ def test_each_pixel_is_the_weighted_mean_of_both(renderer, gaze):
 def test_only_the_disc_is_traced_and_hidden_tiles_are_not_rasterized(renderer):
     settings = sized(replace(RAW, fov_a=45, fov_b=40), renderer, 160, 160)
     frame = renderer.frame(settings)
-    assert len(frame.fovea.radiance) == frame.region.weight_image().astype(bool).sum()
+    assert frame.fovea.samples.size == frame.weight_image().astype(bool).sum()
+    assert np.isin(frame.fovea.samples.numpy("pixels"), frame.region.pixels).all()
     assert (frame.periphery[72:88, 72:88] == 0).all()
     assert (renderer.splats(settings)[72:88, 72:88] > 0).any()
 
@@ -121,7 +123,7 @@ def test_in_the_band_a_raw_disc_has_as_many_samples_as_it_shows(renderer):
     settings = sized(BAND, renderer, 160, 160)
     whole = settings.foveation.region(160, 160)
     frame = renderer.frame(settings)
-    count = frame.of_disc(frame.fovea.samples.count[:, None])[..., 0]
+    count = frame.of_disc([frame.fovea.samples.count])[..., 0]
     assert (count[whole.weight_image() == 1] == 3).all()
     assert np.abs(count - 3 * whole.weight_image()).max() < 1
     assert count.sum() == pytest.approx(renderer.paths(settings), rel=0.01)
@@ -137,8 +139,8 @@ def test_samples_that_are_reused_or_denoised_are_taken_everywhere(scene, forest,
     for other, mode in ((reusing, "raw"), (renderer, "denoised"), (renderer, "fused")):
         chosen = replace(settings, fovea=mode)
         frame = other.frame(chosen)
-        np.testing.assert_array_equal(frame.region.weight_image(), whole.weight_image())
-        assert (frame.fovea.samples.count == 1).all()
+        np.testing.assert_allclose(frame.weight_image(), whole.weight_image(), atol=1e-5)
+        assert (frame.fovea.samples.numpy("count") == 1).all()
         assert other.paths(chosen) == len(whole.pixels)
 
 
@@ -146,14 +148,18 @@ def test_samples_that_are_reused_or_denoised_are_taken_everywhere(scene, forest,
 def test_the_disc_alone_is_the_disc_of_the_frame(renderer, mode):
     settings = sized(replace(BAND, fovea=mode), renderer, 64, 64)
     frame, alone = renderer.frame(settings, seed=2), renderer.disc_alone(settings, seed=2)
-    assert alone.shape == frame.fovea.radiance.shape
+    for name in ("pixels", "weights"):
+        own, other = (np.asarray(getattr(fovea.disc, name)) for fovea in (alone, frame.fovea))
+        np.testing.assert_array_equal(own, other)
+    found, expected = host(alone.radiance), host(frame.fovea.radiance)
+    assert found.shape == expected.shape
     if mode is FoveaMode.DENOISED:
         # The denoiser sees the splats around the disc, which are not rendered for the disc alone.
-        inside = frame.region.weights == 1
-        differs = np.abs(alone - frame.fovea.radiance)[inside].mean()
-        assert 0 < differs < 0.05 * frame.fovea.radiance[inside].mean()
+        inside = np.asarray(frame.fovea.disc.weights) == 1
+        differs = np.abs(found - expected)[inside].mean()
+        assert 0 < differs < 0.05 * expected[inside].mean()
     else:
-        np.testing.assert_allclose(alone, frame.fovea.radiance, atol=1e-6)
+        np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 def test_a_denoised_disc_is_closer_to_the_truth(renderer):

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
+import drjit as dr
 import numpy as np
 import pytest
 
+from compose.fovea.samples import Samples
 from hybrid.interactive.shown import Shown
+from hybrid.runtime.device import device_arrays
+
+pytestmark = pytest.mark.usefixtures("backend")
 
 
 def shown(counts: list[float]) -> Shown:
-    samples = SimpleNamespace(count=np.array(counts, dtype=np.float32))
+    plain = device_arrays().plain
+    nothing = Samples.none(device_arrays(), dr.arange(plain.UInt, len(counts)))
+    samples = replace(nothing, count=plain.Float(counts))
     frame = SimpleNamespace(fovea=SimpleNamespace(samples=samples))
     return Shown(np.zeros((4, 4, 3), np.uint8), None, frame, 0, {}, 0, False)  # type: ignore[arg-type]
 

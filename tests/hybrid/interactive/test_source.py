@@ -45,26 +45,26 @@ def test_a_repeated_request_has_more_samples_and_any_other_has_not(source):
     assert second.spp == pytest.approx(first.spp + 1, abs=0.05)
     patient = source.show(asked, False)
     assert patient.spp == pytest.approx(first.spp + 7, abs=0.05)
-    assert patient.paths == 6 * len(patient.frame.region.pixels)
-    assert patient.frame.periphery is first.frame.periphery
+    assert patient.paths == 6 * patient.frame.region.count
+    assert patient.frame.splats is first.frame.splats
     assert not patient.finished
     elsewhere = source.show(replace(asked, settings=replace(asked.settings, gaze=Gaze(0.9, 0.9))), True)
     assert elsewhere.spp < 1.5
-    assert elsewhere.paths == len(elsewhere.frame.region.pixels)
+    assert elsewhere.paths == elsewhere.frame.region.count
     assert elsewhere.request.settings.gaze == Gaze(0.9, 0.9)
 
 
 def test_many_samples_are_no_fewer_when_there_is_time(source):
     asked = request(source, spp=9)
     source.show(asked, True)
-    assert source.show(asked, False).paths == 9 * len(source.show(asked, True).frame.region.pixels)
+    assert source.show(asked, False).paths == 9 * source.show(asked, True).frame.region.count
 
 
 def test_each_frame_has_samples_of_its_own(source):
     asked = request(source)
-    first = source.show(asked, True).frame.fovea.samples.radiance
+    first = source.show(asked, True).frame.fovea.samples.numpy("radiance")
     source.forget()
-    second = source.show(asked, True).frame.fovea.samples.radiance
+    second = source.show(asked, True).frame.fovea.samples.numpy("radiance")
     assert not np.array_equal(first, second)
 
 
@@ -75,7 +75,7 @@ def test_after_forgetting_a_frame_begins_anew(source):
     source.forget()
     after = source.show(asked, True)
     assert after.spp == 1
-    assert after.frame.periphery is not before.periphery
+    assert after.frame.splats is not before.splats
 
 
 def test_a_frame_with_enough_samples_is_finished(source, monkeypatch):
@@ -100,7 +100,7 @@ def test_the_path_traced_frame_alone_traces_no_disc_again(source):
     asked = request(source, View.PATH_TRACED)
     first, second = source.show(asked, True), source.show(asked, True)
     # A sixteenth of the frame, in the first frame beside the disc.
-    assert first.paths == len(first.frame.region.pixels) + 24 * 16
+    assert first.paths == first.frame.region.count + 24 * 16
     assert second.paths == 24 * 16
     assert second.frame is first.frame
     assert source.show(asked, False).paths == 8 * 24 * 16
@@ -134,9 +134,8 @@ def test_the_disc_converges_to_the_path_traced_frame(source):
         composite = source.show(request(source, View.SPLIT), False)
     assert composite.path_traced_spp == 24
     path_traced = source.show(request(source, View.PATH_TRACED), True)
-    region = composite.frame.region
     # In the left half, where a split view shows the composite.
-    left = region.pixels[(region.weights == 1) & (region.pixels % 96 < 48)]
+    left = np.flatnonzero((composite.frame.region.weight_image() == 1) & (np.arange(96) < 48))
     disc, whole = (shown.image.reshape(-1, 3)[left].astype(int) for shown in (composite, path_traced))
     assert len(left) > 100
     assert np.abs(disc - whole).mean() < 0.05 * 255

@@ -10,27 +10,42 @@ import pytest
 
 from compose.eye.gaze import Gaze
 from compose.fovea.region import Foveation
+from compose.fovea.samples import Samples
 from compose.image.colour import bytes_from_radiance
+from compose.image.device import DeviceImage
+from hybrid.frame.fovea import FoveaImage
 from hybrid.frame.frame import Frame
 from hybrid.frame.settings import FrameSettings
 from hybrid.interactive import views
 from hybrid.interactive.request import View
 from hybrid.interactive.views import image_of
+from hybrid.runtime.device import device_arrays
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")
 H, W = 24, 32
 
 
-def frame() -> Frame:
-    """A frame of noise, with a disc in its middle."""
-    rng = small.rng()
+def frame(composite: np.ndarray | None = None) -> Frame:
+    """A frame of noise or with the given composite, and with a disc in its middle."""
+    rng, arrays = small.rng(), device_arrays()
     region = Foveation(Gaze(0.5, 0.5), 40.0, 20.0).region(W, H)
-    image = lambda *shape: rng.uniform(0, 1, shape).astype(np.float32)  # noqa: E731
-    fovea: Any = SimpleNamespace(radiance=image(len(region.pixels), 3))
+    noise = lambda *shape: rng.uniform(0, 1, shape).astype(np.float32)  # noqa: E731
+    disc = region.disc(arrays)
+    radiance = [arrays.plain.Float(noise(region.count)) for _ in range(3)]
     nothing: Any = None
     return Frame(
-        image(H, W, 3), FrameSettings(), nothing, image(H, W, 3), nothing, 0, fovea, None, region, {}, nothing
+        image=DeviceImage.of(arrays, noise(H, W, 3) if composite is None else composite),
+        settings=FrameSettings(),
+        camera=nothing,
+        splats=DeviceImage.of(arrays, noise(H, W, 3)),
+        detail=nothing,
+        nodes_drawn=0,
+        fovea=FoveaImage(disc, radiance, Samples.none(arrays, disc.pixels)),
+        underlay=None,
+        region=region,
+        milliseconds={},
+        source=nothing,
     )
 
 
@@ -46,32 +61,35 @@ def test_composite_and_periphery_are_shown_as_they_are():
 
 
 def test_any_radiance_becomes_a_byte():
-    made = frame()
-    made.composite[0, 0] = [np.nan, np.inf, -1]
-    made.composite[0, 1] = [0.0031308, 5e-4, 7]
+    composite = frame().composite.copy()
+    composite[0, 0] = [np.nan, np.inf, -1]
+    composite[0, 1] = [0.0031308, 5e-4, 7]
+    made = frame(composite)
     with np.errstate(invalid="ignore"):
-        expected = bytes_from_radiance(np.nan_to_num(made.composite, nan=0, posinf=1))
+        expected = bytes_from_radiance(np.nan_to_num(composite, nan=0, posinf=1))
     assert np.abs(image_of(View.COMPOSITE, made, None).astype(int) - expected).max() <= 1
     assert (image_of(View.COMPOSITE, made, None)[0, 0] == [0, 255, 0]).all()
 
 
 def test_the_kernel_has_the_curve_of_srgb():
-    made = frame()
-    made.composite[:] = np.linspace(0, 0.02, H * W * 3, dtype=np.float32).reshape(H, W, 3)
+    composite = np.linspace(0, 0.02, H * W * 3, dtype=np.float32).reshape(H, W, 3)
     # Known pairs of IEC 61966-2-1: linear 0.0030 is byte 10, 0.0152 byte 33, 0.2140 byte 127, 0.5 byte 188.
-    made.composite[0, :4, 0] = [0.00304, 0.0152, 0.2140, 0.5]
-    assert image_of(View.COMPOSITE, made, None)[0, :4, 0].tolist() == [10, 33, 127, 188]
+    composite[0, :4, 0] = [0.00304, 0.0152, 0.2140, 0.5]
+    assert image_of(View.COMPOSITE, frame(composite), None)[0, :4, 0].tolist() == [10, 33, 127, 188]
 
 
 def test_the_fovea_alone_fades_out_in_the_band():
     made = frame()
     image = image_of(View.FOVEA, made, None).reshape(-1, 3)
-    outside = np.setdiff1d(np.arange(H * W), made.region.pixels)
+    pixels, weights = made.region.pixels, made.region.weight_image().ravel()
+    outside = np.setdiff1d(np.arange(H * W), pixels)
     assert not image[outside].any()
-    full = made.region.weights == 1
-    assert (image[made.region.pixels[full]] == bytes_from_radiance(made.fovea.radiance[full])).all()
-    band = (made.region.weights > 0) & (made.region.weights < 1)
-    ratio = image[made.region.pixels[band]].sum() / bytes_from_radiance(made.fovea.radiance[band]).sum()
+    expected = bytes_from_radiance(made.of_disc(made.fovea.radiance)).reshape(-1, 3)
+    full = weights == 1
+    assert full.any()
+    assert (image[full] == expected[full]).all()
+    band = (weights > 0) & (weights < 1)
+    ratio = image[band].sum() / expected[band].sum()
     assert 0.3 < ratio < 0.9
 
 
@@ -88,7 +106,7 @@ def test_a_difference_is_dark_where_there_is_none_and_brighter_the_larger_it_is(
     made = frame()
     # The difference is from the denoised frame.
     assert not image_of(View.DIFFERENCE, made, traced(2 * made.composite)).any()
-    made.composite[:] = 0.5
+    made = frame(np.full((H, W, 3), 0.5, dtype=np.float32))
     ramp = np.repeat(np.linspace(0.5, 1, W, dtype=np.float32)[None, :, None], 3, axis=2).repeat(H, axis=0)
     heat = image_of(View.DIFFERENCE, made, traced(2 * ramp))
     brightness = heat.astype(int).sum(axis=2)[0]
@@ -102,9 +120,8 @@ def test_a_difference_is_dark_where_there_is_none_and_brighter_the_larger_it_is(
 
 
 def test_differences_from_a_quarter_on_are_white():
-    made = frame()
     # In sRGB 0.5 and 0.76, or 0.74: just above and below a quarter.
-    made.composite[:] = 0.2140
+    made = frame(np.full((H, W, 3), 0.2140, dtype=np.float32))
     for other, white in ((0.539, True), (0.507, False)):
         heat = image_of(View.DIFFERENCE, made, traced(np.full((H, W, 3), 2 * other, dtype=np.float32)))
         assert (heat == 255).all() == white
@@ -114,7 +131,7 @@ def test_levels_are_drawn_from_composite_detail_and_region(monkeypatch):
     made = frame()
     monkeypatch.setattr(views, "levels_picture", lambda *parts: parts)
     composite, detail, region = image_of(View.LEVELS, made, None)
-    assert composite is made.composite
+    np.testing.assert_array_equal(composite, made.composite)
     assert detail is made.detail
     assert region is made.region
 

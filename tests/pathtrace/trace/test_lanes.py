@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 
+from compose.fovea.counts import Counts
 from pathtrace.trace.film import FilmPositions, box_positions
 from pathtrace.trace.lanes import Lanes
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")
 COUNT = 500
+
+
+def counts_of(each) -> Counts:
+    """Numbers of samples that differ from position to position."""
+    return Counts.of(mi.UInt32(np.asarray(each, dtype=np.uint32)), int(np.max(each)))
 
 
 def row_of_boxes(row: float = 7) -> FilmPositions:
@@ -42,11 +49,23 @@ def test_lanes_of_equal_counts():
 
 
 def test_lanes_of_different_counts():
-    lanes = Lanes.of(4, np.array([2, 0, 1, 3]))
+    lanes = Lanes.of(4, counts_of([2, 0, 1, 3]))
     assert lanes.count == 6
     assert lanes.index.numpy()[:6].tolist() == [0, 0, 2, 3, 3, 3]
     assert lanes.sample.numpy()[:6].tolist() == [0, 1, 0, 0, 1, 2]
     assert lanes.first.numpy()[[0, 2, 3]].tolist() == [0, 2, 3]
+
+
+def test_other_counts_compile_nothing_again():
+    """Their number, which differs from frame to frame, is no part of a kernel."""
+    for seed in range(3):
+        dr.kernel_history_clear()
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+            lanes = Lanes.of(COUNT, counts_of(small.rng(seed).integers(0, 4, COUNT)))
+            dr.eval(lanes.sample)
+        kernels = [entry for entry in dr.kernel_history() if entry["type"] == dr.KernelType.JIT]
+    assert kernels
+    assert all(kernel["cache_hit"] and not kernel["cache_disk"] for kernel in kernels)
 
 
 def noise(lanes: Lanes, channels: int = 6) -> list[np.ndarray]:
@@ -78,7 +97,7 @@ def test_sums_of_different_counts():
     """As exact as float32 can be; positions without a sample have the sum 0, the first and last ones too."""
     counts = small.rng().integers(0, 70, COUNT)
     counts[[0, 1, 20, 21, -1]] = 0
-    lanes = Lanes.of(COUNT, counts)
+    lanes = Lanes.of(COUNT, counts_of(counts))
     values = noise(lanes)
     found = summed(lanes, values)
     np.testing.assert_allclose(found, expected_sums(counts, values), rtol=1e-7)
@@ -92,7 +111,7 @@ def test_the_sum_of_one_very_large_count_beside_small_ones():
     """In float32, small samples would be lost beside the large sum of those before them."""
     counts = small.rng().integers(0, 3, COUNT)
     counts[100] = 1 << 17
-    lanes = Lanes.of(COUNT, counts)
+    lanes = Lanes.of(COUNT, counts_of(counts))
     values = [np.full(len(lanes.active), value, dtype=np.float32) for value in (0.1, 3.3)]
     np.testing.assert_allclose(summed(lanes, values), expected_sums(counts, values), rtol=1e-7)
 
@@ -101,7 +120,7 @@ def test_the_sum_of_one_very_large_count_beside_small_ones():
 def test_a_positions_samples_do_not_touch_other_sums(value):
     """The square of a very bright sample is infinite; and beside it, other samples would vanish."""
     counts = np.array([2, 3, 0, 2])
-    lanes = Lanes.of(4, counts)
+    lanes = Lanes.of(4, counts_of(counts))
     values = np.ones(len(lanes.active), dtype=np.float32)
     values[3] = value
     assert summed(lanes, [values]).tolist() == [[2, np.float32(value), 0, 2]]
@@ -110,7 +129,7 @@ def test_a_positions_samples_do_not_touch_other_sums(value):
 @pytest.mark.parametrize(("positions", "spp", "width"), [(3, 2, 4096), (4096, 1, 4096), (4097, 1, 8192)])
 def test_lanes_are_padded_with_inactive_ones(positions, spp, width):
     """A frozen function is not recorded again as long as the width stays a multiple of 4096."""
-    for counts in (spp, np.full(positions, spp)):
+    for counts in (spp, counts_of(np.full(positions, spp))):
         active = Lanes.of(positions, counts).active.numpy()
         assert len(active) == width
         assert active[: positions * spp].all()
@@ -121,7 +140,7 @@ def test_sums_are_over_each_positions_samples():
     channel = mi.Float(np.concatenate([[1, 2, 4, 8, 16, 32], np.full(4090, 1000.0)]))
     assert Lanes.of(3, 2).sums([channel])[0].numpy().tolist() == [3, 12, 48]
     assert Lanes.of(6, 1).sums([channel])[0].numpy().tolist() == [1, 2, 4, 8, 16, 32]
-    assert Lanes.of(5, np.array([2, 0, 1, 3, 0])).sums([channel])[0].numpy().tolist() == [3, 0, 4, 56, 0]
+    assert Lanes.of(5, counts_of([2, 0, 1, 3, 0])).sums([channel])[0].numpy().tolist() == [3, 0, 4, 56, 0]
 
 
 @pytest.mark.parametrize("spp", [2, 4, 16])
@@ -176,7 +195,7 @@ def test_a_boxs_samples_do_not_depend_on_the_other_boxes():
 
 def test_numbers_of_samples_may_differ():
     counts = small.rng().integers(0, 5, COUNT)
-    lanes = Lanes.of(COUNT, counts)
+    lanes = Lanes.of(COUNT, counts_of(counts))
     x, _ = sample_positions(lanes, row_of_boxes(), mi.UInt32(0), mi.UInt32(1))
     found = (x.numpy() - lanes.index.numpy())[: lanes.count]
     even = samples(4)[..., 0]

@@ -12,6 +12,7 @@ from scipy import stats
 
 from compose.camera.axes import mitsuba_from_opencv
 from compose.camera.camera import Camera
+from compose.fovea.counts import Counts
 from pathtrace.fill.fill import fill_cache
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.film import FilmPositions, box_positions, frame_positions, interleaved, pixel_positions
@@ -86,6 +87,21 @@ def test_an_offset_continues_the_sequence(square):
     np.testing.assert_allclose((first + second) / 2, eight, atol=1e-6)
     each = radiance(square, 4, offset=np.where(np.arange(256) % 2, 4, 0), pattern=5)
     np.testing.assert_array_equal(each, np.where(np.arange(256)[:, None] % 2, second, first))
+
+
+@pytest.mark.parametrize("most_lanes", [None, 256, 100])
+def test_counts_and_offsets_may_be_on_the_device_or_not(square, monkeypatch, most_lanes):
+    """Also if their samples do not fit at once, and if not even one of each position does."""
+    if most_lanes:
+        monkeypatch.setattr("pathtrace.trace.tracer._MAX_LANES", most_lanes)
+    counts, offset = np.arange(256) % 4, np.arange(256) % 3
+    there = [mi.UInt32(of.astype(np.uint32)) for of in (counts, offset)]
+    found = radiance(square, Counts.of(there[0], 3), seed=1, offset=there[1], pattern=5)
+    np.testing.assert_array_equal(found, radiance(square, counts, seed=1, offset=offset, pattern=5))
+    ones = np.stack([radiance(square, 1, seed=1, offset=k, pattern=5) for k in range(5)])
+    drawn = (np.arange(5) >= offset[:, None]) & (np.arange(5) < (offset + counts)[:, None])
+    expected = np.einsum("nk,knc->nc", drawn, ones) / np.maximum(counts, 1)[:, None]
+    np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 def test_the_pattern_is_that_of_the_seed_by_default(square):

@@ -33,8 +33,8 @@ def projected(arrays, forest: Forest, camera) -> dict[str, np.ndarray]:
     return {name: dr.detach(getattr(raw, name), preserve_type=False).numpy() for name in FIELDS}
 
 
-def index(arrays, count: int):
-    return dr.arange(arrays.plain.UInt, count)
+def all_of(arrays, cache: ForestFootprints, part: range):
+    return cache.footprints(dr.arange(arrays.plain.UInt, len(part)) + part.start)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -43,7 +43,7 @@ def test_footprints_are_those_of_the_projection(arrays, degree):
     forest, camera = spread_forest(degree), frame_camera()
     cache = ForestFootprints(arrays, forest)
     (layer,) = cache.layers(camera, 1.0, [1])
-    found = cache.footprints([1], [index(arrays, dr.width(layer.x))])
+    found = all_of(arrays, cache, layer)
     every = projected(arrays, forest, camera)
     # The depth tells which node a footprint is of.
     node = np.abs(found.depth.numpy()[:, None] - every["depth"]).argmin(axis=1)
@@ -63,7 +63,7 @@ def test_nodes_of_which_some_turn_look_as_if_the_others_had_harmonics_of_zero(ar
         changed = replace(forest, nodes=replace(forest.nodes, gaussians=gaussians_of))
         cache = ForestFootprints(arrays, changed)
         (layer,) = cache.layers(camera, 1.0, [1])
-        found.append(cache.footprints([1], [index(arrays, dr.width(layer.x))]))
+        found.append(all_of(arrays, cache, layer))
     for name in FIELDS:
         np.testing.assert_allclose(
             *(getattr(one, name).numpy() for one in found), rtol=1e-4, atol=1e-6, err_msg=name
@@ -74,60 +74,68 @@ def test_nodes_of_which_some_turn_look_as_if_the_others_had_harmonics_of_zero(ar
 def test_no_node_that_shows_is_left_out(arrays, blur):
     """A node shows where its alpha under the widest filter reaches 1/255 in the frame."""
     forest, camera = spread_forest(0), frame_camera()
-    (layer,) = ForestFootprints(arrays, forest).layers(camera, blur, [1])
+    cache = ForestFootprints(arrays, forest)
+    (layer,) = cache.layers(camera, blur, [1])
     raw = projected(arrays, forest, camera)
     extent = 2 * np.log(np.maximum(raw["opacity"] * 255, 1))
     reach_x, reach_y = (np.sqrt(extent * (raw[name] + PIXEL_FILTER * blur**2)) for name in ("xx", "yy"))
     shows = (raw["opacity"] > 1 / 255) & (raw["x"] + reach_x > 0) & (raw["x"] - reach_x < camera.width)
     shows &= (raw["y"] + reach_y > 0) & (raw["y"] - reach_y < camera.height)
-    kept = set(layer.x.numpy().tolist())
+    kept = set(all_of(arrays, cache, layer).x.numpy().tolist())
     assert set(raw["x"][shows].tolist()) <= kept
     assert 0 < shows.sum() <= len(kept) < len(forest.finest)
-    # Its own numbers are those of its records.
-    some = {name: getattr(layer, name).numpy() for name in ("x", "y", "xx", "yy", "extent")}
-    node = np.abs(raw["x"][:, None] - some["x"]).argmin(axis=0)
-    for name in ("y", "xx", "yy"):
-        np.testing.assert_allclose(some[name], raw[name][node], rtol=1e-5, atol=1e-5)
-    np.testing.assert_allclose(some["extent"], extent[node], rtol=1e-4, atol=1e-4)
 
 
 def test_layers_follow_one_another(arrays):
-    """Nodes chosen from several layers, out of order, each under its own layer's numbers."""
+    """Each layer's footprints are those that it has alone, also where others are added later."""
     forest, camera = small_forest(), frame_camera()
     cache = ForestFootprints(arrays, forest)
-    layers = cache.layers(camera, 4.0, [3, 1])
-    chosen = [arrays.plain.UInt([2, 0]), dr.zeros(arrays.plain.UInt, 0), arrays.plain.UInt([1])]
-    cache.layers(camera, 4.0, [2])
-    found = cache.footprints([3, 2, 1], chosen).x.numpy().tolist()
-    x = [layer.x.numpy() for layer in layers]
-    assert found == [x[0][2], x[0][0], x[1][1]]
+    early = cache.layers(camera, 4.0, [3, 1])
+    layers = cache.layers(camera, 4.0, [2, 3, 1])
+    assert layers[1:] == early
+    assert sorted(n for part in layers for n in part) == list(range(sum(map(len, layers))))
+    for number, part in zip([2, 3, 1], layers, strict=True):
+        alone = ForestFootprints(arrays, forest)
+        expected = all_of(arrays, alone, *alone.layers(camera, 4.0, [number]))
+        np.testing.assert_array_equal(all_of(arrays, cache, part).x.numpy(), expected.x.numpy())
 
 
-def test_a_camera_is_projected_once(arrays):
-    forest, camera = small_forest(), frame_camera()
-    cache = ForestFootprints(arrays, forest)
-    (first,) = cache.layers(camera, 3.0, [2])
-    # The filter's width is rounded up to a power of two: 4.
-    assert cache.layers(replace(camera), 1.0, [2])[0] is first
-    assert cache.layers(camera, 4.0, [2])[0] is first
-    assert cache.layers(camera, 4.1, [2])[0] is not first
-    assert cache.layers(replace(camera, fx=camera.fx + 1), 1.0, [2])[0] is not first
-
-
-def test_a_layer_at_two_rates_is_projected_once(arrays, monkeypatch):
-    cache, projected_layers = ForestFootprints(arrays, small_forest()), []
+@pytest.fixture
+def cache_and_projected(arrays, monkeypatch):
+    """A cache, and the numbers of the layers that it has projected."""
+    cache, layers = ForestFootprints(arrays, small_forest()), []
     visible = cache._visible
     monkeypatch.setattr(
-        cache, "_visible", lambda camera, n, blur: projected_layers.append(n) or visible(camera, n, blur)
+        cache, "_visible", lambda camera, n, blur: layers.append(n) or visible(camera, n, blur)
     )
+    return cache, layers
+
+
+def test_a_camera_is_projected_once(cache_and_projected):
+    (cache, projected_layers), camera = cache_and_projected, frame_camera()
+    # The filter's width is rounded up to a power of two: 4.
+    for view, blur, count in (
+        (camera, 3.0, 1),
+        (replace(camera), 1.0, 1),
+        (camera, 4.0, 1),
+        (camera, 4.1, 2),
+    ):
+        cache.layers(view, blur, [2])
+        assert len(projected_layers) == count
+    cache.layers(replace(camera, fx=camera.fx + 1), 1.0, [2])
+    assert len(projected_layers) == 3
+
+
+def test_a_layer_at_two_rates_is_projected_once(cache_and_projected):
+    cache, projected_layers = cache_and_projected
     first, second, third = cache.layers(frame_camera(), 1.0, [3, 3, 2])
     assert projected_layers == [3, 2]
-    assert first is second
-    assert first is not third
+    assert first == second
+    assert first != third
 
 
-def test_nothing_in_sight_is_none(arrays):
+def test_nothing_in_sight_is_empty(arrays):
     g = gaussians(n=20, degree=0)
     g.means[2] -= 100
     cache = ForestFootprints(arrays, forest_of([static_layer(g)], 120.0, "", ""))
-    assert cache.layers(frame_camera(), 1.0, [1]) == [None]
+    assert [len(part) for part in cache.layers(frame_camera(), 1.0, [1])] == [0]

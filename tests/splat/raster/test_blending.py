@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 import pytest
 import torch
 
+from splat.raster import blending
 from splat.raster.binning import bin_splats
 from splat.raster.blending import MAXIMUM_ALPHA, rasterize
 from splat.raster.blocks import CHANNELS
@@ -94,3 +97,18 @@ def test_no_splats_give_black(arrays):
     image = image_of(arrays, round_splats(arrays, [(8.0, 8.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0)]))
     assert image.shape == (80, 96, 4)
     assert (image == 0).all()
+
+
+@pytest.mark.parametrize("side", [8, 16])
+def test_lanes_that_stay_together_give_the_same(arrays, side, monkeypatch):
+    """As on a GPU, and where lists are long: every lane visits all splats of its tile."""
+    splats, grid = random_splats(arrays, 300, 90, 70), TileGrid(90, 70, side)
+    wanted = np.random.default_rng(0).random((grid.rows, grid.columns)) < 0.6
+    together = copy(arrays)
+    together.backend = "cuda"
+    for tiles in (None, wanted):
+        image = image_of(arrays, splats, grid, tiles)
+        np.testing.assert_array_equal(image_of(together, splats, grid, tiles), image)
+        with monkeypatch.context() as patch:
+            patch.setattr(blending, "_LONG_LIST", 0)
+            np.testing.assert_array_equal(image_of(arrays, splats, grid, tiles), image)

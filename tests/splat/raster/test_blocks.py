@@ -6,8 +6,17 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from splat.raster.binning import bin_splats
-from splat.raster.blocks import CHANNELS, MINIMUM_TRANSMITTANCE, PIXEL, Blocks, blended_records, exp2
+from splat.raster.binning import MINIMUM_ALPHA, bin_splats
+from splat.raster.blocks import (
+    CHANNELS,
+    MINIMUM_TRANSMITTANCE,
+    PIXEL,
+    Blocks,
+    Shown,
+    _shown_in,
+    blended_records,
+    exp2,
+)
 from splat.raster.tiles import TileGrid
 from tests.splat.raster.splats import doubles, exponent, random_splats
 
@@ -100,3 +109,42 @@ def test_exp2_is_accurate_where_alpha_is_visible(arrays):
 def test_a_pixel_is_four_floats():
     assert sum(packet.size for packet in PIXEL.packets) == CHANNELS
     assert PIXEL.spare == 0
+
+
+@pytest.mark.parametrize("side", [8, 16])
+def test_blocks_show_a_splat_where_a_pixel_does(arrays, side):
+    """No block is missed, and few are there in vain."""
+    grid = TileGrid(90, 70, side)
+    splats = random_splats(arrays, 300, 90, 70)
+    bins = bin_splats(arrays, splats, grid)
+    found = _shown_in(arrays, bins, blended_records(arrays, splats, bins)).numpy()
+    start, end, splat = (row.numpy() for row in (bins.start, bins.end, bins.splat))
+    values, seen, drawn, in_vain = doubles(splats), 0, 0, 0
+    for tile in range(grid.columns * grid.rows):
+        x, y = (np.arange(side) + 0.5 + side * k for k in (tile % grid.columns, tile // grid.columns))
+        for pair in range(start[tile], end[tile]):
+            own = {name: row[splat[pair]] for name, row in values.items()}
+            dy = y[:, None] - own["y"]
+            t = x - own["x"] + own["shear"] * dy
+            power = -0.5 * (own["x_precision"] * t**2 + own["y_precision"] * dy**2)
+            visible = own["opacity"] * np.exp(power) >= MINIMUM_ALPHA
+            blocks = visible.reshape(4, side // 4, 4, side // 4).any(axis=(1, 3)).ravel()
+            bits = found[pair] >> np.arange(16) & 1 == 1
+            assert not (blocks & ~bits).any()
+            seen, drawn, in_vain = seen + 16, drawn + blocks.sum(), in_vain + (bits & ~blocks).sum()
+    assert 0 < drawn < seen
+    assert in_vain < 0.05 * seen
+
+
+@pytest.mark.parametrize("side", [8, 16])
+def test_lanes_jump_to_what_their_block_shows(arrays, side):
+    block, bins, splats = blocks_of(arrays, side)
+    records = blended_records(arrays, splats, bins)
+    bits = _shown_in(arrays, bins, records).numpy()
+    first, last, number = (row.numpy() for row in (block.first, block.last, block.number))
+    # From each end of a list, and from one in its midst.
+    for start in (first, (first + last) // 2, last):
+        found = Shown(arrays, bins, records).following(arrays.plain.UInt(start), block.last, block.number)
+        for lane, pair in enumerate(found.numpy()):
+            shown = start[lane] + np.flatnonzero(bits[start[lane] : last[lane]] >> number[lane] & 1)
+            assert pair == shown[0] if len(shown) else pair >= last[lane]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from copy import copy
+
+import drjit as dr
 import numpy as np
 import pytest
 import torch
@@ -124,3 +127,30 @@ def test_gradients_are_repeatable(arrays):
     runs = [gradients(arrays, splats, grid, weights(grid)) for _ in range(2)]
     for name in DIFFERENTIABLE:
         np.testing.assert_array_equal(runs[0][name], runs[1][name])
+
+
+def test_lanes_that_stay_together_give_the_same(arrays):
+    """As on a GPU: every lane visits all splats of its tile, and each sum is added by itself."""
+    splats, grid = random_splats(arrays, 300, WIDTH, HEIGHT), TileGrid(WIDTH, HEIGHT)
+    bins = bin_splats(arrays, splats, grid)
+    image, flow = rasterize(arrays, splats, bins), arrays.plain.Float(weights(grid).ravel())
+    together = copy(arrays)
+    together.backend = "cuda"
+    rows = [rasterize_backward(kind, splats, bins, image, flow) for kind in (arrays, together)]
+    for name, one, other in zip(DIFFERENTIABLE, *rows, strict=True):
+        scale = np.abs(other.numpy()).max()
+        np.testing.assert_allclose(one.numpy(), other.numpy(), atol=1e-5 * scale, err_msg=name)
+
+
+def test_all_lanes_of_a_vector_add_to_one_packet(arrays):
+    """Dr.Jit does not promise it for its mode without conflicts; the sums of pairs rely on it."""
+    if arrays.backend != "llvm":
+        pytest.skip("packets are added to on the CPU alone")
+    UInt, Float = arrays.plain.UInt, arrays.plain.Float
+    lane = dr.arange(UInt, 64)
+    rows, target = [Float(lane) + 100 * k for k in range(8)], dr.zeros(Float, 16 * 8)
+    dr.scatter_reduce(
+        dr.ReduceOp.Add, target, arrays.plain.ArrayXf(rows), lane // 4, mode=dr.ReduceMode.NoConflicts
+    )
+    expected = [[16 * group + 6 + 400 * k for k in range(8)] for group in range(16)]
+    np.testing.assert_array_equal(target.numpy().reshape(16, 8), expected)

@@ -6,7 +6,7 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from splat.raster.records import RecordLayout, concatenated_records
+from splat.raster.records import RecordLayout, concatenated_records, records_before
 
 # One load per table, loads that share a table, and both; with and without spare floats.
 LAYOUTS = {
@@ -93,9 +93,26 @@ def test_records_are_concatenated_table_by_table(arrays):
 def test_integers_keep_all_their_bits(arrays):
     layout = RecordLayout((1,), ("n",), n=1)
     numbers = arrays.plain.UInt([0, 1, 2**24 + 1, 0x7FC00001, 2**32 - 1])
-    found = layout.pack(arrays, n=numbers).at(dr.arange(arrays.plain.UInt, 5)).n
-    assert type(found) is arrays.plain.UInt
-    np.testing.assert_array_equal(found.numpy(), numbers.numpy())
+    for records in (layout.pack(arrays, n=numbers), layout.upload(arrays, n=numbers.numpy())):
+        found = records.at(dr.arange(arrays.plain.UInt, 5)).n
+        assert type(found) is arrays.plain.UInt
+        np.testing.assert_array_equal(found.numpy(), numbers.numpy())
+
+
+def test_other_numbers_lie_behind_records(arrays):
+    layout = RecordLayout((4,), x=1, y=1)
+    further = np.array([[7, 2**32 - 1], [5, 6]], dtype=np.uint32)
+    records = records_before(arrays, layout, layout.rows(x=[1, 2], y=[3, 4]), further, np.float32([0.5]))
+    assert records.at(arrays.plain.UInt([1, 0])).y.numpy().tolist() == [4, 3]
+    behind = records.tables[0].numpy()[8:]
+    assert behind[:4].view(np.uint32).tolist() == [7, 2**32 - 1, 5, 6]
+    # A whole number of packets.
+    assert behind[4:].tolist() == [0.5, 0, 0, 0]
+
+
+def test_records_know_how_many_they_are(arrays):
+    for loads in ((8,), (4, 4), (4, 2)):
+        assert len(RecordLayout(loads, x=1).upload(arrays, x=[1, 2, 3])) == 3
 
 
 def test_impossible_layouts_are_refused():
@@ -115,8 +132,6 @@ def test_wrong_names_are_refused(arrays):
             layout.pack(arrays, **values)
         with pytest.raises(ValueError, match=r"expected \['x', 'y'\]"):
             layout.upload(arrays, **{name: [1.0] for name in values})
-    with pytest.raises(ValueError, match="can only be packed on the device"):
-        RecordLayout((1,), ("n",), n=1).upload(arrays, n=[1])
 
 
 @pytest.mark.parametrize("name", LAYOUTS)

@@ -1,0 +1,97 @@
+"""The pixels of a disc on the device, and the rectangle around them in which they form an image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.arrays import Arrays, uploaded
+
+
+@dataclass(frozen=True)
+class Disc:
+    """D pixels of a frame with their weights in the blend.
+
+    Attributes:
+        arrays: the backend's array types.
+        width, height: frame in pixels.
+        pixels: UInt (D,), row-major indices, ascending.
+        weights: Float (D,), weight of the path-traced radiance in each of them, 0..1; it is 0 in all others.
+        box: rows and columns of the rectangle around the pixels; None if there are none.
+        covers_frame: whether the pixels are all of the frame and all weights are 1.
+    """
+
+    arrays: Arrays
+    width: int
+    height: int
+    pixels: Any
+    weights: Any
+    box: tuple[slice, slice] | None
+    covers_frame: bool = False
+
+    @staticmethod
+    def of(
+        arrays: Arrays, width: int, height: int, pixels: NDArray[np.uint32], weights: NDArray[np.float32]
+    ) -> Disc:
+        """A disc of (D,) pixels of a frame and their weights, in host memory."""
+        box = None
+        if len(pixels):
+            row, column = np.divmod(pixels, np.uint32(width))
+            box = tuple(slice(int(at.min()), int(at.max()) + 1) for at in (row, column))
+        on_device = uploaded(arrays.plain.UInt, pixels), uploaded(arrays.plain.Float, weights)
+        return Disc(arrays, width, height, *on_device, box)  # type: ignore[arg-type]
+
+    @property
+    def count(self) -> int:
+        """D, the number of pixels."""
+        return dr.width(self.pixels)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(h, w), rows and columns of the rectangle."""
+        assert self.box is not None, "a disc without pixels has no rectangle"
+        rows, columns = self.box
+        return rows.stop - rows.start, columns.stop - columns.start
+
+    @cached_property
+    def inside(self) -> Any:
+        """UInt (D,), index of each pixel among those of the rectangle, row by row."""
+        assert self.box is not None, "a disc without pixels has no rectangle"
+        numbers = [self.box[0].start, self.box[1].start, self.shape[1]]
+        top, left, across = self.arrays.scalars(self.arrays.plain.UInt, numbers)
+        width = self.arrays.constant(self.width)
+        row = self.pixels // width
+        index = (row - top) * across + (self.pixels - row * width - left)
+        dr.eval(index)
+        return index
+
+    @cached_property
+    def _slots(self) -> Any:
+        """Int (h * w,), which of the disc's pixels each pixel of the rectangle is; -1 outside the disc."""
+        plain, size = self.arrays.plain, self.shape[0] * self.shape[1]
+        slots = dr.full(plain.Int, -1, size)
+        own = plain.Int(dr.arange(plain.UInt, self.count))
+        dr.scatter(slots, own, self.inside, mode=dr.ReduceMode.Permute)
+        dr.eval(slots)
+        return slots
+
+    def image(self, values: Any, ground: Any) -> Any:
+        """Float (h * w,) of the rectangle, not evaluated: values (D,) inside the disc, a ground elsewhere."""
+        inside = self._slots >= 0
+        index = self.arrays.plain.UInt(dr.maximum(self._slots, 0))
+        return dr.select(inside, dr.gather(self.arrays.plain.Float, values, index, inside), ground)
+
+    def frame_image(self, channels: list[Any]) -> NDArray[np.float32]:
+        """(H, W, C) host image of the frame from C Floats (D,) of the disc's pixels; 0 elsewhere."""
+        size, plain = self.width * self.height, self.arrays.plain
+        image = dr.zeros(plain.Float, size * len(channels))
+        if self.count:
+            for number, values in enumerate(channels):
+                at = self.pixels * len(channels) + number
+                dr.scatter(image, plain.Float(values), at, mode=dr.ReduceMode.Permute)
+        return np.array(image).reshape(self.height, self.width, len(channels))

@@ -1,0 +1,92 @@
+"""Images in the memory of the device that renders them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.arrays import Arrays, uploaded
+from compose.image.colour import Image
+
+
+@dataclass(frozen=True)
+class DeviceImage:
+    """An image of linear radiance, possibly part of a larger buffer.
+
+    Attributes:
+        arrays: the backend's array types.
+        values: flat Float, rows of `stride` pixels, of each of which the first three channels count.
+        width, height: image in pixels.
+        stride, channels: pixels per row of the buffer, and floats per pixel.
+    """
+
+    arrays: Arrays
+    values: Any
+    width: int
+    height: int
+    stride: int
+    channels: int = 3
+
+    @staticmethod
+    def of(arrays: Arrays, image: Image) -> DeviceImage:
+        """A copy of an image (H, W, 3) in host memory."""
+        height, width = image.shape[:2]
+        return DeviceImage(
+            arrays, uploaded(arrays.plain.Float, np.asarray(image, np.float32)), width, height, width
+        )
+
+    @staticmethod
+    def filled(arrays: Arrays, width: int, height: int, channels: list[Any]) -> DeviceImage:
+        """An image from three Floats (H * W,)."""
+        values = dr.ravel(arrays.plain.Array3f(*channels))
+        dr.eval(values)
+        return DeviceImage(arrays, values, width, height, width)
+
+    @property
+    def is_packed(self) -> bool:
+        """Whether the buffer holds nothing but the image."""
+        return (
+            self.stride == self.width
+            and self.channels == 3
+            and dr.width(self.values) == self.width * self.height * 3
+        )
+
+    def at(self, row: Any, column: Any) -> list[Any]:
+        """Three Floats (N,), the radiance of pixels."""
+        index = (row * self.arrays.constant(self.stride) + column) * self.channels
+        return [dr.gather(self.arrays.plain.Float, self.values, index + c) for c in range(3)]
+
+    def of_pixels(self, pixels: Any) -> list[Any]:
+        """Three Floats (N,), the radiance of pixels by their row-major indices UInt (N,)."""
+        width = self.arrays.constant(self.width)
+        row = pixels // width
+        return self.at(row, pixels - row * width)
+
+    def of_box(self, box: tuple[slice, slice]) -> list[Any]:
+        """Three Floats (h * w,), the radiance of a rectangle, given by its rows and columns."""
+        rows, columns = box
+        width = columns.stop - columns.start
+        index = dr.arange(self.arrays.plain.UInt, (rows.stop - rows.start) * width)
+        top, left = self.arrays.scalars(self.arrays.plain.UInt, [rows.start, columns.start])
+        across = self.arrays.constant(width)
+        row = index // across
+        return self.at(row + top, index - row * across + left)
+
+    def packed(self) -> DeviceImage:
+        """The image in a buffer of its own that holds nothing else."""
+        pixels = dr.arange(self.arrays.plain.UInt, self.width * self.height)
+        return DeviceImage.filled(self.arrays, self.width, self.height, self.of_pixels(pixels))
+
+    def tensor(self) -> Any:
+        """(H, W, 3) tensor of Dr.Jit, which NumPy and torch read through DLPack."""
+        image = self if self.is_packed else self.packed()
+        return self.arrays.plain.TensorXf(image.values, (self.height, self.width, 3))
+
+    def numpy(self) -> NDArray[np.float32]:
+        """(H, W, 3) host array; on the CPU a view of the same memory."""
+        rows = np.asarray(self.values).reshape(-1, self.stride, self.channels)
+        return rows[: self.height, : self.width, :3]

@@ -1,0 +1,21 @@
+"""Numbers of samples that differ from pixel to pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from compose.fovea.counts import Counts
+from tests.compose.arrays_of import indices
+
+
+def test_counts_know_their_sum(arrays):
+    counts = Counts.of(indices(arrays, [3, 0, 5, 1]), 8)
+    assert (counts.total, counts.most) == (9, 8)
+    assert isinstance(counts.total, int)
+    assert np.array(counts.each).tolist() == [3, 0, 5, 1]
+
+
+def test_the_sum_of_many_counts_is_exact(arrays):
+    """Beyond what a float32 holds exactly."""
+    each = np.full(2**12 + 1, 2**13 + 1, dtype=np.uint32)
+    assert Counts.of(indices(arrays, each), 2**13 + 1).total == int(each.astype(np.int64).sum()) > 2**25
