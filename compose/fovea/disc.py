@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
+from compose.fovea.region import FoveaRegion
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,20 @@ class Disc:
             box = tuple(slice(int(at.min()), int(at.max()) + 1) for at in (row, column))
         on_device = uploaded(arrays.plain.UInt, pixels), uploaded(arrays.plain.Float, weights)
         return Disc(arrays, width, height, *on_device, box)  # type: ignore[arg-type]
+
+    @staticmethod
+    def in_region(arrays: Arrays, region: FoveaRegion) -> Disc:
+        """The pixels of a region, which are listed on the device."""
+        plain, frame = arrays.plain, (region.width, region.height)
+        if not region.count:
+            return Disc(arrays, *frame, dr.zeros(plain.UInt, 0), dr.zeros(plain.Float, 0), None)
+        if region.covers_frame:
+            pixels, weights = dr.arange(plain.UInt, region.count), dr.full(plain.Float, 1, region.count)
+        else:
+            pixels, weights = _listed(arrays, region)
+        # In one kernel with what needs them first.
+        dr.schedule(pixels, weights)
+        return Disc(arrays, *frame, pixels, weights, region.box, region.covers_frame)
 
     @property
     def count(self) -> int:
@@ -95,3 +110,19 @@ class Disc:
                 at = self.pixels * len(channels) + number
                 dr.scatter(image, plain.Float(values), at, mode=dr.ReduceMode.Permute)
         return np.array(image).reshape(self.height, self.width, len(channels))
+
+
+def _listed(arrays: Arrays, region: FoveaRegion) -> tuple[Any, Any]:
+    """Row-major indices (D,) and weights (D,) of a region's pixels, not evaluated."""
+    plain, (integers, numbers, size) = arrays.plain, region.tables()
+    ints, floats = uploaded(plain.UInt, integers), uploaded(plain.Float, numbers)
+    # Read at a literal, each would be copied on its own.
+    end, one = arrays.constant(size), arrays.constant(1)
+    shift, outer, slope, faded = (dr.gather(plain.Float, floats, end + i) for i in range(4))
+    top, width = (dr.gather(plain.UInt, ints, 2 * end + i) for i in range(2))
+    index = dr.arange(plain.UInt, region.count)
+    row = dr.binary_search(0, size - 1, lambda at: dr.gather(plain.UInt, ints, at + one) <= index)
+    column = dr.gather(plain.UInt, ints, end + row) + index - dr.gather(plain.UInt, ints, row)
+    radius = dr.sqrt(dr.square(plain.Float(column) + shift) + dr.gather(plain.Float, floats, row))
+    weight = dr.clip((outer - radius) * slope, 0, 1)
+    return (top + row) * width + column, weight + (1 - weight) * faded

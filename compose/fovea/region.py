@@ -10,16 +10,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.arrays import Arrays, uploaded
 from compose.base.errors import UserError
 from compose.eye.gaze import Gaze
-from compose.fovea.disc import Disc
+
+if TYPE_CHECKING:
+    from compose.base.arrays import Arrays
+    from compose.fovea.disc import Disc
 
 # Radius of a disc that leaves no splats, whatever fov-b is, over the distance of the furthest pixel.
 _WHOLE = 1.2
@@ -129,42 +130,28 @@ class FoveaRegion:
 
     def disc(self, arrays: Arrays) -> Disc:
         """The pixels and their weights on the device."""
-        plain = arrays.plain
-        if not self.count:
-            nothing = dr.zeros(plain.UInt, 0), dr.zeros(plain.Float, 0)
-            return Disc(arrays, self.width, self.height, *nothing, None, False)
-        pixels, weights = self._listed(arrays)
-        # In one kernel with what needs them first.
-        dr.schedule(pixels, weights)
-        return Disc(arrays, self.width, self.height, pixels, weights, self.box, self.covers_frame)
+        # Only now: who writes down where the fovea is need not load Dr.Jit.
+        from compose.fovea.disc import Disc
 
-    def _listed(self, arrays: Arrays) -> tuple[Any, Any]:
-        """Row-major indices (D,) and weights (D,), not evaluated."""
-        plain, rows = arrays.plain, self._rows
-        if self.covers_frame:
-            return dr.arange(plain.UInt, self.count), dr.full(plain.Float, 1, self.count)
-        # The number of rows is part of the kernel, so there are as many as the next power of two.
+        return Disc.in_region(arrays, self)
+
+    def tables(self) -> tuple[NDArray[np.uint32], NDArray[np.float32], int]:
+        """What a kernel needs to list the pixels; there must be one, and the region must not cover the frame.
+
+        Returns:
+            Numbers of pixels above each of P rows, first columns of P rows, the first row, and the frame's
+            width; squared distances of P rows from the centre, the centre of column 0 as seen from there, the
+            radius at which the weight is 0, its slope per pixel, and what is left out of the splats' weight;
+            and P, a power of two that is at least the number of rows.
+        """
+        rows = self._rows
         size = 1 << max(len(rows.before) - 1, 63).bit_length()
-        fill = size - len(rows.before)
-        table = [np.pad(rows.before, (0, fill), constant_values=self.count), np.pad(rows.start, (0, fill))]
-        ints = uploaded(plain.UInt, np.concatenate([*table, [rows.top, self.width]]).astype(np.uint32))
-        floats = uploaded(
-            plain.Float,
-            np.concatenate(
-                [np.pad(rows.down_squared, (0, fill)), [0.5 - self.centre[0], *self._slope, self.faded]]
-            ).astype(np.float32),
-        )
-        # Read at a literal, each would be copied on its own.
-        end, one = arrays.constant(size), arrays.constant(1)
-        shift, outer, slope, faded = (dr.gather(plain.Float, floats, end + i) for i in range(4))
-        top, width = (dr.gather(plain.UInt, ints, 2 * end + i) for i in range(2))
-        index = dr.arange(plain.UInt, self.count)
-        row = dr.binary_search(0, size - 1, lambda at: dr.gather(plain.UInt, ints, at + one) <= index)
-        column = dr.gather(plain.UInt, ints, size + row) + index - dr.gather(plain.UInt, ints, row)
-        across = plain.Float(column) + shift
-        radius = dr.sqrt(dr.square(across) + dr.gather(plain.Float, floats, row))
-        weight = dr.clip((outer - radius) * slope, 0, 1)
-        return (top + row) * width + column, weight + (1 - weight) * faded
+        fill = 0, size - len(rows.before)
+        before = np.pad(rows.before, fill, constant_values=self.count)
+        integers = np.concatenate([before, np.pad(rows.start, fill), [rows.top, self.width]])
+        numbers = [0.5 - self.centre[0], *self._slope, self.faded]
+        floats = np.concatenate([np.pad(rows.down_squared, fill), numbers])
+        return integers.astype(np.uint32), floats.astype(np.float32), size
 
     def foveal_tiles(self, tile: int) -> NDArray[np.bool_]:
         """(rows, columns) bool: tiles that overlap the rectangle around the disc, `tile` pixels per side."""

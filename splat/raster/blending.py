@@ -26,7 +26,7 @@ from splat.raster.projection import Splats
 MAXIMUM_ALPHA = 0.99
 # To find out which blocks show a pair costs 1/40 of blending it. Where tiles have more pairs than this on
 # average, blocks may well stop long before the end, and then it does not pay.
-_LONG_LIST = 400
+_LONG_LIST = 256
 
 
 def rasterize(arrays: Arrays, splats: Splats, bins: Bins, image: Any = None) -> Any:

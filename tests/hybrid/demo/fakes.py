@@ -26,7 +26,7 @@ def shown(request: Request = REQUEST, image: np.ndarray | None = None, **other: 
     camera = request.settings.camera or CAMERA
     if image is None:
         image = np.full((camera.height, camera.width, 3), 128, dtype=np.uint8)
-    samples = SimpleNamespace(count=np.array([2.0, 3.0], dtype=np.float32))
+    samples = SimpleNamespace(mean_count=lambda: 2.5)
     frame: Any = SimpleNamespace(
         camera=camera,
         nodes_drawn=12_345,
