@@ -17,6 +17,7 @@ from pathtrace.scene.scene import load_scene
 from splat.raster.tiles import TILE
 from tests import small
 from tests.compose.arrays_of import host
+from tests.hybrid.frame.passes import waits
 
 
 @pytest.fixture(scope="module")
@@ -113,6 +114,7 @@ def test_times_are_those_of_the_passes_in_their_order(live, settings):
     for number in range(2):
         milliseconds = live.frame(settings, number).milliseconds
         passes = ["region", "detail", "splat", "fill", "underlay", "trace", "fovea", "blend"]
+        passes += waits()
         assert list(milliseconds) == [*passes, "total"]
         assert sum(milliseconds[name] for name in passes) == pytest.approx(milliseconds["total"])
 
@@ -125,7 +127,7 @@ def test_a_frame_is_refined_in_its_disc_only(live, settings):
     changed = (better.composite != first.composite).any(axis=2)
     assert changed.any()
     assert not (changed & (first.region.weight_image() == 0)).any()
-    assert list(better.milliseconds) == ["trace", "fovea", "blend", "total"]
+    assert list(better.milliseconds) == ["trace", "fovea", "blend", *waits(), "total"]
     weight = first.weight_image()[..., None]
     expected = weight * better.of_disc(better.fovea.radiance) + (1 - weight) * live.splats(settings)
     np.testing.assert_allclose(better.composite, expected, atol=1e-5)

@@ -29,6 +29,7 @@ from splat.training.views import TrainingView
 from tests import small
 from tests.compose.arrays_of import host
 from tests.hybrid.forests import white_dot
+from tests.hybrid.frame.passes import waits
 
 pytestmark = pytest.mark.usefixtures("backend")
 RAW = FrameSettings(fov_a=40, fov_b=20, spp=1, fovea="raw", acuity_model="none")
@@ -115,6 +116,7 @@ def test_without_a_camera_the_scenes_own_view_is_rendered(renderer):
 def test_times_are_those_of_the_passes_in_their_order(renderer):
     milliseconds = renderer.frame(replace(RAW, fovea="fused")).milliseconds
     passes = ["region", "detail", "splat", "fill", "underlay", "trace", "fovea", "blend"]
+    passes += waits()
     assert list(milliseconds) == [*passes, "total"]
     assert sum(milliseconds[name] for name in passes) == pytest.approx(milliseconds["total"])
 
