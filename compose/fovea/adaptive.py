@@ -11,7 +11,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from compose.base.arrays import Arrays
+from compose.base.arrays import Arrays, constant
 from compose.fovea.counts import Counts
 
 # Least and greatest worth of a pixel, relative to the mean.
@@ -96,20 +96,20 @@ def allotted(worth: Any, have: Any, total: int, seed: int) -> int | Counts:
     have, most = wide(have), _MOST_AT_ONCE * total / size
     least = dr.select(have < 1, wide(1), 0)
     low, high = dr.opaque(wide, 0.0), dr.opaque(wide, (most_have + most) / least_worth)
-    limit = dr.opaque(wide, most)
+    # Opaque: what depends on the size of the disc would be compiled into kernels.
+    limit, whole = dr.opaque(wide, most), dr.opaque(wide, total)
     for _ in range(_HALVINGS):
         level = 0.5 * (low + high)
-        few = dr.sum(_due(worth, have, level, least, limit)) < total
+        few = dr.sum(_due(worth, have, level, least, limit)) < whole
         low, high = dr.select(few, level, low), dr.select(few, high, level)
         dr.eval(low, high)
     due = _due(worth, have, 0.5 * (low + high), least, limit)
     start = dr.opaque(wide, np.random.default_rng(seed).random())
-    end = dr.cumsum(due) * (total / dr.sum(due))
-    # Exactly the total, whatever the rounding of sums.
-    last = dr.arange(dr.uint32_array_t(wide), size) == size - 1
-    end = dr.floor(dr.select(last, dr.opaque(wide, total), end) + start)
-    dr.eval(end)
+    end = dr.cumsum(due) * (whole / dr.sum(due))
     index = dr.arange(dr.uint32_array_t(wide), size)
+    # Exactly the total, whatever the rounding of sums.
+    end = dr.floor(dr.select(index == constant(type(index), size - 1), whole, end) + start)
+    dr.eval(end)
     before = dr.gather(wide, end, index - 1, index > 0)
     # Sums of parts, whose rounding may let one fall below the one before it.
     each = dr.uint32_array_t(type(end))(dr.maximum(end - before, 0))
