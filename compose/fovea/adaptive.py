@@ -58,7 +58,7 @@ def window_sum(arrays: Arrays, image: Any, shape: tuple[int, int], window: int) 
     row = index // width
     column = index - row * width
     for axis in range(2):
-        # Only evaluated arrays can be indexed; and their sum is no function of this one's neighbours.
+        # Each pass looks up what the one before made of a pixel's neighbours.
         dr.eval(image)
         total = 0.0
         for shift in range(-(window // 2), window // 2 + 1):

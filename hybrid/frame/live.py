@@ -35,7 +35,7 @@ class LiveRenderer(Renderer):
         UserError: the forest belongs to another scene.
     """
 
-    _is_quick = True
+    _is_quick, _effort = True, MOVING
 
     def __init__(self, scene: Scene, forest: Forest):
         super().__init__(scene, forest, history=True, roulette_depth=_ROULETTE_DEPTH)
@@ -60,15 +60,13 @@ class LiveRenderer(Renderer):
 
     def _fill(self, camera: Camera, settings: FrameSettings, seed: int) -> Fill | None:
         """As of `Renderer`: quickly while the camera moves, and once when it stands still."""
-        if not settings.fill:
-            return None
         integrator = settings.used_integrator
         # Until all light is renewed, what was traced before is old.
-        if self._still and self.light_renewed == 1:
+        if settings.fill and self._still and self.light_renewed == 1:
             return self._filler.kept(
                 camera, self.tracer, lambda: self.tracer_of(integrator), integrator, seed
             )
-        return self._filler.fill(camera, self.tracer, lambda: self.tracer_of(integrator), MOVING, seed)
+        return super()._fill(camera, settings, seed)
 
     def _underlay(
         self,

@@ -57,6 +57,8 @@ class Renderer:
 
     # Whether samples are distributed evenly, and made an image by the quicker denoiser.
     _is_quick = False
+    # How well what the forest does not know is traced.
+    _effort = STILL
 
     def __init__(
         self,
@@ -243,7 +245,7 @@ class Renderer:
         if not settings.fill:
             return None
         integrator = settings.used_integrator
-        return self._filler.fill(camera, self.tracer, lambda: self.tracer_of(integrator), STILL, seed)
+        return self._filler.fill(camera, self.tracer, lambda: self.tracer_of(integrator), self._effort, seed)
 
     def underlay(
         self, camera: Camera, settings: FrameSettings, region: FoveaRegion, fill: Fill | None = None
