@@ -13,6 +13,7 @@ import numpy as np
 
 from compose.base.arrays import Arrays, constant
 from compose.fovea.counts import Counts
+from compose.image.device import srgb_curve
 
 # Least and greatest worth of a pixel, relative to the mean.
 _LEAST, _MOST = 0.15, 5.0
@@ -45,9 +46,8 @@ def disagreement(arrays: Arrays, denoised: list[Any], splat: list[Any], shape: t
 
 
 def _srgb(radiance: Any) -> Any:
-    """Linear radiance clipped to 0..1, on the sRGB curve, as of compose.image.colour; NaN stays."""
-    clipped = dr.select(radiance > 1, 1, dr.select(radiance < 0, 0, radiance))
-    return dr.select(clipped <= 0.0031308, 12.92 * clipped, 1.055 * dr.power(clipped, 1 / 2.4) - 0.055)
+    """Linear radiance clipped to 0..1, on the sRGB curve; NaN stays."""
+    return srgb_curve(dr.select(radiance > 1, 1, dr.select(radiance < 0, 0, radiance)))
 
 
 def window_sum(arrays: Arrays, image: Any, shape: tuple[int, int], window: int) -> Any:

@@ -13,6 +13,12 @@ from compose.base.arrays import Arrays, uploaded
 from compose.image.colour import Image
 
 
+def srgb_curve(linear: Any) -> Any:
+    """Floats from 0 to 1 on the sRGB curve (IEC 61966-2-1), as of compose.image.colour; NaN stays."""
+    curve = dr.fma(1.055, dr.power(linear, 1 / 2.4), -0.055)
+    return dr.select(linear <= 0.0031308, 12.92 * linear, curve)
+
+
 @dataclass(frozen=True)
 class DeviceImage:
     """An image of linear radiance, possibly part of a larger buffer.

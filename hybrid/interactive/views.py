@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.image.colour import Image, srgb_from_radiance
+from compose.image.device import srgb_curve
 from hybrid.frame.frame import Frame
 from hybrid.interactive.converging import ConvergingFrame
 from hybrid.interactive.request import View
@@ -58,9 +59,7 @@ def _srgb_bytes(radiance: Image) -> NDArray[np.uint8]:
 
 def _bytes_of(flat: Any, shape: tuple[int, ...]) -> NDArray[np.uint8]:
     """sRGB bytes of linear radiance that is on the device: all that leaves it of a frame."""
-    linear = dr.fmin(dr.fmax(flat, 0), 1)
-    curve = dr.fma(1.055, dr.power(linear, 1 / 2.4), -0.055)
-    value = dr.fma(dr.select(linear <= 0.0031308, 12.92 * linear, curve), 255, 0.5)
+    value = dr.fma(srgb_curve(dr.fmin(dr.fmax(flat, 0), 1)), 255, 0.5)
     return np.asarray(dr.uint8_array_t(type(value))(value)).reshape(shape)
 
 
