@@ -54,17 +54,21 @@ class Blocks:
     """
 
     def __init__(self, arrays: Arrays, bins: Bins, everywhere: bool = False):
-        Float, UInt, grid = arrays.plain.Float, arrays.plain.UInt, bins.grid
-        self._arrays = arrays
-        self.side = grid.side // LANES_ACROSS
-        self.pixels = self.side**2
+        UInt, grid = arrays.plain.UInt, bins.grid
         tiles = grid.columns * grid.rows if everywhere else dr.width(bins.tiles)
         lane = dr.arange(UInt, tiles * LANES_ACROSS**2)
         tile = lane // LANES_ACROSS**2
         if not everywhere:
             tile = dr.gather(UInt, bins.tiles, tile)
-        self.number = lane % LANES_ACROSS**2
-        left, top = first_pixel(arrays, grid, tile)
+        self._place(arrays, bins, tile, lane % LANES_ACROSS**2)
+
+    def _place(self, arrays: Arrays, bins: Bins, tile: Any, number: Any) -> None:
+        """Gives each lane the block with a number in a tile."""
+        Float, UInt = arrays.plain.Float, arrays.plain.UInt
+        self._arrays, self.number = arrays, number
+        self.side = bins.grid.side // LANES_ACROSS
+        self.pixels = self.side**2
+        left, top = first_pixel(arrays, bins.grid, tile)
         self.x = left + self.number % LANES_ACROSS * self.side
         self.y = top + self.number // LANES_ACROSS * self.side
         self.centre_x, self.centre_y = Float(self.x) + 0.5, Float(self.y) + 0.5

@@ -11,7 +11,7 @@ import drjit as dr
 from compose.base.arrays import Arrays
 from splat.raster.binning import MINIMUM_ALPHA, Bins
 from splat.raster.blending import MAXIMUM_ALPHA
-from splat.raster.blocks import LOG2_E, Blocks, Shown, blended_records, exp2, first_pixel
+from splat.raster.blocks import LOG2_E, Blocks, Shown, blended_records, exp2
 from splat.raster.projection import Splats
 from splat.raster.records import RecordLayout, Records
 from splat.raster.tiles import LANES_ACROSS
@@ -162,15 +162,7 @@ class _OneBlock(Blocks):
     """
 
     def __init__(self, arrays: Arrays, bins: Bins, position: Any, number: Any):
-        Float, UInt = arrays.plain.Float, arrays.plain.UInt
-        self._arrays = arrays
-        self.side = bins.grid.side // LANES_ACROSS
-        self.pixels = self.side**2
-        tile = dr.gather(UInt, bins.tiles, position)
-        left, top = first_pixel(arrays, bins.grid, tile)
-        self.x, self.y = left + number % LANES_ACROSS * self.side, top + number // LANES_ACROSS * self.side
-        self.centre_x, self.centre_y = Float(self.x) + 0.5, Float(self.y) + 0.5
-        self.first, self.last = dr.gather(UInt, bins.start, tile), dr.gather(UInt, bins.end, tile)
+        self._place(arrays, bins, dr.gather(arrays.plain.UInt, bins.tiles, position), number)
 
 
 def _block_sums(
