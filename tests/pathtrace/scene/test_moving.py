@@ -18,6 +18,7 @@ from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer
 from tests import small
+from tests.compose.arrays_of import channels, floats, host
 from tests.extremes import extreme
 
 pytestmark = pytest.mark.usefixtures("backend")
@@ -279,7 +280,7 @@ def test_dictionaries_can_be_given_a_motion(tmp_path):
     assert 0.02 < (np.abs(hits(scene) - before).max(axis=1) > 1e-3).mean() < 0.3
 
 
-def test_samples_tell_which_mover_they_show(tmp_path):
+def test_samples_tell_which_mover_they_show(tmp_path, arrays):
     """Two that move rigidly, one that deforms, and a wall that stands still; at rest, all are in place."""
     formula = {"formula": ["x", "y + 0.1 * t", "z"]}
     turning = keys({"t": 0}, {"t": 1, "translate": [0, 0.5, 0], "degrees": 40}, about=[1, 0, 0])
@@ -301,7 +302,8 @@ def test_samples_tell_which_mover_they_show(tmp_path):
         # At silhouettes, samples beside the centre of a pixel may show something else.
         assert (mover != expected).mean() < 0.06
         assert set(np.unique(mover)) == {0, 1, 2, UNSTEADY}
-    rest = scene.moving.moment().at_rest(points.astype(np.float32), expected.astype(np.uint16))
+    given = channels(arrays, points), floats(arrays, expected)
+    rest = host(scene.moving.moment().at_rest(arrays, *given))
     np.testing.assert_allclose(np.linalg.norm(rest[expected == 2], axis=1), 0.2, atol=1e-4)
     assert np.abs(rest[expected == 1] - [1, 0, 0]).max() < 0.3 + 1e-4
     still = (expected == 0) & (at_start[:, 2] > 1)
