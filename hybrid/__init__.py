@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from hybrid.frame.frame import Frame as Frame
     from hybrid.frame.renderer import Renderer as Renderer
     from hybrid.frame.settings import FrameSettings as FrameSettings
-    from hybrid.frame.splat_frame import SplatRenderer as SplatRenderer
+    from hybrid.frame.splat_renderer import SplatRenderer as SplatRenderer
     from hybrid.preparation.settings import PreparationSettings as PreparationSettings
     from pathtrace.base.backend import select_backend as select_backend
     from pathtrace.dataset.frames import FrameSet as FrameSet
@@ -57,7 +57,7 @@ _MODULES = {
     "PreparationSettings": "hybrid.preparation.settings",
     "Renderer": "hybrid.frame.renderer",
     "Scene": "pathtrace.scene.scene",
-    "SplatRenderer": "hybrid.frame.splat_frame",
+    "SplatRenderer": "hybrid.frame.splat_renderer",
     "TrainingSettings": "splat.training.trainer",
     "UserError": "compose.base.errors",
     "capture": "hybrid.api.scenes",

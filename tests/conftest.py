@@ -17,7 +17,6 @@ from tests.extremes import (  # noqa: F401  (hooks and a fixture of pytest)
     pytest_addoption,
     pytest_configure,
     pytest_runtest_makereport,
-    pytest_sessionfinish,
 )
 
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared"

@@ -25,7 +25,6 @@ MARK = "extremes"
 _OPTION = "--extremes-json"
 _Value = TypeVar("_Value")
 _got = pytest.StashKey[list[str]]()
-_rows = pytest.StashKey[list[dict[str, object]]]()
 
 
 def extreme(name: str, *, given: str, expected: str) -> pytest.MarkDecorator:
@@ -45,7 +44,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", f"{MARK}(name, given, expected): a row of the table of extremes")
-    config.stash[_rows] = []
+    path = config.getoption(_OPTION)
+    # Processes that run tests for another one send it their reports.
+    if path and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(_Table(Path(path)))
 
 
 @pytest.fixture
@@ -69,16 +71,15 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]):
     notes = ", ".join(item.stash.get(_got, []))
     if report.passed and not notes:
         report.outcome, report.longrepr = "failed", f"{item.nodeid}: a row of the table must say what it got"
-    item.config.stash[_rows].append(
-        {
-            "name": mark.kwargs["name"],
-            "input": mark.kwargs["given"],
-            "expected": mark.kwargs["expected"],
-            "got": notes or str(getattr(report.longrepr, "reprcrash", report.longrepr)).splitlines()[0],
-            "backend": _backend(item),
-            "passed": report.passed,
-        }
-    )
+    row = {
+        "name": mark.kwargs["name"],
+        "input": mark.kwargs["given"],
+        "expected": mark.kwargs["expected"],
+        "got": notes or str(getattr(report.longrepr, "reprcrash", report.longrepr)).splitlines()[0],
+        "backend": _backend(item),
+        "passed": report.passed,
+    }
+    report.user_properties.append((MARK, row))
     return report
 
 
@@ -93,11 +94,18 @@ def _backend(item: pytest.Item) -> str:
     return "none"
 
 
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    path = session.config.getoption(_OPTION)
-    if path:
-        rows = sorted(session.config.stash[_rows], key=lambda row: (row["name"], row["backend"]))
-        Path(path).write_text(json.dumps(rows, indent=1) + "\n")
+class _Table:
+    """Collects the rows from the reports, and writes them to a file in the end."""
+
+    def __init__(self, path: Path):
+        self._path, self._rows = path, []
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self._rows += [row for name, row in report.user_properties if name == MARK]
+
+    def pytest_sessionfinish(self) -> None:
+        rows = sorted(self._rows, key=lambda row: (row["name"], row["backend"]))
+        self._path.write_text(json.dumps(rows, indent=1) + "\n")
 
 
 def page(rows: list[dict[str, object]]) -> str:

@@ -43,13 +43,13 @@ class Arrays:
         self.plain: ModuleType = drjit.llvm if backend == "llvm" else drjit.cuda
         self.ad: ModuleType = self.plain.ad
 
-    def number(self, value: int) -> Any:
+    def constant(self, value: int) -> Any:
         """UInt of width 1 that kernels read from memory: the same kernel serves every value.
 
         A literal would be compiled into the kernel. Use this for everything that depends on the size of a
-        frame, the gaze or the camera.
+        frame, the gaze or the camera. It is kept for values that come back.
         """
-        return dr.opaque(self.plain.UInt, value)
+        return constant(self.plain.UInt, value)
 
     def from_torch(self, tensor: torch.Tensor) -> Any:
         """Differentiable flat Float of a tensor's elements; shares the memory of a contiguous tensor."""
@@ -69,7 +69,7 @@ class Arrays:
         for part, width in zip(parts, widths, strict=True):
             # Dr.Jit refuses arithmetic with arrays of width 0.
             if width:
-                index = dr.arange(self.plain.UInt, width) + self.number(start)
+                index = dr.arange(self.plain.UInt, width) + self.constant(start)
                 dr.scatter(result, part, index, mode=dr.ReduceMode.Permute)
             start += width
         return result
@@ -101,10 +101,6 @@ class Arrays:
             order = step if order is None else dr.gather(self.plain.UInt, order, step)
             shift += bits
         return order
-
-    def constant(self, value: int) -> Any:
-        """Like `number`, but made once: for values that come back frame after frame, such as sizes."""
-        return constant(self.plain.UInt, value)
 
     def scalars(self, kind: Any, values: Sequence[float]) -> list[Any]:
         """Numbers as arrays of a kind and of width 1 that kernels read from memory, all in one upload.

@@ -42,7 +42,7 @@ class SeenSurfaces:
         if not cameras or depths.ndim != 3 or len(depths) != len(cameras) or not depths.size:
             raise ValueError(f"depth maps of shape {depths.shape} for {len(cameras)} views")
         self._arrays, self._views_given = arrays, len(cameras)
-        self._count, self._rows, self._columns = (arrays.number(side) for side in depths.shape)
+        self._count, self._rows, self._columns = (arrays.constant(side) for side in depths.shape)
         self._depths = uploaded(arrays.plain.Float, depths.astype(np.float32))
         self._views = uploaded(
             arrays.plain.Float, np.stack([_floats(camera, *depths.shape[1:]) for camera in cameras])

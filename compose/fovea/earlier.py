@@ -152,7 +152,7 @@ class EarlierViews:
     def _slot(self, index: Any) -> Any:
         """Where in the ring the samples at an index are."""
         # Its size is a power of two.
-        return index + self.arrays.number(self._first) & self.arrays.number(self._room - 1)
+        return index + self.arrays.constant(self._first) & self.arrays.constant(self._room - 1)
 
     def _empty(self) -> tuple[Any, Any]:
         Float = self.arrays.plain.Float
@@ -178,8 +178,8 @@ class EarlierViews:
         """Copies a view's samples to the ring, from an index on."""
         plain = self.arrays.plain
         tag = plain.UInt(view.gloss) | plain.UInt(view.mover) << (_GLOSS_BITS + _VIEW_BITS)
-        tag |= self.arrays.number(number << _GLOSS_BITS)
-        slot = self._slot(dr.arange(plain.UInt, dr.width(tag)) + self.arrays.number(start))
+        tag |= self.arrays.constant(number << _GLOSS_BITS)
+        slot = self._slot(dr.arange(plain.UInt, dr.width(tag)) + self.arrays.constant(start))
         self._scatter(plain.ArrayXf([*view.position, plain.Float(tag)]), plain.ArrayXf(view.records), slot)
 
     def _scatter(self, places: Any, records: Any, slot: Any) -> None:

@@ -115,13 +115,13 @@ def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) ->
     place = _now(views, views.places(dr.arange(plain.UInt, views.samples)))
     sight = _relative(arrays, place, [dr.opaque(plain.Float64, side) for side in camera.position.tolist()])
     across, down, inside = _quarters(arrays, sight, camera, surfaces)
-    pixel = (down >> 1) * arrays.number(width) + (across >> 1)
+    pixel = (down >> 1) * arrays.constant(width) + (across >> 1)
     distance = dr.sqrt(plain.Float(_product(sight, sight)))
     # Whatever was visible from this very position still is.
     certain, unchanged = _compared(views, place, sight, camera)
     holds = inside & (certain | (surfaces.contain(pixel, distance, place.gloss, inside) & unchanged))
     quarter = pixel << 2 | (down & 1) << 1 | across & 1
-    quarter = dr.select(holds, quarter, arrays.number(4 * height * width))
+    quarter = dr.select(holds, quarter, arrays.constant(4 * height * width))
     bits = dr.reinterpret_array(plain.UInt, distance)
     # Reductions in kernels of their own take a third of the time.
     dr.eval(quarter, bits, certain)
@@ -176,7 +176,7 @@ def _visible(arrays: Arrays, arrivals: _Arrivals, pixels: int) -> tuple[Any, Any
     # Whatever lies behind something nearer in the same quarter of a pixel is hidden by it.
     nearest = as_float(dr.gather(UInt, arrivals.front, arrivals.quarter))
     seen = arrivals.certain | (as_float(arrivals.distance) <= nearest * (1 + SAME_SURFACE))
-    pixel = dr.select(seen, arrivals.quarter >> 2, arrays.number(pixels))
+    pixel = dr.select(seen, arrivals.quarter >> 2, arrays.constant(pixels))
     dr.eval(pixel)
     count = dr.zeros(UInt, pixels + 1)
     # Direct: pixels are many, so that threads rarely meet.

@@ -54,10 +54,10 @@ class VisibleSurfaces:
         rows, columns = box
         height, width = rows.stop - rows.start, columns.stop - columns.start
         # A frame of one pixel around the rectangle spares its edges a test.
-        row = new.pixels // arrays.number(camera.width)
-        column = new.pixels - row * arrays.number(camera.width)
-        corner = arrays.number(rows.start), arrays.number(columns.start)
-        target = (row - corner[0] + 1) * arrays.number(width + 2) + (column - corner[1] + 1)
+        row = new.pixels // arrays.constant(camera.width)
+        column = new.pixels - row * arrays.constant(camera.width)
+        corner = arrays.constant(rows.start), arrays.constant(columns.start)
+        target = (row - corner[0] + 1) * arrays.constant(width + 2) + (column - corner[1] + 1)
         sampled = _sampled(arrays, camera, new, target, (height + 2) * (width + 2))
         return VisibleSurfaces(arrays, rows, columns, _around(arrays, sampled, height, width))
 
@@ -97,8 +97,8 @@ def _around(arrays: Arrays, sampled: Any, height: int, width: int) -> Any:
     plain = arrays.plain
     index, across, stride = (
         dr.arange(plain.UInt, height * width),
-        arrays.number(width),
-        arrays.number(width + 2),
+        arrays.constant(width),
+        arrays.constant(width + 2),
     )
     row = index // across
     corner = row * stride + (index - row * across)

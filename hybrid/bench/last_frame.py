@@ -18,7 +18,7 @@ from compose.eye.detail import DetailMap
 from compose.image.colour import Image
 from hybrid.frame.periphery import Periphery
 from hybrid.frame.settings import FrameSettings
-from hybrid.frame.splat_frame import SplatRenderer
+from hybrid.frame.splat_renderer import SplatRenderer
 from hybrid.runtime.device import device_arrays
 from splat.lod.layer_images import at_corners
 from splat.model.forest import Forest
@@ -58,7 +58,7 @@ class LastFrameRenderer:
 
     def frame(self, settings: FrameSettings) -> Image:
         """(H, W, 3) the next frame, once its nodes are selected."""
-        return self._ready.frame(settings).image
+        return self._ready.frame(settings).composite
 
     def selected(self, settings: FrameSettings) -> NDArray[np.bool_]:
         """(N,) which nodes of all layers reach a cell for which their layer is drawn."""

@@ -24,7 +24,7 @@ from hybrid.evaluation.equal_time import at_equal_time
 from hybrid.evaluation.families import enlarged
 from hybrid.frame.live import LiveRenderer
 from hybrid.frame.settings import FrameSettings
-from hybrid.frame.splat_frame import SplatRenderer
+from hybrid.frame.splat_renderer import SplatRenderer
 from hybrid.measure.metrics.fovvideovdp import jod_of_video
 from hybrid.measure.metrics.psnr import psnr_of_error
 from hybrid.measure.metrics.registration import registration_px
@@ -303,7 +303,7 @@ def _splats(name: str, forest: Forest) -> dict[str, _Frame]:
         return renderer.splats(settings)
 
     def foveated(model: str, settings: FrameSettings, seed: int) -> Image:
-        return renderer.frame(replace(settings, acuity_model=model)).image
+        return renderer.frame(replace(settings, acuity_model=model)).composite
 
     models = _MODELS if len(forest.counts) > 1 else ()
     found: dict[str, _Frame] = {name: whole}

@@ -37,7 +37,7 @@ from hybrid.cli.options import (
 )
 from hybrid.cli.render_frames import FramesRequest, refuse_tracing, render_frames
 from hybrid.cli.target import Target, measuring_command
-from hybrid.frame.settings import DEFAULTS, FrameSettings
+from hybrid.frame.settings import DEFAULTS, FrameSettings, aovs_of_file
 from hybrid.runtime.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -313,7 +313,7 @@ def _render_frame(
     from hybrid.output.images import write_srgb
     from hybrid.pictures.levels import detail_picture
 
-    frame = Renderer(scene, forest).frame(settings, seed)
+    frame = Renderer(scene, forest).frame(replace(settings, aovs=aovs_of_file(output)), seed)
     if detail is not None:
         write_srgb(detail, detail_picture(frame.composite, frame.detail, frame.region))
     return _saved(frame, output, scene)
@@ -328,7 +328,7 @@ def _render_eyes(
     from hybrid.frame.renderer import Renderer
 
     renderer, found = Renderer(scene, forest), {}
-    camera, settings = settings.resolved(scene.camera)
+    camera, settings = replace(settings, aovs=aovs_of_file(output)).resolved(scene.camera)
     for name, eye in zip(EYES, eyes_of(camera, distance / scene.place.unit), strict=True):
         frame = renderer.frame(replace(settings, camera=eye), seed)
         found[name] = _saved(frame, output.with_stem(f"{output.stem}-{name}"), scene)

@@ -11,13 +11,14 @@ import typer
 from compose.base.errors import UserError
 from compose.camera.view import View
 from hybrid.cli.options import sized
-from hybrid.frame.settings import FrameSettings
+from hybrid.frame.settings import FrameSettings, aovs_of_file
 from hybrid.runtime.progress import progress_bar
 
 if TYPE_CHECKING:
     from compose.camera.camera import Camera
     from compose.eye.gaze_trace import GazeTrace
-    from hybrid.frame.splat_frame import SplatFrame, SplatRenderer
+    from hybrid.frame.frame import Frame
+    from hybrid.frame.splat_renderer import SplatRenderer
     from pathtrace.posed.folder import PosedFolder
     from splat.model.forest import Forest
 
@@ -81,7 +82,7 @@ def refuse_tracing(context: typer.Context, folder: Path) -> None:
 
 def render_frames(folder: Path, request: FramesRequest, settings: FrameSettings) -> dict[str, Any]:
     """Renders a frame or a video of a folder; returns what was measured."""
-    from hybrid.frame.splat_frame import SplatRenderer
+    from hybrid.frame.splat_renderer import SplatRenderer
     from pathtrace.posed.reading import read_posed_folder
 
     found = read_posed_folder(folder)
@@ -142,11 +143,13 @@ def _render_frame(renderer: SplatRenderer, request: FramesRequest, settings: Fra
     from hybrid.output.images import write_srgb
     from hybrid.pictures.levels import detail_picture
 
+    # A forest alone knows no depth.
+    settings = replace(settings, aovs=tuple({*aovs_of_file(request.output)} - {"depth"}))
     assert settings.camera is not None
     if request.eyes is None:
         frame = renderer.frame(settings)
         if request.detail is not None:
-            write_srgb(request.detail, detail_picture(frame.image, frame.detail, frame.region))
+            write_srgb(request.detail, detail_picture(frame.composite, frame.detail, frame.region))
         return _saved(frame, request.output)
     found: dict[str, Any] = {}
     for name, eye in zip(EYES, eyes_of(settings.camera, request.eyes), strict=True):
@@ -155,7 +158,7 @@ def _render_frame(renderer: SplatRenderer, request: FramesRequest, settings: Fra
     return found
 
 
-def _saved(frame: SplatFrame, output: Path) -> dict[str, Any]:
+def _saved(frame: Frame, output: Path) -> dict[str, Any]:
     """Writes a frame; returns what was measured."""
     frame.save(output)
     camera, milliseconds = frame.camera, frame.milliseconds

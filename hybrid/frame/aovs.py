@@ -24,28 +24,29 @@ def aovs_of(
         of each parent (fusion.traced, fusion.denoised, fusion.splat); weight of the fovea; eccentricity in
         degrees on the display; level (1 to L); rate (log2 of pixels per sample along each axis).
     """
-    disc = fovea.disc
-    viewer, image_of = settings.display.viewer(disc.width, disc.height), disc.frame_image
+    viewer = settings.display.viewer(fovea.disc.width, fovea.disc.height)
     return {
         "": composite,
         "composite": composite,
-        "fovea": image_of(fovea.radiance),
-        "path-traced": image_of(fovea.samples.radiance),
-        "variance": image_of(fovea.samples.variance()),
-        **_of_parents(fovea),
-        "weight": image_of([disc.weights])[..., 0],
+        **(_of_disc(fovea) if fovea.disc.count else {}),
         "eccentricity": eccentricity(viewer, settings.gaze),
         "level": detail.per_pixel(detail.drawn_level),
         "rate": detail.per_pixel(detail.drawn_rate),
     }
 
 
-def _of_parents(fovea: FoveaImage) -> dict[str, NDArray[np.float32]]:
-    """The AOVs that only a denoised or a fused fovea has."""
-    found = {}
+def _of_disc(fovea: FoveaImage) -> dict[str, NDArray[np.float32]]:
+    """The AOVs of a frame of which any pixel is path-traced."""
+    image_of = fovea.disc.frame_image
+    found = {
+        "fovea": image_of(fovea.radiance),
+        "path-traced": image_of(fovea.samples.radiance),
+        "variance": image_of(fovea.samples.variance()),
+        "weight": image_of([fovea.disc.weights])[..., 0],
+    }
     if fovea.denoised is not None:
-        found["denoised"] = fovea.disc.frame_image(fovea.denoised)
+        found["denoised"] = image_of(fovea.denoised)
     if fovea.weights is not None:
-        shares = fovea.disc.frame_image(fovea.weights)
+        shares = image_of(fovea.weights)
         found |= {f"fusion.{name}": shares[..., i] for i, name in enumerate(PARENTS)}
     return found

@@ -137,10 +137,10 @@ class Filler:
     def _lit(self, disc: Disc, albedo: list[Any], light: Image) -> list[Any]:
         """Radiance of pixels with an albedo in a light (h, w, 3) that is linear between its pixels."""
         plain = self._arrays.plain
-        rows, columns = (self._arrays.number(side) for side in light.shape[:2])
+        rows, columns = (self._arrays.constant(side) for side in light.shape[:2])
         values, pixel = uploaded(plain.Float, light), disc.pixels
-        row = pixel // self._arrays.number(disc.width)
-        column = pixel - row * self._arrays.number(disc.width)
+        row = pixel // self._arrays.constant(disc.width)
+        column = pixel - row * self._arrays.constant(disc.width)
         x, y = ((plain.Float(at) + 0.5) * (1 / _SIDE) - 0.5 for at in (column, row))
         left, top = plain.Int(dr.floor(x)), plain.Int(dr.floor(y))
         total = [plain.Float(0) for _ in range(3)]

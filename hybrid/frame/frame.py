@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,16 +20,6 @@ from hybrid.frame.fovea import FoveaImage
 from hybrid.frame.settings import FrameSettings
 from hybrid.frame.underlay import Underlay
 from hybrid.output.images import save_frame
-
-
-class AovSource(Protocol):
-    """Renders the AOVs that a frame itself does not need."""
-
-    def splats(self, settings: FrameSettings) -> Image:
-        """(H, W, 3) the finest layer over the whole frame."""
-
-    def depth(self, camera: Camera) -> NDArray[np.float32]:
-        """(H, W) depth of the first hit along the view axis, inf where nothing is hit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +38,9 @@ class Frame:
         underlay: the splats under the disc, if fused.
         region: the disc.
         milliseconds: per pass (region, detail, splat, fill, underlay, trace, fovea, blend), and in total.
-        source: renders further AOVs when the frame is saved.
         fill: what was path-traced because the forest does not know it; None if it knows all of the frame.
+        more: by name the AOVs that the settings ask for, (H, W, 3) or (H, W): splat, the finest layer over
+            the whole frame, and depth, of the first hit along the view axis, inf where nothing is hit.
     """
 
     image: DeviceImage
@@ -62,8 +53,8 @@ class Frame:
     underlay: Underlay | None
     region: FoveaRegion
     milliseconds: dict[str, float]
-    source: AovSource = field(repr=False, compare=False)
     fill: Fill | None = None
+    more: dict[str, NDArray[np.float32]] = field(default_factory=dict)
 
     @property
     def composite(self) -> Image:
@@ -91,30 +82,26 @@ class Frame:
     def aovs(self) -> dict[str, NDArray[np.float32]]:
         """The images that the frame consists of, by name: the layers of its EXR file.
 
-        Beside the AOVs of `aovs_of`, these are splat, (H, W, 3) the finest layer over the whole frame,
-        depth, (H, W) along the view axis, both rendered now, and coverage, (H, W) what the forest knows: 1
-        where nothing was filled.
+        Beside the AOVs of `aovs_of` and those that the settings ask for, this is coverage, (H, W) what the
+        forest knows: 1 where nothing was filled.
         """
-        splats, depth = self.source.splats(self.settings), self.source.depth(self.camera)
-        coverage = np.ones(depth.shape, dtype=np.float32)
+        coverage = np.ones((self.camera.height, self.camera.width), dtype=np.float32)
         if self.fill is not None:
             coverage -= self.fill.disc.frame_image([self.fill.disc.weights])[..., 0]
-        return aovs_of(self.composite, self.settings, self.detail, self.fovea) | {
-            "splat": splats,
-            "depth": depth,
-            "coverage": coverage,
-        }
+        found = aovs_of(self.composite, self.settings, self.detail, self.fovea)
+        return {**found, **self.more, "coverage": coverage}
 
     def save(self, path: Path | str) -> None:
-        """Writes the frame: .exr with all AOVs in linear radiance, or .png with the composite in sRGB.
+        """Writes the frame: .exr with its AOVs in linear radiance, or .png with the composite in sRGB.
 
-        The EXR file's header says how paths were traced (`integrator`), and whether the disc is `unbiased`.
+        The EXR file's header says how paths were traced (`integrator`), and whether the disc is `unbiased`;
+        nothing of a frame without a disc.
 
         Raises:
             UserError: the file has another extension, or cannot be written.
         """
-        facts = {
-            "integrator": self.settings.used_integrator.value,
-            "unbiased": str(self.settings.is_unbiased),
-        }
+        facts = {}
+        if self.fovea.disc.count:
+            facts["integrator"] = self.settings.used_integrator.value
+            facts["unbiased"] = str(self.settings.is_unbiased)
         save_frame(path, self.composite, self.aovs, facts)

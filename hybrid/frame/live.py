@@ -91,13 +91,11 @@ class LiveRenderer(Renderer):
             seed: of these samples.
             quick: whether the fovea is made with the quicker denoiser.
         """
-        clock, maker, mode = Clock(), self.fovea_of(frame.settings), frame.settings.fovea
-        self._relight(frame.settings)
-        disc, samples = maker.trace(mode, frame.camera, frame.fovea.disc, spp, seed, frame.underlay, True)
-        clock.lap("trace")
-        fovea = maker.image(mode, disc, samples, frame.splats, frame.underlay, quick)
-        clock.lap("fovea")
-        composite = blend(frame.splats, fovea.radiance, disc)
+        clock, settings = Clock(), replace(frame.settings, spp=spp)
+        self._relight(settings)
+        shown = frame.fovea.disc, seed, frame.splats, frame.underlay
+        fovea = self._fovea(settings, frame.camera, *shown, clock, quick)
+        composite = blend(frame.splats, fovea.radiance, fovea.disc)
         clock.lap("blend")
         return replace(frame, image=composite, fovea=fovea, milliseconds=clock.milliseconds())
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +25,7 @@ from hybrid.frame.frame import Frame
 from hybrid.frame.fusion import fusion_of
 from hybrid.frame.irradiance import CachedTracer, cache_for, filled_cache
 from hybrid.frame.periphery import Periphery
-from hybrid.frame.settings import DEFAULTS, FrameSettings
+from hybrid.frame.settings import DEFAULTS, EXTRA_AOVS, FrameSettings
 from hybrid.frame.underlay import Underlay
 from hybrid.runtime.clock import Clock
 from hybrid.runtime.device import device_arrays
@@ -51,11 +54,11 @@ class Renderer:
     Example:
         >>> scene = hybrid.load_scene("room")
         >>> renderer = hybrid.Renderer(scene, hybrid.load_forest("room.forest"))
-        >>> frame = renderer.frame(hybrid.FrameSettings(gaze=(0.4, 0.6), spp=4))
+        >>> frame = renderer.frame(hybrid.FrameSettings(gaze=(0.4, 0.6), spp=4, aovs=("depth",)))
         >>> frame.save("frame.exr")
     """
 
-    # Whether samples are distributed evenly, and made an image by the quicker denoiser.
+    # Whether samples are distributed evenly and, in a new frame, made an image by the quicker denoiser.
     _is_quick = False
     # How well what the forest does not know is traced.
     _effort = STILL
@@ -164,10 +167,10 @@ class Renderer:
         clock.lap("fill")
         underlay = self._underlay(camera, settings, region, detail, fill)
         clock.lap("underlay")
-        fovea = self._fovea(settings, camera, disc, seed, periphery, underlay, clock)
+        fovea = self._fovea(settings, camera, disc, seed, periphery, underlay, clock, self._is_quick)
         composite = blend(periphery, fovea.radiance, fovea.disc)
         clock.lap("blend")
-        return Frame(
+        frame = Frame(
             image=composite,
             settings=settings,
             camera=camera,
@@ -178,9 +181,9 @@ class Renderer:
             underlay=underlay,
             region=region,
             milliseconds=clock.milliseconds(),
-            source=self,
             fill=fill,
         )
+        return self.with_aovs(frame, settings.aovs) if settings.aovs else frame
 
     def _fovea(
         self,
@@ -191,12 +194,13 @@ class Renderer:
         periphery: DeviceImage | None,
         underlay: Underlay | None,
         clock: Clock,
+        quick: bool,
     ) -> FoveaImage:
-        """Traces a disc and makes the fovea from its samples."""
+        """Traces a disc and makes the fovea from its samples, with the quicker denoiser if `quick`."""
         maker, mode = self.fovea_of(settings), settings.fovea
         disc, samples = maker.trace(mode, camera, disc, settings.spp, seed, underlay, self._is_quick)
         clock.lap("trace")
-        fovea = maker.image(mode, disc, samples, periphery, underlay, self._is_quick)
+        fovea = maker.image(mode, disc, samples, periphery, underlay, quick)
         clock.lap("fovea")
         return fovea
 
@@ -273,7 +277,7 @@ class Renderer:
             [dr.zeros(self._arrays.plain.Float, camera.width * camera.height)] * 3,
         )
         disc = region.disc(self._arrays)
-        fovea = self._fovea(settings, camera, disc, seed, black, underlay, Clock())
+        fovea = self._fovea(settings, camera, disc, seed, black, underlay, Clock(), self._is_quick)
         dr.eval(fovea.radiance)
         dr.sync_thread()
         return fovea
@@ -288,6 +292,11 @@ class Renderer:
         """(H, W, 3) the finest allowed layer over the whole frame, including what a fovea would hide."""
         camera, settings = self._begun(settings)
         return self.periphery.whole(camera, settings).image()
+
+    def with_aovs(self, frame: Frame, names: Sequence[str] = EXTRA_AOVS) -> Frame:
+        """A frame of this renderer with some of EXTRA_AOVS, whatever its settings ask for."""
+        of = {"splat": lambda: self.splats(frame.settings), "depth": lambda: self.depth(frame.camera)}
+        return replace(frame, more={name: of[name]() for name in names})
 
     def depth(self, camera: Camera) -> NDArray[np.float32]:
         """(H, W) depth of the first hit along the view axis, in world units; inf where nothing is hit."""

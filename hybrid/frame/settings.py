@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from compose.base.errors import UserError
@@ -16,8 +17,15 @@ from compose.fovea.region import Foveation
 from hybrid.frame.converted import Converted
 from pathtrace.trace.integrator import Integrator, integrator_named
 
+# AOVs that frames have if their settings ask for them, since each is rendered apart.
+EXTRA_AOVS = "splat", "depth"
 # Samples are counted in float32, which holds all whole numbers up to this one.
 MOST_SPP = 1 << 24
+
+
+def aovs_of_file(path: Path) -> tuple[str, ...]:
+    """The AOVs of EXTRA_AOVS that a frame's file can hold: all of them, or none unless it is EXR."""
+    return EXTRA_AOVS if path.suffix.lower() == ".exr" else ()
 
 
 def _gaze(given: Gaze | tuple[float, float]) -> Gaze:
@@ -70,6 +78,7 @@ class FrameSettings:
         integrator: how paths are traced; None for unbiased paths in a raw fovea and cached ones in others.
         fill: whether what the forest does not know is path-traced, at a lower resolution.
         time: that the frame shows of a scene that moves, from 0 to 1.
+        aovs: which of EXTRA_AOVS are rendered with the frame.
 
     Raises:
         UserError: a value is out of range or unknown.
@@ -89,6 +98,7 @@ class FrameSettings:
     integrator: Converted[Integrator | str | None, Integrator | None] = Converted(_integrator, None)
     fill: bool = True
     time: float = 0.0
+    aovs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         acuity_model_named(self.acuity_model)
@@ -104,6 +114,8 @@ class FrameSettings:
             raise UserError(f"scale {self.scale}: must be above 0 and at most 1")
         if not 0 <= self.time <= 1:
             raise UserError(f"time {self.time:g}: must be from 0 to 1")
+        if unknown := [name for name in self.aovs if name not in EXTRA_AOVS]:
+            raise UserError(f"aovs {unknown[0]}: must be of {', '.join(EXTRA_AOVS)}")
 
     @property
     def used_integrator(self) -> Integrator:
@@ -156,7 +168,7 @@ class FrameSettings:
         return camera, replace(self, camera=camera, display=display, scale=1.0)
 
     def as_json(self) -> dict[str, Any]:
-        """All settings, in types that JSON has; equal for equal settings only."""
+        """All settings of the picture, in types that JSON has; equal for equal settings only."""
         return {
             "gaze": [self.gaze.x, self.gaze.y],
             "fov_a": self.fov_a,

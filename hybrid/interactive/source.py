@@ -117,7 +117,7 @@ class FrameSource:
         """
         if self._last is not None:
             write_srgb(png, self._last.image)
-            self._last.frame.save(png.with_suffix(".exr"))
+            self.renderer.with_aovs(self._last.frame).save(png.with_suffix(".exr"))
 
     def _release_memory(self) -> None:
         """Every two seconds, releases what frames of another size or kind needed."""

@@ -12,7 +12,7 @@ from compose.camera.view import View
 from compose.image.colour import Image
 from hybrid.frame.frame import Frame
 from hybrid.frame.renderer import Renderer
-from hybrid.frame.settings import FrameSettings
+from hybrid.frame.settings import EXTRA_AOVS, FrameSettings
 from hybrid.measure.metrics.registration import registration_px
 from hybrid.measure.metrics.similarity import quality
 from hybrid.measure.reference import REFERENCE_SEED
@@ -26,13 +26,17 @@ class JudgedView:
     """A view with what is shown of it.
 
     Attributes:
-        frame: the hybrid frame.
-        splats, reference: (H, W, 3) radiance of the splats alone, and of denoised path tracing.
+        frame: the hybrid frame, with all AOVs.
+        reference: (H, W, 3) radiance of denoised path tracing.
     """
 
     frame: Frame
-    splats: Image
     reference: Image
+
+    @property
+    def splats(self) -> Image:
+        """(H, W, 3) radiance of the splats alone."""
+        return self.frame.more["splat"]
 
 
 def judged_views(
@@ -56,11 +60,11 @@ def judged_views(
     found = []
     for number, view in enumerate(views):
         progress(number, len(views))
-        own = replace(settings, camera=view.camera, time=view.time)
+        own = replace(settings, camera=view.camera, time=view.time, aovs=EXTRA_AOVS)
         renderer.scene.show(view.time)
         truth_seed = seed + REFERENCE_SEED + number
         truth = render_frame(renderer.tracer, view.camera, reference_spp, truth_seed).radiance
-        found.append(JudgedView(renderer.frame(own, seed + number), renderer.splats(own), truth))
+        found.append(JudgedView(renderer.frame(own, seed + number), truth))
     progress(len(views), len(views))
     return found
 

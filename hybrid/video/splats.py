@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from compose.eye.gaze_trace import GazeTrace
 from compose.image.colour import bytes_from_radiance
 from hybrid.frame.settings import FrameSettings
-from hybrid.frame.splat_frame import SplatRenderer
+from hybrid.frame.splat_renderer import SplatRenderer
 from hybrid.output.video import write_mp4
 from hybrid.video.frames import frame_count
 from hybrid.video.view_path import ViewPath
@@ -56,7 +56,7 @@ def render_splat_video(
             gaze = settings.gaze if trace is None else trace.at(number / fps)
             frame = renderer.frame(replace(settings, camera=view.camera, time=view.time, gaze=gaze))
             times.append(frame.milliseconds)
-            yield bytes_from_radiance(frame.image)
+            yield bytes_from_radiance(frame.composite)
         progress(count, count)
 
     camera = views.at(0.0).camera

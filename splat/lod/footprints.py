@@ -142,7 +142,7 @@ class _LayerBounds:
 
     def __init__(self, arrays: Arrays, gaussians: Gaussians, first: int, end: int, moves: bool):
         self._arrays, self._first = arrays, first
-        self.first = arrays.number(first)
+        self.first = arrays.constant(first)
         # Shared with the forest, which is at rest.
         means = gaussians.means.clone() if moves else gaussians.means
         self.means = [_row(arrays, row) for row in means[:, first:end]]

@@ -50,7 +50,7 @@ def rasterize(arrays: Arrays, splats: Splats, bins: Bins, image: Any = None) -> 
     if not listed:
         return image
     records = blended_records(arrays, splats, bins)
-    block = Blocks(arrays, bins, everywhere)
+    block = Blocks.of_tiles(arrays, bins, everywhere)
     shown = Shown(arrays, bins, records) if _jumps(arrays, bins) else None
 
     def following(i: Any) -> Any:

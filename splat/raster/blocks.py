@@ -37,33 +37,24 @@ _ROUNDING = 12582912.0  # 1.5 * 2^23: adding it rounds a float to an integer in 
 
 
 class Blocks:
-    """The lanes: one per block of pixels, the 16 blocks of a tile side by side.
+    """Lanes that own a block of pixels each.
 
     Args:
         arrays: the backend's array types.
         bins: the tiles and their lists.
-        everywhere: whether tiles that are not rasterized have lanes, too, with nothing to read.
+        tile: UInt (M,), tile of each lane.
+        number: UInt (M,), of its block in the tile, row by row.
 
     Attributes:
         side: of a block in pixels.
         pixels: in a block.
-        number: of each lane's block in its tile, row by row.
+        number: as given.
         x, y: its first pixel.
         centre_x, centre_y: that pixel's centre.
         first, last: range of each lane in the lists; `last` is exclusive.
     """
 
-    def __init__(self, arrays: Arrays, bins: Bins, everywhere: bool = False):
-        UInt, grid = arrays.plain.UInt, bins.grid
-        tiles = grid.columns * grid.rows if everywhere else dr.width(bins.tiles)
-        lane = dr.arange(UInt, tiles * LANES_ACROSS**2)
-        tile = lane // LANES_ACROSS**2
-        if not everywhere:
-            tile = dr.gather(UInt, bins.tiles, tile)
-        self._place(arrays, bins, tile, lane % LANES_ACROSS**2)
-
-    def _place(self, arrays: Arrays, bins: Bins, tile: Any, number: Any) -> None:
-        """Gives each lane the block with a number in a tile."""
+    def __init__(self, arrays: Arrays, bins: Bins, tile: Any, number: Any):
         Float, UInt = arrays.plain.Float, arrays.plain.UInt
         self._arrays, self.number = arrays, number
         self.side = bins.grid.side // LANES_ACROSS
@@ -74,6 +65,22 @@ class Blocks:
         self.centre_x, self.centre_y = Float(self.x) + 0.5, Float(self.y) + 0.5
         self.first = dr.gather(UInt, bins.start, tile)
         self.last = dr.gather(UInt, bins.end, tile)
+
+    @staticmethod
+    def of_tiles(arrays: Arrays, bins: Bins, everywhere: bool = False) -> Blocks:
+        """A lane per block, the 16 of a tile side by side.
+
+        Args:
+            arrays, bins: as for the class.
+            everywhere: whether tiles that are not rasterized have lanes, too, with nothing to read.
+        """
+        UInt, grid = arrays.plain.UInt, bins.grid
+        tiles = grid.columns * grid.rows if everywhere else dr.width(bins.tiles)
+        lane = dr.arange(UInt, tiles * LANES_ACROSS**2)
+        tile = lane // LANES_ACROSS**2
+        if not everywhere:
+            tile = dr.gather(UInt, bins.tiles, tile)
+        return Blocks(arrays, bins, tile, lane % LANES_ACROSS**2)
 
     def is_active(self, i: Any, transmittance: Sequence[Any]) -> Any:
         """Whether splats are left and any pixel of the block still transmits light."""

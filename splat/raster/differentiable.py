@@ -206,7 +206,7 @@ def _in_rows(arrays: Arrays, rows: list[Any]) -> Any:
     """Arrays (N,) one after the other in one: torch waits once, and has nothing to copy."""
     count = dr.width(rows[0])
     block = dr.empty(arrays.plain.Float, len(rows) * count)
-    first, step = dr.arange(arrays.plain.UInt, count), arrays.number(count)
+    first, step = dr.arange(arrays.plain.UInt, count), arrays.constant(count)
     for row in rows:
         dr.scatter(block, dr.detach(row, preserve_type=False), first, mode=dr.ReduceMode.Permute)
         first = first + step

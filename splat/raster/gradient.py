@@ -116,7 +116,7 @@ class _Walk:
         """Adds what the blocks with a number in the tiles at a position contribute to the sums of pairs."""
         arrays, bins = self.arrays, self.bins
         Float, UInt = arrays.plain.Float, arrays.plain.UInt
-        block = _OneBlock(arrays, bins, position, number)
+        block = Blocks(arrays, bins, dr.gather(UInt, bins.tiles, position), number)
         width = bins.grid.padded_width
         flow, final = block.loaded(self.gradient, width), block.loaded(self.image, width)
         behind = [sum(flow[3 * p + c] * final[3 * p + c] for c in range(3)) for p in range(block.pixels)]
@@ -150,19 +150,6 @@ class _Walk:
     def _following(self, i: Any, last: Any, number: Any) -> Any:
         """The first pair from `i` on that a lane looks at."""
         return i if self.shown is None else self.shown.following(i, last, number)
-
-
-class _OneBlock(Blocks):
-    """Lanes that own one block each.
-
-    Args:
-        arrays, bins: as for `Blocks`.
-        position: of the lanes' tiles in `bins.tiles`.
-        number: of the blocks in them, row by row.
-    """
-
-    def __init__(self, arrays: Arrays, bins: Bins, position: Any, number: Any):
-        self._place(arrays, bins, dr.gather(arrays.plain.UInt, bins.tiles, position), number)
 
 
 def _block_sums(

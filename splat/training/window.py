@@ -75,15 +75,15 @@ def blur(
     Float, UInt, Int = arrays.plain.Float, arrays.plain.UInt, arrays.plain.Int
     runs = -(-axis.after // _RUN)
     lane = dr.arange(UInt, runs * axis.lines * CHANNELS)
-    before, after = arrays.number(axis.before), arrays.number(axis.after)
+    before, after = arrays.constant(axis.before), arrays.constant(axis.after)
     if axis.is_horizontal:
-        across_runs = arrays.number(runs)
+        across_runs = arrays.constant(runs)
         rest, channel = lane // CHANNELS, lane % CHANNELS
         line = rest // across_runs
         first, stride = (rest - line * across_runs) * _RUN, UInt(CHANNELS)
         start_in, start_out = line * before * CHANNELS + channel, line * after * CHANNELS + channel
     else:
-        stride = arrays.number(axis.lines * CHANNELS)
+        stride = arrays.constant(axis.lines * CHANNELS)
         run = lane // stride
         first, start_in = run * _RUN, lane - run * stride
         start_out = start_in

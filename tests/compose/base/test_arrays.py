@@ -11,7 +11,7 @@ from compose.base.arrays import Arrays, compressed, uploaded
 
 
 def test_a_number_is_read_from_memory(arrays):
-    number = arrays.number(7)
+    number = arrays.constant(7)
     assert number.numpy().tolist() == [7]
     # A literal would be compiled into the kernels that use it.
     assert number.state == dr.VarState.Evaluated

@@ -82,13 +82,14 @@ def test_a_fused_fovea_has_it_below(unknown, view):
 def test_half_of_a_view_is_filled_and_the_other_half_is_the_splats(scene, forest):
     camera = scene.camera.resized(160, 96)
     known = attach_views(forest, [turned_camera(scene.camera.resized(160, 160), -40)])
-    frame = Renderer(scene, known).frame(replace(PERIPHERY, camera=camera))
-    splats = frame.source.splats(frame.settings)
+    renderer = Renderer(scene, known)
+    frame = renderer.frame(replace(PERIPHERY, camera=camera))
+    splats = renderer.splats(frame.settings)
     coverage = frame.aovs()["coverage"]
     assert 0.1 < frame.filled < 0.9
     assert frame.filled == pytest.approx(1 - coverage.mean(), abs=1e-4)
     np.testing.assert_array_equal(frame.composite[coverage == 1], splats[coverage == 1])
-    reference = radiance_image(frame.source.tracer, camera, frame_positions(camera), 160, 64, 9)
+    reference = radiance_image(renderer.tracer, camera, frame_positions(camera), 160, 64, 9)
     filled = coverage == 0
     assert psnr(frame.composite[filled][None], reference[filled][None]) > 25
 

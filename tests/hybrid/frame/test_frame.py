@@ -11,7 +11,7 @@ from PIL import Image
 from compose.base.errors import UserError
 from compose.image.colour import bytes_from_radiance
 from hybrid.frame.frame import Frame
-from hybrid.frame.settings import FrameSettings
+from hybrid.frame.settings import EXTRA_AOVS, FrameSettings
 from hybrid.output.images import read_exr
 from tests.compose.arrays_of import channels
 
@@ -19,7 +19,7 @@ from tests.compose.arrays_of import channels
 @pytest.fixture(scope="module")
 def frame(renderer) -> Frame:
     camera = renderer.scene.camera.resized(40, 30)
-    return renderer.frame(FrameSettings((0.3, 0.7), 40, 20, 1, camera=camera))
+    return renderer.frame(FrameSettings((0.3, 0.7), 40, 20, 1, camera=camera, aovs=EXTRA_AOVS))
 
 
 def test_values_of_the_disc_lie_at_its_pixels(frame, arrays):
@@ -49,10 +49,23 @@ def test_the_exr_file_holds_every_image_of_the_frame(frame, renderer, tmp_path):
 
 def test_the_splats_in_the_file_are_those_of_the_frames_layers(renderer):
     camera = renderer.scene.camera.resized(40, 30)
-    coarse = renderer.frame(FrameSettings(layers=(1, 1), spp=1, camera=camera))
+    coarse = renderer.frame(FrameSettings(layers=(1, 1), spp=1, camera=camera, aovs=("splat",)))
     np.testing.assert_array_equal(coarse.aovs()["splat"], renderer.splats(coarse.settings))
     fine = renderer.splats(replace(coarse.settings, layers=None))
     assert not np.array_equal(coarse.aovs()["splat"], fine)
+    assert "depth" not in coarse.aovs()
+
+
+def test_a_saved_frame_needs_no_renderer(renderer, tmp_path):
+    """A value: what its settings do not ask for is not in the file, and nothing is rendered for it."""
+    camera = renderer.scene.camera.resized(40, 30)
+    renderer.frame(FrameSettings(spp=1, camera=camera)).save(tmp_path / "f.exr")
+    assert not {"splat.R", "depth.V"} & {*read_exr(tmp_path / "f.exr")}
+
+
+def test_only_known_aovs_are_rendered():
+    with pytest.raises(UserError, match="aovs normal: must be of splat, depth"):
+        FrameSettings(aovs=("depth", "normal"))
 
 
 def test_the_png_file_holds_the_composite_in_srgb(frame, tmp_path):

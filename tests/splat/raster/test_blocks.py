@@ -25,7 +25,7 @@ def blocks_of(arrays, side: int, wanted: np.ndarray | None = None):
     grid = TileGrid(90, 70, side)
     splats = random_splats(arrays, 100, 90, 70)
     bins = bin_splats(arrays, splats, grid, wanted)
-    return Blocks(arrays, bins), bins, splats
+    return Blocks.of_tiles(arrays, bins), bins, splats
 
 
 @pytest.mark.parametrize("side", [8, 16])
