@@ -28,6 +28,7 @@ class DeviceImage:
         values: flat Float, rows of `stride` pixels, of each of which the first three channels count.
         width, height: image in pixels.
         stride, channels: pixels per row of the buffer, and floats per pixel.
+        first_row: of the image that is in the buffer; rows that are not in it are black.
     """
 
     arrays: Arrays
@@ -36,6 +37,7 @@ class DeviceImage:
     height: int
     stride: int
     channels: int = 3
+    first_row: int = 0
 
     @staticmethod
     def of(arrays: Arrays, image: Image) -> DeviceImage:
@@ -61,10 +63,20 @@ class DeviceImage:
             and dr.width(self.values) == self.width * self.height * 3
         )
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether all rows are in the buffer."""
+        return not self.first_row and dr.width(self.values) >= self.height * self.stride * self.channels
+
     def at(self, row: Any, column: Any) -> list[Any]:
         """Three Floats (N,), the radiance of pixels."""
+        known: Any = True
+        if not self.is_whole:
+            # What lies above wraps around to beyond the buffer.
+            row = row - self.arrays.constant(self.first_row)
+            known = row < self.arrays.constant(dr.width(self.values) // (self.stride * self.channels))
         index = (row * self.arrays.constant(self.stride) + column) * self.channels
-        return [dr.gather(self.arrays.plain.Float, self.values, index + c) for c in range(3)]
+        return [dr.gather(self.arrays.plain.Float, self.values, index + c, known) for c in range(3)]
 
     def of_pixels(self, pixels: Any) -> list[Any]:
         """Three Floats (N,), the radiance of pixels by their row-major indices UInt (N,)."""
@@ -93,6 +105,8 @@ class DeviceImage:
         return self.arrays.plain.TensorXf(image.values, (self.height, self.width, 3))
 
     def numpy(self) -> NDArray[np.float32]:
-        """(H, W, 3) host array; on the CPU a view of the same memory."""
+        """(H, W, 3) host array; on the CPU a view of the same memory, unless rows are missing."""
+        if not self.is_whole:
+            return self.packed().numpy()
         rows = np.asarray(self.values).reshape(-1, self.stride, self.channels)
         return rows[: self.height, : self.width, :3]

@@ -69,7 +69,7 @@ def bench_raster(
     for step in range(-warm_up, repeats):
         start = time.perf_counter()
         bins = bin_splats(arrays, splats, grid)
-        image = rasterize(arrays, splats, bins)
+        (image,) = rasterize(arrays, splats, bins)
         dr.sync_thread()
         middle = time.perf_counter()
         rasterize_backward(arrays, splats, bins, image, gradient)

@@ -13,7 +13,6 @@ from hybrid.frame.fill import MOVING, Fill
 from hybrid.frame.frame import Frame
 from hybrid.frame.renderer import Renderer
 from hybrid.frame.settings import INTERACTIVE, FrameSettings
-from hybrid.frame.underlay import Underlay
 from hybrid.runtime.clock import Clock
 from pathtrace.scene.scene import Scene
 from splat.lod.image import SplatImage
@@ -49,14 +48,17 @@ class LiveRenderer(Renderer):
 
     def _drawn(
         self, camera: Camera, settings: FrameSettings, region: FoveaRegion, clock: Clock
-    ) -> tuple[DetailMap, SplatImage]:
+    ) -> tuple[DetailMap, SplatImage, SplatImage | None]:
         view = camera, settings.time
         self._still, self._last_view = view == self._last_view, view
-        detail = self.periphery.detail(camera, settings, moving=not self._still)
+        if not self._still:
+            return super()._drawn(camera, settings, region, clock)
+        detail = self.periphery.detail(camera, settings)
         clock.lap("detail")
-        if self._still:
-            return detail, self.periphery.draw_still(camera, settings, detail, region)
-        return detail, self.periphery.draw(camera, detail, region)
+        drawn = self.periphery.draw_still(camera, settings, detail, region)
+        if settings.fovea is not FoveaMode.FUSED:
+            return detail, drawn, None
+        return detail, drawn, self.periphery.whole_still(camera, settings, detail)
 
     def _fill(self, camera: Camera, settings: FrameSettings, seed: int) -> Fill | None:
         """As of `Renderer`: quickly while the camera moves, and once when it stands still."""
@@ -67,20 +69,6 @@ class LiveRenderer(Renderer):
                 camera, self.tracer, lambda: self.tracer_of(integrator), integrator, seed
             )
         return super()._fill(camera, settings, seed)
-
-    def _underlay(
-        self,
-        camera: Camera,
-        settings: FrameSettings,
-        region: FoveaRegion,
-        detail: DetailMap,
-        fill: Fill | None,
-    ) -> Underlay | None:
-        if not self._still or settings.fovea is not FoveaMode.FUSED:
-            return self.underlay(camera, settings, region, fill)
-        radiance = self.periphery.whole_still(camera, settings, detail).on_device(self._arrays)
-        radiance = radiance if fill is None else fill.over(radiance)
-        return Underlay(camera, radiance, self.periphery.enlargement(camera, settings))
 
     def refined(self, frame: Frame, spp: int, seed: int, quick: bool) -> Frame:
         """A frame with further samples in its disc.

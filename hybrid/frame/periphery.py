@@ -15,7 +15,7 @@ from hybrid.frame.saliency import ViewSaliency
 from hybrid.frame.settings import FrameSettings
 from splat.lod.cached_images import CachedLayerImages
 from splat.lod.image import SplatImage
-from splat.lod.layer_images import LayerImage
+from splat.lod.layer_images import LayerImage, Under
 from splat.lod.renderer import ForestRenderer, finest_frequency
 from splat.model.forest import Forest
 from splat.raster.tiles import TILE
@@ -95,11 +95,23 @@ class Periphery:
 
     def draw(self, camera: Camera, detail: DetailMap, region: FoveaRegion) -> SplatImage:
         """The part of a frame that the fovea leaves visible, drawn with the required detail."""
+        return self._drawn(camera, detail, region, None)[0]
+
+    def draw_with_disc(
+        self, camera: Camera, settings: FrameSettings, detail: DetailMap, region: FoveaRegion
+    ) -> tuple[SplatImage, SplatImage]:
+        """As `draw`, and as `under_disc`, in little more time than the first of them takes."""
+        return self._drawn(camera, detail, region, self._under(settings, region))
+
+    def _drawn(
+        self, camera: Camera, detail: DetailMap, region: FoveaRegion, under: Under | None
+    ) -> tuple[SplatImage, SplatImage]:
         pictures = [
             LayerImage(step.layer, step.rate, detail.weight(number))
             for number, step in enumerate(detail.steps)
         ]
-        return self._renderer.render(camera, pictures, detail.low_pass, region.peripheral_tiles(TILE))
+        wanted = region.peripheral_tiles(TILE)
+        return self._renderer.render_with(camera, pictures, detail.low_pass, wanted, under)
 
     def draw_still(
         self, camera: Camera, settings: FrameSettings, detail: DetailMap, region: FoveaRegion
@@ -130,10 +142,12 @@ class Periphery:
 
     def under_disc(self, camera: Camera, settings: FrameSettings, region: FoveaRegion) -> SplatImage:
         """The finest allowed layer at full rate, over the rectangle around the disc."""
-        wanted = region.foveal_tiles(TILE)
-        corners = (wanted.shape[0] + 1, wanted.shape[1] + 1)
-        picture = LayerImage(self.layers_of(settings)[1], 0, np.ones(corners, dtype=np.float32))
-        return self._renderer.render(camera, [picture], np.full(corners, 0.5, dtype=np.float32), wanted)
+        under = self._under(settings, region)
+        nothing = np.zeros((under.cells.shape[0] + 1, under.cells.shape[1] + 1), np.float32)
+        return self._renderer.render_with(camera, [], nothing, np.zeros_like(under.cells), under)[1]
+
+    def _under(self, settings: FrameSettings, region: FoveaRegion) -> Under:
+        return Under(self.layers_of(settings)[1], region.foveal_tiles(TILE))
 
     def enlargement(self, camera: Camera, settings: FrameSettings) -> float:
         """Side of the pixels that the finest allowed layer was trained on, in pixels of a camera."""

@@ -158,14 +158,14 @@ class Renderer:
         region = settings.foveation.region(camera.width, camera.height)
         disc = region.disc(self._arrays)
         clock.lap("region")
-        detail, drawn = self._drawn(camera, settings, region, clock)
+        detail, drawn, under = self._drawn(camera, settings, region, clock)
         periphery = drawn.on_device(self._arrays)
         clock.lap("splat")
         self._relight(settings)
         fill = self._fill(camera, settings, seed)
         periphery = periphery if fill is None else fill.over(periphery)
         clock.lap("fill")
-        underlay = self._underlay(camera, settings, region, detail, fill)
+        underlay = None if under is None else self._underlay(camera, settings, under, fill)
         clock.lap("underlay")
         fovea = self._fovea(settings, camera, disc, seed, periphery, underlay, clock, self._is_quick)
         composite = blend(periphery, fovea.radiance, fovea.disc)
@@ -206,22 +206,21 @@ class Renderer:
 
     def _drawn(
         self, camera: Camera, settings: FrameSettings, region: FoveaRegion, clock: Clock
-    ) -> tuple[DetailMap, SplatImage]:
-        """The detail of a frame, and the splats that the fovea leaves visible."""
-        detail = self.periphery.detail(camera, settings)
+    ) -> tuple[DetailMap, SplatImage, SplatImage | None]:
+        """The detail of a frame, the splats that the fovea leaves visible and, if fused, those under it."""
+        detail = self.periphery.detail(camera, settings, self._is_quick)
         clock.lap("detail")
-        return detail, self.periphery.draw(camera, detail, region)
+        if settings.fovea is FoveaMode.FUSED:
+            return detail, *self.periphery.draw_with_disc(camera, settings, detail, region)
+        return detail, self.periphery.draw(camera, detail, region), None
 
     def _underlay(
-        self,
-        camera: Camera,
-        settings: FrameSettings,
-        region: FoveaRegion,
-        detail: DetailMap,
-        fill: Fill | None,
-    ) -> Underlay | None:
-        """The splats under the disc of a frame of some detail."""
-        return self.underlay(camera, settings, region, fill)
+        self, camera: Camera, settings: FrameSettings, under: SplatImage, fill: Fill | None
+    ) -> Underlay:
+        """The splats under the disc, with what is filled."""
+        radiance = under.on_device(self._arrays)
+        radiance = radiance if fill is None else fill.over(radiance)
+        return Underlay(camera, radiance, self.periphery.enlargement(camera, settings))
 
     def _begun(self, settings: FrameSettings) -> tuple[Camera, FrameSettings]:
         """The camera and the settings of a frame; scene and forest show its time from now on."""
@@ -257,9 +256,7 @@ class Renderer:
         """The splats under the disc, with what is filled; None unless the settings fuse them with it."""
         if settings.fovea is not FoveaMode.FUSED:
             return None
-        radiance = self.periphery.under_disc(camera, settings, region).on_device(self._arrays)
-        radiance = radiance if fill is None else fill.over(radiance)
-        return Underlay(camera, radiance, self.periphery.enlargement(camera, settings))
+        return self._underlay(camera, settings, self.periphery.under_disc(camera, settings, region), fill)
 
     def disc_alone(self, settings: FrameSettings, seed: int) -> FoveaImage:
         """A frame's disc, without rendering a periphery."""

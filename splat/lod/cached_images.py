@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from compose.camera.camera import Camera
 from splat.lod.compositing import composite
 from splat.lod.image import SplatImage, black_image
-from splat.lod.layer_images import Lattice, LayerImage, covered_cells, pack_atlas
-from splat.lod.renderer import ForestRenderer, tile_side
+from splat.lod.layer_images import NYQUIST, Lattice, LayerImage, covered_cells, pack_atlas
+from splat.lod.renderer import ForestRenderer
 from splat.raster.tiles import TileGrid
 
 
@@ -29,11 +29,10 @@ class CachedLayerImages:
         grid = TileGrid(camera.width, camera.height)
         corners = (grid.rows + 1, grid.columns + 1)
         weight = np.ones(corners, np.float32)
-        tile = tile_side(rate for _, rate in steps)
         images = [LayerImage(layer, rate, weight) for layer, rate in steps]
-        self._entries = pack_atlas(images, grid.mask(None), tile)
+        self._entries = pack_atlas(images, grid.mask(None))
         self._arrays, self._camera = renderer.arrays, camera
-        self._atlas = renderer.draw_atlas(camera, self._entries, np.full(corners, 0.5, np.float32), tile)
+        self._atlas = renderer.draw_atlas(camera, self._entries, np.full(corners, NYQUIST, np.float32))
 
     def composite(self, weights: Sequence[Lattice], wanted: NDArray[np.bool_]) -> SplatImage:
         """The frame with the given weights.

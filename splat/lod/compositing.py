@@ -49,10 +49,10 @@ def composite(
     covered = np.stack([entry.cells.ravel() for entry in entries])
     groups = _groups(covered, [entry.image.rate for entry in entries])
     if frame is None:
-        channels, nodes = 3, atlas.nodes
+        channels = 3
         radiance = dr.empty(Float, grid.padded_width * grid.padded_height * channels)
     else:
-        channels, radiance, nodes = frame.channels, frame.radiance, frame.nodes + atlas.nodes
+        channels, radiance = frame.channels, frame.radiance
         groups = [group for group in groups if group.rates]
     sources = _Sources(arrays, entries, groups, atlas, camera)
     stride = arrays.constant(grid.padded_width)
@@ -68,7 +68,7 @@ def composite(
             dr.scatter(radiance, part, target, mode=dr.ReduceMode.Permute)
     # Only now: scatters that are evaluated together become one kernel.
     dr.eval(radiance)
-    return SplatImage(radiance, camera.width, camera.height, grid.padded_width, channels, nodes)
+    return SplatImage(radiance, camera.width, camera.height, grid.padded_width, channels, atlas.nodes)
 
 
 @dataclass(frozen=True)

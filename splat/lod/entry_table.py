@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 
 from compose.base.arrays import Arrays
-from splat.lod.layer_images import AtlasEntry, Lattice
+from splat.lod.layer_images import NYQUIST, AtlasEntry, Lattice
 from splat.raster.projection import PIXEL_FILTER
 from splat.raster.records import RecordLayout, records_before
 from splat.raster.tiles import TILE
@@ -38,7 +38,6 @@ class EntryTable:
         blurs: for each the widest and the narrowest filter, as multiples of the filter at the pixel grid.
         cutoff: (rows + 1, columns + 1) highest frequency to keep, in cycles per pixel, at the corners of
             cells of TILE pixels.
-        tile: side of the rasterizer's tiles, in samples.
 
     Attributes:
         candidates: how many there are.
@@ -51,7 +50,6 @@ class EntryTable:
         nodes: Sequence[range],
         blurs: Sequence[tuple[float, float]],
         cutoff: Lattice,
-        tile: int,
     ):
         self._arrays, self._count = arrays, len(entries)
         self._rows, self._columns = (arrays.constant(side) for side in cutoff.shape)
@@ -60,13 +58,16 @@ class EntryTable:
         counts = np.zeros((len(entries), *cutoff.shape), dtype=np.int32)
         counts[:, 1:, 1:] = np.stack([entry.cells for entry in entries]).cumsum(axis=1).cumsum(axis=2)
         first = len(entries) * _FLOATS
-        tops = [entry.top // tile for entry in entries]
+        lattices = [cutoff]
+        if any(entry.is_sharp for entry in entries):
+            lattices.append(np.full_like(cutoff, NYQUIST))
+        behind = first + counts.size
         rates = [entry.image.rate for entry in entries]
         rows = _ENTRY.rows(
             start=starts,
             node=[part.start for part in nodes],
             counts=[first + k * cutoff.size for k in range(len(entries))],
-            cutoff=[first + counts.size] * len(entries),
+            cutoff=[behind + cutoff.size if entry.is_sharp else behind for entry in entries],
             widest=[PIXEL_FILTER * widest**2 for widest, _ in blurs],
             # At lower rates pixels look up samples that lie up to one sample away.
             margin=[2.0**rate if rate else 0.0 for rate in rates],
@@ -74,10 +75,10 @@ class EntryTable:
             least_blur=[least for _, least in blurs],
             offset=[entry.top for entry in entries],
             columns=[entry.tiles.shape[1] for entry in entries],
-            top=tops,
-            bottom=[top + entry.tiles.shape[0] for top, entry in zip(tops, entries, strict=True)],
+            top=[entry.tile_rows.start for entry in entries],
+            bottom=[entry.tile_rows.stop for entry in entries],
         )
-        self._records = records_before(arrays, _ENTRY, rows, counts, cutoff)
+        self._records = records_before(arrays, _ENTRY, rows, counts, *lattices)
 
     def of(self, candidate: Any) -> tuple[SimpleNamespace, Any]:
         """The entries that candidates (M,) belong to, and their numbers among all footprints."""

@@ -25,6 +25,7 @@ class SplatImage:
         width, height: image in pixels.
         stride, channels: width of the buffer in pixels, and floats per pixel.
         nodes: Gaussians drawn, those in several layer images counted in each.
+        first_row: of the image that is in the buffer; the rows above it are black.
     """
 
     radiance: Any
@@ -33,13 +34,16 @@ class SplatImage:
     stride: int
     channels: int
     nodes: int
+    first_row: int = 0
 
     def on_device(self, arrays: Arrays) -> DeviceImage:
         """The radiance, in the same memory."""
-        return DeviceImage(arrays, self.radiance, self.width, self.height, self.stride, self.channels)
+        size = self.width, self.height, self.stride, self.channels
+        return DeviceImage(arrays, self.radiance, *size, self.first_row)
 
     def image(self) -> NDArray[np.float32]:
-        """(H, W, 3) float32 view of the radiance."""
+        """(H, W, 3) float32 view of the radiance, of which all rows are in the buffer."""
+        assert not self.first_row, "rows are missing"
         return self.radiance.numpy().reshape(-1, self.stride, self.channels)[: self.height, : self.width, :3]
 
 

@@ -12,6 +12,8 @@ from splat.raster.tiles import TILE
 
 Lattice = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+# Highest frequency that samples carry, in cycles per sample.
+NYQUIST = 0.5
 
 
 @dataclass(frozen=True)
@@ -36,33 +38,64 @@ class AtlasEntry:
 
     Attributes:
         image: what it shows.
-        top: its first row of samples in the atlas.
+        top: the row of samples in the atlas at which the frame's first row would be.
         tiles: (tile rows, tile columns) bool, its tiles that are drawn.
         cells: (rows, columns) bool, cells of TILE pixels of the frame in which its weight is not 0.
+        first_row: of its tiles, counted from the frame's; those above have no place in the atlas.
+        is_sharp: whether it keeps all that its samples carry, whatever the frame's cut-off.
     """
 
     image: LayerImage
     top: int
     tiles: Mask
     cells: Mask
+    first_row: int = 0
+    is_sharp: bool = False
+
+    @property
+    def tile_rows(self) -> range:
+        """Its rows of tiles in the atlas."""
+        start = self.top // TILE + self.first_row
+        return range(start, start + self.tiles.shape[0])
 
 
-def pack_atlas(images: Sequence[LayerImage], wanted: Mask, tile: int) -> list[AtlasEntry]:
+@dataclass(frozen=True)
+class Under:
+    """What is drawn besides a frame, to lie under it: a layer at full rate with all that it resolves.
+
+    Attributes:
+        layer: 1, the coarsest, to L.
+        cells: (rows, columns) bool, cells of TILE pixels of the frame.
+    """
+
+    layer: int
+    cells: Mask
+
+    def entry(self, top: int) -> AtlasEntry:
+        """Its entry in an atlas, whose first free row of samples is `top`; at least one cell is set."""
+        rows = np.flatnonzero(self.cells.any(axis=1))
+        first, end = int(rows[0]), int(rows[-1]) + 1
+        weight = np.ones((self.cells.shape[0] + 1, self.cells.shape[1] + 1), np.float32)
+        image = LayerImage(self.layer, 0, weight)
+        return AtlasEntry(image, top - first * TILE, self.cells[first:end], self.cells, first, True)
+
+
+def pack_atlas(images: Sequence[LayerImage], wanted: Mask, top: int = 0) -> list[AtlasEntry]:
     """Atlas entries of the images that show in the wanted cells.
 
     Args:
         images: the layer images.
         wanted: (rows, columns) bool, cells of the frame that are drawn at all.
-        tile: side of the rasterizer's tiles, in samples.
+        top: the first row of samples that is free.
     """
-    entries, top = [], 0
+    entries = []
     for image in images:
         cells = covered_cells(image.weight) & wanted
         if cells.any():
             # At lower rates, a pixel at the border of a cell looks up samples beyond it.
-            tiles = _resized(_grown(cells) if image.rate else cells, TILE, tile << image.rate)
+            tiles = _joined(_grown(cells), 1 << image.rate) if image.rate else cells
             entries.append(AtlasEntry(image, top, tiles, cells))
-            top += tiles.shape[0] * tile
+            top += tiles.shape[0] * TILE
     return entries
 
 
@@ -76,16 +109,8 @@ def at_corners(lattice: Lattice) -> list[Lattice]:
     return [lattice[:-1, :-1], lattice[1:, :-1], lattice[:-1, 1:], lattice[1:, 1:]]
 
 
-def _resized(mask: Mask, cell: int, tile: int) -> Mask:
-    """Tiles that hold any set cell.
-
-    Args:
-        mask: (rows, columns) bool, cells.
-        cell, tile: sides in pixels, one a multiple of the other.
-    """
-    if tile < cell:
-        return mask.repeat(cell // tile, axis=0).repeat(cell // tile, axis=1)
-    size = tile // cell
+def _joined(mask: Mask, size: int) -> Mask:
+    """Tiles of so many cells a side that hold any set cell of a mask (rows, columns)."""
     rows, columns = -(-mask.shape[0] // size), -(-mask.shape[1] // size)
     padded = np.zeros((rows * size, columns * size), dtype=bool)
     padded[: mask.shape[0], : mask.shape[1]] = mask

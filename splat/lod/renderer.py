@@ -11,13 +11,12 @@ atlas. An image at rate r has one sample per 2^r x 2^r pixels, at their centre.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
@@ -25,7 +24,16 @@ from splat.lod.compositing import composite
 from splat.lod.entry_table import EntryTable
 from splat.lod.footprints import ForestFootprints
 from splat.lod.image import SplatImage, black_image
-from splat.lod.layer_images import AtlasEntry, Lattice, LayerImage, Mask, at_corners, pack_atlas
+from splat.lod.layer_images import (
+    NYQUIST,
+    AtlasEntry,
+    Lattice,
+    LayerImage,
+    Mask,
+    Under,
+    at_corners,
+    pack_atlas,
+)
 from splat.lod.selection import touching
 from splat.model.forest import Forest
 from splat.raster.binning import Candidates, TileBounds
@@ -34,8 +42,6 @@ from splat.raster.parts import Parts, rasterize_parts
 from splat.raster.projection import PIXEL_FILTER, Splats, filtered
 from splat.raster.tiles import TILE, TileGrid
 
-# Side of a tile in samples, where samples are larger than pixels: few splats cover many of those.
-_COARSE_TILE = 8
 # Share of the wanted cells from which the cells of a single image are drawn where they belong.
 _WORTHWHILE = 0.1
 # Filters of this width, as a multiple of the filter at the pixel grid, leave nothing but the faintest haze.
@@ -59,7 +65,7 @@ class ForestRenderer:
         self._footprints.set_time(time)
 
     def render(
-        self, camera: Camera, images: Sequence[LayerImage], cutoff: Lattice, wanted: NDArray[np.bool_]
+        self, camera: Camera, images: Sequence[LayerImage], cutoff: Lattice, wanted: Mask
     ) -> SplatImage:
         """Renders layer images and composites them.
 
@@ -73,18 +79,43 @@ class ForestRenderer:
         Raises:
             ValueError: the forest has no such layer, or a cut-off is negative or not a number.
         """
+        return self.render_with(camera, images, cutoff, wanted, None)[0]
+
+    def render_with(
+        self,
+        camera: Camera,
+        images: Sequence[LayerImage],
+        cutoff: Lattice,
+        wanted: Mask,
+        under: Under | None,
+    ) -> tuple[SplatImage, SplatImage]:
+        """As `render`, and an image that is to lie under the frame, black where nothing of it is asked for.
+
+        Args:
+            camera, images, cutoff, wanted: as for `render`.
+            under: what the second image shows; None for nothing.
+
+        Raises:
+            ValueError: as of `render`.
+        """
         images = [image for image in images if bool((image.weight > 0).any())]
         own, alone = _largest_alone(images, wanted)
-        frame = None
-        if own is not None:
-            frame = self.draw_atlas(camera, pack_atlas([own], alone, TILE), cutoff, TILE)
+        # All share one list of splats; each of the three has its own image, one above the other.
+        own_entries = [] if own is None else pack_atlas([own], alone)
+        rows = sum(len(entry.tile_rows) for entry in own_entries)
+        below = [] if under is None or not under.cells.any() else [under.entry(rows * TILE)]
+        rows += sum(len(entry.tile_rows) for entry in below)
         # The cells in which images are drawn at a lower rate or mixed.
-        tile = tile_side(image.rate for image in images)
-        entries = pack_atlas(images, wanted & ~alone, tile)
-        atlas = self.draw_atlas(camera, entries, cutoff, tile)
-        if frame is None or not frame.nodes:
-            return composite(self.arrays, entries, atlas, camera) if atlas.nodes else atlas
-        return composite(self.arrays, entries, atlas, camera, frame) if atlas.nodes else frame
+        mixed = pack_atlas(images, wanted & ~alone, rows * TILE)
+        groups = [group for group in (own_entries, below, mixed) if group]
+        drawn = iter(self._drawn(camera, groups, cutoff))
+        black = black_image(self.arrays, camera, 0)
+        frame = next(drawn) if own_entries else None
+        beneath = next(drawn) if below else black
+        if mixed:
+            placed = [replace(entry, top=entry.top - rows * TILE) for entry in mixed]
+            frame = composite(self.arrays, placed, next(drawn), camera, frame)
+        return frame or black, beneath
 
     def render_layer(self, camera: Camera, layer: int, rate: int = 0) -> SplatImage:
         """Renders one layer over the whole frame: its samples, (H / 2^rate, W / 2^rate) rounded up.
@@ -95,41 +126,55 @@ class ForestRenderer:
         grid = TileGrid(camera.width, camera.height)
         corners = (grid.rows + 1, grid.columns + 1)
         image = LayerImage(layer, rate, np.ones(corners, np.float32))
-        tile = tile_side([rate])
-        entries = pack_atlas([image], grid.mask(None), tile)
-        samples = self.draw_atlas(camera, entries, np.full(corners, 0.5, np.float32), tile)
+        entries = pack_atlas([image], grid.mask(None))
+        samples = self.draw_atlas(camera, entries, np.full(corners, NYQUIST, np.float32))
         return replace(samples, width=-(-camera.width >> rate), height=-(-camera.height >> rate))
 
-    def draw_atlas(
-        self, camera: Camera, entries: Sequence[AtlasEntry], cutoff: Lattice, tile: int
-    ) -> SplatImage:
+    def draw_atlas(self, camera: Camera, entries: Sequence[AtlasEntry], cutoff: Lattice) -> SplatImage:
         """Renders the atlas; a black image of the frame's size if no node shows in any entry.
 
         Args:
             camera: the view.
             entries: of the atlas.
             cutoff: as in `render`.
-            tile: side of the rasterizer's tiles, in samples.
         """
+        return self._drawn(camera, [entries], cutoff)[0]
+
+    def _drawn(
+        self, camera: Camera, groups: Sequence[Sequence[AtlasEntry]], cutoff: Lattice
+    ) -> list[SplatImage]:
+        """An image of each group of entries, which lie one above the other; all count the nodes of all.
+
+        Args:
+            camera: the view.
+            groups: of entries, from the top down.
+            cutoff: as in `render`.
+        """
+        entries = [entry for group in groups for entry in group]
         self._check(entries, cutoff)
-        table = self._table(camera, entries, cutoff, tile) if entries else None
+        black = [black_image(self.arrays, camera, 0) for _ in groups]
+        table = self._table(camera, entries, cutoff) if entries else None
         if table is None:
-            return black_image(self.arrays, camera, 0)
+            return black
         chosen = dr.compress(touching(self.arrays, table, self._footprints.footprints))
         if not dr.width(chosen):
-            return black_image(self.arrays, camera, 0)
+            return black
         splats, bounds = self._splats(table, chosen)
-        rows, columns = sum(e.tiles.shape[0] for e in entries), max(e.tiles.shape[1] for e in entries)
+        rows, columns = entries[-1].tile_rows.stop, max(entry.tiles.shape[1] for entry in entries)
         mask = np.zeros((rows, columns), dtype=bool)
         for entry in entries:
-            mask[entry.top // tile :][: entry.tiles.shape[0], : entry.tiles.shape[1]] = entry.tiles
-        grid = TileGrid(columns * tile, rows * tile, tile)
+            mask[entry.tile_rows.start : entry.tile_rows.stop, : entry.tiles.shape[1]] = entry.tiles
+        grid = TileGrid(columns * TILE, rows * TILE)
         # Packed together with the boxes that the lists are made of: that is one kernel.
         packed(self.arrays, splats)
         parts = Parts(Candidates(self.arrays, splats, grid, mask, bounds, in_order=True))
-        image = rasterize_parts(self.arrays, splats, parts)
-        width = grid.padded_width
-        return SplatImage(image, camera.width, camera.height, width, CHANNELS, dr.width(chosen))
+        heights = [sum(len(entry.tile_rows) for entry in group) for group in groups]
+        images = rasterize_parts(self.arrays, splats, parts, heights)
+        size, shape = (camera.width, camera.height), (grid.padded_width, CHANNELS, dr.width(chosen))
+        return [
+            SplatImage(image, *size, *shape, group[0].first_row * TILE)
+            for image, group in zip(images, groups, strict=True)
+        ]
 
     def _check(self, entries: Sequence[AtlasEntry], cutoff: Lattice) -> None:
         count = len(self.forest.counts)
@@ -147,21 +192,20 @@ class ForestRenderer:
         """
         return max(camera.fy / self.forest.focal_of(image.layer), 2.0**image.rate)
 
-    def _table(
-        self, camera: Camera, entries: Sequence[AtlasEntry], cutoff: Lattice, tile: int
-    ) -> EntryTable | None:
+    def _table(self, camera: Camera, entries: Sequence[AtlasEntry], cutoff: Lattice) -> EntryTable | None:
         """The entries and the footprints that may show in them; None if there is none."""
         # A cut-off of 0 is that of the widest filter.
-        cutoff = np.maximum(cutoff, 0.5 / _WIDEST_BLUR, dtype=np.float32)
+        cutoff = np.maximum(cutoff, NYQUIST / _WIDEST_BLUR, dtype=np.float32)
         lowest, blurs = np.minimum.reduce(at_corners(cutoff)), []
         for entry in entries:
             least = self._least_blur(camera, entry.image)
-            blurs.append((max(0.5 / float(lowest[entry.cells].min()), least), least))
+            kept = NYQUIST if entry.is_sharp else float(lowest[entry.cells].min())
+            blurs.append((max(NYQUIST / kept, least), least))
         widest = max(blur for blur, _ in blurs)
         nodes = self._footprints.layers(camera, widest, [entry.image.layer for entry in entries])
         if not any(map(len, nodes)):
             return None
-        return EntryTable(self.arrays, entries, nodes, blurs, cutoff, tile)
+        return EntryTable(self.arrays, entries, nodes, blurs, cutoff)
 
     def _splats(self, table: EntryTable, chosen: Any) -> tuple[Splats, TileBounds]:
         """The chosen candidates in samples of the atlas, and the tiles they are confined to."""
@@ -172,11 +216,6 @@ class ForestRenderer:
         splats = filtered(raw, PIXEL_FILTER * dr.square(dr.maximum(resolved, entry.least_blur)))
         bounds = TileBounds(entry.columns, entry.top, entry.bottom)
         return _in_samples(splats, entry.scale, entry.offset), bounds
-
-
-def tile_side(rates: Iterable[int]) -> int:
-    """Side of the rasterizer's tiles, in samples, for an atlas of images at these rates."""
-    return TILE if all(rate == 0 for rate in rates) else _COARSE_TILE
 
 
 def finest_frequency(camera: Camera, forest: Forest, layer: int) -> float:

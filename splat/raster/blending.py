@@ -14,14 +14,17 @@ together.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import drjit as dr
+import numpy as np
 
 from compose.base.arrays import Arrays
 from splat.raster.binning import MINIMUM_ALPHA, Bins
 from splat.raster.blocks import CHANNELS, Blocks, Shown, blended_records, exp2
 from splat.raster.projection import Splats
+from splat.raster.tiles import TileGrid
 
 MAXIMUM_ALPHA = 0.99
 # To find out which blocks show a pair costs 1/40 of blending it. Where tiles have more pairs than this on
@@ -29,26 +32,32 @@ MAXIMUM_ALPHA = 0.99
 _LONG_LIST = 256
 
 
-def rasterize(arrays: Arrays, splats: Splats, bins: Bins, image: Any = None) -> Any:
+def rasterize(
+    arrays: Arrays,
+    splats: Splats,
+    bins: Bins,
+    images: list[Any] | None = None,
+    heights: Sequence[int] | None = None,
+) -> list[Any]:
     """Renders linear radiance and opacity of the wanted tiles; other tiles are 0.
 
     Args:
         arrays: the backend's array types.
         splats: without derivatives.
         bins: the tiles and their lists.
-        image: what the tiles are drawn into; a new image by default.
+        images: what the tiles are drawn into; new images by default.
+        heights: rows of tiles of each image, which lie one above the other; one of all rows by default.
 
     Returns:
-        Flat Float: padded height x padded width x 4, rows from the top.
+        Flat Floats: padded height x padded width x 4, rows from the top.
     """
-    Float = arrays.plain.Float
-    width, height = bins.grid.padded_width, bins.grid.padded_height
-    # A new image need not be cleared: every tile has lanes, which leave it black where nothing is drawn.
-    everywhere, listed = image is None, dr.width(bins.splat) > 0
-    if everywhere:
-        image = (dr.empty if listed else dr.zeros)(Float, width * height * CHANNELS)
+    Float, heights = arrays.plain.Float, heights or [bins.grid.rows]
+    # New images need not be cleared: every tile has lanes, which leave it black where nothing is drawn.
+    everywhere, listed = images is None, dr.width(bins.splat) > 0
+    if images is None:
+        images = new_images(arrays, bins.grid, heights, dr.empty if listed else dr.zeros)
     if not listed:
-        return image
+        return images
     records = blended_records(arrays, splats, bins)
     block = Blocks.of_tiles(arrays, bins, everywhere)
     shown = Shown(arrays, bins, records) if _jumps(arrays, bins) else None
@@ -79,11 +88,23 @@ def rasterize(arrays: Arrays, splats: Splats, bins: Bins, image: Any = None) -> 
         state, lambda i, transmittance, colour: block.is_active(i, transmittance), blend, mode="symbolic"
     )
     pixels = [[*colour[3 * p : 3 * p + 3], 1 - transmittance[p]] for p in range(block.pixels)]
-    for target, first in block.chunks(width):
+    starts = np.cumsum([0, *heights[:-1]]).tolist()
+    for target, first in block.chunks(bins.grid.padded_width):
         values = arrays.plain.ArrayXf([*pixels[first], *pixels[first + 1]])
-        dr.scatter(image, values, target, mode=dr.ReduceMode.Permute)
-    dr.eval(image)
-    return image
+        for image, start, height in zip(images, starts, heights, strict=True):
+            row, within = arrays.constant(start * bins.grid.side), True
+            if len(images) > 1:
+                within = (block.y >= row) & (block.y < row + arrays.constant(height * bins.grid.side))
+            at = target - row * arrays.constant(bins.grid.padded_width // 2) if start else target
+            dr.scatter(image, values, at, within, mode=dr.ReduceMode.Permute)
+    dr.eval(images)
+    return images
+
+
+def new_images(arrays: Arrays, grid: TileGrid, heights: Sequence[int], make: Callable[..., Any]) -> list[Any]:
+    """Images of so many rows of a grid's tiles, made by `dr.zeros` or `dr.empty`."""
+    row = grid.side * grid.padded_width * CHANNELS
+    return [make(arrays.plain.Float, height * row) for height in heights]
 
 
 def _jumps(arrays: Arrays, bins: Bins) -> bool:

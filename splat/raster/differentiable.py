@@ -159,7 +159,7 @@ class _Render(torch.autograd.Function):
         dr.eval(splats.__dict__, projected.differentiable())
         grid = TileGrid(camera.width, camera.height)
         parts = Parts(Candidates(arrays, splats, grid))
-        image = rasterize_parts(arrays, splats, parts)
+        (image,) = rasterize_parts(arrays, splats, parts)
         ctx.state = (arrays, leaves, projected, splats, parts, image)
         # The gradient reads the tensors again: torch refuses to go on if they have changed meanwhile.
         ctx.save_for_backward(*tensors)

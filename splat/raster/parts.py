@@ -9,15 +9,14 @@ sums over a splat's tiles go through them row by row in either case.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import drjit as dr
 
 from compose.base.arrays import Arrays
 from splat.raster.binning import Bins, Candidates, Window
-from splat.raster.blending import rasterize
-from splat.raster.blocks import CHANNELS
+from splat.raster.blending import new_images, rasterize
 from splat.raster.gradient import added_sums, gradients_from_sums, no_sums
 from splat.raster.projection import Splats
 
@@ -77,14 +76,16 @@ class Parts:
         return self._only is not None
 
 
-def rasterize_parts(arrays: Arrays, splats: Splats, parts: Parts, image: Any = None) -> Any:
+def rasterize_parts(
+    arrays: Arrays, splats: Splats, parts: Parts, heights: Sequence[int] | None = None
+) -> list[Any]:
     """Renders linear radiance and opacity, as `rasterize` does."""
-    size = parts.grid.padded_width * parts.grid.padded_height * CHANNELS
-    if image is None and not parts.is_single:
-        image = dr.zeros(arrays.plain.Float, size)
+    heights = heights or [parts.grid.rows]
+    images = None if parts.is_single else new_images(arrays, parts.grid, heights, dr.zeros)
     for bins in parts:
-        image = rasterize(arrays, splats, bins, image)
-    return image
+        images = rasterize(arrays, splats, bins, images, heights)
+    assert images is not None
+    return images
 
 
 def rasterize_parts_backward(

@@ -134,14 +134,21 @@ def test_the_finest_allowed_layer_is_drawn_as_a_whole(periphery, camera, arrays,
 
 
 @pytest.mark.parametrize("layers", [None, (1, 2)])
-def test_under_the_disc_the_finest_allowed_layer_is_drawn_at_full_rate(periphery, camera, layers):
+def test_under_the_disc_the_finest_allowed_layer_is_drawn_at_full_rate(periphery, camera, arrays, layers):
     settings = replace(PAST, gaze=(0.5, 0.5), layers=layers, rate=2, fov_a=20)
     region = region_of(settings)
-    drawn = periphery.under_disc(camera, settings, region).image()
+    detail = periphery.detail(camera, settings)
+    alone = periphery.under_disc(camera, settings, region)
+    beside, drawn = periphery.draw_with_disc(camera, settings, detail, region)
+    np.testing.assert_allclose(beside.image(), periphery.draw(camera, detail, region).image(), atol=1e-5)
     wanted = np.kron(region.foveal_tiles(CELL), np.ones((CELL, CELL), dtype=bool))
     assert (~wanted).any()
-    np.testing.assert_array_equal(drawn[wanted], periphery.whole(camera, settings).image()[wanted])
-    assert (drawn[~wanted] == 0).all()
+    for under in (alone, drawn):
+        found = under.on_device(arrays).numpy()
+        np.testing.assert_allclose(
+            found[wanted], periphery.whole(camera, settings).image()[wanted], atol=1e-5
+        )
+        assert (found[~wanted] == 0).all()
 
 
 def test_for_a_still_camera_the_same_is_drawn_from_kept_layers(periphery, camera):

@@ -45,7 +45,6 @@ def frame(composite: np.ndarray | None = None) -> Frame:
         underlay=None,
         region=region,
         milliseconds={},
-        source=nothing,
     )
 
 

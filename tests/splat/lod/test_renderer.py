@@ -10,8 +10,8 @@ import torch
 from scipy.ndimage import map_coordinates
 
 from compose.camera.camera import Camera
-from splat.lod.layer_images import LayerImage
-from splat.lod.renderer import ForestRenderer, finest_frequency, tile_side
+from splat.lod.layer_images import LayerImage, Under
+from splat.lod.renderer import ForestRenderer, finest_frequency
 from splat.model.forest import Forest, forest_of
 from splat.model.layer import static_layer
 from splat.raster.projection import PIXEL_FILTER
@@ -279,5 +279,23 @@ def test_the_finest_frequency_is_half_a_cycle_per_training_pixel(forest, camera)
     assert finest_frequency(replace(camera, fy=240.0), forest, 3) == 0.25
 
 
-def test_tiles_are_small_where_samples_are_large():
-    assert [tile_side(rates) for rates in ([0], [0, 0], [1], [0, 2])] == [16, 16, 8, 8]
+def test_what_lies_under_a_frame_is_the_layer_alone(arrays, forest, camera):
+    """Whatever the frame's cut-off, and without changing the frame."""
+    renderer, images = (
+        ForestRenderer(arrays, forest),
+        [LayerImage(2, 0, ramp(1, 0)), LayerImage(1, 1, ramp(0, 1))],
+    )
+    lattice, wanted, cells = np.full(CORNERS, 0.1, np.float32), everything(), np.zeros(CELLS, dtype=bool)
+    cells[1:3, 1:3] = True
+    frame, under = renderer.render_with(camera, images, lattice, wanted, Under(3, cells))
+    # Where an image lies among the others decides how positions are rounded.
+    alike = lambda found, expected: np.testing.assert_allclose(found, expected, atol=1e-5)  # noqa: E731
+    alike(frame.image(), renderer.render(camera, images, lattice, wanted).image())
+    pixels = cells.repeat(TILE, axis=0).repeat(TILE, axis=1)[: camera.height, : camera.width]
+    found, whole = under.on_device(arrays).numpy(), renderer.render_layer(camera, 3).image()
+    alike(found[pixels], whole[pixels])
+    assert (found[~pixels] == 0).all()
+    for layer, covered in ((3, np.zeros_like(cells)), (3, cells)):
+        nothing = renderer.render_with(camera, [], lattice, np.zeros_like(cells), Under(layer, covered))
+        assert (nothing[0].image() == 0).all()
+        alike(nothing[1].on_device(arrays).numpy(), found if covered.any() else 0)

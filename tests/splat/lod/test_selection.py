@@ -36,7 +36,7 @@ def found(arrays, floats: dict[str, np.ndarray], parts: list[tuple[np.ndarray, r
     weight = np.ones(shape, dtype=np.float32)
     entries = [AtlasEntry(LayerImage(1, rate, weight), 0, cells, cells) for cells, _, _, rate in parts]
     blurs = [(blur, 1.0) for _, _, blur, _ in parts]
-    table = EntryTable(arrays, entries, [part for _, part, _, _ in parts], blurs, weight, 16)
+    table = EntryTable(arrays, entries, [part for _, part, _, _ in parts], blurs, weight)
     gathered = lambda index: SimpleNamespace(  # noqa: E731
         **{name: dr.gather(arrays.plain.Float, row, index) for name, row in rows.items()}
     )

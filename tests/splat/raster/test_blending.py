@@ -20,7 +20,7 @@ GRID = TileGrid(90, 70)
 
 def image_of(arrays, splats, grid: TileGrid = GRID, wanted: np.ndarray | None = None) -> np.ndarray:
     """(padded H, padded W, 4)."""
-    buffer = rasterize(arrays, splats, bin_splats(arrays, splats, grid, wanted))
+    (buffer,) = rasterize(arrays, splats, bin_splats(arrays, splats, grid, wanted))
     return buffer.numpy().reshape(grid.padded_height, grid.padded_width, CHANNELS)
 
 

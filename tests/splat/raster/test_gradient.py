@@ -31,7 +31,7 @@ def weights(grid: TileGrid) -> np.ndarray:
 
 def gradients(arrays, splats, grid: TileGrid, weight: np.ndarray) -> dict[str, np.ndarray]:
     bins = bin_splats(arrays, splats, grid)
-    image = rasterize(arrays, splats, bins)
+    (image,) = rasterize(arrays, splats, bins)
     flow = arrays.plain.Float(weight.ravel())
     found = rasterize_backward(arrays, splats, bins, image, flow)
     return {name: row.numpy() for name, row in zip(DIFFERENTIABLE, found, strict=True)}
@@ -76,7 +76,7 @@ def test_gradients_equal_finite_differences(arrays, name):
         for sign in (-1, 1):
             moved = {n: row.copy() for n, row in values.items()}
             moved[name][k] += sign * step
-            image = rasterize(
+            (image,) = rasterize(
                 arrays, s := uploaded(arrays, list(moved.values())), bin_splats(arrays, s, grid)
             )
             losses.append((image.numpy().astype(np.float64) * weight.ravel()).sum())
@@ -133,7 +133,7 @@ def test_lanes_that_stay_together_give_the_same(arrays):
     """As on a GPU: every lane visits all splats of its tile, and each sum is added by itself."""
     splats, grid = random_splats(arrays, 300, WIDTH, HEIGHT), TileGrid(WIDTH, HEIGHT)
     bins = bin_splats(arrays, splats, grid)
-    image, flow = rasterize(arrays, splats, bins), arrays.plain.Float(weights(grid).ravel())
+    (image,), flow = rasterize(arrays, splats, bins), arrays.plain.Float(weights(grid).ravel())
     together = copy(arrays)
     together.backend = "cuda"
     rows = [rasterize_backward(kind, splats, bins, image, flow) for kind in (arrays, together)]

@@ -45,13 +45,13 @@ def flow(arrays):
 def test_parts_have_the_bits_of_one_pass(each_arrays, got, at_once, pairs):
     splats, gradient = random_splats(each_arrays, 300, 90, 70), flow(each_arrays)
     bins = bin_splats(each_arrays, splats, GRID)
-    image = rasterize(each_arrays, splats, bins)
+    (image,) = rasterize(each_arrays, splats, bins)
     expected = rasterize_backward(each_arrays, splats, bins, image, gradient)
     at_once(pairs)
     parts = Parts(Candidates(each_arrays, splats, GRID))
     # A single row of tiles has more than 150 of them, a single tile more than one.
     assert got(len(list(parts))) >= {1000: 2, 150: 8, 1: GRID.rows * GRID.columns}[pairs]
-    np.testing.assert_array_equal(rasterize_parts(each_arrays, splats, parts).numpy(), image.numpy())
+    np.testing.assert_array_equal(rasterize_parts(each_arrays, splats, parts)[0].numpy(), image.numpy())
     found = rasterize_parts_backward(each_arrays, splats, parts, image, gradient)
     for part, whole in zip(found, expected, strict=True):
         np.testing.assert_array_equal(part.numpy(), whole.numpy())
@@ -74,13 +74,13 @@ def test_wanted_tiles_and_bounds_hold_in_parts(each_arrays, at_once):
     wanted = np.random.default_rng(0).random((GRID.rows, GRID.columns)) < 0.5
     UInt = each_arrays.plain.UInt
     bounds = TileBounds(UInt([4]), UInt([1]), UInt([4]))
-    whole = rasterize(
+    (whole,) = rasterize(
         each_arrays, splats, bin_splats(each_arrays, splats, GRID, wanted, bounds, in_order=True)
     )
     at_once(40)
     parts = Parts(Candidates(each_arrays, splats, GRID, wanted, bounds, in_order=True))
     assert len(list(parts)) > 3
-    np.testing.assert_array_equal(rasterize_parts(each_arrays, splats, parts).numpy(), whole.numpy())
+    np.testing.assert_array_equal(rasterize_parts(each_arrays, splats, parts)[0].numpy(), whole.numpy())
     assert whole.numpy().any()
 
 
@@ -88,7 +88,7 @@ def test_nothing_to_draw_is_black(each_arrays, at_once):
     at_once(0)
     splats = round_splats(each_arrays, [(8.0, 8.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0)])
     parts = Parts(Candidates(each_arrays, splats, GRID))
-    image = rasterize_parts(each_arrays, splats, parts)
+    (image,) = rasterize_parts(each_arrays, splats, parts)
     assert not image.numpy().any()
     gradients = rasterize_parts_backward(each_arrays, splats, parts, image, flow(each_arrays))
     assert not any(gradient.numpy().any() for gradient in gradients)
