@@ -46,7 +46,10 @@ def thinned(disc: Disc, spp: int, seed: int) -> tuple[Disc, int | Counts]:
     mask = plain.Float64(column * _ACROSS + row * _DOWN + start) * 2.0**-32
     due = dr.floor(plain.Float64(most) * plain.Float64(disc.weights) + mask)
     count = dr.select(disc.weights < 1, plain.UInt(due), most)
-    kept = dr.compress(count > 0)
+    has_samples = count > 0
+    # At once, before the pixels that are kept look it up.
+    dr.eval(count, has_samples)
+    kept = dr.compress(has_samples)
     if not dr.width(kept):
         nothing = dr.zeros(plain.UInt, 0), dr.zeros(plain.Float, 0)
         return replace(disc, pixels=nothing[0], weights=nothing[1], box=None), spp

@@ -114,15 +114,22 @@ class Disc:
 
 def _listed(arrays: Arrays, region: FoveaRegion) -> tuple[Any, Any]:
     """Row-major indices (D,) and weights (D,) of a region's pixels, not evaluated."""
-    plain, (integers, numbers, size) = arrays.plain, region.tables()
-    ints, floats = uploaded(plain.UInt, integers), uploaded(plain.Float, numbers)
+    plain, (table, size) = arrays.plain, region.table()
+    values = uploaded(plain.UInt, table)
     # Read at a literal, each would be copied on its own.
     end, one = arrays.constant(size), arrays.constant(1)
-    shift, outer, slope, faded = (dr.gather(plain.Float, floats, end + i) for i in range(4))
-    top, width = (dr.gather(plain.UInt, ints, 2 * end + i) for i in range(2))
+
+    def integer(at: Any) -> Any:
+        return dr.gather(plain.UInt, values, at)
+
+    def number(at: Any) -> Any:
+        return dr.reinterpret_array(plain.Float, integer(2 * end + 2 + at))
+
+    shift, outer, slope, faded = (number(end + i) for i in range(4))
+    top, width = (integer(2 * end + i) for i in range(2))
     index = dr.arange(plain.UInt, region.count)
-    row = dr.binary_search(0, size - 1, lambda at: dr.gather(plain.UInt, ints, at + one) <= index)
-    column = dr.gather(plain.UInt, ints, end + row) + index - dr.gather(plain.UInt, ints, row)
-    radius = dr.sqrt(dr.square(plain.Float(column) + shift) + dr.gather(plain.Float, floats, row))
+    row = dr.binary_search(0, size - 1, lambda at: integer(at + one) <= index)
+    column = integer(end + row) + index - integer(row)
+    radius = dr.sqrt(dr.square(plain.Float(column) + shift) + number(row))
     weight = dr.clip((outer - radius) * slope, 0, 1)
     return (top + row) * width + column, weight + (1 - weight) * faded

@@ -135,23 +135,25 @@ class FoveaRegion:
 
         return Disc.in_region(arrays, self)
 
-    def tables(self) -> tuple[NDArray[np.uint32], NDArray[np.float32], int]:
+    def table(self) -> tuple[NDArray[np.uint32], int]:
         """What a kernel needs to list the pixels; there must be one, and the region must not cover the frame.
 
         Returns:
             Numbers of pixels above each of P rows, first columns of P rows, the first row, and the frame's
-            width; squared distances of P rows from the centre, the centre of column 0 as seen from there, the
-            radius at which the weight is 0, its slope per pixel, and what is left out of the splats' weight;
-            and P, a power of two that is at least the number of rows.
+            width; and as bits of float32 squared distances of P rows from the centre, the centre of column 0
+            as seen from there, the radius at which the weight is 0, its slope per pixel, and what is left out
+            of the splats' weight. And P, a power of two that is at least the number of rows.
         """
         rows = self._rows
         size = 1 << max(len(rows.before) - 1, 63).bit_length()
         fill = 0, size - len(rows.before)
         before = np.pad(rows.before, fill, constant_values=self.count)
-        integers = np.concatenate([before, np.pad(rows.start, fill), [rows.top, self.width]])
+        integers = np.concatenate([before, np.pad(rows.start, fill), [rows.top, self.width]]).astype(
+            np.uint32
+        )
         numbers = [0.5 - self.centre[0], *self._slope, self.faded]
         floats = np.concatenate([np.pad(rows.down_squared, fill), numbers])
-        return integers.astype(np.uint32), floats.astype(np.float32), size
+        return np.concatenate([integers, floats.astype(np.float32).view(np.uint32)]), size
 
     def foveal_tiles(self, tile: int) -> NDArray[np.bool_]:
         """(rows, columns) bool: tiles that overlap the rectangle around the disc, `tile` pixels per side."""

@@ -32,7 +32,10 @@ def parents_of(disc: Disc, samples: Samples, underlay: Underlay, quick: bool = F
     assert disc.box is not None, "a disc without pixels has no images"
     splats = underlay.radiance.of_box(disc.box)
     images = DiscImages.of(disc, samples, splats)
-    variance = [disc.image(values, dr.inf) for values in samples.variance()]
+    spread = samples.variance()
+    # At once, before the images look it up.
+    dr.eval(spread)
+    variance = [disc.image(values, dr.inf) for values in spread]
     planes = _planes(disc, [*images.channels, *splats, *variance])
     traced, albedo, normal, count, splat, unknown = torch.split(planes, [3, 3, 3, 1, 3, 3])
     denoised = _torch(denoised_for_fusion(images.tensors(), quick)).permute(2, 0, 1)
@@ -68,6 +71,8 @@ class DiscImages:
             surroundings: three Floats (h * w,), radiance of the rectangle's pixels outside the disc; those
                 that are not finite, or out of proportion to all samples, count as black.
         """
+        # At once, before the images look them up.
+        dr.eval(samples.radiance, samples.albedo, samples.normal, samples.count)
         surroundings = _usable(surroundings, samples.radiance)
         over = lambda channels, grounds: [  # noqa: E731
             disc.image(values, ground) for values, ground in zip(channels, grounds, strict=True)

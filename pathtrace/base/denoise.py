@@ -10,6 +10,8 @@ import mitsuba as mi
 import mitsuba_oidn
 import numpy as np
 
+from compose.base.arrays import constant
+
 # Added to the albedo before radiance is divided by it, so that dark surfaces do not amplify noise.
 _ALBEDO_OFFSET = 0.1
 # Where all radiance is below 1e-8, OIDN finds no exposure and returns some 1e-6 of an image of its own.
@@ -119,7 +121,7 @@ class _Values:
 
     def __init__(self, source: Any, shape: tuple[int, ...]):
         Int = dr.int32_array_t(type(source.array))
-        width, self._height, self._width = (dr.opaque(Int, n) for n in (shape[1], *source.shape[:2]))
+        width, self._height, self._width = (constant(Int, n) for n in (shape[1], *source.shape[:2]))
         index = dr.arange(Int, shape[0] * shape[1] * 3)
         pixel = index // 3
         self._channel = index - 3 * pixel

@@ -38,9 +38,10 @@ class Bins:
         arrays: the backend's array types.
         grid: the tiles.
         wanted: (rows, columns) bool, the tiles that are rasterized.
-        start, end: (columns * rows + 1,) range of each tile in the lists; the last one is the range of pairs
+        ranges: (2 * columns * rows + 2,) start and end of each tile's list; the last one is that of the pairs
             that no tile blends.
         splat: (P,) splat of each pair, sorted by tile, then by depth.
+        tile: (P,) tile of each pair, columns * rows for those that no tile blends.
         unsorted: (P,) position of each pair before sorting.
         first, count: (S,) the run of each of S splats, which may be empty.
         owner: (S,) these splats.
@@ -49,9 +50,9 @@ class Bins:
     arrays: Arrays
     grid: TileGrid
     wanted: NDArray[np.bool_]
-    start: Any
-    end: Any
+    ranges: Any
     splat: Any
+    tile: Any
     unsorted: Any
     first: Any
     count: Any
@@ -62,10 +63,14 @@ class Bins:
         """(T,) numbers of the tiles that are rasterized, row by row."""
         return uploaded(self.arrays.plain.UInt, np.flatnonzero(self.wanted).astype(np.uint32))
 
+    def list_of(self, tile: Any) -> tuple[Any, Any]:
+        """(M,) start and end of the lists of tiles."""
+        return tuple(dr.gather(self.arrays.plain.ArrayXu, self.ranges, tile, shape=(2, dr.width(tile))))
+
     @property
     def pairs(self) -> int:
         """P, not counting pairs that no tile blends; waits for the lists."""
-        return int(self.start[self.grid.columns * self.grid.rows])
+        return int(self.ranges[2 * self.grid.columns * self.grid.rows])
 
 
 @dataclass(frozen=True)
@@ -322,22 +327,25 @@ def _sorted(arrays: Arrays, grid: TileGrid, runs: Runs, key: Any, splat: Any) ->
     UInt, count = arrays.plain.UInt, grid.columns * grid.rows
     sorting = arrays.argsort(key, count + 1)
     # What no pair says: lists, also empty ones, end behind the last pair, and so do those to be blended.
-    start, end = dr.full(UInt, runs.pairs, count + 1), dr.full(UInt, runs.pairs, count + 1)
+    ranges = dr.full(UInt, runs.pairs, 2 * (count + 1))
     lane = dr.arange(UInt, runs.pairs)
     own = dr.gather(UInt, key, sorting)
     before = dr.gather(UInt, key, dr.gather(UInt, sorting, lane - 1, lane > 0), lane > 0)
-    dr.scatter(start, lane, own, (lane == 0) | (own != before))
-    dr.scatter(end, lane, before, (lane > 0) & (own != before))
+    dr.scatter(ranges, lane, own * 2, (lane == 0) | (own != before))
+    dr.scatter(ranges, lane, before * 2 + 1, (lane > 0) & (own != before))
     # Not evaluated yet: one kernel finds the ranges and gathers what the tiles read.
     owner = dr.arange(UInt, dr.width(runs.first)) if runs.order is None else runs.order
     sorted_splat = dr.gather(UInt, splat, sorting)
     return Bins(
-        *(arrays, grid, runs.wanted, start, end),
-        *(sorted_splat, sorting, runs.first, runs.count, owner),
+        *(arrays, grid, runs.wanted, ranges),
+        *(sorted_splat, own, sorting, runs.first, runs.count, owner),
     )
 
 
 def _no_bins(arrays: Arrays, grid: TileGrid, wanted: NDArray[np.bool_]) -> Bins:
     """Empty lists."""
-    none, empty = dr.zeros(arrays.plain.UInt, 0), dr.zeros(arrays.plain.UInt, grid.columns * grid.rows + 1)
-    return Bins(arrays, grid, wanted, empty, empty, none, none, none, none, none)
+    none, empty = (
+        dr.zeros(arrays.plain.UInt, 0),
+        dr.zeros(arrays.plain.UInt, 2 * grid.columns * grid.rows + 2),
+    )
+    return Bins(arrays, grid, wanted, empty, none, none, none, none, none, none)

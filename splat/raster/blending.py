@@ -109,5 +109,5 @@ def new_images(arrays: Arrays, grid: TileGrid, heights: Sequence[int], make: Cal
 
 def _jumps(arrays: Arrays, bins: Bins) -> bool:
     """Whether lanes go by themselves."""
-    pairs, tiles = dr.width(bins.splat), dr.width(bins.tiles)
+    pairs, tiles = dr.width(bins.splat), int(np.count_nonzero(bins.wanted))
     return arrays.backend == "llvm" and pairs <= _LONG_LIST * tiles

@@ -55,7 +55,7 @@ class Blocks:
     """
 
     def __init__(self, arrays: Arrays, bins: Bins, tile: Any, number: Any):
-        Float, UInt = arrays.plain.Float, arrays.plain.UInt
+        Float = arrays.plain.Float
         self._arrays, self.number = arrays, number
         self.side = bins.grid.side // LANES_ACROSS
         self.pixels = self.side**2
@@ -63,8 +63,7 @@ class Blocks:
         self.x = left + self.number % LANES_ACROSS * self.side
         self.y = top + self.number // LANES_ACROSS * self.side
         self.centre_x, self.centre_y = Float(self.x) + 0.5, Float(self.y) + 0.5
-        self.first = dr.gather(UInt, bins.start, tile)
-        self.last = dr.gather(UInt, bins.end, tile)
+        self.first, self.last = bins.list_of(tile)
 
     @staticmethod
     def of_tiles(arrays: Arrays, bins: Bins, everywhere: bool = False) -> Blocks:
@@ -141,7 +140,7 @@ class Shown:
 
     def __init__(self, arrays: Arrays, bins: Bins, records: Records):
         self._arrays = arrays
-        self._words = _by_block(arrays, _shown_in(arrays, bins, records))
+        self._words = _by_block(arrays, _shown_in(arrays, bins, records), bins)
 
     def following(self, i: Any, last: Any, number: Any) -> Any:
         """The first pair from `i` on that a block shows; `last` or above where none is left.
@@ -165,9 +164,10 @@ class Shown:
         return i + dr.tzcnt(left)
 
 
-def _by_block(arrays: Arrays, shown: Any) -> Any:
+def _by_block(arrays: Arrays, shown: Any, bins: Bins) -> Any:
     """From per pair a bit for each of 16 blocks, per 32 pairs and block a bit for each of the pairs."""
-    UInt, ArrayXu, pairs = arrays.plain.UInt, arrays.plain.ArrayXu, arrays.constant(dr.width(shown))
+    UInt, ArrayXu = arrays.plain.UInt, arrays.plain.ArrayXu
+    pairs, _ = bins.list_of(arrays.constant(bins.grid.columns * bins.grid.rows))
     group = dr.arange(UInt, -(-dr.width(shown) // 32))
 
     def step(k: Any, words: list[Any]) -> tuple[Any, list[Any]]:
@@ -193,7 +193,7 @@ def _shown_in(arrays: Arrays, bins: Bins, records: Records) -> Any:
     """
     Float, UInt, side = arrays.plain.Float, arrays.plain.UInt, bins.grid.side // LANES_ACROSS
     pair = dr.arange(UInt, dr.width(bins.splat))
-    splat, (x, y) = records.at(pair), first_pixel(arrays, bins.grid, _tile_of_each(arrays, bins))
+    splat, (x, y) = records.at(pair), first_pixel(arrays, bins.grid, bins.tile)
     # Of the tile's first pixel centre from the splat's centre; across, in blocks.
     x, y = (Float(x) + 0.5 - splat.x) * (1 / side), Float(y) + 0.5 - splat.y
     level, v_squared = splat.constant - _UNSEEN, dr.square(splat.v_y)
@@ -218,17 +218,6 @@ def _shown_in(arrays: Arrays, bins: Bins, records: Records) -> Any:
         shown |= dr.select(meets, blocks << (LANES_ACROSS * row), 0)
     dr.eval(shown)
     return shown
-
-
-def _tile_of_each(arrays: Arrays, bins: Bins) -> Any:
-    """(P,) tile of each pair; of pairs that no tile blends, any."""
-    UInt = arrays.plain.UInt
-    # Marks each tile's first pair by the tile's number: the largest so far tells whose a pair is.
-    tiles = dr.arange(UInt, dr.width(bins.start) - 1)
-    start, end = dr.gather(UInt, bins.start, tiles), dr.gather(UInt, bins.end, tiles)
-    marks = dr.zeros(UInt, dr.width(bins.splat))
-    dr.scatter(marks, tiles, start, end > start)
-    return dr.prefix_reduce(dr.ReduceOp.Max, marks, exclusive=False)
 
 
 def first_pixel(arrays: Arrays, grid: TileGrid, tile: Any) -> tuple[Any, Any]:
@@ -261,7 +250,8 @@ def packed(arrays: Arrays, splats: Splats) -> Records:
 def blended_records(arrays: Arrays, splats: Splats, bins: Bins) -> Records:
     """The splats' numbers, one record per pair, in the order in which the tiles read them."""
     per_pair = packed(arrays, splats).gathered(bins.splat)
-    dr.eval(per_pair.tables)
+    # With the ranges, which no kernel has found yet.
+    dr.eval(per_pair.tables, bins.ranges)
     return per_pair
 
 

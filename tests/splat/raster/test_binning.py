@@ -16,7 +16,7 @@ GRID = TileGrid(90, 70)
 def lists(bins: Bins) -> dict[int, list[int]]:
     """The splats of each tile that has any, in order."""
     # The last range holds the pairs that no tile blends.
-    start, end, splat = bins.start.numpy()[:-1], bins.end.numpy()[:-1], bins.splat.numpy()
+    (start, end), splat = bins.ranges.numpy().reshape(-1, 2)[:-1].T, bins.splat.numpy()
     return {t: splat[s:e].tolist() for t, (s, e) in enumerate(zip(start, end, strict=True)) if e > s}
 
 
@@ -145,8 +145,9 @@ def test_nothing_wanted_gives_empty_lists(arrays):
     splats = random_splats(arrays, 10, 90, 70)
     bins = bin_splats(arrays, splats, GRID, np.zeros((GRID.rows, GRID.columns), dtype=bool))
     assert bins.pairs == 0
-    assert (bins.end.numpy() == bins.start.numpy()).all()
-    assert len(bins.start.numpy()) == GRID.rows * GRID.columns + 1
+    start, end = bins.ranges.numpy().reshape(-1, 2).T
+    assert (start == end).all()
+    assert len(start) == GRID.rows * GRID.columns + 1
 
 
 def test_depth_order_puts_the_near_first_and_the_unseen_last(arrays):

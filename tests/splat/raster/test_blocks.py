@@ -60,8 +60,8 @@ def test_chunks_address_each_pixel_once(arrays, side):
 def test_lanes_walk_the_list_of_their_tile(arrays):
     block, bins, _ = blocks_of(arrays, 16)
     tile = (block.y.numpy() // 16) * bins.grid.columns + block.x.numpy() // 16
-    np.testing.assert_array_equal(block.first.numpy(), bins.start.numpy()[tile])
-    np.testing.assert_array_equal(block.last.numpy(), bins.end.numpy()[tile])
+    ranges = np.stack([block.first.numpy(), block.last.numpy()], axis=1)
+    np.testing.assert_array_equal(ranges, bins.ranges.numpy().reshape(-1, 2)[tile])
 
 
 @pytest.mark.parametrize("side", [8, 16])
@@ -118,7 +118,7 @@ def test_blocks_show_a_splat_where_a_pixel_does(arrays, side):
     splats = random_splats(arrays, 300, 90, 70)
     bins = bin_splats(arrays, splats, grid)
     found = _shown_in(arrays, bins, blended_records(arrays, splats, bins)).numpy()
-    start, end, splat = (row.numpy() for row in (bins.start, bins.end, bins.splat))
+    (start, end), splat = bins.ranges.numpy().reshape(-1, 2).T, bins.splat.numpy()
     values, seen, drawn, in_vain = doubles(splats), 0, 0, 0
     for tile in range(grid.columns * grid.rows):
         x, y = (np.arange(side) + 0.5 + side * k for k in (tile % grid.columns, tile // grid.columns))
