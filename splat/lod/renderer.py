@@ -44,6 +44,8 @@ from splat.raster.tiles import TILE, TileGrid
 
 # Share of the wanted cells from which the cells of a single image are drawn where they belong.
 _WORTHWHILE = 0.1
+# So many tiles are too few lanes to go round: theirs have a quarter of the pixels.
+_FEW_TILES, _FINE_SPLIT = 64, 2
 # Filters of this width, as a multiple of the filter at the pixel grid, leave nothing but the faintest haze.
 _WIDEST_BLUR = 1e9
 
@@ -159,16 +161,19 @@ class ForestRenderer:
         chosen = dr.compress(touching(self.arrays, table, self._footprints.footprints))
         if not dr.width(chosen):
             return black
-        splats, bounds = self._splats(table, chosen)
         rows, columns = entries[-1].tile_rows.stop, max(entry.tiles.shape[1] for entry in entries)
         mask = np.zeros((rows, columns), dtype=bool)
         for entry in entries:
             mask[entry.tile_rows.start : entry.tile_rows.stop, : entry.tiles.shape[1]] = entry.tiles
-        grid = TileGrid(columns * TILE, rows * TILE)
+        # So many tiles of the rasterizer lie along the side of one of the atlas.
+        split = _FINE_SPLIT if np.count_nonzero(mask) <= _FEW_TILES else 1
+        grid = TileGrid(columns * TILE, rows * TILE, TILE // split)
+        mask = mask.repeat(split, axis=0).repeat(split, axis=1)
+        splats, bounds = self._splats(table, chosen, split)
         # Packed together with the boxes that the lists are made of: that is one kernel.
         packed(self.arrays, splats)
         parts = Parts(Candidates(self.arrays, splats, grid, mask, bounds, in_order=True))
-        heights = [sum(len(entry.tile_rows) for entry in group) for group in groups]
+        heights = [split * sum(len(entry.tile_rows) for entry in group) for group in groups]
         images = rasterize_parts(self.arrays, splats, parts, heights)
         size, shape = (camera.width, camera.height), (grid.padded_width, CHANNELS, dr.width(chosen))
         return [
@@ -207,14 +212,20 @@ class ForestRenderer:
             return None
         return EntryTable(self.arrays, entries, nodes, blurs, cutoff)
 
-    def _splats(self, table: EntryTable, chosen: Any) -> tuple[Splats, TileBounds]:
-        """The chosen candidates in samples of the atlas, and the tiles they are confined to."""
+    def _splats(self, table: EntryTable, chosen: Any, split: int) -> tuple[Splats, TileBounds]:
+        """The chosen candidates in samples of the atlas, and the tiles they are confined to.
+
+        Args:
+            table: of all candidates.
+            chosen: their numbers.
+            split: tiles of the rasterizer along the side of one of the atlas.
+        """
         entry, node = table.of(chosen)
         raw = self._footprints.footprints(node)
         # Fov-GS's Eq. 8, corrected: variance c (ppd / 2f)^2 px^2.
         resolved = 0.5 / table.cutoff(entry, raw.x, raw.y)
         splats = filtered(raw, PIXEL_FILTER * dr.square(dr.maximum(resolved, entry.least_blur)))
-        bounds = TileBounds(entry.columns, entry.top, entry.bottom)
+        bounds = TileBounds(entry.columns * split, entry.top * split, entry.bottom * split)
         return _in_samples(splats, entry.scale, entry.offset), bounds
 
 
