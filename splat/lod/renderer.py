@@ -44,7 +44,7 @@ from splat.raster.tiles import TILE, TileGrid
 
 # Share of the wanted cells from which the cells of a single image are drawn where they belong.
 _WORTHWHILE = 0.1
-# So many tiles are too few lanes to go round: theirs have a quarter of the pixels.
+# Images of so many tiles have too few lanes to go round: theirs get a quarter of the pixels.
 _FEW_TILES, _FINE_SPLIT = 64, 2
 # Filters of this width, as a multiple of the filter at the pixel grid, leave nothing but the faintest haze.
 _WIDEST_BLUR = 1e9
@@ -129,7 +129,7 @@ class ForestRenderer:
         corners = (grid.rows + 1, grid.columns + 1)
         image = LayerImage(layer, rate, np.ones(corners, np.float32))
         entries = pack_atlas([image], grid.mask(None))
-        samples = self.draw_atlas(camera, entries, np.full(corners, NYQUIST, np.float32))
+        (samples,) = self._drawn(camera, [entries], np.full(corners, NYQUIST, np.float32), rate)
         return replace(samples, width=-(-camera.width >> rate), height=-(-camera.height >> rate))
 
     def draw_atlas(self, camera: Camera, entries: Sequence[AtlasEntry], cutoff: Lattice) -> SplatImage:
@@ -143,7 +143,7 @@ class ForestRenderer:
         return self._drawn(camera, [entries], cutoff)[0]
 
     def _drawn(
-        self, camera: Camera, groups: Sequence[Sequence[AtlasEntry]], cutoff: Lattice
+        self, camera: Camera, groups: Sequence[Sequence[AtlasEntry]], cutoff: Lattice, rate: int = 0
     ) -> list[SplatImage]:
         """An image of each group of entries, which lie one above the other; all count the nodes of all.
 
@@ -151,6 +151,7 @@ class ForestRenderer:
             camera: the view.
             groups: of entries, from the top down.
             cutoff: as in `render`.
+            rate: finest that the camera's entries may have.
         """
         entries = [entry for group in groups for entry in group]
         self._check(entries, cutoff)
@@ -166,7 +167,8 @@ class ForestRenderer:
         for entry in entries:
             mask[entry.tile_rows.start : entry.tile_rows.stop, : entry.tiles.shape[1]] = entry.tiles
         # So many tiles of the rasterizer lie along the side of one of the atlas.
-        split = _FINE_SPLIT if np.count_nonzero(mask) <= _FEW_TILES else 1
+        shown = TileGrid(max(1, camera.width >> rate), max(1, camera.height >> rate))
+        split = _FINE_SPLIT if shown.columns * shown.rows <= _FEW_TILES else 1
         grid = TileGrid(columns * TILE, rows * TILE, TILE // split)
         mask = mask.repeat(split, axis=0).repeat(split, axis=1)
         splats, bounds = self._splats(table, chosen, split)
