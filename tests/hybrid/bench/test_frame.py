@@ -24,6 +24,8 @@ FIELDS = ["mode", "live", "width", "height", "wall_ms", "kernels_ms", "launches"
 MEBIBYTE = 1 << 20
 # Sides of square frames in pixels, and bytes by which their images differ.
 SMALL, LARGE = 64, 256
+# Kernels, copies and the like of a frame.
+MOST_LAUNCHES = {FoveaMode.RAW: 45, FoveaMode.DENOISED: 70, FoveaMode.FUSED: 70}
 IMAGE = 12 * (LARGE**2 - SMALL**2)
 
 
@@ -177,3 +179,9 @@ def test_a_mistake_inside_leaves_numpy_and_drjit_as_they_were(arrays):
     np.ones(MEBIBYTE)
     assert host.count == counted
     assert handler.sum() == 1
+
+
+def test_a_frame_takes_few_launches(rows):
+    """Each costs the host as much as a small frame's kernel, whichever the size of the frame."""
+    for row in rows:
+        assert row["launches"] <= MOST_LAUNCHES[FoveaMode(row["mode"])], row
