@@ -20,11 +20,10 @@ from compose.base.arrays import Arrays, uploaded
 from compose.blend.blend import blend
 from compose.camera.camera import Camera
 from compose.fovea.disc import Disc
-from compose.image.colour import Image
 from compose.image.device import DeviceImage
 from hybrid.frame.coverage import Coverage
 from pathtrace.base.denoise import denoise
-from pathtrace.trace.film import box_positions, interleaved, pixel_positions
+from pathtrace.trace.film import FilmPositions, pixel_positions
 from pathtrace.trace.tracer import Tracer
 from splat.model.forest import Forest
 
@@ -117,7 +116,7 @@ class Filler:
         disc = _disc(self._arrays, camera, unknown, side)
         # What is beside them as well: it shines through the enlargement, and denoising looks at it.
         cells = maximum_filter(unknown, 3, mode="nearest") > 0
-        traced = _light(light(), camera, cells, side, effort, seed + _STREAM)
+        traced = _light(self._arrays, light(), camera, cells, side, effort, seed + _STREAM)
         albedo = probe.auxiliary(
             camera, pixel_positions(mi.UInt32(disc.pixels), camera.width), effort.albedo_spp, seed
         ).albedo
@@ -134,70 +133,148 @@ class Filler:
             self._kept = (camera, key), made
         return self._kept[1]
 
-    def _lit(self, disc: Disc, albedo: list[Any], light: Image) -> list[Any]:
-        """Radiance of pixels with an albedo in a light (h, w, 3) that is linear between its pixels."""
-        plain = self._arrays.plain
-        rows, columns = (self._arrays.constant(side) for side in light.shape[:2])
-        values, pixel = uploaded(plain.Float, light), disc.pixels
-        row = pixel // self._arrays.constant(disc.width)
-        column = pixel - row * self._arrays.constant(disc.width)
+    def _lit(self, disc: Disc, albedo: list[Any], light: _Light) -> list[Any]:
+        """Radiance of pixels with an albedo in a light that is linear between its pixels."""
+        arrays, plain, pixel = self._arrays, self._arrays.plain, disc.pixels
+        rows, columns = (plain.Int(arrays.constant(side)) for side in light.size)
+        (top, left), (height, width) = (
+            [arrays.constant(of) for of in sides]
+            for sides in ([side.start for side in light.box], [side.stop - side.start for side in light.box])
+        )
+        row = pixel // arrays.constant(disc.width)
+        column = pixel - row * arrays.constant(disc.width)
         x, y = ((plain.Float(at) + 0.5) * (1 / _SIDE) - 0.5 for at in (column, row))
-        left, top = plain.Int(dr.floor(x)), plain.Int(dr.floor(y))
+        first_x, first_y = plain.Int(dr.floor(x)), plain.Int(dr.floor(y))
         total = [plain.Float(0) for _ in range(3)]
         for k in range(4):
-            i, j = top + k // 2, left + k % 2
+            i, j = first_y + k // 2, first_x + k % 2
             weight = (1 - dr.abs(y - plain.Float(i))) * (1 - dr.abs(x - plain.Float(j)))
-            i = plain.UInt(dr.clip(i, 0, plain.Int(rows) - 1))
-            j = plain.UInt(dr.clip(j, 0, plain.Int(columns) - 1))
+            # What lies above or to the left of the rectangle wraps around to beyond it.
+            i, j = plain.UInt(dr.clip(i, 0, rows - 1)) - top, plain.UInt(dr.clip(j, 0, columns - 1)) - left
+            known = (i < height) & (j < width)
             for c in range(3):
-                tap = dr.gather(plain.Float, values, (i * columns + j) * 3 + c)
+                tap = dr.gather(plain.Float, light.values, (i * width + j) * 3 + c, known)
                 total[c] = dr.fma(weight, tap, total[c])
         lit = [t * (plain.Float(a) + _ALBEDO_OFFSET) for t, a in zip(total, albedo, strict=True)]
         dr.eval(lit)
         return lit
 
 
+@dataclass(frozen=True)
+class _Light:
+    """Radiance over albedo in pixels of 4 x 4 pixels of the frame; 0 outside a rectangle.
+
+    Attributes:
+        values: flat Float, three channels of each pixel of the rectangle, row by row.
+        size: rows and columns of the whole.
+        box: rows and columns of the rectangle.
+    """
+
+    values: Any
+    size: tuple[int, int]
+    box: tuple[slice, slice]
+
+
 def _disc(arrays: Arrays, camera: Camera, unknown: NDArray[np.float32], side: int) -> Disc:
     """The pixels with a share of what is unknown, given for cells; it is linear between their centres."""
-    height, width = camera.height, camera.width
-    axes = []
-    for size, count in zip((height, width), unknown.shape, strict=True):
-        at = np.clip((np.arange(size) + 0.5) / side - 0.5, 0, count - 1)
-        first = np.minimum(at.astype(np.int64), max(count - 2, 0))
-        axes.append((first, np.minimum(first + 1, count - 1), (at - first).astype(np.float32)))
-    (top, bottom, down), (left, right, across) = axes
-    rows = unknown[top] + (unknown[bottom] - unknown[top]) * down[:, None]
-    weights = (rows[:, left] + (rows[:, right] - rows[:, left]) * across).ravel()
-    pixels = np.flatnonzero(weights > 0).astype(np.uint32)
-    return Disc.of(arrays, width, height, pixels, weights[pixels])
+    plain, height, width = arrays.plain, camera.height, camera.width
+    across, columns = arrays.constant(width), arrays.constant(unknown.shape[1])
+    shares = uploaded(plain.Float, unknown)
+    pixel = dr.arange(plain.UInt, height * width)
+    row = pixel // across
+    taps = []
+    for at, count in zip((row, pixel - row * across), unknown.shape, strict=True):
+        last = arrays.constant(count - 1)
+        place = dr.clip((plain.Float(at) + 0.5) * (1 / side) - 0.5, 0, plain.Float(last))
+        first = plain.UInt(place)
+        taps.append((first, dr.minimum(first + 1, last), place - plain.Float(first)))
+    (top, bottom, down), (left, right, along) = taps
+    lines = [
+        dr.lerp(*(dr.gather(plain.Float, shares, line * columns + at) for at in (left, right)), along)
+        for line in (top, bottom)
+    ]
+    weights = dr.lerp(*lines, down)
+    shown = weights > 0
+    dr.eval(weights, shown)
+    pixels = dr.compress(shown)
+    reach = [(int(at.min()), int(at.max())) for at in np.nonzero(unknown)]
+    box = tuple(
+        slice(max(0, (2 * low - 1) * side // 2), min(size, (2 * high + 3) * side // 2))
+        for (low, high), size in zip(reach, (height, width), strict=True)
+    )
+    return Disc(arrays, width, height, pixels, dr.gather(plain.Float, weights, pixels), box)  # type: ignore[arg-type]
 
 
 def _light(
-    tracer: Tracer, camera: Camera, cells: NDArray[np.bool_], side: int, effort: Effort, seed: int
-) -> Image:
-    """(h, w, 3) denoised radiance over albedo in pixels of 4 x 4 pixels of the frame; 0 outside the cells."""
-    height, width = (-(-size // _SIDE) for size in (camera.height, camera.width))
-    times = side // _SIDE
-    wanted = cells.repeat(times, axis=0).repeat(times, axis=1)[:height, :width]
-    rows, columns = np.nonzero(wanted)
-    x, y = columns * _SIDE, rows * _SIDE
-    sizes = (np.minimum(_SIDE, end - at) for end, at in ((camera.width, x), (camera.height, y)))
-    traced, features = tracer.trace_with_features(camera, box_positions(x, y, *sizes), effort.light_spp, seed)
+    arrays: Arrays,
+    tracer: Tracer,
+    camera: Camera,
+    cells: NDArray[np.bool_],
+    side: int,
+    effort: Effort,
+    seed: int,
+) -> _Light:
+    """The denoised light in some cells of a side in pixels of the frame."""
+    size, times = tuple(-(-pixels // _SIDE) for pixels in (camera.height, camera.width)), side // _SIDE
     # Denoising takes as long as the rectangle is large.
-    box = tuple(slice(int(at.min()), int(at.max()) + 1) for at in (rows, columns))
+    box = tuple(
+        slice(int(at.min()) * times, min((int(at.max()) + 1) * times, end))
+        for at, end in zip(np.nonzero(cells), size, strict=True)
+    )
+    shape = tuple(part.stop - part.start for part in box)
+    wanted, positions = _boxes(arrays, camera, cells, times, box, shape)
+    traced, features = tracer.trace_with_features(camera, positions, effort.light_spp, seed)
     radiance, albedo, normal = (
-        _image(channels, (height, width), (rows, columns))[box]
+        _image(arrays, channels, wanted, shape)
         for channels in (traced.radiance, features.albedo, features.normal)
     )
-    light = np.zeros((height, width, 3), dtype=np.float32)
-    light[box] = denoise(radiance, albedo, normal, effort.quick) / (albedo + _ALBEDO_OFFSET)
-    return light
+    light = denoise(radiance, albedo, normal, effort.quick) / (albedo + _ALBEDO_OFFSET)
+    dr.eval(light)
+    return _Light(light.array, size, box)  # type: ignore[arg-type]
 
 
-def _image(
-    channels: list[Any], shape: tuple[int, int], pixels: tuple[NDArray[np.int64], NDArray[np.int64]]
-) -> Image:
-    """(*shape, 3) image of three (N,) channels at N pixels, 0 elsewhere."""
-    image = np.zeros((*shape, 3), dtype=np.float32)
-    image[pixels] = interleaved(channels)
-    return image
+def _boxes(
+    arrays: Arrays,
+    camera: Camera,
+    cells: NDArray[np.bool_],
+    times: int,
+    box: tuple[slice, ...],
+    shape: tuple[int, ...],
+) -> tuple[Any, FilmPositions]:
+    """The light's pixels in some cells, as indices (M,) in a rectangle, and where they are on the film.
+
+    Args:
+        arrays: the backend's array types.
+        camera: the view.
+        cells: (rows, columns) bool.
+        times: pixels of light along the side of a cell.
+        box, shape: the rectangle, and its numbers of rows and columns.
+    """
+    plain, across = arrays.plain, arrays.constant(shape[1])
+    top, left = (arrays.constant(part.start) for part in box)
+
+    def place(index: Any) -> tuple[Any, Any]:
+        row = index // across
+        return row + top, index - row * across + left
+
+    row, column = place(dr.arange(plain.UInt, shape[0] * shape[1]))
+    cell = row // times * arrays.constant(cells.shape[1]) + column // times
+    wanted = dr.compress(dr.gather(plain.Bool, uploaded(plain.Bool, cells), cell))
+    corner = [at * _SIDE for at in place(wanted)]
+    sides = (
+        dr.minimum(arrays.constant(end) - at, _SIDE)
+        for at, end in zip(corner, (camera.height, camera.width), strict=True)
+    )
+    y, x, tall, wide = (mi.Float(values) for values in (*corner, *sides))
+    dr.eval(x, y, wide, tall)
+    return wanted, FilmPositions(x, y, wide, tall)
+
+
+def _image(arrays: Arrays, channels: list[Any], pixels: Any, shape: tuple[int, ...]) -> Any:
+    """(*shape, 3) tensor of three (M,) channels at M pixels, 0 elsewhere."""
+    image = dr.zeros(arrays.plain.Float, shape[0] * shape[1] * 3)
+    for number, channel in enumerate(channels):
+        values = dr.detach(channel, preserve_type=False)
+        dr.scatter(image, values, pixels * 3 + number, mode=dr.ReduceMode.Permute)
+    dr.eval(image)
+    return arrays.plain.TensorXf(image, (*shape, 3))

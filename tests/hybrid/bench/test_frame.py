@@ -14,6 +14,7 @@ from hybrid.frame import renderer as module
 from hybrid.frame.live import LiveRenderer
 from hybrid.frame.renderer import Renderer
 from hybrid.frame.settings import FrameSettings
+from hybrid.frame.trained_views import attach_views
 from pathtrace.scene.scene import Scene, load_scene
 from splat.model.forest import Forest
 from tests import small
@@ -116,6 +117,18 @@ def test_no_pass_brings_an_image_to_the_host(scene, forest, kind, mode, spp):
     count, largest = bytes_of_more_pixels(kind(scene, forest), mode, spp)
     assert largest < LARGE**2 / 8
     # Of all arrays together, most of them copies of each other.
+    assert count < IMAGE / 2
+
+
+@pytest.mark.parametrize("kind", [Renderer, LiveRenderer])
+def test_what_the_forest_does_not_know_is_filled_on_the_device(scene, forest, kind):
+    elsewhere = replace(
+        scene.camera, world_to_camera=np.diag([-1.0, 1, -1, 1]) @ scene.camera.world_to_camera
+    )
+    renderer = kind(scene, attach_views(forest, [elsewhere]))
+    assert renderer.frame(FrameSettings(camera=scene.camera.resized(SMALL, SMALL))).filled == 1
+    count, largest = bytes_of_more_pixels(renderer, FoveaMode.FUSED, 1)
+    assert largest < LARGE**2 / 8
     assert count < IMAGE / 2
 
 
