@@ -37,7 +37,7 @@ def bench_passes(
 
     Returns:
         Rows with percentiles of all `passes` in milliseconds; share_of_tracing, the median time of making the
-        fovea from its samples (underlay included) over that of tracing them; and over_raw, by how much all of
+        fovea from its samples over that of tracing them; and over_raw, by how much all of
         that exceeds the tracing of a raw fovea, as a fraction.
     """
     renderer = Renderer(scene, forest)
@@ -69,6 +69,6 @@ def _shares(raw: list[dict[str, float]], frames: list[dict[str, float]]) -> dict
 
     Tracing includes albedo and normal, which raw frames do not need.
     """
-    made = np.median([frame["fovea"] + frame["underlay"] for frame in frames])
+    made = np.median([frame["fovea"] for frame in frames])
     tracing, bare = (np.median([frame["trace"] for frame in some]) for some in (frames, raw))
     return {"share_of_tracing": float(made / tracing), "over_raw": float((made + tracing) / bare - 1)}

@@ -37,7 +37,7 @@ class Frame:
             fovea, the pixels with samples only.
         underlay: the splats under the disc, if fused.
         region: the disc.
-        milliseconds: per pass (region, detail, splat, fill, underlay, trace, fovea, blend), and in total.
+        milliseconds: per pass (region, detail, splat, fill, trace, fovea, blend), and in total.
         fill: what was path-traced because the forest does not know it; None if it knows all of the frame.
         more: by name the AOVs that the settings ask for, (H, W, 3) or (H, W): splat, the finest layer over
             the whole frame, and depth, of the first hit along the view axis, inf where nothing is hit.

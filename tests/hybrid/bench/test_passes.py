@@ -16,7 +16,7 @@ def test_each_mode_has_its_passes(backend):
     assert [row["mode"] for row in rows] == ["raw", "denoised", "fused"]
     for row in rows:
         assert list(row["passes"]) == [
-            *("region", "detail", "splat", "fill", "underlay", "trace", "fovea", "blend", "total")
+            *("region", "detail", "splat", "fill", "trace", "fovea", "blend", "total")
         ]
         parts = sum(times["p50"] for name, times in row["passes"].items() if name != "total")
         assert 0.3 * row["passes"]["total"]["p50"] < parts < 3 * row["passes"]["total"]["p50"]

@@ -113,7 +113,7 @@ def test_the_periphery_of_a_still_camera_follows_the_gaze(live, scene, forest, s
 def test_times_are_those_of_the_passes_in_their_order(live, settings):
     for number in range(2):
         milliseconds = live.frame(settings, number).milliseconds
-        passes = ["region", "detail", "splat", "fill", "underlay", "trace", "fovea", "blend"]
+        passes = ["region", "detail", "splat", "fill", "trace", "fovea", "blend"]
         passes += waits()
         assert list(milliseconds) == [*passes, "total"]
         assert sum(milliseconds[name] for name in passes) == pytest.approx(milliseconds["total"])

@@ -115,7 +115,7 @@ def test_without_a_camera_the_scenes_own_view_is_rendered(renderer):
 
 def test_times_are_those_of_the_passes_in_their_order(renderer):
     milliseconds = renderer.frame(replace(RAW, fovea="fused")).milliseconds
-    passes = ["region", "detail", "splat", "fill", "underlay", "trace", "fovea", "blend"]
+    passes = ["region", "detail", "splat", "fill", "trace", "fovea", "blend"]
     passes += waits()
     assert list(milliseconds) == [*passes, "total"]
     assert sum(milliseconds[name] for name in passes) == pytest.approx(milliseconds["total"])

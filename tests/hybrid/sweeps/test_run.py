@@ -72,9 +72,7 @@ def test_full_frames_are_denoised_where_the_fovea_is(base, measure, monkeypatch)
 def test_rows_have_all_passes_and_what_their_discs_cover(base, measure):
     found, steps = measure(rows(base, fov_a=[40.0, 90.0]))
     for row in found:
-        assert {"region", "detail", "splat", "fill", "underlay", "trace", "fovea", "blend"} == set(
-            row["passes"]
-        )
+        assert {"region", "detail", "splat", "fill", "trace", "fovea", "blend"} == set(row["passes"])
         assert row["ratio"] == pytest.approx(row["full_ms"]["p50"] / row["ms"]["p50"])
         assert row["repeats"] == 3
         assert "paper" not in row

@@ -24,7 +24,7 @@ from tests.moving import moving_corner
 av = pytest.importorskip("av", reason="videos require PyAV")
 TRACE = GazeTrace((0.0, 0.5, 1.0), (Gaze(0.25, 0.5), Gaze(0.75, 0.5), Gaze(0.75, 0.5)))
 IDENTITY = {"of": "this test"}
-PASSES = ["region", "detail", "splat", "fill", "underlay", "trace", "fovea", "blend", "total"]
+PASSES = ["region", "detail", "splat", "fill", "trace", "fovea", "blend", "total"]
 
 
 @pytest.fixture(scope="module")

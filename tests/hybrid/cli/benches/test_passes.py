@@ -18,7 +18,7 @@ def test_each_pass_of_each_mode_is_timed(made, monkeypatch, tmp_path, capsys):
     assert run(monkeypatch, *common, "--size", 96, 64, "--repeats", 3, "--warm-up", 1) == 0
     rows = {row["mode"]: row for row in json.loads(out.read_text())}
     assert list(rows) == ["raw", "denoised", "fused"]
-    names = ["region", "detail", "splat", "fill", "underlay", "trace", "fovea", "blend", "total"]
+    names = ["region", "detail", "splat", "fill", "trace", "fovea", "blend", "total"]
     for row in rows.values():
         assert (row["width"], row["height"], row["spp"], row["repeats"]) == (96, 64, 2, 3)
         passes = row["passes"]
