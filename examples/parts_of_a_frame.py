@@ -27,7 +27,7 @@ def main() -> None:
     scene = hybrid.load_scene(arguments.scene)
     renderer = hybrid.Renderer(scene, hybrid.load_forest(arguments.forest))
     camera = scene.camera.resized(_SIZE, _SIZE)
-    settings = hybrid.FrameSettings(gaze=(0.42, 0.55), fov_a=24, fov_b=16, spp=16, camera=camera)
+    settings = hybrid.FrameSettings((0.42, 0.55), fov_a=24, fov_b=16, spp=16, camera=camera, aovs=("splat",))
     frame = renderer.frame(settings)
     aovs = frame.aovs()
 

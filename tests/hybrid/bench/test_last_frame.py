@@ -60,7 +60,7 @@ def test_the_first_frame_and_one_in_which_nothing_moves_are_as_without(backend):
     for time in (0.0, 0.5):
         settings = replace(SETTINGS, time=time)
         renderer.select(settings)
-        expected = SplatRenderer(forest).frame(settings).image
+        expected = SplatRenderer(forest).frame(settings).composite
         np.testing.assert_allclose(renderer.frame(settings), expected, atol=0.01)
 
 
@@ -81,9 +81,9 @@ def test_what_has_moved_far_since_is_missing(backend):
     renderer.select(replace(SETTINGS, time=0.0))
     now = replace(SETTINGS, time=1.0)
     renderer.select(now)
-    missed = np.abs(renderer.frame(now) - SplatRenderer(forest).frame(now).image).mean()
+    missed = np.abs(renderer.frame(now) - SplatRenderer(forest).frame(now).composite).mean()
     renderer.forget()
     renderer.select(now)
-    found = np.abs(renderer.frame(now) - SplatRenderer(forest).frame(now).image).mean()
+    found = np.abs(renderer.frame(now) - SplatRenderer(forest).frame(now).composite).mean()
     assert found < 1e-6
     assert missed > 0.001
