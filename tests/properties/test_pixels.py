@@ -20,6 +20,7 @@ import splat
 from hybrid.frame.settings import FrameSettings
 from pathtrace.trace.film import frame_positions, interleaved, pixel_positions
 from pathtrace.trace.tracer import Tracer
+from splat.lod import renderer as lod_renderer
 from splat.lod.layer_images import LayerImage
 from splat.lod.renderer import ForestRenderer
 from splat.model.forest import forest_of
@@ -150,6 +151,22 @@ def test_wanted_tiles_are_those_of_the_whole_frame(arrays, seed):
     mask = wanted.repeat(TILE, axis=0).repeat(TILE, axis=1)[: scene.camera.height, : scene.camera.width]
     np.testing.assert_array_equal(part[mask], whole[mask])
     assert (part[~mask] == 0).all()
+
+
+@tried(8)
+@given(SEEDS)
+def test_the_side_of_a_tile_means_nothing(arrays, seed):
+    """But where pixels transmit less than 1e-4: a block of them stops together."""
+    renderer, scene = forest_renderer(arrays, seed)
+    camera, images = scene.camera, []
+    for few in (0, 1 << 16):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(lod_renderer, "_FEW_TILES", few)
+            images.append(renderer.render_layer(camera, 1).image().copy())
+    one, other = images
+    stopped = twin.rendered(scene.gaussians, camera).jumps["stop"]
+    np.testing.assert_array_equal(other[~stopped], one[~stopped])
+    assert np.abs(other - one).max() <= 1e-4 * 100
 
 
 def test_a_frames_disc_does_not_depend_on_the_periphery(renderer):

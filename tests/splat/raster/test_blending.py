@@ -34,6 +34,18 @@ def test_an_image_equals_its_twin(arrays, side):
     np.testing.assert_allclose(image[:70, :90, :3], expected, atol=5e-4)
 
 
+@pytest.mark.parametrize("heights", [[5], [2, 3], [1, 3, 1], [4, 1]])
+def test_images_above_each_other_are_drawn_apart(arrays, heights):
+    """Each its rows of tiles, to the bit; where nothing is wanted, they are black."""
+    splats, wanted = random_splats(arrays, 150, 90, 70), np.ones((GRID.rows, GRID.columns), dtype=bool)
+    wanted[2, 1:4] = False
+    whole = image_of(arrays, splats, GRID, wanted)
+    images = rasterize(arrays, splats, bin_splats(arrays, splats, GRID, wanted), None, heights)
+    rows = [image.numpy().reshape(-1, GRID.padded_width, CHANNELS) for image in images]
+    assert [len(part) for part in rows] == [height * GRID.side for height in heights]
+    np.testing.assert_array_equal(np.concatenate(rows), whole)
+
+
 def test_two_splats_blend_front_to_back(arrays):
     """At the common centre: 0.6 of red in front, 0.5 of green through the rest; then the other way around."""
     red, green = (10.5, 10.5, 4.0, 0.6, 1.0, 0.0, 0.0), (10.5, 10.5, 4.0, 0.5, 0.0, 2.0, 0.0)
