@@ -23,7 +23,8 @@ class Disc:
         width, height: frame in pixels.
         pixels: UInt (D,), row-major indices, ascending.
         weights: Float (D,), weight of the path-traced radiance in each of them, 0..1; it is 0 in all others.
-        box: rows and columns of the rectangle around the pixels; None if there are none.
+        box: rows and columns of the rectangle around the pixels; None if there are none, or no image is made
+            of them.
         covers_frame: whether the pixels are all of the frame and all weights are 1.
     """
 
@@ -34,18 +35,6 @@ class Disc:
     weights: Any
     box: tuple[slice, slice] | None
     covers_frame: bool = False
-
-    @staticmethod
-    def of(
-        arrays: Arrays, width: int, height: int, pixels: NDArray[np.uint32], weights: NDArray[np.float32]
-    ) -> Disc:
-        """A disc of (D,) pixels of a frame and their weights, in host memory."""
-        box = None
-        if len(pixels):
-            row, column = np.divmod(pixels, np.uint32(width))
-            box = tuple(slice(int(at.min()), int(at.max()) + 1) for at in (row, column))
-        on_device = uploaded(arrays.plain.UInt, pixels), uploaded(arrays.plain.Float, weights)
-        return Disc(arrays, width, height, *on_device, box)  # type: ignore[arg-type]
 
     @staticmethod
     def in_region(arrays: Arrays, region: FoveaRegion) -> Disc:
@@ -95,11 +84,21 @@ class Disc:
         dr.eval(slots)
         return slots
 
-    def image(self, values: Any, ground: Any) -> Any:
-        """Float (h * w,) of the rectangle, not evaluated: values (D,) inside the disc, a ground elsewhere."""
+    def images(self, channels: list[Any], grounds: list[Any]) -> list[Any]:
+        """Floats (h * w,) of the rectangle, not evaluated: channels (D,) in the disc, grounds elsewhere."""
+        # At once: looked up one by one, each would take a kernel of its own.
+        dr.eval(channels)
         inside = self._slots >= 0
         index = self.arrays.plain.UInt(dr.maximum(self._slots, 0))
-        return dr.select(inside, dr.gather(self.arrays.plain.Float, values, index, inside), ground)
+        return [
+            dr.select(inside, dr.gather(self.arrays.plain.Float, values, index, inside), ground)
+            for values, ground in zip(channels, grounds, strict=True)
+        ]
+
+    def tensor(self, image: list[Any]) -> Any:
+        """(h, w, 3) tensor of an image of the rectangle, three Floats (h * w,)."""
+        plain = self.arrays.plain
+        return plain.TensorXf(dr.ravel(plain.Array3f(*image)), (*self.shape, 3))
 
     def frame_image(self, channels: list[Any]) -> NDArray[np.float32]:
         """(H, W, C) host image of the frame from C Floats (D,) of the disc's pixels; 0 elsewhere."""

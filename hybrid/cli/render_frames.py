@@ -144,7 +144,7 @@ def _render_frame(renderer: SplatRenderer, request: FramesRequest, settings: Fra
     from hybrid.pictures.levels import detail_picture
 
     # A forest alone knows no depth.
-    settings = replace(settings, aovs=tuple({*aovs_of_file(request.output)} - {"depth"}))
+    settings = replace(settings, aovs=("splat",) if aovs_of_file(request.output) else ())
     assert settings.camera is not None
     if request.eyes is None:
         frame = renderer.frame(settings)

@@ -32,10 +32,7 @@ def parents_of(disc: Disc, samples: Samples, underlay: Underlay, quick: bool = F
     assert disc.box is not None, "a disc without pixels has no images"
     splats = underlay.radiance.of_box(disc.box)
     images = DiscImages.of(disc, samples, splats)
-    spread = samples.variance()
-    # At once, before the images look it up.
-    dr.eval(spread)
-    variance = [disc.image(values, dr.inf) for values in spread]
+    variance = disc.images(samples.variance(), [dr.inf] * 3)
     planes = _planes(disc, [*images.channels, *splats, *variance])
     traced, albedo, normal, count, splat, unknown = torch.split(planes, [3, 3, 3, 1, 3, 3])
     denoised = _torch(denoised_for_fusion(images.tensors(), quick)).permute(2, 0, 1)
@@ -71,23 +68,15 @@ class DiscImages:
             surroundings: three Floats (h * w,), radiance of the rectangle's pixels outside the disc; those
                 that are not finite, or out of proportion to all samples, count as black.
         """
-        # At once, before the images look them up.
-        dr.eval(samples.radiance, samples.albedo, samples.normal, samples.count)
         surroundings = _usable(surroundings, samples.radiance)
-        over = lambda channels, grounds: [  # noqa: E731
-            disc.image(values, ground) for values, ground in zip(channels, grounds, strict=True)
-        ]
         # No albedo is traced outside the disc; the image is the best substitute.
         like_albedo = [dr.clip(channel, 0, 1) for channel in surroundings]
-        images = DiscImages(
-            disc,
-            over(samples.radiance, surroundings),
-            over(samples.albedo, like_albedo),
-            over(samples.normal, [0.0] * 3),
-            disc.image(samples.count, 1.0),
+        channels = disc.images(
+            [*samples.radiance, *samples.albedo, *samples.normal, samples.count],
+            [*surroundings, *like_albedo, *[0.0] * 3, 1.0],
         )
-        dr.eval(images.channels)
-        return images
+        dr.eval(channels)
+        return DiscImages(disc, channels[:3], channels[3:6], channels[6:9], channels[9])
 
     @property
     def channels(self) -> list[Any]:
@@ -96,12 +85,7 @@ class DiscImages:
 
     def tensors(self) -> list[Any]:
         """Radiance, albedo and normal as tensors (h, w, 3)."""
-        arrays = self.disc.arrays
-        shape = (*self.disc.shape, 3)
-        found = [
-            arrays.plain.TensorXf(dr.ravel(arrays.plain.Array3f(*channels)), shape)
-            for channels in (self.radiance, self.albedo, self.normal)
-        ]
+        found = [self.disc.tensor(channels) for channels in (self.radiance, self.albedo, self.normal)]
         dr.eval(found)
         return found
 

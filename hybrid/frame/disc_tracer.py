@@ -258,10 +258,8 @@ class DiscTracer:
         """
         if self._history is None:
             return known.count
-        counted, inside = (
-            disc.image(of, 0.0) for of in (known.count, dr.full(type(known.count), 1, known.size))
-        )
-        sums = [window_sum(disc.arrays, image, disc.shape, _WINDOW) for image in (counted, inside)]
+        images = disc.images([known.count, dr.full(type(known.count), 1, known.size)], [0.0, 0.0])
+        sums = [window_sum(disc.arrays, image, disc.shape, _WINDOW) for image in images]
         total, number = (dr.gather(type(of), of, disc.inside) for of in sums)
         return dr.select(known.count < 1, 0, dr.maximum(total / number, 1))
 

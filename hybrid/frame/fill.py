@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
-from compose.base.arrays import Arrays, uploaded
+from compose.base.arrays import Arrays, constant, uploaded
 from compose.blend.blend import blend
 from compose.camera.camera import Camera
 from compose.fovea.disc import Disc
@@ -116,11 +116,11 @@ class Filler:
         disc = _disc(self._arrays, camera, unknown, side)
         # What is beside them as well: it shines through the enlargement, and denoising looks at it.
         cells = maximum_filter(unknown, 3, mode="nearest") > 0
-        traced = _light(self._arrays, light(), camera, cells, side, effort, seed + _STREAM)
+        traced, known = _light(self._arrays, light(), camera, cells, side, effort, seed + _STREAM)
         albedo = probe.auxiliary(
             camera, pixel_positions(mi.UInt32(disc.pixels), camera.width), effort.albedo_spp, seed
         ).albedo
-        return Fill(disc, self._lit(disc, albedo, traced))
+        return Fill(disc, self._lit(disc, albedo, traced, known))
 
     def kept(
         self, camera: Camera, probe: Tracer, light: Callable[[], Tracer], key: object, seed: int
@@ -133,14 +133,20 @@ class Filler:
             self._kept = (camera, key), made
         return self._kept[1]
 
-    def _lit(self, disc: Disc, albedo: list[Any], light: _Light) -> list[Any]:
-        """Radiance of pixels with an albedo in a light that is linear between its pixels."""
+    def _lit(self, disc: Disc, albedo: list[Any], light: Any, known: Disc) -> list[Any]:
+        """Radiance of pixels with an albedo in a light that is linear between its pixels.
+
+        Args:
+            disc: the D pixels.
+            albedo: three Floats (D,).
+            light: (h, w, 3) tensor of the rectangle around the pixels of the light that are known.
+            known: those; 0 outside their rectangle.
+        """
         arrays, plain, pixel = self._arrays, self._arrays.plain, disc.pixels
-        rows, columns = (plain.Int(arrays.constant(side)) for side in light.size)
-        (top, left), (height, width) = (
-            [arrays.constant(of) for of in sides]
-            for sides in ([side.start for side in light.box], [side.stop - side.start for side in light.box])
-        )
+        assert known.box is not None, "some light is known wherever something is filled"
+        top, left = (arrays.constant(side.start) for side in known.box)
+        height, width = (arrays.constant(side) for side in known.shape)
+        rows, columns = (plain.Int(arrays.constant(side)) for side in (known.height, known.width))
         row = pixel // arrays.constant(disc.width)
         column = pixel - row * arrays.constant(disc.width)
         x, y = ((plain.Float(at) + 0.5) * (1 / _SIDE) - 0.5 for at in (column, row))
@@ -151,28 +157,13 @@ class Filler:
             weight = (1 - dr.abs(y - plain.Float(i))) * (1 - dr.abs(x - plain.Float(j)))
             # What lies above or to the left of the rectangle wraps around to beyond it.
             i, j = plain.UInt(dr.clip(i, 0, rows - 1)) - top, plain.UInt(dr.clip(j, 0, columns - 1)) - left
-            known = (i < height) & (j < width)
+            inside = (i < height) & (j < width)
             for c in range(3):
-                tap = dr.gather(plain.Float, light.values, (i * width + j) * 3 + c, known)
+                tap = dr.gather(plain.Float, light.array, (i * width + j) * 3 + c, inside)
                 total[c] = dr.fma(weight, tap, total[c])
         lit = [t * (plain.Float(a) + _ALBEDO_OFFSET) for t, a in zip(total, albedo, strict=True)]
         dr.eval(lit)
         return lit
-
-
-@dataclass(frozen=True)
-class _Light:
-    """Radiance over albedo in pixels of 4 x 4 pixels of the frame; 0 outside a rectangle.
-
-    Attributes:
-        values: flat Float, three channels of each pixel of the rectangle, row by row.
-        size: rows and columns of the whole.
-        box: rows and columns of the rectangle.
-    """
-
-    values: Any
-    size: tuple[int, int]
-    box: tuple[slice, slice]
 
 
 def _disc(arrays: Arrays, camera: Camera, unknown: NDArray[np.float32], side: int) -> Disc:
@@ -197,12 +188,7 @@ def _disc(arrays: Arrays, camera: Camera, unknown: NDArray[np.float32], side: in
     shown = weights > 0
     dr.eval(weights, shown)
     pixels = dr.compress(shown)
-    reach = [(int(at.min()), int(at.max())) for at in np.nonzero(unknown)]
-    box = tuple(
-        slice(max(0, (2 * low - 1) * side // 2), min(size, (2 * high + 3) * side // 2))
-        for (low, high), size in zip(reach, (height, width), strict=True)
-    )
-    return Disc(arrays, width, height, pixels, dr.gather(plain.Float, weights, pixels), box)  # type: ignore[arg-type]
+    return Disc(arrays, width, height, pixels, dr.gather(plain.Float, weights, pixels), None)
 
 
 def _light(
@@ -213,68 +199,49 @@ def _light(
     side: int,
     effort: Effort,
     seed: int,
-) -> _Light:
-    """The denoised light in some cells of a side in pixels of the frame."""
-    size, times = tuple(-(-pixels // _SIDE) for pixels in (camera.height, camera.width)), side // _SIDE
-    # Denoising takes as long as the rectangle is large.
-    box = tuple(
-        slice(int(at.min()) * times, min((int(at.max()) + 1) * times, end))
-        for at, end in zip(np.nonzero(cells), size, strict=True)
-    )
-    shape = tuple(part.stop - part.start for part in box)
-    wanted, positions = _boxes(arrays, camera, cells, times, box, shape)
-    traced, features = tracer.trace_with_features(camera, positions, effort.light_spp, seed)
-    radiance, albedo, normal = (
-        _image(arrays, channels, wanted, shape)
-        for channels in (traced.radiance, features.albedo, features.normal)
-    )
-    light = denoise(radiance, albedo, normal, effort.quick) / (albedo + _ALBEDO_OFFSET)
-    dr.eval(light)
-    return _Light(light.array, size, box)  # type: ignore[arg-type]
-
-
-def _boxes(
-    arrays: Arrays,
-    camera: Camera,
-    cells: NDArray[np.bool_],
-    times: int,
-    box: tuple[slice, ...],
-    shape: tuple[int, ...],
-) -> tuple[Any, FilmPositions]:
-    """The light's pixels in some cells, as indices (M,) in a rectangle, and where they are on the film.
+) -> tuple[Any, Disc]:
+    """Denoised radiance over albedo in some cells, in pixels of 4 x 4 pixels of the frame.
 
     Args:
         arrays: the backend's array types.
+        tracer: of the radiance.
         camera: the view.
         cells: (rows, columns) bool.
-        times: pixels of light along the side of a cell.
-        box, shape: the rectangle, and its numbers of rows and columns.
+        side: of a cell in pixels of the frame.
+        effort: how well.
+        seed: same seed, same light.
+
+    Returns:
+        (h, w, 3) tensor of the rectangle around the cells; and the pixels in these.
     """
-    plain, across = arrays.plain, arrays.constant(shape[1])
-    top, left = (arrays.constant(part.start) for part in box)
-
-    def place(index: Any) -> tuple[Any, Any]:
-        row = index // across
-        return row + top, index - row * across + left
-
-    row, column = place(dr.arange(plain.UInt, shape[0] * shape[1]))
-    cell = row // times * arrays.constant(cells.shape[1]) + column // times
-    wanted = dr.compress(dr.gather(plain.Bool, uploaded(plain.Bool, cells), cell))
-    corner = [at * _SIDE for at in place(wanted)]
-    sides = (
-        dr.minimum(arrays.constant(end) - at, _SIDE)
-        for at, end in zip(corner, (camera.height, camera.width), strict=True)
-    )
-    y, x, tall, wide = (mi.Float(values) for values in (*corner, *sides))
+    known = _known(arrays, camera, cells, side // _SIDE)
+    corner = pixel_positions(mi.UInt32(known.pixels), known.width)
+    x, y = corner.x * _SIDE, corner.y * _SIDE
+    ends = constant(mi.Float, camera.width), constant(mi.Float, camera.height)
+    wide, tall = (dr.minimum(_SIDE, end - start) for start, end in zip((x, y), ends, strict=True))
     dr.eval(x, y, wide, tall)
-    return wanted, FilmPositions(x, y, wide, tall)
+    positions = FilmPositions(x, y, wide, tall)
+    traced, features = tracer.trace_with_features(camera, positions, effort.light_spp, seed)
+    radiance, albedo, normal = (
+        known.tensor(known.images([dr.detach(of, preserve_type=False) for of in channels], [0.0] * 3))
+        for channels in (traced.radiance, features.albedo, features.normal)
+    )
+    dr.eval(radiance, albedo, normal)
+    light = denoise(radiance, albedo, normal, effort.quick) / (albedo + _ALBEDO_OFFSET)
+    dr.eval(light)
+    return light, known
 
 
-def _image(arrays: Arrays, channels: list[Any], pixels: Any, shape: tuple[int, ...]) -> Any:
-    """(*shape, 3) tensor of three (M,) channels at M pixels, 0 elsewhere."""
-    image = dr.zeros(arrays.plain.Float, shape[0] * shape[1] * 3)
-    for number, channel in enumerate(channels):
-        values = dr.detach(channel, preserve_type=False)
-        dr.scatter(image, values, pixels * 3 + number, mode=dr.ReduceMode.Permute)
-    dr.eval(image)
-    return arrays.plain.TensorXf(image, (*shape, 3))
+def _known(arrays: Arrays, camera: Camera, cells: NDArray[np.bool_], times: int) -> Disc:
+    """The light's pixels in some cells, of which each has `times` along a side."""
+    plain, (height, width) = arrays.plain, (-(-size // _SIDE) for size in (camera.height, camera.width))
+    pixel, across = dr.arange(plain.UInt, height * width), arrays.constant(width)
+    row = pixel // across
+    cell = row // times * arrays.constant(cells.shape[1]) + (pixel - row * across) // times
+    pixels = dr.compress(dr.gather(plain.Bool, uploaded(plain.Bool, cells), cell))
+    # Denoising takes as long as the rectangle is large.
+    rows, columns = (
+        slice(int(at.min()) * times, min((int(at.max()) + 1) * times, end))
+        for at, end in zip(np.nonzero(cells), (height, width), strict=True)
+    )
+    return Disc(arrays, width, height, pixels, dr.full(plain.Float, 1, dr.width(pixels)), (rows, columns))

@@ -282,11 +282,10 @@ class Tracer:
         samples = (
             batch.spp if isinstance(batch.spp, int) else mi.Float(dr.maximum(mi.UInt32(batch.spp.each), 1))
         )
-        if batch.spp == 1 and not features:
-            # Not copied from the lanes: whoever shows them finds them there.
-            return sums, first
         means = sums if batch.spp == 1 else [channel / samples for channel in sums]
-        dr.eval(means, first)
+        # Single samples alone are not copied from the lanes: whoever shows them finds them there.
+        if features or batch.spp != 1:
+            dr.eval(means, first)
         return means, first
 
     def _features(self, batch: _Batch) -> list[Any]:

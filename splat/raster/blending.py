@@ -15,6 +15,7 @@ together.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any
 
 import drjit as dr
@@ -88,15 +89,17 @@ def rasterize(
         state, lambda i, transmittance, colour: block.is_active(i, transmittance), blend, mode="symbolic"
     )
     pixels = [[*colour[3 * p : 3 * p + 3], 1 - transmittance[p]] for p in range(block.pixels)]
-    starts = np.cumsum([0, *heights[:-1]]).tolist()
-    for target, first in block.chunks(bins.grid.padded_width):
+    side, width, within = bins.grid.side, bins.grid.padded_width, [True]
+    # Rows of pixels, and chunks, above each image and in all.
+    above = np.cumsum([0, *heights]) * side
+    if len(images) > 1:
+        rows = [arrays.constant(row) for row in above.tolist()]
+        within = [(block.y >= top) & (block.y < bottom) for top, bottom in pairwise(rows)]
+    before = [arrays.constant(chunks) if chunks else 0 for chunks in (above[:-1] * (width // 2)).tolist()]
+    for target, first in block.chunks(width):
         values = arrays.plain.ArrayXf([*pixels[first], *pixels[first + 1]])
-        for image, start, height in zip(images, starts, heights, strict=True):
-            row, within = arrays.constant(start * bins.grid.side), True
-            if len(images) > 1:
-                within = (block.y >= row) & (block.y < row + arrays.constant(height * bins.grid.side))
-            at = target - row * arrays.constant(bins.grid.padded_width // 2) if start else target
-            dr.scatter(image, values, at, within, mode=dr.ReduceMode.Permute)
+        for image, own, start in zip(images, within, before, strict=True):
+            dr.scatter(image, values, target - start, own, mode=dr.ReduceMode.Permute)
     dr.eval(images)
     return images
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
 from compose.fovea.counts import Counts
+from compose.fovea.disc import Disc
 from compose.fovea.earlier import EarlierView
 from compose.fovea.reprojection import Reprojected
 from compose.fovea.samples import Samples
@@ -35,6 +36,15 @@ def channels(arrays: Arrays, values: Any) -> list[Any]:
 def host(values: list[Any]) -> Floats:
     """(D, C) columns, C Floats (D,)."""
     return np.stack([np.array(column) for column in values], axis=-1)
+
+
+def disc_of(arrays: Arrays, width: int, height: int, pixels: Any, weights: Any) -> Disc:
+    """A disc of (D,) pixels of a frame, in ascending order, and their weights."""
+    box = None
+    if len(pixels):
+        row, column = np.divmod(pixels, width)
+        box = tuple(slice(int(at.min()), int(at.max()) + 1) for at in (row, column))
+    return Disc(arrays, width, height, indices(arrays, pixels), floats(arrays, weights), box)
 
 
 def each_of(counts: int | Counts, size: int) -> NDArray[np.int64]:

@@ -12,7 +12,7 @@ from compose.fovea.disc import Disc
 from compose.fovea.region import Foveation
 from compose.image.device import DeviceImage
 from tests import small
-from tests.compose.arrays_of import channels, host
+from tests.compose.arrays_of import channels, disc_of, host
 
 GAZES = [Gaze(), Gaze(0, 0), Gaze(1, 0.3), Gaze(-0.1, 0.5), Gaze(5, 5)]
 
@@ -21,7 +21,7 @@ def row(arrays: Arrays, weights: list[float]) -> Disc:
     """A disc of one row; pixels with weight 0 do not belong to it."""
     weight = np.array(weights, dtype=np.float32)
     pixels = np.flatnonzero(weight).astype(np.uint32)
-    return Disc.of(arrays, len(weights), 1, pixels, weight[pixels])
+    return disc_of(arrays, len(weights), 1, pixels, weight[pixels])
 
 
 def blended(periphery: np.ndarray, fovea: np.ndarray, disc: Disc) -> np.ndarray:

@@ -15,7 +15,7 @@ from compose.fovea.counts import Counts
 from compose.fovea.disc import Disc
 from compose.fovea.region import Foveation
 from compose.image.device import DeviceImage
-from tests.compose.arrays_of import channels, each_of
+from tests.compose.arrays_of import channels, disc_of, each_of
 
 SEEDS = 2000
 REGION = Foveation(Gaze(0.45, 0.6), 45, 20).region(64, 48)
@@ -134,7 +134,7 @@ def test_pixels_due_less_than_one_sample_keep_a_weight_of_one_sample(whole):
 
 def flat(arrays: Arrays, size: int, weight: float) -> Disc:
     """The first pixels of 64 x 64, all of one weight."""
-    return Disc.of(arrays, 64, 64, np.arange(size, dtype=np.uint32), np.full(size, weight, np.float32))
+    return disc_of(arrays, 64, 64, np.arange(size, dtype=np.uint32), np.full(size, weight, np.float32))
 
 
 def test_neighbouring_pixels_of_equal_weight_share_the_samples_evenly(arrays):

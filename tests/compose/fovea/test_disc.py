@@ -12,7 +12,7 @@ from compose.fovea.disc import Disc
 from compose.fovea.region import Foveation
 from compose.image.device import DeviceImage
 from tests import small
-from tests.compose.arrays_of import channels, floats, host
+from tests.compose.arrays_of import channels, disc_of, floats, host
 
 GAZES = [Gaze(), Gaze(0.05, 0.9), Gaze(0.3, 0.45)]
 
@@ -20,13 +20,13 @@ GAZES = [Gaze(), Gaze(0.05, 0.9), Gaze(0.3, 0.45)]
 def of_pixels(arrays: Arrays, pixels: list[int], width: int = 10, height: int = 10) -> Disc:
     """A disc of pixels of a frame, with weights from 0.5 to 1."""
     weights = np.linspace(0.5, 1, len(pixels), dtype=np.float32)
-    return Disc.of(arrays, width, height, np.array(pixels, dtype=np.uint32), weights)
+    return disc_of(arrays, width, height, np.array(pixels, dtype=np.uint32), weights)
 
 
 def image_of(disc: Disc, values: np.ndarray, ground: np.ndarray) -> np.ndarray:
     """(h, w, C) image of the rectangle from values (D, C) on a ground (h, w, C)."""
-    pairs = zip(channels(disc.arrays, values), channels(disc.arrays, flat(ground)), strict=True)
-    return host([disc.image(*pair) for pair in pairs]).reshape(ground.shape)
+    found = disc.images(channels(disc.arrays, values), channels(disc.arrays, flat(ground)))
+    return host(found).reshape(ground.shape)
 
 
 def flat(image: np.ndarray) -> np.ndarray:
@@ -118,9 +118,11 @@ def test_an_odd_side_grows_towards_the_inside_of_the_frame(arrays, gaze, box):
 
 def test_the_ground_of_an_image_is_left_as_it_is(arrays):
     disc, ground = of_pixels(arrays, [12, 13, 22]), floats(arrays, np.full(4, 7))
-    assert np.array(disc.image(floats(arrays, [1, 2, 3]), ground)).tolist() == [1, 2, 3, 7]
+    values = floats(arrays, [1, 2, 3])
+    found, infinite = disc.images([values, values], [ground, dr.inf])
+    assert np.array(found).tolist() == [1, 2, 3, 7]
     assert np.array(ground).tolist() == [7] * 4
-    assert np.array(disc.image(floats(arrays, [1, 2, 3]), dr.inf)).tolist() == [1, 2, 3, np.inf]
+    assert np.array(infinite).tolist() == [1, 2, 3, np.inf]
 
 
 @pytest.mark.parametrize("size", [1, 7, 100])

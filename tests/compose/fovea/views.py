@@ -10,7 +10,7 @@ from compose.camera.camera import Camera, look_at
 from compose.fovea.disc import Disc
 from compose.fovea.movers import Moment
 from compose.image.gloss import DIFFUSE
-from tests.compose.arrays_of import PlainSamples
+from tests.compose.arrays_of import PlainSamples, disc_of
 
 SIZE = 48
 
@@ -52,7 +52,7 @@ def samples(
 def whole(arrays: Arrays, view: Camera) -> Disc:
     """A disc of all pixels of a camera's frame."""
     size = view.width * view.height
-    return Disc.of(
+    return disc_of(
         arrays, view.width, view.height, np.arange(size, dtype=np.uint32), np.ones(size, np.float32)
     )
 
