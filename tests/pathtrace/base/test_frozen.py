@@ -107,18 +107,57 @@ def test_scenes_and_interactions_pass_as_they_are():
     assert frozen.n_recordings == drjits_own.n_recordings == 2
 
 
-def test_other_scenes_in_memory_are_part_of_a_recording(only_scenes_in_use):
+def distance_in(scene: Any, x: Any) -> Any:
+    """Distance of what rays along z hit, times the red that their surface reflects."""
+    hit = scene.ray_intersect(mi.Ray3f(0, mi.Vector3f(x, 0, 1)))
+    return hit.t * hit.bsdf().eval_diffuse_reflectance(hit).x
+
+
+def test_other_scenes_in_memory_change_nothing(only_scenes_in_use):
     scene = mi.load_dict(small.corner())
-    frozen = Frozen(lambda scene, x: scene.ray_intersect(mi.Ray3f(0, mi.Vector3f(x, 0, 1))).t)
+    frozen = Frozen(distance_in)
     x = dr.linspace(mi.Float, 0, 0.3, 64)
     dr.eval(x)
     expected = frozen(scene, x)
     other = mi.load_dict(small.corner())
     assert_alike(frozen(scene, x), expected)
-    assert frozen.n_recordings == 2
+    assert frozen.n_recordings == 1
+    # Recorded with another scene in memory, whose methods are in the kernel then.
+    late = Frozen(distance_in)
+    assert_alike(late(scene, x), expected)
     del other
-    assert_alike(frozen(scene, x), expected)
-    assert frozen.n_recordings == 2
+    assert_alike(late(scene, x), expected)
+    assert late.n_recordings == 1
+
+
+def test_a_function_follows_its_scene():
+    """What is replaced in a scene is read by the recording that there is; constants are compiled in."""
+    scene = mi.load_dict(small.corner())
+    frozen = Frozen(distance_in)
+    x = dr.linspace(mi.Float, 0, 0.3, 64)
+    dr.eval(x)
+    parameters = mi.traverse(scene)
+    colours = [key for key in parameters.keys() if key.endswith("reflectance.value")]
+    assert colours
+    for level in (0.2, 0.4, 0.8, 0.3):
+        for key in colours:
+            parameters[key] = type(parameters[key])(level)
+        parameters.update()
+        assert_alike(frozen(scene, x), distance_in(scene, x))
+    assert frozen.n_recordings <= 2
+
+
+def test_scenes_are_told_apart():
+    first, second = (mi.load_dict(small.corner()) for _ in range(2))
+    parameters = mi.traverse(second)
+    for key in [key for key in parameters.keys() if key.endswith("reflectance.value")]:
+        parameters[key] = type(parameters[key])(0.125)
+    parameters.update()
+    frozen = Frozen(distance_in)
+    x = dr.linspace(mi.Float, 0, 0.3, 64)
+    dr.eval(x)
+    for scene in (first, second, first, second):
+        assert_alike(frozen(scene, x), distance_in(scene, x))
 
 
 def test_the_collector_runs_after_an_error():
