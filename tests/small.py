@@ -8,6 +8,11 @@ import mitsuba as mi
 import numpy as np
 
 
+def denoising_error() -> float:
+    """How far denoisings of the same image may lie apart, relatively: a card's are of half precision."""
+    return 0.02 if mi.variant().startswith("cuda") else 1e-4
+
+
 def sensor(width: int = 32, height: int = 32, fov: float = 60.0) -> dict[str, Any]:
     """A camera at (0.3, 0.2, -1), looking towards the origin, a little off."""
     return {

@@ -43,6 +43,11 @@ class Arrays:
         self.plain: ModuleType = drjit.llvm if backend == "llvm" else drjit.cuda
         self.ad: ModuleType = self.plain.ad
 
+    @property
+    def device(self) -> torch.device:
+        """Where torch's tensors share memory with the arrays; the host if torch has no CUDA."""
+        return torch.device("cuda" if self.backend == "cuda" and torch.cuda.is_available() else "cpu")
+
     def constant(self, value: int) -> Any:
         """UInt of width 1 that kernels read from memory: the same kernel serves every value.
 

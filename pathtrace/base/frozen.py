@@ -95,7 +95,7 @@ class _Scene:
 
 
 def _indices(objects: list[Any]) -> list[int]:
-    """Numbers by which Dr.Jit knows the arrays of objects of Mitsuba, one as often as they refer to it; 0 if empty."""
+    """Numbers of the arrays of Mitsuba's objects, each as often as they refer to it; 0 of empty ones."""
     with dr.scoped_set_flag(dr.JitFlag.EnableObjectTraversal, True):
         return dr.detail.collect_indices(objects)
 

@@ -125,6 +125,13 @@ class Gaussians:
         rows = [torch.zeros(shape) for shape in ((3, 0), (3, 0), (4, 0), (0,), (sh_count(degree), 3, 0))]
         return Gaussians(*rows)
 
+    def to(self, device: torch.device) -> Gaussians:
+        """The same Gaussians on a device; shares the memory of those that are there."""
+        further = self.directional
+        if further is not None:
+            further = Directional(further.index.to(device), further.sh.to(device))
+        return Gaussians(*(tensor.to(device) for _, tensor in self.tensors()), directional=further)
+
     def select(self, keep: torch.Tensor) -> Gaussians:
         """The Gaussians at an index or a mask (N,), copied."""
         own = (tensor[..., keep].contiguous() for _, tensor in self.tensors())

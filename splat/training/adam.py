@@ -26,7 +26,7 @@ class Adam:
     def __init__(self, values: torch.Tensor):
         self.values = values
         self.first_moments, self.second_moments = (torch.zeros_like(values) for _ in range(2))
-        self.steps = torch.zeros(values.shape[1])
+        self.steps = values.new_zeros(values.shape[1])
 
     def step(self, index: torch.Tensor, gradient: torch.Tensor, rates: torch.Tensor) -> None:
         """Moves the columns at an index (M,) against a gradient (R, M).

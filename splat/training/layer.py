@@ -22,7 +22,7 @@ from splat.training.density import DensityControl
 from splat.training.depths import measured
 from splat.training.loss import Target
 from splat.training.node_light import NodeLight
-from splat.training.optimizer import GaussianOptimizer
+from splat.training.optimizer import HOST, GaussianOptimizer
 from splat.training.order import order_of_views
 from splat.training.sizes import largest_log_scales
 from splat.training.splitting import LEAST_STEPS, halves, too_large
@@ -87,7 +87,10 @@ class LayerTraining:
         self.views, self.done, self.skipped, self.begun = views, 0, 0, False
         self.stepped = False
         self._arrays, self._steps, self._seed = arrays, steps, seed
-        self._targets = [Target(arrays, torch.from_numpy(v.radiance)) for v in views]
+        # What moves, and light that changes, are shown on the host.
+        still = motion is None and light is None
+        self._device = arrays.device if still else HOST
+        self._targets = [Target(arrays, torch.from_numpy(v.radiance).to(self._device)) for v in views]
         self._pixel = pixel_footprint(views)
         labels = [view.instance for view in views if view.instance is not None]
         self._instances = 1 + max((int(label.max()) for label in labels), default=-1)
@@ -99,7 +102,7 @@ class LayerTraining:
     def begin(self, layer: Layer, final_count: int) -> None:
         """Starts from the given nodes; density control brings their number to the final one."""
         self._tree, self.begun = layer, True
-        self._optimizer = GaussianOptimizer(layer.gaussians, self._pixel)
+        self._optimizer = GaussianOptimizer(layer.gaussians, self._pixel, self._device)
         self._density = self._controlled(len(layer), final_count)
         self._follow_light()
 
@@ -136,7 +139,8 @@ class LayerTraining:
         index = self._view_of(self.done)
         camera, time = self.views[index].camera, self.views[index].time
         semantic = self._tree.semantic
-        shown = visible(self._arrays, self._shown(time), camera)
+        own = self._optimizer.on_device if self._motion is None else self._shown(time)
+        shown = visible(self._arrays, own, camera)
         rest = chosen = self._optimizer.chosen(shown)
         if self._motion is not None:
             chosen = self._motion.shown(rest, semantic[shown], time)
@@ -146,7 +150,7 @@ class LayerTraining:
         loss, error = self._targets[index].loss(image)
         self.stepped = self._optimizer.step(loss, self.done / self._steps)
         if self.stepped:
-            self._density.observe(index, error)
+            self._density.observe(index, error.to(HOST))
         else:
             self.skipped += 1
         if self.done % _LIMITED_EVERY == _LIMITED_EVERY - 1:
@@ -273,7 +277,7 @@ class LayerTraining:
         """
         if "initial" not in numbers:
             return
-        self._optimizer = GaussianOptimizer.restored(tensors, self._pixel)
+        self._optimizer = GaussianOptimizer.restored(tensors, self._pixel, self._device)
         gaussians = self._optimizer.gaussians
         self._tree, self.begun = Layer(gaussians, *(tensors[name] for name in LABELS)), True
         self._density = self._controlled(int(numbers["initial"]), int(numbers["final"]))

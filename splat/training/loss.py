@@ -5,14 +5,16 @@ Value and gradient come out of the same kernels: of a loss that is computed at e
 
 from __future__ import annotations
 
+import atexit
+from functools import lru_cache
 from typing import Any
 
 import drjit as dr
 import torch
 from torch.autograd.function import once_differentiable
 
-from compose.base.arrays import Arrays
-from splat.training.window import CHANNELS, TAPS, across, blur, down, transposed
+from compose.base.arrays import Arrays, constant
+from splat.training.window import CHANNELS, TAPS, Axis, across, blur, down, transposed
 
 # Smaller images do not hold the similarity's window.
 SMALLEST_SIDE = TAPS
@@ -36,7 +38,6 @@ class Target:
 
     def __init__(self, arrays: Arrays, radiance: torch.Tensor):
         self._arrays, self._radiance = arrays, radiance
-        self._height, self._width = radiance.shape[:2]
         seen, _ = _logarithmic(self._frame())
         # Variances do not depend on where zero is. With zero amid the frame's own values, little cancels in
         # them; where all is very bright, rounding would otherwise exceed the similarity's constants.
@@ -57,42 +58,87 @@ class Target:
 
     def loss_and_gradient(self, rendered: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Loss, error per pixel (H, W), and the derivative of the loss by the radiance (H, W, 3)."""
-        zero = self._zero_at(dr.arange(self._arrays.plain.UInt, rendered.numel()))
-        seen, slope = _logarithmic(_flat(self._arrays, rendered))
-        own, _ = _logarithmic(self._frame())
-        seen, own = seen - zero, own - zero
-        distance = dr.abs(seen - own)
-        dr.eval(seen, own, slope, distance)
-        error = dr.block_sum(distance, CHANNELS) / CHANNELS
-        dissimilarity, *flow = self._compared(seen, own)
+        arrays, (height, width) = self._arrays, rendered.shape[:2]
+        sizes = [axis.sizes(arrays) for axis in _axes(width, height)]
+        recorded = _recorded(arrays, width, height)
         # Means of as many numbers as there are.
-        by_distance = (1 - SSIM_WEIGHT) / dr.width(seen)
-        by_similarity = -SSIM_WEIGHT / dr.width(dissimilarity)
-        gradient = self._gradient(flow, seen, own, slope, by_distance, by_similarity)
-        loss = by_distance * dr.sum(distance) - by_similarity * dr.sum(dissimilarity)
-        dr.eval(error, loss)
-        there = lambda array: self._arrays.to_torch(array, rendered.device)  # noqa: E731
-        return (
-            there(loss)[0],
-            there(error).reshape(rendered.shape[:2]),
-            there(gradient).reshape(rendered.shape),
-        )
+        windows = (height - TAPS + 1) * (width - TAPS + 1) * CHANNELS
+        parts = (1 - SSIM_WEIGHT) / rendered.numel(), -SSIM_WEIGHT / windows
+        shares = [constant(arrays.plain.Float, part) for part in parts]
+        found = recorded(_flat(arrays, rendered), self._frame(), self._zero, sizes, shares)
+        loss, error, gradient = (arrays.to_torch(array, rendered.device) for array in found)
+        return loss[0], error.reshape(height, width), gradient.reshape(rendered.shape)
 
     def _frame(self) -> Any:
         """The frame's radiance, flat."""
         return _flat(self._arrays, self._radiance.float())
 
-    def _compared(self, seen: Any, own: Any) -> list[Any]:
-        """Per window 1 - SSIM, and SSIM's derivatives by the means of an image, its square and its product.
 
-        Args:
-            seen: the image.
-            own: the frame, and the other factor of the product.
+def _axes(width: int, height: int) -> list[Axis]:
+    """Where the window moves: over the image, and back over the derivatives by its means."""
+    there = [across(width, height), down(width - TAPS + 1, height)]
+    return [*there, *map(transposed, reversed(there))]
+
+
+@lru_cache(maxsize=16)
+def _recorded(arrays: Arrays, width: int, height: int) -> Any:
+    """The kernels of a loss on images of one size; to trace them takes longer than small images do."""
+    return dr.freeze(lambda *given: _Similarity(arrays, _axes(width, height), *given).loss_and_gradient())
+
+
+# Dr.Jit complains of arrays that outlive it.
+atexit.register(_recorded.cache_clear)
+
+
+class _Similarity:
+    """An image compared with a frame.
+
+    Args:
+        arrays: the backend's array types.
+        axes: of `_axes`.
+        rendered, frame: radiance, flat.
+        zero: (3,) where zero is, per channel.
+        sizes: of the axes.
+        shares: what each number's distance adds to the loss, and each window's similarity.
+    """
+
+    def __init__(
+        self,
+        arrays: Arrays,
+        axes: list[Axis],
+        rendered: Any,
+        frame: Any,
+        zero: Any,
+        sizes: list[list[Any]],
+        shares: list[Any],
+    ):
+        self._arrays, self._axes, self._sizes = arrays, axes, sizes
+        self._zero, (self._by_distance, self._by_similarity) = zero, shares
+        seen, self._slope = _logarithmic(rendered)
+        own, _ = _logarithmic(frame)
+        offset = self._zero_at(dr.arange(arrays.plain.UInt, dr.width(rendered)))
+        self._seen, self._own = seen - offset, own - offset
+        self._distance = dr.abs(self._seen - self._own)
+        dr.eval(self._seen, self._own, self._slope, self._distance)
+
+    def loss_and_gradient(self) -> list[Any]:
+        """Loss, error per pixel, and derivative of the loss by the radiance."""
+        error = dr.block_sum(self._distance, CHANNELS) / CHANNELS
+        dissimilarity, *flow = self._compared()
+        gradient = self._gradient(flow)
+        loss = self._by_distance * dr.sum(self._distance) - self._by_similarity * dr.sum(dissimilarity)
+        dr.eval(error, loss)
+        return [loss, error, gradient]
+
+    def _compared(self) -> list[Any]:
+        """Per window 1 - SSIM, and SSIM's derivatives by the means of the image, its square and its product.
+
+        The frame is the other factor of the product.
         """
         Float = self._arrays.plain.Float
 
         def load(index: Any, inside: Any) -> list[Any]:
-            a, b = dr.gather(Float, seen, index, inside), dr.gather(Float, own, index, inside)
+            a, b = (dr.gather(Float, image, index, inside) for image in (self._seen, self._own))
             return [a, a * a, a * b, b, b * b]
 
         def finish(index: Any, means: list[Any]) -> list[Any]:
@@ -110,28 +156,25 @@ class Target:
             by_mean = by_level - by_product * own_mean - 2 * by_square * mean
             return [1 - similarity, by_mean, by_square, by_product]
 
-        width, height = self._width, self._height
-        rows = blur(self._arrays, across(width, height), load)
-        return blur(self._arrays, down(width - TAPS + 1, height), self._loaded(rows), finish)
+        rows = self._blurred(0, load)
+        return self._blurred(1, self._loaded(rows), finish)
 
-    def _gradient(
-        self, flow: list[Any], seen: Any, own: Any, slope: Any, by_distance: float, by_similarity: float
-    ) -> Any:
+    def _gradient(self, flow: list[Any]) -> Any:
         """Derivative of the loss by the radiance from SSIM's derivatives by the means of `_compared`."""
-        arrays, width, height = self._arrays, self._width, self._height
-        Float, shares = (
-            arrays.plain.Float,
-            [dr.opaque(arrays.plain.Float, v) for v in (by_distance, by_similarity)],
-        )
+        Float = self._arrays.plain.Float
 
         def finish(index: Any, sums: list[Any]) -> list[Any]:
-            a, b = dr.gather(Float, seen, index), dr.gather(Float, own, index)
+            a, b = (dr.gather(Float, image, index) for image in (self._seen, self._own))
             by_seen = dr.fma(2 * a, sums[1], dr.fma(b, sums[2], sums[0]))
-            sign = dr.select(a > b, shares[0], dr.select(a < b, -shares[0], 0))
-            return [dr.fma(shares[1], by_seen, sign) * dr.gather(Float, slope, index)]
+            sign = dr.select(a > b, self._by_distance, dr.select(a < b, -self._by_distance, 0))
+            return [dr.fma(self._by_similarity, by_seen, sign) * dr.gather(Float, self._slope, index)]
 
-        rows = blur(arrays, transposed(down(width - TAPS + 1, height)), self._loaded(flow))
-        return blur(arrays, transposed(across(width, height)), self._loaded(rows), finish)[0]
+        rows = self._blurred(2, self._loaded(flow))
+        return self._blurred(3, self._loaded(rows), finish)[0]
+
+    def _blurred(self, number: int, *what: Any) -> list[Any]:
+        """`blur` along one of the axes."""
+        return blur(self._arrays, self._axes[number], self._sizes[number], *what)
 
     def _loaded(self, maps: list[Any]) -> Any:
         Float = self._arrays.plain.Float

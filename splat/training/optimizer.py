@@ -23,6 +23,7 @@ _MEANS, _SCALES, _ROTATIONS, _OPACITY = (0.15, 0.006), (0.05, 0.01), (0.004, 0.0
 _CONSTANT, _DIRECTIONAL = (0.016, 0.0024), (0.0016, 0.0004)
 # Prefix, in checkpoints, of what belongs to harmonics above the constant one.
 _DIRECTIONAL_STATE = "directional."
+HOST = torch.device("cpu")
 
 
 class GaussianOptimizer:
@@ -33,28 +34,37 @@ class GaussianOptimizer:
     Args:
         gaussians: where to start; copied.
         pixel: unit of the positions' learning rate.
+        device: that steps are computed on.
     """
 
-    def __init__(self, gaussians: Gaussians, pixel: float):
-        self._pixel = pixel
+    def __init__(self, gaussians: Gaussians, pixel: float, device: torch.device = HOST):
+        self._pixel, self._device = pixel, device
         self._start(gaussians)
 
     def _start(self, gaussians: Gaussians) -> None:
-        gaussians = apart(gaussians)
+        gaussians = apart(gaussians).to(self._device)
         assert gaussians.directional is not None
         # One row per number that a Gaussian has.
         self._all = Adam(torch.cat([_flat(tensor.detach()) for _, tensor in gaussians.tensors()]))
         self._turning = Adam(_flat(gaussians.directional.sh.detach()).clone())
         self._index = gaussians.directional.index
-        self.chosen(torch.zeros(0, dtype=torch.int64))
+        self.chosen(torch.zeros(0, dtype=torch.int64, device=self._device))
+
+    @property
+    def on_device(self) -> Gaussians:
+        """The Gaussians as they are now, without gradients, where steps are computed; shares memory."""
+        return _gaussians(self._all.values, self._index, self._turning.values)
 
     @property
     def gaussians(self) -> Gaussians:
-        """The Gaussians as they are now, without gradients; shares memory."""
-        return _gaussians(self._all.values, self._index, self._turning.values)
+        """The same on the host."""
+        return self.on_device.to(HOST)
 
     def chosen(self, index: torch.Tensor) -> Gaussians:
-        """The Gaussians at an index (M,), copied; the next step moves these, by the gradients they get."""
+        """The Gaussians at an index (M,), copied; the next step moves these, by the gradients they get.
+
+        Both are on the device.
+        """
         slot = Directional(self._index, self._turning.values).slots(len(self._all.steps))[index]
         owners = torch.nonzero(slot >= 0)[:, 0]
         self._chosen, self._chosen_turning = index, slot[owners]
@@ -87,19 +97,24 @@ class GaussianOptimizer:
         # Lengths of vectors whose numbers lie side by side take a tenth of the time.
         rates[:3] *= remoteness(self._leaves.means.detach().T.contiguous().T)
         self._all.step(self._chosen, gradient, rates)
-        self._turning.step(self._chosen_turning, turning, _rates([_DIRECTIONAL], progress))
+        self._turning.step(self._chosen_turning, turning, self._between([_DIRECTIONAL], progress))
         return True
 
     def _rates(self, progress: float) -> torch.Tensor:
         """(R, 1) learning rate of each row that all Gaussians have."""
         means = tuple(self._pixel * rate for rate in _MEANS)
         rows = [means] * 3 + [_SCALES] * 3 + [_ROTATIONS] * 4 + [_OPACITY] + [_CONSTANT] * 3
-        return _rates(rows, progress)
+        return self._between(rows, progress)
+
+    def _between(self, rows: list[tuple[float, ...]], progress: float) -> torch.Tensor:
+        """(R, 1) learning rates between those at the start and at the end, on a logarithmic scale."""
+        start, end = torch.tensor(rows).log().T
+        return torch.lerp(start, end, progress).exp()[:, None].to(self._device)
 
     def limit_scales(self, largest: torch.Tensor) -> None:
         """Makes scales smaller whose logarithms exceed (N,) largest ones."""
-        scales = self.gaussians.log_scales
-        torch.minimum(scales, largest, out=scales)
+        scales = self.on_device.log_scales
+        torch.minimum(scales, largest.to(self._device), out=scales)
 
     def replace(self, gaussians: Gaussians, kept: torch.Tensor) -> None:
         """Continues with other Gaussians.
@@ -108,24 +123,27 @@ class GaussianOptimizer:
             gaussians: M or more, the first M of which were optimized before and keep their moments.
             kept: (M,) the indices they had.
         """
-        before, turning = self._all, self._turning
+        before, turning, kept = self._all, self._turning, kept.to(self._device)
         former = Directional(self._index, turning.values).slots(len(before.steps))[kept]
         self._start(gaussians)
-        self._all.remember(before, torch.arange(len(kept)), kept)
+        self._all.remember(before, torch.arange(len(kept), device=self._device), kept)
         first = int(torch.searchsorted(self._index, len(kept)))
         known = torch.nonzero(former[self._index[:first]] >= 0)[:, 0]
         self._turning.remember(turning, known, former[self._index[known]])
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Tensors for a checkpoint: parameters and moments; they share memory."""
+        """Tensors for a checkpoint, on the host: parameters and moments; they share memory that is there."""
         turning = {**self._turning.state(), "index": self._index}
-        return {**self._all.state(), **{_DIRECTIONAL_STATE + name: t for name, t in turning.items()}}
+        named = {**self._all.state(), **{_DIRECTIONAL_STATE + name: t for name, t in turning.items()}}
+        return {name: tensor.to(HOST) for name, tensor in named.items()}
 
     @classmethod
-    def restored(cls, tensors: dict[str, torch.Tensor], pixel: float) -> GaussianOptimizer:
+    def restored(
+        cls, tensors: dict[str, torch.Tensor], pixel: float, device: torch.device = HOST
+    ) -> GaussianOptimizer:
         """The optimizer whose `state` these tensors are; other tensors are ignored."""
         turning = under(_DIRECTIONAL_STATE, tensors)
-        optimizer = cls(_gaussians(tensors["values"], turning["index"], turning["values"]), pixel)
+        optimizer = cls(_gaussians(tensors["values"], turning["index"], turning["values"]), pixel, device)
         optimizer._all.restore(tensors)
         optimizer._turning.restore(turning)
         return optimizer
@@ -135,12 +153,6 @@ def _gaussians(rows: torch.Tensor, index: torch.Tensor, turning: torch.Tensor) -
     """Gaussians of their rows, and of those of the harmonics that some have; shares memory."""
     further = Directional(index, turning.reshape(len(turning) // 3, 3, len(index)))
     return Gaussians(rows[:3], rows[3:6], rows[6:10], rows[10], rows[11:][None], directional=further)
-
-
-def _rates(rows: list[tuple[float, ...]], progress: float) -> torch.Tensor:
-    """(R, 1) learning rates between those at the start and at the end, on a logarithmic scale."""
-    start, end = torch.tensor(rows).log().T
-    return torch.lerp(start, end, progress).exp()[:, None]
 
 
 def _gradient(leaf: torch.Tensor) -> torch.Tensor:

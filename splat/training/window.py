@@ -39,6 +39,18 @@ class Axis:
     is_horizontal: bool
     padding: int
 
+    @property
+    def runs(self) -> int:
+        """Lanes per line."""
+        return -(-self.after // _RUN)
+
+    def sizes(self, arrays: Arrays) -> list[Any]:
+        """Pixels per line before and after, lanes per line, and floats per line, read from memory.
+
+        The same kernels serve images of all sizes.
+        """
+        return [arrays.constant(n) for n in (self.before, self.after, self.runs, self.lines * CHANNELS)]
+
 
 def across(width: int, height: int) -> Axis:
     """Along the rows of an image, over the valid region."""
@@ -58,6 +70,7 @@ def transposed(axis: Axis) -> Axis:
 def blur(
     arrays: Arrays,
     axis: Axis,
+    sizes: list[Any],
     load: Callable[[Any, Any], Sequence[Any]],
     finish: Callable[[Any, list[Any]], Sequence[Any]] = lambda index, sums: sums,
 ) -> list[Any]:
@@ -66,6 +79,7 @@ def blur(
     Args:
         arrays: the backend's array types.
         axis: where.
+        sizes: those of the axis; recorded functions take them as arguments.
         load: the maps' numbers at an index into an image of `before` pixels per line, under a mask.
         finish: what is stored at an index into the result, from the maps' blurred numbers there.
 
@@ -73,17 +87,14 @@ def blur(
         What `finish` gave, each flat, `after` pixels per line.
     """
     Float, UInt, Int = arrays.plain.Float, arrays.plain.UInt, arrays.plain.Int
-    runs = -(-axis.after // _RUN)
-    lane = dr.arange(UInt, runs * axis.lines * CHANNELS)
-    before, after = arrays.constant(axis.before), arrays.constant(axis.after)
+    lane = dr.arange(UInt, axis.runs * axis.lines * CHANNELS)
+    before, after, across_runs, stride = sizes
     if axis.is_horizontal:
-        across_runs = arrays.constant(runs)
         rest, channel = lane // CHANNELS, lane % CHANNELS
         line = rest // across_runs
         first, stride = (rest - line * across_runs) * _RUN, UInt(CHANNELS)
         start_in, start_out = line * before * CHANNELS + channel, line * after * CHANNELS + channel
     else:
-        stride = arrays.constant(axis.lines * CHANNELS)
         run = lane // stride
         first, start_in = run * _RUN, lane - run * stride
         start_out = start_in

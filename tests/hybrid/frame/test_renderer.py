@@ -161,7 +161,7 @@ def test_the_disc_alone_is_the_disc_of_the_frame(renderer, mode):
         differs = np.abs(found - expected)[inside].mean()
         assert 0 < differs < 0.05 * expected[inside].mean()
     else:
-        np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
+        np.testing.assert_allclose(found, expected, rtol=small.denoising_error(), atol=1e-6)
 
 
 def test_a_denoised_disc_is_closer_to_the_truth(renderer):

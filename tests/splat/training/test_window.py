@@ -17,7 +17,8 @@ def moved(arrays, image: np.ndarray, axis) -> np.ndarray:
     """An image (H, W, 3) after the window has moved along an axis."""
     Float = arrays.plain.Float
     flat = Float(image.astype(np.float32).ravel())
-    result = blur(arrays, axis, lambda index, inside: [dr.gather(Float, flat, index, inside)])[0].numpy()
+    load = lambda index, inside: [dr.gather(Float, flat, index, inside)]  # noqa: E731
+    result = blur(arrays, axis, axis.sizes(arrays), load)[0].numpy()
     return result.reshape(axis.lines, -1, 3) if axis.is_horizontal else result.reshape(-1, axis.lines, 3)
 
 
