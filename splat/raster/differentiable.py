@@ -175,6 +175,8 @@ class _Render(torch.autograd.Function):
         if ctx.state is None:
             raise RuntimeError("this image was differentiated already: render it again")
         arrays, leaves, projected, splats, parts, image = ctx.state
+        # On a card, torch calls this in a thread of its own, which may only use arrays of an earlier scope.
+        dr.detail.new_scope(dr.backend_v(arrays.plain.Float))
         shapes = [tensor.shape for tensor in ctx.saved_tensors]
         ctx.state = None
         grid = parts.grid

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
+import drjit as dr
 import numpy as np
 import pytest
 import torch
@@ -240,6 +243,20 @@ def test_other_devices_are_refused():
     g.means = torch.zeros(3, 3)
     with pytest.raises(ValueError, match="Gaussians on cpu, meta: must be on one device"):
         render(g, camera())
+
+
+def test_the_gradient_may_be_computed_in_another_thread(arrays):
+    """As torch does on a card, in a thread that lives on while others go to later scopes of Dr.Jit."""
+    found = []
+    with ThreadPoolExecutor(1) as other:
+        for apart in (True, False, True):
+            leaves = leaves_of(gaussians(KINDS[0]), torch.float32)
+            dr.detail.new_scope(dr.backend_v(arrays.plain.Float))
+            backward = render_differentiable(arrays, Gaussians(**leaves), camera()).sum().backward
+            other.submit(backward).result() if apart else backward()
+            found.append({name: leaf.grad for name, leaf in leaves.items()})
+    for name, own in found[1].items():
+        assert all(torch.equal(gradients[name], own) for gradients in found), name
 
 
 def test_an_image_cannot_be_differentiated_twice():
