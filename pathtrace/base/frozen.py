@@ -46,7 +46,13 @@ class Frozen:
     def __call__(self, *arguments: Any) -> Any:
         with collector_paused():
             given = tuple(self._known(each) if type(each) is mi.Scene else each for each in arguments)
-            result = self._recorded(_flattened(given))
+            try:
+                result = self._recorded(_flattened(given))
+            except RuntimeError:
+                # Another recording, where scenes came into memory since the arrays were looked for.
+                if not sum(each.renewed() for each in given if type(each) is _Scene):
+                    raise
+                result = self._recorded(_flattened(given))
         return _rebuilt(result)
 
     @property
@@ -77,21 +83,30 @@ class _Scene:
     def __init__(self, scene: Any):
         self.scene = scene
         self._indices: list[int] = []
+        self._held: list[int] = []
         self.flat: tuple[Any, ...] = ()
 
     def follow(self) -> None:
-        """Looks for the arrays again if one has been replaced since the last time."""
+        """Looks for the arrays again if one of the scene's has been replaced since the last time."""
         indices = _indices([self.scene])
-        if indices == self._indices:
-            return
+        if indices != self._indices:
+            self._indices = indices
+            self.renewed()
+
+    def renewed(self) -> bool:
+        """Looks for the arrays again; whether there are others."""
         # A recording has the functions of all objects in memory in it, and reads the arrays of all.
-        of_all = dict.fromkeys(index for index in indices + _indices(_registered_objects()) if index)
+        found = _indices([self.scene, *_registered_objects()])
+        of_all = [index for index in dict.fromkeys(found) if index]
+        if of_all == self._held:
+            return False
         # What is held keeps its number: none that is freed meanwhile can be taken for it.
-        held = dr.detail.update_indices([mi.Float(0)] * len(of_all), list(of_all))
+        held = dr.detail.update_indices([mi.Float(0)] * len(of_all), of_all)
         dr.eval(held)
         # Constants are compiled in; one string is compared sooner than their numbers.
         constants = repr([array.index for array in held if array.state != dr.VarState.Evaluated])
-        self._indices, self.flat = indices, (_Scene, self, constants, *held)
+        self._held, self.flat = of_all, (_Scene, self, constants, *held)
+        return True
 
 
 def _indices(objects: list[Any]) -> list[int]:

@@ -128,6 +128,10 @@ def test_other_scenes_in_memory_change_nothing(only_scenes_in_use):
     del other
     assert_alike(late(scene, x), expected)
     assert late.n_recordings == 1
+    # And recorded once more, for another kind of argument, when there are others.
+    later = [mi.load_dict(small.corner()) for _ in range(2)]
+    assert_alike(late(scene, mi.Float(0.1)), distance_in(scene, mi.Float(0.1)))
+    del later
 
 
 def test_a_function_follows_its_scene():
@@ -137,7 +141,7 @@ def test_a_function_follows_its_scene():
     x = dr.linspace(mi.Float, 0, 0.3, 64)
     dr.eval(x)
     parameters = mi.traverse(scene)
-    colours = [key for key in parameters if key.endswith("reflectance.value")]
+    colours = [key for key in parameters.properties if key.endswith("reflectance.value")]
     assert colours
     for level in (0.2, 0.4, 0.8, 0.3):
         for key in colours:
@@ -150,7 +154,7 @@ def test_a_function_follows_its_scene():
 def test_scenes_are_told_apart():
     first, second = (mi.load_dict(small.corner()) for _ in range(2))
     parameters = mi.traverse(second)
-    for key in [key for key in parameters if key.endswith("reflectance.value")]:
+    for key in [key for key in parameters.properties if key.endswith("reflectance.value")]:
         parameters[key] = type(parameters[key])(0.125)
     parameters.update()
     frozen = Frozen(distance_in)
