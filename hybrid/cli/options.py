@@ -25,9 +25,7 @@ from splat.io.precision import Precision
 if TYPE_CHECKING:
     from compose.camera.camera import Camera
     from hybrid.frame.settings import FrameSettings
-    from pathtrace.dataset.frames import FrameSet
     from pathtrace.scene.scene import Scene
-    from splat.model.forest import Forest
 
 # The ends of options that nothing else bounds. Some parts of references have eight times as many samples.
 MOST_REFERENCE_SPP = MOST_SPP // 8
@@ -236,21 +234,6 @@ def fill_irradiance(scene: Scene, settings: FrameSettings) -> None:
 
     if settings.used_integrator is Integrator.CACHED:
         cache_for(scene, progress_bar)
-
-
-def matching(
-    scene: str, frames: Path, forest: Path, thin_glass: bool = False
-) -> tuple[Scene, FrameSet, Forest]:
-    """A scene, its frame set and its forest; refuses those of another scene."""
-    from hybrid.store.identity import require_scene
-    from pathtrace.dataset.frames import read_frame_set
-    from splat.io.forest_file import load_forest
-
-    captured, found = read_frame_set(frames), load_forest(forest)
-    loaded = loaded_scene(scene, None, thin_glass)
-    require_scene(captured, loaded.name, loaded.hash, frames)
-    require_scene(found, loaded.name, loaded.hash, forest)
-    return loaded, captured, found
 
 
 def sized(camera: Camera, size: tuple[int, int] | None) -> Camera:

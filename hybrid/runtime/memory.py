@@ -1,10 +1,8 @@
-"""Memory of the process: how much it has, and how unused memory returns to the operating system."""
+"""How unused memory returns to the operating system."""
 
 from __future__ import annotations
 
 import ctypes
-import os
-from pathlib import Path
 
 import drjit as dr
 
@@ -19,23 +17,3 @@ def release_memory() -> None:
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(0)
-
-
-def resident_memory() -> int:
-    """Bytes of the process that are in memory now (Linux)."""
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-
-
-def peak_memory() -> int:
-    """Most bytes of the process that were in memory at a time (Linux).
-
-    getrusage would include those of the process that spawned it.
-    """
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) * 1024
-
-
-def reset_peak() -> None:
-    """Lets `peak_memory` count from now on (Linux)."""
-    Path("/proc/self/clear_refs").write_text("5")

@@ -12,24 +12,11 @@ import typer
 from compose.base.errors import UserError
 from hybrid.cli import main as module
 from hybrid.cli.benches.app import bench_app
-from hybrid.cli.benches.change import change
-from hybrid.cli.benches.endurance import endurance
-from hybrid.cli.benches.forest import forest
 from hybrid.cli.benches.frame import frame
-from hybrid.cli.benches.fusion import fusion
-from hybrid.cli.benches.gaze import gaze
-from hybrid.cli.benches.held_out import held_out
 from hybrid.cli.benches.integrator import integrator
-from hybrid.cli.benches.motion import motion
 from hybrid.cli.benches.moving import moving
-from hybrid.cli.benches.passes import passes
 from hybrid.cli.benches.periphery import periphery
-from hybrid.cli.benches.plan import plan as bench_plan
 from hybrid.cli.benches.raster import raster
-from hybrid.cli.benches.relighting import relighting
-from hybrid.cli.benches.seam import seam
-from hybrid.cli.benches.separation import separation
-from hybrid.cli.benches.still import still
 from hybrid.cli.capture import capture
 from hybrid.cli.demo import demo
 from hybrid.cli.doctor import doctor
@@ -64,22 +51,9 @@ COMMANDS = {
 BENCHES = {
     "raster": raster,
     "integrator": integrator,
-    "relighting": relighting,
     "periphery": periphery,
-    "gaze": gaze,
-    "forest": forest,
-    "passes": passes,
     "frame": frame,
-    "fusion": fusion,
-    "change": change,
-    "motion": motion,
     "moving": moving,
-    "seam": seam,
-    "separation": separation,
-    "plan": bench_plan,
-    "still": still,
-    "endurance": endurance,
-    "held-out": held_out,
 }
 
 

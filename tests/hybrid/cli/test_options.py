@@ -1,4 +1,4 @@
-"""What commands share: checks of files and sizes, matching inputs, and the file of --json."""
+"""What commands share: checks of files and sizes, and the file of --json."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from compose.base.errors import UserError
 from hybrid.cli.main import app
 from hybrid.cli.options import (
     loaded_scene,
-    matching,
     require_size,
     select,
     sized,
@@ -19,7 +18,7 @@ from hybrid.cli.options import (
     write_json,
 )
 from hybrid.evaluation.settings import EvaluationSettings
-from hybrid.frame.settings import DEFAULTS, EVALUATION, INTERACTIVE, FrameSettings
+from hybrid.frame.settings import DEFAULTS, EVALUATION, INTERACTIVE
 
 FRAME_OPTIONS = {"fov_a": "fov_a", "fov_b": "fov_b", "spp": "spp", "acuity_model": "acuity_model"}
 
@@ -38,7 +37,6 @@ def defaults_of(name: str) -> dict[str, object]:
         ("quickstart", DEFAULTS),
         ("demo", INTERACTIVE),
         ("evaluate", EVALUATION),
-        ("bench passes", FrameSettings(spp=2)),
     ],
 )
 def test_options_of_a_frame_default_to_the_settings_of_their_use(command, settings):
@@ -97,15 +95,6 @@ def test_a_size_may_have_a_minimum():
     require_size((1, 1))
     with pytest.raises(UserError, match=r"^--size 64 63: must be at least 64 each$"):
         require_size((64, 63), least=64)
-
-
-def test_scene_frames_and_forest_must_match(made, of_room):
-    scene, frames, forest = matching("cornell", made / "frames", made / "box.forest")
-    assert (scene.hash, scene.hash) == (frames.scene_hash, forest.scene_hash)
-    with pytest.raises(UserError, match=r"room\.forest belongs to scene room .* not to cornell"):
-        matching("cornell", made / "frames", of_room / "room.forest")
-    with pytest.raises(UserError, match=r"room-frames belongs to scene room .* not to cornell"):
-        matching("cornell", of_room / "room-frames", made / "box.forest")
 
 
 def test_another_path_depth_is_another_scene(backend):
