@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from compose.base.arrays import Arrays
 from pathtrace.base.backend import Backend, select_backend
-from pathtrace.base.collector import collector_paused
 from tests.available import available_backends
 from tests.extremes import (  # noqa: F401  (hooks and a fixture of pytest)
     got,
@@ -47,14 +44,6 @@ def arrays(backend):
 def each_arrays(request) -> Arrays:
     """The array types of each backend present, one after the other."""
     return Arrays(request.param)
-
-
-@pytest.fixture
-def only_scenes_in_use() -> Iterator[None]:
-    """No scene is freed meanwhile: each one in memory is part of what a frozen function was recorded with."""
-    gc.collect()
-    with collector_paused():
-        yield
 
 
 def real_file(relative: str) -> Path:

@@ -15,6 +15,7 @@ from compose.base.llvm import MINIMUM_LLVM, Llvm
 
 LLVM_VARIANT = "llvm_ad_rgb"
 CUDA_VARIANT = "cuda_ad_rgb"
+_FEWEST_THREADS = 2
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,9 @@ def _select(choice: str) -> Backend:
     mi.file_resolver().prepend(str(Path(mi.__file__).parent))
     # More talkative levels deadlock with a second thread in Dr.Jit 1.5.
     dr.set_log_level(dr.LogLevel.Warn)
+    # Mitsuba reads EXR files in Dr.Jit's threads; with one, which is the caller, it would wait for ever.
+    if dr.thread_count() < _FEWEST_THREADS:
+        dr.set_thread_count(_FEWEST_THREADS)
     if choice != "llvm" and _cuda_works():
         return Backend(CUDA_VARIANT, None, "a CUDA device with OptiX is available")
     if choice == "cuda":

@@ -113,7 +113,7 @@ def distance_in(scene: Any, x: Any) -> Any:
     return hit.t * hit.bsdf().eval_diffuse_reflectance(hit).x
 
 
-def test_other_scenes_in_memory_change_nothing(only_scenes_in_use):
+def test_other_scenes_in_memory_change_nothing():
     scene = mi.load_dict(small.corner())
     frozen = Frozen(distance_in)
     x = dr.linspace(mi.Float, 0, 0.3, 64)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 import pytest
 
 from compose.base.errors import UserError
@@ -116,3 +120,21 @@ def test_scenes_in_the_wild_load(name):
     scene = load_scene(real_file(f"scenes/{name}/scene.xml"))
     assert scene.name == name
     assert scene.triangles > 10_000
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="cores of a process are set on Linux")
+def test_a_single_core_loads_every_bundled_scene():
+    """Mitsuba waits for threads that are not there, unless Dr.Jit is given some."""
+    script = f"""
+import os
+os.sched_setaffinity(0, [{min(os.sched_getaffinity(0))}])
+from pathtrace.base.backend import select_backend
+from pathtrace.scene.bundled import bundled_scenes
+from pathtrace.scene.scene import load_scene
+select_backend()
+print(*(load_scene(name).name for name in bundled_scenes()))
+"""
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "room" in done.stdout.split()

@@ -300,7 +300,7 @@ def test_seeds_repeat_and_differ():
 
 
 @pytest.mark.parametrize("cached", [False, True])
-def test_a_moving_gaze_or_camera_records_nothing_again(cached, only_scenes_in_use):
+def test_a_moving_gaze_or_camera_records_nothing_again(cached):
     scene = load_scene(small.corner())
     camera = scene.camera
     tracer = Tracer(scene, cache=fill_cache(scene, [camera], points=1 << 13) if cached else None)

@@ -69,7 +69,7 @@ def test_density_control_says_where_nodes_have_gone(arrays):
         assert training.step() is None
     layer = training.layer
     # Node 7 becomes invisible, but for its last step.
-    layer.gaussians.opacity_logits[7] = -50.0
+    training._optimizer.on_device.opacity_logits[7] = -50.0
     now = training.step()
     assert now is not None
     assert now.shape == (150,)

@@ -106,7 +106,7 @@ def test_children_follow_their_parents_through_a_change_of_density(arrays, often
     # The coarse layer changes after its 10th step.
     while coarse.done < 9 or trainer._schedule[trainer.iteration] != 0:
         trainer.run(until=trainer.iteration + 1)
-    coarse.layer.gaussians.opacity_logits[[0, 5, 6]] = -50.0
+    coarse._optimizer.on_device.opacity_logits[[0, 5, 6]] = -50.0
     means, old = coarse.layer.gaussians.means.clone(), fine.layer.parent.long()
     trainer.run(until=trainer.iteration + 1)
     new = fine.layer.parent.long()
