@@ -17,14 +17,13 @@ VIDEO = ["render", "cornell", "-o", "{tmp}/a.mp4", "--gaze-trace", "{tmp}/trace.
 CAPTURE, TRAIN = ["capture", "cornell", "{tmp}/f"], ["train", "{tmp}/f", "{tmp}/g"]
 EVALUATE = ["evaluate", "cornell", "--report", "{tmp}/r"]
 DEMO, SWEEP = ["demo", "cornell", "--out", "{tmp}"], ["sweep", "cornell"]
-BENCHES = {
-    name: ["bench", name] for name in ("raster", "forest", "gaze", "still", "passes", "integrator", "fusion")
-}
-RASTER, FOREST, GAZE, STILL, PASSES, INTEGRATOR, FUSION = BENCHES.values()
-for bench in (GAZE, STILL, PASSES, INTEGRATOR):
-    bench.append("cornell")
-FUSION += ["cornell", "{tmp}/f", "{tmp}/g"]
-SEEDED = (RENDER, CAPTURE, TRAIN, EVALUATE, DEMO, RASTER, FOREST, ["quickstart", "--out", "{tmp}/o"])
+RASTER, FRAME = ["bench", "raster"], ["bench", "frame", "cornell"]
+INTEGRATOR = ["bench", "integrator", "cornell"]
+    ["bench", "raster"],
+    ["bench", "frame", "cornell"],
+    ["bench", "integrator", "cornell"],
+)
+SEEDED = (RENDER, CAPTURE, TRAIN, EVALUATE, DEMO, RASTER, ["quickstart", "--out", "{tmp}/o"])
 
 REFUSED = [
     *[
@@ -34,18 +33,18 @@ REFUSED = [
     ],
     *[
         (command, ["--gaze", x, "0.5"], "gaze")
-        for command in (RENDER, EVALUATE, STILL)
+        for command in (RENDER, EVALUATE)
         for x in ("1e308", "-1e308", "1001", "inf", "nan")
     ],
     *[
         (command, [option, value], option[2:])
-        for command in (RENDER, EVALUATE, DEMO, SWEEP, PASSES)
+        for command in (RENDER, EVALUATE, DEMO, SWEEP, FRAME)
         for option in ("--fov-a", "--fov-b")
         for value in ("-1", "nan", "inf", "1e999")
     ],
     *[
         (command, ["--spp", value], "spp")
-        for command in (RENDER, EVALUATE, DEMO, SWEEP, PASSES, CAPTURE, FUSION)
+        for command in (RENDER, EVALUATE, DEMO, SWEEP, FRAME, CAPTURE)
         for value in ("0", "-1", str((1 << 24) + 1), "nan", str(1 << 70))
     ],
     *[
@@ -85,17 +84,11 @@ REFUSED = [
     *[(DEMO, ["--bench", value], "bench") for value in ("0", "nan", "inf", "1e308")],
     *[(DEMO, ["--bench", "5", "--load", value], "load") for value in ("-1", "nan", "inf", "1e308")],
     *[(SWEEP, ["--reference-spp", value], "reference-spp") for value in ("3", str(1 << 24))],
-    *[(PASSES, ["--repeats", value], "repeats") for value in ("2", str(1 << 40))],
-    *[(PASSES, ["--warm-up", value], "warm-up") for value in ("0", str(1 << 40))],
+    *[(FRAME, ["--repeats", value], "repeats") for value in ("2", str(1 << 40))],
+    *[(FRAME, ["--warm-up", value], "warm-up") for value in ("0", str(1 << 40))],
     *[(INTEGRATOR, ["--reference-spp", value], "reference-spp") for value in ("3", str(1 << 24))],
     *[(RASTER, ["--gaussians", value], "gaussians") for value in ("0", str(1 << 40))],
     *[(RASTER, ["--repeats", value], "repeats") for value in ("2", str(1 << 40))],
-    *[(FOREST, ["--nodes", value], "nodes") for value in ("0", str(1 << 40))],
-    *[(FUSION, ["--scale", value], "scale") for value in ("0", "9")],
-    *[(FUSION, ["--seeds", value], "seeds") for value in ("0", str(1 << 40))],
-    *[(GAZE, ["--step", value], "step") for value in ("0", "nan", "inf", "161")],
-    *[(GAZE, ["--span", value], "span") for value in ("0", "nan", "inf", "1e308", "161")],
-    *[(STILL, ["--seconds", value], "seconds") for value in ("0", "nan", "inf", "1e308")],
     *[(RENDER, ["--display", f"{{tmp}}/{name}.json"], name) for name in ("needle", "flat", "naught")],
     (EVALUATE, ["--display", "{tmp}/dense.json"], "pixels per degree are more than the 10000"),
 ]

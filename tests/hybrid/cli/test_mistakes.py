@@ -48,7 +48,6 @@ MISTAKES = {
         ["quickstart", "cornell", "--out", "{tmp}/o", "--fov-a", "0.05", "--fov-b", "0"],
         "--fov-a 0.05: there is no fovea",
     ),
-    "no periphery to watch": (["bench", "gaze", "cornell", "--fov-b", "200"], "fov-b 200.0: covers"),
     "a gaze that is no number": (
         ["render", "cornell", "--gaze", "nan", "0.5", "-o", "{tmp}/a.png"],
         "gaze",
@@ -70,7 +69,7 @@ MISTAKES = {
     "JSON into what is no folder": (["scenes", "--json", "{tmp}/cut/a.json"], "--json {tmp}/cut/a.json"),
     "JSON into a folder": (["doctor", "--json", "{tmp}"], "--json {tmp}"),
     "JSON without a name": (["doctor", "--json", ""], "--json .: cannot be written"),
-    "JSON of a bench": (["bench", "forest", "--json", "."], "--json .: cannot be written"),
+    "JSON of a bench": (["bench", "raster", "--json", "."], "--json .: cannot be written"),
     "a PLY without a name": (["export", "{made}/box.forest", "."], ".: names a folder"),
     "an imported forest without a name": (["import", "{tmp}/good.ply", "."], ".: names a folder"),
     "a PLY of x Gaussians": (["import", "{tmp}/x.ply", "{tmp}/f"], "x.ply: element vertex x"),
@@ -119,17 +118,9 @@ MISTAKES = {
         ["render", "cornell", "--display", "{tmp}/half.json", "-o", "{tmp}/a.png"],
         "half.json",
     ),
-    "a step longer than the way": (
-        ["bench", "gaze", "cornell", "--step", "2", "--span", "1"],
-        "--span 1.0: must be at least one --step, 2.0",
-    ),
-    "a gaze outside the frame": (
-        ["bench", "still", "cornell", "--gaze", "1.5", "0.5"],
-        "gaze 1.5 0.5: lies outside the frame",
-    ),
     "a bench of what stands still": (["bench", "moving", "cornell"], "cornell: nothing moves in this scene"),
     "a bench of no size": (
-        ["bench", "passes", "cornell", "--forest", "{made}/box.forest", "--size", "0", "64"],
+        ["bench", "frame", "cornell", "--forest", "{made}/box.forest", "--size", "0", "64"],
         "--size 0 64: must be positive",
     ),
     "a rasterizer of no size": (["bench", "raster", "--size", "0", "64"], "--size 0 64: must be positive"),
@@ -217,26 +208,11 @@ def test_a_target_at_another_depth_is_refused_before_anything_is_loaded(monkeypa
     assert "nothing is measured with --max-depth; leave it out" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["fusion", "change", "motion", "seam"])
-def test_benches_refuse_frames_and_forests_of_another_scene(name, made, of_room, monkeypatch, capsys):
-    for frames, forest, named in (
-        (made / "frames", of_room / "room.forest", "room.forest belongs to scene room"),
-        (of_room / "room-frames", made / "box.forest", "room-frames belongs to scene room"),
-    ):
-        assert run(monkeypatch, "bench", name, "cornell", frames, forest) == 2
-        message = capsys.readouterr().err
-        assert named in message
-        assert message.count("\n") == 1
-
-
-def test_commands_without_frames_refuse_a_forest_of_another_scene(made, of_room, monkeypatch, capsys):
+def test_commands_refuse_a_forest_of_another_scene(of_room, monkeypatch, capsys):
     room = of_room / "room.forest"
     for arguments in (
-        ["bench", "held-out", made / "frames", room],
         ["bench", "periphery", "cornell", "--forest", room],
-        ["bench", "gaze", "cornell", "--forest", room],
-        ["bench", "passes", "cornell", "--forest", room],
-        ["bench", "still", "cornell", "--forest", room],
+        ["bench", "frame", "cornell", "--forest", room],
         ["evaluate", "cornell", "--report", of_room / "r", "--baseline-forest", room],
     ):
         assert run(monkeypatch, *arguments) == 2
