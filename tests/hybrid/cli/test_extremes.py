@@ -19,10 +19,6 @@ EVALUATE = ["evaluate", "cornell", "--report", "{tmp}/r"]
 DEMO, SWEEP = ["demo", "cornell", "--out", "{tmp}"], ["sweep", "cornell"]
 RASTER, FRAME = ["bench", "raster"], ["bench", "frame", "cornell"]
 INTEGRATOR = ["bench", "integrator", "cornell"]
-    ["bench", "raster"],
-    ["bench", "frame", "cornell"],
-    ["bench", "integrator", "cornell"],
-)
 SEEDED = (RENDER, CAPTURE, TRAIN, EVALUATE, DEMO, RASTER, ["quickstart", "--out", "{tmp}/o"])
 
 REFUSED = [
