@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import mitsuba as mi
@@ -11,6 +12,12 @@ import numpy as np
 def denoising_error() -> float:
     """How far denoisings of the same image may lie apart, relatively: a card's are of half precision."""
     return 0.02 if mi.variant().startswith("cuda") else 1e-4
+
+
+def resident_memory() -> int:
+    """Bytes of the process that are in memory now (Linux)."""
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def sensor(width: int = 32, height: int = 32, fov: float = 60.0) -> dict[str, Any]:

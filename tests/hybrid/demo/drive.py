@@ -23,9 +23,9 @@ from hybrid.frame.settings import INTERACTIVE
 from hybrid.interactive.gaze_input import GazeInput
 from hybrid.interactive.prepare import prepared
 from hybrid.interactive.request import View
-from hybrid.runtime.memory import resident_memory
 from splat.io.forest_file import load_forest
 from tests.hybrid.preparation.tiny import make_tiny
+from tests.small import resident_memory
 
 SIZE = 320, 240
 _PATIENCE = 120.0

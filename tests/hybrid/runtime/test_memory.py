@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import os
-
 import drjit as dr
 import mitsuba as mi
 import pytest
 
 from hybrid.runtime.memory import release_memory
+from tests.small import resident_memory
 
 _BYTES = 128 << 20
-
-
-def resident_memory() -> int:
-    """Bytes of the process that are in memory now (Linux)."""
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def test_memory_of_dropped_arrays_is_released(backend):

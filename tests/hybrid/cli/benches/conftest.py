@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 
-Rows = list[dict]
-
 
 @pytest.fixture
 def display(tmp_path) -> Path:
