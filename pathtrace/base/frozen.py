@@ -117,21 +117,21 @@ def _indices(objects: list[Any]) -> list[int]:
 
 def _registered_objects() -> list[Any]:
     """All objects of Mitsuba whose methods kernels call."""
-    found = []
+    found: list[Any] = []
     for name in _REGISTERED:
         kind = getattr(mi, f"{name}Ptr")
         # Beyond the last number of a kind is an error, but of a kind that has none, all are None.
-        for number in range(1, _NO_NUMBER if _of_number(kind, _NO_NUMBER) is _MISSING else 1):
-            each = _of_number(kind, number)
-            if each is _MISSING:
-                break
-            if each is not None:
-                found.append(each)
+        if _of_number(kind, _NO_NUMBER) is not _MISSING:
+            continue
+        number = 1
+        while (each := _of_number(kind, number)) is not _MISSING:
+            found += [] if each is None else [each]
+            number += 1
     return found
 
 
 def _of_number(kind: Any, number: int) -> Any:
-    """The registered object of a kind with a number; None if it was freed."""
+    """The registered object of a kind with a number; None if it was freed, _MISSING beyond the last one."""
     try:
         return dr.reinterpret_array(kind, mi.UInt32(number))[0]
     except RuntimeError:

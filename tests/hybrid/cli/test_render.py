@@ -182,7 +182,7 @@ def test_without_a_name_the_newest_forest_of_the_scene_is_used(made, monkeypatch
     assert "training one first" not in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["veach-bidir", pytest.param("staircase2", marks=pytest.mark.long)])
+@pytest.mark.parametrize("name", ["staircase2", "veach-bidir"])
 def test_scenes_in_the_wild_go_through_every_command(name, monkeypatch, tmp_path):
     scene = real_file(f"scenes/{name}/scene.xml")
     assert run(monkeypatch, "capture", scene, tmp_path / "frames", *TINY_CAPTURE) == 0
