@@ -111,12 +111,12 @@ def _quality(
     models: Sequence[FrameSettings], camera: Camera, drawn: dict[str, SplatImage]
 ) -> list[dict[str, Any]]:
     """Rows that compare each periphery with that at full level and rate."""
-    full = drawn[FULL].image().copy()
+    full = drawn[FULL].numpy().copy()
     rows = []
     for settings in models:
         frame, gaze = drawn[settings.acuity_model], settings.gaze
         fovea = settings.foveation.region(camera.width, camera.height).weight_image()[..., None]
-        image = frame.image() * (1 - fovea) + full * fovea
+        image = frame.numpy() * (1 - fovea) + full * fovea
         row = {
             "acuity_model": settings.acuity_model,
             "gaze": [gaze.x, gaze.y],

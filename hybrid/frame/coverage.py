@@ -98,7 +98,7 @@ class Coverage:
         image = self._coarse.render_layer(camera, 1, _TILE_RATE)
         if not image.nodes:
             return np.zeros((-(-camera.height // side), -(-camera.width // side)), dtype=np.float32)
-        samples = image.radiance.numpy().reshape(-1, image.stride, image.channels)
+        samples = image.values.numpy().reshape(-1, image.stride, image.channels)
         opacity = samples[: image.height : side // TILE, : image.width : side // TILE, -1]
         return np.clip((opacity - _EMPTY) / (_FULL - _EMPTY), 0, 1).astype(np.float32)
 

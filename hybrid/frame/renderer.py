@@ -35,7 +35,7 @@ from pathtrace.scene.scene import Scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.integrator import Integrator
 from pathtrace.trace.tracer import Tracer
-from splat.lod.image import SplatImage
+from splat.lod.image import SplatImage, black_image
 from splat.model.forest import Forest
 
 
@@ -151,19 +151,15 @@ class Renderer:
                 range.
         """
         seed = require_seed(seed)
-        # First: a cache that is filled for it leaves the scene at another time.
-        self.fovea_of(settings)
         clock = Clock()
-        camera, settings = self._begun(settings)
-        region = settings.foveation.region(camera.width, camera.height)
+        camera, settings, region = self._framed(settings)
         disc = region.disc(self._arrays)
         clock.lap("region")
         detail, drawn, under = self._drawn(camera, settings, region, clock)
-        periphery = drawn.on_device(self._arrays)
         clock.lap("splat")
         self._relight(settings)
         fill = self._fill(camera, settings, seed)
-        periphery = periphery if fill is None else fill.over(periphery)
+        periphery = drawn if fill is None else fill.over(drawn)
         underlay = None if under is None else self._underlay(camera, settings, under, fill)
         clock.lap("fill")
         fovea = self._fovea(settings, camera, disc, seed, periphery, underlay, clock, self._is_quick)
@@ -217,9 +213,15 @@ class Renderer:
         self, camera: Camera, settings: FrameSettings, under: SplatImage, fill: Fill | None
     ) -> Underlay:
         """The splats under the disc, with what is filled."""
-        radiance = under.on_device(self._arrays)
-        radiance = radiance if fill is None else fill.over(radiance)
+        radiance = under if fill is None else fill.over(under)
         return Underlay(camera, radiance, self.periphery.enlargement(camera, settings))
+
+    def _framed(self, settings: FrameSettings) -> tuple[Camera, FrameSettings, FoveaRegion]:
+        """As `_begun`, and the disc of the frame."""
+        # First: a cache that is filled for it leaves the scene at another time.
+        self.fovea_of(settings)
+        camera, settings = self._begun(settings)
+        return camera, settings, settings.foveation.region(camera.width, camera.height)
 
     def _begun(self, settings: FrameSettings) -> tuple[Camera, FrameSettings]:
         """The camera and the settings of a frame; scene and forest show its time from now on."""
@@ -259,20 +261,11 @@ class Renderer:
 
     def disc_alone(self, settings: FrameSettings, seed: int) -> FoveaImage:
         """A frame's disc, without rendering a periphery."""
-        # First: a cache that is filled for it leaves the scene at another time.
-        self.fovea_of(settings)
-        camera, settings = self._begun(settings)
-        region = settings.foveation.region(camera.width, camera.height)
+        camera, settings, region = self._framed(settings)
         self._relight(settings)
         fill = self._fill(camera, settings, seed) if settings.fovea is FoveaMode.FUSED else None
         underlay = self.underlay(camera, settings, region, fill)
-        black = DeviceImage.filled(
-            self._arrays,
-            camera.width,
-            camera.height,
-            [dr.zeros(self._arrays.plain.Float, camera.width * camera.height)] * 3,
-        )
-        disc = region.disc(self._arrays)
+        disc, black = region.disc(self._arrays), black_image(self._arrays, camera)
         fovea = self._fovea(settings, camera, disc, seed, black, underlay, Clock(), self._is_quick)
         dr.eval(fovea.radiance)
         dr.sync_thread()
@@ -287,7 +280,7 @@ class Renderer:
     def splats(self, settings: FrameSettings = DEFAULTS) -> Image:
         """(H, W, 3) the finest allowed layer over the whole frame, including what a fovea would hide."""
         camera, settings = self._begun(settings)
-        return self.periphery.whole(camera, settings).image()
+        return self.periphery.whole(camera, settings).numpy()
 
     def with_aovs(self, frame: Frame, names: Sequence[str] = EXTRA_AOVS) -> Frame:
         """A frame of this renderer with some of EXTRA_AOVS, whatever its settings ask for."""

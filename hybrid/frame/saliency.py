@@ -70,7 +70,7 @@ class ViewSaliency:
 
     def _computed(self, camera: Camera) -> _Kept:
         rate = max(0, round(np.log2(max(camera.width, camera.height) / _COARSE)))
-        coarse = self._renderer.render_layer(camera, 1, rate).image()
+        coarse = self._renderer.render_layer(camera, 1, rate).numpy()
         found = at_corners(saliency(coarse), camera.width, camera.height)
         pixels, depth = camera.project(self._points)
         inside = (pixels >= 0) & (pixels < (camera.width, camera.height))

@@ -51,8 +51,7 @@ class SplatRenderer:
         region = settings.foveation.region(camera.width, camera.height)
         detail = self._periphery.detail(camera, settings)
         clock.lap("detail")
-        drawn = self._periphery.draw(camera, detail, region)
-        image = drawn.on_device(self._arrays)
+        image = self._periphery.draw(camera, detail, region)
         clock.lap("splat")
         return Frame(
             image=image,
@@ -60,12 +59,12 @@ class SplatRenderer:
             camera=camera,
             splats=image,
             detail=detail,
-            nodes_drawn=drawn.nodes,
+            nodes_drawn=image.nodes,
             fovea=FoveaImage.none(Disc.in_region(self._arrays, region)),
             underlay=None,
             region=region,
             milliseconds=clock.milliseconds(),
-            more={"splat": self._periphery.whole(camera, settings).image()} if settings.aovs else {},
+            more={"splat": self._periphery.whole(camera, settings).numpy()} if settings.aovs else {},
         )
 
     def splats(self, settings: FrameSettings) -> Image:
@@ -74,7 +73,7 @@ class SplatRenderer:
         Raises:
             UserError: as of `frame`.
         """
-        return self._periphery.whole(*self._begun(settings)).image()
+        return self._periphery.whole(*self._begun(settings)).numpy()
 
     def _begun(self, settings: FrameSettings) -> tuple[Camera, FrameSettings]:
         """The camera, and the settings without a disc; the forest shows their time from now on."""

@@ -30,6 +30,6 @@ class SplatsAlone:
     def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
         clock = Clock()
         self.periphery.set_time(view.time)
-        image = self.periphery.whole(view.camera, DEFAULTS).image()
+        image = self.periphery.whole(view.camera, DEFAULTS).numpy()
         clock.lap("splat")
         return TimedImage(image, clock.milliseconds())

@@ -64,7 +64,7 @@ class Judges:
             renderer.set_time(time)
             truth = read_frame(file, (camera.width, camera.height)).radiance
             if np.isfinite(truth).all():
-                found.append(quality(renderer.render_layer(camera, len(forest.counts)).image(), truth))
+                found.append(quality(renderer.render_layer(camera, len(forest.counts)).numpy(), truth))
         if not found:
             return {}
         mean = {name: float(np.mean([row[name] for row in found])) for name in ("psnr", "ssim")}

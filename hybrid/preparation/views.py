@@ -98,6 +98,6 @@ def _is_worthwhile(frames: GrowingFrames, number: int, renderer: ForestRenderer,
     """Whether a frame's own error is a noticeable part of its difference from the forest."""
     frame = frames.radiance(number)
     renderer.set_time(frames.time(number))
-    shown = renderer.render_layer(frames.camera(number), len(renderer.forest.counts)).image()
+    shown = renderer.render_layer(frames.camera(number), len(renderer.forest.counts)).numpy()
     difference = float(np.mean((srgb_from_radiance(shown) - srgb_from_radiance(frame)) ** 2))
     return share * _noise(frames, number) > _WORTHWHILE * difference

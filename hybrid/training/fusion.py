@@ -118,7 +118,7 @@ def _examples(frames: Frames, forest: Forest, rng: np.random.Generator) -> Itera
         if not _is_finite(reference.denoised, one, other):
             continue
         renderer.set_time(entry.time)
-        splat = np.array(renderer.render_layer(entry.camera, finest).image())
+        splat = np.array(renderer.render_layer(entry.camera, finest).numpy())
         enlargement = entry.camera.fy / forest.focal_of(finest)
         estimates = {spp: read_estimate(file, entry.size) for spp, file in entry.estimates.items()}
         traced = [

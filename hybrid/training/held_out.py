@@ -33,7 +33,7 @@ def held_out_quality(frames: Frames, forest: Forest) -> list[dict[str, Any]]:
         found = []
         for view in (reduced(view, factor) for view in views):
             renderer.set_time(view.time)
-            found.append(quality(renderer.render_layer(view.camera, number).image(), view.radiance))
+            found.append(quality(renderer.render_layer(view.camera, number).numpy(), view.radiance))
         means = {name: float(np.mean([row[name] for row in found])) for name in found[0]} if found else {}
         rows.append({"layer": number, "nodes": count, **means})
     return rows

@@ -52,7 +52,7 @@ def composite(
         channels = 3
         radiance = dr.empty(Float, grid.padded_width * grid.padded_height * channels)
     else:
-        channels, radiance = frame.channels, frame.radiance
+        channels, radiance = frame.channels, frame.values
         groups = [group for group in groups if group.rates]
     sources = _Sources(arrays, entries, groups, atlas, camera)
     stride = arrays.constant(grid.padded_width)
@@ -68,7 +68,8 @@ def composite(
             dr.scatter(radiance, part, target, mode=dr.ReduceMode.Permute)
     # Only now: scatters that are evaluated together become one kernel.
     dr.eval(radiance)
-    return SplatImage(radiance, camera.width, camera.height, grid.padded_width, channels, atlas.nodes)
+    shape = camera.width, camera.height, grid.padded_width, channels
+    return SplatImage(arrays, radiance, *shape, nodes=atlas.nodes)
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,7 @@ class _Sources:
         camera: Camera,
     ):
         self._arrays, self._stride = arrays, arrays.constant(atlas.stride)
-        self._samples = Records(arrays, PIXEL, [atlas.radiance])
+        self._samples = Records(arrays, PIXEL, [atlas.values])
         self._size = arrays.constant(camera.width), arrays.constant(camera.height)
         tops = np.array([entry.top for entry in entries], dtype=np.uint32)
         weights = np.stack([entry.image.weight for entry in entries])

@@ -111,7 +111,7 @@ class ForestRenderer:
         mixed = pack_atlas(images, wanted & ~alone, rows * TILE)
         groups = [group for group in (own_entries, below, mixed) if group]
         drawn = iter(self._drawn(camera, groups, cutoff))
-        black = black_image(self.arrays, camera, 0)
+        black = black_image(self.arrays, camera)
         frame = next(drawn) if own_entries else None
         beneath = next(drawn) if below else black
         if mixed:
@@ -155,7 +155,7 @@ class ForestRenderer:
         """
         entries = [entry for group in groups for entry in group]
         self._check(entries, cutoff)
-        black = [black_image(self.arrays, camera, 0) for _ in groups]
+        black = [black_image(self.arrays, camera) for _ in groups]
         table = self._table(camera, entries, cutoff) if entries else None
         if table is None:
             return black
@@ -177,9 +177,9 @@ class ForestRenderer:
         parts = Parts(Candidates(self.arrays, splats, grid, mask, bounds, in_order=True))
         heights = [split * sum(len(entry.tile_rows) for entry in group) for group in groups]
         images = rasterize_parts(self.arrays, splats, parts, heights)
-        size, shape = (camera.width, camera.height), (grid.padded_width, CHANNELS, dr.width(chosen))
+        shape = camera.width, camera.height, grid.padded_width, CHANNELS
         return [
-            SplatImage(image, *size, *shape, group[0].first_row * TILE)
+            SplatImage(self.arrays, image, *shape, group[0].first_row * TILE, dr.width(chosen))
             for image, group in zip(images, groups, strict=True)
         ]
 

@@ -145,7 +145,7 @@ def test_wanted_tiles_are_those_of_the_whole_frame(arrays, seed):
     layer, cutoff = LayerImage(1, 0, np.ones(corners, np.float32)), np.full(corners, 0.5, np.float32)
     wanted = np.random.default_rng(seed).random((grid.rows, grid.columns)) < 0.5
     whole, part = (
-        renderer.render(scene.camera, [layer], cutoff, mask).image().copy()
+        renderer.render(scene.camera, [layer], cutoff, mask).numpy().copy()
         for mask in (np.ones_like(wanted), wanted)
     )
     mask = wanted.repeat(TILE, axis=0).repeat(TILE, axis=1)[: scene.camera.height, : scene.camera.width]
@@ -162,7 +162,7 @@ def test_the_side_of_a_tile_means_nothing(arrays, seed):
     for few in (0, 1 << 16):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(lod_renderer, "_FEW_TILES", few)
-            images.append(renderer.render_layer(camera, 1).image().copy())
+            images.append(renderer.render_layer(camera, 1).numpy().copy())
     one, other = images
     stopped = twin.rendered(scene.gaussians, camera).jumps["stop"]
     np.testing.assert_array_equal(other[~stopped], one[~stopped])

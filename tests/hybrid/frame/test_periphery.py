@@ -113,24 +113,24 @@ def test_saliency_adds_detail_where_an_acuity_model_uses_it(periphery, camera, m
 def test_full_detail_is_the_finest_layer_where_the_fovea_hides_nothing(periphery, camera, arrays, forest):
     drawn = periphery.draw(camera, periphery.detail(camera, NONE), NOWHERE)
     finest = ForestRenderer(arrays, forest).render_layer(camera, 3)
-    np.testing.assert_array_equal(drawn.image(), finest.image())
-    np.testing.assert_array_equal(periphery.whole(camera, NONE).image(), finest.image())
+    np.testing.assert_array_equal(drawn.numpy(), finest.numpy())
+    np.testing.assert_array_equal(periphery.whole(camera, NONE).numpy(), finest.numpy())
     assert drawn.nodes == finest.nodes > 0
 
 
 def test_tiles_that_the_fovea_hides_are_not_drawn(periphery, camera):
     settings = replace(NONE, fov_a=60, fov_b=55)
-    drawn = periphery.draw(camera, periphery.detail(camera, settings), region_of(settings)).image()
+    drawn = periphery.draw(camera, periphery.detail(camera, settings), region_of(settings)).numpy()
     hidden = ~np.kron(region_of(settings).peripheral_tiles(CELL), np.ones((CELL, CELL), dtype=bool))
     assert hidden.any()
     assert (drawn[hidden] == 0).all()
-    np.testing.assert_array_equal(drawn[~hidden], periphery.whole(camera, settings).image()[~hidden])
+    np.testing.assert_array_equal(drawn[~hidden], periphery.whole(camera, settings).numpy()[~hidden])
 
 
 def test_the_finest_allowed_layer_is_drawn_as_a_whole(periphery, camera, arrays, forest):
-    coarser = ForestRenderer(arrays, forest).render_layer(camera, 2).image()
-    np.testing.assert_array_equal(periphery.whole(camera, replace(NONE, layers=(1, 2))).image(), coarser)
-    assert not np.array_equal(coarser, periphery.whole(camera, NONE).image())
+    coarser = ForestRenderer(arrays, forest).render_layer(camera, 2).numpy()
+    np.testing.assert_array_equal(periphery.whole(camera, replace(NONE, layers=(1, 2))).numpy(), coarser)
+    assert not np.array_equal(coarser, periphery.whole(camera, NONE).numpy())
 
 
 @pytest.mark.parametrize("layers", [None, (1, 2)])
@@ -140,13 +140,13 @@ def test_under_the_disc_the_finest_allowed_layer_is_drawn_at_full_rate(periphery
     detail = periphery.detail(camera, settings)
     alone = periphery.under_disc(camera, settings, region)
     beside, drawn = periphery.draw_with_disc(camera, settings, detail, region)
-    np.testing.assert_allclose(beside.image(), periphery.draw(camera, detail, region).image(), atol=1e-5)
+    np.testing.assert_allclose(beside.numpy(), periphery.draw(camera, detail, region).numpy(), atol=1e-5)
     wanted = np.kron(region.foveal_tiles(CELL), np.ones((CELL, CELL), dtype=bool))
     assert (~wanted).any()
     for under in (alone, drawn):
-        found = under.on_device(arrays).numpy()
+        found = under.numpy()
         np.testing.assert_allclose(
-            found[wanted], periphery.whole(camera, settings).image()[wanted], atol=1e-5
+            found[wanted], periphery.whole(camera, settings).numpy()[wanted], atol=1e-5
         )
         assert (found[~wanted] == 0).all()
 
@@ -154,12 +154,12 @@ def test_under_the_disc_the_finest_allowed_layer_is_drawn_at_full_rate(periphery
 def test_for_a_still_camera_the_same_is_drawn_from_kept_layers(periphery, camera):
     region = region_of(NONE)
     detail = periphery.detail(camera, NONE)
-    expected = np.array(periphery.draw(camera, detail, region).image())
+    expected = np.array(periphery.draw(camera, detail, region).numpy())
     np.testing.assert_allclose(
-        periphery.draw_still(camera, NONE, detail, region).image(), expected, atol=1e-6
+        periphery.draw_still(camera, NONE, detail, region).numpy(), expected, atol=1e-6
     )
     np.testing.assert_array_equal(
-        periphery.whole_still(camera, NONE, detail).image(), periphery.whole(camera, NONE).image()
+        periphery.whole_still(camera, NONE, detail).numpy(), periphery.whole(camera, NONE).numpy()
     )
 
 
@@ -168,10 +168,10 @@ def test_kept_layers_follow_the_gaze(periphery, camera, gaze):
     settings = replace(GEISLER, acuity_model="fov-gs", display="hmd", gaze=gaze, fov_a=0, fov_b=0)
     detail = periphery.detail(camera, settings)
     assert len(detail.steps) > 1
-    drawn = np.array(periphery.draw(camera, detail, NOWHERE).image())
-    still = periphery.draw_still(camera, settings, detail, NOWHERE).image()
+    drawn = np.array(periphery.draw(camera, detail, NOWHERE).numpy())
+    still = periphery.draw_still(camera, settings, detail, NOWHERE).numpy()
     elsewhere = periphery.detail(camera, replace(settings, gaze=(1 - gaze[0], 1 - gaze[1])))
-    other = np.array(periphery.draw(camera, elsewhere, NOWHERE).image())
+    other = np.array(periphery.draw(camera, elsewhere, NOWHERE).numpy())
     assert psnr(still, drawn) > 30
     assert psnr(still, drawn) > psnr(other, drawn) + 3
 

@@ -199,7 +199,7 @@ def test_one_point_lies_in_one_pixel_for_all(arrays, scene):
     forest = white_dot((0.2, 0.1, 1.0), camera.fy)
     splats = project(parameters_from(arrays, forest.finest), camera, 0.1)
     np.testing.assert_allclose([splats.x[0], splats.y[0]], expected[0], atol=1e-3)
-    image = ForestRenderer(arrays, forest).render_layer(camera, 1).image()[..., 0]
+    image = ForestRenderer(arrays, forest).render_layer(camera, 1).numpy()[..., 0]
     y, x = np.mgrid[0:48, 0:64] + 0.5
     centre = np.array([(image * x).sum(), (image * y).sum()]) / image.sum()
     # The cut at 1/255 is not symmetric about the centre; worst seen 0.01 px.

@@ -23,7 +23,7 @@ def test_they_are_the_splats_of_hybrid_frames(alone, renderer, scene):
     camera, periphery = scene.camera, renderer.periphery
     nowhere = settings.foveation.region(camera.width, camera.height)
     detail = periphery.detail(camera, settings)
-    assert np.array_equal(frame.composite, periphery.draw(camera, detail, nowhere).image())
+    assert np.array_equal(frame.composite, periphery.draw(camera, detail, nowhere).numpy())
     assert np.array_equal(frame.aovs()["splat"], renderer.splats(settings))
     assert frame.nodes_drawn > 0
     assert frame.milliseconds["total"] == pytest.approx(sum(frame.milliseconds.values()) / 2)

@@ -26,8 +26,8 @@ def test_the_finest_layer_is_shown_at_full_rate_whatever_the_gaze(arrays):
     one, other = (method.render(View(scene.camera), gaze, 0) for gaze in (Gaze(), Gaze(0.1, 0.1)))
     np.testing.assert_array_equal(one.image, other.image)
     finest = FrameSettings(layers=(3, 3))
-    np.testing.assert_array_equal(one.image, periphery.whole(scene.camera, finest).image())
-    coarsest = periphery.whole(scene.camera, FrameSettings(layers=(1, 1))).image()
+    np.testing.assert_array_equal(one.image, periphery.whole(scene.camera, finest).numpy())
+    coarsest = periphery.whole(scene.camera, FrameSettings(layers=(1, 1))).numpy()
     assert np.abs(one.image - coarsest).max() > 0.05
     assert set(one.milliseconds) == {"splat", "total"}
 

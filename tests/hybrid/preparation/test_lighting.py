@@ -126,7 +126,7 @@ def error(scene: Scene, forest: Forest, time: float) -> float:
     truth = render_frame(Tracer(scene), scene.camera, 32, 1).radiance
     renderer = ForestRenderer(device_arrays(), forest)
     renderer.set_time(time)
-    image = renderer.render_layer(scene.camera, len(forest.counts)).image()
+    image = renderer.render_layer(scene.camera, len(forest.counts)).numpy()
     inner = np.s_[4:-4, 4:-4]
     return float(np.mean((image[inner] - truth[inner]) ** 2))
 

@@ -110,7 +110,7 @@ def test_a_tiny_scene_far_away_ends_as_an_ordinary_one(tmp_path, backend, got):
         train(frames, tmp_path / f"{name}.forest", training)
         forest = load_forest(tmp_path / f"{name}.forest")
         found.append(held_out_quality(frames, forest)[-1]["psnr"])
-        image = ForestRenderer(device_arrays(), forest).render_layer(frames.training[0].camera, 2).image()
+        image = ForestRenderer(device_arrays(), forest).render_layer(frames.training[0].camera, 2).numpy()
         assert image.mean() > 0.05
     assert got(found[1] - found[0], "+.2f") == pytest.approx(0, abs=0.3)
 

@@ -111,7 +111,7 @@ def test_every_estimate_of_every_unseen_view_is_an_example_of_either_denoiser(la
 
 def test_examples_show_the_finest_layer(arrays, large, forest, examples):
     entry, example = large.held_out[0], examples(0)[0]
-    shown = ForestRenderer(arrays, forest).render_layer(entry.camera, 3).image()
+    shown = ForestRenderer(arrays, forest).render_layer(entry.camera, 3).numpy()
     np.testing.assert_array_equal(example.parents.splat, shown)
     # Trained on 32 x 32 pixels of 60 degrees.
     assert example.parents.enlargement == pytest.approx(entry.camera.fy / (16 / np.tan(np.radians(30))))

@@ -23,7 +23,7 @@ def test_each_layer_is_measured_at_its_own_resolution(arrays, frames, trained):
 
 def test_the_finest_layer_is_compared_with_the_captured_frames(arrays, frames, trained):
     entry = frames.held_out[0]
-    shown = ForestRenderer(arrays, trained).render_layer(entry.camera, 2).image()
+    shown = ForestRenderer(arrays, trained).render_layer(entry.camera, 2).numpy()
     clipped = (np.clip(image, 0, 1) for image in (shown, read_frame(entry.file).radiance))
     srgb = [np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055) for x in clipped]
     expected = -10 * np.log10(np.mean((srgb[0] - srgb[1]) ** 2))

@@ -87,7 +87,7 @@ def test_a_forest_shows_the_board_where_it_is(frames, forest):
     for row, shown in enumerate(entries):
         renderer.set_time(shown.time)
         for column, entry in enumerate(entries):
-            image = renderer.render_layer(entry.camera, len(forest.counts)).image()
+            image = renderer.render_layer(entry.camera, len(forest.counts)).numpy()
             truth = read_frame(entry.file).radiance
             errors[row, column] = np.mean((np.clip(image, 0, 1) - np.clip(truth, 0, 1)) ** 2)
     assert (np.diag(errors) < 0.8 * np.where(np.eye(4) > 0, np.inf, errors).min(axis=0)).all()
@@ -139,7 +139,7 @@ def test_disc_and_periphery_show_the_same_time(scene, forest):
         seen[time] = frame.composite
         alone = ForestRenderer(device_arrays(), forest)
         alone.set_time(time)
-        whole = alone.render_layer(scene.camera, len(forest.counts)).image()
+        whole = alone.render_layer(scene.camera, len(forest.counts)).numpy()
         np.testing.assert_allclose(frame.composite[0], whole[0], atol=1e-4)
         assert scene.moving is not None
         assert scene.moving.time == time
@@ -186,7 +186,7 @@ def test_examples_of_the_fusion_show_splats_at_their_times(scene, forest, tmp_pa
         entry = captured.held_out[example.view]
         times.add(entry.time)
         renderer.set_time(entry.time)
-        splat = renderer.render_layer(entry.camera, len(forest.counts)).image()
+        splat = renderer.render_layer(entry.camera, len(forest.counts)).numpy()
         np.testing.assert_array_equal(example.parents.splat, splat)
     assert len(times) == 2
 

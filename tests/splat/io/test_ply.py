@@ -77,7 +77,7 @@ def test_a_real_file_loads_and_renders(arrays):
     pose = look_at(centre + np.array([0, 0, -3 * spread]), centre, np.array([0.0, -1, 0]))
     forest = forest_of([static_layer(found)], UNBOUND_FOCAL, "", "")
     view = camera_from_pose(pose, 96, 96, 100, 100, 48, 48)
-    image = ForestRenderer(arrays, forest).render_layer(view, 1).image()
+    image = ForestRenderer(arrays, forest).render_layer(view, 1).numpy()
     assert np.isfinite(image).all()
     assert (image.max(axis=2) > 0.02).mean() > 0.2
 

@@ -25,7 +25,7 @@ def test_a_cached_frame_equals_a_fresh_one(arrays):
         images = [LayerImage(*step, weight) for step, weight in zip(STEPS, weights, strict=True)]
         fresh = renderer.render(camera, images, no_cutoff(), everything())
         frame = cached.composite(weights, everything())
-        np.testing.assert_allclose(frame.image(), fresh.image(), atol=1e-5)
+        np.testing.assert_allclose(frame.numpy(), fresh.numpy(), atol=1e-5)
         assert frame.nodes == fresh.nodes
 
 
@@ -33,7 +33,7 @@ def test_only_wanted_cells_are_composited(arrays):
     cached = CachedLayerImages(ForestRenderer(arrays, small_forest()), frame_camera(), STEPS)
     wanted = everything()
     wanted[:, 4:] = False
-    whole, part = cached.composite(WEIGHTS, everything()).image(), cached.composite(WEIGHTS, wanted).image()
+    whole, part = cached.composite(WEIGHTS, everything()).numpy(), cached.composite(WEIGHTS, wanted).numpy()
     np.testing.assert_array_equal(part[:, :64], whole[:, :64])
     assert (part[:, 64:] == 0).all()
     assert (whole[:, 64:] != 0).any()
@@ -45,11 +45,11 @@ def test_images_without_a_weight_are_left_out(arrays):
     alone = CachedLayerImages(ForestRenderer(arrays, small_forest()), frame_camera(), [STEPS[1]])
     first, second = cached.composite([none, full, none], everything()), alone.composite([full], everything())
     # Up to rounding: the image lies elsewhere in its atlas.
-    np.testing.assert_allclose(first.image(), second.image(), atol=1e-5)
+    np.testing.assert_allclose(first.numpy(), second.numpy(), atol=1e-5)
     black = cached.composite([none] * 3, everything())
-    assert (black.image() == 0).all()
-    assert black.image().shape == (100, 150, 3)
-    assert (cached.composite(WEIGHTS, np.zeros(CELLS, dtype=bool)).image() == 0).all()
+    assert (black.numpy() == 0).all()
+    assert black.numpy().shape == (100, 150, 3)
+    assert (cached.composite(WEIGHTS, np.zeros(CELLS, dtype=bool)).numpy() == 0).all()
 
 
 def test_a_view_of_nothing_is_black(arrays):
@@ -58,4 +58,4 @@ def test_a_view_of_nothing_is_black(arrays):
     renderer = ForestRenderer(arrays, forest_of([static_layer(g)], 120.0, "", ""))
     frame = CachedLayerImages(renderer, frame_camera(), [(1, 0)]).composite([ramp(1, 1)], everything())
     assert frame.nodes == 0
-    assert (frame.image() == 0).all()
+    assert (frame.numpy() == 0).all()

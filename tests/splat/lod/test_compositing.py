@@ -33,10 +33,10 @@ def composited(arrays, entries: list[AtlasEntry], blocks: list[np.ndarray]) -> n
     """The frame of an atlas that consists of blocks of samples one above the other."""
     atlas = np.concatenate(blocks)
     flat = arrays.plain.Float(atlas.ravel())
-    image = SplatImage(flat, STRIDE, len(atlas), STRIDE, 4, 5)
+    image = SplatImage(arrays, flat, STRIDE, len(atlas), STRIDE, 4, nodes=5)
     frame = composite(arrays, entries, image, frame_camera())
     assert (frame.width, frame.height, frame.channels, frame.nodes) == (WIDTH, HEIGHT, 3, 5)
-    return frame.image()
+    return frame.numpy()
 
 
 def pixels() -> tuple[np.ndarray, np.ndarray]:
@@ -105,10 +105,10 @@ def test_other_frames_share_the_kernels_values(arrays):
     """A frame of another size from the same samples has the same pixels."""
     block = samples(1, 0.5, 0.25, 1.0)
     whole = composited(arrays, [entry(1, 0, ramp(1, 1))], [block])
-    image = SplatImage(arrays.plain.Float(block.ravel()), STRIDE, len(block), STRIDE, 4, 5)
+    image = SplatImage(arrays, arrays.plain.Float(block.ravel()), STRIDE, len(block), STRIDE, 4, nodes=5)
     camera = replace(frame_camera(), width=64, height=48)
     weight = np.ones((4, 5), np.float32)
-    small = composite(arrays, [entry(1, 0, weight, np.ones((3, 4), bool))], image, camera).image()
+    small = composite(arrays, [entry(1, 0, weight, np.ones((3, 4), bool))], image, camera).numpy()
     assert small.shape == (48, 64, 3)
     # The last pixel lies beyond the last sample inside the smaller frame.
     np.testing.assert_array_equal(small[:47, :63], whole[:47, :63])

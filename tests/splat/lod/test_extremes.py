@@ -48,8 +48,8 @@ def test_a_forest_of_no_node_is_black(each_arrays, got):
     renderer = ForestRenderer(each_arrays, one_layer(empty))
     images = [LayerImage(1, 0, ramp(0, 1)), LayerImage(1, 2, ramp(1, 0))]
     frame = renderer.render(frame_camera(), images, no_cutoff(), everything())
-    assert got(float(frame.image().max()), "g") == 0
-    assert frame.image().shape == (100, 150, 3)
+    assert got(float(frame.numpy().max()), "g") == 0
+    assert frame.numpy().shape == (100, 150, 3)
     # And so is the picture of no Gaussians that training asks for; its gradient has no elements.
     empty.means.requires_grad_()
     picture = render_differentiable(each_arrays, empty, frame_camera())
@@ -61,7 +61,7 @@ def test_a_forest_of_no_node_is_black(each_arrays, got):
 @extreme("forest of one node", given="one layer of one node", expected="as in float64, within 1e-4")
 def test_a_forest_of_one_node(each_arrays, got):
     forest, camera = one_layer(gaussians("overlap", 1, 0)), frame_camera()
-    image = ForestRenderer(each_arrays, forest).render_layer(camera, 1).image()
+    image = ForestRenderer(each_arrays, forest).render_layer(camera, 1).numpy()
     error = np.abs(image - sampled(forest, camera, 1, 0, PIXEL_FILTER)).max()
     assert image.max() > 0.1
     assert got(error, ".1e") < 1e-4
@@ -85,7 +85,7 @@ def test_a_forest_of_a_million_nodes(each_arrays, got):
     with torch.no_grad():
         expected = render_differentiable(each_arrays, g, frame_camera()).numpy()
     assert frame.nodes > 500_000
-    assert got(float(np.abs(frame.image() - expected).max()), ".1e") < 1e-3
+    assert got(float(np.abs(frame.numpy() - expected).max()), ".1e") < 1e-3
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_a_forest_of_a_million_nodes(each_arrays, got):
 def test_each_of_twelve_layers_can_be_drawn(each_arrays, got, tall, layer):
     """Layer 1 was trained on pixels 2,048 times as wide, and is filtered accordingly."""
     camera = frame_camera()
-    image = ForestRenderer(each_arrays, tall).render_layer(camera, layer).image()
+    image = ForestRenderer(each_arrays, tall).render_layer(camera, layer).numpy()
     expected = sampled(tall, camera, layer, 0, PIXEL_FILTER * 4.0 ** (LAYERS - layer))
     assert image.max() > 0.01
     assert got(float(np.abs(image - expected).max()), ".1e") < 1e-3
@@ -121,7 +121,7 @@ def test_many_layer_images_are_composited(each_arrays, got, tall):
     single = [LayerImage(1 + k % LAYERS, 0, weight) for k, weight in enumerate(corners)]
     joined = [LayerImage(1 + k, 0, corners[k::LAYERS].sum(axis=0)) for k in range(LAYERS)]
     first, second = (
-        renderer.render(camera, images, no_cutoff(), everything()).image() for images in (single, joined)
+        renderer.render(camera, images, no_cutoff(), everything()).numpy() for images in (single, joined)
     )
     assert second.mean() > 0.1
     assert got(float(np.abs(first - second).max()), ".1e") < 1e-4
@@ -153,7 +153,7 @@ def test_a_cutoff_of_nothing_leaves_a_haze(each_arrays, got, cutoff):
     renderer, image = ForestRenderer(each_arrays, small_forest()), LayerImage(3, 0, ramp(1, 1))
     draw = lambda value: renderer.render(  # noqa: E731
         frame_camera(), [image], np.full(CORNERS, value, np.float32), everything()
-    ).image()
+    ).numpy()
     frame = draw(cutoff)
     assert 0 < got(float(frame.max()), ".4f") < 0.05
     np.testing.assert_allclose(frame, draw(1e-7), atol=1e-6)
@@ -163,8 +163,8 @@ def test_a_cutoff_of_nothing_leaves_a_haze(each_arrays, got, cutoff):
 def test_a_cutoff_beyond_the_pixels_is_that_of_the_pixels(each_arrays, got):
     renderer, image = ForestRenderer(each_arrays, small_forest()), LayerImage(3, 0, ramp(1, 1))
     frame = renderer.render(frame_camera(), [image], np.full(CORNERS, 1e10, np.float32), everything())
-    expected = renderer.render_layer(frame_camera(), 3).image()
-    assert got(float(np.abs(frame.image() - expected).max()), "g") == 0
+    expected = renderer.render_layer(frame_camera(), 3).numpy()
+    assert got(float(np.abs(frame.numpy() - expected).max()), "g") == 0
 
 
 @pytest.mark.parametrize("cutoff", [float("nan"), -0.1])
@@ -192,7 +192,7 @@ def test_a_cutoff_that_is_none_is_refused(each_arrays, cutoff):
 def test_frames_smaller_than_a_sample(each_arrays, got, size):
     forest, camera = small_forest(), frame_camera(*size)
     renderer = ForestRenderer(each_arrays, forest)
-    samples = renderer.render_layer(camera, 3, 4).image()
+    samples = renderer.render_layer(camera, 3, 4).numpy()
     expected = sampled(forest, camera, 3, 4, PIXEL_FILTER * 4.0**4)
     assert samples.shape == (-(-size[1] // 16), -(-size[0] // 16), 3)
     assert got(float(np.abs(samples - expected).max()), ".1e") < 1e-3
@@ -200,7 +200,7 @@ def test_frames_smaller_than_a_sample(each_arrays, got, size):
     whole = np.ones((corners[0] - 1, corners[1] - 1), dtype=bool)
     lattice = np.full(corners, 0.5, np.float32)
     image = LayerImage(3, 4, np.ones(corners, np.float32))
-    frame = renderer.render(camera, [image], lattice, whole).image()
+    frame = renderer.render(camera, [image], lattice, whole).numpy()
     assert frame.shape == (size[1], size[0], 3)
     assert samples.min() - 1e-6 <= frame.min() <= frame.max() <= samples.max() + 1e-6
 
@@ -214,13 +214,13 @@ def test_one_bad_node_spoils_no_frame(each_arrays, value):
     frame = ForestRenderer(each_arrays, one_layer(g)).render(
         frame_camera(), images, no_cutoff(), everything()
     )
-    assert np.isfinite(frame.image()).all()
+    assert np.isfinite(frame.numpy()).all()
     if np.isnan(value):
         others = g.select(torch.arange(60) != 7)
         without = ForestRenderer(each_arrays, one_layer(others)).render(
             frame_camera(), images, no_cutoff(), everything()
         )
-        np.testing.assert_array_equal(frame.image(), without.image())
+        np.testing.assert_array_equal(frame.numpy(), without.numpy())
 
 
 @extreme(
@@ -233,7 +233,7 @@ def test_a_forest_is_drawn_in_parts(each_arrays, got, monkeypatch):
     draw = lambda: (  # noqa: E731
         ForestRenderer(each_arrays, small_forest())
         .render(frame_camera(), images, no_cutoff(), everything())
-        .image()
+        .numpy()
     )
     whole = draw()
     monkeypatch.setattr(parts, "PAIRS_AT_ONCE", 200)

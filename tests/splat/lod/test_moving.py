@@ -45,11 +45,11 @@ def as_posed(forest: Forest, time: float) -> Forest:
 def test_a_forest_at_a_time_is_that_of_its_posed_nodes(arrays, layer):
     forest, camera = moving_forest(), frame_camera()
     renderer = ForestRenderer(arrays, forest)
-    rest = ForestRenderer(arrays, replace(forest, motion=None)).render_layer(camera, layer).image()
+    rest = ForestRenderer(arrays, replace(forest, motion=None)).render_layer(camera, layer).numpy()
     for time in (0.3, 0.7, 0.3, 1.0):
         renderer.set_time(time)
-        found = renderer.render_layer(camera, layer).image()
-        expected = ForestRenderer(arrays, as_posed(forest, time)).render_layer(camera, layer).image()
+        found = renderer.render_layer(camera, layer).numpy()
+        expected = ForestRenderer(arrays, as_posed(forest, time)).render_layer(camera, layer).numpy()
         np.testing.assert_allclose(found, expected, atol=1e-5)
         assert np.abs(found - rest).max() > 0.05
 
@@ -61,10 +61,10 @@ def test_layers_that_are_composited_move_as_well(arrays):
     renderer = ForestRenderer(arrays, forest)
     renderer.render(camera, images, no_cutoff(), everything())
     renderer.set_time(0.6)
-    found = renderer.render(camera, images, no_cutoff(), everything()).image()
+    found = renderer.render(camera, images, no_cutoff(), everything()).numpy()
     still = ForestRenderer(arrays, as_posed(forest, 0.6))
     np.testing.assert_allclose(
-        found, still.render(camera, images, no_cutoff(), everything()).image(), atol=1e-5
+        found, still.render(camera, images, no_cutoff(), everything()).numpy(), atol=1e-5
     )
 
 
@@ -87,8 +87,8 @@ def test_only_layers_that_are_drawn_are_deformed(arrays, monkeypatch):
     assert posed_nodes == [own[2]]
     renderer.render_layer(camera.moved_right(0.1), 3)
     assert posed_nodes == [own[2], 0]
-    expected = ForestRenderer(arrays, as_posed(forest, 0.7)).render_layer(camera, 1).image()
-    np.testing.assert_allclose(renderer.render_layer(camera, 1).image(), expected, atol=1e-5)
+    expected = ForestRenderer(arrays, as_posed(forest, 0.7)).render_layer(camera, 1).numpy()
+    np.testing.assert_allclose(renderer.render_layer(camera, 1).numpy(), expected, atol=1e-5)
     assert sum(posed_nodes) == own[2] + own[0]
 
 
@@ -106,8 +106,8 @@ def test_nodes_have_the_light_of_the_time(arrays, some):
         renderer.set_time(time)
         now = in_light(forest.nodes.gaussians, nodes, lit.light.at(time))
         shown = replace(forest, nodes=replace(forest.nodes, gaussians=now))
-        expected = ForestRenderer(arrays, as_posed(shown, time)).render_layer(camera, 3).image()
-        np.testing.assert_allclose(renderer.render_layer(camera, 3).image(), expected, atol=1e-4)
+        expected = ForestRenderer(arrays, as_posed(shown, time)).render_layer(camera, 3).numpy()
+        np.testing.assert_allclose(renderer.render_layer(camera, 3).numpy(), expected, atol=1e-4)
 
 
 def test_sided_nodes_have_the_light_of_the_side_that_is_seen(arrays):
@@ -131,15 +131,15 @@ def test_sided_nodes_have_the_light_of_the_side_that_is_seen(arrays):
         behind = seen_from_behind(light.normals, rest.rotations, own.rotations, own.means, eye)
         now = in_light(rest, nodes, torch.where(behind, light.behind_at(time), light.at(time)))
         shown = replace(forest, nodes=replace(forest.nodes, gaussians=now))
-        expected = ForestRenderer(arrays, as_posed(shown, time)).render_layer(camera, 3).image()
-        found = renderer.render_layer(camera, 3).image()
+        expected = ForestRenderer(arrays, as_posed(shown, time)).render_layer(camera, 3).numpy()
+        found = renderer.render_layer(camera, 3).numpy()
         np.testing.assert_allclose(found, expected, atol=1e-4)
         from_in_front = replace(
             light, sided=light.sided[:0], behind=torch.zeros(3, 3, 0).half(), normals=torch.zeros(3, 0)
         )
         plain = ForestRenderer(arrays, replace(forest, light=from_in_front))
         plain.set_time(time)
-        assert np.abs(plain.render_layer(camera, 3).image() - found).max() > 0.05
+        assert np.abs(plain.render_layer(camera, 3).numpy() - found).max() > 0.05
 
 
 def test_light_of_nodes_that_there_are_not_is_refused():
@@ -152,9 +152,9 @@ def test_light_of_nodes_that_there_are_not_is_refused():
 def test_forests_without_motion_look_alike_at_all_times(arrays):
     forest, camera = small_forest(), frame_camera()
     renderer = ForestRenderer(arrays, forest)
-    before = renderer.render_layer(camera, 3).image()
+    before = renderer.render_layer(camera, 3).numpy()
     renderer.set_time(0.5)
-    np.testing.assert_array_equal(renderer.render_layer(camera, 3).image(), before)
+    np.testing.assert_array_equal(renderer.render_layer(camera, 3).numpy(), before)
 
 
 def test_nodes_of_unknown_instances_are_refused():

@@ -91,7 +91,7 @@ def test_a_composited_frame_equals_its_twin(arrays, forest, camera, case, cutoff
     lattice = np.full(CORNERS, cutoff, dtype=np.float32)
     frame = ForestRenderer(arrays, forest).render(camera, images, lattice, everything())
     expected = twin(forest, camera, images, filters(forest, camera, images, cutoff))
-    np.testing.assert_allclose(frame.image(), expected, atol=1e-3)
+    np.testing.assert_allclose(frame.numpy(), expected, atol=1e-3)
     assert frame.nodes > 0
 
 
@@ -102,10 +102,10 @@ def test_cells_of_a_single_image_at_full_rate_are_drawn_in_place(arrays, forest,
     expected = twin(forest, camera, images, filters(forest, camera, images, 0.5))
     renderer = ForestRenderer(arrays, forest)
     frame = renderer.render(camera, images, no_cutoff(), everything())
-    np.testing.assert_allclose(frame.image(), expected, atol=1e-3)
+    np.testing.assert_allclose(frame.numpy(), expected, atol=1e-3)
     wanted = everything()
     wanted[:2] = False
-    part = renderer.render(camera, images, no_cutoff(), wanted).image()
+    part = renderer.render(camera, images, no_cutoff(), wanted).numpy()
     assert (part[: 2 * TILE] == 0).all()
     np.testing.assert_allclose(part[2 * TILE :], expected[2 * TILE :], atol=1e-3)
 
@@ -116,7 +116,7 @@ def test_three_images_at_two_rates_meet_in_a_cell(arrays, forest, camera):
     images = [LayerImage(1, 1, left), LayerImage(3, 1, right), LayerImage(2, 3, 1 - left - right)]
     frame = ForestRenderer(arrays, forest).render(camera, images, no_cutoff(), everything())
     expected = twin(forest, camera, images, filters(forest, camera, images, 0.5))
-    np.testing.assert_allclose(frame.image(), expected, atol=1e-3)
+    np.testing.assert_allclose(frame.numpy(), expected, atol=1e-3)
 
 
 def test_the_cutoff_is_interpolated_at_each_gaussian(arrays, forest, camera):
@@ -131,7 +131,7 @@ def test_the_cutoff_is_interpolated_at_each_gaussian(arrays, forest, camera):
     assert cutoff.max() > 0.2
     variance = PIXEL_FILTER * torch.from_numpy(np.maximum(0.5 / cutoff, 1)) ** 2
     # The worst are Gaussians centred beyond the last lattice point.
-    np.testing.assert_allclose(frame.image(), sampled(forest, camera, 3, 0, variance), atol=3e-3)
+    np.testing.assert_allclose(frame.numpy(), sampled(forest, camera, 3, 0, variance), atol=3e-3)
 
 
 def test_images_do_not_depend_on_each_other(arrays, camera):
@@ -145,7 +145,7 @@ def test_images_do_not_depend_on_each_other(arrays, camera):
     forest = forest_of([static_layer(g)], 120.0, "", "")
     rise = ramp(0, 1)
     render = lambda *images: (  # noqa: E731
-        ForestRenderer(arrays, forest).render(camera, list(images), no_cutoff(), everything()).image()
+        ForestRenderer(arrays, forest).render(camera, list(images), no_cutoff(), everything()).numpy()
     )
     fine, coarse = render(LayerImage(1, 0, ramp(1, 1))), render(LayerImage(1, 4, ramp(1, 1)))
     both = render(LayerImage(1, 0, 1 - rise), LayerImage(1, 4, rise))
@@ -155,7 +155,7 @@ def test_images_do_not_depend_on_each_other(arrays, camera):
 
 
 def test_samples_of_a_layer_are_those_of_larger_pixels(arrays, forest, camera):
-    image = ForestRenderer(arrays, forest).render_layer(camera, 1, 3).image()
+    image = ForestRenderer(arrays, forest).render_layer(camera, 1, 3).numpy()
     expected = sampled(forest, camera, 1, 3, PIXEL_FILTER * 64)
     assert image.shape == (13, 19, 3)
     np.testing.assert_allclose(image, expected, atol=1e-3)
@@ -164,10 +164,10 @@ def test_samples_of_a_layer_are_those_of_larger_pixels(arrays, forest, camera):
 def test_cached_footprints_belong_to_one_camera(arrays, forest, camera):
     renderer = ForestRenderer(arrays, forest)
     other = replace(camera, cx=camera.cx + 7)
-    first = [renderer.render_layer(c, n).image().copy() for c in (camera, other) for n in (3, 1)]
-    again = [renderer.render_layer(c, n).image().copy() for c in (camera, other) for n in (3, 1)]
+    first = [renderer.render_layer(c, n).numpy().copy() for c in (camera, other) for n in (3, 1)]
+    again = [renderer.render_layer(c, n).numpy().copy() for c in (camera, other) for n in (3, 1)]
     fresh = [
-        ForestRenderer(arrays, forest).render_layer(c, n).image() for c in (camera, other) for n in (3, 1)
+        ForestRenderer(arrays, forest).render_layer(c, n).numpy() for c in (camera, other) for n in (3, 1)
     ]
     for images in zip(first, again, fresh, strict=True):
         assert np.array_equal(images[0], images[1])
@@ -184,11 +184,11 @@ def test_a_wider_filter_than_before_reaches_nodes_outside_the_frame(arrays, fore
     kept = renderer.render(camera, [image], wide, everything())
     fresh = ForestRenderer(arrays, forest).render(camera, [image], wide, everything())
     assert kept.nodes == fresh.nodes
-    assert np.array_equal(kept.image(), fresh.image())
+    assert np.array_equal(kept.numpy(), fresh.numpy())
 
 
 def test_one_layer_is_the_rasterizers_image(arrays, forest, camera):
-    image = ForestRenderer(arrays, forest).render_layer(camera, 3).image()
+    image = ForestRenderer(arrays, forest).render_layer(camera, 3).numpy()
     expected = sampled(forest, camera, 3, 0, PIXEL_FILTER)
     np.testing.assert_allclose(image, expected, atol=1e-3)
 
@@ -196,7 +196,7 @@ def test_one_layer_is_the_rasterizers_image(arrays, forest, camera):
 def test_at_the_displays_nyquist_frequency_the_filter_is_the_pixels_own(arrays, forest, camera):
     renderer = ForestRenderer(arrays, forest)
     at_nyquist = renderer.render(camera, [LayerImage(3, 0, ramp(1, 1))], no_cutoff(), everything())
-    assert np.array_equal(at_nyquist.image(), renderer.render_layer(camera, 3).image())
+    assert np.array_equal(at_nyquist.numpy(), renderer.render_layer(camera, 3).numpy())
 
 
 @pytest.mark.parametrize(("rate", "cutoff"), [(0, 0.5), (0, 0.02), (2, 0.5), (3, 0.5)])
@@ -209,7 +209,7 @@ def test_wanted_cells_do_not_depend_on_the_others(arrays, camera, rate, cutoff):
     whole = renderer.render(camera, images, lattice, everything())
     part = renderer.render(camera, images, lattice, wanted)
     # Up to rounding: the image lies elsewhere in its atlas.
-    np.testing.assert_allclose(part.image()[32:64, 48:96], whole.image()[32:64, 48:96], atol=1e-5)
+    np.testing.assert_allclose(part.numpy()[32:64, 48:96], whole.numpy()[32:64, 48:96], atol=1e-5)
     assert 0 < part.nodes <= whole.nodes
 
 
@@ -220,12 +220,12 @@ def test_unwanted_cells_are_black_and_cost_nothing(arrays, forest, camera):
     images = [LayerImage(3, 0, ramp(0.5, 0.5)), LayerImage(2, 0, ramp(0.5, 0.5))]
     all_of_it = renderer.render(camera, images, no_cutoff(), everything())
     part = renderer.render(camera, images, no_cutoff(), wanted)
-    np.testing.assert_array_equal(part.image()[:, :64], all_of_it.image()[:, :64])
-    assert (part.image()[:, 64:] == 0).all()
+    np.testing.assert_array_equal(part.numpy()[:, :64], all_of_it.numpy()[:, :64])
+    assert (part.numpy()[:, 64:] == 0).all()
     assert part.nodes < all_of_it.nodes
     nothing = renderer.render(camera, images, no_cutoff(), np.zeros(CELLS, dtype=bool))
     assert nothing.nodes == 0
-    assert (nothing.image() == 0).all()
+    assert (nothing.numpy() == 0).all()
 
 
 def test_an_image_without_a_weight_is_not_drawn(arrays, forest, camera):
@@ -235,7 +235,7 @@ def test_an_image_without_a_weight_is_not_drawn(arrays, forest, camera):
         camera, [LayerImage(3, 0, ramp(1, 1)), LayerImage(1, 1, ramp(0, 0))], no_cutoff(), everything()
     )
     assert alone.nodes == beside.nodes
-    assert np.array_equal(alone.image(), beside.image())
+    assert np.array_equal(alone.numpy(), beside.numpy())
 
 
 @pytest.mark.parametrize("extreme", ["huge", "tiny", "behind", "NaN"])
@@ -253,7 +253,7 @@ def test_extremes_stay_finite(arrays, camera, extreme):
     images = [LayerImage(1, 0, ramp(0, 1)), LayerImage(1, 2, ramp(1, 0))]
     lattice = np.full(CORNERS, 1e-4, dtype=np.float32)
     assert np.isfinite(
-        ForestRenderer(arrays, forest).render(camera, images, lattice, everything()).image()
+        ForestRenderer(arrays, forest).render(camera, images, lattice, everything()).numpy()
     ).all()
 
 
@@ -261,7 +261,7 @@ def test_the_same_frame_has_the_same_bits(arrays, forest, camera):
     images = [LayerImage(3, 0, ramp(0, 1)), LayerImage(2, 1, ramp(1, 0))]
     renderer = ForestRenderer(arrays, forest)
     first, second = (renderer.render(camera, images, no_cutoff(), everything()) for _ in range(2))
-    assert np.array_equal(first.image(), second.image())
+    assert np.array_equal(first.numpy(), second.numpy())
 
 
 def test_nodes_are_counted_in_each_image(arrays, forest, camera):
@@ -290,12 +290,12 @@ def test_what_lies_under_a_frame_is_the_layer_alone(arrays, forest, camera):
     frame, under = renderer.render_with(camera, images, lattice, wanted, Under(3, cells))
     # Where an image lies among the others decides how positions are rounded.
     alike = lambda found, expected: np.testing.assert_allclose(found, expected, atol=1e-5)  # noqa: E731
-    alike(frame.image(), renderer.render(camera, images, lattice, wanted).image())
+    alike(frame.numpy(), renderer.render(camera, images, lattice, wanted).numpy())
     pixels = cells.repeat(TILE, axis=0).repeat(TILE, axis=1)[: camera.height, : camera.width]
-    found, whole = under.on_device(arrays).numpy(), renderer.render_layer(camera, 3).image()
+    found, whole = under.numpy(), renderer.render_layer(camera, 3).numpy()
     alike(found[pixels], whole[pixels])
     assert (found[~pixels] == 0).all()
     for layer, covered in ((3, np.zeros_like(cells)), (3, cells)):
         nothing = renderer.render_with(camera, [], lattice, np.zeros_like(cells), Under(layer, covered))
-        assert (nothing[0].image() == 0).all()
-        alike(nothing[1].on_device(arrays).numpy(), found if covered.any() else 0)
+        assert (nothing[0].numpy() == 0).all()
+        alike(nothing[1].numpy(), found if covered.any() else 0)

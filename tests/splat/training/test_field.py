@@ -126,7 +126,7 @@ def test_forests_with_a_learned_motion_are_stored_and_drawn(arrays, kind, tmp_pa
     assert back.digest() == forest.digest()
     renderer = ForestRenderer(arrays, back)
     renderer.set_time(view.time)
-    drawn = renderer.render_layer(view.camera, 1).image()
+    drawn = renderer.render_layer(view.camera, 1).numpy()
     layer = trainer.forest()[-1]
     with torch.no_grad():
         moved = trainer.motion.shown(layer.gaussians, layer.semantic, view.time)
