@@ -22,52 +22,52 @@ if TYPE_CHECKING:
     from compose.camera.camera import Camera as Camera
     from compose.eye.display import Display as Display
     from compose.eye.gaze import Gaze as Gaze
-    from compose.fovea.mode import FoveaMode as FoveaMode
-    from hybrid.api.evaluation import evaluate as evaluate
-    from hybrid.api.scenes import capture as capture
-    from hybrid.api.scenes import load_forest as load_forest
-    from hybrid.api.scenes import load_frames as load_frames
-    from hybrid.api.scenes import load_scene as load_scene
-    from hybrid.api.scenes import prepare as prepare
-    from hybrid.api.scenes import train as train
-    from hybrid.evaluation.settings import EvaluationSettings as EvaluationSettings
-    from hybrid.frame.frame import Frame as Frame
-    from hybrid.frame.renderer import Renderer as Renderer
-    from hybrid.frame.settings import FrameSettings as FrameSettings
-    from hybrid.frame.splat_renderer import SplatRenderer as SplatRenderer
-    from hybrid.preparation.settings import PreparationSettings as PreparationSettings
-    from pathtrace.base.backend import select_backend as select_backend
-    from pathtrace.dataset.frames import FrameSet as FrameSet
-    from pathtrace.dataset.settings import CaptureSettings as CaptureSettings
+    from compose.fovea.foveation import FoveaMode as FoveaMode
+    from hybrid.api.evaluation_report import evaluate as evaluate
+    from hybrid.api.workflow import capture as capture
+    from hybrid.api.workflow import load_forest as load_forest
+    from hybrid.api.workflow import load_frames as load_frames
+    from hybrid.api.workflow import load_scene as load_scene
+    from hybrid.api.workflow import prepare as prepare
+    from hybrid.api.workflow import train as train
+    from hybrid.evaluation.evaluation_settings import EvaluationSettings as EvaluationSettings
+    from hybrid.preparation.stages import PreparationSettings as PreparationSettings
+    from hybrid.render.frame import Frame as Frame
+    from hybrid.render.frame_renderer import Renderer as Renderer
+    from hybrid.render.frame_settings import FrameSettings as FrameSettings
+    from hybrid.render.splat_renderer import SplatRenderer as SplatRenderer
+    from pathtrace.dataset.frame_set import CaptureSettings as CaptureSettings
+    from pathtrace.dataset.frame_set import FrameSet as FrameSet
+    from pathtrace.scene.backend import select_backend as select_backend
     from pathtrace.scene.scene import Scene as Scene
     from splat.model.forest import Forest as Forest
     from splat.training.trainer import TrainingSettings as TrainingSettings
 
 _MODULES = {
     "Camera": "compose.camera.camera",
-    "CaptureSettings": "pathtrace.dataset.settings",
+    "CaptureSettings": "pathtrace.dataset.frame_set",
     "Display": "compose.eye.display",
-    "EvaluationSettings": "hybrid.evaluation.settings",
+    "EvaluationSettings": "hybrid.evaluation.evaluation_settings",
     "Forest": "splat.model.forest",
-    "FoveaMode": "compose.fovea.mode",
-    "Frame": "hybrid.frame.frame",
-    "FrameSet": "pathtrace.dataset.frames",
-    "FrameSettings": "hybrid.frame.settings",
+    "FoveaMode": "compose.fovea.foveation",
+    "Frame": "hybrid.render.frame",
+    "FrameSet": "pathtrace.dataset.frame_set",
+    "FrameSettings": "hybrid.render.frame_settings",
     "Gaze": "compose.eye.gaze",
-    "PreparationSettings": "hybrid.preparation.settings",
-    "Renderer": "hybrid.frame.renderer",
+    "PreparationSettings": "hybrid.preparation.stages",
+    "Renderer": "hybrid.render.frame_renderer",
     "Scene": "pathtrace.scene.scene",
-    "SplatRenderer": "hybrid.frame.splat_renderer",
+    "SplatRenderer": "hybrid.render.splat_renderer",
     "TrainingSettings": "splat.training.trainer",
     "UserError": "compose.base.errors",
-    "capture": "hybrid.api.scenes",
-    "evaluate": "hybrid.api.evaluation",
-    "load_forest": "hybrid.api.scenes",
-    "load_frames": "hybrid.api.scenes",
-    "load_scene": "hybrid.api.scenes",
-    "prepare": "hybrid.api.scenes",
-    "select_backend": "pathtrace.base.backend",
-    "train": "hybrid.api.scenes",
+    "capture": "hybrid.api.workflow",
+    "evaluate": "hybrid.api.evaluation_report",
+    "load_forest": "hybrid.api.workflow",
+    "load_frames": "hybrid.api.workflow",
+    "load_scene": "hybrid.api.workflow",
+    "prepare": "hybrid.api.workflow",
+    "select_backend": "pathtrace.scene.backend",
+    "train": "hybrid.api.workflow",
 }
 __all__ = sorted(_MODULES)
 

@@ -17,7 +17,7 @@ import compose  # noqa: F401  (first: it points Dr.Jit to a usable LLVM)
 
 if TYPE_CHECKING:
     from compose.camera.camera import Camera, look_at
-    from compose.camera.place import Place
+    from compose.camera.coordinate_systems import Place
     from splat.io.forest_file import load_forest, save_forest
     from splat.io.ply import load_ply, save_ply
     from splat.model.forest import Forest
@@ -41,7 +41,7 @@ _MODULES = {
     "Camera": "compose.camera.camera",
     "Forest": "splat.model.forest",
     "Gaussians": "splat.model.gaussians",
-    "Place": "compose.camera.place",
+    "Place": "compose.camera.coordinate_systems",
     "load_forest": "splat.io.forest_file",
     "load_ply": "splat.io.ply",
     "look_at": "compose.camera.camera",

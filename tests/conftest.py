@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from compose.base.arrays import Arrays
-from pathtrace.base.backend import Backend, select_backend
+from pathtrace.scene.backend import Backend, select_backend
 from tests.available import available_backends
 from tests.extremes import (  # noqa: F401  (hooks and a fixture of pytest)
     got,
@@ -35,7 +35,7 @@ def backend() -> Backend:
 
 @pytest.fixture(scope="session")
 def arrays(backend):
-    from hybrid.runtime.device import device_arrays
+    from hybrid.base.compute_device import device_arrays
 
     return device_arrays()
 

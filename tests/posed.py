@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from compose.camera.axes import opengl_from_opencv
 from compose.camera.camera import Camera, camera_from_pose, look_at
-from pathtrace.posed.lens import Lens
+from compose.camera.coordinate_systems import opengl_from_opencv
+from pathtrace.dataset.posed_images import Lens
 
 WIDTH, HEIGHT, FOCAL = 48, 32, 45.0
 RADIUS, WALL = 0.5, 1.5

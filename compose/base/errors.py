@@ -1,4 +1,15 @@
-"""The exception for errors that a user can cause."""
+"""Errors that a user can cause, and checks of what users and files claim: seeds, sizes and names.
+
+Names and hashes of scenes become parts of paths, so they must not be paths; files that a document lists never
+lie outside the document's folder; no file asks for more memory than a frame can be worth.
+"""
+
+from __future__ import annotations
+
+import operator
+import re
+from pathlib import Path
+from typing import Any
 
 
 class UserError(Exception):
@@ -11,3 +22,65 @@ def one_line(error: BaseException | str) -> str:
     # A file's content may be part of it.
     line = "".join(c if c.isprintable() else " " for c in said)
     return line if len(line) <= 300 else f"{line[:300]}..."
+
+
+# Of an image: 16 times those of 4K.
+MOST_PIXELS = 1 << 27
+
+
+# The largest integer of 64 bits: what seeds are saved as.
+MOST_SEED = (1 << 63) - 1
+
+
+def require_seed(seed: Any) -> int:
+    """Checks a seed before any work.
+
+    Raises:
+        UserError: it is not a whole number from 0 to MOST_SEED.
+    """
+    try:
+        number = operator.index(seed)
+    except TypeError:
+        number = -1
+    if not 0 <= number <= MOST_SEED:
+        raise UserError(f"seed {seed}: must be a whole number from 0 to {MOST_SEED}")
+    return number
+
+
+# A folder's name has at most 255 bytes, and a part of the hash follows.
+_LONGEST_NAME = 200
+_HASH = re.compile(r"[0-9a-f]{0,64}")
+
+
+def claimed_scene(name: Any, digest: Any) -> tuple[str, str]:
+    """Name and hash of a scene, if they can be those of one.
+
+    Args:
+        name: at most 200 bytes of printable characters, neither slash nor backslash, no dot in front.
+        digest: up to 64 hexadecimal digits in lower case; empty for what fits any scene.
+
+    Raises:
+        ValueError: they cannot.
+    """
+    good = isinstance(name, str) and name.isprintable() and not set("/\\") & set(name)
+    if not good or name.startswith(".") or len(name.encode()) > _LONGEST_NAME:
+        raise ValueError(f"scene name {str(name)[:40]!r} must be printable, short, and no path")
+    if not isinstance(digest, str) or not _HASH.fullmatch(digest):
+        raise ValueError(f"scene hash {str(digest)[:40]!r} must be up to 64 hexadecimal digits")
+    return name, digest
+
+
+# Bytes, of any part of a path on common systems.
+_LONGEST_PART = 255
+
+
+def file_inside(folder: Path, name: Any) -> Path:
+    """A file by its name relative to a folder.
+
+    Raises:
+        ValueError: it would lie elsewhere, or can be none.
+    """
+    is_name = isinstance(name, str) and name.isprintable() and len(name.encode()) <= _LONGEST_PART
+    if not is_name or Path(name).is_absolute() or ".." in Path(name).parts:
+        raise ValueError(f"{str(name)[:80]!r} is not the name of a file in the folder")
+    return folder / name

@@ -1,17 +1,24 @@
-"""Writes files atomically, and so that they outlast a crash."""
+"""Files: written atomically and so that they outlast a crash, read within bounds, checked by checksums."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
 import hashlib
+import json
+import math
 import os
 import platform
 import secrets
 import stat
 import time
-from collections.abc import Callable, Iterator
+import zlib
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from compose.base.errors import UserError
 
@@ -158,3 +165,97 @@ def _folder_to_disk(folder: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+
+
+# Far more than any description of a camera, of a display, or of 100,000 frames has.
+MOST_BYTES = 1 << 28
+# Whole numbers beyond are none that the project counts, and overflow where they meet floats.
+_LARGEST = 2**63
+
+
+def read_json(path: Path, most_bytes: int = MOST_BYTES, finite: bool = True) -> Any:
+    """The content of a JSON file.
+
+    Args:
+        path: the file.
+        most_bytes: larger files are refused before they are read.
+        finite: whether to refuse NaN and Infinity, which JSON does not have but Python writes.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is too large, not JSON, nested too deeply, or a number in it is too large.
+    """
+    require_size_below(path, most_bytes)
+    return parse_json(path.read_text(encoding="utf-8"), finite)
+
+
+def parse_json(text: str, finite: bool = True) -> Any:
+    """The content of a JSON text.
+
+    Raises:
+        ValueError: it is not JSON, nested too deeply, or a number in it is too large.
+    """
+    constant = _refused if finite else float
+    try:
+        return json.loads(text, parse_int=_whole, parse_float=_number, parse_constant=constant)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
+
+
+def _whole(digits: str) -> int:
+    # A limit of its own: conversion takes time with the square of the digits.
+    value = int(digits) if len(digits) < 32 else _LARGEST
+    if abs(value) >= _LARGEST:
+        raise ValueError(f"{digits[:16]}... is too large a number")
+    return value
+
+
+def _number(digits: str) -> float:
+    value = float(digits)
+    if not math.isfinite(value):
+        raise ValueError(f"{digits[:16]} is too large a number")
+    return value
+
+
+def _refused(name: str) -> float:
+    raise ValueError(f"{name} is not a number")
+
+
+def checksum(arrays: Mapping[str, NDArray[Any]], text: str = "") -> str:
+    """Eight hexadecimal digits of a CRC-32 over names, types, sizes and values of arrays.
+
+    Args:
+        arrays: by name, in any order.
+        text: what else it covers.
+    """
+    state = zlib.crc32(text.encode())
+    for name in sorted(arrays):
+        values = np.ascontiguousarray(arrays[name])
+        state = zlib.crc32(f"{name} {values.dtype} {values.shape}".encode(), state)
+        state = zlib.crc32(values.reshape(-1).view(np.uint8).data, state)
+    return f"{state:08x}"
+
+
+_Value = TypeVar("_Value")
+
+
+def under(prefix: str, values: Mapping[str, _Value]) -> dict[str, _Value]:
+    """The values whose names have a prefix, by their names without it."""
+    return {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
+
+
+def json_text(content: Any) -> str:
+    """The content as an indented JSON document, in which numbers that are not finite are null.
+
+    Args:
+        content: of types that JSON has; tuples become lists.
+    """
+    return json.dumps(_finite(content), indent=1, allow_nan=False) + "\n"
+
+
+def _finite(content: Any) -> Any:
+    if isinstance(content, dict):
+        return {name: _finite(value) for name, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_finite(value) for value in content]
+    return None if isinstance(content, float) and not math.isfinite(content) else content

@@ -1,7 +1,7 @@
-"""Pinhole cameras.
+"""Pinhole cameras: what they see, at which time, turned as a viewer looks around, and for two eyes.
 
-The world is right-handed. A camera is a 4x4 world-to-camera matrix in OpenCV axes (x right, y down,
-z forward) with intrinsics in pixels. Pixel centres lie at +0.5, rows count from the top.
+The world is right-handed. A camera is a 4x4 world-to-camera matrix in OpenCV axes (x right, y down, z
+forward) with intrinsics in pixels. Pixel centres lie at +0.5, rows count from the top.
 """
 
 from __future__ import annotations
@@ -199,3 +199,66 @@ def _rigid_inverse(transform: Array) -> Array:
     inverse[:3, :3] = rotation.T
     inverse[:3, 3] = -rotation.T @ translation
     return inverse
+
+
+@dataclass(frozen=True)
+class View:
+    """What a frame shows.
+
+    Attributes:
+        camera: from where.
+        time: when, from 0 to 1; 0 in a scene that stands still.
+    """
+
+    camera: Camera
+    time: float = 0.0
+
+    def resized(self, width: int, height: int) -> View:
+        """The same view at another size."""
+        return replace(self, camera=self.camera.resized(width, height))
+
+    @property
+    def key(self) -> bytes:
+        """Equal for equal views."""
+        return self.camera.key + (b"" if self.time == 0 else repr(self.time).encode())
+
+
+def between_steps(time: float, count: int) -> tuple[int, float]:
+    """Index of the value before a time from 0 to 1, and the share of the way from it to the next one.
+
+    Args:
+        time: 0 to 1.
+        count: number of values, the first at time 0 and the last at 1; two or more.
+    """
+    at = time * (count - 1)
+    first = min(int(at), count - 2)
+    return first, at - first
+
+
+def turned(rotation: Array, yaw: float, pitch: float) -> Array:
+    """(3, 3) camera-to-world rotation, turned about the camera's own axes.
+
+    Yaw, about the y axis, keeps the horizon level; pitch, about the x axis, follows.
+
+    Args:
+        rotation: (3, 3) camera-to-world, OpenCV axes.
+        yaw: degrees to the right.
+        pitch: degrees upwards.
+    """
+    yaw, pitch = np.radians([yaw, pitch])
+    about_y = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
+    about_x = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
+    return rotation @ about_y @ about_x
+
+
+EYES = ("left", "right")
+
+
+def eyes(camera: Camera, distance: float) -> tuple[Camera, Camera]:
+    """The left and the right eye of a viewer between whose eyes a camera is; both look the same way.
+
+    Args:
+        camera: midway between the eyes.
+        distance: between them, in the camera's coordinates.
+    """
+    return camera.moved_right(-distance / 2), camera.moved_right(distance / 2)

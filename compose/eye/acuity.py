@@ -1,19 +1,65 @@
-"""Acuity models: what the eye resolves at each eccentricity.
+"""Acuity models: what the eye resolves at each eccentricity, and the steps in which detail follows it.
 
 An acuity model is a function from eccentricity in degrees to cut-off frequency in cycles per degree. Level of
-detail, low-pass and sampling rate follow from the cut-off in the same way for all models.
+detail, low-pass and sampling rate follow from the cut-off in the same way for all models: layers of a forest,
+each at a sampling rate.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.errors import UserError
-from compose.eye.stelacsf import stelacsf
+
+_Floats = NDArray[np.float64]
+
+# Cycles per degree. Beyond some 45 degrees stelaCSF finds nothing visible at all; the cut-off stays at this.
+_LOWEST_CUTOFF = 0.5
+
+
+def stelacsf(eccentricity: _Floats) -> _Floats:
+    """Cut-off in cycles per degree at which full contrast is just visible, 0.5 to 64.
+
+    For a static patch of one square degree at 100 cd/m2, in the temporal visual field, at eccentricities in
+    degrees.
+    """
+    eccentricities, cutoffs = _stelacsf_table()
+    return np.exp(np.interp(eccentricity, eccentricities, np.log(cutoffs)))
+
+
+@cache
+def _stelacsf_table() -> tuple[_Floats, _Floats]:
+    """Eccentricities (481,) in degrees, and the frequencies (481,) at which the sensitivity falls to 1."""
+    eccentricities = np.linspace(0, 120, 481)
+    frequencies = np.exp2(np.linspace(-4, 6, 2001))
+    # At every eccentricity the sensitivity falls with frequency beyond its peak.
+    visible = _stelacsf_sensitivity(frequencies[None, :], eccentricities[:, None]) >= 1
+    last = visible.shape[1] - 1 - np.argmax(visible[:, ::-1], axis=1)
+    cutoff = np.where(visible.any(axis=1), frequencies[last], _LOWEST_CUTOFF)
+    return eccentricities, np.maximum(cutoff, _LOWEST_CUTOFF)
+
+
+def _stelacsf_sensitivity(frequency: _Floats, eccentricity: _Floats) -> _Floats:
+    """Contrast sensitivity of the sustained channel at 0 Hz, 100 cd/m2, 1 square degree.
+
+    The formula is that of the paper (section 4), the constants are those its authors fitted on 2022-01-26.
+    The transient channel does not respond to a static image.
+    """
+    luminance, area = 100.0, 1.0
+    peak = 65.4012 * (1 + 29.8305 / luminance) ** -0.20376
+    peak *= 1 - (1 + 7.63446e-07 / luminance) ** -6.93565e09
+    best = 1.56511 * (1 + 51.1941 / luminance) ** -0.245
+    parabola = 10 ** (-((np.log10(frequency) - np.log10(best)) ** 2) / 2**1.12573)
+    parabola = np.where(frequency < best, np.maximum(parabola, 1 - 0.0835553), parabola)
+    critical = 270 / (1 + (frequency / 0.65) ** 2)
+    foveal = peak * parabola * np.sqrt(critical / (1 + critical / area)) * frequency
+    return foveal * 10 ** (-(0.0269434 + 0.0200995 * frequency) * eccentricity)
+
 
 Array = NDArray[np.float64]
 
@@ -102,3 +148,58 @@ def acuity_model_named(name: str) -> AcuityModel:
 def with_saliency(cutoff: Array, saliency: Array) -> Array:
     """Cut-off raised where the image draws attention, saliency in 0..1 (Fov-GS, Eq. 9)."""
     return cutoff * (1 + SALIENCY_GAIN * saliency)
+
+
+COARSEST_RATE = 4  # log2 of pixels per sample along each axis
+
+
+@dataclass(frozen=True)
+class Step:
+    """A layer at a rate, and where it begins to be drawn.
+
+    Attributes:
+        octaves: log2 of the pixels per cycle of the cut-off at which it begins to fade in.
+        layer: 1, the coarsest, to L.
+        rate: log2 of pixels per sample along each axis.
+    """
+
+    octaves: float
+    layer: int
+    rate: int
+
+
+def detail_steps(
+    finest: float, ahead: float, finest_rates: tuple[int, ...], lowest: int, fade: float
+) -> tuple[Step, ...]:
+    """What is drawn as the cut-off falls: layer after layer, each at one rate.
+
+    A layer fades into the next one just before the boundary of its level, where Fov-GS's Eq. 7 steps down:
+    at the edge of the full-quality region the second layer is drawn alone. The rate changes with the layer,
+    to the coarsest one that still carries what the cut-off lets through there. It changes on its own only
+    where one layer serves several octaves, as the finest and the coarsest do.
+
+    Args:
+        finest: the cut-off, in cycles per pixel, down to which layer L is required.
+        ahead: the same for a viewer who looks straight ahead. Rates follow from it, because they must not
+            change with the gaze: a whole layer would pop.
+        finest_rates: finest rate that is worth its samples, for each of layers 1 to L.
+        lowest: coarsest layer that may be drawn.
+        fade: fraction of an octave over which a step fades in.
+
+    Returns:
+        Steps from fine to coarse; the first one has no beginning.
+    """
+    layers = len(finest_rates)
+    steps = [Step(-np.inf, layers, finest_rates[-1])]
+    first = -np.log2(finest) - fade if lowest < layers else np.inf
+    # A rate carries frequencies up to half its samples: rate r begins at 1 + r octaves.
+    for rate in range(steps[0].rate + 1, COARSEST_RATE + 1):
+        if lowest == layers or 1 + rate + fade <= -np.log2(ahead) - fade:
+            steps.append(Step(1.0 + rate, layers, rate))
+    for layer in range(layers - 1, lowest - 1, -1):
+        below = layers - 1 - layer
+        carried = min(int(np.floor(below - np.log2(ahead) - 1)), COARSEST_RATE)
+        steps.append(Step(first + below, layer, max(carried, steps[-1].rate, finest_rates[layer - 1])))
+    for rate in range(steps[-1].rate + 1, COARSEST_RATE + 1):
+        steps.append(Step(max(1.0 + rate, steps[-1].octaves + fade), lowest, rate))
+    return tuple(steps)

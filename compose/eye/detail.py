@@ -1,7 +1,8 @@
-"""The detail that each part of a frame requires: level, sampling rate and cut-off.
+"""The detail that each part of a frame requires: level, sampling rate and cut-off; and what draws attention.
 
-All three vary slowly, so they are computed at the corners of cells of 16 x 16 pixels and interpolated in
-between. They, and the weights that follow from them, are continuous in the gaze: nothing pops.
+All vary slowly, so they are computed on a lattice, at the corners of cells of 16 x 16 pixels, and
+interpolated in between. They, and the weights that follow from them, are continuous in the gaze: nothing
+pops.
 """
 
 from __future__ import annotations
@@ -11,12 +12,44 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import dctn, idctn
+from scipy.ndimage import gaussian_filter, map_coordinates
 
-from compose.eye.acuity import AcuityModel, with_saliency
+from compose.eye.acuity import AcuityModel, Step, detail_steps, with_saliency
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
-from compose.eye.lattice import Lattice, corner_positions, per_pixel
-from compose.eye.steps import Step, detail_steps
+from compose.image.colour import Image, srgb_from_radiance
+
+CELL = 16  # pixels, both sides of a cell
+# (rows + 1, columns + 1) values at the corners of the cells that cover a frame.
+Lattice = NDArray[np.float32]
+
+
+def corner_positions(width: int, height: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """x and y in pixels of the corners of a frame's cells, (rows + 1, columns + 1) each."""
+    rows, columns = -(-height // CELL), -(-width // CELL)
+    x, y = np.meshgrid(np.arange(columns + 1) * float(CELL), np.arange(rows + 1) * float(CELL))
+    return x, y
+
+
+def at_corners(image: NDArray[np.float32], width: int, height: int) -> Lattice:
+    """A coarse image (h, w) of a frame at the corners of the frame's cells.
+
+    It is interpolated bilinearly between its pixels' centres and constant beyond them.
+    """
+    x, y = corner_positions(width, height)
+    position = [y / height * image.shape[0] - 0.5, x / width * image.shape[1] - 0.5]
+    return map_coordinates(image, position, order=1, mode="nearest")
+
+
+def per_pixel(lattice: Lattice, width: int, height: int) -> NDArray[np.float32]:
+    """(H, W) values of a lattice at the pixels' centres, interpolated bilinearly."""
+    y, x = (np.arange(size) + 0.5 for size in (height, width))
+    row, column = (y // CELL).astype(int), (x // CELL).astype(int)
+    fy, fx = (y / CELL - row)[:, None], (x / CELL - column)[None, :]
+    rows = lattice[row] * (1 - fy) + lattice[row + 1] * fy
+    return (rows[:, column] * (1 - fx) + rows[:, column + 1] * fx).astype(np.float32)
+
 
 # Fraction of an octave over which one step turns into the next. Over a whole octave two of them would be
 # drawn nearly everywhere; without any they would pop. Where saliency affects the level, boundaries move
@@ -173,3 +206,27 @@ def _corners(display: Display, width: int, height: int) -> tuple[NDArray[np.floa
     per_degree = np.radians(1) * np.sqrt(display.focal**2 + (x - width / 2) ** 2 + (y - height / 2) ** 2)
     rays = display.viewer(width, height).rays(np.stack([x.ravel(), y.ravel()], axis=1))
     return per_degree, rays.reshape(*x.shape, 3)
+
+
+# Width of the blur that joins the responses of one object, as a fraction of the image's longer side
+# (Hou et al. 2012 use 0.045).
+_BLUR = 0.045
+
+
+def saliency(coarse: Image) -> NDArray[np.float32]:
+    """(H, W) in 0..1 of a coarse image (H, W, 3) in linear radiance; about 64 pixels across suffice.
+
+    The image signature (Hou, Harel and Koch 2012): the sign of the discrete cosine transform keeps what is
+    sparse in the image and drops what is everywhere. It is taken of intensity and of two opponent channels;
+    of intensity alone it would be blind to colour.
+    """
+    red, green, blue = np.moveaxis(srgb_from_radiance(coarse).astype(np.float64), -1, 0)
+    channels = [(red + green + blue) / 3, red - green, blue - (red + green) / 2]
+    response = np.zeros(red.shape)
+    for channel in channels:
+        reconstructed = idctn(np.sign(dctn(channel, norm="ortho")), norm="ortho")
+        response += gaussian_filter(reconstructed**2, _BLUR * max(red.shape))
+    low, high = response.min(), response.max()
+    if high - low <= 1e-12 * max(high, 1e-30):
+        return np.zeros(red.shape, dtype=np.float32)
+    return ((response - low) / (high - low)).astype(np.float32)

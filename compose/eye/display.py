@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from compose.base.errors import UserError, one_line
-from compose.base.json_file import read_json
+from compose.base.files import read_json
 from compose.camera.camera import Camera
 
 # Narrowest display in degrees, less than the eye resolves.

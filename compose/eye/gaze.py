@@ -1,14 +1,20 @@
-"""Where the viewer looks, and the eccentricity of everything in view."""
+"""Where the viewer looks: the gaze and eccentricities around it, over time from a file, or simulated."""
 
 from __future__ import annotations
 
+import csv
+import hashlib
+from bisect import bisect_right
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.errors import UserError
+from compose.base.errors import UserError, one_line
+from compose.base.files import require_size_below, write_whole
 from compose.camera.camera import Array, Camera
+from compose.eye.display import Display
 
 # How far from the frame a gaze may be, in fractions of its sides: on any display that is beside the viewer,
 # and float32 still holds tenths of pixels there.
@@ -60,3 +66,186 @@ def eccentricity_at(camera: Camera, gaze: Gaze, pixels: Array) -> Array:
     # arctan2 keeps its precision near zero, where arccos of a dot product loses half its digits.
     sine = np.linalg.norm(np.cross(rays, gaze_ray), axis=1)
     return np.degrees(np.arctan2(sine, rays @ gaze_ray))
+
+
+_COLUMNS = ["seconds", "x", "y"]
+# Some 40 minutes at 1,000 gazes per second.
+_MOST_BYTES = 1 << 26
+# Longest trace in seconds: a day.
+MOST_SECONDS = 86_400.0
+
+
+@dataclass(frozen=True)
+class GazeTrace:
+    """A viewer's gaze at ascending times.
+
+    Attributes:
+        seconds: times, ascending from 0.
+        gazes: gaze at each of these times, in fractions of the frame.
+    """
+
+    seconds: tuple[float, ...]
+    gazes: tuple[Gaze, ...]
+
+    @property
+    def duration(self) -> float:
+        """Time of the last gaze in seconds."""
+        return self.seconds[-1]
+
+    def at(self, seconds: float) -> Gaze:
+        """The latest gaze up to a time; before the first one, the first."""
+        return self.gazes[max(0, bisect_right(self.seconds, seconds) - 1)]
+
+    def digest(self) -> str:
+        """16 hexadecimal digits, the same for equal traces only."""
+        return hashlib.sha256(repr(self).encode()).hexdigest()[:16]
+
+    def save(self, path: Path) -> None:
+        """Writes a CSV file with the columns seconds, x, y."""
+        rows = [
+            f"{s:.4f},{gaze.x:.6f},{gaze.y:.6f}" for s, gaze in zip(self.seconds, self.gazes, strict=True)
+        ]
+        text = "\n".join([",".join(_COLUMNS), *rows]) + "\n"
+        write_whole(path, lambda part: part.write_text(text))
+
+
+def load_gaze_trace(path: Path, most_seconds: float = MOST_SECONDS) -> GazeTrace:
+    """A trace from a CSV file with the columns seconds, x, y; time 0 is that of the first row.
+
+    Args:
+        path: of the file.
+        most_seconds: longest duration.
+
+    Raises:
+        UserError: the file cannot be read, has other columns or no rows, a row is not a gaze, time runs
+            backwards, or the trace is too long.
+    """
+    seconds: list[float] = []
+    gazes: list[Gaze] = []
+    try:
+        require_size_below(path, _MOST_BYTES)
+        with path.open(newline="") as file:
+            rows = csv.reader(file)
+            if [name.strip() for name in next(rows, [])] != _COLUMNS:
+                raise UserError(f"{path}: is not a gaze trace; its first line must be {','.join(_COLUMNS)}")
+            for number, row in enumerate(rows, 2):
+                second, gaze = _parsed(path, number, row)
+                _check_time(
+                    f"{path}: line {number}: time {row[0].strip()[:40]}", second, seconds, most_seconds
+                )
+                seconds.append(second)
+                gazes.append(gaze)
+    except (OSError, ValueError, csv.Error) as error:
+        raise UserError(f"{path}: cannot be read ({one_line(error)})") from error
+    if not seconds:
+        raise UserError(f"{path}: contains no gaze")
+    return GazeTrace(tuple(second - seconds[0] for second in seconds), tuple(gazes))
+
+
+def _parsed(path: Path, number: int, row: list[str]) -> tuple[float, Gaze]:
+    """Time and gaze of a line."""
+    try:
+        second, x, y = (float(value) for value in row)
+        return second, Gaze(x, y)
+    except ValueError as error:
+        shown = one_line(",".join(row))
+        raise UserError(
+            f"{path}: line {number} is not a gaze ({shown}); must be seconds, x, y, the latter within "
+            f"{FURTHEST} frames"
+        ) from error
+
+
+def _check_time(what: str, second: float, earlier: list[float], most_seconds: float) -> None:
+    """Raises UserError if a time is none, runs backwards, or is too late; `what` names it."""
+    if not np.isfinite(second) or (earlier and second < earlier[-1]):
+        raise UserError(f"{what} must be a number, not before the line above")
+    if earlier and second - earlier[0] > most_seconds:
+        raise UserError(
+            f"{what} is {second - earlier[0]:g} s after the first one; must be at most {most_seconds:g} s"
+        )
+
+
+# Samples per second, as of a typical eye tracker.
+_RATE = 120.0
+# Fixations while viewing scenes last 0.2 to 0.5 seconds; saccades span a few degrees, rarely more than 15
+# (Land and Hayhoe 2001; Bahill, Adler and Stark 1975). Here: median in seconds and spread of the logarithm;
+# mean and maximum in degrees.
+_FIXATION, _FIXATION_SPREAD = 0.33, 0.4
+_AMPLITUDE, _MOST_AMPLITUDE = 5.0, 15.0
+# Seconds that every saccade takes, and further seconds per degree (Carpenter 1988).
+_SACCADE, _SACCADE_PER_DEGREE = 0.021, 0.0022
+# Margin of the frame in which the viewer never fixates, in fractions of its sides.
+_MARGIN = 0.08
+_TRIES = 100
+
+
+def simulated(display: Display, width: int, height: int, duration: float, seed: int) -> GazeTrace:
+    """The gaze trace of a simulated viewer who looks around a frame: fixations, and saccades between them.
+
+    Within a saccade the gaze follows the minimum-jerk trajectory (Hogan 1984).
+
+    Args:
+        display: the frame is shown around its centre.
+        width, height: frame in pixels.
+        duration: seconds.
+        seed: same seed, same trace.
+    """
+    size = np.array([width, height])
+    saccades = _saccades(display, size, duration, np.random.default_rng(seed))
+    ends = [saccade.end for saccade in saccades]
+    seconds = np.arange(0, duration, 1 / _RATE)
+    positions = np.empty((len(seconds), 2))
+    for number, second in enumerate(seconds):
+        positions[number] = saccades[bisect_right(ends, second)].at(second)
+    gazes = tuple(Gaze(float(x), float(y)) for x, y in positions / size)
+    return GazeTrace(tuple(seconds.tolist()), gazes)
+
+
+@dataclass(frozen=True)
+class _Saccade:
+    """A saccade, and the fixation before it.
+
+    Attributes:
+        begin, end: seconds.
+        start, goal: (2,) in pixels.
+    """
+
+    begin: float
+    end: float
+    start: np.ndarray
+    goal: np.ndarray
+
+    def at(self, second: float) -> np.ndarray:
+        """(2,) gaze in pixels at a time up to the end."""
+        share = float(np.clip((second - self.begin) / (self.end - self.begin), 0, 1))
+        return self.start + (self.goal - self.start) * share**3 * (10 - 15 * share + 6 * share**2)
+
+
+def _saccades(
+    display: Display, size: np.ndarray, duration: float, rng: np.random.Generator
+) -> list[_Saccade]:
+    """Saccades, the first from the centre of a frame of size (2,), until the duration is over."""
+    here = size / 2
+    end = 0.0
+    saccades: list[_Saccade] = []
+    while end < duration:
+        begin = end + _FIXATION * float(np.exp(rng.normal(0, _FIXATION_SPREAD)))
+        there, degrees = _next(display, rng, here, size)
+        end = begin + _SACCADE + _SACCADE_PER_DEGREE * degrees
+        saccades.append(_Saccade(begin, end, here, there))
+        here = there
+    return saccades
+
+
+def _next(
+    display: Display, rng: np.random.Generator, here: np.ndarray, size: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Target (2,) of a saccade in pixels, and its amplitude in degrees."""
+    for _ in range(_TRIES):
+        degrees = min(float(rng.exponential(_AMPLITUDE)), _MOST_AMPLITUDE)
+        turn = rng.uniform(0, 2 * np.pi)
+        there = here + degrees * display.pixels_per_degree * np.array([np.cos(turn), np.sin(turn)])
+        if (there > _MARGIN * size).all() and (there < (1 - _MARGIN) * size).all():
+            return there, degrees
+    # The frame spans less than a degree: the eye need not move.
+    return here, 0.0

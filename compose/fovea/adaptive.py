@@ -12,8 +12,8 @@ import drjit as dr
 import numpy as np
 
 from compose.base.arrays import Arrays, constant
-from compose.fovea.counts import Counts
-from compose.image.device import srgb_curve
+from compose.base.traced_samples import Counts
+from compose.image.device_image import srgb_curve
 
 # Least and greatest worth of a pixel, relative to the mean.
 _LEAST, _MOST = 0.15, 5.0

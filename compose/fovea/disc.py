@@ -1,8 +1,11 @@
-"""The pixels of a disc on the device, and the rectangle around them in which they form an image."""
+"""The disc on the device: its pixels and their image, fewer samples in its band, and the blend with splats.
+
+In the band each pixel gets samples in proportion to its weight in the blend, which is in linear radiance.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
-from compose.fovea.region import FoveaRegion
+from compose.base.traced_samples import Counts
+from compose.fovea.foveation import FoveaRegion
+from compose.image.device_image import DeviceImage
 
 
 @dataclass(frozen=True)
@@ -132,3 +137,81 @@ def _listed(arrays: Arrays, region: FoveaRegion) -> tuple[Any, Any]:
     radius = dr.sqrt(dr.square(plain.Float(column) + shift) + number(row))
     weight = dr.clip((outer - radius) * slope, 0, 1)
     return (top + row) * width + column, weight + (1 - weight) * faded
+
+
+# Steps of a dither mask per column and row, in units of 2 ** -32, that leave no clumps or stripes: the
+# golden ratio's counterpart in the plane (Roberts 2018, "The unreasonable effectiveness of quasirandom
+# sequences").
+_ACROSS, _DOWN = 3242174889, 2447445414
+
+
+def thinned(disc: Disc, spp: int, seed: int) -> tuple[Disc, int | Counts]:
+    """The pixels of a disc that get samples, with adjusted weights, and how many samples each gets.
+
+    Averaged over seeds, the blend is that of the whole disc. A pixel with weight w and n samples of variance
+    v has noise of variance w^2 v / n. For a given number of samples the sum of this over all pixels is least
+    with n in proportion to w (Neyman 1934): n = spp w. It is rounded to a whole number at random, but evenly
+    over the image. A pixel that is due less than one sample has weight 1 / spp if it gets one, and shows the
+    splats if it does not. So no pixel of the band is noisier than those inside it, as long as both images
+    agree.
+
+    Args:
+        disc: the whole disc.
+        spp: samples per pixel where the weight is 1.
+        seed: of the rounding.
+
+    Returns:
+        The disc of the pixels that get samples, and how many each gets, at least 1.
+    """
+    if disc.covers_frame or not disc.count:
+        return disc, spp
+    plain = disc.arrays.plain
+    start = int(np.random.SeedSequence(seed).generate_state(1)[0])
+    start, most = disc.arrays.scalars(plain.UInt, [start, spp])
+    width = disc.arrays.constant(disc.width)
+    row = disc.pixels // width
+    column = disc.pixels - row * width
+    # The sum wraps around on purpose: only its fractional part counts.
+    mask = plain.Float64(column * _ACROSS + row * _DOWN + start) * 2.0**-32
+    due = dr.floor(plain.Float64(most) * plain.Float64(disc.weights) + mask)
+    count = dr.select(disc.weights < 1, plain.UInt(due), most)
+    has_samples = count > 0
+    # At once, before the pixels that are kept look it up.
+    dr.eval(count, has_samples)
+    kept = dr.compress(has_samples)
+    if not dr.width(kept):
+        nothing = dr.zeros(plain.UInt, 0), dr.zeros(plain.Float, 0)
+        return replace(disc, pixels=nothing[0], weights=nothing[1], box=None), spp
+    pixels, count = (dr.gather(plain.UInt, of, kept) for of in (disc.pixels, count))
+    weights = dr.maximum(dr.gather(plain.Float, disc.weights, kept), 1 / plain.Float(most))
+    # In one kernel with what needs them first.
+    dr.schedule(pixels, count, weights)
+    thin = replace(disc, pixels=pixels, weights=weights)
+    return thin, 1 if spp == 1 else Counts.of(count, spp)
+
+
+def blend(periphery: DeviceImage, fovea: list[Any], disc: Disc) -> DeviceImage:
+    """(H, W, 3) composite: (1 - w) periphery + w fovea in the disc, the periphery elsewhere.
+
+    Args:
+        periphery: linear radiance of the frame.
+        fovea: three Floats (D,), linear radiance of the disc's pixels.
+        disc: which pixels those are, and their weights w.
+    """
+    arrays = periphery.arrays
+    if disc.covers_frame:
+        # Nothing of the periphery is left.
+        return DeviceImage.filled(arrays, periphery.width, periphery.height, fovea)
+    composite = periphery.packed()
+    if disc.count:
+        # Full weights copy instead of multiplying: 0 times a lamp's infinity is not 0.
+        full = disc.weights >= 1
+        behind = periphery.of_pixels(disc.pixels)
+        mixed = [
+            dr.select(full, front, back * (1 - disc.weights) + front * disc.weights)
+            for front, back in zip(fovea, behind, strict=True)
+        ]
+        for channel, values in enumerate(mixed):
+            dr.scatter(composite.values, values, disc.pixels * 3 + channel, mode=dr.ReduceMode.Permute)
+        dr.eval(composite.values)
+    return composite

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, compressed, uploaded
+from compose.base.traced_samples import STILL, Moment
 from compose.camera.camera import Camera
 from compose.fovea.disc import Disc
-from compose.fovea.earlier import EarlierView, EarlierViews
-from compose.fovea.movers import STILL, Moment
-from compose.fovea.record import (
+from compose.fovea.earlier_views import EarlierView, EarlierViews
+from compose.fovea.reprojection import Reprojected, reproject
+from compose.fovea.samples import (
     ALBEDO,
     COUNT,
     NORMAL,
@@ -26,13 +27,12 @@ from compose.fovea.record import (
     RADIANCE,
     RECORD,
     SQUARES,
+    Samples,
     limited,
     means,
     with_features,
     with_light,
 )
-from compose.fovea.reprojection import Reprojected, reproject
-from compose.fovea.samples import Samples
 
 # Samples, and sample positions of auxiliary features, per pixel of an earlier view: old errors fade.
 _MOST_SAMPLES = 32.0
@@ -212,7 +212,7 @@ class _View:
         pattern: seed of the pattern of its samples.
 
     Attributes:
-        records: flat Float, N records (compose.fovea.record).
+        records: flat Float, N records (compose.fovea.samples).
         hits: flat Float, for each pixel position, class of gloss and mover of what the first sample hit.
         known: Bool (N,), pixels of which anything is known.
     """

@@ -23,11 +23,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from compose.fusion.estimate import estimated
-from compose.fusion.maps import as_batch, box_mean, enlarged, halved, luminance, padded_to_even, variance_of
-from compose.fusion.network import Fusion
-from compose.fusion.parents import PARENTS, Fused, Parents
-from compose.fusion.shares import shares_at
+from compose.fusion.network import Fusion, estimated, shares_at
+from compose.fusion.parents import (
+    PARENTS,
+    Fused,
+    Parents,
+    as_batch,
+    box_mean,
+    enlarged,
+    halved,
+    luminance,
+    padded_to_even,
+    variance_of,
+)
 from compose.image.outliers import MOST, outliers
 
 # Relative bias that no estimate but the traced radiance is trusted to stay below.

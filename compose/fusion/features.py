@@ -9,8 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from compose.fusion.channels import Channels
-from compose.fusion.maps import box_mean, enlarged, halved, luminance, variance_of
+from compose.fusion.parents import Channels, box_mean, enlarged, halved, luminance, variance_of
 
 # Albedo below this counts as black: its logarithm would be noise.
 _DARK = 0.03

@@ -17,12 +17,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from compose.fusion.estimate import estimated
-from compose.fusion.examples import STACK, Example
 from compose.fusion.features import perceived
-from compose.fusion.fitting import INVISIBLE, fit
-from compose.fusion.network import Fusion
-from compose.fusion.shares import COUNTS, ENLARGEMENTS, MIXED, Cell
+from compose.fusion.fitting import INVISIBLE, STACK, Example, fit
+from compose.fusion.network import COUNTS, ENLARGEMENTS, MIXED, Cell, Fusion, estimated
 
 # Steps of a trial network: enough to tell what the final one will be worth, at less than half of its time.
 TRIAL_ITERATIONS = 250

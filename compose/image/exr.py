@@ -12,9 +12,8 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
-from compose.base.checksum import checksum
-from compose.base.files import require_size_below, write_whole
-from compose.base.limits import MOST_PIXELS
+from compose.base.errors import MOST_PIXELS
+from compose.base.files import checksum, require_size_below, write_whole
 
 MOST_CHANNELS = 256
 _MOST_BYTES = 1 << 34

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from compose.camera.camera import Camera
 from compose.eye.detail import DetailMap
 from compose.image.colour import Image
-from hybrid.frame.periphery import Periphery
-from hybrid.frame.settings import FrameSettings
-from hybrid.frame.splat_renderer import SplatRenderer
-from hybrid.runtime.device import device_arrays
+from hybrid.base.compute_device import device_arrays
+from hybrid.render.frame_settings import FrameSettings
+from hybrid.render.periphery import Periphery
+from hybrid.render.splat_renderer import SplatRenderer
 from splat.lod.layer_images import at_corners
 from splat.model.forest import Forest
 from splat.model.gaussians import Gaussians

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from hybrid.base.progress import progress_bar
 from hybrid.cli.options import (
     FRAME,
     MEASUREMENT,
@@ -26,8 +27,7 @@ from hybrid.cli.options import (
     user_errors,
     write_json,
 )
-from hybrid.frame.settings import MOST_SPP
-from hybrid.runtime.progress import progress_bar
+from hybrid.render.frame_settings import MOST_SPP
 from pathtrace.trace.integrator import Integrator, integrator_named
 
 _MOST_VIEWS = 100_000
@@ -82,11 +82,11 @@ def capture(
 ) -> None:
     """Render training frames; resumes if interrupted."""
     select(backend)
-    from hybrid.frame.irradiance import cache_for
-    from hybrid.plan.samples import FIXED_SAMPLES, SAMPLES
-    from hybrid.store.receipts import keep_receipt
+    from hybrid.base.cache_folder import keep_receipt
+    from hybrid.preparation.decisions import FIXED_SAMPLES, SAMPLES
+    from hybrid.render.irradiance import cache_for
     from pathtrace.dataset.capture import capture as run
-    from pathtrace.dataset.settings import CaptureSettings
+    from pathtrace.dataset.frame_set import CaptureSettings
 
     with user_errors():
         settings = CaptureSettings(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from compose.base.errors import UserError
-from compose.eye.gaze_trace import MOST_SECONDS
+from compose.eye.gaze import MOST_SECONDS
 from hybrid.cli.options import (
     MEASUREMENT,
     VIEWER,
@@ -29,10 +29,10 @@ from hybrid.cli.options import (
     require_size,
     write_json,
 )
-from hybrid.frame.settings import INTERACTIVE, FrameSettings
+from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
 
 if TYPE_CHECKING:
-    from compose.eye.gaze_trace import GazeTrace
+    from compose.eye.gaze import GazeTrace
 
 # Duration of a simulated gaze trace in seconds.
 _SIMULATED = 60.0
@@ -111,7 +111,7 @@ def demo(
     json_file: Json = None,
 ) -> None:
     """Look around in a window: the mouse is the gaze, and the path-traced disc follows it."""
-    from hybrid.output.images import check_writable
+    from hybrid.render.image_files import check_writable
 
     require_size(size, least=64)
     if load and (bench is None or load >= bench):
@@ -127,10 +127,10 @@ def demo(
     )
     check_writable(out / "picture.png")
     trace = _trace(gaze_trace, simulate, settings, size, seed)
-    from hybrid.demo.qt import require_window
+    from hybrid.window.qt_check import require_window
 
     require_window()
-    from hybrid.demo.run import WindowOptions, run_window
+    from hybrid.window.application import WindowOptions, run_window
 
     options = WindowOptions(size, latency / 1000, out, target, bench, load, play)
     found, summary = run_window(scene, forest, backend, settings, trace, options, thin_glass)
@@ -143,8 +143,7 @@ def _trace(
     file: Path | None, simulate: bool, settings: FrameSettings, size: tuple[int, int], seed: int
 ) -> GazeTrace | None:
     """The gaze trace to replay; None for the mouse."""
-    from compose.eye.gaze_trace import load_gaze_trace
-    from compose.eye.saccades import simulated
+    from compose.eye.gaze import load_gaze_trace, simulated
 
     if file is not None and simulate:
         raise UserError("--gaze-trace, --simulate: the gaze can only come from one of them")

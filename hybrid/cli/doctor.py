@@ -8,7 +8,7 @@ from hybrid.cli.options import Backend, Json, write_json
 
 def doctor(backend: Backend = "auto", json_file: Json = None) -> None:
     """Say which backend runs, why, and what to install if something is missing."""
-    from hybrid.runtime.doctor import examine
+    from hybrid.base.installation import examine
 
     report = examine(backend)
     for line in report.lines():

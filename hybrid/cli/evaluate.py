@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from hybrid.base.progress import progress_bar
 from hybrid.cli.options import (
     INPUT,
     MEASUREMENT,
@@ -31,9 +32,8 @@ from hybrid.cli.options import (
     select,
     write_json,
 )
-from hybrid.evaluation.settings import EvaluationSettings
-from hybrid.frame.settings import EVALUATION, FrameSettings
-from hybrid.runtime.progress import progress_bar
+from hybrid.evaluation.evaluation_settings import EvaluationSettings
+from hybrid.render.frame_settings import EVALUATION, FrameSettings
 
 _DEFAULTS = EvaluationSettings()
 
@@ -86,7 +86,7 @@ def evaluate(
     json_file: Json = None,
 ) -> None:
     """Compare hybrid frames with baselines at equal rays and at equal time; resumes if interrupted."""
-    from hybrid.output.images import check_writable
+    from hybrid.render.image_files import check_writable
 
     frame = FrameSettings(gaze or EVALUATION.gaze, fov_a, fov_b, spp, display=display, integrator=integrator)
     settings = EvaluationSettings(frame, *size, views, reference_spp, repeats, seed)
@@ -94,11 +94,11 @@ def evaluate(
     settings.require_measurable()
     check_writable(report / "index.html")
     select(backend)
-    from hybrid.api.evaluation import evaluate as run
-    from hybrid.evaluation.verdicts import verdicts
-    from hybrid.measure.metrics.installed import missing
-    from hybrid.preparation.quick import forest_for
-    from hybrid.store.identity import require_scene
+    from hybrid.api.evaluation_report import evaluate as run
+    from hybrid.base.identity import require_scene
+    from hybrid.evaluation.results import verdicts
+    from hybrid.measure.frame_quality import missing
+    from hybrid.preparation.preparation import forest_for
     from splat.io.forest_file import load_forest
 
     loaded = loaded_scene(scene, None, thin_glass)
@@ -125,7 +125,7 @@ def evaluate(
 
 def _print(found: dict[str, Any]) -> None:
     """Foveal and whole quality of each method, mean over the views, beside its time."""
-    from hybrid.evaluation.keys import HALVES_KEY
+    from hybrid.evaluation.result_keys import HALVES_KEY
     from hybrid.evaluation.results import budget_label, keys_of, mean_of
 
     times = {(row["method"], row["budget"]): row["ms"]["p50"] for row in found["time"]}

@@ -9,7 +9,7 @@ import typer
 
 from compose.base.errors import UserError
 from hybrid.cli.options import ForestArgument, NumberPrecision, finite, select
-from splat.io.precision import Precision
+from splat.model.choices import Precision
 
 
 def export_ply(
@@ -22,7 +22,7 @@ def export_ply(
     """Write one layer of a forest as a PLY file that other viewers of 3D Gaussian splatting open."""
     from splat.io.forest_file import load_forest
     from splat.io.ply import save_ply
-    from splat.model.placing import in_world
+    from splat.model.points import in_world
 
     loaded = load_forest(forest)
     layers = loaded.layers
@@ -88,7 +88,7 @@ def import_ply(source: Path, forest: Path, precision: Precision = Precision.COMP
     from splat.io.ply import UNBOUND_FOCAL, load_ply
     from splat.model.forest import forest_of
     from splat.model.layer import static_layer
-    from splat.model.placing import from_world, place_of_gaussians
+    from splat.model.points import from_world, place_of_gaussians
 
     gaussians = load_ply(source)
     place = place_of_gaussians(gaussians)

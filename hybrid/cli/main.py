@@ -7,7 +7,7 @@ import sys
 import typer
 
 from compose.base.errors import UserError
-from hybrid.cli.benches.app import bench_app
+from hybrid.cli.bench import bench_app
 from hybrid.cli.capture import capture
 from hybrid.cli.demo import demo
 from hybrid.cli.doctor import doctor

@@ -14,17 +14,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from compose.base.errors import UserError
-from compose.base.files import write_whole
-from compose.base.seeds import MOST_SEED
-from hybrid.frame.settings import MOST_SPP
-from hybrid.runtime.progress import progress_bar
-from hybrid.runtime.valid_json import json_text
-from splat.io.precision import Precision
+from compose.base.errors import MOST_SEED, UserError
+from compose.base.files import json_text, write_whole
+from hybrid.base.progress import progress_bar
+from hybrid.render.frame_settings import MOST_SPP
+from splat.model.choices import Precision
 
 if TYPE_CHECKING:
     from compose.camera.camera import Camera
-    from hybrid.frame.settings import FrameSettings
+    from hybrid.render.frame_settings import FrameSettings
     from pathtrace.scene.scene import Scene
 
 # The ends of options that nothing else bounds. Some parts of references have eight times as many samples.
@@ -40,7 +38,7 @@ FRAME, VIEWER, INPUT, MEASUREMENT, RUN = "Frame", "Viewer", "Input", "Measuremen
 def _writable(path: Path | None) -> Path | None:
     """The file of `--json`; refused before long work if it cannot be written."""
     if path is not None:
-        from hybrid.output.images import check_writable
+        from hybrid.render.image_files import check_writable
 
         try:
             check_writable(path)
@@ -215,21 +213,21 @@ def user_errors() -> Iterator[None]:
 
 def select(backend: str) -> None:
     """Selects what everything runs on, before the first import that depends on it."""
-    from pathtrace.base.backend import select_backend
+    from pathtrace.scene.backend import select_backend
 
     select_backend(backend)
 
 
 def loaded_scene(source: str, max_depth: int | None = None, thin_glass: bool = False) -> Scene:
     """A scene by a bundled name or from a Mitsuba XML file, as planned; the plan is made if there is none."""
-    from hybrid.plan.stored import planned_scene
+    from hybrid.preparation.scene_plan import planned_scene
 
     return planned_scene(source, max_depth, thin_glass, progress_bar)
 
 
 def fill_irradiance(scene: Scene, settings: FrameSettings) -> None:
     """Fills the scene's irradiance cache if frames require it and there is none, with a progress bar."""
-    from hybrid.frame.irradiance import cache_for
+    from hybrid.render.irradiance import cache_for
     from pathtrace.trace.integrator import Integrator
 
     if settings.used_integrator is Integrator.CACHED:

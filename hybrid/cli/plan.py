@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from hybrid.base.progress import progress_bar
 from hybrid.cli.options import (
     Backend,
     DisplayName,
@@ -19,7 +20,6 @@ from hybrid.cli.options import (
     select,
     write_json,
 )
-from hybrid.runtime.progress import progress_bar
 
 
 def plan(
@@ -49,12 +49,10 @@ def plan(
     """
     select(backend)
     from compose.eye.display import display_named
-    from hybrid.output.images import check_writable
-    from hybrid.plan.overrides import overridden, parsed
-    from hybrid.plan.picture import write_picture
-    from hybrid.plan.plan import plan_of
-    from hybrid.plan.stored import store_plan
-    from hybrid.runtime.machine import machine
+    from hybrid.base.identity import machine
+    from hybrid.preparation.plan_picture import write_picture
+    from hybrid.preparation.scene_plan import overridden, parsed, plan_of, store_plan
+    from hybrid.render.image_files import check_writable
     from pathtrace.scene.scene import load_scene
 
     shown, wanted = display_named(display), parsed(override or ())

@@ -62,16 +62,16 @@ def prepare(
 ) -> None:
     """Capture and train in turns, from nothing to a forest; resumes if interrupted."""
     started = time.perf_counter()
-    from hybrid.preparation.settings import PreparationSettings
+    from hybrid.preparation.stages import PreparationSettings
 
     settings = PreparationSettings(
         region or "near", quality, minutes, psnr, held_out, size, clamp_indirect, seed
     )
     require_size(size)
     select(backend)
-    from hybrid.output.images import check_writable
-    from hybrid.plan.region import REGION
+    from hybrid.preparation.decisions import REGION
     from hybrid.preparation.preparation import prepare as run
+    from hybrid.render.image_files import check_writable
 
     if forest is not None:
         check_writable(forest)

@@ -9,7 +9,7 @@ import typer
 
 from compose.base.errors import UserError
 from hybrid.cli.options import Backend, FovA, FovB, Json, Seed, ThinGlass, loaded_scene, select, write_json
-from hybrid.frame.settings import DEFAULTS, FrameSettings
+from hybrid.render.frame_settings import DEFAULTS, FrameSettings
 
 
 def quickstart(
@@ -27,9 +27,9 @@ def quickstart(
     """Capture, train, render and measure: the main job, from nothing to images and numbers."""
     settings = FrameSettings(fov_a=fov_a, fov_b=fov_b)
     select(backend)
-    from hybrid.output.images import check_writable
-    from hybrid.quickstart.quickstart import SIZE
-    from hybrid.quickstart.quickstart import quickstart as run
+    from hybrid.evaluation.quickstart_job import SIZE
+    from hybrid.evaluation.quickstart_job import quickstart as run
+    from hybrid.render.image_files import check_writable
 
     if not settings.foveation.region(SIZE, SIZE).count:
         raise UserError(f"--fov-a {fov_a}: there is no fovea to show, it holds no pixel of {SIZE} x {SIZE}")

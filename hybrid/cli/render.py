@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from compose.base.errors import UserError, one_line
+from hybrid.base.progress import progress_bar
 from hybrid.cli.options import (
     FRAME,
     VIEWER,
@@ -37,13 +38,12 @@ from hybrid.cli.options import (
 )
 from hybrid.cli.render_frames import FramesRequest, refuse_tracing, render_frames
 from hybrid.cli.target import Target, measuring_command
-from hybrid.frame.settings import DEFAULTS, FrameSettings, aovs_of_file
-from hybrid.runtime.progress import progress_bar
+from hybrid.render.frame_settings import DEFAULTS, FrameSettings, aovs_of_file
 
 if TYPE_CHECKING:
     from compose.camera.camera import Camera
-    from compose.eye.gaze_trace import GazeTrace
-    from hybrid.frame.frame import Frame
+    from compose.eye.gaze import GazeTrace
+    from hybrid.render.frame import Frame
     from pathtrace.scene.scene import Scene
     from splat.model.forest import Forest
 
@@ -155,7 +155,7 @@ def render(
 
     Of a folder of frames of others (D-NeRF, Nerfies, HyperNeRF, NeRF-DS), which has no scene: splats alone.
     """
-    from pathtrace.posed.reading import is_posed_folder
+    from pathtrace.dataset.posed_folder import is_posed_folder
 
     is_folder = is_posed_folder(Path(scene))
     is_path = is_folder and output.suffix.lower() == ".mp4"
@@ -202,9 +202,9 @@ def render(
         )
         write_json(json_file, render_frames(Path(scene), asked, settings))
         return
-    from compose.fovea.mode import FoveaMode
-    from hybrid.plan.samples import DENOISING, RAW
-    from hybrid.preparation.quick import forest_for
+    from compose.fovea.foveation import FoveaMode
+    from hybrid.preparation.decisions import DENOISING, RAW
+    from hybrid.preparation.preparation import forest_for
 
     loaded = loaded_scene(scene, max_depth, thin_glass)
     if time and loaded.moving is None:
@@ -240,7 +240,7 @@ def _check_layers(layers: tuple[int, int] | None) -> None:
 
 def _check_outputs(output: Path, detail: Path | None, is_video: bool) -> None:
     """Refuses files that cannot be written, before the work begins."""
-    from hybrid.output.images import check_writable
+    from hybrid.render.image_files import check_writable
 
     kinds = (".mp4",) if is_video else (".exr", ".png")
     if output.suffix.lower() not in kinds:
@@ -259,8 +259,8 @@ def _loaded_trace(
     file: Path | None, gaze: tuple[float, float] | None, fps: int | None, is_path: bool
 ) -> GazeTrace | None:
     """The gaze trace, if there is one; a video along a path may have none."""
-    from compose.eye.gaze_trace import MOST_SECONDS, load_gaze_trace
-    from hybrid.video.frames import MOST_FRAMES
+    from compose.eye.gaze import MOST_SECONDS, load_gaze_trace
+    from hybrid.render.video import MOST_FRAMES
 
     if file is None:
         if fps is not None and not is_path:
@@ -280,7 +280,7 @@ def _check_target(excluded: dict[str, Any]) -> None:
 
 def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None, is_video: bool) -> Camera:
     """The camera: from a file, else the scene's own, at the size that was asked for."""
-    from hybrid.output.video import check_video
+    from hybrid.render.image_files import check_video
 
     camera = scene.camera if file is None else scene.place.camera(_read_camera(file))
     camera = sized(camera, size)
@@ -291,8 +291,8 @@ def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None, is_vide
 
 def _read_camera(file: Path) -> Camera:
     """The camera of a file, in the world."""
-    from compose.base.json_file import read_json
-    from compose.camera.serialization import camera_from_json
+    from compose.base.files import read_json
+    from compose.camera.coordinate_systems import camera_from_json
 
     try:
         return camera_from_json(read_json(file))
@@ -309,9 +309,9 @@ def _render_frame(
     output: Path, detail: Path | None, scene: Scene, forest: Forest, settings: FrameSettings, seed: int
 ) -> dict[str, Any]:
     """Renders and writes one frame; returns what was measured."""
-    from hybrid.frame.renderer import Renderer
-    from hybrid.output.images import write_srgb
-    from hybrid.pictures.levels import detail_picture
+    from hybrid.render.false_colours import detail_picture
+    from hybrid.render.frame_renderer import Renderer
+    from hybrid.render.image_files import write_srgb
 
     frame = Renderer(scene, forest).frame(replace(settings, aovs=aovs_of_file(output)), seed)
     if detail is not None:
@@ -323,9 +323,9 @@ def _render_eyes(
     output: Path, distance: float, scene: Scene, forest: Forest, settings: FrameSettings, seed: int
 ) -> dict[str, Any]:
     """Renders and writes one frame for each eye; returns what was measured. What moves is moved once."""
-    from compose.camera.stereo import EYES
-    from compose.camera.stereo import eyes as eyes_of
-    from hybrid.frame.renderer import Renderer
+    from compose.camera.camera import EYES
+    from compose.camera.camera import eyes as eyes_of
+    from hybrid.render.frame_renderer import Renderer
 
     renderer, found = Renderer(scene, forest), {}
     camera, settings = replace(settings, aovs=aovs_of_file(output)).resolved(scene.camera)
@@ -363,9 +363,9 @@ def _render_video(
     seed: int,
 ) -> dict[str, Any]:
     """Renders and writes a video; returns what was measured."""
-    from hybrid.frame.renderer import Renderer
-    from hybrid.store.identity import measured_identity
-    from hybrid.video.render import render_video
+    from hybrid.base.identity import measured_identity
+    from hybrid.render.frame_renderer import Renderer
+    from hybrid.render.video import render_video
 
     identity = measured_identity(
         scene, forest, settings=settings.as_json(), gaze_trace=trace.digest(), fps=fps, seed=seed

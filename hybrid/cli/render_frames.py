@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from compose.base.errors import UserError
-from compose.camera.view import View
+from compose.camera.camera import View
+from hybrid.base.progress import progress_bar
 from hybrid.cli.options import sized
-from hybrid.frame.settings import FrameSettings, aovs_of_file
-from hybrid.runtime.progress import progress_bar
+from hybrid.render.frame_settings import FrameSettings, aovs_of_file
 
 if TYPE_CHECKING:
     from compose.camera.camera import Camera
-    from compose.eye.gaze_trace import GazeTrace
-    from hybrid.frame.frame import Frame
-    from hybrid.frame.splat_renderer import SplatRenderer
-    from pathtrace.posed.folder import PosedFolder
+    from compose.eye.gaze import GazeTrace
+    from hybrid.render.frame import Frame
+    from hybrid.render.splat_renderer import SplatRenderer
+    from pathtrace.dataset.posed_images import PosedFolder
     from splat.model.forest import Forest
 
 # Parameters of `render` that say how a scene is path-traced.
@@ -82,8 +82,8 @@ def refuse_tracing(context: typer.Context, folder: Path) -> None:
 
 def render_frames(folder: Path, request: FramesRequest, settings: FrameSettings) -> dict[str, Any]:
     """Renders a frame or a video of a folder; returns what was measured."""
-    from hybrid.frame.splat_renderer import SplatRenderer
-    from pathtrace.posed.reading import read_posed_folder
+    from hybrid.render.splat_renderer import SplatRenderer
+    from pathtrace.dataset.posed_folder import read_posed_folder
 
     found = read_posed_folder(folder)
     renderer = SplatRenderer(_forest_of(found, request.forest))
@@ -109,8 +109,8 @@ def render_frames(folder: Path, request: FramesRequest, settings: FrameSettings)
 
 def _forest_of(folder: PosedFolder, given: Path | None) -> Forest:
     """The given forest, else the newest one that was trained on the folder's frames."""
-    from hybrid.store.cache import newest_forest_of
-    from hybrid.store.identity import require_scene
+    from hybrid.base.cache_folder import newest_forest_of
+    from hybrid.base.identity import require_scene
     from splat.io.forest_file import load_forest
 
     path = given or newest_forest_of(folder.scene_name, folder.scene_hash)
@@ -138,10 +138,10 @@ def _view(folder: PosedFolder, request: FramesRequest) -> View:
 
 def _render_frame(renderer: SplatRenderer, request: FramesRequest, settings: FrameSettings) -> dict[str, Any]:
     """Renders and writes one frame, or one for each eye."""
-    from compose.camera.stereo import EYES
-    from compose.camera.stereo import eyes as eyes_of
-    from hybrid.output.images import write_srgb
-    from hybrid.pictures.levels import detail_picture
+    from compose.camera.camera import EYES
+    from compose.camera.camera import eyes as eyes_of
+    from hybrid.render.false_colours import detail_picture
+    from hybrid.render.image_files import write_srgb
 
     # A forest alone knows no depth.
     settings = replace(settings, aovs=("splat",) if aovs_of_file(request.output) else ())
@@ -170,9 +170,8 @@ def _render_video(
     folder: PosedFolder, renderer: SplatRenderer, request: FramesRequest, settings: FrameSettings
 ) -> tuple[dict[str, Any], FrameSettings]:
     """Renders and writes a video along the views, in the order of their times."""
-    from hybrid.output.video import check_video
-    from hybrid.video.splats import render_splat_video
-    from hybrid.video.view_path import ViewPath
+    from hybrid.render.image_files import check_video
+    from hybrid.render.video import ViewPath, render_splat_video
 
     views = sorted(_views(folder), key=lambda view: view.time)
     camera = views[0].camera

@@ -10,7 +10,7 @@ from hybrid.cli.options import Backend, Json, select, write_json
 def scenes(backend: Backend = "auto", json_file: Json = None) -> None:
     """List the bundled scenes and their facts."""
     select(backend)
-    from pathtrace.scene.bundled import bundled_scenes
+    from pathtrace.scene.scene import bundled_scenes
 
     rows = [_facts(name) for name in bundled_scenes()]
     for row in rows:
@@ -19,9 +19,9 @@ def scenes(backend: Backend = "auto", json_file: Json = None) -> None:
 
 
 def _facts(name: str) -> dict[str, Any]:
-    from hybrid.plan.stored import scene_as_stored
-    from hybrid.store.cache import newest_forest
-    from pathtrace.scene.bundled import bundled_scenes
+    from hybrid.base.cache_folder import newest_forest
+    from hybrid.preparation.scene_plan import scene_as_stored
+    from pathtrace.scene.scene import bundled_scenes
     from splat.io.forest_file import load_forest
 
     scene = scene_as_stored(name)

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from compose.base.errors import UserError
+from hybrid.base.progress import progress_bar
 from hybrid.cli.options import (
     FRAME,
     MEASUREMENT,
@@ -29,8 +30,7 @@ from hybrid.cli.options import (
     sized,
     write_json,
 )
-from hybrid.frame.settings import MOST_SPP, SWEEP, FrameSettings
-from hybrid.runtime.progress import progress_bar
+from hybrid.render.frame_settings import MOST_SPP, SWEEP, FrameSettings
 
 # Defaults of what a sweep may set itself. They are applied here, so that an option that was given is known.
 _DEFAULTS: dict[str, Any] = {
@@ -130,10 +130,9 @@ def sweep(
     if settings.fov_a == 0:
         raise UserError("--fov-a 0.0: there is no fovea to time")
     select(backend)
-    from hybrid.preparation.quick import forest_for
-    from hybrid.sweeps.effort import Effort
-    from hybrid.sweeps.setting import Setting
-    from hybrid.sweeps.sweep import sweep as run
+    from hybrid.evaluation.sweep_catalogue import Effort, Setting
+    from hybrid.evaluation.sweep_run import sweep as run
+    from hybrid.preparation.preparation import forest_for
 
     loaded = loaded_scene(scene, None, thin_glass)
     if report is not None:
@@ -157,7 +156,7 @@ def sweep(
 
 def _completed(over: str, given: dict[str, Any]) -> dict[str, Any]:
     """The options with their defaults; one that was given without any influence is refused."""
-    from hybrid.sweeps.catalogue import sweep_named
+    from hybrid.evaluation.sweep_catalogue import sweep_named
 
     for name in sweep_named(over, (1,)).ignored:
         if given[name] is not None:
@@ -168,8 +167,8 @@ def _completed(over: str, given: dict[str, Any]) -> dict[str, Any]:
 
 def _check_report(folder: Path, scene: str) -> None:
     """Refuses a report that this sweep does not belong to, or that cannot be written."""
-    from hybrid.output.images import check_writable
-    from hybrid.report.evaluation_page import evaluated_scene
+    from hybrid.evaluation.evaluation_page import evaluated_scene
+    from hybrid.render.image_files import check_writable
 
     evaluated = evaluated_scene(folder)
     if evaluated != scene:
@@ -178,7 +177,7 @@ def _check_report(folder: Path, scene: str) -> None:
 
 
 def _update_page(folder: Path) -> None:
-    from hybrid.report.evaluation_page import write_report
+    from hybrid.evaluation.evaluation_page import write_report
 
     write_report(folder)
     print(folder / "index.html")
@@ -186,8 +185,7 @@ def _update_page(folder: Path) -> None:
 
 def _print(content: dict[str, Any], settings: FrameSettings) -> None:
     """The table, with quality if it was measured, and where hybrid frames break even."""
-    from hybrid.sweeps.break_even import sentence
-    from hybrid.sweeps.table import quality_cells, table
+    from hybrid.evaluation.sweep_tables import quality_cells, sentence, table
 
     rows = content["rows"]
     made = "" if "fovea" in rows[0] else f", {settings.fovea.value} fovea"

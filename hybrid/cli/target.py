@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from compose.base.errors import UserError
-from hybrid.frame.settings import DEFAULTS, FrameSettings
+from hybrid.render.frame_settings import DEFAULTS, FrameSettings
 
 if TYPE_CHECKING:
-    from hybrid.trade.measured import MeasuredSettings
+    from hybrid.evaluation.measured_settings import MeasuredSettings
     from pathtrace.scene.scene import Scene
     from splat.model.forest import Forest
 
@@ -37,7 +37,7 @@ class Target:
 
     def require_forest(self, scene: Scene, given: Path | None) -> None:
         """Checks that settings can have been measured: there must be a forest already."""
-        from hybrid.store.cache import newest_forest
+        from hybrid.base.cache_folder import newest_forest
 
         if self.is_set and given is None and newest_forest(scene) is None:
             raise self._not_measured()
@@ -50,8 +50,7 @@ class Target:
         """
         if not self.is_set:
             return settings
-        from hybrid.trade.choice import chosen
-        from hybrid.trade.measured import MeasuredStore
+        from hybrid.evaluation.measured_settings import MeasuredStore, chosen
 
         camera, _ = settings.resolved(scene.camera)
         store = MeasuredStore.of("trade", scene, forest, (camera.width, camera.height), settings)

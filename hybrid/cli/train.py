@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hybrid.base.progress import progress_bar
 from hybrid.cli.options import (
     MOST_GAUSSIANS,
     Backend,
@@ -20,12 +21,10 @@ from hybrid.cli.options import (
     user_errors,
     write_json,
 )
-from hybrid.runtime.progress import progress_bar
-from splat.io.precision import Precision
-from splat.model.motion_model import Labels, MotionModel
+from splat.model.choices import Labels, MotionModel, Precision
 
 if TYPE_CHECKING:
-    from pathtrace.posed.folder import PosedFolder
+    from pathtrace.dataset.posed_images import PosedFolder
 
 _MOST_ITERATIONS = 10_000_000
 
@@ -81,16 +80,14 @@ def train(
     HyperNeRF or NeRF-DS.
     """
     select(backend)
-    from hybrid.output.images import check_writable
-    from hybrid.store.cache import store_forest
-    from hybrid.store.receipts import has_receipt
-    from hybrid.training.forest import LeftOut, say_left_out
-    from hybrid.training.forest import train as run
-    from hybrid.training.fusion import fusion_verdicts
-    from hybrid.training.held_out import held_out_quality
-    from hybrid.training.planned import planned_settings
-    from hybrid.training.posed import motion_for, read_frames
-    from pathtrace.posed.folder import PosedFolder
+    from hybrid.base.cache_folder import has_receipt, store_forest
+    from hybrid.preparation.forest_training import LeftOut, planned_settings, say_left_out
+    from hybrid.preparation.forest_training import train as run
+    from hybrid.preparation.fusion_training import fusion_verdicts
+    from hybrid.preparation.held_out import held_out_quality
+    from hybrid.preparation.training_views import motion_for, read_frames
+    from hybrid.render.image_files import check_writable
+    from pathtrace.dataset.posed_images import PosedFolder
 
     shape = {"gaussians": gaussians, "layers": layers, "degree": degree}
     given = {"iterations": iterations, "seed": seed, **shape}

@@ -1,24 +1,49 @@
-"""The methods that an evaluation compares, and the budgets they get."""
+"""What an evaluation compares: methods at budgets, the quality of their frames, and how long these take."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
+from typing import Any
 
-from compose.camera.view import View
+import numpy as np
+
+from compose.camera.camera import View
 from compose.eye.gaze import Gaze
-from compose.fovea.mode import FoveaMode
-from hybrid.evaluation.equal_time import TOLERANCE, at_equal_time
-from hybrid.evaluation.families import Tuning, families
-from hybrid.evaluation.keys import EQUAL_RAYS, EQUAL_TIME, FIXED, OURS, Key
-from hybrid.evaluation.settings import EvaluationSettings
-from hybrid.frame.renderer import Renderer
-from hybrid.methods.hybrid import HybridMethod
-from hybrid.methods.method import Method
-from hybrid.methods.splats import SplatsAlone
-from hybrid.store.journal import Journal
+from compose.fovea.foveation import FoveaMode
+from hybrid.base.journal import Journal
+from hybrid.evaluation.baselines import Tuning, families
+from hybrid.evaluation.equal_cost import TOLERANCE, at_equal_time
+from hybrid.evaluation.evaluation_settings import EvaluationSettings
+from hybrid.evaluation.methods import HybridMethod, Method, SplatsAlone
+from hybrid.evaluation.result_keys import (
+    EQUAL_RAYS,
+    EQUAL_TIME,
+    FIXED,
+    HALVES,
+    HALVES_KEY,
+    OURS,
+    OURS_KEY,
+    Key,
+    flip_name,
+    image_name,
+)
+from hybrid.evaluation.scoring import ScoringTask, scored_in_parallel
+from hybrid.measure.frame_quality import Viewer, installed
+from hybrid.measure.frame_times import (
+    jittered_view,
+    medians_by_view,
+    path_around,
+    percentiles,
+    ratio_of_medians,
+)
+from hybrid.measure.reference import Reference
+from hybrid.measure.regions import Region, regions
+from hybrid.render.frame_renderer import Renderer
+from hybrid.render.image_files import write_png
 from pathtrace.trace.tracer import Tracer
 
 # Samples per pixel of further fused frames, which show from which count on they surpass the splats.
@@ -105,3 +130,208 @@ def baseline_entries(
             entries.append(Entry(name, EQUAL_TIME, family(met)))
         progress(number + 1, len(known))
     return entries
+
+
+@dataclass(frozen=True)
+class EvaluatedView:
+    """One of the evaluated views. An entry of None stands for its reference.
+
+    Attributes:
+        number: of the view, from 0.
+        view: what it shows.
+        reference: what frames are compared with.
+        regions: of the frame, by name.
+        settings: gaze, display and seed.
+        folder: for images.
+    """
+
+    number: int
+    view: View
+    reference: Reference
+    regions: dict[str, Region]
+    settings: EvaluationSettings
+    folder: Path
+
+    def title(self, entry: Entry | None) -> str:
+        """Name in the journal of an entry's rows, which depend on the installed metrics."""
+        return ", ".join((str(self.number), HALVES if entry is None else entry.title, *installed()))
+
+    def task(self, entry: Entry | None) -> ScoringTask:
+        """Renders an entry's frame and writes it.
+
+        Returns:
+            What to score; of the reference, one half against the other.
+        """
+        viewer = Viewer(self.settings.frame.display, self.settings.frame.gaze)
+        if entry is None:
+            write_png(self.folder / image_name(self.number, None), self.reference.radiance)
+            return ScoringTask(HALVES, *self.reference.halves, (), self.regions, viewer, None)
+        image = entry.method.render(self.view, viewer.gaze, self.settings.seed + self.number).image
+        write_png(self.folder / image_name(self.number, entry.key), image)
+        flip_file = self.folder / flip_name(self.number, entry.key)
+        references = self.reference.radiance, self.reference.halves
+        return ScoringTask(entry.name, image, *references, self.regions, viewer, flip_file)
+
+    def rows(self, entry: Entry | None, journal: Journal) -> Iterator[dict[str, Any]]:
+        """An entry's rows in the journal, with view, method and budget."""
+        key = HALVES_KEY if entry is None else entry.key
+        for row in journal[self.title(entry)]:
+            yield {"view": self.number, "method": key.method, "budget": key.budget, **row}
+
+
+def evaluated_views(
+    views: list[View], references: list[Reference], settings: EvaluationSettings, folder: Path
+) -> list[EvaluatedView]:
+    """Views with their references and regions.
+
+    Raises:
+        UserError: a region is empty.
+    """
+    return [
+        EvaluatedView(
+            number, view, truth, regions(settings.frame.foveation, truth.radiance), settings, folder
+        )
+        for number, (view, truth) in enumerate(zip(views, references, strict=True))
+    ]
+
+
+def quality_rows(
+    entries: list[Entry],
+    views: list[EvaluatedView],
+    journal: Journal,
+    progress: Callable[[int, int], None],
+) -> list[dict[str, Any]]:
+    """Rows of view, method, budget, region, metric and value; writes the images.
+
+    Args:
+        entries: to evaluate; references are evaluated as well.
+        views: in which.
+        journal: stores the rows; images whose rows it holds are not rendered again.
+        progress: called with images scored and images in total.
+    """
+    wanted = [(view, entry) for view in views for entry in (None, *entries)]
+    missing = [(view, entry) for view, entry in wanted if view.title(entry) not in journal]
+    tasks = ((view.title(entry), view.task(entry)) for view, entry in missing)
+    done = len(wanted) - len(missing)
+    for number, (title, rows) in enumerate(scored_in_parallel(tasks)):
+        journal[title] = rows
+        progress(done + number + 1, len(wanted))
+    return [row for view, entry in wanted for row in view.rows(entry, journal)]
+
+
+_WARM_UP = 5
+# Methods with at least this many frames are not timed for longer than this.
+_LEAST_REPEATS, _MOST_SECONDS = 20, 80.0
+# Rounds between two saves of the journal.
+_ROUNDS = 10
+# Frames from which on a percentile is one of them instead of a guess between two.
+_ENOUGH_FOR = {50: 1, 95: 20, 99: 100}
+
+
+@dataclass(frozen=True)
+class Timing:
+    """The times of an entry so far.
+
+    Attributes:
+        entry: what is timed.
+        passes: milliseconds of each frame by pass, total included.
+    """
+
+    entry: Entry
+    passes: dict[str, list[float]]
+
+    @property
+    def totals(self) -> list[float]:
+        """Milliseconds of each whole frame."""
+        return self.passes.get("total", [])
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether it may end with fewer frames than were asked for."""
+        few = len(self.totals) < _LEAST_REPEATS
+        return not few and (self.entry.briefly or sum(self.totals) > 1000 * _MOST_SECONDS)
+
+    def add(self, milliseconds: dict[str, float]) -> None:
+        """Adds a frame."""
+        for name, value in milliseconds.items():
+            self.passes.setdefault(name, []).append(value)
+
+    def row(self, views: Sequence[View], ours: Timing | None) -> dict[str, Any]:
+        """The row of the results; percentiles for which there are too few frames are left out.
+
+        Args:
+            views: that were rendered.
+            ours: timing that this one is compared with, over the frames that both have; None leaves it out.
+        """
+        known = [percent for percent, least in _ENOUGH_FOR.items() if len(self.totals) >= least]
+        row = {
+            "method": self.entry.name,
+            "budget": self.entry.budget,
+            "width": views[0].camera.width,
+            "height": views[0].camera.height,
+            "ms": percentiles(self.totals, known),
+            "passes": {k: float(np.median(v)) for k, v in self.passes.items() if k != "total"},
+            "repeats": len(self.totals),
+        }
+        if len(views) > 1:
+            medians = medians_by_view(self.totals, len(views))
+            row["ms_range"] = [min(medians), max(medians)]
+        if ours is not None:
+            both = min(len(self.totals), len(ours.totals))
+            row["over_ours"] = ratio_of_medians(self.totals[:both], ours.totals[:both])
+        return row
+
+
+def time_rows(
+    entries: list[Entry],
+    views: Sequence[View],
+    gaze: Gaze,
+    repeats: int,
+    journal: Journal,
+    progress: Callable[[int, int], None],
+) -> list[dict[str, Any]]:
+    """One row per entry: p50, p95 and p99 of whole frames, and the median of each pass, in milliseconds.
+
+    All entries take turns along one gaze path and through the views, after a warm-up. The camera turns a
+    little from frame to frame, so that no frame reuses what another one, even of another entry, has computed
+    for its view. `ms_range` has the least and the greatest median of a view, and `over_ours` the median over
+    that of OURS, of frames that were rendered in turns.
+
+    Args:
+        entries: to time.
+        views: of one size.
+        gaze: centre of the path.
+        repeats: frames per entry; 20 for those that are timed briefly, and fewer for those that would take
+            over 80 seconds.
+        journal: stores the times; those it holds are not measured again.
+        progress: called with rounds done and rounds in total.
+    """
+    times: dict[str, dict[str, list[float]]] = journal.once("times", dict)
+    timings = [Timing(entry, times.setdefault(entry.title, {})) for entry in entries]
+    path = path_around(gaze, repeats)
+    done = max((len(timing.totals) for timing in timings), default=0)
+    for turn in range(-_WARM_UP if done < repeats else 0, repeats - done):
+        number = done + max(turn, 0)
+        for place, timing in enumerate(timings):
+            if turn >= 0 and timing.is_enough:
+                continue
+            # Of a brief entry as well, frame n is of view n.
+            view = views[(len(timing.totals) if turn >= 0 else place) % len(views)]
+            own = jittered_view(view, (done + turn) * len(entries) + place)
+            at = path[_step(timing, number, repeats)]
+            milliseconds = timing.entry.method.render(own, at, number).milliseconds
+            if turn >= 0:
+                timing.add(milliseconds)
+        if turn >= 0 and number % _ROUNDS == _ROUNDS - 1:
+            journal.write()
+        progress(number + 1, repeats)
+    journal.write()
+    ours = next((timing for timing in timings if timing.entry.key == OURS_KEY), None)
+    return [timing.row(views, ours) for timing in timings]
+
+
+def _step(timing: Timing, number: int, repeats: int) -> int:
+    """Step of the gaze path for an entry's next frame; the few of a brief one cover the whole path."""
+    if timing.entry.briefly:
+        return len(timing.totals) * repeats // _LEAST_REPEATS % repeats
+    return number % repeats

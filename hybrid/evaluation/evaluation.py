@@ -8,30 +8,127 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from compose.camera.camera import Camera
-from compose.camera.view import View
-from hybrid.evaluation.entries import Entry, baseline_entries, hybrid_entries, splat_entries
-from hybrid.evaluation.families import Tuning
-from hybrid.evaluation.keys import OURS
-from hybrid.evaluation.quality import evaluated_views, quality_rows
-from hybrid.evaluation.references import reference_errors, reference_samples, stored_reference
-from hybrid.evaluation.settings import TUNING_REDUCTION, EvaluationSettings
-from hybrid.evaluation.times import time_rows
-from hybrid.evaluation.tuning import tuned
-from hybrid.evaluation.work import WorkProgress
-from hybrid.frame.periphery import Periphery
-from hybrid.frame.renderer import Renderer
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.errors import UserError
+from compose.camera.camera import Camera, View
+from compose.image.colour import Image
+from hybrid.base.cache_folder import scene_folder
+from hybrid.base.compute_device import device_arrays
+from hybrid.base.identity import machine, measured_identity, short_hash
+from hybrid.base.journal import Journal
+from hybrid.evaluation.baselines import Tuning
+from hybrid.evaluation.entries import (
+    Entry,
+    baseline_entries,
+    evaluated_views,
+    hybrid_entries,
+    quality_rows,
+    splat_entries,
+    time_rows,
+)
+from hybrid.evaluation.equal_cost import tuned
+from hybrid.evaluation.evaluation_settings import FOVEAL_REFERENCE, TUNING_REDUCTION, EvaluationSettings
+from hybrid.evaluation.methods import SplatsAlone
+from hybrid.evaluation.result_keys import OURS
 from hybrid.measure.reference import REFERENCE_SEED, Reference, reference
-from hybrid.methods.splats import SplatsAlone
-from hybrid.plan.values import plan_of_forest
-from hybrid.runtime.device import device_arrays
-from hybrid.runtime.machine import machine
-from hybrid.store.cache import scene_folder
-from hybrid.store.identity import measured_identity, short_hash
-from hybrid.store.journal import Journal
-from pathtrace.dataset.views import unseen_views
+from hybrid.measure.regions import regions
+from hybrid.preparation.scene_plan import plan_of_forest
+from hybrid.render.frame_renderer import Renderer
+from hybrid.render.image_files import read_exr, write_exr
+from hybrid.render.periphery import Periphery
+from pathtrace.region.neighbourhood import unseen_views
 from pathtrace.scene.scene import Scene
 from splat.model.forest import Forest
+
+
+def reference_samples(settings: EvaluationSettings) -> NDArray[np.int64]:
+    """(H * W,) samples of each pixel: FOVEAL_REFERENCE times as many in the disc."""
+    samples = np.full(settings.width * settings.height, settings.reference_spp, dtype=np.int64)
+    samples[settings.frame.foveation.region(settings.width, settings.height).pixels] *= FOVEAL_REFERENCE
+    return samples
+
+
+def stored_reference(
+    file: Path, make: Callable[[], Reference], size: tuple[int, int] | None = None
+) -> Reference:
+    """The reference in an EXR file; made and written now if there is none, or it is damaged.
+
+    Args:
+        file: the file.
+        make: makes the reference.
+        size: width and height that it must have.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    try:
+        return _reference(read_exr(file, size))
+    except (UserError, KeyError):
+        made = make()
+        first, second = made.halves
+        write_exr(file, {"": made.radiance, "first": first, "second": second, "error": made.errors})
+        return _reference(read_exr(file, size))
+
+
+def reference_errors(settings: EvaluationSettings, number: int, reference: Reference) -> list[dict[str, Any]]:
+    """Rows of view, region and PSNR of a reference against the truth, in dB."""
+    parts = regions(settings.frame.foveation, reference.radiance)
+    return [
+        {"view": number, "region": name, "psnr": reference.psnr(part.mask)} for name, part in parts.items()
+    ]
+
+
+def _reference(channels: dict[str, NDArray[np.float32]]) -> Reference:
+    """The reference of what `stored_reference` writes.
+
+    Raises:
+        KeyError: a channel is missing.
+    """
+    halves = _image(channels, "first."), _image(channels, "second.")
+    return Reference(_image(channels, ""), halves, channels["error.V"])
+
+
+def _image(channels: dict[str, NDArray[np.float32]], prefix: str) -> Image:
+    return np.stack([channels[prefix + channel] for channel in "RGB"], axis=-1)
+
+
+# Approximate milliseconds per step of each kind of work, from which the time left is estimated: per sample of
+# a reference, in total, in total, per view, and per round of frames.
+_COSTS = {"references": 4e-3, "tuning": 44e3, "costs": 72e3, "quality": 63e3, "times": 2.5e3}
+
+
+class WorkProgress:
+    """Adds up the progress of all kinds of work, weighted by what they take.
+
+    Args:
+        settings: of the evaluation.
+        report: called with the kind of work, work done and work in total.
+    """
+
+    def __init__(self, settings: EvaluationSettings, report: Callable[[str, float, float], None]):
+        samples = settings.width * settings.height * settings.reference_spp
+        steps = {
+            "references": settings.views * samples,
+            "tuning": 1,
+            "costs": 1,
+            "quality": settings.views,
+            "times": settings.repeats,
+        }
+        self._weight = {name: steps[name] * _COSTS[name] for name in steps}
+        self._done = dict.fromkeys(steps, 0.0)
+        self._report = report
+
+    def of(self, kind: str) -> Callable[[int, int], None]:
+        """The progress callback of one kind of work: called with steps done and steps in total."""
+
+        def progress(done: int, total: int) -> None:
+            self._done[kind] = self._weight[kind] * done / total
+            self._report(kind, sum(self._done.values()), sum(self._weight.values()))
+
+        return progress
+
 
 # Views to tune baselines on, in addition to the measured ones.
 _TUNING_VIEWS = 2
@@ -75,7 +172,7 @@ class Evaluation:
         )
         self.journal = Journal(folder / "work" / "journal.json", identity)
         # Rays at equal time are searched for once per machine and code, so that later runs compare the same
-        # frames. Whether times are equal is measured in each run (`over_ours` in hybrid.evaluation.times).
+        # frames. Whether times are equal is measured in each run (`over_ours` in hybrid.evaluation.entries).
         file = scene_folder(scene.name, scene.hash) / f"costs-{short_hash(identity)}.json"
         self.costs = Journal(file, identity)
 

@@ -18,11 +18,11 @@ import torch
 from numpy.typing import NDArray
 
 from compose.image.colour import Image
-from hybrid.evaluation.keys import half_name
-from hybrid.measure.metrics.flip import flip_map
-from hybrid.measure.quality import Viewer, metric_rows, tie_metrics
+from hybrid.evaluation.result_keys import half_name
+from hybrid.measure.frame_quality import Viewer, metric_rows, tie_metrics
+from hybrid.measure.perceptual_metrics import flip_map
 from hybrid.measure.regions import Region
-from hybrid.output.images import write_srgb
+from hybrid.render.image_files import write_srgb
 
 # Rows of region, metric and value.
 Rows = list[dict[str, Any]]

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
 from compose.image.colour import Image, srgb_from_radiance
-from hybrid.measure.metrics.psnr import psnr_of_error
+from hybrid.measure.image_metrics import psnr_of_error
 from pathtrace.trace.film import frame_positions
-from pathtrace.trace.image import TracedImage, auxiliary_images, radiance_image
+from pathtrace.trace.traced_images import TracedImage, auxiliary_images, radiance_image
 from pathtrace.trace.tracer import Tracer, auxiliary_spp
 
 # Far from the seeds of frames, whose noise must be independent of the reference's.

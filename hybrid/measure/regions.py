@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import zoom
 
 from compose.base.errors import UserError
+from compose.eye.detail import saliency
 from compose.eye.gaze import Gaze, require_within_frame
-from compose.eye.saliency import saliency
-from compose.fovea.region import Foveation
+from compose.fovea.foveation import Foveation
 from compose.image.colour import Image
 
 # In the order of all tables.

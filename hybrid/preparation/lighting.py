@@ -13,19 +13,19 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hybrid.runtime.progress import Bars
-from hybrid.training.forest import motion_of
-from hybrid.training.views import training_view
-from pathtrace.cache.cache import IrradianceCache
+from hybrid.base.progress import Bars
+from hybrid.preparation.forest_training import motion_of
+from hybrid.preparation.training_views import training_view
 from pathtrace.cache.cells import Points
-from pathtrace.dataset.frames import FrameSet
-from pathtrace.fill.over_time import irradiance_over_time
+from pathtrace.cache.irradiance_cache import IrradianceCache
+from pathtrace.dataset.frame_set import FrameSet
+from pathtrace.fill.gather import irradiance_over_time
 from pathtrace.scene.scene import Scene
+from splat.model.dynamic_light import SurfaceLight
 from splat.model.gaussians import Gaussians, concatenated
 from splat.model.motion import Motion, turned
-from splat.model.surface_light import SurfaceLight
 from splat.training.initialization import seed_at
-from splat.training.views import TrainingView
+from splat.training.training_view import TrainingView
 
 # Times at which irradiance is found: so many in a second of the scene, within limits.
 _PER_SECOND, _LEAST_TIMES, _MOST_TIMES = 30, 33, 513

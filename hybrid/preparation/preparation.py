@@ -10,40 +10,41 @@ from typing import Any
 import numpy as np
 
 from compose.base.errors import UserError
-from hybrid.frame.irradiance import cache_for
-from hybrid.plan.breadth import breadth_of
-from hybrid.plan.detail import planned_needs
-from hybrid.plan.layers import LAYERS
-from hybrid.plan.samples import CONVERGED_DB, SAMPLES
-from hybrid.preparation.clamping import clamping_bias
-from hybrid.preparation.clock import Clock
-from hybrid.preparation.convergence import Pass, converging_seconds
-from hybrid.preparation.judges import Judges
+from hybrid.base.cache_folder import newest_forest, scene_folder, store_forest
+from hybrid.base.identity import require_scene, short_hash
+from hybrid.base.journal import Journal
+from hybrid.base.progress import Bars, console, progress_bar
+from hybrid.preparation.decisions import CONVERGED_DB, LAYERS, SAMPLES
+from hybrid.preparation.forest_training import planned_settings, train
+from hybrid.preparation.fusion_training import with_fusion
+from hybrid.preparation.gaussian_count import breadth_of, planned_needs
+from hybrid.preparation.held_out import Judges
 from hybrid.preparation.lighting import light_over_time
-from hybrid.preparation.planner import Planner
-from hybrid.preparation.settings import PreparationSettings
-from hybrid.preparation.views import stated_error, views_of, wanted_of
-from hybrid.runtime.progress import Bars, console, progress_bar
-from hybrid.store.cache import scene_folder, store_forest
-from hybrid.store.identity import short_hash
-from hybrid.store.journal import Journal
-from hybrid.training.forest import train
-from hybrid.training.fusion import with_fusion
-from hybrid.training.planned import planned_settings
+from hybrid.preparation.scene_plan import plan_of_forest, require_plan
+from hybrid.preparation.stage_frames import (
+    Pass,
+    clamping_bias,
+    converging_seconds,
+    stated_error,
+    views_of,
+    wanted_of,
+)
+from hybrid.preparation.stage_planner import Clock, Planner
+from hybrid.preparation.stages import PreparationSettings
+from hybrid.render.irradiance import cache_for
 from pathtrace.dataset.capture import capture
-from pathtrace.dataset.frames import FrameSet, read_frame_set
+from pathtrace.dataset.frame_set import CaptureSettings, FrameSet, read_frame_set
 from pathtrace.dataset.growing import GrowingFrames
-from pathtrace.dataset.settings import CaptureSettings
-from pathtrace.dataset.views import unseen_time
-from pathtrace.region.region import Region, region_of
+from pathtrace.region.neighbourhood import unseen_time
+from pathtrace.region.viewing_regions import Region, region_of
 from pathtrace.scene.difficulties import light_difficulties
 from pathtrace.scene.scene import Scene
-from pathtrace.scene.surfaces import Surfaces
+from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.integrator import Integrator
 from pathtrace.trace.tracer import Tracer
 from splat.io.forest_file import load_forest, save_forest
+from splat.model.dynamic_light import SurfaceLight
 from splat.model.forest import Forest
-from splat.model.surface_light import SurfaceLight
 
 # What the fusion is fitted to: views with unbiased frames, and parts of them.
 FUSION_CAPTURE = CaptureSettings(views=1, held_out=4, spp=1, held_out_spp=64)
@@ -298,3 +299,59 @@ class _Job:
                 f"{self._scene.name}: {wanted:g} dB cannot be reached; {found:.2f} dB are, in "
                 f"{facts['seconds']:.0f} s, from frames of {facts['frame_error_db']:.1f} dB; it is kept"
             )
+
+
+# Good enough to look at, in a minute and a half.
+_QUALITY = "draft"
+
+
+@dataclass(frozen=True)
+class QuickForest:
+    """A forest made with the quick settings.
+
+    Attributes:
+        forest: the forest.
+        frames: what its fusion was fitted to, with held-out views that judge its layers.
+        seconds: the time that "prepare" took.
+    """
+
+    forest: Forest
+    frames: FrameSet
+    seconds: dict[str, float]
+
+
+def forest_for(scene: Scene, given: Path | None, bars: Bars = progress_bar) -> Forest:
+    """The given forest, else the newest one of the scene in the cache, else one that is prepared now.
+
+    Args:
+        scene: what the forest is for.
+        given: forest file, if the user named one.
+        bars: show the progress of the preparation.
+
+    Raises:
+        UserError: the file is missing, damaged or belongs to another scene, or no forest can be trained.
+    """
+    path = given or newest_forest(scene)
+    if path is not None:
+        forest = load_forest(path)
+        require_scene(forest, scene.name, scene.hash, path)
+        require_plan(plan_of_forest(forest), scene, path)
+        return forest
+    console.print(f"No forest for scene {scene.name} yet: preparing one first.")
+    return prepare(scene, PreparationSettings(quality=_QUALITY, held_out=0), bars).forest
+
+
+def make_quick_forest(scene: Scene, folder: Path, seed: int, bars: Bars = progress_bar) -> QuickForest:
+    """Prepares a forest with the quick settings; resumes if interrupted.
+
+    Args:
+        scene: what to prepare.
+        folder: for all of its files.
+        seed: same seed, same forest on the same machine.
+        bars: show the progress.
+    """
+    start = time.perf_counter()
+    settings = PreparationSettings(quality=_QUALITY, held_out=0, seed=seed)
+    prepared = prepare(scene, settings, bars, folder / f"prepared-{seed}")
+    frames = read_frame_set(folder / f"prepared-{seed}" / "fusion")
+    return QuickForest(prepared.forest, frames, {"prepare": time.perf_counter() - start})

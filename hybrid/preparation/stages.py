@@ -1,10 +1,41 @@
-"""Stages of a preparation: how many frames, samples, Gaussians and steps each of them takes."""
+"""How far a preparation goes: its settings, its stages, and what regions and scenes take of each."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from hybrid.plan.needs import Needs
+from compose.base.errors import UserError, require_seed
+
+# What there is to model grows with this power of the views that a region takes: some surfaces take many views
+# to be seen at all, behind and between things.
+_SURFACES = 0.7
+# The same with the share of the frames that shows edges and texture, within a range that was tried: fewer
+# Gaussians than 0.6 times those of `room` show in shades that no edge or texture tells of.
+_DETAIL, _LEAST_DETAIL, _MOST_DETAIL = 0.7, 0.6, 1.5
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What a region and a scene take, over what the default region of `room` takes.
+
+    Attributes:
+        breadth: views of the region until little is unseen.
+        detail: Gaussians for equal breadth.
+    """
+
+    breadth: float = 1.0
+    detail: float = 1.0
+
+    @staticmethod
+    def of(breadth: float, complexity: float) -> Needs:
+        """As the breadth of a region and the complexity of its frames tell (`gaussian_count`)."""
+        return Needs(breadth, min(max(complexity**_DETAIL, _LEAST_DETAIL), _MOST_DETAIL))
+
+    @property
+    def gaussians(self) -> float:
+        """Gaussians that they take."""
+        return self.breadth**_SURFACES * self.detail
+
 
 # Pixels of a side of a frame at scale 1.
 SIDE = 256
@@ -98,3 +129,53 @@ def planned_stage(number: int, needs: Needs) -> Stage:
     # More of the same: the finest frames elsewhere, all samples doubled.
     last = STAGES[-1]
     return replace(last, spp=last.spp * 2 ** (number - len(STAGES) + 1)).for_needs(needs)
+
+
+MOST_MINUTES = 10_000.0
+
+
+@dataclass(frozen=True)
+class PreparationSettings:
+    """Settings of a preparation.
+
+    Attributes:
+        region: near, reachable, or a file with a camera path (pathtrace.region).
+        quality: draft, standard or high; how far to go, unless minutes or psnr say it.
+        minutes: time to use, over 0.
+        psnr: dB on held-out views to reach, over 0.
+        held_out: number of views that judge; none of them is trained on. Their time is not counted.
+        size: width and height of these views in pixels.
+        most_indirect: bound on what indirect light adds to a path of a training frame at once, over 0; none
+            by default. Held-out views have no such bound.
+        seed: of the views, trained on and held out, and of all else; same seed, same forest on the same
+            machine, unless time decides how far it comes.
+
+    Raises:
+        UserError: a value is out of range, or minutes and psnr are both given.
+    """
+
+    region: str = "near"
+    quality: str = "standard"
+    minutes: float | None = None
+    psnr: float | None = None
+    held_out: int = 4
+    size: tuple[int, int] = (SIDE, SIDE)
+    most_indirect: float | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.quality not in QUALITIES:
+            raise UserError(f"--quality {self.quality}: must be {', '.join(QUALITIES)}")
+        if self.minutes is not None and not 0 < self.minutes <= MOST_MINUTES:
+            raise UserError(f"--minutes {self.minutes:g}: must be over 0 and at most {MOST_MINUTES:g}")
+        if self.psnr is not None and not 0 < self.psnr < float("inf"):
+            raise UserError(f"--psnr {self.psnr:g}: must be over 0 dB")
+        if self.minutes is not None and self.psnr is not None:
+            raise UserError("--minutes and --psnr: give one of them")
+        if self.held_out < 0:
+            raise UserError(f"--held-out {self.held_out}: must not be negative")
+        if self.psnr is not None and not self.held_out:
+            raise UserError("--psnr: requires held-out views, which --held-out 0 leaves out")
+        if self.most_indirect is not None and not 0 < self.most_indirect < float("inf"):
+            raise UserError(f"--clamp-indirect {self.most_indirect:g}: must be a radiance over 0")
+        require_seed(self.seed)

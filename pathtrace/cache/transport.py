@@ -1,8 +1,9 @@
-"""Light transport between cells: what each cell receives of what the others reflect.
+"""Light transport between cells: what each cell receives from lights, and of what the others reflect.
 
 Radiosity (Goral et al. 1984) with form factors by Monte Carlo: each ray that was traced from a patch links it
 to the cell that the ray hit. Light is then passed along the links without tracing anything, for any light
-that falls on the cells directly.
+that falls on the cells directly. Cells of several levels overlap: what is known of a patch, which is what
+lies in the same cells of all levels, serves all cells that it lies in.
 """
 
 from __future__ import annotations
@@ -10,12 +11,64 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from pathtrace.cache.patches import Patches, sums_by
+from pathtrace.cache.cells import Points
+
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """P patches of C cells.
+
+    Attributes:
+        cells: (levels, P) index of the cell of each level that each lies in, ascending with the level; -1 for
+            none.
+        count: C, the number of cells.
+    """
+
+    cells: NDArray[np.int32]
+    count: int
+
+    @staticmethod
+    def of(cells: NDArray[np.int64], count: int) -> tuple[Patches, NDArray[np.int32]]:
+        """The patches of points, and the index (N,) of that of each point.
+
+        Args:
+            cells: (levels, N) cells of each point, -1 for none.
+            count: C, the number of cells.
+        """
+        # Single numbers are sorted several times faster than columns.
+        sizes = (count + 1,) * len(cells)
+        names, patch = np.unique(np.ravel_multi_index(tuple(cells + 1), sizes), return_inverse=True)
+        unique = np.stack(np.unravel_index(names, sizes)) - 1
+        return Patches(unique.astype(np.int32), count), patch.astype(np.int32)
+
+    def __len__(self) -> int:
+        return self.cells.shape[1]
+
+    @cached_property
+    def regions(self) -> NDArray[np.int64]:
+        """(P,) number from 0 on that is the same for the patches of one largest cell."""
+        _, region = np.unique(self.cells.max(axis=0, initial=-1), return_inverse=True)
+        return region.astype(np.int64)
+
+    def averaging(self, numbers: NDArray[Any]) -> sparse.csr_array:
+        """(C, P) matrix that makes means over cells of sums over patches, of `numbers` (P,) samples."""
+        level, patch = np.nonzero(self.cells >= 0)
+        cell = self.cells[level, patch]
+        samples = np.maximum(np.bincount(cell, numbers[patch], self.count), 1)
+        shares = (1 / samples[cell]).astype(np.float32)
+        return sparse.csr_array((shares, (cell, patch)), (self.count, len(self)))
+
+
+def sums_by(place: NDArray[Any], values: NDArray[Any], count: int) -> NDArray[np.float64]:
+    """(count, 3) sums of values (N, 3) over the places (N,) that they belong to."""
+    return np.stack([np.bincount(place, channel, count) for channel in values.T], axis=1)
+
 
 # Numbers of segments whose light is told apart; more count as any number.
 _MOST_STEPS = 8
@@ -149,3 +202,144 @@ class Transport:
 def told_apart(known: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
     """(K, C, 3) as of `IrradianceCache`, of irradiance (C, 3) of at most 1, 2, ... segments."""
     return np.stack([*known[: _MOST_STEPS - 1], known[-1]] if len(known) > _MOST_STEPS else known)
+
+
+@dataclass(frozen=True, eq=False)
+class Rays:
+    """M rays from points to surfaces that may show lights: mirrors, glossy surfaces and glass.
+
+    Attributes:
+        point: (M,) int32 index of the point that each starts at.
+        square: (M, 2) where its direction lies, in 0..1, cosine-weighted around the normal.
+        weight: (M,) of what it finds: the irradiance that arrives in this way for each unit of radiance.
+    """
+
+    point: NDArray[np.int32]
+    square: NDArray[np.float32]
+    weight: NDArray[np.float32]
+
+    @staticmethod
+    def none() -> Rays:
+        """No rays."""
+        nothing = np.zeros(0, dtype=np.float32)
+        return Rays(nothing.astype(np.int32), np.zeros((0, 2), dtype=np.float32), nothing)
+
+    def __len__(self) -> int:
+        return len(self.point)
+
+
+@dataclass(frozen=True, eq=False)
+class Transfer:
+    """Points in P patches and R regions, their direct light, and the transport of light from there.
+
+    Attributes:
+        points: N, in random order.
+        patch: (N,) int32 patch of each.
+        rays: from these points, in random order.
+        direct: (P, 3) sums over each patch's points of the irradiance from lights.
+        reflected: (R, 3) sums over each region's rays of the irradiance from lights seen in mirrors, glossy
+            surfaces and glass.
+        passed: (B, R) share of it that met at most 1, 2, ... such surfaces on its way; 1 in the last row.
+        transport: of light between all C cells.
+        known: (C,) mask of the cells that the cache answers from.
+    """
+
+    points: Points
+    patch: NDArray[np.int32]
+    rays: Rays
+    direct: NDArray[np.float32]
+    reflected: NDArray[np.float32]
+    passed: NDArray[np.float32]
+    transport: Transport
+    known: NDArray[np.bool_]
+
+    @staticmethod
+    def none() -> Transfer:
+        """That of a cache without cells."""
+        dark, transport = np.zeros((0, 3), dtype=np.float32), Transport.none()
+        nothing = np.zeros(0, dtype=np.int32), np.zeros(0, dtype=bool)
+        passed = np.ones((1, 0), dtype=np.float32)
+        return Transfer(Points.none(), nothing[0], Rays.none(), dark, dark, passed, transport, nothing[1])
+
+    @property
+    def bytes(self) -> int:
+        """Memory that it takes."""
+        arrays = (
+            *(self.points.position, self.points.normal, self.patch),
+            *(self.rays.point, self.rays.square, self.rays.weight),
+            *(self.direct, self.reflected, self.passed, self.known),
+        )
+        return self.transport.bytes + sum(array.nbytes for array in arrays)
+
+    def check(self) -> None:
+        """Raises a ValueError if the sizes or indices of the parts do not match each other."""
+        transport, patches = self.transport, self.transport.patches
+        count, regions = len(patches), int(patches.regions.max(initial=-1)) + 1
+        shapes = (
+            (self.points.position, (len(self.patch), 3)),
+            (self.points.normal, (len(self.patch), 3)),
+            (self.rays.square, (len(self.rays), 2)),
+            (self.rays.weight, (len(self.rays),)),
+            (self.direct, (count, 3)),
+            (self.reflected, (regions, 3)),
+            (self.passed, (len(self.passed), regions)),
+            (transport.rays, (count,)),
+            (transport.reflectance, (3, len(transport.cells))),
+        )
+        indices = (
+            (self.patch, count),
+            (self.rays.point, len(self.patch)),
+            (transport.cells, patches.count),
+            (patches.cells + 1, patches.count + 1),
+        )
+        sizes = np.diff(transport.starts)
+        whole = len(sizes) % max(count, 1) == 0 and transport.starts[-1] == len(transport.cells)
+        if not (
+            whole
+            and len(self.passed)
+            and (sizes >= 0).all()
+            and all(array.shape == shape for array, shape in shapes)
+            and all(((index >= 0) & (index < end)).all() for index, end in indices)
+            and all(np.isfinite(array).all() for array, _ in shapes)
+        ):
+            raise ValueError("the parts of a transfer do not match")
+
+    @cached_property
+    def numbers(self) -> NDArray[np.int64]:
+        """(P,) number of points in each patch."""
+        return np.bincount(self.patch, minlength=len(self.transport.patches))
+
+    @cached_property
+    def ray_regions(self) -> NDArray[np.int64]:
+        """(M,) region that each ray starts in."""
+        return self.transport.patches.regions[self.patch[self.rays.point]]
+
+    @cached_property
+    def _shares(self) -> NDArray[np.float64]:
+        """(P, 1) share of the points of its region that each patch has."""
+        regions = self.transport.patches.regions
+        shares: NDArray[np.float64] = (
+            self.numbers / np.maximum(np.bincount(regions, self.numbers), 1)[regions]
+        )
+        return shares[:, None]
+
+    @cached_property
+    def _averaging(self) -> Any:
+        return self.transport.patches.averaging(self.numbers)
+
+    def of_cells(self, direct: NDArray[Any], reflected: NDArray[Any]) -> NDArray[np.float32]:
+        """(B + 1, C, 3) irradiance of cells from lights, from sums like `direct` and `reflected`.
+
+        The first is that of direct light, the next ones that of at most 1, 2, ... surfaces on the way.
+
+        Lights seen in mirrors and through glass are found rarely, and are very bright then: no small cell has
+        enough samples of them, so that each patch gets the mean of its region.
+        """
+        regions = self.transport.patches.regions
+        shown = self._shares * reflected[regions]
+        rows = [direct, *(direct + passed[regions, None] * shown for passed in self.passed)]
+        return np.stack([self._averaging @ row.astype(np.float32) for row in rows])
+
+    def irradiance(self, most: int) -> NDArray[np.float32]:
+        """(K, C, 3) irradiance of cells, as of `IrradianceCache`; `most` as for `Transport.irradiance`."""
+        return self.transport.irradiance(self.of_cells(self.direct, self.reflected), most)

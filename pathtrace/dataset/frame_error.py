@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.image.colour import Image, srgb_from_radiance
-from pathtrace.trace.image import TracedImage
+from pathtrace.trace.traced_images import TracedImage
 
 # Squared bias over the squared change by twice the samples: of five scenes and 1 to 16 samples per half, 3.8
 # to 9.2, about 5 where there is little noise.

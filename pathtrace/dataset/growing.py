@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from compose.base.errors import UserError
-from compose.base.files import write_whole
-from compose.base.json_file import read_json
+from compose.base.files import read_json, write_whole
 from compose.camera.camera import RIGID_TOLERANCE, Camera
-from compose.camera.serialization import camera_from_json, camera_to_json
+from compose.camera.coordinate_systems import camera_from_json, camera_to_json
 from compose.image.colour import Image
-from pathtrace.dataset.exr import (
+from pathtrace.dataset.capture import described_motion, described_scene
+from pathtrace.dataset.captured_frames import (
     CapturedFrame,
+    geometry_of,
     is_intact,
     read_frame,
     read_radiance,
@@ -25,11 +26,9 @@ from pathtrace.dataset.exr import (
     write_radiance,
 )
 from pathtrace.dataset.frame_error import joined
-from pathtrace.dataset.frames import FORMAT_VERSION
-from pathtrace.dataset.rendering import geometry_of
-from pathtrace.dataset.transforms import described_motion, described_scene
+from pathtrace.dataset.frame_set import FORMAT_VERSION
 from pathtrace.trace.film import frame_positions
-from pathtrace.trace.image import TracedImage, trace_image
+from pathtrace.trace.traced_images import TracedImage, trace_image
 from pathtrace.trace.tracer import Tracer
 
 # Between the seeds of views, of passes over one view, and of the two halves of a pass.
@@ -58,7 +57,7 @@ class GrowingFrames:
 
     Every frame is the mean of two independent halves of its samples, denoised together; both are kept, for
     they tell how wrong the frame is (pathtrace.dataset.frame_error), and further samples are added to them.
-    The folder is read by `pathtrace.dataset.frames.read_frame_set`, as that of any capture.
+    The folder is read by `pathtrace.dataset.frame_set.read_frame_set`, as that of any capture.
 
     Args:
         folder: created with the first frame.

@@ -1,21 +1,242 @@
 """Follows lights that change: their light is sampled anew, part by part, and passed on along known links.
 
 Only what lights send changes with them. What surfaces do with light stays as the cache was filled with it.
+Until a place has new samples, its old light stands for them, scaled by how the light of its region changed: a
+lamp that is dimmed dims at once wherever it shines. When all samples were taken anew, nothing old is left.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
-from pathtrace.cache.cache import IrradianceCache
-from pathtrace.cache.renewal import Renewal
-from pathtrace.cache.spreading import Spreading
-from pathtrace.fill.resampling import Part, Resampling
-from pathtrace.fill.segments import segments_beyond_cache
+from pathtrace.cache.irradiance_cache import IrradianceCache
+from pathtrace.cache.light_selection import LightSamples, light_numbers
+from pathtrace.cache.transport import Transfer, Transport, sums_by, told_apart
+from pathtrace.fill.filling import segments_beyond_cache
+from pathtrace.fill.gather import SAMPLES, followed, lit, stratified, surface_at
 from pathtrace.scene.scene import Scene
+from pathtrace.trace.frozen import Frozen
+
+# Share of the mean light that a dark place is taken to have had: where it was dark, a lamp may now shine.
+_LEAST = 1e-3
+# New samples of a region that count as much as those of all regions.
+_TRUST = 8
+# Keeps the light of places that never had any above 0.
+_DARK = 1e-12
+
+
+class Renewal:
+    """Sums over A places, before and after a change of the light.
+
+    Args:
+        sums: (A, 3) sums of the light of all samples of each place before the change.
+        numbers: (A,) number of these samples.
+        regions: (A,) number of the region that each place lies in, from 0 on.
+    """
+
+    def __init__(self, sums: NDArray[Any], numbers: NDArray[np.int64], regions: NDArray[np.int64]):
+        self._numbers, self._regions = numbers, regions
+        places = np.arange(len(numbers))
+        shape = int(regions.max(initial=-1)) + 1, len(numbers)
+        self._summing = sparse.csr_array((np.ones(len(numbers)), (regions, places)), shape)
+        mean = sums.sum(axis=0) / max(numbers.sum(), 1)
+        # Where nothing was lit, any new light is taken to be even.
+        self._old = sums / np.maximum(numbers, 1)[:, None] + np.maximum(_LEAST * mean, _DARK)
+        count = np.maximum(self._summing @ numbers, 1)
+        self._trust = _TRUST * (self._summing @ (numbers[:, None] * self._old)) / count[:, None] + _DARK
+        self._new = np.zeros_like(self._old)
+        self._renewed = np.zeros(len(numbers))
+
+    def add(self, places: NDArray[Any], light: NDArray[np.float32]) -> None:
+        """Adds new samples: their places (M,), and their light (M, 3)."""
+        self._new += sums_by(places, light, len(self._numbers))
+        self._renewed += np.bincount(places, minlength=len(self._numbers))
+
+    def sums(self) -> NDArray[np.float64]:
+        """(A, 3) sums of the light of all samples of each place after the change."""
+        found, expected = self._summing @ self._new, self._summing @ (self._renewed[:, None] * self._old)
+        total = expected.sum(axis=0)
+        overall = np.divide(found.sum(axis=0), total, out=np.ones(3), where=total > 0)
+        change = (found + self._trust * overall) / (expected + self._trust)
+        waiting = (self._numbers - self._renewed)[:, None]
+        return self._new + waiting * self._old * change[self._regions]
+
+    def again(self) -> Renewal:
+        """The renewal after a further change."""
+        return Renewal(self.sums(), self._numbers, self._regions)
+
+
+# Steps at most in which new light has passed all segments.
+_STEPS = 8
+
+
+class Spreading:
+    """Irradiance of cells that follows the light which falls on them directly.
+
+    Args:
+        transport: between the cells.
+        sent: (S, C, 3) irradiance that comes from lights, as for `Transport.irradiance`.
+        most: number of segments that count, as for `Transport.irradiance`.
+    """
+
+    def __init__(self, transport: Transport, sent: NDArray[np.float32], most: int):
+        self._transport, self._next, self._sent = transport, 1, sent
+        self._known = transport.every(sent, most)
+        self._share = -(-(len(self._known) - 1) // _STEPS)
+
+    @property
+    def steps(self) -> int:
+        """Steps after which nothing is left of the light before `restart`."""
+        return -(-(len(self._known) - 1) // max(self._share, 1))
+
+    def restart(self) -> None:
+        """Lets the next steps begin with the first segment."""
+        self._next = 1
+
+    def step(self) -> None:
+        """Passes light on by the next few segments; after the last one, by the first ones again."""
+        for _ in range(self._share):
+            self._next = self._next if self._next < len(self._known) else 1
+            received = self._transport.received(self._known[: self._next])
+            self._known[self._next] = self._sent[min(self._next, len(self._sent) - 1)] + received
+            self._next += 1
+
+    def light(self, sent: NDArray[np.float32]) -> None:
+        """Sets the light (S, C, 3) that the next steps pass on."""
+        self._sent, self._known[0] = sent, sent[0]
+
+    def irradiance(self, cells: NDArray[np.int64]) -> NDArray[np.float32]:
+        """(K, c, 3) of cells given by their indices, as of `IrradianceCache`."""
+        return told_apart([np.take(light, cells, axis=0) for light in self._known])
+
+
+@dataclass(frozen=True)
+class Part:
+    """New samples at n of the points of a `Transfer`, and of m of its rays; computed when they are read.
+
+    Attributes:
+        points: which points, in their order.
+        rays: which rays.
+        sampled: Dr.Jit arrays: of the points' irradiance, of that of each sample, and of its light.
+        shown: Dr.Jit arrays of the irradiance by rays.
+        numbers: index of each light by the number by which kernels know it.
+    """
+
+    points: slice
+    rays: slice
+    sampled: tuple[Any, ...]
+    shown: tuple[Any, ...]
+    numbers: NDArray[np.uint32]
+
+    def direct(self) -> NDArray[np.float32]:
+        """(n, 3) irradiance of the points from lights."""
+        return _rows(self.sampled[:3], self.points)
+
+    def reflected(self) -> NDArray[np.float32]:
+        """(m, 3) irradiance from lights that rays found in mirrors, glossy surfaces and glass."""
+        return _rows(self.shown, self.rays)
+
+    def lights(self) -> LightSamples:
+        """The samples of lights; their points are numbered from the first of the part on."""
+        count = SAMPLES * (self.points.stop - self.points.start)
+        irradiance, registered = (values.numpy()[:count] for values in self.sampled[3:])
+        return LightSamples(np.arange(count) // SAMPLES, self.numbers[registered], irradiance)
+
+
+class Resampling:
+    """Samples the lights of a scene in a number of parts, round after round.
+
+    Args:
+        scene: a Mitsuba scene.
+        transfer: its points and rays.
+        parts: number of parts.
+        seed: same seed, same samples.
+    """
+
+    def __init__(self, scene: Any, transfer: Transfer, parts: int, seed: int):
+        self._scene, self._numbers = scene, light_numbers(scene)
+        self._parts, self._next, self._random = parts, 0, np.random.default_rng(seed)
+        self._counts = len(transfer.points), len(transfer.rays)
+        self._sizes = tuple(-(-count // parts) for count in self._counts)
+        position, normal = transfer.points.position, transfer.points.normal
+        self._points = mi.Point3f(position.T), mi.Normal3f(normal.T)
+        # One more ray, since kernels cannot read from an empty array.
+        self._rays = (
+            mi.UInt32(np.append(transfer.rays.point, np.int32(0)).astype(np.uint32)),
+            mi.Point2f(np.append(transfer.rays.square, np.zeros((1, 2), np.float32), axis=0).T),
+            mi.Float(np.append(transfer.rays.weight, np.float32(0))),
+        )
+        dr.eval(self._points, self._rays)
+        self._light, self._show = Frozen(self._of_points), Frozen(self._of_rays)
+
+    def next_part(self) -> Part:
+        """Samples of the part after the last one, under the lights as they are now."""
+        points, rays = (
+            slice(min(self._next * size, count), min((self._next + 1) * size, count))
+            for size, count in zip(self._sizes, self._counts, strict=True)
+        )
+        self._next = (self._next + 1) % self._parts
+        sampled = self._light(self._scene, self._state(), dr.opaque(mi.UInt32, points.start), *self._points)
+        shown: tuple[Any, ...] = ()
+        if self._sizes[1]:
+            first = dr.opaque(mi.UInt32, rays.start)
+            shown = self._show(self._scene, self._state(), first, *self._points, *self._rays)
+        return Part(points, rays, sampled, shown, self._numbers)
+
+    def _state(self) -> Any:
+        return dr.opaque(mi.UInt32, int(self._random.integers(1 << 32)))
+
+    def _of_points(self, scene: Any, state: Any, first: Any, position: Any, normal: Any) -> tuple[Any, ...]:
+        """Direct light at points, its samples and their lights; frozen."""
+        lane = dr.arange(mi.UInt32, self._sizes[0] * SAMPLES)
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(state, self._sizes[0] * SAMPLES)
+        point = first + lane // SAMPLES
+        active = point < self._counts[0]
+        at = surface_at(
+            dr.gather(mi.Point3f, position, point, active), dr.gather(mi.Normal3f, normal, point, active)
+        )
+        squares = stratified(sampler, lane), stratified(sampler, lane)
+        irradiance, by_shadow_rays, registered = lit(scene, at, *squares, active)
+        samples = [*irradiance, dr.mean(by_shadow_rays), registered]
+        dr.eval(samples)
+        means = [dr.block_sum(channel, SAMPLES) / SAMPLES for channel in samples[:3]]
+        dr.eval(means)
+        return *means, *samples[3:]
+
+    def _of_rays(
+        self, scene: Any, state: Any, first: Any, position: Any, normal: Any, *rays: Any
+    ) -> tuple[Any, ...]:
+        """Light of lights that rays find; frozen."""
+        point, square, weight = rays
+        ray = first + dr.arange(mi.UInt32, self._sizes[1])
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(state, self._sizes[1])
+        active = ray < self._counts[1]
+        start = dr.gather(mi.UInt32, point, ray, active)
+        at = surface_at(
+            dr.gather(mi.Point3f, position, start, active), dr.gather(mi.Normal3f, normal, start, active)
+        )
+        found = followed(scene, sampler, at, dr.gather(mi.Point2f, square, ray, active), active)
+        counts = dr.gather(mi.Float, weight, ray, active)
+        shown = tuple(dr.select(active, counts * channel, 0) for channel in found.radiance)
+        dr.eval(shown)
+        return shown
+
+
+def _rows(channels: tuple[Any, ...], part: slice) -> NDArray[np.float32]:
+    """(n, 3) the values of a part; lanes beyond its end are left out."""
+    if not channels:
+        return np.zeros((0, 3), dtype=np.float32)
+    return np.stack([channel.numpy()[: part.stop - part.start] for channel in channels], axis=1)
+
 
 # Updates in which all points and rays are sampled anew.
 PARTS = 12

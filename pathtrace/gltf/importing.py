@@ -18,17 +18,20 @@ from numpy.typing import NDArray
 
 from compose.base.errors import UserError, one_line
 from compose.base.files import PART_PREFIX, write_whole
-from pathtrace.gltf.animation import chosen_animation
+from pathtrace.gltf.animated_nodes import Nodes, chosen_animation
 from pathtrace.gltf.document import EXTENSIONS, Document, read_document
 from pathtrace.gltf.lights import Light, brightness, camera, constant_light, read_lights
-from pathtrace.gltf.materials import Materials
-from pathtrace.gltf.meshes import write_mesh
-from pathtrace.gltf.movement import Movement, movement_of, require_few, times_of
-from pathtrace.gltf.nodes import Nodes
-from pathtrace.gltf.primitives import Primitive, read_primitives
-from pathtrace.gltf.rigid import as_json, keyframes_of, without_scale
-from pathtrace.gltf.textures import Textures
-from pathtrace.gltf.xml import plugin, value
+from pathtrace.gltf.materials import Materials, Textures, plugin, value
+from pathtrace.gltf.meshes import Primitive, read_primitives, write_mesh
+from pathtrace.gltf.movement import (
+    Movement,
+    as_json,
+    keyframes_of,
+    movement_of,
+    require_few,
+    times_of,
+    without_scale,
+)
 
 Array = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.camera.axes import mitsuba_from_opencv, opencv_from_opengl
+from compose.camera.coordinate_systems import mitsuba_from_opencv, opencv_from_opengl
+from pathtrace.gltf.animated_nodes import Nodes
 from pathtrace.gltf.document import Document
-from pathtrace.gltf.nodes import Nodes
-from pathtrace.gltf.rigid import without_scale
-from pathtrace.gltf.xml import plugin, to_world, value
+from pathtrace.gltf.materials import plugin, to_world, value
+from pathtrace.gltf.movement import without_scale
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from pathtrace.scene.tessellation import triangles_of
+from pathtrace.scene.triangles import triangles_of
 
 Array = NDArray[np.float64]
 

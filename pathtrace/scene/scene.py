@@ -7,25 +7,90 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import mitsuba as mi
+import numpy as np
+
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
-from compose.camera.place import WORLD, Place
-from pathtrace.motion.motion_file import read_motion
-from pathtrace.scene.bundled import scene_file
-from pathtrace.scene.coordinates import fingerprint_in, in_good_coordinates
-from pathtrace.scene.description import DEFAULT_MAX_DEPTH, read_description
-from pathtrace.scene.fingerprint import (
+from compose.camera.coordinate_systems import WORLD, Place
+from pathtrace.scene.loading import (
+    Source,
+    camera_of_sensor,
+    fingerprint_in,
+    in_good_coordinates,
+    load_mitsuba,
+)
+from pathtrace.scene.motion_file import read_motion
+from pathtrace.scene.moving_scene import MovingScene
+from pathtrace.scene.panes import with_thin_glass
+from pathtrace.scene.scene_xml import (
+    DEFAULT_MAX_DEPTH,
     dictionary_fingerprint,
     fingerprint_at_depth,
     fingerprint_in_motion,
     fingerprint_with_thin_glass,
+    read_description,
 )
-from pathtrace.scene.loading import Source, load_mitsuba
-from pathtrace.scene.moving import MovingScene
-from pathtrace.scene.ordering import with_ordered_shapes
-from pathtrace.scene.panes import with_thin_glass
-from pathtrace.scene.sensor import camera_of_sensor
 from pathtrace.scene.sunsky import balanced_dictionary
+
+_REPOSITORY_SCENES = Path(__file__).resolve().parents[2] / "scenes"
+_INSTALLED_SCENES = Path(__file__).resolve().parents[1] / "scenes"
+
+
+def bundled_scenes() -> dict[str, Path]:
+    """Names and files of the scenes that come with the project."""
+    folder = _INSTALLED_SCENES if _INSTALLED_SCENES.is_dir() else _REPOSITORY_SCENES
+    return {path.parent.name: path for path in sorted(folder.glob("*/*.xml"))}
+
+
+def scene_file(source: str | Path) -> Path:
+    """The XML file of a scene.
+
+    Args:
+        source: a bundled scene's name, the path of an XML file, or of a folder with a scene.xml.
+
+    Raises:
+        UserError: there is no such scene.
+    """
+    bundled = bundled_scenes()
+    if str(source) in bundled:
+        return bundled[str(source)]
+    path = Path(source)
+    if path.is_dir():
+        path = path / "scene.xml"
+    if not path.is_file():
+        raise UserError(f"{source}: no such scene; name one of {', '.join(bundled)} or a Mitsuba XML file")
+    return path.resolve()
+
+
+def with_ordered_shapes(scene: Any) -> tuple[Any, dict[str, str]]:
+    """The same Mitsuba scene with its shapes sorted by bounding box and number of primitives.
+
+    Returns:
+        The scene, and the ids that its shapes, and lights that are none, have in it by those that they had.
+
+    Where Mitsuba merges meshes, the order of the merged meshes, and of the lights among them, differs each
+    time a scene is loaded: the same random number would choose another light, and the same seed give other
+    noise. Scenes with instances keep the order in which they were loaded.
+    """
+    if any(shape.class_name() == "Instance" for shape in scene.shapes()):
+        # Instances cannot leave the scene that holds what they repeat.
+        return scene, {part.id(): part.id() for part in (*scene.shapes(), *scene.emitters())}
+    parts = {f"sensor_{number}": sensor for number, sensor in enumerate(scene.sensors())}
+    # Area lights belong to their shapes.
+    emitters = [emitter for emitter in scene.emitters() if emitter.get_shape() is None]
+    parts |= {f"emitter_{number}": emitter for number, emitter in enumerate(emitters)}
+    shapes = sorted(scene.shapes(), key=_sort_key)
+    parts |= {f"shape_{number:06}": shape for number, shape in enumerate(shapes)}
+    names = {part.id(): name for name, part in parts.items()}
+    return mi.load_dict({"type": "scene", **parts}, optimize=False), names
+
+
+def _sort_key(shape: Any) -> tuple[float, ...]:
+    """Bounding box (minimum, maximum) and number of primitives of a shape."""
+    box = shape.bbox()
+    return (*np.ravel(box.min).tolist(), *np.ravel(box.max).tolist(), float(shape.primitive_count()))
+
 
 RUSSIAN_ROULETTE_DEPTH = 5
 
@@ -35,7 +100,7 @@ class Scene:
     """A loaded scene.
 
     A scene that is very small, or far from the origin, is held in coordinates of its own
-    (pathtrace.scene.coordinates); those of all others are the world's, that of the scene's file.
+    (pathtrace.scene.loading); those of all others are the world's, that of the scene's file.
 
     Attributes:
         name: its name in files and reports.
@@ -109,7 +174,7 @@ def load_scene(
         max_depth: path depth, at least 1, instead of the scene's own.
         thin_glass: whether panes of glass pass light straight on, so that shadow rays reach lights behind
             them: with far less noise, but without the shift of what is seen through thick ones.
-        motion: a motion file (pathtrace.motion.motion_file); by default the one beside the scene's file whose
+        motion: a motion file (pathtrace.scene.motion_file); by default the one beside the scene's file whose
             name ends in .motion.json instead of .xml, if there is one.
 
     Raises:

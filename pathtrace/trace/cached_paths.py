@@ -12,10 +12,15 @@ from typing import Any, Protocol
 import drjit as dr
 import mitsuba as mi
 
-from pathtrace.cache.cache import CacheArrays, look_up
-from pathtrace.cache.lights import Lights
-from pathtrace.cache.lobes import irradiance_share, sampled_share, shows_lights
-from pathtrace.trace.sequences import LIGHT, SCATTERING, Sequences
+from pathtrace.cache.irradiance_cache import (
+    CacheArrays,
+    irradiance_share,
+    look_up,
+    sampled_share,
+    shows_lights,
+)
+from pathtrace.cache.light_selection import Lights
+from pathtrace.trace.sampling import LIGHT, SCATTERING, Sequences
 
 _UNBOUNDED = 1 << 30
 # Share of paths that survive roulette at most.

@@ -9,8 +9,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from compose.fovea.movers import STILL, UNSTEADY
-from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
+from compose.base.traced_samples import DIFFUSE, GLOSSY, SPECULAR, STILL, UNSTEADY
 
 # Distance of the sky: beyond any scene, for its square is about the largest number that float32 holds. Seen
 # from anywhere in the scene, it lies in the same direction.
@@ -52,8 +51,8 @@ class AuxiliaryFeatures:
         normal: three (N,) arrays, shading normal in world space; 0 for the sky.
         position: three (N,) arrays, apparent position in the world of what is seen: on the surface that is
             hit, or behind a flat mirror.
-        gloss: (N,) class of gloss of what is seen: DIFFUSE, GLOSSY or SPECULAR of `compose.image.gloss`.
-        mover: (N,) its number among what moves (compose.fovea.movers); None where nothing does.
+        gloss: (N,) class of gloss of what is seen: DIFFUSE, GLOSSY or SPECULAR.
+        mover: (N,) its number among what moves (compose.base.traced_samples); None where nothing does.
     """
 
     albedo: list[Any]

@@ -17,14 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import constant, uploaded
+from compose.base.traced_samples import Counts
 from compose.camera.camera import Camera
-from compose.fovea.counts import Counts
-from pathtrace.base.frozen import Frozen
-from pathtrace.cache.cache import CacheArrays, IrradianceCache
 from pathtrace.cache.cells import Grid
+from pathtrace.cache.irradiance_cache import CacheArrays, IrradianceCache
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.cached_paths import PathSettings, path_radiance
-from pathtrace.trace.film import FilmPositions
+from pathtrace.trace.film import FilmPositions, opaque_camera, ray_through
 from pathtrace.trace.first_hit import (
     AuxiliaryFeatures,
     FirstHits,
@@ -34,9 +33,8 @@ from pathtrace.trace.first_hit import (
     has_clear_surfaces,
     registered,
 )
-from pathtrace.trace.lanes import Lanes
-from pathtrace.trace.rays import opaque_camera, ray_through
-from pathtrace.trace.sequences import Sequences
+from pathtrace.trace.frozen import Frozen
+from pathtrace.trace.sampling import Lanes, Sequences
 
 # Lanes traced at once: bounds the memory that many samples of a large frame take. Samples of a position are
 # traced in several passes, and positions in several parts where they alone are more than that.

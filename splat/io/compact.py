@@ -1,32 +1,247 @@
 """The compact encoding of a forest's nodes: few bits per number, with errors that are bounded for any forest.
 
 Niantic's SPZ files have similar bits. Here, coordinates have no fixed step, radiance has no largest value,
-and trees are kept.
+and trees are kept. What is decoded encodes to the same codes.
+
+Sizes, opacities and colours are rounded to steps chosen by what the eye and the rasterizer see. Steps of
+equal size have an error that is known for any Gaussian; ranges that are fitted to a scene would lose it to a
+few that are extreme. Values that are rare take few bits once they are packed.
+
+Quaternions take 33 bits: three components over the largest one, in steps of 1/511. Unlike with the three
+smallest of a unit quaternion, what is decoded encodes to the same codes, also where two components are
+equally large. Signs are kept: a learned field of deformations adds to quaternions.
+
+Positions take 16 bits per axis, between the corners of boxes around few nodes. Nodes of a layer lie along a
+space-filling curve, so that boxes around those that follow each other are small. They are made smaller until
+their steps are finer than what they hold; the box of a single node is a point.
 """
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
+from scipy.special import expit
 
-from splat.io.orientations import codes_of_rotations, rotations_of_codes
-from splat.io.positions import Boxes, boxed, tolerance, unboxed
-from splat.io.rounding import (
-    Codes,
-    codes_of_constants,
-    codes_of_harmonics,
-    codes_of_log_scales,
-    codes_of_opacities,
-    constants_of_codes,
-    harmonics_of_codes,
-    log_scales_of_codes,
-    logits_of_codes,
-)
 from splat.model.forest import Forest
-from splat.model.gaussians import Directional, Gaussians, apart
+from splat.model.gaussians import SH_DC, Directional, Gaussians, apart
 from splat.model.layer import Layer
+from splat.model.points import Floats, Ints
+
+# Whole numbers of the type that a file has.
+Codes = NDArray[Any]
+
+# Steps per unit of a logarithm: sizes are right to 1.6 %. Any float32's exponent lies within the bound.
+_PER_LOG, _MOST_LOG = 32, 128.0
+# Below 1/255 nothing is drawn, above 0.99 nothing is told apart: eight bits are what opacity has.
+_OPACITIES = 256
+# Steps per unit of the perceptual scale: colours are right to 1/512, half a step of an 8-bit display.
+_PER_COLOUR = 256
+# Then harmonics up to the second degree, together, are as right as the colour: the mean square of each over
+# directions is 1 / (4 pi) of its coefficient's.
+_PER_HARMONIC = 256
+# Larger colours and harmonics end there; both are inside of float32.
+_LARGEST = 8e37
+
+
+def codes_of_log_scales(log_scales: Floats) -> Codes:
+    """Codes, int16, of natural logarithms of sizes; beyond those of float32's numbers they end."""
+    return np.rint(np.clip(log_scales, -_MOST_LOG, _MOST_LOG) * _PER_LOG).astype(np.int16)
+
+
+def log_scales_of_codes(codes: Codes) -> Floats:
+    """Natural logarithms of sizes, within 1/64 of what was encoded."""
+    return np.clip(codes / _PER_LOG, -_MOST_LOG, _MOST_LOG)
+
+
+def codes_of_opacities(logits: Floats) -> Codes:
+    """Codes, uint8, of opacities before the sigmoid."""
+    return np.minimum(np.floor(expit(logits) * _OPACITIES), _OPACITIES - 1).astype(np.uint8)
+
+
+def logits_of_codes(codes: Codes) -> Floats:
+    """Opacities before the sigmoid; after it, within 1/512 of what was encoded, and inside of (0, 1)."""
+    opacity = (codes + 0.5) / _OPACITIES
+    return np.log(opacity / (1 - opacity))
+
+
+def codes_of_constants(coefficients: Floats) -> Codes:
+    """Codes, int16, of constant spherical harmonics: of the colours that they stand for."""
+    return _unsigned(_steps(0.5 + SH_DC * coefficients, _PER_COLOUR))
+
+
+def constants_of_codes(codes: Codes) -> Floats:
+    """Constant harmonics; their colours are within 1/512, or of larger ones within that share."""
+    return (_expanded(_signed(codes) / _PER_COLOUR) - 0.5) / SH_DC
+
+
+def codes_of_harmonics(coefficients: Floats) -> Codes:
+    """Codes, int16, of spherical harmonics that depend on direction."""
+    return _unsigned(_steps(coefficients, _PER_HARMONIC))
+
+
+def harmonics_of_codes(codes: Codes) -> Floats:
+    """Harmonics that depend on direction, within 1/512, or of larger ones within that share."""
+    return _expanded(_signed(codes) / _PER_HARMONIC)
+
+
+def _steps(values: Floats, per_unit: int) -> Floats:
+    """Companded values in whole steps, of which there are fewer than 2^15 of each sign."""
+    most = np.floor(_companded(np.array(_LARGEST)) * per_unit)
+    return np.clip(np.rint(_companded(values) * per_unit), -most, most)
+
+
+def _companded(values: Floats) -> Floats:
+    """Values up to 1 as they are, larger ones by their logarithm: light has no largest value."""
+    size = np.abs(values)
+    return np.where(size <= 1, values, np.copysign(1 + np.log(np.maximum(size, 1)), values))
+
+
+def _expanded(values: Floats) -> Floats:
+    """The inverse of `_companded`."""
+    size = np.abs(values)
+    return np.where(size <= 1, values, np.copysign(np.exp(np.maximum(size, 1) - 1), values))
+
+
+def _unsigned(values: Floats) -> Codes:
+    """0, -1, 1, -2, ... as 0, 1, 2, 3, ...: small ones of both signs then have the same upper byte, 0."""
+    whole = values.astype(np.int32)
+    return ((whole << 1) ^ (whole >> 31)).astype(np.uint16).view(np.int16)
+
+
+def _signed(codes: Codes) -> Codes:
+    """The inverse of `_unsigned`."""
+    unsigned = codes.view(np.uint16).astype(np.int32)
+    return (unsigned >> 1) ^ -(unsigned & 1)
+
+
+_TURN_STEPS = 511
+
+
+def codes_of_rotations(quaternions: Floats) -> tuple[Codes, Codes]:
+    """Codes of quaternions (4, N) of any length; that of length 0, which turns nothing, becomes (1, 0, 0, 0).
+
+    Returns:
+        (N,) uint8, which component is the largest, plus 4 if it is negative; and (3, N) int16, the others
+        over it.
+    """
+    largest = np.abs(quaternions).max(axis=0)
+    turned = np.where(largest > 0, quaternions, np.array([[1.0], [0], [0], [0]]))
+    steps = np.rint(turned / np.where(largest > 0, largest, 1) * _TURN_STEPS).astype(np.int16)
+    # Of components that are equally large after rounding, the first one.
+    index = (np.abs(steps) == _TURN_STEPS).argmax(axis=0)[None]
+    sign = np.sign(np.take_along_axis(steps, index, axis=0))
+    others = np.take_along_axis(steps * sign, _others(index[0]), axis=0)
+    return (index + 4 * (sign < 0))[0].astype(np.uint8), others
+
+
+def rotations_of_codes(largest: Codes, others: Codes) -> Floats:
+    """Quaternions (4, N), turned by at most 0.2 degrees, whose largest component is 1 or -1.
+
+    Raises:
+        ValueError: there is no such component, or another one is larger.
+    """
+    if len(largest) and (largest.max() >= 8 or np.abs(others.astype(np.int32)).max() > _TURN_STEPS):
+        raise ValueError("rotations with codes that do not exist")
+    index, sign = (largest % 4).astype(np.int64), np.where(largest >= 4, -1.0, 1.0)
+    quaternions = np.empty((4, len(largest)))
+    np.put_along_axis(quaternions, index[None], sign[None], axis=0)
+    np.put_along_axis(quaternions, _others(index), sign * others / _TURN_STEPS, axis=0)
+    return quaternions
+
+
+def _others(index: Ints) -> Ints:
+    """(3, N) the components besides those at an index (N,)."""
+    others = np.arange(3)[:, None]
+    return others + (others >= index)
+
+
+_BOX_STEPS = 2**16 - 1
+_LARGEST_BOX = 256
+# A node's position is right to this share of its shortest axis. Of one as flat as a sheet, a share of its
+# longest axis: then, what fills a hundred pixels moves by a tenth of one.
+_OF_SHORTEST, _OF_LONGEST = 1 / 16, 1 / 1024
+
+
+@dataclass(frozen=True)
+class Boxes:
+    """B boxes around the N nodes of a forest, in their order.
+
+    Attributes:
+        counts: (B,) int32, nodes in each.
+        low, high: (3, B) float32 corners.
+        codes: (3, N) int16, of each node the steps from low to high, unsigned.
+    """
+
+    counts: Codes
+    low: NDArray[np.float32]
+    high: NDArray[np.float32]
+    codes: Codes
+
+
+def tolerance(log_scales: Floats) -> Floats:
+    """(N,) furthest that a node may be moved, from logarithms of its axes (3, N)."""
+    return np.maximum(
+        _OF_SHORTEST * np.exp(log_scales.min(axis=0)), _OF_LONGEST * np.exp(log_scales.max(axis=0))
+    )
+
+
+def boxed(means: Floats, tolerated: Floats, layers: tuple[int, ...]) -> Boxes:
+    """Encodes positions.
+
+    Args:
+        means: (3, N), numbers of float32.
+        tolerated: (N,) furthest that each may be moved, apart from float32's own rounding.
+        layers: nodes per layer; no box holds nodes of two.
+    """
+    first = _firsts(means, tolerated, layers)
+    counts = np.diff(np.r_[first, means.shape[1]])
+    low, high = _corners(means, first)
+    wide, from_low = (np.repeat(part, counts, axis=1) for part in (high - low, low))
+    share = (means - from_low) / np.where(wide > 0, wide, 1)
+    codes = np.rint(share * _BOX_STEPS).astype(np.uint16).view(np.int16)
+    return Boxes(counts.astype(np.int32), low.astype(np.float32), high.astype(np.float32), codes)
+
+
+def unboxed(boxes: Boxes) -> Floats:
+    """Positions (3, N), within the tolerance of what was encoded, corners exactly.
+
+    Raises:
+        ValueError: the boxes do not hold as many nodes as there are codes.
+    """
+    counts = boxes.counts.astype(np.int64)
+    if (counts < 1).any() or counts.sum() != boxes.codes.shape[1]:
+        raise ValueError("boxes that do not hold all positions")
+    low, high = (np.repeat(part.astype(np.float64), counts, axis=1) for part in (boxes.low, boxes.high))
+    share = boxes.codes.view(np.uint16) / _BOX_STEPS
+    return low * (1 - share) + high * share
+
+
+def _firsts(means: Floats, tolerated: Floats, layers: tuple[int, ...]) -> Ints:
+    """(B,) index of the first node of each box: halves of halves until all are small enough."""
+    ends = np.cumsum(layers)
+    starts = [np.arange(end - n, end, _LARGEST_BOX) for end, n in zip(ends, layers, strict=True)]
+    first = np.concatenate(starts).astype(np.int64)
+    while len(first):
+        counts = np.diff(np.r_[first, means.shape[1]])
+        low, high = _corners(means, first)
+        error = np.linalg.norm((high - low) / (2 * _BOX_STEPS), axis=0)
+        coarse = (error > np.minimum.reduceat(tolerated, first)) & (counts > 1)
+        if not coarse.any():
+            break
+        first = np.sort(np.r_[first, (first + counts // 2)[coarse]])
+    return first
+
+
+def _corners(means: Floats, first: Ints) -> tuple[Floats, Floats]:
+    """(3, B) lowest and highest coordinates of nodes (3, N) from each index (B,) up to the next one."""
+    if not len(first):
+        return np.zeros((3, 0)), np.zeros((3, 0))
+    return np.minimum.reduceat(means, first, axis=1), np.maximum.reduceat(means, first, axis=1)
+
 
 _BOXES = "boxes."
 

@@ -13,28 +13,26 @@ from typing import Any
 
 import torch
 
-from compose.base.errors import UserError, one_line
-from compose.base.named import under
-from compose.base.scene_names import claimed_scene
-from compose.camera.place import WORLD, Place
-from splat.deformation.learned import LearnedMotion
+from compose.base.errors import UserError, claimed_scene, one_line
+from compose.base.files import under
+from compose.camera.coordinate_systems import WORLD, Place
 from splat.io.compact import decoded, exactly_encoded
-from splat.io.packing import packed, unpacked
 from splat.io.tensors import (
     COMPACT_VERSION,
     FORMAT_VERSION,
     PLACED_VERSION,
     load_metadata,
     load_tensors,
+    packed,
     save_tensors,
+    unpacked,
 )
-from splat.model.check import check_forest
-from splat.model.dynamics import Dynamics
+from splat.model.dynamic_light import LightCourse
 from splat.model.forest import Forest
 from splat.model.gaussians import TENSORS, Directional, Gaussians
-from splat.model.layer import LABELS, Layer
-from splat.model.light_course import LightCourse
-from splat.model.motion import Motion
+from splat.model.layer import LABELS, Layer, check_forest
+from splat.model.learned_motion import LearnedMotion
+from splat.model.motion import Dynamics, Motion
 
 _ATTACHED, _MOTION, _LIGHT, _DIRECTIONAL = "attached.", "motion.", "light.", "directional."
 # In the metadata of compact files: type and shape of each packed tensor.

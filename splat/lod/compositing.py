@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
-from splat.lod.image import SplatImage
-from splat.lod.layer_images import AtlasEntry, Mask
+from splat.lod.layer_images import AtlasEntry, Mask, SplatImage
 from splat.raster.blocks import CHANNELS, PIXEL
 from splat.raster.records import RecordLayout, Records, records_before
 from splat.raster.tiles import TILE, TileGrid

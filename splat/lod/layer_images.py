@@ -1,14 +1,18 @@
-"""Images of single layers, each at one sampling rate, and the atlas that holds all images of a frame."""
+"""Images of a forest on the device: of single layers at one sampling rate each, in an atlas; of a frame."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from splat.raster.tiles import TILE
+from compose.base.arrays import Arrays
+from compose.camera.camera import Camera
+from compose.image.device_image import DeviceImage
+from splat.raster.tiles import TILE, TileGrid
 
 Lattice = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -126,3 +130,21 @@ def _grown(mask: Mask) -> Mask:
     grown[:, 1:] |= tall[:, :-1]
     grown[:, :-1] |= tall[:, 1:]
     return grown
+
+
+@dataclass(frozen=True)
+class SplatImage(DeviceImage):
+    """An image of a forest, black where nothing is drawn.
+
+    Attributes:
+        nodes: Gaussians drawn, those in several layer images counted in each.
+    """
+
+    nodes: int = 0
+
+
+def black_image(arrays: Arrays, camera: Camera, nodes: int = 0) -> SplatImage:
+    """A black image of a camera's size."""
+    grid = TileGrid(camera.width, camera.height)
+    black = dr.zeros(arrays.plain.Float, grid.padded_width * grid.padded_height * 3)
+    return SplatImage(arrays, black, camera.width, camera.height, grid.padded_width, nodes=nodes)

@@ -15,14 +15,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from compose.camera.place import WORLD, Place
-from splat.model.dynamics import Dynamics
+from compose.camera.coordinate_systems import WORLD, Place
+from splat.model.dynamic_light import LightCourse, SurfaceLight
 from splat.model.gaussians import Gaussians
 from splat.model.layer import Layer, concatenated_layers
-from splat.model.light_course import LightCourse
-from splat.model.rows import means_of
-from splat.model.surface_light import SurfaceLight
-from splat.model.z_curve import z_curve_order
+from splat.model.motion import Dynamics
+from splat.model.points import means_of, z_curve_order
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The parameters of 3D Gaussians, as a structure of arrays.
+"""The parameters of 3D Gaussians, as a structure of arrays, and the perceptual scale of their colours.
 
 Radiance is linear and unbounded. The spherical harmonics represent it on a perceptual scale, the sRGB curve
 continued above 1: on this scale 3D Gaussian splatting trains, its files store colours, and a lamp of
@@ -237,3 +237,15 @@ def _check_directional(directional: Directional, constant: int, count: int) -> N
         raise ValueError("an index of directional harmonics that is not of int64 numbers")
     if len(index) and (int(index[0]) < 0 or int(index[-1]) >= count or bool((index.diff() <= 0).any())):
         raise ValueError(f"directional harmonics of others than {count} Gaussians in ascending order")
+
+
+def perceptual_from_radiance(radiance: torch.Tensor) -> torch.Tensor:
+    """The sRGB curve on linear radiance >= 0, continued above 1 by the same power."""
+    power = 1.055 * radiance.clamp(min=0.0031308) ** (1 / 2.4) - 0.055
+    return torch.where(radiance <= 0.0031308, 12.92 * radiance, power)
+
+
+def radiance_from_perceptual(value: torch.Tensor) -> torch.Tensor:
+    """The inverse of `perceptual_from_radiance`, of values >= 0."""
+    power = ((value.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4
+    return torch.where(value <= 0.04045, value / 12.92, power)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
 import drjit as dr
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
@@ -14,15 +17,47 @@ from compose import LLVM
 from compose.base.arrays import ALIGNED_FLOATS, Arrays, BackendName
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
-from compose.camera.place import WORLD, Place
-from splat.model.gaussians import Gaussians
-from splat.model.placing import from_world
+from compose.camera.coordinate_systems import WORLD, Place
+from splat.model.gaussians import SH_DC, Directional, Gaussians
+from splat.model.points import from_world
 from splat.raster.binning import Candidates
 from splat.raster.blocks import CHANNELS
-from splat.raster.directional import seen_from
+from splat.raster.harmonics import sh_basis
 from splat.raster.parts import Parts, rasterize_parts, rasterize_parts_backward
-from splat.raster.projection import PIXEL_FILTER, Parameters, project
+from splat.raster.projection import NEAR, PIXEL_FILTER, Parameters, project
 from splat.raster.tiles import TileGrid
+
+
+def seen_from(gaussians: Gaussians, eye: NDArray[np.float64]) -> Gaussians:
+    """Gaussians whose constant harmonic is what they show to an eye (3,), for kernels; differentiable.
+
+    Only those with directional harmonics change. Where all have them, kernels compute them, from `sh`.
+    """
+    further = gaussians.directional
+    if further is None or len(further) == len(gaussians):
+        return gaussians.all_turning()
+    radiance = directional_radiance(further, gaussians.means, eye)
+    constant = gaussians.sh[0].index_add(1, further.index, radiance / SH_DC)
+    return replace(gaussians, sh=constant[None], directional=None)
+
+
+def directional_radiance(further: Directional, means: torch.Tensor, eye: NDArray[np.float64]) -> torch.Tensor:
+    """(3, M) what harmonics above the constant one add to the perceptual radiance that an eye sees.
+
+    Args:
+        further: of M of N Gaussians.
+        means: (3, N) their centres.
+        eye: (3,) in the same coordinates.
+    """
+    # In float64, as in the projection: in float32 a difference of large numbers is lost.
+    position = torch.from_numpy(np.ascontiguousarray(eye)).to(means.device)[:, None]
+    from_eye = means.index_select(1, further.index).double() - position
+    # What is nearer is not drawn; a Gaussian at the eye itself has no direction.
+    direction = (from_eye / from_eye.norm(dim=0).clamp(min=NEAR)).to(means.dtype)
+    basis = sh_basis(further.sh.shape[0] + 1, list(direction))[1:]
+    if not basis:
+        return means.new_zeros(3, len(further))
+    return (further.sh * torch.stack(basis)[:, None]).sum(dim=0)
 
 
 def render(

@@ -16,8 +16,7 @@ import drjit as dr
 
 from compose.base.arrays import Arrays
 from splat.raster.binning import Bins, Candidates, Window
-from splat.raster.blending import new_images, rasterize
-from splat.raster.gradient import added_sums, gradients_from_sums, no_sums
+from splat.raster.blending import added_sums, gradients_from_sums, new_images, no_sums, rasterize
 from splat.raster.projection import Splats
 
 # Candidate pairs that are listed at once. Binning, blending and gradient take some 90 bytes for each, so

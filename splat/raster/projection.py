@@ -33,8 +33,8 @@ _COMPENSATION_FLOOR = 2.5e-5
 # from there: at their own tangent, those beside the camera would smear over the whole frame. Kerbl et al. go
 # out to 1.3 times the half field of view, which leaves a haze where viewers stand near a wall.
 _TANGENT_LIMIT = 1.0
-# Gaussians nearer to the camera are not drawn. In their own unit of length (compose.camera.place), so that
-# neither this nor the range of depths that are told apart depends on the size of a scene.
+# Gaussians nearer to the camera are not drawn. In their own unit of length (`Place`), so that neither this
+# nor the range of depths that are told apart depends on the size of a scene.
 NEAR = 0.01
 # Standard deviations in px: a longer axis covers any frame evenly. The square of its precision, by which the
 # gradient is multiplied, still fits float32.

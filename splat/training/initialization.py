@@ -9,13 +9,12 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from splat.model.dynamics import Dynamics
-from splat.model.gaussians import SH_DC, Gaussians, sh_count
+from splat.model.dynamic_light import NodeLight
+from splat.model.gaussians import SH_DC, Gaussians, perceptual_from_radiance, sh_count
 from splat.model.layer import Layer, concatenated_layers, static_layer
-from splat.model.perceptual import perceptual_from_radiance
-from splat.training.node_light import NodeLight
+from splat.model.motion import Dynamics
 from splat.training.sky import rotation_to, whole_sky
-from splat.training.views import TrainingView
+from splat.training.training_view import TrainingView
 
 # A seed is a flat disc on its surface, this much thinner than wide.
 _FLATNESS = 0.2

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
-from splat.model.gaussians import SH_DC, Gaussians, sh_count
-from splat.model.perceptual import perceptual_from_radiance
+from splat.model.gaussians import SH_DC, Gaussians, perceptual_from_radiance, sh_count
 
-# In units of a place (compose.camera.place), 25,000 times the median distance of what is seen: seven times
-# that median distance away, a viewer sees the sky moved by half a pixel of 1,920 over 60 degrees.
+# In units of a place (compose.camera.coordinate_systems), 25,000 times the median distance of what is seen:
+# seven times that median distance away, a viewer sees the sky moved by half a pixel of 1,920 over 60 degrees.
 SKY_DISTANCE = 1e5
 # Share of the median radiance of a frame below which nothing is drawn.
 _DARK = 1e-3

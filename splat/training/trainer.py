@@ -14,25 +14,28 @@ import numpy as np
 import torch
 
 from compose.base.arrays import Arrays
-from compose.base.named import under
-from compose.base.seeds import require_seed
-from splat.deformation.learned import LearnedMotion
-from splat.model.building import build_forest
-from splat.model.dynamics import Dynamics
+from compose.base.errors import require_seed
+from compose.base.files import under
+from splat.model.choices import Labels, MotionModel
+from splat.model.dynamic_light import NodeLight, SurfaceLight
 from splat.model.forest import Forest
 from splat.model.layer import NO_PARENT, Layer, without_parents
-from splat.model.motion import Motion
-from splat.model.motion_model import Labels, MotionModel
-from splat.model.settling import settle
-from splat.model.surface_light import SurfaceLight
+from splat.model.learned_motion import LearnedMotion
+from splat.model.motion import Dynamics, Motion
+from splat.model.trees import build_forest, settle
 from splat.training.density import INITIAL_SHARE
-from splat.training.field import FieldOptimizer
+from splat.training.field_training import FieldOptimizer, register
 from splat.training.initialization import seed_from_views
-from splat.training.layer import LayerTraining
+from splat.training.layer_training import LayerTraining
 from splat.training.loss import SMALLEST_SIDE
-from splat.training.node_light import NodeLight
-from splat.training.registration import register
-from splat.training.views import TrainingView, at_resolution, finest_focal, pixel_footprint, place_of, placed
+from splat.training.training_view import (
+    TrainingView,
+    at_resolution,
+    finest_focal,
+    pixel_footprint,
+    place_of,
+    placed,
+)
 
 # Share of the steps before the forest is built.
 _ALONE = 0.4
@@ -56,7 +59,7 @@ class TrainingSettings:
         gaussians: number of Gaussians in the finest layer at the end.
         layers: L; 1 for Gaussians without trees.
         degree: of the spherical harmonics, 0 to 3.
-        seed: the same seed gives the same forest; from 0 to compose.base.seeds.MOST_SEED.
+        seed: the same seed gives the same forest; from 0 to compose.base.errors.MOST_SEED.
         motion: how what moves is modelled.
         labels: what tells which pixels move; None to take masks where frames have them.
         all_harmonics: whether Gaussians whose radiance is not seen to turn with the view keep harmonics above

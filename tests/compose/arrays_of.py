@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
-from compose.fovea.counts import Counts
+from compose.base.traced_samples import Counts
 from compose.fovea.disc import Disc
-from compose.fovea.earlier import EarlierView
+from compose.fovea.earlier_views import EarlierView
 from compose.fovea.reprojection import Reprojected
 from compose.fovea.samples import Samples
 

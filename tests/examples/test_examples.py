@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from hybrid.output.images import read_exr
+from hybrid.render.image_files import read_exr
 from tests.hybrid.command import TINY_CAPTURE, TINY_TRAINING, run
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -110,14 +110,14 @@ JOBS = {
 def _import(names: list[str]) -> None:
     """Imports what the commands need, so that each run starts at once."""
     import hybrid.cli.main
-    import hybrid.frame.irradiance
+    import hybrid.render.irradiance
     import pathtrace.dataset.capture  # noqa: F401
 
     if set(names) - {"capture", "traced"}:
-        import hybrid.api.evaluation
-        import hybrid.quickstart.quickstart
-        import hybrid.report.evaluation_page
-        import hybrid.sweeps.sweep  # noqa: F401
+        import hybrid.api.evaluation_report
+        import hybrid.evaluation.evaluation_page
+        import hybrid.evaluation.quickstart_job
+        import hybrid.evaluation.sweep_run  # noqa: F401
 
 
 def _run(arguments: list[str], home: Path, step: int | None, log: Path) -> None:
@@ -127,7 +127,7 @@ def _run(arguments: list[str], home: Path, step: int | None, log: Path) -> None:
     os.dup2(output, 1)
     os.dup2(output, 2)
     os.environ["HYBRID_HOME"] = str(home)
-    from hybrid.training import forest
+    from hybrid.preparation import forest_training as forest
 
     # Else a training as short as this has no checkpoint to resume from.
     forest._CHECKPOINT_SECONDS = 0.1

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
-from hybrid.evaluation.references import stored_reference
+from hybrid.base.journal import Journal
+from hybrid.evaluation.evaluation import stored_reference
 from hybrid.measure.reference import Reference
-from hybrid.store.journal import Journal
 from splat.io.forest_file import load_forest
 from tests import small
 from tests.extremes import extreme

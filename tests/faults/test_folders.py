@@ -14,9 +14,8 @@ import torch
 
 from compose.base.errors import UserError
 from compose.base.files import write_whole
-from hybrid.output.images import write_exr, write_srgb
-from hybrid.output.video import write_mp4
-from hybrid.store.journal import Journal
+from hybrid.base.journal import Journal
+from hybrid.render.image_files import write_exr, write_mp4, write_srgb
 from splat.io.ply import save_ply
 from splat.io.tensors import load_tensors, save_tensors
 from tests import small
@@ -85,7 +84,7 @@ def test_processes_that_write_one_file_never_tear_it(count, tmp_path, got):
 _JOURNAL = """
 import sys
 from pathlib import Path
-from hybrid.store.journal import Journal
+from hybrid.base.journal import Journal
 number, file = sys.argv[1], Path(sys.argv[2])
 journal = Journal(file, {"a": 1})
 for n in range(10):

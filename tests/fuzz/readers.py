@@ -13,27 +13,27 @@ import numpy as np
 import torch
 
 from compose.base.errors import UserError
-from compose.base.json_file import read_json
-from compose.camera.serialization import camera_from_json, camera_to_json
+from compose.base.files import read_json
+from compose.camera.coordinate_systems import camera_from_json, camera_to_json
 from compose.eye.display import display_named
-from compose.eye.gaze_trace import load_gaze_trace
+from compose.eye.gaze import load_gaze_trace
 from compose.image.exr import write_channels
-from hybrid.output.images import read_exr
-from hybrid.store.journal import Journal
-from pathtrace.dataset.exr import CapturedFrame, read_frame, write_frame
-from pathtrace.dataset.frames import FORMAT_VERSION, read_frame_set
+from hybrid.base.journal import Journal
+from hybrid.render.image_files import read_exr
+from pathtrace.dataset.captured_frames import CapturedFrame, read_frame, write_frame
+from pathtrace.dataset.frame_set import FORMAT_VERSION, read_frame_set
+from pathtrace.dataset.posed_folder import read_posed_folder
+from pathtrace.dataset.posed_images import read_pixels
 from pathtrace.gltf.importing import import_gltf
-from pathtrace.posed.pixels import read_pixels
-from pathtrace.posed.reading import read_posed_folder
-from pathtrace.region.path_file import read_path
-from pathtrace.scene.description import read_description
+from pathtrace.region.camera_path import read_path
+from pathtrace.scene.scene_xml import read_description
 from splat.io.compact import compact
 from splat.io.forest_file import load_forest, save_forest
 from splat.io.ply import load_ply, save_ply
 from splat.io.tensors import load_tensors, save_tensors
-from splat.model.building import build_forest
 from splat.model.forest import Forest, forest_of
 from splat.model.layer import static_layer
+from splat.model.trees import build_forest
 from tests import posed, small
 from tests.pathtrace.gltf.building import QUAD, QUAD_FACES, Building, bending_tube
 from tests.splat.samples import camera, gaussians

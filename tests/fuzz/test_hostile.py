@@ -15,12 +15,12 @@ import pytest
 import torch
 
 from compose.base.errors import UserError
-from compose.eye.gaze_trace import load_gaze_trace
-from hybrid.interactive.files import unused_file
-from hybrid.output.images import read_exr
-from hybrid.store.journal import Journal
-from pathtrace.dataset.exr import read_frame
-from pathtrace.dataset.frames import read_frame_set
+from compose.eye.gaze import load_gaze_trace
+from hybrid.base.journal import Journal
+from hybrid.render.image_files import read_exr
+from hybrid.window.gaze_input import unused_file
+from pathtrace.dataset.captured_frames import read_frame
+from pathtrace.dataset.frame_set import read_frame_set
 from splat.io.forest_file import load_forest
 from splat.io.ply import load_ply, save_ply
 from splat.io.tensors import load_tensors, save_tensors
@@ -297,7 +297,7 @@ def test_a_file_of_a_terabyte_is_refused_before_it_is_read(tmp_path, got):
 _LIMITED = """
 import resource, sys
 from pathlib import Path
-import compose.image.exr, splat.io.tensors, splat.io.ply, compose.base.json_file
+import compose.image.exr, splat.io.tensors, splat.io.ply, compose.base.files
 from compose.base.errors import UserError
 used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + (64 << 20),) * 2)
@@ -307,7 +307,7 @@ for name in sys.argv[1:]:
         path = Path(name)
         if path.suffix == ".exr": compose.image.exr.read_channels(path)
         elif path.suffix == ".ply": splat.io.ply.load_ply(path)
-        elif path.suffix == ".json": compose.base.json_file.read_json(path)
+        elif path.suffix == ".json": compose.base.files.read_json(path)
         else: splat.io.tensors.load_tensors(path)
     except (UserError, ValueError):
         refused += 1

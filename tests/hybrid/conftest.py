@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from hybrid.frame import irradiance
-from hybrid.plan import stored
-from hybrid.plan.plan import ScenePlan, plan_of
-from pathtrace.fill.fill import fill_cache
+from hybrid.preparation import scene_plan as stored
+from hybrid.preparation.scene_plan import ScenePlan, plan_of
+from hybrid.render import irradiance
+from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import Scene
 from tests.hybrid.command import TINY_CAPTURE, TINY_TRAINING, run
 

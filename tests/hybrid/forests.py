@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from hybrid.frame.trained_views import attach_views
-from hybrid.training.forest import motion_of
-from pathtrace.dataset.rendering import render_frame
+from hybrid.preparation.forest_training import motion_of
+from hybrid.render.forest_attachments import attach_views
+from pathtrace.dataset.captured_frames import render_frame
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.tracer import Tracer
-from splat.model.building import build_forest
 from splat.model.forest import Forest, forest_of
 from splat.model.gaussians import Gaussians
 from splat.model.layer import static_layer
+from splat.model.trees import build_forest
 from splat.training.initialization import seed_at
-from splat.training.views import TrainingView
+from splat.training.training_view import TrainingView
 from tests import small
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.blend.blend import blend
-from compose.fovea.region import FoveaRegion
-from compose.image.device import DeviceImage
+from compose.fovea.disc import blend
+from compose.fovea.foveation import FoveaRegion
+from compose.image.device_image import DeviceImage
 from tests.available import available_arrays
 from tests.compose.arrays_of import channels
 

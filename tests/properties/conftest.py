@@ -3,4 +3,4 @@
 from __future__ import annotations
 
 from tests.hybrid.conftest import own_home, small_caches  # noqa: F401  (fixtures)
-from tests.hybrid.frame.conftest import forest, renderer, scene  # noqa: F401  (fixtures)
+from tests.hybrid.render.conftest import forest, renderer, scene  # noqa: F401  (fixtures)

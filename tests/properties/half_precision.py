@@ -20,16 +20,15 @@ import splat
 from compose.camera.camera import Camera
 from compose.fusion.combination import fuse
 from compose.fusion.parents import Parents
-from pathtrace.base.backend import select_backend
-from pathtrace.base.denoise import denoise
-from pathtrace.dataset.exr import CapturedFrame, read_frame, write_frame
-from pathtrace.dataset.rendering import render_frame
+from pathtrace.dataset.captured_frames import CapturedFrame, read_frame, render_frame, write_frame
+from pathtrace.scene.backend import select_backend
 from pathtrace.scene.scene import Scene, load_scene
+from pathtrace.trace.denoise import denoise
 from pathtrace.trace.film import frame_positions, interleaved
 from pathtrace.trace.tracer import Tracer
 from splat.model.gaussians import Gaussians
 from splat.training.initialization import seed_from_views
-from splat.training.views import TrainingView
+from splat.training.training_view import TrainingView
 from tests.properties.rounding import distribution, markdown
 
 _SEED = 3

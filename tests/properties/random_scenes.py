@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from compose.camera.camera import Camera, camera_from_pose
 from compose.eye.gaze import Gaze
-from compose.fovea.region import Foveation
+from compose.fovea.foveation import Foveation
 from splat.model.gaussians import SH_DC, Gaussians, sh_count
 
 

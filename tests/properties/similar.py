@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from compose.camera.camera import Camera, camera_from_pose
 from splat.model.forest import Forest
-from splat.model.gaussians import SH_DC, Gaussians
-from splat.model.perceptual import perceptual_from_radiance
+from splat.model.gaussians import SH_DC, Gaussians, perceptual_from_radiance
 from tests.properties.random_scenes import random_rotation
 from tests.splat.raster import reference
 

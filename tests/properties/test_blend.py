@@ -10,7 +10,7 @@ from compose.eye.acuity import ACUITY_MODELS
 from compose.eye.detail import LayerRange, detail_map
 from compose.eye.display import DISPLAYS
 from compose.eye.gaze import Gaze
-from compose.fovea.region import Foveation
+from compose.fovea.foveation import Foveation
 from tests.properties import twin
 from tests.properties.blending import blended, image_of, weight_image
 from tests.properties.effort import tried

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import splat
-from hybrid.frame.renderer import Renderer
-from hybrid.frame.settings import FrameSettings
+from hybrid.render.frame_renderer import Renderer
+from hybrid.render.frame_settings import FrameSettings
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.film import frame_positions, interleaved
 from pathtrace.trace.tracer import Tracer

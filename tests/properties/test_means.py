@@ -10,11 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 from compose.eye.gaze import Gaze
-from compose.fovea.region import Foveation
-from hybrid.frame.disc_tracer import DiscRequest, DiscTracer
-from hybrid.frame.renderer import Renderer
-from hybrid.frame.settings import FrameSettings
-from hybrid.runtime.device import device_arrays
+from compose.fovea.foveation import Foveation
+from hybrid.base.compute_device import device_arrays
+from hybrid.render.disc_tracer import DiscRequest, DiscTracer
+from hybrid.render.frame_renderer import Renderer
+from hybrid.render.frame_settings import FrameSettings
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.film import frame_positions, interleaved
 from pathtrace.trace.tracer import Tracer

@@ -17,12 +17,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import splat
-from hybrid.frame.settings import FrameSettings
+from hybrid.render.frame_settings import FrameSettings
 from pathtrace.trace.film import frame_positions, interleaved, pixel_positions
 from pathtrace.trace.tracer import Tracer
-from splat.lod import renderer as lod_renderer
+from splat.lod import forest_renderer as lod_renderer
+from splat.lod.forest_renderer import ForestRenderer
 from splat.lod.layer_images import LayerImage
-from splat.lod.renderer import ForestRenderer
 from splat.model.forest import forest_of
 from splat.model.layer import static_layer
 from splat.raster.tiles import TILE, TileGrid

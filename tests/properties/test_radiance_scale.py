@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 import splat
 from compose.fusion.combination import fuse
 from compose.fusion.parents import Parents
-from hybrid.frame.disc import parents_of
-from hybrid.frame.renderer import Renderer
-from hybrid.frame.settings import FrameSettings
-from pathtrace.base.denoise import denoise
+from hybrid.render.disc_images import parents_of
+from hybrid.render.frame_renderer import Renderer
+from hybrid.render.frame_settings import FrameSettings
 from pathtrace.scene.scene import load_scene
+from pathtrace.trace.denoise import denoise
 from splat.model.forest import Forest
 from tests import small
 from tests.extremes import extreme

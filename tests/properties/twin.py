@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from compose.camera.camera import Camera
-from compose.fovea.region import Foveation
+from compose.fovea.foveation import Foveation
 from splat.model.gaussians import Gaussians
 from tests.properties.random_scenes import RandomScene
 from tests.splat.raster import reference

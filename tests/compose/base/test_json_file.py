@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from compose.base.json_file import parse_json, read_json
+from compose.base.files import parse_json, read_json
 from tests.extremes import extreme
 
 

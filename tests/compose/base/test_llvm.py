@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from compose.base import llvm
+from compose.base import startup as llvm
 from compose.base.errors import UserError
-from compose.base.llvm import Llvm, find_llvm, llvm_version, point_drjit_to_llvm
+from compose.base.startup import Llvm, find_llvm, llvm_version, point_drjit_to_llvm
 
 
 @pytest.fixture

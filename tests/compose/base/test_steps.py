@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from compose.base.steps import between_steps
+from compose.camera.camera import between_steps
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from compose.base.threads import let_waiting_threads_sleep
+from compose.base.startup import let_waiting_threads_sleep
 
 ROOT = Path(__file__).resolve().parents[3]
 _VARIABLES = ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY")
@@ -54,7 +54,7 @@ def test_the_users_own_setting_wins(environment, expected):
 
 
 @pytest.mark.parametrize(
-    "module", ["hybrid.frame.renderer", "splat.raster.differentiable", "compose.fusion.network"]
+    "module", ["hybrid.render.frame_renderer", "splat.raster.differentiable", "compose.fusion.network"]
 )
 def test_it_is_set_before_torch_is_loaded(module):
     """Whichever package is imported first."""

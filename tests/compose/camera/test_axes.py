@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from compose.camera.axes import (
+from compose.camera.camera import camera_from_pose, look_at
+from compose.camera.coordinate_systems import (
     mitsuba_from_opencv,
     opencv_from_mitsuba,
     opencv_from_opengl,
     opengl_from_opencv,
 )
-from compose.camera.camera import camera_from_pose, look_at
 
 POSE = look_at(np.array([1.0, 2.0, 3.0]), np.array([0.2, -0.5, 0.4]), np.array([0.0, 0.0, 1.0]))
 

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from compose.camera.camera import Camera, camera_from_pose, look_at
-from compose.camera.place import Place
-from compose.camera.serialization import camera_from_json, camera_to_json
+from compose.camera.coordinate_systems import Place, camera_from_json, camera_to_json
 from tests.extremes import extreme
 
 

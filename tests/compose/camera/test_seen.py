@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from compose.camera.camera import Camera, camera_from_pose, look_at
-from compose.camera.seen import SeenSurfaces
+from compose.camera.seen_surfaces import SeenSurfaces
 from tests.extremes import extreme
 
 FAR = 1e18

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from compose.camera.camera import Camera, camera_from_pose, look_at
-from compose.camera.serialization import camera_from_json, camera_to_json
+from compose.camera.coordinate_systems import camera_from_json, camera_to_json
 
 POSE = look_at(np.array([1.0, 2.0, 3.0]), np.array([0.2, -0.5, 0.4]), np.array([0.0, 0.0, 1.0]))
 CAMERA = camera_from_pose(POSE, 640, 480, 500, 510, 321, 239)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from compose.camera.camera import Camera, camera_from_pose, look_at
-from compose.camera.stereo import eyes
+from compose.camera.camera import Camera, camera_from_pose, eyes, look_at
 
 
 def viewer() -> Camera:

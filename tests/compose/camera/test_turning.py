@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from compose.camera.turning import turned
+from compose.camera.camera import turned
 
 FORWARD = np.array([0.0, 0.0, 1.0])
 

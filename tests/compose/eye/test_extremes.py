@@ -7,14 +7,11 @@ from itertools import product
 import numpy as np
 import pytest
 
-from compose.base.errors import UserError
-from compose.base.seeds import MOST_SEED, require_seed
+from compose.base.errors import MOST_SEED, UserError, require_seed
 from compose.eye.acuity import ACUITY_MODELS
-from compose.eye.detail import LayerRange, detail_map
+from compose.eye.detail import LayerRange, detail_map, saliency
 from compose.eye.display import DISPLAYS, Display
-from compose.eye.gaze import FURTHEST, Gaze, eccentricity
-from compose.eye.saccades import simulated
-from compose.eye.saliency import saliency
+from compose.eye.gaze import FURTHEST, Gaze, eccentricity, simulated
 from tests import small
 from tests.extremes import extreme
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from compose.base.errors import UserError
-from compose.eye.gaze import Gaze
-from compose.eye.gaze_trace import GazeTrace, load_gaze_trace
+from compose.eye.gaze import Gaze, GazeTrace, load_gaze_trace
 
 TRACE = GazeTrace((0.0, 0.1, 0.5), (Gaze(0.1, 0.2), Gaze(0.5, 0.5), Gaze(0.9, 0.25)))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from compose.eye.lattice import CELL, at_corners, corner_positions, per_pixel
+from compose.eye.detail import CELL, at_corners, corner_positions, per_pixel
 
 
 def test_corners_enclose_the_frame():

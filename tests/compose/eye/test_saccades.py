@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from compose.eye.display import DISPLAYS, Display
-from compose.eye.gaze_trace import GazeTrace
-from compose.eye.saccades import simulated
+from compose.eye.gaze import GazeTrace, simulated
 
 DISPLAY = DISPLAYS["desktop"]
 RATE = 120

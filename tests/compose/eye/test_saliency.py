@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from compose.eye.saliency import saliency
+from compose.eye.detail import saliency
 
 DISCS = [(12, 12), (12, 32), (12, 52), (36, 12), (36, 32), (36, 52)]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from compose.eye.stelacsf import stelacsf
+from compose.eye.acuity import stelacsf
 
 
 def test_cutoffs_are_near_published_acuity():

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from compose.eye.steps import COARSEST_RATE, Step, detail_steps
+from compose.eye.acuity import COARSEST_RATE, Step, detail_steps
 
 
 def pairs(steps: tuple[Step, ...]) -> list[tuple[int, int]]:

@@ -8,9 +8,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.traced_samples import ALWAYS, DIFFUSE, SPECULAR, UNSTEADY, Moment
 from compose.camera.camera import Camera
-from compose.fovea.movers import ALWAYS, UNSTEADY, Moment
-from compose.image.gloss import DIFFUSE, SPECULAR
 from tests.compose.arrays_of import Floats, PlainReprojected, PlainSamples, PlainView
 
 # Relative difference of distances up to which two hits are taken for the same surface.
@@ -57,7 +56,7 @@ class _Arrivals:
         quarter: (M,) index of the quarter of a pixel, row by row over (2 h, 2 w) quarters.
         distance: (M,) from the camera.
         certain: (M,) whether nothing can hide it.
-        records: (M, 16) (compose.fovea.record).
+        records: (M, 16) (compose.fovea.samples).
     """
 
     quarter: NDArray[np.int64]

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import uniform_filter
 
+from compose.base.traced_samples import Counts
 from compose.fovea import adaptive
 from compose.fovea.adaptive import window_sum
-from compose.fovea.counts import Counts
 from compose.image.colour import srgb_from_radiance
 from tests import small
 from tests.compose.arrays_of import floats

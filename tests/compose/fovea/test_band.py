@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from compose.base.arrays import Arrays
-from compose.blend.blend import blend
+from compose.base.traced_samples import Counts
 from compose.eye.gaze import Gaze
-from compose.fovea.band import thinned
-from compose.fovea.counts import Counts
-from compose.fovea.disc import Disc
-from compose.fovea.region import Foveation
-from compose.image.device import DeviceImage
+from compose.fovea.disc import Disc, blend, thinned
+from compose.fovea.foveation import Foveation
+from compose.image.device_image import DeviceImage
 from tests.compose.arrays_of import channels, disc_of, each_of
 
 SEEDS = 2000

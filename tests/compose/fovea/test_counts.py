@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from compose.fovea.counts import Counts
+from compose.base.traced_samples import Counts
 from tests.compose.arrays_of import indices
 
 

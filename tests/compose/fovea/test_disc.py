@@ -9,8 +9,8 @@ import pytest
 from compose.base.arrays import Arrays
 from compose.eye.gaze import Gaze
 from compose.fovea.disc import Disc
-from compose.fovea.region import Foveation
-from compose.image.device import DeviceImage
+from compose.fovea.foveation import Foveation
+from compose.image.device_image import DeviceImage
 from tests import small
 from tests.compose.arrays_of import channels, disc_of, floats, host
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import drjit as dr
 import numpy as np
 
-from compose.fovea.earlier import MOST_MOMENTS, MOST_VIEWS, EarlierViews
-from compose.fovea.movers import STILL, UNSTEADY, Moment
-from compose.fovea.record import RECORD
+from compose.base.traced_samples import STILL, UNSTEADY, Moment
+from compose.fovea.earlier_views import MOST_MOMENTS, MOST_VIEWS, EarlierViews
+from compose.fovea.samples import RECORD
 from tests.compose.arrays_of import PlainView
 
 

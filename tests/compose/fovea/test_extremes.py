@@ -14,11 +14,10 @@ from hypothesis import strategies as st
 
 from compose.base.arrays import Arrays
 from compose.eye.gaze import Gaze
-from compose.fovea.band import thinned
+from compose.fovea.disc import thinned
+from compose.fovea.foveation import Foveation
 from compose.fovea.history import History
-from compose.fovea.record import RECORD, limited, means, with_light
-from compose.fovea.region import Foveation
-from compose.fovea.samples import merged
+from compose.fovea.samples import RECORD, limited, means, merged, with_light
 from tests import small
 from tests.compose.arrays_of import PlainSamples, channels, each_of, host, indices
 from tests.compose.fovea.views import camera, samples, wall, whole

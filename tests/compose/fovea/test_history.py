@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from compose.base.arrays import Arrays
+from compose.base.traced_samples import DIFFUSE, GLOSSY, SPECULAR
 from compose.camera.camera import Camera
 from compose.fovea.history import History
 from compose.fovea.samples import merged
-from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
 from tests import small
 from tests.compose.arrays_of import PlainSamples, indices
 from tests.compose.fovea.views import SIZE, camera, samples, wall, whole

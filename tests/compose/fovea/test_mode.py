@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from compose.fovea.mode import FoveaMode
+from compose.fovea.foveation import FoveaMode
 
 
 def test_modes_have_the_names_that_settings_and_files_use():

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from compose.base.traced_samples import ALWAYS, DIFFUSE, GLOSSY, SPECULAR, STILL, UNSTEADY, Moment
 from compose.fovea.history import MOST_LATER, History
-from compose.fovea.movers import ALWAYS, STILL, UNSTEADY, Moment
-from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
 from tests import small
 from tests.compose.arrays_of import PlainSamples, channels, floats, host, indices
 from tests.compose.fovea.views import SIZE, camera, random_moment, samples, wall, whole

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from compose.base.arrays import Arrays
-from compose.fovea.record import RECORD, limited, means, with_features, with_light
-from compose.fovea.samples import Samples
+from compose.fovea.samples import RECORD, Samples, limited, means, with_features, with_light
 from tests import small
 from tests.compose.arrays_of import channels, host
 from tests.compose.fovea.views import camera, samples, wall

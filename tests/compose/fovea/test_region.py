@@ -8,7 +8,7 @@ import pytest
 
 from compose.base.errors import UserError
 from compose.eye.gaze import Gaze
-from compose.fovea.region import FoveaRegion, Foveation
+from compose.fovea.foveation import FoveaRegion, Foveation
 from tests import small
 from tests.compose.arrays_of import channels
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from compose.base.traced_samples import DIFFUSE, GLOSSY, SPECULAR
 from compose.camera.camera import Camera
-from compose.fovea.earlier import EarlierViews
-from compose.fovea.record import RECORD
+from compose.fovea.earlier_views import EarlierViews
 from compose.fovea.reprojection import Reprojected, reproject
-from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
+from compose.fovea.samples import RECORD
 from tests.compose.arrays_of import PlainReprojected, PlainSamples, PlainView, host, indices
 from tests.compose.fovea.views import SIZE, camera, samples, wall
 

@@ -8,11 +8,11 @@ import drjit as dr
 import numpy as np
 import pytest
 
+from compose.base.traced_samples import ALWAYS, STILL, UNSTEADY, Moment
 from compose.camera.camera import Camera, camera_from_pose, look_at
-from compose.fovea.earlier import MOST_VIEWS, EarlierViews
-from compose.fovea.movers import ALWAYS, STILL, UNSTEADY, Moment
-from compose.fovea.record import RECORD
+from compose.fovea.earlier_views import MOST_VIEWS, EarlierViews
 from compose.fovea.reprojection import reproject
+from compose.fovea.samples import RECORD
 from tests import small
 from tests.compose.arrays_of import PlainReprojected, PlainSamples, PlainView
 from tests.compose.fovea.plain_reprojection import plain_reproject

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from compose.base.arrays import Arrays
+from compose.base.traced_samples import DIFFUSE, GLOSSY, SPECULAR
 from compose.camera.camera import Camera
-from compose.fovea.surfaces import VisibleSurfaces
-from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
+from compose.fovea.reprojection import VisibleSurfaces
 from tests import small
 from tests.compose.arrays_of import PlainSamples
 from tests.compose.fovea.views import SIZE, camera, samples, wall

@@ -6,10 +6,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from compose.base.arrays import Arrays
+from compose.base.traced_samples import DIFFUSE, Moment
 from compose.camera.camera import Camera, look_at
 from compose.fovea.disc import Disc
-from compose.fovea.movers import Moment
-from compose.image.gloss import DIFFUSE
 from tests.compose.arrays_of import PlainSamples, disc_of
 
 SIZE = 48

@@ -9,10 +9,9 @@ import torch
 from scipy.ndimage import gaussian_filter
 
 from compose.fusion import combination
-from compose.fusion.examples import Example
+from compose.fusion.fitting import Example, Reference
 from compose.fusion.network import Fusion
 from compose.fusion.parents import Parents
-from compose.fusion.reference import Reference
 from tests import small
 
 

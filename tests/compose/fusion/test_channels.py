@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from compose.fusion.channels import Channels
+from compose.fusion.parents import Channels
 
 CHANNELS = Channels({"colour": 3, "depth": 1})
 

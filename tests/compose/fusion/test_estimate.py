@@ -9,11 +9,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from compose.fusion.estimate import estimated
 from compose.fusion.features import Features
-from compose.fusion.maps import as_batch
-from compose.fusion.network import Fusion
-from compose.fusion.parents import PARENTS, Parents
+from compose.fusion.network import Fusion, estimated
+from compose.fusion.parents import PARENTS, Parents, as_batch
 from tests.compose.fusion.examples import cropped, example, random_fusion
 
 IMAGES = ("traced", "denoised", "splat", "albedo", "normal", "count")

@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from compose.fusion.features import Features, features_of, perceived
-from compose.fusion.maps import as_batch
-from compose.fusion.parents import Parents
+from compose.fusion.parents import Parents, as_batch
 from tests.compose.fusion.examples import example
 
 SIZE = 96

@@ -11,11 +11,9 @@ import pytest
 import torch
 
 from compose.fusion import fitting
-from compose.fusion.examples import STACK, Example
-from compose.fusion.fitting import LEAST_SIZE, fit
+from compose.fusion.fitting import LEAST_SIZE, STACK, Example, Reference, fit
 from compose.fusion.network import Fusion
 from compose.fusion.parents import Parents
-from compose.fusion.reference import Reference
 from tests import small
 from tests.compose.fusion.examples import blurred, cropped, error, example, fuse, radiance_of
 

@@ -8,7 +8,7 @@ import torch
 from scipy.ndimage import uniform_filter
 from torch.nn import functional
 
-from compose.fusion.maps import (
+from compose.fusion.parents import (
     as_batch,
     box_mean,
     enlarged,

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from compose.fusion import proof as module
-from compose.fusion.examples import Example
+from compose.fusion.fitting import Example
 from compose.fusion.network import Fusion
 from compose.fusion.proof import TRIAL_ITERATIONS, prove, trials
 from tests.compose.fusion.examples import blurred, example, radiance_of

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from compose.fusion.features import perceived, perceived_slope
-from compose.fusion.reference import Reference
+from compose.fusion.fitting import Reference
 from tests import small
 
 SIZE = 96

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from compose.fusion.shares import COUNTS, ENLARGEMENTS, Cell, all_of_network, shares_at
+from compose.fusion.network import COUNTS, ENLARGEMENTS, Cell, all_of_network, shares_at
 
 
 def numbered() -> torch.Tensor:

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from compose.base.arrays import Arrays
-from compose.image.device import DeviceImage
+from compose.image.device_image import DeviceImage
 from tests import small
 from tests.compose.arrays_of import channels, floats, host, indices
 

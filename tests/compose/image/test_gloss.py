@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from compose.image import gloss
+from compose.base import traced_samples as gloss
 
 
 def test_classes_are_plain_integers_in_ascending_order_of_gloss():

@@ -9,9 +9,9 @@ from types import SimpleNamespace
 import pytest
 
 from compose.base.errors import UserError
-from hybrid.api import evaluation as module
-from hybrid.api.evaluation import evaluate
-from hybrid.evaluation.settings import EvaluationSettings
+from hybrid.api import evaluation_report as module
+from hybrid.api.evaluation_report import evaluate
+from hybrid.evaluation.evaluation_settings import EvaluationSettings
 from splat.io.forest_file import save_forest
 from tests.hybrid.forests import white_dot
 

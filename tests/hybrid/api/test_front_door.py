@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import hybrid
-from hybrid.output.images import read_exr
+from hybrid.render.image_files import read_exr
 
 ROOT = Path(__file__).resolve().parents[3]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import hybrid
-from hybrid.api import scenes
+from hybrid.api import workflow as scenes
 from splat.io.forest_file import load_forest
 from tests import small
 from tests.hybrid.preparation.tiny import make_tiny
@@ -71,10 +71,12 @@ def test_from_a_scene_to_a_forest(backend, tmp_path):
 def test_progress_and_settings_may_be_left_out(backend, monkeypatch, tmp_path):
     given = []
     monkeypatch.setattr("pathtrace.dataset.capture.capture", lambda *arguments: given.append(arguments))
-    monkeypatch.setattr("hybrid.training.forest.train", lambda *arguments: given.append(arguments))
-    monkeypatch.setattr("hybrid.frame.irradiance.cache_for", lambda scene: f"cache of {scene}")
+    monkeypatch.setattr(
+        "hybrid.preparation.forest_training.train", lambda *arguments: given.append(arguments)
+    )
+    monkeypatch.setattr("hybrid.render.irradiance.cache_for", lambda scene: f"cache of {scene}")
     kept: list[object] = []
-    monkeypatch.setattr("hybrid.store.receipts.keep_receipt", kept.append)
+    monkeypatch.setattr("hybrid.base.cache_folder.keep_receipt", kept.append)
     scenes.capture("scene", tmp_path / "frames")
     scenes.train("frames", tmp_path / "a.forest")
     scenes.capture("scene", tmp_path / "frames", integrator="path")

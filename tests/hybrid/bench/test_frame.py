@@ -8,13 +8,12 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from compose.fovea.mode import FoveaMode
-from hybrid.bench.frame import HostBytes, bench_frame
-from hybrid.frame import renderer as module
-from hybrid.frame.live import LiveRenderer
-from hybrid.frame.renderer import Renderer
-from hybrid.frame.settings import FrameSettings
-from hybrid.frame.trained_views import attach_views
+from compose.fovea.foveation import FoveaMode
+from hybrid.bench.frame_bench import HostBytes, bench_frame
+from hybrid.render import frame_renderer as module
+from hybrid.render.forest_attachments import attach_views
+from hybrid.render.frame_renderer import LiveRenderer, Renderer
+from hybrid.render.frame_settings import FrameSettings
 from pathtrace.scene.scene import Scene, load_scene
 from splat.model.forest import Forest
 from tests import small

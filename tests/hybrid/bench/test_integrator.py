@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from hybrid.bench.integrator import bench_integrator
-from hybrid.frame import irradiance
-from pathtrace.fill.fill import fill_cache
+from hybrid.bench.integrator_bench import bench_integrator
+from hybrid.render import irradiance
+from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import load_scene
 from tests import small
 

@@ -10,8 +10,8 @@ import torch
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
 from hybrid.bench.last_frame import LastFrameRenderer
-from hybrid.frame.settings import FrameSettings
-from hybrid.frame.splat_renderer import SplatRenderer
+from hybrid.render.frame_settings import FrameSettings
+from hybrid.render.splat_renderer import SplatRenderer
 from splat.model.forest import Forest, forest_of
 from splat.model.gaussians import SH_DC, Gaussians
 from splat.model.layer import Layer

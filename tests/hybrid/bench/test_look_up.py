@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from compose.camera.camera import Camera
-from hybrid.bench import look_up
-from hybrid.bench.look_up import look_up_ns
-from pathtrace.cache.cache import IrradianceCache
+from hybrid.bench import integrator_bench as look_up
+from hybrid.bench.integrator_bench import look_up_ns
 from pathtrace.cache.cells import Grid
-from pathtrace.fill.fill import fill_cache
+from pathtrace.cache.irradiance_cache import IrradianceCache
+from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import Scene, load_scene
 from tests import small
 

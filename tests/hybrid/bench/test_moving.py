@@ -9,9 +9,9 @@ import pytest
 
 from compose.base.errors import UserError
 from compose.eye.gaze import Gaze
-from hybrid.bench import moving as module
-from hybrid.bench.moving import ALONE, HYBRID, SPLATS, TRACED, bench_moving
-from hybrid.frame.settings import INTERACTIVE
+from hybrid.bench import moving_bench as module
+from hybrid.bench.moving_bench import ALONE, HYBRID, SPLATS, TRACED, bench_moving
+from hybrid.render.frame_settings import INTERACTIVE
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hybrid.bench.raster import bench_raster, random_splats
+from hybrid.bench.raster_bench import bench_raster, random_splats
 
 
 def test_splats_lie_in_the_frame_with_positive_definite_shapes(arrays):

@@ -7,10 +7,9 @@ import json
 import pytest
 
 from hybrid.cli import capture as command
-from hybrid.plan.stored import planned_scene
+from hybrid.preparation.scene_plan import planned_scene
 from pathtrace.dataset import capture as module
-from pathtrace.dataset.frames import read_frame_set
-from pathtrace.dataset.settings import CaptureSettings
+from pathtrace.dataset.frame_set import CaptureSettings, read_frame_set
 from tests.hybrid.command import run
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")

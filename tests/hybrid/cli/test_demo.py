@@ -7,16 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from compose.eye.gaze import Gaze
-from compose.eye.gaze_trace import GazeTrace
-from compose.eye.saccades import simulated
+from compose.eye.gaze import Gaze, GazeTrace, simulated
 from hybrid.cli import demo as command
-from hybrid.frame.settings import INTERACTIVE, FrameSettings
+from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
 from tests.hybrid.command import run
 
 pytest.importorskip("PySide6", reason="the window requires PySide6")
-from hybrid.demo import qt
-from hybrid.demo import run as module
+from hybrid.window import application as module
+from hybrid.window import qt_check as qt
 
 
 @pytest.fixture

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import pytest
 
-from hybrid.api import evaluation as api
+from hybrid.api import evaluation_report as api
 from hybrid.cli import evaluate as module
-from hybrid.evaluation import verdicts
-from hybrid.evaluation.keys import HALVES_KEY
-from hybrid.evaluation.settings import EvaluationSettings
-from hybrid.frame.settings import FrameSettings
-from hybrid.measure.metrics import installed
-from hybrid.preparation import quick
+from hybrid.evaluation import results as verdicts
+from hybrid.evaluation.evaluation_settings import EvaluationSettings
+from hybrid.evaluation.result_keys import HALVES_KEY
+from hybrid.measure import frame_quality as installed
+from hybrid.preparation import preparation as quick
+from hybrid.render.frame_settings import FrameSettings
 from splat.io.forest_file import load_forest, save_forest
 from tests.hybrid.command import run
 

@@ -9,7 +9,7 @@ from hybrid.cli.exchange import export_ply, import_ply
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from splat.io.ply import load_ply
-from splat.model.placing import in_world
+from splat.model.points import in_world
 from tests.conftest import real_file
 from tests.hybrid.command import run
 from tests.pathtrace.gltf.building import Building, bending_tube

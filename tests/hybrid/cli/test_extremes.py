@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from compose.base.seeds import MOST_SEED
+from compose.base.errors import MOST_SEED
 from tests.extremes import extreme
 from tests.hybrid.command import run
 

@@ -11,12 +11,7 @@ import typer
 
 from compose.base.errors import UserError
 from hybrid.cli import main as module
-from hybrid.cli.benches.app import bench_app
-from hybrid.cli.benches.frame import frame
-from hybrid.cli.benches.integrator import integrator
-from hybrid.cli.benches.moving import moving
-from hybrid.cli.benches.periphery import periphery
-from hybrid.cli.benches.raster import raster
+from hybrid.cli.bench import bench_app, frame, integrator, moving, periphery, raster
 from hybrid.cli.capture import capture
 from hybrid.cli.demo import demo
 from hybrid.cli.doctor import doctor

@@ -17,8 +17,8 @@ from hybrid.cli.options import (
     user_errors,
     write_json,
 )
-from hybrid.evaluation.settings import EvaluationSettings
-from hybrid.frame.settings import DEFAULTS, EVALUATION, INTERACTIVE
+from hybrid.evaluation.evaluation_settings import EvaluationSettings
+from hybrid.render.frame_settings import DEFAULTS, EVALUATION, INTERACTIVE
 
 FRAME_OPTIONS = {"fov_a": "fov_a", "fov_b": "fov_b", "spp": "spp", "acuity_model": "acuity_model"}
 

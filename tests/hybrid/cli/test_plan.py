@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from hybrid.plan.stored import scene_as_stored
+from hybrid.preparation.scene_plan import scene_as_stored
 from tests.hybrid.command import run
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")

@@ -7,8 +7,8 @@ import json
 import pytest
 
 from hybrid.cli.quickstart import quickstart as command
-from hybrid.frame.settings import DEFAULTS, FrameSettings
-from hybrid.quickstart import quickstart as module
+from hybrid.evaluation import quickstart_job as module
+from hybrid.render.frame_settings import DEFAULTS, FrameSettings
 from tests.hybrid.command import run
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")

@@ -10,17 +10,16 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from compose.camera.serialization import camera_from_json
-from compose.camera.stereo import eyes
-from compose.eye.gaze import Gaze
-from compose.eye.gaze_trace import GazeTrace
+from compose.camera.camera import eyes
+from compose.camera.coordinate_systems import camera_from_json
+from compose.eye.gaze import Gaze, GazeTrace
 from hybrid.cli.render import render as command
-from hybrid.frame.renderer import Renderer
-from hybrid.frame.settings import DEFAULTS, FrameSettings
-from hybrid.frame.trained_views import attach_views
-from hybrid.output.images import read_exr
-from hybrid.plan.stored import planned_scene
-from hybrid.video import render as video
+from hybrid.preparation.scene_plan import planned_scene
+from hybrid.render import video
+from hybrid.render.forest_attachments import attach_views
+from hybrid.render.frame_renderer import Renderer
+from hybrid.render.frame_settings import DEFAULTS, FrameSettings
+from hybrid.render.image_files import read_exr
 from splat.io.forest_file import load_forest, save_forest
 from tests.conftest import real_file
 from tests.extremes import extreme

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from compose.camera.serialization import camera_to_json
+from compose.camera.coordinate_systems import camera_to_json
 from compose.image.exr import read_channels
 from tests import posed
 from tests.extremes import extreme

@@ -7,9 +7,9 @@ import os
 
 import pytest
 
+from hybrid.base import installation as examination
 from hybrid.cli.doctor import doctor
 from hybrid.cli.scenes import scenes
-from hybrid.runtime import doctor as examination
 from tests.hybrid.command import run
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")

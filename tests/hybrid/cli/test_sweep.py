@@ -7,11 +7,11 @@ import json
 import pytest
 
 from hybrid.cli import sweep as command
-from hybrid.frame.settings import SWEEP, FrameSettings
-from hybrid.plan.stored import planned_scene
-from hybrid.report import evaluation_page
-from hybrid.sweeps import sweep as module
-from hybrid.sweeps.effort import Effort
+from hybrid.evaluation import evaluation_page
+from hybrid.evaluation import sweep_run as module
+from hybrid.evaluation.sweep_catalogue import Effort
+from hybrid.preparation.scene_plan import planned_scene
+from hybrid.render.frame_settings import SWEEP, FrameSettings
 from tests.hybrid.command import run
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")

@@ -11,10 +11,10 @@ import pytest
 
 from compose.base.errors import UserError
 from hybrid.cli.target import Target, measuring_command
-from hybrid.frame.settings import FrameSettings
-from hybrid.plan.stored import planned_scene
-from hybrid.sweeps import catalogue
-from hybrid.trade.measured import MeasuredSettings, MeasuredStore
+from hybrid.evaluation import sweep_catalogue as catalogue
+from hybrid.evaluation.measured_settings import MeasuredSettings, MeasuredStore
+from hybrid.preparation.scene_plan import planned_scene
+from hybrid.render.frame_settings import FrameSettings
 from splat.io.forest_file import load_forest
 from tests.hybrid.command import run
 
@@ -143,7 +143,7 @@ def test_without_a_forest_none_is_trained_before_the_refusal(monkeypatch, tmp_pa
     def forbidden(*_):
         raise AssertionError("trained")
 
-    monkeypatch.setattr("hybrid.preparation.quick.make_quick_forest", forbidden)
+    monkeypatch.setattr("hybrid.preparation.preparation.make_quick_forest", forbidden)
     assert run(monkeypatch, "render", "cornell", "-o", tmp_path / "a.png", "--target-jod", 9) == 2
     assert "run: hybrid sweep cornell --over trade --size" in capsys.readouterr().err
 

@@ -6,15 +6,13 @@ import json
 
 import pytest
 
+from hybrid.base.cache_folder import keep_receipt, newest_forest
 from hybrid.cli import train as command
-from hybrid.plan.stored import planned_scene
-from hybrid.plan.values import plan_of_forest
-from hybrid.store.cache import newest_forest
-from hybrid.store.receipts import keep_receipt
-from hybrid.training import forest as module
-from pathtrace.dataset.frames import read_frame_set
+from hybrid.preparation import forest_training as module
+from hybrid.preparation.scene_plan import plan_of_forest, planned_scene
+from pathtrace.dataset.frame_set import read_frame_set
 from splat.io.forest_file import load_forest
-from splat.io.precision import Precision
+from splat.model.choices import Precision
 from splat.training.trainer import TrainingSettings
 from tests.extremes import extreme
 from tests.hybrid.command import TINY_TRAINING, run

@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from compose.camera.camera import Camera
-from compose.camera.view import View
+from compose.camera.camera import Camera, View
 from compose.eye.gaze import Gaze
-from hybrid.evaluation.keys import OURS
-from hybrid.methods.method import TimedImage
+from hybrid.evaluation.methods import TimedImage
+from hybrid.evaluation.result_keys import OURS
 
 CAMERA = Camera(np.eye(4), 8, 8, 8.0, 8.0, 4.0, 4.0)
 VIEW = View(CAMERA)

@@ -6,7 +6,8 @@ import pytest
 
 import hybrid.evaluation.entries as entries_module
 from compose.eye.gaze import Gaze
-from compose.fovea.mode import FoveaMode
+from compose.fovea.foveation import FoveaMode
+from hybrid.base.journal import Journal
 from hybrid.evaluation.entries import (
     OTHER_SPP,
     Entry,
@@ -14,10 +15,9 @@ from hybrid.evaluation.entries import (
     hybrid_entries,
     splat_entries,
 )
-from hybrid.evaluation.keys import OURS, Key
-from hybrid.evaluation.settings import EvaluationSettings
-from hybrid.frame.settings import FrameSettings
-from hybrid.store.journal import Journal
+from hybrid.evaluation.evaluation_settings import EvaluationSettings
+from hybrid.evaluation.result_keys import OURS, Key
+from hybrid.render.frame_settings import FrameSettings
 from tests.hybrid.evaluation.fakes import CAMERA, VIEW, Costly
 
 

@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from compose.camera.camera import Camera
-from compose.camera.view import View
+from compose.camera.camera import Camera, View
 from compose.eye.gaze import Gaze
-from hybrid.evaluation import equal_time as module
-from hybrid.evaluation.equal_time import TOLERANCE, at_equal_time, relative_time
-from hybrid.methods.method import TimedImage
+from hybrid.evaluation import equal_cost as module
+from hybrid.evaluation.equal_cost import TOLERANCE, at_equal_time, relative_time
+from hybrid.evaluation.methods import TimedImage
 from tests import small
 from tests.hybrid.evaluation.fakes import CAMERA, VIEW, Costly
 

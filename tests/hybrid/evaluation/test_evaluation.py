@@ -9,19 +9,17 @@ from pathlib import Path
 import pytest
 
 import hybrid.evaluation.entries
-import hybrid.evaluation.equal_time
-import hybrid.evaluation.quality
-import hybrid.evaluation.times
-import hybrid.evaluation.tuning
-import hybrid.measure.quality
+import hybrid.evaluation.equal_cost
+import hybrid.measure.frame_quality
 from compose.base.errors import UserError
+from hybrid.evaluation import fpc
+from hybrid.evaluation import sweep_catalogue as catalogue
 from hybrid.evaluation.evaluation import Evaluation
-from hybrid.evaluation.keys import HALVES, OURS
+from hybrid.evaluation.evaluation_settings import EvaluationSettings
+from hybrid.evaluation.result_keys import HALVES, OURS
 from hybrid.evaluation.scoring import score
-from hybrid.evaluation.settings import EvaluationSettings
 from hybrid.measure.regions import REGIONS
-from hybrid.output.images import write_png
-from hybrid.sweeps import catalogue, fpc
+from hybrid.render.image_files import write_png
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from tests import small
@@ -43,15 +41,15 @@ def evaluated(made, tmp_path_factory):
     folder = tmp_path_factory.mktemp("evaluated")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("HYBRID_HOME", str(folder / "home"))
-        patch.setattr(hybrid.evaluation.tuning, "_F", (0.1, 0.4))
-        patch.setattr(hybrid.evaluation.tuning, "_SPP", (1,))
-        patch.setattr(hybrid.evaluation.equal_time, "_TRIALS", 3)
-        patch.setattr(hybrid.evaluation.times, "_WARM_UP", 1)
+        patch.setattr(hybrid.evaluation.equal_cost, "_F", (0.1, 0.4))
+        patch.setattr(hybrid.evaluation.equal_cost, "_SPP", (1,))
+        patch.setattr(hybrid.evaluation.equal_cost, "_TRIALS", 3)
+        patch.setattr(hybrid.evaluation.entries, "_WARM_UP", 1)
         patch.setattr(hybrid.evaluation.entries, "OTHER_SPP", (16,))
-        patch.setattr(hybrid.evaluation.quality, "scored_in_parallel", scored_here)
+        patch.setattr(hybrid.evaluation.entries, "scored_in_parallel", scored_here)
         # The two metrics that take longest are as if they were not installed.
-        patch.setattr(hybrid.measure.quality, "jod", lambda *_: None)
-        patch.setattr(hybrid.measure.quality, "hdr_flip_map", lambda *_: None)
+        patch.setattr(hybrid.measure.frame_quality, "jod", lambda *_: None)
+        patch.setattr(hybrid.measure.frame_quality, "hdr_flip_map", lambda *_: None)
 
         def command(report: Path, *options: object) -> int:
             common = ["evaluate", "cornell", "--forest", made / "box.forest", "--report", report]
@@ -111,7 +109,7 @@ def test_the_same_seed_gives_the_same_quality_whether_interrupted_or_not(evaluat
         write_png(*arguments)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(hybrid.evaluation.quality, "write_png", interrupted)
+        patch.setattr(hybrid.evaluation.entries, "write_png", interrupted)
         assert command(folder / "second") == 130
     assert not (folder / "second" / "evaluation.json").exists()
     assert command(folder / "second") == 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hybrid.evaluation.keys import (
+from hybrid.evaluation.result_keys import (
     EQUAL_RAYS,
     EQUAL_TIME,
     FIXED,

@@ -7,14 +7,13 @@ import pytest
 
 from compose.base.errors import UserError
 from compose.image.colour import bytes_from_radiance
-from hybrid.evaluation import quality
-from hybrid.evaluation.entries import Entry
-from hybrid.evaluation.keys import HALVES
-from hybrid.evaluation.quality import evaluated_views, quality_rows
-from hybrid.evaluation.settings import EvaluationSettings
-from hybrid.frame.settings import FrameSettings
+from hybrid.base.journal import Journal
+from hybrid.evaluation import entries as quality
+from hybrid.evaluation.entries import Entry, evaluated_views, quality_rows
+from hybrid.evaluation.evaluation_settings import EvaluationSettings
+from hybrid.evaluation.result_keys import HALVES
 from hybrid.measure.reference import Reference
-from hybrid.store.journal import Journal
+from hybrid.render.frame_settings import FrameSettings
 from tests import small
 from tests.hybrid.evaluation.fakes import VIEW, Recorder
 

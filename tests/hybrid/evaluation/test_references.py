@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybrid.evaluation.references import reference_errors, reference_samples, stored_reference
-from hybrid.evaluation.settings import FOVEAL_REFERENCE, EvaluationSettings
-from hybrid.frame.settings import FrameSettings
+from hybrid.evaluation.evaluation import reference_errors, reference_samples, stored_reference
+from hybrid.evaluation.evaluation_settings import FOVEAL_REFERENCE, EvaluationSettings
 from hybrid.measure.reference import Reference
+from hybrid.render.frame_settings import FrameSettings
 from tests import small
 
 SETTINGS = EvaluationSettings(FrameSettings((0.25, 0.5), 25, 25), width=64, height=40, reference_spp=3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hybrid.evaluation.keys import OURS, OURS_KEY, Key
+from hybrid.evaluation.result_keys import OURS, OURS_KEY, Key
 from hybrid.evaluation.results import (
     affordable_baselines,
     budget_label,

@@ -12,10 +12,10 @@ from PIL import Image as PillowImage
 from compose.base.errors import UserError
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
-from compose.fovea.region import Foveation
+from compose.fovea.foveation import Foveation
 from hybrid.evaluation.scoring import ScoringTask, score, scored_in_parallel
-from hybrid.measure.metrics.flip import flip_map
-from hybrid.measure.quality import Viewer
+from hybrid.measure.frame_quality import Viewer
+from hybrid.measure.perceptual_metrics import flip_map
 from hybrid.measure.regions import plain_regions
 from tests import small
 

@@ -8,9 +8,9 @@ import pytest
 
 from compose.base.errors import UserError
 from compose.eye.display import Display
-from hybrid.evaluation.settings import EvaluationSettings
-from hybrid.frame.settings import FrameSettings
-from pathtrace.dataset.settings import CaptureSettings
+from hybrid.evaluation.evaluation_settings import EvaluationSettings
+from hybrid.render.frame_settings import FrameSettings
+from pathtrace.dataset.frame_set import CaptureSettings
 from splat.training.trainer import TrainingSettings
 
 

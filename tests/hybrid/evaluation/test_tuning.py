@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from compose.eye.gaze import Gaze
-from compose.fovea.region import Foveation
-from hybrid.evaluation import tuning
-from hybrid.evaluation.families import WarpTuning
-from hybrid.evaluation.tuning import tuned
-from hybrid.methods.method import TimedImage
+from compose.fovea.foveation import Foveation
+from hybrid.evaluation import equal_cost as tuning
+from hybrid.evaluation.baselines import WarpTuning
+from hybrid.evaluation.equal_cost import tuned
+from hybrid.evaluation.methods import TimedImage
 from tests import small
 from tests.hybrid.evaluation.fakes import VIEW
 

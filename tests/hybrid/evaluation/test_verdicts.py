@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from hybrid.evaluation.keys import OURS
-from hybrid.evaluation.verdicts import verdicts
+from hybrid.evaluation.result_keys import OURS
+from hybrid.evaluation.results import verdicts
 from tests.extremes import extreme
 from tests.hybrid.evaluation import fakes
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hybrid.evaluation.settings import EvaluationSettings
-from hybrid.evaluation.work import WorkProgress
+from hybrid.evaluation.evaluation import WorkProgress
+from hybrid.evaluation.evaluation_settings import EvaluationSettings
 
 KINDS = ("references", "tuning", "costs", "quality", "times")
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from compose.camera.place import WORLD, Place
-from hybrid.measure.dynamics import Triangles, nodes_that_move
+from compose.camera.coordinate_systems import WORLD, Place
+from hybrid.measure.motion_truth import Triangles, nodes_that_move
 from splat.model.gaussians import Gaussians
 from splat.model.layer import static_layer
 from splat.model.motion import Motion

@@ -9,11 +9,11 @@ import pytest
 
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
-from compose.fovea.region import Foveation
-from hybrid.measure import quality
-from hybrid.measure.quality import Viewer, metric_rows
+from compose.fovea.foveation import Foveation
+from hybrid.measure import frame_quality as quality
+from hybrid.measure.frame_quality import Viewer, metric_rows
+from hybrid.measure.frame_times import medians_by_view, percentiles, ratio_interval, ratio_of_medians
 from hybrid.measure.regions import plain_regions
-from hybrid.measure.timing import medians_by_view, percentiles, ratio_interval, ratio_of_medians
 from tests import small
 from tests.extremes import extreme
 

@@ -9,12 +9,18 @@ from scipy.ndimage import gaussian_filter
 from compose.base.errors import UserError
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
-from compose.fovea.region import Foveation
-from hybrid.measure import quality
-from hybrid.measure.metrics.flip import flip_map
-from hybrid.measure.metrics.psnr import psnr
-from hybrid.measure.metrics.ssim import ssim
-from hybrid.measure.quality import METRICS, Viewer, acuity_weight, checked_pair, foveal_metrics, metric_rows
+from compose.fovea.foveation import Foveation
+from hybrid.measure import frame_quality as quality
+from hybrid.measure.frame_quality import (
+    METRICS,
+    Viewer,
+    acuity_weight,
+    checked_pair,
+    foveal_metrics,
+    metric_rows,
+)
+from hybrid.measure.image_metrics import psnr, ssim
+from hybrid.measure.perceptual_metrics import flip_map
 from hybrid.measure.regions import REGIONS, plain_regions, regions
 from tests import small
 

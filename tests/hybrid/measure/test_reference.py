@@ -7,10 +7,10 @@ import pytest
 
 from compose.image.colour import srgb_from_radiance
 from hybrid.measure import reference as module
-from hybrid.measure.metrics.psnr import psnr
+from hybrid.measure.image_metrics import psnr
 from hybrid.measure.reference import Reference, reference
 from pathtrace.scene.scene import load_scene
-from pathtrace.trace.image import TracedImage
+from pathtrace.trace.traced_images import TracedImage
 from pathtrace.trace.tracer import Tracer
 from tests import small
 

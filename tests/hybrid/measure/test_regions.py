@@ -7,7 +7,7 @@ import pytest
 
 from compose.base.errors import UserError
 from compose.eye.gaze import Gaze
-from compose.fovea.region import Foveation
+from compose.fovea.foveation import Foveation
 from hybrid.measure.regions import REGIONS, Region, plain_regions, regions
 from tests import small
 

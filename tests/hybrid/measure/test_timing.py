@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 
 from compose.eye.gaze import Gaze
-from hybrid.frame.renderer import Renderer
-from hybrid.frame.settings import FrameSettings
-from hybrid.measure.timing import (
+from hybrid.measure.frame_times import (
     REACH,
     gaze_path,
     interleaved,
@@ -19,7 +17,9 @@ from hybrid.measure.timing import (
     jittered,
     percentiles,
 )
-from hybrid.plan.stored import planned_scene
+from hybrid.preparation.scene_plan import planned_scene
+from hybrid.render.frame_renderer import Renderer
+from hybrid.render.frame_settings import FrameSettings
 from splat.io.forest_file import load_forest
 
 

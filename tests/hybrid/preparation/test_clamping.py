@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybrid.preparation.clamping import clamping_bias
+from hybrid.preparation.stage_frames import clamping_bias
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.film import frame_positions, interleaved
 from pathtrace.trace.tracer import Tracer

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hybrid.plan.samples import CONVERGED_DB
-from hybrid.preparation.convergence import Pass, converging_seconds
+from hybrid.preparation.decisions import CONVERGED_DB
+from hybrid.preparation.stage_frames import Pass, converging_seconds
 from tests.extremes import extreme
 
 

@@ -13,23 +13,21 @@ import numpy as np
 import pytest
 import torch
 
+from hybrid.base.compute_device import device_arrays
 from hybrid.preparation.lighting import light_over_time
-from hybrid.runtime.device import device_arrays
 from pathtrace.dataset.capture import capture
-from pathtrace.dataset.frames import FrameSet
-from pathtrace.dataset.rendering import render_frame
-from pathtrace.dataset.settings import CaptureSettings
-from pathtrace.fill.fill import fill_cache
+from pathtrace.dataset.captured_frames import render_frame
+from pathtrace.dataset.frame_set import CaptureSettings, FrameSet
+from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.tracer import Tracer
 from splat.io.forest_file import load_forest, save_forest
-from splat.lod.renderer import ForestRenderer
-from splat.model.building import build_forest
+from splat.lod.forest_renderer import ForestRenderer
+from splat.model.dynamic_light import NodeLight, SurfaceLight
 from splat.model.forest import Forest, forest_of
-from splat.model.surface_light import SurfaceLight
+from splat.model.trees import build_forest
 from splat.training.initialization import seed_at
-from splat.training.node_light import NodeLight
-from splat.training.views import TrainingView
+from splat.training.training_view import TrainingView
 from tests import small
 from tests.extremes import extreme
 

@@ -8,18 +8,17 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
-from hybrid.plan.detail import FIXED_GAUSSIANS, GAUSSIANS
-from hybrid.plan.region import REGION
-from hybrid.plan.samples import SAMPLES
-from hybrid.plan.values import plan_of_forest
-from hybrid.preparation import planner
+from hybrid.base.cache_folder import newest_forest
+from hybrid.base.progress import no_bars
 from hybrid.preparation import preparation as module
+from hybrid.preparation import stage_planner as planner
+from hybrid.preparation.decisions import REGION, SAMPLES
+from hybrid.preparation.gaussian_count import FIXED_GAUSSIANS, GAUSSIANS
 from hybrid.preparation.preparation import prepare
-from hybrid.preparation.settings import PreparationSettings
-from hybrid.runtime.progress import no_bars
-from hybrid.store.cache import newest_forest
-from pathtrace.dataset.exr import read_frame
-from pathtrace.dataset.frames import read_frame_set
+from hybrid.preparation.scene_plan import plan_of_forest
+from hybrid.preparation.stages import PreparationSettings
+from pathtrace.dataset.captured_frames import read_frame
+from pathtrace.dataset.frame_set import read_frame_set
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
 from tests.extremes import extreme

@@ -8,11 +8,10 @@ from dataclasses import replace
 import pytest
 
 from compose.base.errors import UserError
-from hybrid.preparation import quick as module
-from hybrid.preparation.preparation import Prepared
-from hybrid.preparation.quick import forest_for, make_quick_forest
-from hybrid.preparation.settings import PreparationSettings
-from hybrid.store.cache import store_forest
+from hybrid.base.cache_folder import store_forest
+from hybrid.preparation import preparation as module
+from hybrid.preparation.preparation import Prepared, forest_for, make_quick_forest
+from hybrid.preparation.stages import PreparationSettings
 from pathtrace.scene.scene import Scene, load_scene
 from splat.io.forest_file import save_forest
 from splat.model.forest import Forest

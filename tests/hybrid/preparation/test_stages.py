@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from hybrid.plan.needs import Needs
-from hybrid.preparation.stages import STAGES, planned_stage
+from hybrid.preparation.stages import STAGES, Needs, planned_stage
 
 
 @pytest.mark.parametrize("stage", STAGES)

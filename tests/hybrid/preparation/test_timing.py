@@ -6,9 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from hybrid.plan.needs import Needs
-from hybrid.preparation.stages import STAGES
-from hybrid.preparation.timing import (
+from hybrid.preparation.stage_planner import (
     AS_EXPECTED,
     Seconds,
     affordable_steps,
@@ -16,6 +14,7 @@ from hybrid.preparation.timing import (
     next_stage,
     step_seconds,
 )
+from hybrid.preparation.stages import STAGES, Needs
 
 STAGE, BEFORE = STAGES[1], STAGES[:1]
 SECONDS = expected_seconds(STAGE, BEFORE).at(AS_EXPECTED)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybrid.plan.breadth import breadth_of
-from hybrid.preparation import views as module
+from hybrid.preparation import stage_frames as module
+from hybrid.preparation.gaussian_count import breadth_of
+from hybrid.preparation.stage_frames import stated_error, views_of, wanted_of
 from hybrid.preparation.stages import Stage
-from hybrid.preparation.views import stated_error, views_of, wanted_of
 from pathtrace.dataset.growing import GrowingFrames, Wanted
-from pathtrace.region.region import region_of
+from pathtrace.region.viewing_regions import region_of
 from pathtrace.scene.scene import Scene, load_scene
-from pathtrace.scene.surfaces import Surfaces
+from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.tracer import Tracer
 from tests import small
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from hybrid.preparation import planner, preparation, stages
+from hybrid.preparation import preparation, stages
+from hybrid.preparation import stage_planner as planner
 from hybrid.preparation.stages import Stage
-from pathtrace.dataset.settings import CaptureSettings
+from pathtrace.dataset.frame_set import CaptureSettings
 
 STAGES = (
     Stage(views=4, scale=1, spp=4, gaussians=300, steps=15),

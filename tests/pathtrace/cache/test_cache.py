@@ -9,9 +9,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from pathtrace.cache.cache import IrradianceCache, look_up
 from pathtrace.cache.cells import SIDES, Cells, Grid, Points
-from pathtrace.cache.transfer import Transfer
+from pathtrace.cache.irradiance_cache import IrradianceCache, look_up
+from pathtrace.cache.transport import Transfer
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")

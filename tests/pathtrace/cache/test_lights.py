@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pathtrace.cache.cells import Grid, Points
-from pathtrace.cache.lights import LightChoice, Lights, LightSamples, light_numbers
+from pathtrace.cache.light_selection import LightChoice, Lights, LightSamples, light_numbers
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")

@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from pathtrace.cache.lobes import irradiance_share, shows_lights
+from pathtrace.cache.irradiance_cache import irradiance_share, shows_lights
 
 pytestmark = pytest.mark.usefixtures("backend")
 

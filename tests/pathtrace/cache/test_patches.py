@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pathtrace.cache.patches import Patches, sums_by
+from pathtrace.cache.transport import Patches, sums_by
 from tests import small
 
 CELLS = 12

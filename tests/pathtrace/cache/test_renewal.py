@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pathtrace.cache.renewal import Renewal
+from pathtrace.fill.relight import Renewal
 from tests import small
 
 PLACES, REGIONS, SAMPLES = 40, 4, 10

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pathtrace.cache.patches import Patches
-from pathtrace.cache.spreading import Spreading
-from pathtrace.cache.transport import Links, Transport
+from pathtrace.cache.transport import Links, Patches, Transport
+from pathtrace.fill.relight import Spreading
 from tests import small
 
 CELLS, POINTS, RAYS = 7, 40, 3

@@ -6,7 +6,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from pathtrace.cache.table import Table, find
+from pathtrace.cache.cells import Table, find
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")

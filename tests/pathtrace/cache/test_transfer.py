@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from pathtrace.cache.cells import Points
-from pathtrace.cache.patches import Patches, sums_by
-from pathtrace.cache.transfer import Rays, Transfer
-from pathtrace.cache.transport import Links, Transport
+from pathtrace.cache.transport import Links, Patches, Rays, Transfer, Transport, sums_by
 from tests import small
 
 POINTS, CELLS = 60, 8

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pathtrace.cache.patches import Patches
-from pathtrace.cache.transport import Links, Transport
+from pathtrace.cache.transport import Links, Patches, Transport
 from tests import small
 
 CELLS, POINTS, RAYS = 7, 40, 3

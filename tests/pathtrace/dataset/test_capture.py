@@ -12,10 +12,9 @@ import pytest
 
 from compose.base.errors import UserError
 from pathtrace.dataset.capture import capture
-from pathtrace.dataset.exr import read_estimate, read_frame, read_radiance
-from pathtrace.dataset.frames import FrameSet, read_frame_set
-from pathtrace.dataset.settings import CaptureSettings
-from pathtrace.fill.fill import fill_cache
+from pathtrace.dataset.captured_frames import read_estimate, read_frame, read_radiance
+from pathtrace.dataset.frame_set import CaptureSettings, FrameSet, read_frame_set
+from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer

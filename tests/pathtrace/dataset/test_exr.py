@@ -7,8 +7,14 @@ import OpenEXR
 import pytest
 
 from compose.base.errors import UserError
-from pathtrace.dataset.exr import CapturedFrame, read_estimate, read_frame, write_estimate, write_frame
-from pathtrace.trace.image import TracedImage
+from pathtrace.dataset.captured_frames import (
+    CapturedFrame,
+    read_estimate,
+    read_frame,
+    write_estimate,
+    write_frame,
+)
+from pathtrace.trace.traced_images import TracedImage
 from tests import small
 
 

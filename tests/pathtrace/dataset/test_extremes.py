@@ -12,13 +12,12 @@ import pytest
 
 from compose.base.errors import UserError
 from pathtrace.dataset.capture import capture
-from pathtrace.dataset.exr import CapturedFrame, read_frame
-from pathtrace.dataset.frames import read_frame_set
-from pathtrace.dataset.settings import CaptureSettings
-from pathtrace.dataset.views import choose_views
-from pathtrace.fill.fill import fill_cache
+from pathtrace.dataset.captured_frames import CapturedFrame, read_frame
+from pathtrace.dataset.frame_set import CaptureSettings, read_frame_set
+from pathtrace.fill.filling import fill_cache
+from pathtrace.region.neighbourhood import choose_views
 from pathtrace.scene.scene import Scene, load_scene
-from pathtrace.scene.surfaces import Surfaces
+from pathtrace.scene.triangles import Surfaces
 from tests import small
 from tests.extremes import extreme
 from tests.placed import placed

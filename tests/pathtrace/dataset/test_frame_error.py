@@ -16,7 +16,7 @@ from pathtrace.dataset.frame_error import (
     joined,
     mean_frame_error,
 )
-from pathtrace.trace.image import TracedImage
+from pathtrace.trace.traced_images import TracedImage
 from tests.extremes import extreme
 
 SIZE = 96

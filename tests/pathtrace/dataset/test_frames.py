@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
-from pathtrace.dataset.frames import FORMAT_VERSION, read_frame_set
+from pathtrace.dataset.frame_set import FORMAT_VERSION, read_frame_set
 
 IDENTITY = np.eye(4).tolist()
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
-from pathtrace.dataset.exr import read_frame
-from pathtrace.dataset.frames import read_frame_set
+from pathtrace.dataset.captured_frames import read_frame
+from pathtrace.dataset.frame_set import read_frame_set
 from pathtrace.dataset.growing import GrowingFrames, Wanted
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.integrator import Integrator

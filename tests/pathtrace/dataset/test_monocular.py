@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from pathtrace.dataset.capture import capture
-from pathtrace.dataset.settings import CaptureSettings
-from pathtrace.dataset.views import monocular_views
-from pathtrace.region.near import Neighbourhood
+from pathtrace.dataset.frame_set import CaptureSettings
+from pathtrace.region.neighbourhood import Neighbourhood, monocular_views
 from pathtrace.scene.scene import Scene, load_scene
-from pathtrace.scene.surfaces import Surfaces
+from pathtrace.scene.triangles import Surfaces
 from tests import small
 from tests.moving import moving_corner
 

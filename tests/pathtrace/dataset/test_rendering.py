@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pathtrace.base.denoise import denoise
-from pathtrace.dataset.rendering import render_estimates, render_frame, render_with_halves
+from pathtrace.dataset.captured_frames import render_estimates, render_frame, render_with_halves
 from pathtrace.scene.scene import load_scene
+from pathtrace.trace.denoise import denoise
 from pathtrace.trace.tracer import Tracer
 from tests import small
 

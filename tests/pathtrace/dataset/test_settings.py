@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pathtrace.dataset.settings import CaptureSettings
+from pathtrace.dataset.frame_set import CaptureSettings
 
 
 @pytest.mark.parametrize("field", ["views", "width", "height", "spp", "held_out_spp"])

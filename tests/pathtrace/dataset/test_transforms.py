@@ -10,10 +10,10 @@ import pytest
 
 from compose.base.errors import UserError
 from compose.camera.camera import Camera, camera_from_pose, look_at
-from compose.camera.serialization import camera_from_json
-from pathtrace.dataset.settings import CaptureSettings
-from pathtrace.dataset.transforms import describe_capture, write_description
-from pathtrace.dataset.views import ViewSet
+from compose.camera.coordinate_systems import camera_from_json
+from pathtrace.dataset.capture import describe_capture, write_description
+from pathtrace.dataset.frame_set import CaptureSettings
+from pathtrace.region.neighbourhood import ViewSet
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.integrator import Integrator
 

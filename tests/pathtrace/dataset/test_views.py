@@ -6,12 +6,12 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-import pathtrace.region.near as module
+import pathtrace.region.neighbourhood as module
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
-from pathtrace.dataset.views import choose_views, unseen_views
+from pathtrace.region.neighbourhood import choose_views, unseen_views
 from pathtrace.scene.scene import Scene, load_scene
-from pathtrace.scene.surfaces import Surfaces
+from pathtrace.scene.triangles import Surfaces
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")

@@ -9,8 +9,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from pathtrace.cache.lights import light_numbers
-from pathtrace.fill.direct import SAMPLES, Followed, followed, lit, stratified, surface_at
+from pathtrace.cache.light_selection import light_numbers
+from pathtrace.fill.gather import SAMPLES, Followed, followed, lit, stratified, surface_at
 
 pytestmark = pytest.mark.usefixtures("backend")
 COUNT = 40000

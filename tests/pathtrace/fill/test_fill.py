@@ -8,8 +8,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from compose.camera.axes import opencv_from_mitsuba
-from pathtrace.fill.fill import fill_cache
+from compose.camera.coordinate_systems import opencv_from_mitsuba
+from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.film import frame_positions, interleaved
 from pathtrace.trace.tracer import Tracer

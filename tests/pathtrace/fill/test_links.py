@@ -7,7 +7,7 @@ import pytest
 
 from pathtrace.cache.cells import SIDES, Cells, Grid, Points
 from pathtrace.fill.gather import Seen
-from pathtrace.fill.links import cells_hit, links_of
+from pathtrace.fill.guiding import cells_hit, links_of
 from tests import small
 
 UP = np.float32([0, 1, 0])

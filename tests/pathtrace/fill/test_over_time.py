@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pathtrace.cache.cells import Points
-from pathtrace.fill.fill import fill_cache
-from pathtrace.fill.over_time import irradiance_over_time
+from pathtrace.fill.filling import fill_cache
+from pathtrace.fill.gather import irradiance_over_time
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from pathtrace.cache.cells import Cells, Grid, Points
-from pathtrace.cache.lights import LightSamples
+from pathtrace.cache.light_selection import LightSamples
 from pathtrace.fill.gather import Direct, Seen
-from pathtrace.fill.places import Places, shuffled
+from pathtrace.fill.guiding import Places, shuffled
 from tests import small
 
 COUNT, RAYS = 50, 4

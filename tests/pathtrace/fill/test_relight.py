@@ -6,8 +6,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from pathtrace.cache.cache import IrradianceCache
-from pathtrace.fill.fill import fill_cache
+from pathtrace.cache.irradiance_cache import IrradianceCache
+from pathtrace.fill.filling import fill_cache
 from pathtrace.fill.relight import PARTS, Relighting
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.film import frame_positions

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from pathtrace.cache.cells import Points
-from pathtrace.cache.transfer import Rays, Transfer
-from pathtrace.fill.direct import SAMPLES
-from pathtrace.fill.resampling import Part, Resampling
+from pathtrace.cache.transport import Rays, Transfer
+from pathtrace.fill.gather import SAMPLES
+from pathtrace.fill.relight import Part, Resampling
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from pathtrace.fill.fill import fill_cache
-from pathtrace.fill.segments import segments_beyond_cache
+from pathtrace.fill.filling import fill_cache, segments_beyond_cache
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.film import frame_positions, interleaved
 from pathtrace.trace.tracer import Tracer

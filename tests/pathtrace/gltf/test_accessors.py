@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
-from pathtrace.gltf.accessors import read_array
-from pathtrace.gltf.document import read_document
+from pathtrace.gltf.document import read_array, read_document
 from tests.pathtrace.gltf.building import Building
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pathtrace.gltf.rigid import is_rigid, keyframes_of, without_scale
-from pathtrace.motion.tracks import RigidTrack
+from pathtrace.gltf.movement import is_rigid, keyframes_of, without_scale
+from pathtrace.scene.tracks import RigidTrack
 from tests.pathtrace.gltf.building import BOX
 
 TIMES = np.linspace(0, 1, 97)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pathtrace.gltf.samplers import Sampler
+from pathtrace.gltf.animated_nodes import Sampler
 from tests.pathtrace.gltf.building import quaternion
 
 TIMES = np.array([0.5, 1.0, 3.0])

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from pathtrace.region import selection
+from pathtrace.region import view_selection as selection
 from pathtrace.region.reachable import ReachableRegion
 from pathtrace.scene.scene import Scene, load_scene
-from pathtrace.scene.surfaces import Surfaces
+from pathtrace.scene.triangles import Surfaces
 from tests.pathtrace.region import boxes
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from compose.camera.camera import Camera, camera_from_pose, look_at
-from pathtrace.region.coverage import Coverage
+from pathtrace.region.view_coverage import Coverage
 from pathtrace.scene.scene import load_scene
-from pathtrace.scene.surfaces import Surfaces
+from pathtrace.scene.triangles import Surfaces
 from tests.pathtrace.region import boxes
 
 pytestmark = pytest.mark.usefixtures("backend")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
-from pathtrace.region.region import region_of
+from pathtrace.region.viewing_regions import region_of
 from pathtrace.scene.scene import load_scene
-from pathtrace.scene.surfaces import Surfaces
+from pathtrace.scene.triangles import Surfaces
 from tests import small
 from tests.extremes import extreme
 from tests.pathtrace.region import boxes

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pathtrace.region.free_space import FreeSpace, Measures
-from pathtrace.region.reachable import ReachableRegion
+from pathtrace.region.reachable import FreeSpace, Measures, ReachableRegion
 from pathtrace.scene.scene import load_scene
-from pathtrace.scene.surfaces import Surfaces
+from pathtrace.scene.triangles import Surfaces
 from tests.pathtrace.region import boxes
 
 pytestmark = pytest.mark.usefixtures("backend")
@@ -84,7 +83,7 @@ def test_a_viewer_does_not_climb_out_of_a_window():
 
 
 def test_the_lattice_ends_in_a_larger_scene(joined, monkeypatch):
-    import pathtrace.region.free_space as module
+    import pathtrace.region.reachable as module
 
     monkeypatch.setattr(module, "_MOST_NODES", 300)
     region = ReachableRegion(*joined)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
-from compose.camera.axes import opengl_from_opencv
-from pathtrace.region.region import region_from_identity, region_of
+from compose.camera.coordinate_systems import opengl_from_opencv
+from pathtrace.region.viewing_regions import region_from_identity, region_of
 
 pytestmark = pytest.mark.usefixtures("backend")
 THROUGH_THE_DOOR = {

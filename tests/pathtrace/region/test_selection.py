@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pathtrace.region.coverage import Coverage
 from pathtrace.region.looks import looks_of, turned_about, upright, widened
-from pathtrace.region.region import region_from_identity, region_of
+from pathtrace.region.view_coverage import Coverage
+from pathtrace.region.viewing_regions import region_from_identity, region_of
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")
@@ -27,7 +27,7 @@ def test_the_first_views_are_the_same_whatever_their_number(reachable, joined):
 
 
 def test_views_go_on_beyond_a_round(reachable, monkeypatch):
-    import pathtrace.region.selection as module
+    import pathtrace.region.view_selection as module
 
     monkeypatch.setattr(module, "_ROUND", 5)
     views = reachable.views(13, 32, 32, seed=1)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-import pathtrace.scene.bundled as module
+import pathtrace.scene.scene as module
 from compose.base.errors import UserError
-from pathtrace.scene.bundled import bundled_scenes, scene_file
+from pathtrace.scene.scene import bundled_scenes, scene_file
 
 
 def test_bundled_scenes_are_found_by_name():

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from compose.base.errors import UserError
-from pathtrace.scene.description import DEFAULT_MAX_DEPTH, SceneDescription, read_description
+from pathtrace.scene.scene_xml import DEFAULT_MAX_DEPTH, SceneDescription, read_description
 
 INTEGRATOR = '<integrator type="path"><integer name="max_depth" value="{}"/></integrator>'
 

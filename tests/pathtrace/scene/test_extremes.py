@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 
 from compose.base.errors import UserError
-from compose.camera.axes import opencv_from_mitsuba
 from compose.camera.camera import camera_from_pose
-from compose.camera.place import WORLD
-from pathtrace.scene.bundled import bundled_scenes
-from pathtrace.scene.scene import Scene, load_scene
-from pathtrace.scene.surfaces import Surfaces
+from compose.camera.coordinate_systems import WORLD, opencv_from_mitsuba
+from pathtrace.scene.scene import Scene, bundled_scenes, load_scene
+from pathtrace.scene.triangles import Surfaces
 from tests import small
 from tests.extremes import extreme
 from tests.placed import placed

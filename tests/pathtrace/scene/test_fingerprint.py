@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 
-from pathtrace.scene.fingerprint import dictionary_fingerprint, file_fingerprint, fingerprint_at_depth
+from pathtrace.scene.scene_xml import dictionary_fingerprint, file_fingerprint, fingerprint_at_depth
 
 NAMING = '<scene><string name="{}" value="{}"/></scene>'
 

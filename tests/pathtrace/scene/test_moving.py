@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from compose.base.errors import UserError
-from compose.fovea.movers import UNSTEADY
+from compose.base.traced_samples import UNSTEADY
 from pathtrace.gltf.meshes import write_mesh
 from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.film import frame_positions

@@ -6,8 +6,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from pathtrace.scene.ordering import with_ordered_shapes
-from pathtrace.scene.scene import load_scene
+from pathtrace.scene.scene import load_scene, with_ordered_shapes
 from pathtrace.trace.film import frame_positions, interleaved
 from pathtrace.trace.tracer import Tracer
 from tests import small

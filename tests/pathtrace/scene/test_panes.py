@@ -9,7 +9,7 @@ import pytest
 from compose.base.errors import UserError
 from pathtrace.scene.panes import pane_faces
 from pathtrace.scene.scene import load_scene
-from pathtrace.scene.tessellation import triangles_of
+from pathtrace.scene.triangles import triangles_of
 from tests import small
 from tests.extremes import extreme
 

@@ -8,11 +8,9 @@ import mitsuba as mi
 import pytest
 
 from compose.base.errors import UserError
-from pathtrace.scene.description import read_description
 from pathtrace.scene.loading import Source, load_mitsuba
-from pathtrace.scene.references import References
 from pathtrace.scene.scene import load_scene
-from pathtrace.scene.xml import parse_xml
+from pathtrace.scene.scene_xml import References, parse_xml, read_description
 from tests.extremes import extreme
 
 OBJ = "v 0 0 0\nv 1 0 0\nv {} 1 0\nf 1 2 3\n"

@@ -9,8 +9,8 @@ import sys
 import pytest
 
 from compose.base.errors import UserError
-from pathtrace.scene.description import DEFAULT_MAX_DEPTH
 from pathtrace.scene.scene import load_scene
+from pathtrace.scene.scene_xml import DEFAULT_MAX_DEPTH
 from tests import small
 from tests.conftest import real_file
 
@@ -128,8 +128,8 @@ def test_a_single_core_loads_every_bundled_scene():
     script = f"""
 import os
 os.sched_setaffinity(0, [{min(os.sched_getaffinity(0))}])
-from pathtrace.base.backend import select_backend
-from pathtrace.scene.bundled import bundled_scenes
+from pathtrace.scene.backend import select_backend
+from pathtrace.scene.scene import bundled_scenes
 from pathtrace.scene.scene import load_scene
 select_backend()
 print(*(load_scene(name).name for name in bundled_scenes()))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pathtrace.scene.scene import load_scene
-from pathtrace.scene.surfaces import Surfaces, sphere_directions
+from pathtrace.scene.triangles import Surfaces, sphere_directions
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer
 from tests import small

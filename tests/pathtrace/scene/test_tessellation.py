@@ -6,7 +6,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from pathtrace.scene.tessellation import triangles_of
+from pathtrace.scene.triangles import triangles_of
 
 pytestmark = pytest.mark.usefixtures("backend")
 

@@ -7,14 +7,13 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from pathtrace.cache.cache import IrradianceCache
 from pathtrace.cache.cells import Grid
-from pathtrace.fill.fill import fill_cache
+from pathtrace.cache.irradiance_cache import IrradianceCache
+from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.cached_paths import PathSettings, path_radiance
-from pathtrace.trace.film import frame_positions, interleaved
-from pathtrace.trace.rays import opaque_camera, ray_through
-from pathtrace.trace.sequences import Sequences, sobol_tables
+from pathtrace.trace.film import frame_positions, interleaved, opaque_camera, ray_through
+from pathtrace.trace.sampling import Sequences, sobol_tables
 from pathtrace.trace.tracer import Tracer
 from tests import small
 

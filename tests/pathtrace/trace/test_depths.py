@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pathtrace.scene.scene import load_scene
-from pathtrace.trace.depths import MOST_SEGMENTS, DepthShares, depth_shares
 from pathtrace.trace.film import frame_positions, interleaved
+from pathtrace.trace.path_depths import MOST_SEGMENTS, DepthShares, depth_shares
 from pathtrace.trace.tracer import Tracer
 from tests import small
 from tests.pathtrace.trace.test_cached_paths import room

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from compose.image.gloss import DIFFUSE, GLOSSY, SPECULAR
+from compose.base.traced_samples import DIFFUSE, GLOSSY, SPECULAR
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.first_hit import auxiliary_features, auxiliary_hits, first_hits, has_clear_surfaces

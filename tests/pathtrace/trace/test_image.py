@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pathtrace.base.denoise import denoise
 from pathtrace.scene.scene import Scene, load_scene
+from pathtrace.trace.denoise import denoise
 from pathtrace.trace.film import box_positions, frame_positions
-from pathtrace.trace.image import auxiliary_images, radiance_image, trace_image
+from pathtrace.trace.traced_images import auxiliary_images, radiance_image, trace_image
 from pathtrace.trace.tracer import Tracer
 from tests import small
 

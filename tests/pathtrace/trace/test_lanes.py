@@ -7,9 +7,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from compose.fovea.counts import Counts
+from compose.base.traced_samples import Counts
 from pathtrace.trace.film import FilmPositions, box_positions
-from pathtrace.trace.lanes import Lanes
+from pathtrace.trace.sampling import Lanes
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")

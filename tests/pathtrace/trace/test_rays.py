@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from compose.camera.camera import camera_from_pose, look_at
-from pathtrace.trace.rays import opaque_camera, ray_through
+from pathtrace.trace.film import opaque_camera, ray_through
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from compose.camera.axes import mitsuba_from_opencv
+from compose.base.traced_samples import Counts
 from compose.camera.camera import Camera
-from compose.fovea.counts import Counts
-from pathtrace.fill.fill import fill_cache
+from compose.camera.coordinate_systems import mitsuba_from_opencv
+from pathtrace.fill.filling import fill_cache
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.film import FilmPositions, box_positions, frame_positions, interleaved, pixel_positions
 from pathtrace.trace.tracer import Tracer, auxiliary_spp

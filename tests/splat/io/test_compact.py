@@ -12,10 +12,10 @@ from compose.base.errors import UserError
 from splat.io.compact import compact, decoded, encoded, is_compact
 from splat.io.forest_file import load_forest, save_forest
 from splat.io.tensors import load_tensors, save_tensors
-from splat.model.building import build_forest
 from splat.model.forest import Forest, forest_of
 from splat.model.gaussians import Directional, Gaussians
 from splat.model.layer import Layer, static_layer
+from splat.model.trees import build_forest
 from tests.extremes import extreme
 from tests.splat.samples import KINDS, equal, gaussians
 

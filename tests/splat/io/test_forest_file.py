@@ -13,9 +13,9 @@ from safetensors import safe_open
 from compose.base.errors import UserError
 from splat.io.forest_file import load_forest, save_forest
 from splat.io.tensors import load_tensors, save_tensors
-from splat.model.building import build_forest
 from splat.model.forest import Forest, forest_of
 from splat.model.layer import static_layer
+from splat.model.trees import build_forest
 from tests.splat.samples import equal, gaussians
 
 

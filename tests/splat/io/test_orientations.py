@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from splat.io.orientations import codes_of_rotations, rotations_of_codes
+from splat.io.compact import codes_of_rotations, rotations_of_codes
 
 components = st.floats(width=32, allow_nan=False, allow_infinity=False)
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from splat.io import packing
-from splat.io.packing import packed, unpacked
+from splat.io import tensors as packing
+from splat.io.tensors import packed, unpacked
 
 TENSORS = {
     "half": torch.randn(3, 5, generator=torch.Generator().manual_seed(1)).half(),

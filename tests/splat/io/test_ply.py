@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from compose.base.errors import UserError
-from compose.camera.axes import mitsuba_from_opencv
 from compose.camera.camera import Camera, camera_from_pose, look_at
+from compose.camera.coordinate_systems import mitsuba_from_opencv
 from splat.io.ply import UNBOUND_FOCAL, load_ply, save_ply
-from splat.lod.renderer import ForestRenderer
+from splat.lod.forest_renderer import ForestRenderer
 from splat.model.forest import forest_of
 from splat.model.gaussians import SH_DC, Gaussians
 from splat.model.layer import static_layer

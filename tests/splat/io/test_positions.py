@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from splat.io.positions import boxed, tolerance, unboxed
+from splat.io.compact import boxed, tolerance, unboxed
 from tests.extremes import extreme
 
 coordinates = st.floats(width=32, allow_nan=False, allow_infinity=False)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import expit
 
-from splat.io import rounding
+from splat.io import compact as rounding
 from splat.model.gaussians import SH_DC
 from tests.extremes import extreme
 

@@ -9,13 +9,13 @@ import pytest
 import torch
 
 from compose.camera.camera import Camera, camera_from_pose
-from compose.camera.place import WORLD, Place
+from compose.camera.coordinate_systems import WORLD, Place
 from splat.io.forest_file import load_forest, save_forest
-from splat.lod.renderer import ForestRenderer
-from splat.model.building import build_forest
+from splat.lod.forest_renderer import ForestRenderer
 from splat.model.forest import forest_of
 from splat.model.layer import static_layer
-from splat.model.placing import in_world
+from splat.model.points import in_world
+from splat.model.trees import build_forest
 from splat.raster.differentiable import render
 from tests.extremes import extreme
 from tests.splat.samples import camera, gaussians

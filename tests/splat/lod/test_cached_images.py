@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from splat.lod.cached_images import CachedLayerImages
+from splat.lod.forest_renderer import CachedLayerImages, ForestRenderer
 from splat.lod.layer_images import LayerImage
-from splat.lod.renderer import ForestRenderer
 from splat.model.forest import forest_of
 from splat.model.layer import static_layer
 from tests.splat.lod.views import CELLS, everything, frame_camera, no_cutoff, ramp, small_forest

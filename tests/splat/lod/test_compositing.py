@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from splat.lod.compositing import composite
-from splat.lod.image import SplatImage
-from splat.lod.layer_images import AtlasEntry, LayerImage
+from splat.lod.layer_images import AtlasEntry, LayerImage, SplatImage
 from tests.splat.lod.views import CELLS, CORNERS, HEIGHT, WIDTH, everything, frame_camera, ramp
 
 STRIDE = 160

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splat.lod.image import SplatImage, black_image
+from splat.lod.layer_images import SplatImage, black_image
 from tests.splat.lod.views import frame_camera
 
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from splat.lod.changes import LayerChanges
+from splat.lod.footprints import LayerChanges
+from splat.lod.forest_renderer import ForestRenderer
 from splat.lod.layer_images import LayerImage
-from splat.lod.renderer import ForestRenderer
+from splat.model.dynamic_light import LightCourse, in_light, seen_from_behind
 from splat.model.forest import Forest
-from splat.model.light_course import LightCourse, in_light, seen_from_behind
 from splat.model.motion import posed
 from tests.splat.lod.views import CORNERS, everything, frame_camera, no_cutoff, small_forest
 from tests.splat.model.test_motion import COUNT, random_motion

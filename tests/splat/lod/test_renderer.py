@@ -10,8 +10,8 @@ import torch
 from scipy.ndimage import map_coordinates
 
 from compose.camera.camera import Camera
+from splat.lod.forest_renderer import ForestRenderer, finest_frequency
 from splat.lod.layer_images import LayerImage, Under
-from splat.lod.renderer import ForestRenderer, finest_frequency
 from splat.model.forest import Forest, forest_of
 from splat.model.layer import static_layer
 from splat.raster.projection import PIXEL_FILTER

@@ -8,9 +8,8 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from splat.lod.entry_table import EntryTable
 from splat.lod.layer_images import AtlasEntry, LayerImage
-from splat.lod.selection import touching
+from splat.lod.node_selection import EntryTable, touching
 from splat.raster.projection import PIXEL_FILTER
 
 ROWS, COLUMNS = 7, 10

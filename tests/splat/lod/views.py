@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from compose.camera.camera import Camera, camera_from_pose
-from splat.model.building import build_forest
 from splat.model.forest import Forest, forest_of
 from splat.model.layer import static_layer
+from splat.model.trees import build_forest
 from tests.splat.raster import reference
 from tests.splat.samples import gaussians
 

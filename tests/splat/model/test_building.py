@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from splat.model.building import build_forest, layer_of_size, longest_axis
-from splat.model.check import check_forest
-from splat.model.layer import Layer, static_layer
+from splat.model.layer import Layer, check_forest, static_layer
+from splat.model.trees import build_forest, layer_of_size, longest_axis
 from tests.splat.samples import equal, spheres
 
 

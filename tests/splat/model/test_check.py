@@ -7,9 +7,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from splat.model.building import build_forest
-from splat.model.check import check_forest
-from splat.model.layer import Layer, static_layer
+from splat.model.layer import Layer, check_forest, static_layer
+from splat.model.trees import build_forest
 from tests.splat.samples import gaussians
 
 

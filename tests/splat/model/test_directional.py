@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from splat.model.gaussians import Directional, Gaussians, concatenated, written
-from splat.model.merging import merge
+from splat.model.trees import merge
 from tests.splat.samples import equal, gaussians
 
 N = 12

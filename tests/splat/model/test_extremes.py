@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from splat.model.gaussians import Gaussians
-from splat.model.merging import merge
+from splat.model.trees import merge
 from tests.extremes import extreme
 
 

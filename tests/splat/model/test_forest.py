@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from splat.model.building import build_forest
-from splat.model.check import check_forest
 from splat.model.forest import Forest, forest_of
-from splat.model.layer import Layer, static_layer
+from splat.model.layer import Layer, check_forest, static_layer
+from splat.model.trees import build_forest
 from tests.splat.samples import equal, gaussians
 
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from splat.model.gaussians import SH_DC, Gaussians
-from splat.model.light_course import LightCourse, in_light
-from splat.model.perceptual import perceptual_from_radiance, radiance_from_perceptual
+from splat.model.dynamic_light import LightCourse, in_light
+from splat.model.gaussians import SH_DC, Gaussians, perceptual_from_radiance, radiance_from_perceptual
 from tests.splat.samples import gaussians
 
 

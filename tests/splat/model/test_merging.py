@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from splat.model.gaussians import Gaussians
-from splat.model.merging import merge
+from splat.model.trees import merge
 from tests.splat.raster.reference import double, rotation_matrix
 from tests.splat.samples import gaussians, spheres
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation, Slerp
 
-from compose.camera.place import Place
+from compose.camera.coordinate_systems import Place
 from splat.model.motion import Motion, Poses, posed
 from tests.extremes import extreme
 from tests.splat.samples import gaussians

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splat.model.neighbours import Neighbours
+from splat.model.points import Neighbours
 
 
 def test_neighbours_by_hand():

@@ -9,9 +9,8 @@ import pytest
 import torch
 
 from splat.model.layer import Layer, static_layer
-from splat.model.parents import label_codes, with_parents
-from splat.model.rows import means_of
-from splat.model.z_curve import z_curve_order
+from splat.model.points import means_of, z_curve_order
+from splat.model.trees import label_codes, with_parents
 from tests.splat.samples import spheres
 
 

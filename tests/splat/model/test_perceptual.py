@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from splat.model.perceptual import perceptual_from_radiance
+from splat.model.gaussians import perceptual_from_radiance
 from splat.raster.harmonics import radiance_from_perceptual
 
 

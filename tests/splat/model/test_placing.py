@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from compose.camera.place import WORLD, Place, place_around
-from splat.model.placing import from_world, in_world, place_of_gaussians
+from compose.camera.coordinate_systems import WORLD, Place, place_around
+from splat.model.points import from_world, in_world, place_of_gaussians
 from tests.extremes import extreme
 from tests.splat.samples import equal, gaussians
 

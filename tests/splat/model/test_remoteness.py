@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import torch
 
-from splat.model.building import build_forest
 from splat.model.gaussians import Gaussians
 from splat.model.layer import static_layer
-from splat.model.remoteness import remoteness
+from splat.model.points import remoteness
+from splat.model.trees import build_forest
 
 
 def test_only_what_is_far_away_is_remote():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from splat.model.rows import means_of, quaternions_xyzw, rows_of
+from splat.model.points import means_of, quaternions_xyzw, rows_of
 from tests.splat.samples import gaussians
 
 

@@ -7,10 +7,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from splat.model.building import build_forest
-from splat.model.check import check_forest
-from splat.model.layer import Layer, static_layer
-from splat.model.settling import settle
+from splat.model.layer import Layer, check_forest, static_layer
+from splat.model.trees import build_forest, settle
 from tests.splat.model.test_building import scattered
 from tests.splat.samples import spheres
 

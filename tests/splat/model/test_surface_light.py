@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from compose.camera.place import Place
+from compose.camera.coordinate_systems import Place
+from splat.model.dynamic_light import SurfaceLight
 from splat.model.gaussians import Gaussians
 from splat.model.layer import Layer, static_layer
-from splat.model.surface_light import SurfaceLight
 
 TIMES = 5
 

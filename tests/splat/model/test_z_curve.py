@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from splat.model.z_curve import z_curve_order
+from splat.model.points import z_curve_order
 
 
 def test_corners_are_visited_with_x_fastest():

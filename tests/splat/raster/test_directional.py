@@ -6,9 +6,8 @@ import pytest
 import torch
 
 from splat.model.gaussians import Directional, Gaussians
-from splat.raster import directional as module
-from splat.raster.differentiable import render_differentiable
-from splat.raster.directional import directional_radiance, seen_from
+from splat.raster import differentiable as module
+from splat.raster.differentiable import directional_radiance, render_differentiable, seen_from
 from tests.splat.raster import reference
 from tests.splat.raster.test_differentiable import smooth
 from tests.splat.samples import camera, gaussians, leaves_of

@@ -10,9 +10,8 @@ import pytest
 import torch
 
 from splat.raster.binning import bin_splats
-from splat.raster.blending import rasterize
+from splat.raster.blending import rasterize, rasterize_backward
 from splat.raster.blocks import CHANNELS
-from splat.raster.gradient import rasterize_backward
 from splat.raster.tiles import TileGrid
 from tests.splat.raster.splats import NAMES, blended, doubles, random_splats, round_splats, uploaded
 

@@ -7,8 +7,7 @@ import pytest
 
 from splat.raster import parts as parts_module
 from splat.raster.binning import Candidates, TileBounds, bin_splats
-from splat.raster.blending import rasterize
-from splat.raster.gradient import rasterize_backward
+from splat.raster.blending import rasterize, rasterize_backward
 from splat.raster.parts import Parts, rasterize_parts, rasterize_parts_backward
 from splat.raster.tiles import TileGrid
 from tests.extremes import extreme

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from compose.camera.camera import Camera, camera_from_pose
-from splat.training.views import TrainingView
+from splat.training.training_view import TrainingView
 
 SIZE = 32
 

@@ -12,8 +12,8 @@ from compose.base.arrays import Arrays
 from compose.camera.camera import Camera, camera_from_pose, look_at
 from splat.model.gaussians import Gaussians, sh_count
 from splat.raster.differentiable import render_differentiable
+from splat.training.gaussian_optimizer import GaussianOptimizer
 from splat.training.loss import Target
-from splat.training.optimizer import GaussianOptimizer
 
 _SIDE = 24
 _STEPS_PER_START = 25

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from splat.model.perceptual import perceptual_from_radiance
-from splat.training.loss import SSIM_WEIGHT
-from splat.training.window import WEIGHTS
+from splat.model.gaussians import perceptual_from_radiance
+from splat.training.loss import SSIM_WEIGHT, WEIGHTS
 
 
 def blurred(maps: torch.Tensor) -> torch.Tensor:

@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from splat.model.gaussians import Gaussians
-from splat.training.depths import measured
+from splat.training.depth_estimates import measured
 from splat.training.initialization import seed_at
-from splat.training.views import TrainingView
+from splat.training.training_view import TrainingView
 from tests.splat.training.frames import SIZE, WALLS
 
 

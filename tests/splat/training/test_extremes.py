@@ -9,14 +9,13 @@ import pytest
 import torch
 
 from compose.camera.camera import Camera, camera_from_pose
-from splat.model.check import check_forest
-from splat.model.gaussians import Gaussians
-from splat.model.perceptual import perceptual_from_radiance
+from splat.model.gaussians import Gaussians, perceptual_from_radiance
+from splat.model.layer import check_forest
 from splat.raster.differentiable import render_differentiable
+from splat.training.gaussian_optimizer import GaussianOptimizer
 from splat.training.loss import Target
-from splat.training.optimizer import GaussianOptimizer
 from splat.training.trainer import Trainer, TrainingSettings
-from splat.training.views import TrainingView, in_half_precision
+from splat.training.training_view import TrainingView, in_half_precision
 from tests.extremes import extreme
 from tests.splat.samples import equal
 from tests.splat.samples import gaussians as random_gaussians

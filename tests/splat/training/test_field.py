@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from splat.deformation.learned import LearnedMotion
+from splat.model.choices import FieldKind, MotionModel
 from splat.model.forest import forest_of
-from splat.model.motion_model import FieldKind, MotionModel
+from splat.model.learned_motion import LearnedMotion
 from splat.raster.differentiable import render_differentiable
-from splat.training.field import FieldOptimizer
+from splat.training.field_training import FieldOptimizer
 from splat.training.trainer import Trainer, TrainingSettings
-from splat.training.views import TrainingView
+from splat.training.training_view import TrainingView
 from tests.extremes import extreme
 from tests.splat.training.test_moving import VIEWS, scene
 
@@ -114,7 +114,7 @@ def test_a_step_that_is_not_finite_changes_nothing(bad):
 def test_forests_with_a_learned_motion_are_stored_and_drawn(arrays, kind, tmp_path):
     """What is read again is drawn as what training has drawn."""
     from splat.io.forest_file import load_forest, save_forest
-    from splat.lod.renderer import ForestRenderer
+    from splat.lod.forest_renderer import ForestRenderer
 
     model = next(model for model in LEARNED if model.field is kind)
     trainer = Trainer(arrays, VIEWS, replace(SETTINGS, iterations=60, motion=model))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from compose.camera.camera import Camera, camera_from_pose, look_at
-from splat.training.guesses import focus, with_guesses
-from splat.training.views import TrainingView
+from splat.training.depth_estimates import focus, with_guesses
+from splat.training.training_view import TrainingView
 from tests.extremes import extreme
 from tests.splat.training.frames import WALLS, made
 

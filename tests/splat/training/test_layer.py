@@ -12,7 +12,7 @@ from splat.model.layer import concatenated_layers
 from splat.raster.differentiable import render_differentiable
 from splat.training import density
 from splat.training.initialization import seed_from_views
-from splat.training.layer import LayerTraining
+from splat.training.layer_training import LayerTraining
 from splat.training.loss import Target
 from tests.splat.samples import equal
 from tests.splat.training.frames import WALLS

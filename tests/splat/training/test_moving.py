@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
+from splat.model.choices import MotionModel
 from splat.model.motion import Motion, posed
-from splat.model.motion_model import MotionModel
 from splat.raster.differentiable import render_differentiable
 from splat.training.trainer import Trainer, TrainingSettings
-from splat.training.views import TrainingView
+from splat.training.training_view import TrainingView
 from tests.splat.training.frames import SIZE, wall
 
 # From rest to the right, while turning by a quarter.

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from splat.model.light_course import in_light, seen_from_behind
-from splat.model.surface_light import SurfaceLight
+from splat.model.dynamic_light import NodeLight, SurfaceLight, in_light, seen_from_behind
 from splat.raster.differentiable import render_differentiable
 from splat.training.initialization import seed_at
-from splat.training.node_light import NodeLight
 from splat.training.trainer import Trainer, TrainingSettings
-from splat.training.views import TrainingView
+from splat.training.training_view import TrainingView
 from tests.splat.model.test_surface_light import floor, joined, nodes
 from tests.splat.training.frames import SIZE, wall
 

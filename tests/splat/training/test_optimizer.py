@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from splat.model.gaussians import Gaussians, concatenated
-from splat.training.optimizer import GaussianOptimizer
+from splat.training.gaussian_optimizer import GaussianOptimizer
 from tests.splat.samples import equal, gaussians
 
 

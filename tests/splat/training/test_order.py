@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splat.training.order import order_of_views
+from splat.training.layer_training import order_of_views
 
 
 def visits(errors: list[float], rounds: int = 4000) -> np.ndarray:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from splat.deformation.learned import LearnedMotion
+from splat.model.choices import FieldKind
 from splat.model.gaussians import Gaussians
-from splat.model.motion_model import FieldKind
-from splat.training.registration import register
-from splat.training.views import TrainingView
+from splat.model.learned_motion import LearnedMotion
+from splat.training.field_training import register
+from splat.training.training_view import TrainingView
 from tests.splat.training.test_moving import CENTRE, TIMES, TURN, VIEWS, WAY
 
 STEPS = 400

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from splat.training.density import largest_log_scales
 from splat.training.initialization import seed_at
-from splat.training.layer import LayerTraining
-from splat.training.sizes import largest_log_scales
+from splat.training.layer_training import LayerTraining
 from tests.splat.training.frames import WALLS
 
 

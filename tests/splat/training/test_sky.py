@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from compose.camera.place import Place
-from splat.model.check import check_forest
-from splat.model.gaussians import SH_DC
-from splat.model.perceptual import perceptual_from_radiance
+from compose.camera.coordinate_systems import Place
+from splat.model.gaussians import SH_DC, perceptual_from_radiance
+from splat.model.layer import check_forest
 from splat.raster.differentiable import render_differentiable
 from splat.training.initialization import seed_from_views
 from splat.training.sky import SKY_DISTANCE, shows_sky, whole_sky
 from splat.training.trainer import Trainer, TrainingSettings
-from splat.training.views import TrainingView, pixel_footprint, place_of, placed, reduced
+from splat.training.training_view import TrainingView, pixel_footprint, place_of, placed, reduced
 from tests.extremes import extreme
 from tests.splat.training.frames import SIZE, WALLS, in_the_open
 

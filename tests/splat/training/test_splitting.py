@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
+from splat.model.dynamic_light import SurfaceLight
 from splat.model.motion import turned
-from splat.model.surface_light import SurfaceLight
 from splat.raster.differentiable import render_differentiable
-from splat.training.splitting import LEAST_STEPS, halves, too_large
+from splat.training.density import LEAST_STEPS, halves, too_large
 from splat.training.trainer import Trainer, TrainingSettings
-from splat.training.views import TrainingView
+from splat.training.training_view import TrainingView
 from tests.splat.model.test_surface_light import floor, nodes
 from tests.splat.training.frames import SIZE, WALLS, wall
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import torch
 
-from splat.model.check import check_forest
 from splat.model.forest import forest_of
-from splat.model.perceptual import perceptual_from_radiance
+from splat.model.gaussians import perceptual_from_radiance
+from splat.model.layer import check_forest
 from splat.raster.differentiable import render_differentiable
 from splat.training import density
 from splat.training.trainer import Trainer, TrainingSettings, most_layers, training_schedule
-from splat.training.views import reduced
+from splat.training.training_view import reduced
 from tests.splat.samples import equal
 from tests.splat.training.frames import WALLS, closed_sphere, wall
 

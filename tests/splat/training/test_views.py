@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from compose.image.colour import srgb_from_radiance
-from splat.training.views import in_half_precision, pixel_footprint, reduced
+from splat.training.training_view import in_half_precision, pixel_footprint, reduced
 from tests.extremes import extreme
 from tests.splat.training.frames import SIZE, wall
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from splat.training.window import WEIGHTS, across, blur, down, transposed
+from splat.training.loss import WEIGHTS, across, blur, down, transposed
 from tests.splat.training import reference
 
 HEIGHT, WIDTH = 29, 22

@@ -8,8 +8,8 @@ import subprocess
 import pytest
 
 from compose.base.errors import UserError
-from hybrid.cli.benches.frame import frame as command
-from hybrid.cli.benches.frame import on_llvm
+from hybrid.cli.bench import frame as command
+from hybrid.cli.bench import on_llvm
 from tests.hybrid.command import run
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from hybrid.cli.benches.integrator import integrator as command
+from hybrid.cli.bench import integrator as command
 from tests.hybrid.command import run
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")

@@ -6,9 +6,9 @@ import json
 
 import pytest
 
-from hybrid.bench import moving as module
-from hybrid.cli.benches.moving import moving as command
-from hybrid.plan.stored import planned_scene
+from hybrid.bench import moving_bench as module
+from hybrid.cli.bench import moving as command
+from hybrid.preparation.scene_plan import planned_scene
 from splat.io.forest_file import save_forest
 from tests.hybrid.command import run
 from tests.hybrid.forests import rough_forest

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from compose.eye.acuity import ACUITY_MODELS
-from hybrid.cli.benches.periphery import periphery as command
+from hybrid.cli.bench import periphery as command
 from tests.hybrid.command import run
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from hybrid.cli.benches.raster import raster as command
+from hybrid.cli.bench import raster as command
 from tests.hybrid.command import run
 
 pytestmark = pytest.mark.usefixtures("backend", "own_home")

@@ -9,7 +9,7 @@ import pickle
 import numpy as np
 import pytest
 
-from hybrid.measure.metrics.array_pickle import ArrayUnpickler
+from hybrid.measure.perceptual_metrics import ArrayUnpickler
 
 
 def test_nested_arrays_are_read():

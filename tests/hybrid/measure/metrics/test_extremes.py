@@ -8,12 +8,8 @@ import pytest
 from compose.base.errors import UserError
 from compose.eye.display import DISPLAYS, Display
 from compose.eye.gaze import Gaze
-from hybrid.measure.metrics.flip import flip, flip_map, flip_reach, hdr_flip_map
-from hybrid.measure.metrics.fovvideovdp import jod
-from hybrid.measure.metrics.lpips import lpips
-from hybrid.measure.metrics.psnr import psnr, psnr_of_error
-from hybrid.measure.metrics.registration import registration_px
-from hybrid.measure.metrics.ssim import SSIM_WINDOW, ssim, valid_mean
+from hybrid.measure.image_metrics import SSIM_WINDOW, psnr, psnr_of_error, registration_px, ssim, valid_mean
+from hybrid.measure.perceptual_metrics import flip, flip_map, flip_reach, hdr_flip_map, jod, lpips
 from tests import small
 from tests.extremes import extreme
 

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from hybrid.measure.metrics import flip as module
+from hybrid.measure import perceptual_metrics as module
 from tests import small
 
 SIZE = 80

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
-from hybrid.measure.metrics.fovvideovdp import jod
+from hybrid.measure.perceptual_metrics import jod
 from tests import small
 
 WIDTH, HEIGHT = 160, 96
@@ -79,7 +79,7 @@ import pip, os
 import numpy as np
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
-from hybrid.measure.metrics.fovvideovdp import jod
+from hybrid.measure.perceptual_metrics import jod
 image = np.full((48, 80, 3), 0.5, np.float32)
 print(jod(image, image, Display(80, 48, 40.0), Gaze()), os.environ.get("SETUPTOOLS_USE_DISTUTILS"))
 """

@@ -6,8 +6,8 @@ from importlib.metadata import PackageNotFoundError
 
 import pytest
 
-from hybrid.measure.metrics import installed as module
-from hybrid.measure.metrics.installed import installed, missing
+from hybrid.measure import frame_quality as module
+from hybrid.measure.frame_quality import installed, missing
 
 
 def test_what_is_installed_is_named_with_its_version_and_the_rest_with_its_command(monkeypatch):

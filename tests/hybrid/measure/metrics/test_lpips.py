@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from hybrid.measure.metrics import lpips as module
-from hybrid.measure.metrics.lpips import lpips
+from hybrid.measure import perceptual_metrics as module
+from hybrid.measure.perceptual_metrics import lpips
 from tests import small
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybrid.measure.metrics.psnr import psnr, psnr_of_error
+from hybrid.measure.image_metrics import psnr, psnr_of_error
 
 
 def flat(value: float, shape: tuple[int, ...] = (6, 4, 3)) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import fourier_shift, gaussian_filter
 
-from hybrid.measure.metrics.registration import registration_px
+from hybrid.measure.image_metrics import registration_px
 from tests import small
 
 

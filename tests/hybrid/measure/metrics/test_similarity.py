@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hybrid.measure.metrics.psnr import psnr
-from hybrid.measure.metrics.similarity import quality
-from hybrid.measure.metrics.ssim import ssim
+from hybrid.measure.image_metrics import psnr, quality, ssim
 
 
 def test_both_metrics_stand_under_their_names():

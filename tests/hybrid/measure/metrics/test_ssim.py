@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybrid.measure.metrics.ssim import SSIM_MARGIN, ssim, ssim_map, valid_mean
+from hybrid.measure.image_metrics import SSIM_MARGIN, ssim, ssim_map, valid_mean
 
 
 def linear(encoded: np.ndarray) -> np.ndarray:

@@ -1,0 +1,188 @@
+"""The views from which samples were traced before, in device memory."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.arrays import Arrays
+from compose.base.traced_samples import ALWAYS
+from compose.fovea.samples import RECORD
+
+# Views that are remembered.
+MOST_VIEWS = 16
+# Floats that tell where a sample is, loaded as one packet.
+_PLACE = 4
+# The last float of a place holds the mover, the view's number and the class of gloss: 20 bits of the 24 that
+# a float holds exactly.
+_GLOSS_BITS, _VIEW_BITS = 2, (MOST_VIEWS - 1).bit_length()
+# Moments after which samples are dropped, since light has changed: shadows of two moments ago are seen.
+MOST_MOMENTS = 1
+# Samples for which there is room at first: a disc of a small frame.
+_LEAST_ROOM = 1 << 12
+
+
+@dataclass(frozen=True)
+class EarlierView:
+    """What was traced from one camera, for N of its pixels.
+
+    Attributes:
+        records: sixteen Floats (N,) (compose.fovea.samples), at least one sample each.
+        position: three Floats (N,), of what was hit, in the world; of what moves, where that is at rest.
+        gloss: Float (N,), of what was hit.
+        mover: Float (N,), number of what was hit among what moves (compose.base.traced_samples).
+        viewpoint: (3,) position of the camera.
+        time: that it showed, from 0 to 1.
+    """
+
+    records: list[Any]
+    position: list[Any]
+    gloss: Any
+    mover: Any
+    viewpoint: NDArray[np.float64]
+    time: float = 0.0
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where M samples of earlier views are, as Dr.Jit arrays of width M.
+
+    Attributes:
+        position: three Floats, in the world; of what moves, at rest.
+        gloss: UInt, class of gloss of what was hit.
+        view: UInt, number of the view, less than MOST_VIEWS.
+        mover: UInt, number of what was hit among what moves.
+    """
+
+    position: list[Any]
+    gloss: Any
+    view: Any
+    mover: Any
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What is known of a view on the host: its number, number of samples, viewpoint and time."""
+
+    number: int
+    samples: int
+    viewpoint: NDArray[np.float64]
+    time: float
+
+
+class EarlierViews:
+    """The samples of the last MOST_VIEWS views, one view after another in a ring.
+
+    Once a view is added, nothing of it moves unless the ring must grow.
+
+    Args:
+        arrays: the backend's array types.
+
+    Attributes:
+        moment: what is seen now; set before views of it are added.
+    """
+
+    def __init__(self, arrays: Arrays):
+        self.arrays, self.moment = arrays, ALWAYS
+        self.clear()
+
+    def clear(self) -> None:
+        """Forgets all views."""
+        self._views: deque[_Known] = deque()
+        self._added = self._first = 0
+        self._room = _LEAST_ROOM
+        self._places, self._records = self._empty()
+
+    @property
+    def samples(self) -> int:
+        """Number of samples of all views."""
+        return sum(view.samples for view in self._views)
+
+    def viewpoints(self) -> NDArray[np.float64]:
+        """(MOST_VIEWS, 3) positions of the cameras by number of their view; far away where there is none."""
+        found = np.full((MOST_VIEWS, 3), np.inf)
+        for view in self._views:
+            found[view.number] = view.viewpoint
+        return found
+
+    def of_now(self) -> NDArray[np.bool_]:
+        """(MOST_VIEWS,) by number, whether a view shows the moment that is seen now."""
+        found = np.zeros(MOST_VIEWS, dtype=bool)
+        for view in self._views:
+            found[view.number] = view.time == self.moment.time
+        return found
+
+    def add(self, view: EarlierView) -> None:
+        """Adds a view; the oldest go where there are MOST_VIEWS, or MOST_MOMENTS other than now."""
+        if len(self._views) == MOST_VIEWS:
+            self._drop_oldest()
+        now = self.moment.time
+        while len({view.time, *(known.time for known in self._views)} - {now}) > MOST_MOMENTS:
+            self._drop_oldest()
+        number, size, before = self._added % MOST_VIEWS, dr.width(view.gloss), self.samples
+        self._views.append(_Known(number, size, view.viewpoint, view.time))
+        self._added += 1
+        if before + size > self._room:
+            self._grow(before, before + size)
+        if size:
+            self._write(view, number, before)
+
+    def _drop_oldest(self) -> None:
+        self._first = (self._first + self._views.popleft().samples) % self._room
+
+    def places(self, index: Any) -> Places:
+        """Where the samples at an index (M,) are; the oldest view's first sample has index 0."""
+        *position, tag = self._packet(self._places, _PLACE, self._slot(index))
+        tag = self.arrays.plain.UInt(tag)
+        gloss, view = tag & ((1 << _GLOSS_BITS) - 1), (tag >> _GLOSS_BITS) & (MOST_VIEWS - 1)
+        return Places(position, gloss, view, tag >> (_GLOSS_BITS + _VIEW_BITS))
+
+    def records(self, index: Any) -> list[Any]:
+        """Sixteen Floats (M,): the records of the samples at an index."""
+        return list(self._packet(self._records, RECORD, self._slot(index)))
+
+    def _packet(self, table: Any, size: int, slot: Any) -> Any:
+        return dr.gather(self.arrays.plain.ArrayXf, table, slot, shape=(size, dr.width(slot)))
+
+    def _slot(self, index: Any) -> Any:
+        """Where in the ring the samples at an index are."""
+        # Its size is a power of two.
+        return index + self.arrays.constant(self._first) & self.arrays.constant(self._room - 1)
+
+    def _empty(self) -> tuple[Any, Any]:
+        Float = self.arrays.plain.Float
+        return dr.empty(Float, _PLACE * self._room), dr.empty(Float, RECORD * self._room)
+
+    def _grow(self, samples: int, wanted: int) -> None:
+        """Moves all samples to the start of a ring that has room for as many as wanted."""
+        moved: tuple[Any, ...] = ()
+        if samples:
+            index = dr.arange(self.arrays.plain.UInt, samples)
+            slot = self._slot(index)
+            places, records = (
+                self._packet(self._places, _PLACE, slot),
+                self._packet(self._records, RECORD, slot),
+            )
+            moved = places, records, index
+        self._first, self._room = 0, 1 << (wanted - 1).bit_length()
+        self._places, self._records = self._empty()
+        if moved:
+            self._scatter(*moved)
+
+    def _write(self, view: EarlierView, number: int, start: int) -> None:
+        """Copies a view's samples to the ring, from an index on."""
+        plain = self.arrays.plain
+        tag = plain.UInt(view.gloss) | plain.UInt(view.mover) << (_GLOSS_BITS + _VIEW_BITS)
+        tag |= self.arrays.constant(number << _GLOSS_BITS)
+        slot = self._slot(dr.arange(plain.UInt, dr.width(tag)) + self.arrays.constant(start))
+        self._scatter(plain.ArrayXf([*view.position, plain.Float(tag)]), plain.ArrayXf(view.records), slot)
+
+    def _scatter(self, places: Any, records: Any, slot: Any) -> None:
+        dr.scatter(self._places, places, slot, mode=dr.ReduceMode.Permute)
+        dr.scatter(self._records, records, slot, mode=dr.ReduceMode.Permute)
+        dr.eval(self._places, self._records)

@@ -1,0 +1,264 @@
+"""Foveation: the disc that is path-traced, the part of it that is not rasterized, and the band between.
+
+Radii are in percent of the frame's height, measured in pixels on the screen (Foveated Path Culling, section
+3): the path tracer covers r < fov-a, the splats cover r > fov-b, the weight is linear between. Once fov-a
+reaches the frame's furthest pixel, what weight is left to the splats fades out, as fov-a grows by another
+fifth: then the frame is path-traced as a whole. So weights are continuous in radii and gaze.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.errors import UserError
+from compose.eye.gaze import Gaze
+
+if TYPE_CHECKING:
+    from compose.base.arrays import Arrays
+    from compose.fovea.disc import Disc
+
+
+class FoveaMode(Enum):
+    """How a fovea is made from path-traced samples.
+
+    Attributes:
+        RAW: their mean, unbiased.
+        DENOISED: their mean, denoised.
+        FUSED: one estimate from samples, denoised samples and the splats under the disc.
+    """
+
+    RAW = "raw"
+    DENOISED = "denoised"
+    FUSED = "fused"
+
+
+# Radius of a disc that leaves no splats, whatever fov-b is, over the distance of the furthest pixel.
+_WHOLE = 1.2
+# Narrowest band in pixels: thinner ones are edges, and float32 could not divide by their widths.
+_THINNEST = 1e-6
+
+
+@dataclass(frozen=True)
+class Foveation:
+    """Where the viewer looks and how large the fovea is.
+
+    Attributes:
+        gaze: in fractions of the frame.
+        fov_a: outer radius in percent of the height; 0 traces nothing.
+        fov_b: inner radius in percent of the height; no splats are visible inside it.
+
+    Raises:
+        UserError: a radius is negative or not finite, or fov-b is larger than fov-a.
+    """
+
+    gaze: Gaze
+    fov_a: float = 20.0
+    fov_b: float = 15.0
+
+    def __post_init__(self) -> None:
+        for name, value in (("fov-a", self.fov_a), ("fov-b", self.fov_b)):
+            if not np.isfinite(value) or value < 0:
+                raise UserError(f"{name} {value}: must be a percentage of the height, 0 or more")
+        if self.fov_b > self.fov_a:
+            raise UserError(
+                f"fov-b {self.fov_b}: must be at most fov-a {self.fov_a}, because it is the inner radius"
+            )
+
+    def region(self, width: int, height: int) -> FoveaRegion:
+        """The pixels and weights of this foveation on a frame of that size in pixels."""
+        x, y = self.gaze.pixel(width, height)
+        outer, inner = self.fov_a / 100 * height, self.fov_b / 100 * height
+        across, down = (max(at, side - at) - 0.5 for at, side in ((x, width), (y, height)))
+        furthest = float(np.hypot(across, down))
+        # No periphery is left to blend with.
+        whole = outer > 0 and (outer >= _WHOLE * furthest or inner >= furthest)
+        fades = outer > furthest and not whole
+        faded = (outer - furthest) / ((_WHOLE - 1) * furthest) if fades else 0.0
+        return FoveaRegion(width, height, (x, y), inner, outer, whole, faded)
+
+
+@dataclass(frozen=True)
+class FoveaRegion:
+    """The pixels of a frame that the fovea covers.
+
+    Attributes:
+        width, height: frame in pixels.
+        centre: (x, y) of the disc in pixels.
+        inner: radius in pixels inside which no splats are visible.
+        outer: radius in pixels of the disc.
+        covers_frame: whether no periphery is left.
+        faded: share of the splats' weight that is left out.
+    """
+
+    width: int
+    height: int
+    centre: tuple[float, float]
+    inner: float
+    outer: float
+    covers_frame: bool = False
+    faded: float = 0.0
+
+    @cached_property
+    def _rows(self) -> _Rows:
+        """The disc's pixels by rows: work that grows with the frame's height only."""
+        if self.covers_frame:
+            return _Rows.all(self.width, self.height)
+        return _Rows.within(self.centre, self.outer, self.width, self.height)
+
+    @property
+    def count(self) -> int:
+        """D, the number of the disc's pixels."""
+        return self._rows.count
+
+    @cached_property
+    def pixels(self) -> NDArray[np.uint32]:
+        """(D,) row-major indices of the pixels, in host memory."""
+        counts = np.diff(np.append(self._rows.before, self.count))
+        first = (self._rows.top + np.arange(len(counts))) * self.width + self._rows.start - self._rows.before
+        return (np.arange(self.count) + np.repeat(first, counts)).astype(np.uint32)
+
+    def weight_image(self) -> NDArray[np.float32]:
+        """(H, W) weight of the path-traced radiance, in host memory; that of the splats is one minus it."""
+        image = np.zeros(self.width * self.height, dtype=np.float32)
+        row, column = np.divmod(self.pixels, np.uint32(self.width))
+        radius = np.hypot(column + np.float32(0.5 - self.centre[0]), row + np.float32(0.5 - self.centre[1]))
+        outer, slope = self._slope
+        weight = 1.0 if self.covers_frame else np.clip((outer - radius) * slope, 0, 1)
+        image[self.pixels] = weight + (1 - weight) * self.faded
+        return image.reshape(self.height, self.width)
+
+    @property
+    def _slope(self) -> tuple[float, float]:
+        """Radius at which the weight is 0, and by how much it rises per pixel towards the centre."""
+        band = self.outer - self.inner
+        return (self.outer, 1 / band) if band > _THINNEST else (np.inf, 1.0)
+
+    @property
+    def box(self) -> tuple[slice, slice]:
+        """Rows and columns of the rectangle around the disc, which must have a pixel."""
+        return self._rows.box(self.width, self.height)
+
+    def disc(self, arrays: Arrays) -> Disc:
+        """The pixels and their weights on the device."""
+        # Only now: who writes down where the fovea is need not load Dr.Jit.
+        from compose.fovea.disc import Disc
+
+        return Disc.in_region(arrays, self)
+
+    def table(self) -> tuple[NDArray[np.uint32], int]:
+        """What a kernel needs to list the pixels; there must be one, and the region must not cover the frame.
+
+        Returns:
+            Numbers of pixels above each of P rows, first columns of P rows, the first row, and the frame's
+            width; and as bits of float32 squared distances of P rows from the centre, the centre of column 0
+            as seen from there, the radius at which the weight is 0, its slope per pixel, and what is left out
+            of the splats' weight. And P, a power of two that is at least the number of rows.
+        """
+        rows = self._rows
+        size = 1 << max(len(rows.before) - 1, 63).bit_length()
+        fill = 0, size - len(rows.before)
+        before = np.pad(rows.before, fill, constant_values=self.count)
+        integers = np.concatenate([before, np.pad(rows.start, fill), [rows.top, self.width]]).astype(
+            np.uint32
+        )
+        numbers = [0.5 - self.centre[0], *self._slope, self.faded]
+        floats = np.concatenate([np.pad(rows.down_squared, fill), numbers])
+        return np.concatenate([integers, floats.astype(np.float32).view(np.uint32)]), size
+
+    def foveal_tiles(self, tile: int) -> NDArray[np.bool_]:
+        """(rows, columns) bool: tiles that overlap the rectangle around the disc, `tile` pixels per side."""
+        tiles = np.zeros((-(-self.height // tile), -(-self.width // tile)), dtype=bool)
+        if self.count:
+            down, across = (slice(s.start // tile, -(-s.stop // tile)) for s in self.box)
+            tiles[down, across] = True
+        return tiles
+
+    def peripheral_tiles(self, tile: int) -> NDArray[np.bool_]:
+        """(rows, columns) bool: tiles with a pixel in which splats are visible, `tile` pixels per side."""
+        if self.covers_frame:
+            return np.zeros((-(-self.height // tile), -(-self.width // tile)), dtype=bool)
+        # A tile is hidden if its pixel furthest from the centre is.
+        y, x = (
+            np.maximum(np.abs(first + 0.5 - middle), np.abs(np.minimum(first + tile, size) - 0.5 - middle))
+            for size, middle in ((self.height, self.centre[1]), (self.width, self.centre[0]))
+            for first in (np.arange(0, size, tile),)
+        )
+        return np.hypot(y[:, None], x[None, :]) >= self.inner
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Pixels of a disc, row by row.
+
+    Attributes:
+        top: first row.
+        start: (R,) first column in each row.
+        before: (R,) number of pixels in the rows above.
+        count: number of all pixels.
+        right: largest column, plus 1.
+        down_squared: (R,) squared vertical distance of each row from the centre.
+    """
+
+    top: int
+    start: NDArray[np.int64]
+    before: NDArray[np.int64]
+    count: int
+    right: int
+    down_squared: NDArray[np.float64]
+
+    @staticmethod
+    def all(width: int, height: int) -> _Rows:
+        """The whole frame."""
+        nothing = np.zeros(height)
+        start = nothing.astype(np.int64)
+        return _Rows(0, start, np.arange(height) * width, width * height, width, nothing)
+
+    @staticmethod
+    def within(centre: tuple[float, float], radius: float, width: int, height: int) -> _Rows:
+        """The pixels of a frame whose centres lie within a radius."""
+        x, y = centre
+        top, stop = _span(y, np.float64(radius), height)
+        down_squared = (np.arange(top, stop) + 0.5 - y) ** 2
+        starts, stops = _span(x, np.sqrt(np.maximum(radius**2 - down_squared, 0)), width)
+        counts = np.maximum(stops - starts, 0)
+        used = np.flatnonzero(counts)
+        if not len(used):
+            return _Rows(0, starts[:0], starts[:0], 0, 0, down_squared[:0])
+        # Rows without a pixel, at the ends only, are left out.
+        rows = slice(int(used[0]), int(used[-1]) + 1)
+        counts = counts[rows]
+        before = np.cumsum(counts) - counts
+        right = int((starts[rows] + counts).max())
+        return _Rows(
+            int(top) + rows.start, starts[rows], before, int(counts.sum()), right, down_squared[rows]
+        )
+
+    def box(self, width: int, height: int) -> tuple[slice, slice]:
+        """Rows and columns of the rectangle around the pixels.
+
+        Its sides are even where the frame allows it, since the fusion judges blocks of 2 x 2 pixels.
+        """
+        rows = _evenly(self.top, self.top + len(self.start), height)
+        return rows, _evenly(int(self.start.min()), self.right, width)
+
+
+def _span(centre: float, half: Any, size: int) -> tuple[Any, Any]:
+    """First pixel of an axis whose centre lies within `half` of a position, and the one after the last."""
+    ends = np.floor(centre - half - 0.5) + 1, np.ceil(centre + half - 0.5)
+    first, stop = (np.clip(end, 0, size).astype(np.int64) for end in ends)
+    return first, stop
+
+
+def _evenly(start: int, stop: int, end: int) -> slice:
+    """From start to stop within 0..end, one longer if that makes it even."""
+    if (stop - start) % 2 and stop < end:
+        return slice(start, stop + 1)
+    if (stop - start) % 2 and start > 0:
+        return slice(start - 1, stop)
+    return slice(start, stop)

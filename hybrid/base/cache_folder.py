@@ -1,0 +1,116 @@
+"""The cache folder (HYBRID_HOME, else the platform's): forests of scenes, and receipts of captures.
+
+A scene's name and hash are no secret, so that any frame set can claim to show it. A forest becomes the newest
+one of a scene, which commands use unasked, only if it was trained on frames with a receipt.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+from pathlib import Path
+
+import platformdirs
+
+from compose.base.errors import UserError, claimed_scene
+from compose.base.files import write_whole
+from pathtrace.dataset.frame_set import FrameSet
+from pathtrace.scene.scene import Scene
+from splat.io.forest_file import save_forest, scene_of_forest
+from splat.model.forest import Forest
+
+# Of a complete SHA-256.
+_HASH_DIGITS = 64
+
+
+def home() -> Path:
+    """The cache folder; it may not exist yet."""
+    chosen = os.environ.get("HYBRID_HOME")
+    return Path(chosen) if chosen else Path(platformdirs.user_cache_dir("hybrid"))
+
+
+def scene_folder(name: str, digest: str) -> Path:
+    """Folder of everything made for one version of a scene, which has that name and hash.
+
+    Raises:
+        UserError: name or hash cannot be those of a scene: they become the name of a folder.
+    """
+    try:
+        name, digest = claimed_scene(name, digest)
+    except ValueError as error:
+        raise UserError(str(error)) from error
+    return home() / f"{name}-{digest[:12]}"
+
+
+def store_forest(forest: Forest, name: str) -> None:
+    """Stores a copy of a forest in the cache, as the newest one of its scene.
+
+    Args:
+        forest: trained on frames of that scene.
+        name: of the file, without extension.
+
+    Raises:
+        UserError: the cache folder cannot be written, or the forest says of no scene that it is of it.
+    """
+    if len(forest.scene_hash) != _HASH_DIGITS:
+        raise UserError(f"scene hash {forest.scene_hash!r}: only forests of a scene are stored")
+    folder = scene_folder(forest.scene_name, forest.scene_hash) / "forests"
+    save_forest(folder / f"{name}.safetensors", forest)
+
+
+def newest_forest(scene: Scene) -> Path | None:
+    """File of the forest that was stored last for a scene; None if none was stored."""
+    return newest_forest_of(scene.name, scene.hash)
+
+
+def newest_forest_of(name: str, digest: str) -> Path | None:
+    """File of the forest that was stored last for what has a name and a hash; None if none was stored.
+
+    Files whose header is damaged or names another scene are skipped: the folder's name has only the first
+    digits of the hash.
+    """
+    found = {}
+    # Hidden files are still being written; another process may rename or remove them meanwhile.
+    for path in (scene_folder(name, digest) / "forests").glob("[!.]*.safetensors"):
+        with contextlib.suppress(FileNotFoundError):
+            found[path] = path.stat().st_mtime
+    newest_first = sorted(found, key=lambda path: found[path], reverse=True)
+    return next((path for path in newest_first if _is_of(path, name, digest)), None)
+
+
+def _is_of(path: Path, name: str, digest: str) -> bool:
+    """Whether a file is a forest that says it is of what has a name and a hash."""
+    try:
+        return scene_of_forest(path) == (name, digest)
+    except UserError:
+        return False
+
+
+def keep_receipt(frames: FrameSet) -> None:
+    """Notes that a frame set was captured here, as its files are now.
+
+    Raises:
+        UserError: the cache folder cannot be written.
+    """
+    text = f"{frames.folder.resolve()}\n"
+    write_whole(_receipt(frames), lambda part: part.write_text(text))
+
+
+def has_receipt(frames: FrameSet) -> bool:
+    """Whether exactly these frames, wherever they lie now, were captured here."""
+    return _receipt(frames).is_file()
+
+
+def _receipt(frames: FrameSet) -> Path:
+    return scene_folder(frames.scene_name, frames.scene_hash) / "receipts" / f"{_digest(frames)}.txt"
+
+
+def _digest(frames: FrameSet) -> str:
+    """Hash of a frame set's description and of all its files."""
+    state = hashlib.sha256(frames.digest.encode())
+    for entry in [*frames.entries, *frames.close_ups]:
+        for file in (entry.file, *entry.estimates.values(), *entry.halves):
+            # The description names the files, in this order.
+            state.update(hashlib.sha256(file.read_bytes()).digest())
+    return state.hexdigest()

@@ -1,0 +1,95 @@
+"""The device that computes frames: its arrays and memory, torch's threads beside it, and times of passes."""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import drjit as dr
+import mitsuba as mi
+import torch
+
+from compose.base.arrays import Arrays
+
+
+def device_arrays() -> Arrays:
+    """Array types of the selected backend; requires that `select_backend` has been called."""
+    return Arrays("cuda" if str(mi.variant()).startswith("cuda") else "llvm")
+
+
+def torch_device() -> torch.device:
+    """Where torch computes on what is on the device: there, if this torch can."""
+    on_cuda = device_arrays().backend == "cuda" and torch.cuda.is_available()
+    return torch.device("cuda" if on_cuda else "cpu")
+
+
+class Clock:
+    """Measures consecutive passes.
+
+    On the CPU, a pass ends when its kernels have finished. On a card, which is to work on one pass while the
+    host prepares the next, a pass is what the host does for it, and "device" what it waits for in the end.
+    """
+
+    def __init__(self) -> None:
+        self._waits = device_arrays().backend == "llvm"
+        self._start = self._last = time.perf_counter()
+        self._laps: dict[str, float] = {}
+
+    def lap(self, name: str) -> None:
+        """Ends a pass."""
+        if self._waits:
+            dr.sync_thread()
+        self._note(name)
+
+    def milliseconds(self) -> dict[str, float]:
+        """Milliseconds of each pass, and of all passes together ("total"), when all have finished."""
+        if not self._waits:
+            dr.sync_thread()
+            self._note("device")
+        return {**self._laps, "total": (self._last - self._start) * 1000}
+
+    def _note(self, name: str) -> None:
+        now = time.perf_counter()
+        self._laps[name] = (now - self._last) * 1000
+        self._last = now
+
+
+# Images of up to this many pixels gain nothing from further threads of torch: each of its many small steps
+# takes less time than waking them. And where other processes are busy, threads wait for each other's turns.
+_FEW_PIXELS = 256 * 256
+
+
+@contextmanager
+def torch_working_on(pixels: int) -> Iterator[None]:
+    """Gives torch the threads that suit images of a number of pixels.
+
+    For large images, Dr.Jit's worker threads are stopped meanwhile: they spin while they wait and take cores
+    from torch. Stopping and restarting them takes 0.1 ms. Where torch works on a card, nothing changes.
+    """
+    if torch_device().type == "cuda":
+        yield
+        return
+    torch_threads, drjit_threads = torch.get_num_threads(), dr.thread_count()
+    if pixels <= _FEW_PIXELS:
+        torch.set_num_threads(1)
+    else:
+        dr.set_thread_count(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(torch_threads)
+        dr.set_thread_count(drjit_threads)
+
+
+def release_memory() -> None:
+    """Releases the memory that Dr.Jit and the C library keep for reuse.
+
+    This takes a few milliseconds, and about as many again when the memory is next needed.
+    """
+    dr.flush_malloc_cache()
+    # Specific to glibc; other C libraries release memory by themselves.
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)

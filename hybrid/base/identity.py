@@ -1,0 +1,138 @@
+"""Identities of cached results: inputs, code and machine, so that different ones are never mixed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import mitsuba as mi
+
+from compose.base.errors import UserError, one_line
+
+if TYPE_CHECKING:
+    from pathtrace.dataset.frame_set import FrameSet
+    from pathtrace.scene.scene import Scene
+    from splat.model.forest import Forest
+
+
+_LIBRARIES = ("mitsuba", "drjit", "torch", "numpy")
+_DISTRIBUTION = "foveated-hybrid-renderer"
+
+
+def machine() -> dict[str, Any]:
+    """Everything that measured times depend on: hardware, backend and software versions.
+
+    Returns:
+        cpu, cores, gpu (None on the CPU backend), backend (Mitsuba's variant), python, version (of this
+        project), packages (name to version).
+    """
+    backend = mi.variant()
+    return {
+        "cpu": _first_value(Path("/proc/cpuinfo"), "model name")
+        or platform.processor()
+        or platform.machine(),
+        "cores": len(os.sched_getaffinity(0)),
+        "gpu": _gpu() if str(backend).startswith("cuda") else None,
+        "backend": backend,
+        "python": platform.python_version(),
+        "version": version(_DISTRIBUTION),
+        "packages": {name: version(name) for name in _LIBRARIES},
+    }
+
+
+def _gpu() -> str | None:
+    """Name of the first NVIDIA GPU; None if the driver does not report it."""
+    cards = sorted(Path("/proc/driver/nvidia/gpus").glob("*/information"))
+    return _first_value(cards[0], "Model") if cards else None
+
+
+def _first_value(file: Path, name: str) -> str | None:
+    """Value of the first line `name : value` of a file; None if there is none."""
+    try:
+        lines = file.read_text().splitlines()
+    except OSError:
+        return None
+    pairs = (line.split(":", 1) for line in lines if ":" in line)
+    return next((value.strip() for key, value in pairs if key.strip() == name), None)
+
+
+# The packages of this project, and the one whose version `machine` does not have.
+_PACKAGES, _DENOISER = ("compose", "pathtrace", "splat", "hybrid"), "mitsuba-oidn"
+
+
+def measured_identity(scene: Scene, forest: Forest, **settings: Any) -> dict[str, Any]:
+    """Everything that measured times and quality depend on: what was measured, the code and the machine.
+
+    Args:
+        scene, forest: what is rendered.
+        settings: everything else that the results depend on, in types that JSON has.
+    """
+    paths = {"max_depth": scene.max_depth, "roulette_depth": scene.roulette_depth}
+    rendered = {"scene": scene.hash, **paths, "forest": forest.digest()}
+    return {**rendered, **settings, "code": code(), "machine": machine()}
+
+
+@cache
+def code() -> dict[str, str | None]:
+    """What measures: a digest of this project's source files, and the denoiser's version.
+
+    The version of the project and of the other packages are part of `machine`.
+    """
+    root, digest = Path(__file__).parents[2], hashlib.sha256()
+    for file in sorted(file for package in _PACKAGES for file in (root / package).rglob("*.py")):
+        digest.update(f"{file.relative_to(root).as_posix()}\0".encode() + file.read_bytes() + b"\0")
+    try:
+        denoiser = version(_DENOISER)
+    except PackageNotFoundError:
+        denoiser = None
+    return {"source": digest.hexdigest()[:16], _DENOISER: denoiser}
+
+
+def short_hash(identity: dict[str, Any]) -> str:
+    """Twelve hexadecimal digits that distinguish identities in file names."""
+    return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def require_same(found: dict[str, Any], expected: dict[str, Any], what: str, advice: str) -> None:
+    """Checks that cached results belong to the work that would use them.
+
+    Args:
+        found: identity of the cached results, as read from JSON.
+        expected: identity of the work.
+        what: the cached results and where they are, for the message.
+        advice: what the user can do, for the message.
+
+    Raises:
+        UserError: the identities differ; the message names the differing entries.
+    """
+    # JSON turns tuples into lists.
+    expected = json.loads(json.dumps(expected))
+    differing = sorted(key for key in {*found, *expected} if found.get(key) != expected.get(key))
+    if differing:
+        raise UserError(f"{what} for other inputs ({one_line(', '.join(differing))}); {advice}")
+
+
+def require_scene(item: Forest | FrameSet, scene_name: str, scene_hash: str, source: object) -> None:
+    """Checks that a forest or frame set belongs to a scene; an imported forest fits any scene.
+
+    Args:
+        item: the forest or frame set.
+        scene_name, scene_hash: name and hash of the scene.
+        source: where the item comes from, for the message.
+
+    Raises:
+        UserError: the item belongs to another scene, or to the same scene at another path depth.
+    """
+    if item.scene_hash in ("", scene_hash):
+        return
+    changed = "; the scene or its path depth has changed" if item.scene_name == scene_name else ""
+    raise UserError(
+        f"{source} belongs to scene {item.scene_name} ({item.scene_hash[:8]}), "
+        f"not to {scene_name} ({scene_hash[:8]}){changed}"
+    )

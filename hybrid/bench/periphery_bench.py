@@ -1,0 +1,146 @@
+"""How much time each acuity model saves in the periphery, and how much quality that costs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from compose.camera.camera import Camera
+from compose.eye.acuity import ACUITY_MODELS
+from compose.eye.display import Display
+from compose.eye.gaze import Gaze
+from hybrid.base.compute_device import device_arrays
+from hybrid.measure.frame_times import percentiles
+from hybrid.measure.image_metrics import ssim
+from hybrid.measure.perceptual_metrics import jod
+from hybrid.render.frame_settings import FrameSettings
+from hybrid.render.periphery import Periphery
+from splat.lod.layer_images import SplatImage
+from splat.model.forest import Forest
+
+GAZES = (Gaze(0.5, 0.5), Gaze(0.2, 0.2))
+# The acuity model that the others are compared with: full level and rate everywhere.
+FULL = "none"
+# Units of the scene that the camera moves per pass: enough to make it another camera, too little to see.
+_STEP = 1e-4
+_INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
+# Milliseconds of each pass by acuity model.
+Times = dict[str, list[float]]
+
+
+def display_camera(scene_camera: Camera, display: Display) -> Camera:
+    """The scene's own view on a display: its pose, with the display's size and field of view."""
+    eye = display.viewer(display.width, display.height)
+    return Camera(scene_camera.world_to_camera, *(getattr(eye, n) for n in _INTRINSICS))
+
+
+def bench_periphery(
+    forest: Forest,
+    camera: Camera,
+    settings: FrameSettings,
+    repeats: int,
+    warm_up: int,
+    progress: Callable[[int, int], None],
+) -> list[dict[str, Any]]:
+    """One row per gaze and acuity model, whose passes are interleaved with those at full level and rate.
+
+    A pass is everything from the gaze to the composited image of what lies outside fov-b. Footprints depend
+    on the camera alone and are kept while it stands still; saliency is kept as in the window, where a moving
+    camera has that of an earlier view which showed nearly the same.
+
+    Args:
+        forest, camera: what is drawn.
+        settings: fov_b and display.
+        repeats: measured passes per acuity model and gaze.
+        warm_up: passes before that, which are not measured.
+        progress: called with rounds done and rounds in total.
+
+    Returns:
+        Rows with percentiles of periphery_ms and full_ms, with a still camera, and of moving_ms and
+        moving_full_ms, with another camera in each pass; their ratios (full over periphery); and jod and ssim
+        against a frame that differs only in having a full periphery.
+    """
+    models = [replace(settings, acuity_model=name) for name in ACUITY_MODELS]
+    # One per model, so that none reuses what another one has kept.
+    peripheries = [Periphery(device_arrays(), forest) for _ in models]
+    turns = range(-warm_up, repeats)
+    rows: list[dict[str, Any]] = []
+    for number, gaze in enumerate(GAZES):
+        at_gaze = [replace(model, gaze=gaze) for model in models]
+        kinds: list[Times] = []
+        for moving in (True, False):
+            times: Times = {name: [] for name in ACUITY_MODELS}
+            for turn in turns:
+                view = camera.moved_right(turn * _STEP) if moving else camera
+                drawn = _passes(peripheries, at_gaze, view, times if turn >= 0 else None, moving)
+                done = (2 * number + len(kinds)) * len(turns) + turn + warm_up + 1
+                progress(done, 2 * len(GAZES) * len(turns))
+            kinds.append(times)
+        common = {"fov_b": settings.fov_b, "repeats": repeats, "layers": list(forest.counts)}
+        quality = _quality(at_gaze, camera, drawn)
+        rows += [{**row, **_times(row["acuity_model"], *kinds), **common} for row in quality]
+    return rows
+
+
+def _passes(
+    peripheries: Sequence[Periphery],
+    models: Sequence[FrameSettings],
+    camera: Camera,
+    times: Times | None,
+    moving: bool,
+) -> dict[str, SplatImage]:
+    """The periphery once with each acuity model, by its name; adds their times."""
+    drawn = {}
+    for periphery, settings in zip(peripheries, models, strict=True):
+        region = settings.foveation.region(camera.width, camera.height)
+        start = time.perf_counter()
+        name = settings.acuity_model
+        drawn[name] = periphery.draw(camera, periphery.detail(camera, settings, moving), region)
+        dr.sync_thread()
+        if times is not None:
+            times[name].append((time.perf_counter() - start) * 1000)
+    return drawn
+
+
+def _quality(
+    models: Sequence[FrameSettings], camera: Camera, drawn: dict[str, SplatImage]
+) -> list[dict[str, Any]]:
+    """Rows that compare each periphery with that at full level and rate."""
+    full = drawn[FULL].numpy().copy()
+    rows = []
+    for settings in models:
+        frame, gaze = drawn[settings.acuity_model], settings.gaze
+        fovea = settings.foveation.region(camera.width, camera.height).weight_image()[..., None]
+        image = frame.numpy() * (1 - fovea) + full * fovea
+        row = {
+            "acuity_model": settings.acuity_model,
+            "gaze": [gaze.x, gaze.y],
+            "width": camera.width,
+            "height": camera.height,
+            "nodes_drawn": frame.nodes,
+            "jod": jod(image, full, settings.display, gaze),
+            "ssim": ssim(image, full),
+        }
+        rows.append(row)
+    return rows
+
+
+def _times(acuity_model: str, moving: Times, still: Times) -> dict[str, Any]:
+    """Percentiles of passes with a moving and with a still camera, and their ratios to full detail."""
+
+    def ratio(times: Times) -> float:
+        return float(np.median(times[FULL]) / np.median(times[acuity_model]))
+
+    return {
+        "periphery_ms": percentiles(still[acuity_model]),
+        "full_ms": percentiles(still[FULL]),
+        "ratio": ratio(still),
+        "moving_ms": percentiles(moving[acuity_model]),
+        "moving_full_ms": percentiles(moving[FULL]),
+        "moving_ratio": ratio(moving),
+    }

@@ -1,0 +1,293 @@
+"""`hybrid bench`: commands that measure one part alone."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from compose.base.errors import UserError
+from hybrid.base.progress import progress_bar
+from hybrid.cli.options import (
+    FRAME,
+    MOST_FRAMES,
+    MOST_GAUSSIANS,
+    Backend,
+    DisplayName,
+    FixedSize,
+    ForestFile,
+    FovA,
+    FovB,
+    Json,
+    MaxDepth,
+    ReferenceSpp,
+    Repeats,
+    SceneName,
+    Seed,
+    Size,
+    Spp,
+    ThinGlass,
+    WarmUp,
+    loaded_scene,
+    require_size,
+    select,
+    sized,
+    write_json,
+)
+from hybrid.render.frame_settings import DEFAULTS, INTERACTIVE, FrameSettings
+
+_WARM_UP = 5
+
+
+def raster(
+    gaussians: Annotated[int, typer.Option(min=1, max=MOST_GAUSSIANS)] = 50_000,
+    size: FixedSize = (512, 512),
+    seed: Seed = 0,
+    repeats: Annotated[int, typer.Option(help="Measured rounds.", min=3, max=MOST_FRAMES)] = 50,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Time the rasterizer and its gradient on random Gaussians that are already on the device."""
+    require_size(size)
+    select(backend)
+    from hybrid.base.identity import machine
+    from hybrid.bench.raster_bench import bench_raster
+
+    with progress_bar("bench (rounds)") as bar:
+        row = bench_raster(gaussians, size, seed, repeats, _WARM_UP, bar)
+    for name in ("forward", "backward"):
+        times = row[f"{name}_ms"]
+        print(f"{name}: median {times['p50']:.1f} ms, p95 {times['p95']:.1f} ms")
+    print(f"pairs: {row['pairs']:,}")
+    write_json(json_file, {**row, "machine": machine()})
+
+
+def integrator(
+    scene: SceneName,
+    size: Size = (256, 256),
+    reference_spp: ReferenceSpp = 1024,
+    repeats: Repeats = 7,
+    max_depth: MaxDepth = None,
+    thin_glass: ThinGlass = False,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Compare error, time and bias of both integrators on raw frames."""
+    select(backend)
+    from hybrid.base.identity import machine
+    from hybrid.bench.integrator_bench import bench_integrator
+
+    loaded = loaded_scene(scene, max_depth, thin_glass)
+    with progress_bar("bench (samples)") as bar:
+        found = bench_integrator(loaded, sized(loaded.camera, size), reference_spp, repeats, bar)
+    cache = found["cache"]
+    print(f"cache: {cache['cells']:,} cells, {cache['bytes'] / 2**20:.1f} MiB, {cache['seconds']:.1f} s")
+    transfer = f"{cache['transfer_bytes'] / 2**20:.1f} MiB"
+    print(f"{cache['look_up_ns']:.0f} ns per look-up; {transfer} more to follow lights")
+    print("integrator  spp  squared error       ms  efficiency")
+    for row in found["rows"]:
+        print(
+            f"{row['integrator']:<10}{row['spp']:>5}{row['squared_error']:>15.4g}"
+            f"{row['ms']['p50']:>9.1f}{row['efficiency']:>12.2f}"
+        )
+    print(f"bias against {reference_spp} spp     mean  worst block  95 % of blocks below")
+    for row in found["bias"]:
+        print(
+            f"{row['integrator']:<22}{row['mean']:>+9.2%}{row['worst_block']:>13.1%}{row['p95_block']:>22.1%}"
+        )
+    write_json(json_file, {**found, "scene": loaded.name, "machine": machine()})
+
+
+def periphery(
+    scene: SceneName,
+    forest: ForestFile = None,
+    display: DisplayName = "desktop",
+    fov_b: FovB = 20.0,
+    repeats: Repeats = 20,
+    warm_up: WarmUp = 5,
+    thin_glass: ThinGlass = False,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Time the periphery with each acuity model against full level and rate, and measure its quality."""
+    settings = FrameSettings(fov_a=fov_b, fov_b=fov_b, display=display)
+    select(backend)
+    from hybrid.base.identity import machine
+    from hybrid.bench.periphery_bench import bench_periphery, display_camera
+    from hybrid.preparation.preparation import forest_for
+
+    loaded = loaded_scene(scene, None, thin_glass)
+    found = forest_for(loaded, forest)
+    camera = display_camera(loaded.camera, settings.display)
+    with progress_bar("bench (rounds)") as bar:
+        rows = bench_periphery(found, camera, settings, repeats, warm_up, bar)
+    _print_periphery(rows)
+    write_json(json_file, [{**row, "scene": loaded.name, "machine": machine()} for row in rows])
+
+
+def _print_periphery(rows: list[dict[str, Any]]) -> None:
+    from hybrid.measure.perceptual_metrics import INSTALL
+
+    print("                       camera still       |    moving           |")
+    print("gaze     acuity model     ms    full ratio     ms    full ratio   nodes     JOD   SSIM")
+    for row in rows:
+        quality = "    -" if row["jod"] is None else f"{row['jod']:5.2f}"
+        print(
+            f"{row['gaze'][0]:.1f} {row['gaze'][1]:.1f}  {row['acuity_model']:<14} "
+            f"{row['periphery_ms']['p50']:>5.1f} {row['full_ms']['p50']:>7.1f} {row['ratio']:>5.2f} "
+            f"{row['moving_ms']['p50']:>6.1f} {row['moving_full_ms']['p50']:>7.1f} "
+            f"{row['moving_ratio']:>5.2f} {row['nodes_drawn']:>7,} {quality:>7} {row['ssim']:.4f}"
+        )
+    if rows[0]["jod"] is None:
+        print(INSTALL)
+
+
+_SIZES = ((640, 480), (1920, 1080))
+_HEADER = (
+    "backend   size       fovea     renderer  wall ms    p95  kernels ms  launches    host bytes  "
+    "longest passes, ms"
+)
+
+
+def frame(
+    scene: SceneName,
+    forest: ForestFile = None,
+    size: Annotated[
+        tuple[int, int] | None,
+        typer.Option(
+            metavar="W H",
+            help="Frame size; 640 480 and 1920 1080 if left out.",
+            rich_help_panel=FRAME,
+        ),
+    ] = None,
+    fov_a: FovA = DEFAULTS.fov_a,
+    fov_b: FovB = DEFAULTS.fov_b,
+    spp: Spp = INTERACTIVE.spp,
+    repeats: Repeats = 15,
+    warm_up: WarmUp = 5,
+    thin_glass: ThinGlass = False,
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Time whole frames in each mode, still and live, while the gaze moves, and count what passes the host.
+
+    Without --backend, on all backends that are present, one after the other.
+    """
+    sizes = _SIZES if size is None else (size,)
+    for one in sizes:
+        require_size(one)
+    settings = FrameSettings(fov_a=fov_a, fov_b=fov_b, spp=spp)
+    select(backend)
+    from compose import LLVM
+    from hybrid.base.compute_device import device_arrays
+    from hybrid.bench.frame_bench import bench_frame
+    from hybrid.preparation.preparation import forest_for
+
+    loaded = loaded_scene(scene, None, thin_glass)
+    found = forest_for(loaded, forest)
+    with progress_bar("bench (rounds)") as bar:
+        rows = bench_frame(loaded, found, settings, sizes, repeats, warm_up, seed, bar)
+    if backend == "auto" and device_arrays().backend == "cuda" and not isinstance(LLVM, UserError):
+        rows += on_llvm(sys.argv[1:])
+    print(_HEADER)
+    for row in rows:
+        print(_line(row))
+    write_json(json_file, rows)
+
+
+def on_llvm(arguments: list[str]) -> list[dict[str, Any]]:
+    """Rows of the same command on LLVM, in a process of its own: a process has one backend.
+
+    Args:
+        arguments: of this command. What is given twice counts as given last.
+
+    Raises:
+        UserError: the process failed.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "rows.json"
+        further = ["--backend", "llvm", "--json", str(file)]
+        command = [sys.executable, "-m", "hybrid.cli.main", *arguments, *further]
+        code = subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode
+        if code:
+            raise UserError(f"backend llvm: its process ended with exit code {code}; try --backend cuda")
+        rows: list[dict[str, Any]] = json.loads(file.read_text())
+        return rows
+
+
+def _line(row: dict[str, Any]) -> str:
+    medians = {name: times["p50"] for name, times in row["passes"].items() if name != "total"}
+    longest = sorted(medians, key=lambda name: medians[name], reverse=True)[:3]
+    renderer, wall = "live" if row["live"] else "still", row["wall_ms"]
+    return (
+        f"{row['backend']:<8} {row['width']:>5}x{row['height']:<5} {row['mode']:<9} {renderer:<8} "
+        f"{wall['p50']:>8.1f} {wall['p95']:>6.1f} {row['kernels_ms']:>11.1f} {row['launches']:>9} "
+        f"{row['host_bytes']:>13,}  " + ", ".join(f"{name} {medians[name]:.1f}" for name in longest)
+    )
+
+
+def moving(
+    scene: SceneName,
+    forest: ForestFile = None,
+    size: FixedSize = (320, 240),
+    spp: Spp = INTERACTIVE.spp,
+    reference_spp: ReferenceSpp = 128,
+    against: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FOREST",
+            help="Forest to compare with, named by its file; drawn as splats alone. May be given repeatedly.",
+        ),
+    ] = None,
+    thin_glass: ThinGlass = False,
+    backend: Backend = "auto",
+    json_file: Json = None,
+) -> None:
+    """Play a scene that moves, as in the window, and compare its frames with other methods, by region."""
+    select(backend)
+    from hybrid.base.identity import machine
+    from hybrid.bench.moving_bench import bench_moving, require_moving
+    from hybrid.preparation.preparation import forest_for
+    from splat.io.forest_file import load_forest
+
+    loaded = loaded_scene(scene, None, thin_glass)
+    require_moving(loaded)
+    settings = replace(INTERACTIVE, spp=spp, camera=sized(loaded.camera, size))
+    found = forest_for(loaded, forest)
+    others = {file.stem: load_forest(file) for file in against or ()}
+    with progress_bar("bench (clips)") as bar:
+        rows = bench_moving(loaded, found, settings, reference_spp, bar, others)
+    _print_moving(rows)
+    write_json(
+        json_file, {"scene": loaded.name, "size": size, "spp": spp, "rows": rows, "machine": machine()}
+    )
+
+
+def _print_moving(rows: list[dict[str, Any]]) -> None:
+    names = list(dict.fromkeys(row["region"] for row in rows))
+    print(f"{'method':<23}" + "".join(f"{name:>11}" for name in names) + "     ms    p95  ratio")
+    by_method: dict[str, dict[str, dict[str, Any]]] = {}
+    for row in rows:
+        by_method.setdefault(row["method"], {})[row["region"]] = row
+    for method, own in by_method.items():
+        cells = "".join(f"{own[name]['psnr']:8.2f} dB" if name in own else " " * 11 for name in names)
+        first = next(iter(own.values()))
+        print(f"{method:<23}{cells}{first['ms']['p50']:7.1f}{first['ms']['p95']:7.1f}{first['ratio']:7.2f}")
+    for method, own in by_method.items():
+        more = [f"{row['jod']:.2f} JOD ({name})" for name, row in own.items() if row.get("jod") is not None]
+        shift = own.get("moving", {}).get("registration_px")
+        more += [] if shift is None else [f"what moves is off by {shift:.2f} px"]
+        if more:
+            print(f"{method}: {', '.join(more)}")
+
+
+bench_app = typer.Typer(no_args_is_help=True, help="Measure one part alone.")
+for command in (raster, integrator, periphery, frame, moving):
+    bench_app.command()(command)

@@ -1,0 +1,149 @@
+"""A hybrid frame against the full path-traced one and its disc alone, while the gaze moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from compose.camera.camera import Camera, View
+from compose.eye.gaze import Gaze
+from compose.fovea.foveation import FoveaMode, Foveation
+from hybrid.evaluation.baselines import FullTrace
+from hybrid.measure.frame_times import (
+    REACH,
+    gaze_path,
+    interleaved,
+    jittered_view,
+    medians_by_view,
+    percentiles,
+    ratio_of_medians,
+)
+from hybrid.render.frame_renderer import Renderer
+from hybrid.render.frame_settings import FrameSettings
+
+# The gaze moves at least this far, in fractions of the frame's side.
+_LEAST_REACH = 0.02
+
+
+def reach_for(radius: float, camera: Camera) -> tuple[float, float]:
+    """How far the gaze may move from the centre so that a disc covers about as much as it does there.
+
+    Along an axis on which the disc fits into the frame, the gaze moves until the disc touches the edge. Along
+    an axis on which it does not fit, moving loses more on one side than it gains on the other; there the gaze
+    moves so little that less than half a percent of the covered pixels is lost.
+
+    Args:
+        radius: in percent of the height.
+        camera: of the frame.
+
+    Returns:
+        Fractions of the frame's width and height, for `gaze_path`.
+    """
+    pixels = radius / 100 * camera.height
+    across, down = (
+        max(_LEAST_REACH, min(most, 0.5 - pixels / side))
+        for most, side in zip(REACH, (camera.width, camera.height), strict=True)
+    )
+    return across, down
+
+
+def covered(radius: float, camera: Camera, count: int, reach: tuple[float, float]) -> float:
+    """Mean fraction of the frame that a disc covers along a gaze path.
+
+    Args:
+        radius: in percent of the height.
+        camera: of the frame.
+        count, reach: of the path.
+    """
+    width, height = camera.width, camera.height
+    along = (Foveation(gaze, radius, radius).region(width, height) for gaze in gaze_path(count, reach))
+    return float(np.mean([region.count for region in along]) / (width * height))
+
+
+def compare(
+    renderer: Renderer,
+    views: Sequence[View],
+    settings: FrameSettings,
+    repeats: int,
+    warm_up: int,
+    progress: Callable[[int, int], None],
+) -> dict[str, Any]:
+    """One row: times of the hybrid frame, of the full path-traced frame, and of the disc alone.
+
+    All three are timed after their kernels have been compiled; the full frame is traced by the same function
+    as the disc, and denoised if the disc is. The gaze moves only so far that the disc stays in the frame.
+    Frames go through the views in turn, each with a camera of its own, so that each pays for all it shows.
+
+    Args:
+        renderer: of the scene.
+        views: of one size.
+        settings: of the frame, apart from gaze and camera.
+        repeats: measured frames of each.
+        warm_up: frames before that, which are not measured.
+        progress: called with rounds done and rounds in total.
+
+    Returns:
+        Percentiles hybrid_ms, path_traced_ms and disc_ms over all views, and the least and the greatest
+        median of a view as hybrid_ms_range and so on; their ratios `ratio` (path-traced over hybrid), with
+        `ratio_range`, and `ceiling` (path-traced over disc); the settings; and `covered`, the mean fraction
+        of the frame that the disc covers.
+    """
+    full = FullTrace(
+        renderer.tracer_of(settings.used_integrator), settings.spp, settings.fovea is not FoveaMode.RAW
+    )
+    frames = _Frames(renderer, tuple(views), settings, full)
+    camera = views[0].camera
+    reach = reach_for(settings.fov_a, camera)
+    methods: dict[str, Callable[[Gaze, int], Any]] = {
+        "hybrid": frames.hybrid,
+        "path_traced": frames.path_traced,
+        "disc": frames.disc,
+    }
+    times = interleaved(methods, repeats, warm_up, progress, reach)
+    row: dict[str, Any] = {f"{name}_ms": percentiles(values) for name, values in times.items()}
+    by_view = {name: medians_by_view(values, len(views)) for name, values in times.items()}
+    ratios = [full / ours for full, ours in zip(by_view["path_traced"], by_view["hybrid"], strict=True)]
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "spp": settings.spp,
+        "fov_a": settings.fov_a,
+        "fov_b": settings.fov_b,
+        **row,
+        **{f"{name}_ms_range": (min(medians), max(medians)) for name, medians in by_view.items()},
+        "ratio": ratio_of_medians(times["path_traced"], times["hybrid"]),
+        "ratio_range": (min(ratios), max(ratios)),
+        "ceiling": ratio_of_medians(times["path_traced"], times["disc"]),
+        "covered": covered(settings.fov_a, camera, repeats, reach),
+        "repeats": repeats,
+    }
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """What is compared, each frame with its own camera."""
+
+    renderer: Renderer
+    views: tuple[View, ...]
+    settings: FrameSettings
+    full: FullTrace
+
+    def hybrid(self, gaze: Gaze, seed: int) -> None:
+        self.renderer.frame(self._at(gaze, seed, 0), seed)
+
+    def path_traced(self, gaze: Gaze, seed: int) -> None:
+        self.full.render(self._view(seed, 1), gaze, seed)
+
+    def disc(self, gaze: Gaze, seed: int) -> None:
+        self.renderer.disc_alone(self._at(gaze, seed, 2), seed)
+
+    def _at(self, gaze: Gaze, seed: int, place: int) -> FrameSettings:
+        view = self._view(seed, place)
+        return replace(self.settings, gaze=gaze, camera=view.camera, time=view.time)
+
+    def _view(self, seed: int, place: int) -> View:
+        """The next view, for the method in that place of the three."""
+        return jittered_view(self.views[seed % len(self.views)], 3 * seed + place)

@@ -1,0 +1,161 @@
+"""Baselines at the cost of the hybrid frame: the rays at which one takes as long, and its best settings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.camera.camera import View
+from compose.eye.gaze import Gaze
+from compose.fovea.foveation import Foveation
+from compose.image.colour import Image
+from hybrid.evaluation.baselines import Family, Tuning, WarpTuning, enlarged, warped
+from hybrid.evaluation.methods import Method
+from hybrid.measure.frame_times import jittered_view, path_around, ratio_interval, ratio_of_medians
+from hybrid.measure.image_metrics import has_valid, ssim_map, valid_mean
+from hybrid.measure.regions import regions
+from pathtrace.trace.tracer import Tracer
+
+# Costs count as equal within this share.
+TOLERANCE = 0.03
+# Trials at most.
+_TRIALS = 12
+# Frames of each method per trial, after one that is not measured: in steps of the first number, until the
+# time is known well enough to decide, at most the second one.
+_STEP, _MOST_FRAMES = 6, 60
+# Between two frames' steps along the gaze path: few frames cover all of it as well.
+_STRIDE = 23
+
+
+@dataclass(frozen=True)
+class Trial:
+    """How long a baseline takes with that many rays per pixel, relative to the hybrid frame."""
+
+    rays: float
+    time: float
+
+
+def at_equal_time(
+    family: Family, ours: Method, views: Sequence[View], gaze: Gaze, rays: float
+) -> float | None:
+    """Rays per pixel at which a baseline comes closest to our time without exceeding it by over 3 %.
+
+    Args:
+        family: of the baseline; its time must grow with its rays.
+        ours: the method whose time is to be met.
+        views: through which frames go in turn.
+        gaze: centre of the path that gazes follow.
+        rays: to start from.
+
+    Returns:
+        The rays; None if every trial took longer.
+    """
+    known: dict[str, float] = {}
+    within: Trial | None = None
+    beyond: Trial | None = None
+    for _ in range(_TRIALS):
+        method = family(rays)
+        # Whole samples: other rays may well be the same settings.
+        key = str(method.settings)
+        if key not in known:
+            known[key] = relative_time(method, ours, views, gaze)
+        trial = Trial(rays, known[key])
+        if trial.time <= 1 + TOLERANCE:
+            within = trial
+        else:
+            beyond = trial
+        if within is not None and within.time >= 1 - TOLERANCE:
+            break
+        rays = _next_guess(within, beyond)
+    return None if within is None else within.rays
+
+
+def _next_guess(within: Trial | None, beyond: Trial | None) -> float:
+    """Rays that should meet our time, from the last trials within and beyond it."""
+    if within is None or beyond is None:
+        trial = within or beyond
+        assert trial is not None
+        # Time grows more slowly than rays: steps that are longer than needed soon have trials on both sides.
+        steps = (1.5, 8.0) if beyond is None else (0.125, 0.7)
+        return trial.rays * float(np.clip(trial.time**-1.5, *steps))
+    span = (1 - within.time) / (beyond.time - within.time)
+    # Kept away from both ends: with whole samples, a line between two trials may lead back to one of them.
+    return within.rays + (beyond.rays - within.rays) * float(np.clip(span, 0.2, 0.8))
+
+
+def relative_time(method: Method, ours: Method, views: Sequence[View], gaze: Gaze) -> float:
+    """A method's time over ours: medians of frames rendered in turns, because the machine's speed drifts.
+
+    Views, gaze and camera change from frame to frame. Frames are added until the ratio's 95 % confidence
+    interval decides whether the times are equal, or is no wider than what counts as equal.
+    """
+    times: tuple[list[float], list[float]] = ([], [])
+    path = path_around(gaze, _MOST_FRAMES)
+    for seed in range(_MOST_FRAMES + 1):
+        view, at = views[seed % len(views)], path[seed * _STRIDE % _MOST_FRAMES]
+        for number, (one, found) in enumerate(zip((method, ours), times, strict=True)):
+            found.append(one.render(jittered_view(view, 2 * seed + number), at, seed).milliseconds["total"])
+        # The first frames warm up.
+        if seed and seed % _STEP == 0 and _is_decided(*ratio_interval(times[0][1:], times[1][1:])):
+            break
+    return ratio_of_medians(times[0][1:], times[1][1:])
+
+
+def _is_decided(low: float, high: float) -> bool:
+    """Whether an interval of ratios tells if times are equal."""
+    outside = low > 1 + TOLERANCE or high < 1 - TOLERANCE
+    return outside or high - low <= TOLERANCE
+
+
+# What is tried: f of RMFR's mapping, and samples per pixel.
+_F = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6)
+_SPP = (1, 2, 4)
+
+
+def tuned(
+    tracer: Tracer,
+    views: list[View],
+    references: list[Image],
+    foveation: Foveation,
+    rays: float,
+    progress: Callable[[int, int], None],
+) -> Tuning:
+    """The settings with the highest mean SSIM, of the whole frame and of the fovea, at a number of rays.
+
+    Args:
+        tracer: of the scene.
+        views, references: to tune on; references are (H, W, 3) radiance.
+        foveation: gaze and radii.
+        rays: per pixel of the frame.
+        progress: called with settings tried and settings in total.
+    """
+    counts = _sample_counts(rays)
+    warps = [WarpTuning(*settings) for settings in product(_F, counts, (False, True))]
+    baselines: list[Method] = [warped(tracer, tuning, rays) for tuning in warps]
+    baselines += [enlarged(tracer, spp, rays, denoised=True) for spp in counts]
+    masks = [_foveal(foveation, truth) for truth in references]
+    whole, foveal = [], []
+    for number, baseline in enumerate(baselines):
+        images = [baseline.render(view, foveation.gaze, seed).image for seed, view in enumerate(views)]
+        maps = [ssim_map(image, truth) for image, truth in zip(images, references, strict=True)]
+        whole.append(np.mean([valid_mean(one) for one in maps]))
+        foveal.append(np.mean([valid_mean(one, mask) for one, mask in zip(maps, masks, strict=True)]))
+        progress(number + 1, len(baselines))
+    frame, fovea = (warps[int(np.argmax(scores[: len(warps)]))] for scores in (whole, foveal))
+    return Tuning(frame, fovea, counts[int(np.argmax(whole[len(warps) :]))])
+
+
+def _foveal(foveation: Foveation, truth: Image) -> NDArray[np.float32] | None:
+    """(H, W) the fovea's pixels as weights of SSIM; None, for all pixels, if SSIM has no value there."""
+    mask = regions(foveation, truth)["foveal"].mask.astype(np.float32)
+    return mask if has_valid(mask) else None
+
+
+def _sample_counts(rays: float) -> list[int]:
+    """Samples per pixel to try; with fewer than `rays`, the smaller image would be larger than the frame."""
+    return [spp for spp in _SPP if spp >= rays] or [math.ceil(rays)]

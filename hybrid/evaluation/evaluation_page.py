@@ -1,0 +1,259 @@
+"""The page of an evaluation: one file that requires no server."""
+
+from __future__ import annotations
+
+import base64
+import io
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader
+from markupsafe import Markup
+from PIL import Image as PillowImage
+
+from compose.base.errors import UserError, one_line
+from compose.base.files import read_json, write_whole
+from hybrid.evaluation.equal_cost import TOLERANCE
+from hybrid.evaluation.evaluation_settings import FOVEAL_REFERENCE
+from hybrid.evaluation.result_keys import HALVES_KEY, OURS_KEY, Key, flip_name, image_name
+from hybrid.evaluation.result_plots import quality_over_time_plot, samples_plot, sweep_plots
+from hybrid.evaluation.results import (
+    WHOLE_METRIC,
+    budget_label,
+    foveal_metric_names,
+    keys_of,
+    label_of,
+    mean_of,
+    verdicts,
+)
+from hybrid.evaluation.sweep_tables import quality_cells, sentence, table, with_range
+from hybrid.measure.frame_quality import METRICS, missing
+from hybrid.measure.regions import REGIONS
+
+_DIGITS = {"psnr": 2, "ssim": 4, "fssim": 4, "flip": 4, "hdr-flip": 4, "lpips": 4, "jod": 2}
+_PERCENTILES = ("p50", "p95", "p99")
+
+
+def quality_table(found: dict[str, Any], region: str, keys: list[Key]) -> dict[str, Any]:
+    """Means over the views of one region: `region`, `metrics`, and `rows` of the methods and references.
+
+    Args:
+        found: the content of evaluation.json.
+        region: name of the region.
+        keys: of the methods.
+    """
+    metrics = [m for m in METRICS if mean_of(found, OURS_KEY, region, m) is not None]
+    rows = []
+    for key in [*keys, HALVES_KEY]:
+        values = [mean_of(found, key, region, metric) for metric in metrics]
+        cells = ["-" if v is None else f"{v:.{_DIGITS[m]}f}" for v, m in zip(values, metrics, strict=True)]
+        rows.append(_row(key.method, budget_label(found, key), cells))
+    return {"region": region, "metrics": metrics, "rows": rows}
+
+
+def time_table(found: dict[str, Any]) -> dict[str, Any]:
+    """Percentiles of frames, and medians of passes, in milliseconds: `columns`, and `rows` of the methods."""
+    passes = list(dict.fromkeys(name for row in found["time"] for name in row["passes"]))
+    compared = any("over_ours" in row for row in found["time"])
+    rows = []
+    for row in found["time"]:
+        cells = [f"{row['ms'][p]:.0f}" if p in row["ms"] else "-" for p in _PERCENTILES]
+        cells[0] = with_range(row["ms"]["p50"], row.get("ms_range"), ".0f")
+        cells += [f"{row['over_ours']:.2f}" if "over_ours" in row else "-"] if compared else []
+        cells += [f"{1000 / row['ms']['p50']:.1f}" if row["ms"]["p50"] > 0 else "-", str(row["repeats"])]
+        cells += [f"{row['passes'][name]:.0f}" if name in row["passes"] else "-" for name in passes]
+        rows.append(_row(row["method"], budget_label(found, Key(row["method"], row["budget"])), cells))
+    return {
+        "columns": [*_PERCENTILES, *(["/ ours"] if compared else []), "FPS", "frames", *passes],
+        "rows": rows,
+    }
+
+
+def sweep_columns(rows: list[dict[str, Any]]) -> dict[str, list[str]]:
+    """Cells of a sweep by column name, quality included if it was measured."""
+    columns = table(rows)
+    for name in rows[0].get("quality", {}):
+        digits = _DIGITS[name.split()[1]]
+        columns[name] = quality_cells(rows, name, f".{digits}f")
+    return columns
+
+
+def _row(method: str, budget: str, cells: list[str]) -> dict[str, Any]:
+    return {"method": method, "budget": budget, "cells": cells, "ours": method.startswith("hybrid")}
+
+
+# Images in the page are compressed; the PNG files beside it are not.
+_JPEG_QUALITY = 90
+
+
+def embedded_images(folder: Path, view: int, keys: list[Key]) -> dict[str, str]:
+    """Data URLs of a view's frames by the method's label, the reference first."""
+    names = {"reference": image_name(view, None)}
+    names |= {key.label: image_name(view, key) for key in keys}
+    return {name: _data_url(folder / file) for name, file in names.items()}
+
+
+def embedded_flips(folder: Path, view: int, keys: list[Key]) -> dict[str, str]:
+    """Data URLs of a view's FLIP maps by the method's label, as far as there are any."""
+    files = {key.label: folder / flip_name(view, key) for key in keys}
+    return {name: _data_url(file) for name, file in files.items() if file.exists()}
+
+
+def _data_url(file: Path) -> str:
+    buffer = io.BytesIO()
+    PillowImage.open(file).convert("RGB").save(buffer, format="JPEG", quality=_JPEG_QUALITY, subsampling=0)
+    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+# What the page shows of evaluation.json.
+_CONTENT = ("scene", "settings", "references", "methods", "quality", "time", "machine")
+
+
+def write_report(folder: Path) -> None:
+    """Writes index.html from evaluation.json, the images, and the sweeps in the same folder.
+
+    Args:
+        folder: of the report.
+    """
+    found = _read(folder / "evaluation.json")
+    sweeps = [_read(file) for file in sorted(folder.glob("sweep-*.json"))]
+    templates = Environment(loader=PackageLoader("hybrid.evaluation", "."), autoescape=True)
+    text = templates.get_template("evaluation.html").render(
+        **_overview(found),
+        **_plots_and_tables(found),
+        **_viewer(found, folder),
+        sweeps=[_sweep(sweep) for sweep in sweeps],
+    )
+    write_whole(folder / "index.html", lambda part: part.write_text(text, encoding="utf-8"))
+
+
+def evaluated_scene(folder: Path) -> str:
+    """Name of the scene that the evaluation in a folder is of.
+
+    Args:
+        folder: of the report.
+
+    Raises:
+        UserError: the folder holds no evaluation, or a damaged one.
+    """
+    file = folder / "evaluation.json"
+    try:
+        found = read_json(file, finite=False)
+        lacks = [name for name in _CONTENT if name not in found]
+        if lacks:
+            raise ValueError(f"no {lacks[0]}")
+        return str(found["scene"])
+    except FileNotFoundError:
+        raise UserError(f"{folder}: holds no evaluation; make one with hybrid evaluate first") from None
+    except (OSError, ValueError, TypeError) as error:
+        raise UserError(f"{file}: is damaged ({error}); run hybrid evaluate again") from error
+
+
+def _read(file: Path) -> Any:
+    try:
+        return read_json(file, finite=False)
+    except (OSError, ValueError) as error:
+        raise UserError(f"{file}: is damaged ({one_line(error)}); delete it and make it again") from error
+
+
+def _overview(found: dict[str, Any]) -> dict[str, Any]:
+    """Title, verdicts, and what was measured with what."""
+    settings, machine = found["settings"], found["machine"]
+    packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
+    return {
+        "title": f"Evaluation of {found['scene']}",
+        "subtitle": (
+            f"{settings['width']} × {settings['height']}, samples per pixel in the disc: {settings['spp']}, "
+            f"fov-a {settings['fov_a']:g} %, fov-b {settings['fov_b']:g} % of the height, "
+            f"{len(_views(found))} views. References: {settings['reference_spp']} samples per pixel, "
+            f"{FOVEAL_REFERENCE * settings['reference_spp']} in the disc, denoised."
+        ),
+        "verdicts": verdicts(found),
+        # Evaluations of earlier versions have none.
+        "plan": found.get("plan", {}),
+        "reference_note": _reference_note(found),
+        "tolerance": f"{100 * TOLERANCE:g}",
+        "size": f"{settings['width']} × {settings['height']}",
+        "machine": f"{machine['cpu']}, {machine['cores']} cores, Python {machine['python']}, {packages}",
+        "missing": missing(),
+    }
+
+
+def _reference_note(found: dict[str, Any]) -> str:
+    psnr = {n: [r["psnr"] for r in found["references"] if r["region"] == n] for n in ("whole", "foveal")}
+    return (
+        f"Against the truth, the references have {min(psnr['whole']):.1f} to {max(psnr['whole']):.1f} dB "
+        f"over the whole frame and {min(psnr['foveal']):.1f} to {max(psnr['foveal']):.1f} dB in the fovea, "
+        "denoising bias included."
+    )
+
+
+def _plots_and_tables(found: dict[str, Any]) -> dict[str, Any]:
+    """Quality over time, foveal quality over samples, and the tables of quality and time."""
+    metrics, keys = foveal_metric_names(found), keys_of(found)
+    over_time = [quality_over_time_plot(found, "foveal", metric) for metric in metrics]
+    over_time.append(quality_over_time_plot(found, "whole", WHOLE_METRIC))
+    return {
+        "over_time": _markup(over_time),
+        "samples": _markup([samples_plot(found, metric) for metric in metrics]),
+        "quality": [quality_table(found, region, keys) for region in REGIONS],
+        "time": time_table(found),
+    }
+
+
+def _viewer(found: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The images, and the circles drawn over them in percent of the height."""
+    settings, views, keys = found["settings"], _views(found), keys_of(found)
+    labels = {key.label: label_of(found, key) for key in keys}
+
+    def labelled(urls: dict[str, str]) -> dict[str, str]:
+        return {labels.get(name, name): url for name, url in urls.items()}
+
+    width, height = settings["width"], settings["height"]
+    return {
+        "views": views,
+        "images": [labelled(embedded_images(folder, view, keys)) for view in views],
+        "flips": [labelled(embedded_flips(folder, view, keys)) for view in views],
+        "left": OURS_KEY.label,
+        "right": "reference",
+        "aspect": 100 * width / height,
+        "gaze_x": 100 * settings["gaze_x"] * width / height,
+        "gaze_y": 100 * settings["gaze_y"],
+        "fov_a": settings["fov_a"],
+        "fov_b": settings["fov_b"],
+    }
+
+
+def _views(found: dict[str, Any]) -> list[int]:
+    return sorted({row["view"] for row in found["quality"]})
+
+
+def _sweep(sweep: dict[str, Any]) -> dict[str, Any]:
+    """Title, plots, sentences and table of a sweep."""
+    rows = sweep["rows"]
+    columns = sweep_columns(rows)
+    fovea = "" if "fovea" in columns else f", {sweep['fovea']} fovea"
+    return {
+        "title": f"{sweep['scene']}, over {sweep['title']}{fovea}, {rows[0]['repeats']} frames each",
+        "views": _views_note(sweep),
+        "plots": _markup(sweep_plots(sweep)),
+        "columns": list(columns),
+        "rows": list(zip(*columns.values(), strict=True)),
+        "sentences": [sentence(row) for row in sweep["break_even"]],
+    }
+
+
+def _views_note(sweep: dict[str, Any]) -> str:
+    """What the figures of a sweep are of; files of earlier versions do not say."""
+    count = sweep.get("views", 1)
+    if count == 1:
+        return "Each row is of a single view." if "views" in sweep else ""
+    return (
+        f"Frames of {count} views that nothing was fitted to: times are medians of all their frames, quality "
+        "is the mean over the views; in brackets the least and the greatest value of a view."
+    )
+
+
+def _markup(plots: list[str] | list[str | None]) -> list[Markup]:
+    """SVG elements that jinja does not escape, without those that could not be plotted."""
+    return [Markup(plot) for plot in plots if plot is not None]

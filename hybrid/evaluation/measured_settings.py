@@ -1,0 +1,193 @@
+"""Frame settings with the time and quality measured for them: stored per machine, and chosen for a target."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from compose.base.errors import UserError, one_line
+from compose.base.files import json_text, read_json, write_whole
+from hybrid.base.cache_folder import scene_folder
+from hybrid.base.identity import measured_identity, require_same, short_hash
+from hybrid.measure.perceptual_metrics import INSTALL
+from hybrid.render.frame_settings import FrameSettings
+from pathtrace.scene.scene import Scene
+from splat.model.forest import Forest
+
+T = TypeVar("T")
+
+
+def pareto_front(items: Iterable[T], cost_and_quality: Callable[[T], tuple[float, float]]) -> list[T]:
+    """The Pareto-optimal items, ordered from the fastest to the best.
+
+    An item is left out if another one is at least as fast and at least as good; of equal items the first one
+    stays. An item whose time or quality is NaN compares with none and is left out as well.
+
+    Args:
+        items: to choose from.
+        cost_and_quality: returns the time of an item (less is better) and its quality (more is better).
+    """
+    front: list[T] = []
+    known = [item for item in items if not any(math.isnan(value) for value in cost_and_quality(item))]
+    for item in sorted(known, key=lambda one: (cost_and_quality(one)[0], -cost_and_quality(one)[1])):
+        if not front or cost_and_quality(item)[1] > cost_and_quality(front[-1])[1]:
+            front.append(item)
+    return front
+
+
+# What is varied; everything else is part of the identity.
+_VARIED = ("fovea", "spp", "fov_a", "fov_b", "layers", "rate", "scale")
+
+
+@dataclass(frozen=True)
+class MeasuredSettings:
+    """Frame settings with the time and quality measured for them.
+
+    Attributes:
+        settings: of the frame; its gaze and camera have no meaning here.
+        milliseconds: median time of a frame.
+        quality: JOD, or SSIM if FovVideoVDP is not installed; mean over the views in which it was measured.
+        spread: its least and its greatest value over these views; None for a single view.
+
+    Raises:
+        ValueError: the time or the quality is not finite, or the time is not positive: such settings could
+            neither be chosen nor be left out for a reason.
+    """
+
+    settings: FrameSettings
+    milliseconds: float
+    quality: float
+    spread: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if not (0 < self.milliseconds < math.inf and math.isfinite(self.quality)):
+            raise ValueError(
+                f"{self.milliseconds} ms, quality {self.quality}: must be finite, the time above 0"
+            )
+
+
+def front_of(measured: Sequence[MeasuredSettings]) -> list[MeasuredSettings]:
+    """The Pareto-optimal settings, ordered from the fastest to the best."""
+    return pareto_front(measured, lambda one: (one.milliseconds, one.quality))
+
+
+@dataclass(frozen=True)
+class MeasuredStore:
+    """Stores measured settings of one scene, forest, frame size, acuity model, display and machine.
+
+    Attributes:
+        file: in the scene's cache folder.
+        identity: everything that the measurements depend on.
+        base: settings with the acuity model and the display of the measurements.
+    """
+
+    file: Path
+    identity: dict[str, Any]
+    base: FrameSettings
+
+    @staticmethod
+    def of(
+        kind: str, scene: Scene, forest: Forest, size: tuple[int, int], base: FrameSettings
+    ) -> MeasuredStore:
+        """The store for one kind of frame.
+
+        Args:
+            kind: name of what is measured, such as single frames or those of the window.
+            scene, forest: what is rendered.
+            size: width and height of the frame in pixels.
+            base: settings with the acuity model, the integrator and the display.
+        """
+        width, height = size
+        identity = measured_identity(
+            scene,
+            forest,
+            kind=kind,
+            width=width,
+            height=height,
+            acuity_model=base.acuity_model,
+            integrator=None if base.integrator is None else base.integrator.value,
+            display=asdict(base.display),
+        )
+        name = f"measured-{kind}-{width}x{height}-{short_hash(identity)}.json"
+        return MeasuredStore(scene_folder(scene.name, scene.hash) / name, identity, base)
+
+    def save(self, metric: str, measured: Sequence[MeasuredSettings]) -> None:
+        """Stores settings whose quality was measured in a metric.
+
+        Raises:
+            UserError: the cache folder cannot be written.
+        """
+        rows = [_row(one) for one in measured]
+        text = json_text({"identity": self.identity, "metric": metric, "rows": rows})
+        write_whole(self.file, lambda part: part.write_text(text))
+
+    def load(self) -> tuple[str, list[MeasuredSettings]] | None:
+        """The stored metric and settings; None if nothing was stored.
+
+        Raises:
+            UserError: the file is damaged.
+        """
+        advice = "delete it to measure again"
+        try:
+            found = read_json(self.file, finite=False)
+            theirs, metric = dict(found["identity"]), str(found["metric"])
+            measured = [self._measured(row) for row in found["rows"]]
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, LookupError, TypeError, UserError) as error:
+            raise UserError(f"{self.file}: is damaged ({one_line(repr(error))}); {advice}") from error
+        require_same(theirs, self.identity, f"{self.file}: was measured", advice)
+        return metric, measured
+
+    def _measured(self, row: dict[str, Any]) -> MeasuredSettings:
+        varied = {name: row[name] for name in _VARIED}
+        varied["layers"] = None if varied["layers"] is None else tuple(varied["layers"])
+        between = row.get("spread")
+        spread = None if between is None else (float(between[0]), float(between[1]))
+        milliseconds, quality = float(row["milliseconds"]), float(row["quality"])
+        return MeasuredSettings(replace(self.base, **varied), milliseconds, quality, spread)
+
+
+def _row(one: MeasuredSettings) -> dict[str, Any]:
+    settings = one.settings.as_json()
+    varied = {name: settings[name] for name in _VARIED}
+    return {**varied, "milliseconds": one.milliseconds, "quality": one.quality, "spread": one.spread}
+
+
+def chosen(
+    metric: str, measured: Sequence[MeasuredSettings], milliseconds: float | None, quality: float | None
+) -> MeasuredSettings:
+    """The best settings within a time, or the fastest that reach a quality, or the fastest that do both.
+
+    Args:
+        metric: in which quality was measured, jod or ssim.
+        measured: settings to choose from.
+        milliseconds: the time that a frame may take; None for any.
+        quality: the quality in JOD that a frame must reach; None for any.
+
+    Raises:
+        UserError: there are no settings or none meets the target, or a quality is asked for but was not
+            measured in JOD.
+    """
+    if not measured:
+        raise UserError("no settings have been measured to choose from; run: hybrid sweep --over trade")
+    if quality is not None and metric != "jod":
+        raise UserError(
+            f"target of {quality:g} JOD: quality was measured in {metric.upper()}; {INSTALL}, then measure "
+            "again: hybrid sweep --over trade"
+        )
+    fitting = [one for one in measured if milliseconds is None or one.milliseconds <= milliseconds]
+    if not fitting:
+        least = min(one.milliseconds for one in measured)
+        raise UserError(f"target of {milliseconds:g} ms: the fastest settings take {least:.0f} ms")
+    if quality is None:
+        return max(fitting, key=lambda one: (one.quality, -one.milliseconds))
+    good = [one for one in fitting if one.quality >= quality]
+    if not good:
+        best = max(one.quality for one in fitting)
+        within = "" if milliseconds is None else f" in {milliseconds:g} ms"
+        raise UserError(f"target of {quality:g} JOD: the best settings{within} reach {best:.2f}")
+    return min(good, key=lambda one: one.milliseconds)

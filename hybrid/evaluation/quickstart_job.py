@@ -1,0 +1,183 @@
+"""The whole workflow for one scene: a forest, hybrid frames, their references, measurements."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from compose.camera.camera import View
+from compose.image.colour import Image
+from hybrid.base.identity import machine
+from hybrid.base.progress import progress_bar
+from hybrid.evaluation.comparison import compare
+from hybrid.evaluation.quickstart_page import write_page
+from hybrid.measure.image_metrics import quality, registration_px
+from hybrid.measure.reference import REFERENCE_SEED
+from hybrid.preparation.held_out import held_out_quality
+from hybrid.preparation.preparation import make_quick_forest
+from hybrid.render.false_colours import weights_picture
+from hybrid.render.frame import Frame
+from hybrid.render.frame_renderer import Renderer
+from hybrid.render.frame_settings import EXTRA_AOVS, FrameSettings
+from hybrid.render.image_files import write_png, write_srgb
+from pathtrace.dataset.captured_frames import render_frame
+from pathtrace.region.neighbourhood import unseen_views
+from pathtrace.scene.scene import Scene
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class JudgedView:
+    """A view with what is shown of it.
+
+    Attributes:
+        frame: the hybrid frame, with all AOVs.
+        reference: (H, W, 3) radiance of denoised path tracing.
+    """
+
+    frame: Frame
+    reference: Image
+
+    @property
+    def splats(self) -> Image:
+        """(H, W, 3) radiance of the splats alone."""
+        return self.frame.more["splat"]
+
+
+def judged_views(
+    renderer: Renderer,
+    views: list[View],
+    settings: FrameSettings,
+    reference_spp: int,
+    seed: int,
+    progress: Callable[[int, int], None],
+) -> list[JudgedView]:
+    """The frames of some views, and what they are compared with.
+
+    Args:
+        renderer: of the scene.
+        views: what they show.
+        settings: of the frames.
+        reference_spp: samples per pixel of the references.
+        seed: same seed, same images on the same machine.
+        progress: called with views done and views in total.
+    """
+    found = []
+    for number, view in enumerate(views):
+        progress(number, len(views))
+        own = replace(settings, camera=view.camera, time=view.time, aovs=EXTRA_AOVS)
+        renderer.scene.show(view.time)
+        truth_seed = seed + REFERENCE_SEED + number
+        truth = render_frame(renderer.tracer, view.camera, reference_spp, truth_seed).radiance
+        found.append(JudgedView(renderer.frame(own, seed + number), truth))
+    progress(len(views), len(views))
+    return found
+
+
+def judged_quality(views: list[JudgedView]) -> dict[str, Any]:
+    """Entries of result.json: means over the views, and the least and the greatest value of a view.
+
+    Returns:
+        `views`, their number; `hybrid` and `splats_alone`, psnr in dB and ssim; `registration_px`, unless no
+        view has a window with enough texture; and of each of these its `..._range`.
+    """
+    found: dict[str, Any] = {"views": len(views)}
+    found |= _summary("hybrid", [quality(one.frame.composite, one.reference) for one in views])
+    found |= _summary("splats_alone", [quality(one.splats, one.reference) for one in views])
+    shifts = [registration_px(one.splats, one.reference) for one in views]
+    known = [shift for shift in shifts if shift is not None]
+    if known:
+        found |= {"registration_px": float(np.mean(known)), "registration_px_range": _range(known)}
+    return found
+
+
+def _summary(name: str, rows: list[dict[str, float]]) -> dict[str, Any]:
+    """Mean and range of each metric."""
+    values = {metric: [row[metric] for row in rows] for metric in rows[0]}
+    return {
+        name: {metric: float(np.mean(each)) for metric, each in values.items()},
+        f"{name}_range": {metric: _range(each) for metric, each in values.items()},
+    }
+
+
+def _range(values: list[float]) -> Range:
+    return min(values), max(values)
+
+
+# Width and height of the frames.
+SIZE = 512
+# Views that are judged, near the scene's own, to which nothing was fitted. Their references take as long as
+# one view of 84 samples per pixel; with more, the whole would take noticeably longer.
+_VIEWS, _REFERENCE_SPP = 3, 28
+_REPEATS, _WARM_UP = 9, 2
+# Entries of the comparison with full path tracing that are reported.
+_TIMES = (
+    *(f"{name}_ms{suffix}" for name in ("hybrid", "path_traced", "disc") for suffix in ("", "_range")),
+    *("ratio", "ratio_range", "ceiling", "covered"),
+)
+
+
+def quickstart(scene: Scene, folder: Path, settings: FrameSettings, seed: int) -> dict[str, Any]:
+    """Captures, trains, renders and measures; writes images and a page.
+
+    All figures of frames are those of views that nothing was fitted to; the images are of the first of them.
+
+    Args:
+        scene: what to render.
+        folder: for everything that is written, including frame set and forest.
+        settings: of the frame; the disc must contain a pixel of a frame of SIZE x SIZE.
+        seed: same seed, same images on the same machine.
+
+    Returns:
+        The content of result.json.
+    """
+    start = time.perf_counter()
+    made = make_quick_forest(scene, folder, seed)
+    held_out = held_out_quality(made.frames, made.forest)
+    before = time.perf_counter()
+    views = unseen_views(scene, _VIEWS, SIZE, SIZE)
+    renderer = Renderer(scene, made.forest)
+    with progress_bar("references") as bar:
+        judged = judged_views(renderer, views, settings, _REFERENCE_SPP, seed, bar)
+    with progress_bar("frames (rounds)") as bar:
+        times = compare(renderer, views, settings, _REPEATS, _WARM_UP, bar)
+    seconds = {**made.seconds, "render": time.perf_counter() - before}
+    shown = judged[0]
+    shown.frame.save(folder / "hybrid.exr")
+    images = {"hybrid": shown.frame.composite, "reference": shown.reference, "splat": shown.splats}
+    for name, image in images.items():
+        write_png(folder / f"{name}.png", image)
+    write_srgb(folder / "weights.png", weights_picture(shown.frame))
+    seconds["total"] = time.perf_counter() - start
+    result = {
+        **_facts(scene, shown.frame),
+        "seconds": seconds,
+        "splat": {name: held_out[-1][name] for name in ("psnr", "ssim")},
+        "layers": held_out,
+        **judged_quality(judged),
+        **{key: times[key] for key in _TIMES},
+        "gaussians": len(made.forest.finest),
+        "reference_spp": _REFERENCE_SPP,
+        "machine": machine(),
+    }
+    write_page(folder / "index.html", folder, result)
+    return result
+
+
+def _facts(scene: Scene, frame: Frame) -> dict[str, Any]:
+    """What was rendered."""
+    settings = frame.settings
+    return {
+        "scene": scene.name,
+        "width": frame.camera.width,
+        "height": frame.camera.height,
+        "spp": settings.spp,
+        "fov_a": settings.fov_a,
+        "fov_b": settings.fov_b,
+    }

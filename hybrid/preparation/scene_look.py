@@ -1,0 +1,113 @@
+"""A quick look at a scene: small frames of views of a region."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.camera.camera import Camera, View
+from compose.image.colour import Image
+from pathtrace.dataset.frame_error import joined
+from pathtrace.region.neighbourhood import view_times
+from pathtrace.region.viewing_regions import Region
+from pathtrace.scene.scene import Scene
+from pathtrace.scene.triangles import Surfaces
+from pathtrace.trace.film import frame_positions, interleaved
+from pathtrace.trace.traced_images import TracedImage, trace_image
+from pathtrace.trace.tracer import Tracer
+
+# Views, the side of their frames in pixels, and samples per pixel.
+_VIEWS, _SIDE, _SPP = 6, 96, 8
+# Views of which frames as large as those to train on are traced, their side, and samples of each half.
+_LARGER, _LARGER_SIDE, HALF_SPP = 3, 256, 4
+# Views nearer together than this, over the distance to what they see, are one point.
+_ONE_POINT = 0.002
+
+
+@dataclass(frozen=True)
+class Look:
+    """What V views of a scene show, at times spread over those of one that moves.
+
+    Attributes:
+        views: cameras and times.
+        radiance: V of (H, W, 3), noisy.
+        gloss: V of (H, W), class of gloss of what each pixel shows (compose.base.traced_samples).
+        reflected: V of (H, W) bool, where a flat mirror or a pane shows something else.
+        halves: of some views, larger: two independent halves of HALF_SPP samples per pixel each.
+        parallax: largest distance between two views, over the median distance to what they see.
+    """
+
+    views: list[View]
+    radiance: list[Image]
+    gloss: list[NDArray[np.int64]]
+    reflected: list[NDArray[np.bool_]]
+    halves: list[tuple[TracedImage, TracedImage]]
+    parallax: float
+
+    @property
+    def cameras(self) -> list[Camera]:
+        """Of the views."""
+        return [view.camera for view in self.views]
+
+    @cached_property
+    def denoised(self) -> list[Image]:
+        """(H, W, 3) radiance of the larger frames, denoised from all of their samples."""
+        return [joined(*halves).denoised() for halves in self.halves]
+
+    @property
+    def is_one_point(self) -> bool:
+        """Whether everything is seen from one direction only."""
+        return self.parallax < _ONE_POINT
+
+
+def look_at_scene(scene: Scene, surfaces: Surfaces, region: Region, seed: int) -> Look:
+    """Looks at a scene; afterwards, one that moves shows its first time.
+
+    Args:
+        scene: the scene.
+        surfaces: its surfaces.
+        region: where viewers may be.
+        seed: of the views and their samples.
+
+    Raises:
+        UserError: there is no free space in the region.
+    """
+    cameras = region.views(_VIEWS, _SIDE, _SIDE, seed)
+    views = [View(*one) for one in zip(cameras, view_times(scene, len(cameras)), strict=True)]
+    tracer = Tracer(scene)
+    radiance, gloss, reflected, halves = [], [], [], []
+    for number, view in enumerate(views):
+        scene.show(view.time)
+        positions = frame_positions(view.camera)
+        traced = tracer.trace(view.camera, positions, _SPP, seed + number, features=True)
+        assert traced.features is not None
+        shape = (view.camera.height, view.camera.width)
+        radiance.append(interleaved(traced.radiance).reshape(*shape, 3))
+        gloss.append(traced.features.gloss.numpy().astype(np.int64).reshape(shape))
+        reflected.append(tracer.hits(view.camera, positions).reflected.reshape(shape))
+        if number < _LARGER:
+            larger = view.camera.resized(_LARGER_SIDE, _LARGER_SIDE)
+            halves.append(traced_halves(tracer, larger, seed + number))
+    scene.show(0.0)
+    return Look(views, radiance, gloss, reflected, halves, _parallax(surfaces, cameras))
+
+
+def traced_halves(tracer: Tracer, camera: Camera, seed: int) -> tuple[TracedImage, TracedImage]:
+    """Two independent halves of the samples of a frame."""
+    positions = frame_positions(camera)
+    one, other = (
+        trace_image(tracer, camera, positions, camera.width, HALF_SPP, int(half))
+        for half in np.random.SeedSequence(seed).generate_state(2)
+    )
+    return one, other
+
+
+def _parallax(surfaces: Surfaces, cameras: Sequence[Camera]) -> float:
+    places = np.stack([camera.position for camera in cameras])
+    apart = np.linalg.norm(places[:, None] - places, axis=-1).max()
+    away = np.median([surfaces.median_distance(camera) for camera in cameras])
+    return float(apart / away) if np.isfinite(away) else 0.0

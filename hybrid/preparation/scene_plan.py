@@ -1,0 +1,344 @@
+"""What a scene requires: the plan that follows from a look at it for a few seconds.
+
+It is stored in the cache folder, is a part of frame sets and forests, and a user may decide items instead.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from compose.base.errors import UserError
+from compose.base.files import json_text, read_json, write_whole
+from compose.eye.display import DISPLAYS, Display
+from hybrid.base.cache_folder import scene_folder
+from hybrid.base.progress import Bars, console, no_bars, no_progress
+from hybrid.preparation.decisions import (
+    DEGREE,
+    DENOISED,
+    DENOISING,
+    DEPTH,
+    FRAME_PRECISION,
+    HALF,
+    LAYERS,
+    RAW,
+    ROULETTE,
+    SAMPLES,
+    SINGLE,
+    Decision,
+    Value,
+    degree_decision,
+    frame_precision_decision,
+    layers_decision,
+    path_decisions,
+    region_decision,
+    sample_decisions,
+)
+from hybrid.preparation.gaussian_count import GAUSSIANS, breadth_of, gaussians_decision
+from hybrid.preparation.scene_look import Look, look_at_scene
+from hybrid.render.frame_settings import MOST_SPP
+from pathtrace.region.viewing_regions import NEAR, region_of
+from pathtrace.scene.difficulties import light_difficulties
+from pathtrace.scene.scene import Scene, load_scene
+from pathtrace.scene.triangles import Surfaces
+from splat.model.forest import Forest
+from splat.model.gaussians import MAX_DEGREE
+
+MOTION, LIGHT = "motion", "light"
+STILL, MOVING = "still", "moving"
+_PARTS = 3
+
+
+@dataclass(frozen=True)
+class ScenePlan:
+    """What a scene requires of the renderers.
+
+    Attributes:
+        scene_name, scene_hash: the scene, at its own path depth.
+        decisions: one per part.
+        look: that they follow from; None if it was stored.
+    """
+
+    scene_name: str
+    scene_hash: str
+    decisions: tuple[Decision, ...]
+    look: Look | None = None
+
+    def decision(self, name: str) -> Decision:
+        """What is decided for a part, and why.
+
+        Raises:
+            KeyError: there is no such part.
+        """
+        return {decision.name: decision for decision in self.decisions}[name]
+
+    def value(self, name: str) -> Any:
+        """What is decided for a part.
+
+        Raises:
+            KeyError: there is no such part.
+        """
+        return self.decision(name).value
+
+    def values(self) -> dict[str, Value]:
+        """What is decided, by name."""
+        return {decision.name: decision.value for decision in self.decisions}
+
+    def rows(self) -> list[dict[str, Any]]:
+        """As `hybrid plan --json` writes them."""
+        return [decision.row() for decision in self.decisions]
+
+
+def plan_of(
+    scene: Scene,
+    display: Display,
+    size: tuple[int, int],
+    region: str = NEAR,
+    seed: int = 0,
+    progress: Callable[[int, int], None] = no_progress,
+) -> ScenePlan:
+    """Looks at a scene and decides what it requires.
+
+    Args:
+        scene: the scene; afterwards, one that moves shows its first time.
+        display: that frames are shown on.
+        size: width and height of these frames in pixels.
+        region: where viewers may be, as of pathtrace.region.
+        seed: same seed, same plan on the same machine.
+        progress: called with parts done and their number.
+
+    Raises:
+        UserError: the scene's own camera sees no surface, there is no such region, or no free space in it.
+    """
+    scene.show(0.0)
+    surfaces = Surfaces(scene)
+    where = region_of(scene, surfaces, region)
+    breadth = breadth_of(where, surfaces, seed)
+    progress(1, _PARTS)
+    look = look_at_scene(scene, surfaces, where, seed)
+    progress(2, _PARTS)
+    decisions = (
+        _motion_decision(scene),
+        region_decision(region, look, breadth),
+        *path_decisions(scene, look.cameras, seed),
+        degree_decision(look),
+        frame_precision_decision(look),
+        layers_decision(display, size),
+        gaussians_decision(look, breadth),
+        *sample_decisions(look),
+        _light_decision(scene),
+    )
+    progress(3, _PARTS)
+    return ScenePlan(scene.name, scene.own_hash, decisions, look)
+
+
+def _motion_decision(scene: Scene) -> Decision:
+    """Whether there are dynamic trees, courses of motion and light, and frames of many times."""
+    moving = scene.moving
+    shapes = 0 if moving is None else len(moving.shapes)
+    triangles = 0 if moving is None else sum(int(shape.face_count()) for shape in moving.shapes)
+    evidence = {"shapes": shapes, "triangles": triangles}
+    return Decision(MOTION, motion_of(scene), MOVING, evidence, 1.0, "times")
+
+
+def motion_of(scene: Scene) -> str:
+    """STILL or MOVING."""
+    return STILL if scene.moving is None else MOVING
+
+
+def _light_decision(scene: Scene) -> Decision:
+    """Whether the light converges as it is, or what would help."""
+    found = light_difficulties(scene)
+    evidence = {"causes": {difficulty.kind: list(difficulty.causes) for difficulty in found}}
+    kinds = "+".join(difficulty.kind for difficulty in found)
+    return Decision(LIGHT, kinds or "plain", "plain", evidence, 1.0, "noise")
+
+
+_NAME = "plan.json"
+
+
+def attach_plan(forest: Forest, values: Mapping[str, Value]) -> Forest:
+    """The forest with what was planned for it attached; as it is if nothing was."""
+    if not values:
+        return forest
+    text = json.dumps(dict(values), sort_keys=True).encode()
+    content = torch.from_numpy(np.frombuffer(text, dtype=np.uint8).copy())
+    return replace(forest, attached={**forest.attached, _NAME: content})
+
+
+def plan_of_forest(forest: Forest) -> dict[str, Value]:
+    """What was planned for a forest, by name; empty if it does not say.
+
+    Raises:
+        UserError: what it says is damaged.
+    """
+    content = forest.attached.get(_NAME)
+    if content is None:
+        return {}
+    try:
+        values = json.loads(content.numpy().tobytes())
+        return {str(name): value for name, value in values.items()}
+    except (ValueError, AttributeError, TypeError) as error:
+        raise UserError("the forest's plan is damaged; train the forest again") from error
+
+
+def require_plan(values: Mapping[str, Any], scene: Scene, source: object) -> None:
+    """Checks that a plan does not contradict the scene that it is used with.
+
+    Args:
+        values: what it decides, by name.
+        scene: the scene.
+        source: where the plan comes from, for the message.
+
+    Raises:
+        UserError: something moves in a scene planned as still, or the other way round.
+    """
+    planned, fact = values.get(MOTION, motion_of(scene)), motion_of(scene)
+    if planned != fact:
+        raise UserError(f"{source}: its plan has {MOTION} {planned}, but {scene.name} has {fact}")
+
+
+_VERSION = 2
+# Of frames where nothing else is asked for.
+DISPLAY, SIZE = "desktop", (1920, 1080)
+
+
+def planned_scene(
+    source: str | Path | dict[str, Any],
+    max_depth: int | None = None,
+    thin_glass: bool = False,
+    bars: Bars = no_bars,
+) -> Scene:
+    """Loads a scene with the paths that are planned for it.
+
+    Args:
+        source, max_depth, thin_glass: as of `load_scene`; a depth that is given stays.
+        bars: show the progress of planning.
+
+    Raises:
+        UserError: as of `load_scene`, or the cache folder cannot be written.
+    """
+    scene = load_scene(source, max_depth, thin_glass)
+    return _as_planned(scene, plan_for(scene, bars), max_depth)
+
+
+def scene_as_stored(source: str) -> Scene:
+    """Loads a scene as its stored plan has it; as its file has it if there is none."""
+    scene = load_scene(source)
+    return _as_planned(scene, _stored(scene))
+
+
+def _as_planned(scene: Scene, plan: ScenePlan | None, max_depth: int | None = None) -> Scene:
+    if plan is None:
+        return scene
+    scene = scene if max_depth is not None else scene.at_depth(plan.value(DEPTH))
+    values = {**plan.values(), DEPTH: scene.max_depth}
+    return replace(scene, roulette_depth=plan.value(ROULETTE), plan=values)
+
+
+def plan_for(scene: Scene, bars: Bars = no_bars) -> ScenePlan | None:
+    """The stored plan of a scene; if there is none, it is made in seconds and stored.
+
+    None of a scene that cannot be looked at, because its camera sees no surface or stands in one.
+
+    Raises:
+        UserError: the cache folder cannot be written, or the stored plan contradicts the scene.
+    """
+    stored = _stored(scene)
+    if stored is not None:
+        require_plan(stored.values(), scene, _file(scene.name, scene.own_hash))
+        return stored
+    try:
+        with bars(f"plan for {scene.name} (parts)") as bar:
+            plan = plan_of(scene, DISPLAYS[DISPLAY], SIZE, progress=bar)
+    except UserError as error:
+        console.print(f"{error}; what it requires is not planned", soft_wrap=True)
+        return None
+    store_plan(plan)
+    return plan
+
+
+def store_plan(plan: ScenePlan) -> None:
+    """Stores a plan; from now on, it is that of its scene.
+
+    Raises:
+        UserError: the cache folder cannot be written.
+    """
+    content = {"version": _VERSION, "scene": plan.scene_hash, "decisions": plan.rows()}
+    text = json_text(content)
+    write_whole(_file(plan.scene_name, plan.scene_hash), lambda part: part.write_text(text))
+
+
+def _file(name: str, digest: str) -> Path:
+    return scene_folder(name, digest) / "plan.json"
+
+
+def _stored(scene: Scene) -> ScenePlan | None:
+    """The plan in the scene's folder; None if there is none, or none that this version reads."""
+    try:
+        content = read_json(_file(scene.name, scene.own_hash))
+        if (content["version"], content["scene"]) != (_VERSION, scene.own_hash):
+            return None
+        return ScenePlan(scene.name, scene.own_hash, tuple(Decision(**row) for row in content["decisions"]))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+# Least and greatest whole number that each item may be.
+_NUMBERS = {
+    DEPTH: (1, 1_000_000),
+    ROULETTE: (1, 1_000_000),
+    DEGREE: (0, MAX_DEGREE),
+    LAYERS: (1, 32),
+    GAUSSIANS: (1, 100_000_000),
+    SAMPLES: (1, MOST_SPP),
+}
+_WORDS = {DENOISING: (DENOISED, RAW), FRAME_PRECISION: (HALF, SINGLE)}
+
+
+def parsed(given: Sequence[str]) -> dict[str, Value]:
+    """Values by name, from texts such as "degree=0".
+
+    Raises:
+        UserError: there is no such item, or it cannot have that value.
+    """
+    found: dict[str, Value] = {}
+    for text in given:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        if not equals:
+            raise UserError(f"--set {text}: must be NAME=VALUE")
+        found[name] = _value(name, value)
+    return found
+
+
+def _value(name: str, value: str) -> Value:
+    if name in _NUMBERS:
+        least, most = _NUMBERS[name]
+        if not value.isascii() or not value.isdigit() or not least <= int(value[:12]) <= most:
+            raise UserError(f"--set {name}={value}: must be a whole number from {least} to {most}")
+        return int(value)
+    if name in _WORDS:
+        if value not in _WORDS[name]:
+            raise UserError(f"--set {name}={value}: must be {' or '.join(_WORDS[name])}")
+        return value
+    names = ", ".join((*_NUMBERS, *_WORDS))
+    raise UserError(f"--set {name}={value}: must be one of {names}; the scene decides all else")
+
+
+def overridden(plan: ScenePlan, values: Mapping[str, Value]) -> ScenePlan:
+    """A plan with some decisions taken by the user; those have no gain that anybody knows."""
+    decisions = [
+        _by_user(decision, values[decision.name]) if decision.name in values else decision
+        for decision in plan.decisions
+    ]
+    return replace(plan, decisions=tuple(decisions))
+
+
+def _by_user(decision: Decision, value: Value) -> Decision:
+    return replace(decision, value=value, evidence={"planned": decision.value, **decision.evidence}, gain=1.0)

@@ -1,0 +1,168 @@
+"""Training frames of a preparation: views and samples by stage, noise, and what bounded light lacks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import drjit as dr
+import numpy as np
+
+from compose.camera.camera import Camera
+from compose.image.colour import srgb_from_radiance
+from hybrid.base.compute_device import device_arrays
+from hybrid.preparation.decisions import CONVERGED_DB
+from hybrid.preparation.stages import Stage
+from pathtrace.dataset.frame_error import frame_error, mean_frame_error
+from pathtrace.dataset.growing import GrowingFrames, Wanted
+from pathtrace.region.neighbourhood import time_of
+from pathtrace.region.viewing_regions import Region
+from pathtrace.trace.film import frame_positions
+from pathtrace.trace.tracer import Tracer
+from splat.lod.forest_renderer import ForestRenderer
+from splat.model.forest import Forest
+
+# Side in pixels of views before they are given the size of a stage's frames.
+_SIDE = 256
+# Views whose error is looked at to know that of all.
+_ASKED = 6
+# More samples do not pay for a frame whose own error is less than this share of what the forest gets wrong in
+# it.
+_WORTHWHILE = 0.1
+
+
+def views_of(region: Region, stages: Sequence[Stage], seed: int) -> list[tuple[Camera, int]]:
+    """All views of some stages, each with its scale; those of fewer stages come first.
+
+    Views larger than a frame may be are cut to a random part.
+    """
+    stage_of = [stage for stage in stages for _ in range(stage.views)]
+    homes = region.views(len(stage_of), _SIDE, _SIDE, seed)
+    return [
+        (_part(home.resized(stage.whole, stage.whole), stage.side, [seed, index]), stage.scale)
+        for index, (home, stage) in enumerate(zip(homes, stage_of, strict=True))
+    ]
+
+
+def _part(camera: Camera, side: int, seed: list[int]) -> Camera:
+    """A random square part of a view, or all of it."""
+    rng = np.random.default_rng(seed)
+    left, top = (int(rng.integers(length - side + 1)) for length in (camera.width, camera.height))
+    return camera.cropped(left, top, side, side)
+
+
+def wanted_of(
+    frames: GrowingFrames, views: list[tuple[Camera, int]], stage: Stage, forest: Forest | None
+) -> list[Wanted]:
+    """The samples that views get in a stage: more only where their error matters beside the forest's.
+
+    Args:
+        frames: as they are.
+        views: all views, with their scales.
+        stage: the stage.
+        forest: as it is; None if there is none yet.
+    """
+    had, moves = frames.samples, frames.moves
+    aimed = [stage.spp_at(scale) for _, scale in views]
+    if forest is not None and had:
+        renderer, share = ForestRenderer(device_arrays(), forest), _share_left(frames)
+        for number, samples in enumerate(had):
+            if samples < aimed[number] and not _is_worthwhile(frames, number, renderer, share):
+                aimed[number] = samples
+    return [
+        Wanted(camera, max(spp, *had[number : number + 1], 2), time_of(number) if moves else 0.0)
+        for number, ((camera, _), spp) in enumerate(zip(views, aimed, strict=True))
+    ]
+
+
+def stated_error(frames: GrowingFrames) -> float:
+    """PSNR in dB of the frames against the truth, as their samples tell."""
+    return mean_frame_error([frame_error(*frames.halves(number)) for number in _asked(frames)]).psnr_db
+
+
+def _asked(frames: GrowingFrames) -> list[int]:
+    """Some views, evenly spaced over all."""
+    count = len(frames.samples)
+    return sorted({round(share) for share in np.linspace(0, count - 1, _ASKED)})
+
+
+def _share_left(frames: GrowingFrames) -> float:
+    """Squared error of denoised frames over that of what was traced, on average."""
+    asked = _asked(frames)
+    errors = [frame_error(*frames.halves(number)).mse for number in asked]
+    return float(np.sum(errors) / max(np.sum([_noise(frames, number) for number in asked]), 1e-12))
+
+
+def _noise(frames: GrowingFrames, number: int) -> float:
+    """Squared error of what was traced of a view, in sRGB values."""
+    one, other = (srgb_from_radiance(half.radiance) for half in frames.halves(number))
+    return float(np.mean((one - other) ** 2) / 4)
+
+
+def _is_worthwhile(frames: GrowingFrames, number: int, renderer: ForestRenderer, share: float) -> bool:
+    """Whether a frame's own error is a noticeable part of its difference from the forest."""
+    frame = frames.radiance(number)
+    renderer.set_time(frames.time(number))
+    shown = renderer.render_layer(frames.camera(number), len(renderer.forest.counts)).numpy()
+    difference = float(np.mean((srgb_from_radiance(shown) - srgb_from_radiance(frame)) ** 2))
+    return share * _noise(frames, number) > _WORTHWHILE * difference
+
+
+# What doubling the samples of a denoised frame gains at least and at most, in dB; it was 1.0 (caustics) to
+# 2.2 on five scenes, and is 3 without a denoiser.
+_LEAST_GAIN, _MOST_GAIN = 0.5, 3.0
+
+
+@dataclass(frozen=True)
+class Pass:
+    """What a pass over the frames has brought.
+
+    Attributes:
+        samples: per pixel, mean over all frames so far.
+        error_db: PSNR of the frames, as they state it.
+        seconds: of tracing, over all passes so far.
+    """
+
+    samples: float
+    error_db: float
+    seconds: float
+
+
+def converging_seconds(passes: Sequence[Pass]) -> float | None:
+    """Seconds of tracing in all until the frames have CONVERGED_DB; None if they do, or nobody can tell.
+
+    Each further doubling of the samples is taken to gain as much as those from the first pass to the last.
+    """
+    if len(passes) < 2 or passes[-1].error_db >= CONVERGED_DB:
+        return None
+    first, last = passes[0], passes[-1]
+    if last.samples <= first.samples:
+        return None
+    gain = (last.error_db - first.error_db) / math.log2(last.samples / first.samples)
+    doublings = (CONVERGED_DB - last.error_db) / min(max(gain, _LEAST_GAIN), _MOST_GAIN)
+    return last.seconds * 2**doublings
+
+
+# Side in pixels of the frames that tell, and their samples per pixel.
+_CLAMPED_SIDE, _CLAMPED_SPP = 64, 64
+
+
+def clamping_bias(bounded: Tracer, unbounded: Tracer, cameras: Sequence[Camera], seed: int) -> float:
+    """Share of the mean radiance that a bound on indirect light removes, 0 to 1, over some views.
+
+    Both trace the same paths, so that the difference is the bound's alone; rare bright paths make it vary
+    with the seed all the same.
+
+    Args:
+        bounded, unbounded: tracers of one scene with and without the bound.
+        cameras: the views.
+        seed: same seed, same result.
+    """
+    total = [0.0, 0.0]
+    for number, camera in enumerate(cameras):
+        small = camera.resized(_CLAMPED_SIDE, _CLAMPED_SIDE)
+        for index, tracer in enumerate((bounded, unbounded)):
+            radiance = tracer.trace(small, frame_positions(small), _CLAMPED_SPP, seed + number).radiance
+            total[index] += sum(float(dr.sum(channel)[0]) for channel in radiance)
+    return 1 - total[0] / total[1] if total[1] else 0.0

@@ -1,0 +1,270 @@
+"""What a preparation does next: stage after stage, until it is enough or the time is up."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from hybrid.base.journal import Journal
+from hybrid.preparation.stages import QUALITIES, SIDE, Needs, PreparationSettings, Stage, planned_stage
+
+# What things take on two cores of an AMD EPYC, in the scene `room`, in seconds: to trace and denoise a pixel,
+# and each of its samples; to read a pixel and make a target of it; to build trees of a Gaussian.
+_TRACED_PIXEL, _SAMPLE, _READ_PIXEL, _BUILT = 2.25e-6, 0.27e-6, 0.7e-6, 60e-6
+# A step without Gaussians, how many that the view shows take as long again, and how much longer larger frames
+# take without Gaussians.
+_STEP, _GAUSSIANS_OF_A_STEP, _OF_MORE_PIXELS = 0.013, 18_000, 2.0
+# Share of all Gaussians that a view of the default region shows, and how it falls with the breadth of others.
+_SHOWN, _SHOWN_LESS = 0.56, 0.65
+# A stage that would get a smaller share of its time is not begun.
+_LEAST_SHARE = 0.3
+# Least share of a stage's steps that are trained once its frames are there.
+_LEAST_STEPS = 0.1
+
+
+@dataclass(frozen=True)
+class Seconds:
+    """Seconds that the two parts of a stage take; or their pace, seconds over those that were expected."""
+
+    frames: float
+    training: float
+
+    def at(self, pace: Seconds) -> float:
+        """Seconds in all at some pace."""
+        return self.frames * pace.frames + self.training * pace.training
+
+
+AS_EXPECTED = Seconds(1.0, 1.0)
+
+
+def expected_seconds(stage: Stage, before: Sequence[Stage]) -> Seconds:
+    """What a stage takes after others, on the machine and in the scenes that this was measured on."""
+    frames = _frames(stage.views, stage, stage.spp_at(stage.scale))
+    for number, earlier in enumerate(before):
+        had = max(one.spp_at(earlier.scale) for one in before[number:])
+        frames += _frames(earlier.views, earlier, stage.spp_at(earlier.scale) - had)
+    return Seconds(frames, _prepared(stage, before) + stage.steps * step_seconds(stage))
+
+
+def affordable_steps(stage: Stage, before: Sequence[Stage], seconds: float, pace: Seconds) -> int:
+    """Steps that fit in a time, at most those of the stage; at least a tenth of them.
+
+    Args:
+        stage: whose frames are there.
+        before: the stages before.
+        seconds: the time.
+        pace: of the stages before.
+    """
+    steps = int((seconds / pace.training - _prepared(stage, before)) / step_seconds(stage))
+    return max(min(stage.steps, steps), -int(-stage.steps * _LEAST_STEPS // 1))
+
+
+def step_seconds(stage: Stage) -> float:
+    """What a training step of a stage is expected to take."""
+    of_pixels = _OF_MORE_PIXELS if stage.side > SIDE else 1
+    shown = stage.gaussians * _SHOWN / stage.breadth**_SHOWN_LESS
+    return _STEP * (of_pixels + shown / _GAUSSIANS_OF_A_STEP)
+
+
+def next_stage(before: Sequence[Stage], needs: Needs, pace: Seconds, left: float | None) -> Stage | None:
+    """The stage to do next; None if there is no time for one.
+
+    It is stretched over the time that would be left without use: a stage that has too little time is worse
+    than none, since each begins with large steps again.
+
+    Args:
+        before: the stages done.
+        needs: of the region and the scene.
+        pace: of the stages done.
+        left: seconds; None if they do not matter.
+    """
+    stage = planned_stage(len(before), needs)
+    if left is None or not before:
+        return stage
+    share = _share(stage, before, pace, left)
+    if share < _LEAST_SHARE:
+        return None
+    following = planned_stage(len(before) + 1, needs)
+    left_then = left - expected_seconds(stage, before).at(pace)
+    another_fits = _share(following, [*before, stage], pace, left_then) >= _LEAST_SHARE
+    return stage if another_fits else stage.in_time(share)
+
+
+def _share(stage: Stage, before: Sequence[Stage], pace: Seconds, left: float) -> float:
+    """Share of a stage's new views and steps, or multiple of them, that fits in a time."""
+    least = expected_seconds(stage.in_time(0), before).at(pace)
+    return (left - least) / (expected_seconds(stage, before).at(pace) - least)
+
+
+def _frames(views: int, stage: Stage, spp: int) -> float:
+    """What it takes to trace further samples of views of a stage's size."""
+    return views * stage.side**2 * (_TRACED_PIXEL + spp * _SAMPLE) if spp > 0 else 0.0
+
+
+def _prepared(stage: Stage, before: Sequence[Stage]) -> float:
+    """What a training takes besides its steps."""
+    pixels = sum(one.views * one.side**2 for one in [*before, stage])
+    return pixels * _READ_PIXEL + (stage.gaussians * _BUILT if before else 0.0)
+
+
+_KEY = "seconds"
+
+
+class Clock:
+    """Counts the seconds of a job.
+
+    Args:
+        journal: of the job; has the seconds of earlier runs.
+        start: time.perf_counter() at which this run began.
+    """
+
+    def __init__(self, journal: Journal, start: float):
+        self._journal, self._since = journal, start
+        self._spent: float = journal.once(_KEY, lambda: 0.0)
+
+    def seconds(self) -> float:
+        """Seconds that count so far."""
+        return self._spent + time.perf_counter() - self._since
+
+    @contextmanager
+    def stopped(self) -> Iterator[None]:
+        """Within it, no time counts."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._since += time.perf_counter() - start
+
+    def keep(self) -> None:
+        """Writes the seconds down, for the next run."""
+        self._journal[_KEY] = self.seconds()
+
+
+# Seconds that fitting the fusion takes where stages take as long as expected; left out of a shorter job.
+_FUSION_SECONDS = 50.0
+# Share of the time that is planned with: what a stage takes is known within a few percent.
+_USED = 0.97
+# Stages after which a target is given up, and the least gain in dB for which another stage is begun.
+_MOST_STAGES, _LEAST_GAIN = 8, 0.15
+# Before that, more views and pixels may bring more than the last stage did.
+_LEAST_STAGES = 3
+
+
+class Planner:
+    """Decides what to do next; what it has decided once is in the journal, and stays.
+
+    Args:
+        settings: what was asked for.
+        journal: of the job.
+        clock: of the job.
+        needs: of the region and the scene.
+
+    Attributes:
+        stages: those begun.
+    """
+
+    def __init__(self, settings: PreparationSettings, journal: Journal, clock: Clock, needs: Needs):
+        self._settings, self._journal, self._clock, self._needs = settings, journal, clock, needs
+        self.stages: list[Stage] = []
+
+    def begin(self, curve: list[dict[str, Any]]) -> bool:
+        """Begins the next stage, unless the last one was enough.
+
+        Args:
+            curve: held-out quality after each stage so far: rows with `psnr`, if there are held-out views.
+        """
+        number = len(self.stages)
+        planned = self._journal.once(f"stage {number}", lambda: self._planned(number, curve))
+        if planned:
+            self._journal.once(f"began {number}", self._clock.seconds)
+            self.stages.append(Stage(**planned))
+        return bool(planned)
+
+    def steps(self) -> int:
+        """Training steps of the last stage, for which its frames have left the time."""
+        return self._journal.once(f"steps {len(self.stages) - 1}", self._affordable)
+
+    def framed(self) -> float:
+        """Takes down that the last stage has its frames; returns the seconds that they took."""
+        number = len(self.stages) - 1
+        return self._journal.once(f"frame seconds {number}", lambda: self._since_begin(number))
+
+    def lit(self) -> float:
+        """Takes down that its light is known, too; returns the seconds that it took."""
+        number = len(self.stages) - 1
+        return self._journal.once(
+            f"light seconds {number}", lambda: self._since_begin(number) - self.framed()
+        )
+
+    def trained(self) -> None:
+        """Takes down that the last stage is finished."""
+        number = len(self.stages) - 1
+        seconds = self._since_begin(number) - self.framed() - self.lit()
+        self._journal[f"training seconds {number}"] = seconds
+
+    def _since_begin(self, number: int) -> float:
+        """Seconds since a stage began, in all runs of the job."""
+        return self._clock.seconds() - self._journal[f"began {number}"]
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the last stage was finished, perhaps in an earlier run."""
+        return f"training seconds {len(self.stages) - 1}" in self._journal
+
+    @property
+    def fits_fusion(self) -> bool:
+        """Whether there is time for a fusion."""
+        minutes = self._settings.minutes
+        return minutes is None or 60 * minutes > 2 * _FUSION_SECONDS
+
+    def _planned(self, number: int, curve: list[dict[str, Any]]) -> dict[str, Any] | None:
+        if number and self._is_enough(number, [row["psnr"] for row in curve if "psnr" in row]):
+            return None
+        left = self._left()
+        if left is not None and f"light seconds {number - 1}" in self._journal:
+            # What it depends on, Gaussians and times, grows little from stage to stage.
+            left -= self._journal[f"light seconds {number - 1}"]
+        stage = next_stage(self.stages, self._needs, self._pace(), left)
+        return asdict(stage) if stage else None
+
+    def _is_enough(self, number: int, psnr: list[float]) -> bool:
+        """Whether what was asked for is reached, or no more is to be had."""
+        gained = len(psnr) < _LEAST_STAGES or psnr[-1] - psnr[-2] >= _LEAST_GAIN
+        if self._settings.psnr is not None:
+            return psnr[-1] >= self._settings.psnr or not gained or number >= _MOST_STAGES
+        if self._settings.minutes is not None:
+            return number >= _MOST_STAGES
+        return number >= QUALITIES[self._settings.quality] or not gained
+
+    def _affordable(self) -> int:
+        stage, before, left = self.stages[-1], self.stages[:-1], self._left()
+        if left is None or not before:
+            return stage.steps
+        return affordable_steps(stage, before, left, self._pace())
+
+    def _left(self) -> float | None:
+        """Seconds left for stages; None if time does not matter."""
+        if self._settings.minutes is None:
+            return None
+        fusion = _FUSION_SECONDS * self._pace().frames if self.fits_fusion else 0.0
+        return 60 * _USED * self._settings.minutes - self._clock.seconds() - fusion
+
+    def _pace(self) -> Seconds:
+        """Seconds that finished stages took, over the expected ones; as expected before the first."""
+        expected, taken = Seconds(0.0, 0.0), Seconds(0.0, 0.0)
+        for number, stage in enumerate(self.stages):
+            if f"training seconds {number}" in self._journal:
+                own = expected_seconds(
+                    replace(stage, steps=self._journal[f"steps {number}"]), self.stages[:number]
+                )
+                expected = Seconds(expected.frames + own.frames, expected.training + own.training)
+                frames, training = (
+                    self._journal[f"{part} seconds {number}"] for part in ("frame", "training")
+                )
+                taken = Seconds(taken.frames + frames, taken.training + training)
+        if not expected.frames:
+            return AS_EXPECTED
+        return Seconds(taken.frames / expected.frames, taken.training / expected.training)

@@ -1,0 +1,194 @@
+"""The disc as images: its samples and the splats under it, in the rectangle around it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import torch
+
+from compose.base.arrays import Arrays
+from compose.camera.camera import Camera
+from compose.fovea.disc import Disc
+from compose.fovea.samples import Samples
+from compose.fusion.parents import Parents
+from compose.image.colour import Image
+from compose.image.device_image import DeviceImage
+from compose.image.outliers import MOST, all_plain, filled, outliers
+from hybrid.base.compute_device import torch_device
+from pathtrace.trace.denoise import denoise, denoise_coarsely
+
+
+@dataclass(frozen=True)
+class Underlay:
+    """The splats rendered under the disc, one of the images from which a fused fovea is made.
+
+    Attributes:
+        camera: the view.
+        radiance: linear, of the whole frame; only the rectangle around the disc is used.
+        enlargement: side of the pixels that the splats were trained on, in pixels of this image.
+
+    Raises:
+        ValueError: the size of the image is not that of the camera's frame.
+    """
+
+    camera: Camera
+    radiance: DeviceImage
+    enlargement: float
+
+    def __post_init__(self) -> None:
+        width, height = self.radiance.width, self.radiance.height
+        if (width, height) != (self.camera.width, self.camera.height):
+            raise ValueError(
+                f"the underlay is {width} x {height}, the frame {self.camera.width} x {self.camera.height}"
+            )
+
+
+def underlay_of(camera: Camera, underlay: Underlay | None) -> Underlay:
+    """The underlay, after checking that it shows the camera's view.
+
+    Raises:
+        ValueError: it is missing, or belongs to another camera.
+    """
+    if underlay is None:
+        raise ValueError("a fused fovea requires the splats under the disc")
+    if underlay.camera != camera:
+        raise ValueError("the underlay belongs to another camera")
+    return underlay
+
+
+def parents_of(disc: Disc, samples: Samples, underlay: Underlay, quick: bool = False) -> Parents:
+    """The images that are fused, cropped to the rectangle around the disc.
+
+    Args:
+        disc: the disc.
+        samples: of its pixels.
+        underlay: of the same view.
+        quick: whether to use the quicker denoiser.
+    """
+    assert disc.box is not None, "a disc without pixels has no images"
+    splats = underlay.radiance.of_box(disc.box)
+    images = DiscImages.of(disc, samples, splats)
+    variance = disc.images(samples.variance(), [dr.inf] * 3)
+    planes = _planes(disc, [*images.channels, *splats, *variance])
+    traced, albedo, normal, count, splat, unknown = torch.split(planes, [3, 3, 3, 1, 3, 3])
+    denoised = _torch(denoised_for_fusion(images.tensors(), quick)).permute(2, 0, 1)
+    shown = (traced, unknown, denoised, splat, albedo, normal, count)
+    traced, unknown, denoised, splat, albedo, normal, count = (image.permute(1, 2, 0) for image in shown)
+    return Parents(traced, unknown, denoised, splat, albedo, normal, count, underlay.enlargement, quick)
+
+
+@dataclass(frozen=True)
+class DiscImages:
+    """Samples and their auxiliary features as images of the rectangle around a disc, Floats (h * w,).
+
+    Attributes:
+        disc: the disc.
+        radiance: three channels, linear, mean of the samples.
+        albedo, normal: three channels each.
+        count: samples per pixel.
+    """
+
+    disc: Disc
+    radiance: list[Any]
+    albedo: list[Any]
+    normal: list[Any]
+    count: Any
+
+    @staticmethod
+    def of(disc: Disc, samples: Samples, surroundings: list[Any]) -> DiscImages:
+        """The samples of a disc, in the rectangle around it.
+
+        Args:
+            disc: the disc.
+            samples: of its D pixels.
+            surroundings: three Floats (h * w,), radiance of the rectangle's pixels outside the disc; those
+                that are not finite, or out of proportion to all samples, count as black.
+        """
+        surroundings = _usable(surroundings, samples.radiance)
+        # No albedo is traced outside the disc; the image is the best substitute.
+        like_albedo = [dr.clip(channel, 0, 1) for channel in surroundings]
+        channels = disc.images(
+            [*samples.radiance, *samples.albedo, *samples.normal, samples.count],
+            [*surroundings, *like_albedo, *[0.0] * 3, 1.0],
+        )
+        dr.eval(channels)
+        return DiscImages(disc, channels[:3], channels[3:6], channels[6:9], channels[9])
+
+    @property
+    def channels(self) -> list[Any]:
+        """All ten channels, in the order of the attributes."""
+        return [*self.radiance, *self.albedo, *self.normal, self.count]
+
+    def tensors(self) -> list[Any]:
+        """Radiance, albedo and normal as tensors (h, w, 3)."""
+        found = [self.disc.tensor(channels) for channels in (self.radiance, self.albedo, self.normal)]
+        dr.eval(found)
+        return found
+
+    def denoised(self, quick: bool) -> Any:
+        """(h, w, 3) tensor of denoised radiance, by the quicker network if `quick`; outliers stay."""
+        radiance, albedo, normal = self.tensors()
+        if all_plain(self.radiance):
+            return denoise(radiance, albedo, normal, quick)
+        image = np.asarray(radiance)
+        wrong = outliers(image)
+        right = np.asarray(denoise(type(radiance)(filled(image, wrong)), albedo, normal, quick))
+        return type(radiance)(np.where(wrong, image, right))
+
+
+def denoised_for_fusion(tensors: list[Any], quick: bool) -> Any:
+    """(h, w, 3) tensor of denoised radiance, as one parent of several; at half the resolution if `quick`.
+
+    Args:
+        tensors: radiance, albedo and normal (h, w, 3).
+        quick: whether to use the quicker denoiser.
+    """
+    radiance, albedo, normal = tensors
+    if not all_plain([radiance.array]):
+        image: Image = np.asarray(radiance)
+        radiance = type(radiance)(filled(image, outliers(image)))
+    return (denoise_coarsely if quick else denoise)(radiance, albedo, normal)
+
+
+def channels_of(arrays: Arrays, image: Image | torch.Tensor) -> list[Any]:
+    """Floats (h * w,), the channels of an image (h, w, C), planes of which lie side by side."""
+    assert isinstance(image, torch.Tensor)
+    planes = image.permute(2, 0, 1).reshape(image.shape[2], -1).contiguous()
+    if arrays.backend == "cuda" and not image.is_cuda:
+        return [arrays.plain.Float(plane.numpy()) for plane in planes]
+    return [arrays.plain.Float(plane) for plane in planes]
+
+
+def _planes(disc: Disc, channels: list[Any]) -> torch.Tensor:
+    """(C, h, w) channels of the rectangle as one tensor of torch."""
+    plain, (height, width) = disc.arrays.plain, disc.shape
+    size = height * width
+    buffer = dr.empty(plain.Float, size * len(channels))
+    index, stride = dr.arange(plain.UInt, size), disc.arrays.constant(size)
+    for number, values in enumerate(channels):
+        dr.scatter(buffer, values, index + number * stride, mode=dr.ReduceMode.Permute)
+    return _torch(plain.TensorXf(buffer, (len(channels), height, width)))
+
+
+def _torch(tensor: Any) -> torch.Tensor:
+    """The tensor as torch's, in the same memory; in a copy if this torch has no card.
+
+    On a card, Dr.Jit's queue and torch's default one wait for each other.
+    """
+    on_card = dr.backend_v(tensor) is dr.JitBackend.CUDA
+    if on_card and torch_device().type != "cuda":
+        return torch.from_numpy(tensor.numpy())
+    shared: torch.Tensor = tensor.torch()
+    return shared
+
+
+def _usable(surroundings: list[Any], samples: list[Any]) -> list[Any]:
+    """Three Floats (h * w,), black where they cannot be radiance beside samples, three Floats (D,)."""
+    brightest: Any = 1.0
+    for channel in samples:
+        brightest = dr.maximum(brightest, dr.select(dr.isfinite(channel), channel, 0))
+    most = MOST * dr.max(brightest)
+    return [dr.select((channel >= 0) & (channel <= most), channel, 0) for channel in surroundings]

@@ -1,0 +1,345 @@
+"""Traces the disc: distributes its samples, and reuses those of earlier frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.arrays import Arrays
+from compose.base.traced_samples import Counts, Moment
+from compose.camera.camera import Camera
+from compose.fovea.adaptive import allotted, disagreement, window_sum
+from compose.fovea.disc import Disc
+from compose.fovea.history import History
+from compose.fovea.samples import Samples, averaged_features, merged, put, taken
+from hybrid.base.compute_device import device_arrays
+from hybrid.render.disc_images import Underlay, channels_of, parents_of, underlay_of
+from pathtrace.trace.film import pixel_positions
+from pathtrace.trace.first_hit import AuxiliaryFeatures
+from pathtrace.trace.tracer import Traced, Tracer, auxiliary_spp, features_along
+
+# From this many samples per pixel on, a share of them is traced everywhere; it shows where the others are
+# needed.
+_ADAPTIVE_FROM = 4
+_FIRST_SHARE = 0.25
+_FEWEST_FIRST = 2
+_SECOND_STREAM = 0x5EED0000
+# With a history, the few samples of each frame add up; the auxiliary features must be good enough for all.
+_AUXILIARY_SPP_WITH_HISTORY = 8
+# Side in pixels of the window in which samples are counted to find out where they are missing.
+_WINDOW = 5
+
+
+@dataclass(frozen=True)
+class DiscRequest:
+    """The samples that a frame requires.
+
+    Attributes:
+        camera: the view.
+        disc: the disc.
+        spp: samples per pixel, on average over the disc.
+        seed: same seed, same samples.
+        auxiliary: whether albedo and normal are required.
+    """
+
+    camera: Camera
+    disc: Disc
+    spp: int
+    seed: int
+    auxiliary: bool = True
+
+
+class DiscTracer:
+    """Traces the discs of one scene.
+
+    Args:
+        tracer: of the scene.
+        history: whether samples of earlier frames are reused.
+    """
+
+    def __init__(self, tracer: Tracer, history: bool):
+        self._tracer = tracer
+        self._arrays = device_arrays()
+        self._history = History(self._arrays) if history else None
+
+    @property
+    def has_history(self) -> bool:
+        """Whether samples of earlier frames are reused."""
+        return self._history is not None
+
+    def forget(self) -> None:
+        """Drops all samples of earlier frames."""
+        if self._history is not None:
+            self._history = History(self._arrays)
+
+    def show(self, moment: Moment) -> None:
+        """Says which moment of a scene that moves is traced from now on."""
+        if self._history is not None:
+            self._history.show(moment)
+
+    def history_state(self) -> dict[str, NDArray[np.generic]]:
+        """Arrays to save for `restore_history`; empty without a history."""
+        return {} if self._history is None else self._history.state()
+
+    def restore_history(self, camera: Camera, state: dict[str, NDArray[np.generic]]) -> None:
+        """Continues from the saved samples of a camera's view; does nothing if none were saved."""
+        if state:
+            self._history = History.restored(self._arrays, camera, state)
+
+    def trace(self, request: DiscRequest, underlay: Underlay | None = None, quick: bool = False) -> Samples:
+        """Samples of the disc's pixels, merged with what is known of them.
+
+        Args:
+            request: which samples.
+            underlay: the splats under the disc; with them, samples go where they help most. Without them, and
+                at low sample counts, all pixels get the same number.
+            quick: whether all pixels get the same number in any case, and auxiliary features are those of
+                the samples wherever a few samples are known: deciding takes an eighth of the time of tracing
+                a disc at one sample per pixel, and features of their own as long as a path.
+
+        Raises:
+            ValueError: the underlay, if it is used, belongs to another camera.
+        """
+        if not request.disc.count:
+            return Samples.none(self._arrays, request.disc.pixels)
+        if quick or request.spp < _ADAPTIVE_FROM:
+            underlay = None
+        checked = None if underlay is None else underlay_of(request.camera, underlay)
+        if self._history is None:
+            return self._alone(request, checked)
+        if quick and features_along(request.spp):
+            return self._quickly(request, self._history)
+        known = self.known(request)
+        sequence = self._sequence(request.camera, request.disc.pixels, request.seed)
+        if checked is not None:
+            new = self._adaptive(request, known, sequence, checked)
+        elif quick:
+            new = self._traced(request.camera, _without_light(known), request.spp, request.seed, sequence)
+        else:
+            new = self._filled(request, known, sequence)
+        self._history.remember(new)
+        return merged(known, new)
+
+    def trace_each(self, camera: Camera, pixels: Any, counts: int | Counts, seed: int) -> Samples:
+        """Samples of UInt (D,) pixels, at least 1 in each; earlier frames are ignored."""
+        if not dr.width(pixels):
+            return Samples.none(self._arrays, pixels)
+        return self._sampled(pixels, counts, self._shot(camera, pixels, counts, seed))
+
+    def known(self, request: DiscRequest) -> Samples:
+        """What is known of the disc before any radiance is traced: auxiliary features and the history."""
+        camera, pixels, seed = request.camera, request.disc.pixels, request.seed
+        spp = auxiliary_spp(request.spp)
+        if self._history is None:
+            return self._seen(camera, pixels, spp, self._sequence(camera, pixels, seed))
+        spp = max(spp, _AUXILIARY_SPP_WITH_HISTORY)
+        self._see(request, spp, spp, self._history)
+        return self._history.recall(pixels)
+
+    def _quickly(self, request: DiscRequest, history: History) -> Samples:
+        """The same number of new samples for every pixel; their auxiliary features join the known ones.
+
+        After a saccade and where something appears, a few sample positions more than those are seen at once.
+        """
+        camera, pixels, spp, seed = request.camera, request.disc.pixels, request.spp, request.seed
+        sequence = _Sequence(*history.sampled(camera, pixels, seed))
+        traced = self._shot(camera, pixels, spp, seed, sequence, features=True)
+        new = self._sampled(pixels, spp, traced)
+        history.see(camera, new, spp, seed, request.disc)
+        history.remember(new)
+        self._see(request, auxiliary_spp(spp), max(auxiliary_spp(spp) - spp, 1), history)
+        return history.recall(pixels)
+
+    def _see(self, request: DiscRequest, wanted: int, spp: int, history: History) -> None:
+        """Adds auxiliary features where they are means over fewer than `wanted` sample positions."""
+        camera, seed = request.camera, request.seed
+        unseen = history.unseen(camera, request.disc.pixels, wanted)
+        if dr.width(unseen):
+            seen = self._seen(camera, unseen, spp, self._sequence(camera, unseen, seed))
+            history.see(camera, seen, spp, seed, request.disc)
+
+    def _alone(self, request: DiscRequest, underlay: Underlay | None) -> Samples:
+        """Samples without a history; with the splats under the disc, they go where they help most."""
+        if not request.auxiliary:
+            return self.trace_each(request.camera, request.disc.pixels, request.spp, request.seed)
+        if underlay is None:
+            return self._with_features(request)
+        if features_along(request.spp):
+            return self._adaptive_with_features(request, underlay)
+        known = self.known(request)
+        return merged(known, self._adaptive(request, known, _Sequence(0, request.seed), underlay))
+
+    def _adaptive(
+        self, request: DiscRequest, known: Samples, sequence: _Sequence, underlay: Underlay
+    ) -> Samples:
+        """New samples: a few everywhere, the others where these disagree with the splats."""
+        have, total = self._have(request.disc, known), _first_spp(request.spp) * request.disc.count
+        counts = allotted(dr.full(type(have), 1, known.size), have, total, request.seed)
+        new = self._traced(request.camera, _without_light(known), counts, request.seed, sequence)
+        counts = _second_counts(request, merged(known, new), have + new.count, underlay)
+        return self._traced(request.camera, new, counts, request.seed + _SECOND_STREAM, sequence)
+
+    def _adaptive_with_features(self, request: DiscRequest, underlay: Underlay) -> Samples:
+        """As `_adaptive`, without a history; auxiliary features are those of the samples."""
+        camera, pixels, seed = request.camera, request.disc.pixels, request.seed
+        spp = _first_spp(request.spp)
+        first = self._with_features(request, spp)
+        counts = _second_counts(request, first, first.count, underlay)
+        chosen, counts = _chosen(self._arrays, counts, first.size)
+        some, sequence = dr.gather(type(pixels), pixels, chosen), _Sequence(spp, seed)
+        traced = self._shot(camera, some, counts, seed + _SECOND_STREAM, sequence, features=True)
+        second = self._sampled(some, counts, traced)
+        share = second.count / (auxiliary_spp(spp) + second.count)
+        part = averaged_features(taken(first, chosen), second, share)
+        return put(first, chosen, merged(part, second))
+
+    def _with_features(self, request: DiscRequest, spp: int | None = None) -> Samples:
+        """Samples with their auxiliary features, `spp` instead of the request's in each pixel."""
+        pixels, camera, spp = request.disc.pixels, request.camera, spp or request.spp
+        positions = pixel_positions(mi.UInt32(pixels), camera.width)
+        traced, features = self._tracer.trace_with_features(camera, positions, spp, request.seed)
+        return self._sampled(pixels, spp, replace(traced, features=features))
+
+    def _filled(self, request: DiscRequest, known: Samples, sequence: _Sequence) -> Samples:
+        """New samples, more of them where fewer are known."""
+        have = self._have(request.disc, known)
+        even = dr.full(type(have), 1, known.size)
+        counts = allotted(even, have, request.spp * known.size, request.seed)
+        return self._traced(request.camera, _without_light(known), counts, request.seed, sequence)
+
+    def _sequence(self, camera: Camera, pixels: Any, seed: int) -> _Sequence:
+        if self._history is None:
+            return _Sequence(0, seed)
+        return _Sequence(*self._history.sampled(camera, pixels, seed))
+
+    def _seen(self, camera: Camera, pixels: Any, spp: int, sequence: _Sequence) -> Samples:
+        """Pixels, at least one, with auxiliary features but without radiance."""
+        positions = pixel_positions(mi.UInt32(pixels), camera.width)
+        seen = self._tracer.auxiliary(camera, positions, spp, sequence.pattern, sequence.taken)
+        return _showing(Samples.none(self._arrays, pixels), seen)
+
+    def _traced(
+        self, camera: Camera, known: Samples, counts: int | Counts, seed: int, sequence: _Sequence
+    ) -> Samples:
+        """The pixels with `counts` further samples each, placed in the gaps between earlier ones."""
+        plain = self._arrays.plain
+        drawn = _Sequence(sequence.taken + plain.UInt(known.count), sequence.pattern)
+        traced = self._shot(camera, known.pixels, counts, seed, drawn)
+        added = self._sampled(known.pixels, counts, traced)
+        return merged(known, added)
+
+    def _shot(
+        self,
+        camera: Camera,
+        pixels: Any,
+        counts: int | Counts,
+        seed: int,
+        sequence: _Sequence | None = None,
+        features: bool = False,
+    ) -> Traced:
+        """Traces pixels."""
+        sequence = sequence or _Sequence(0, seed)
+        positions = pixel_positions(mi.UInt32(pixels), camera.width)
+        return self._tracer.trace(camera, positions, counts, seed, sequence.taken, sequence.pattern, features)
+
+    def _have(self, disc: Disc, known: Samples) -> Any:
+        """Float (D,), samples per pixel in the neighbourhood of each pixel.
+
+        Reprojected samples fall on pixels at random. Filling every gap among them would take several samples
+        of one pixel at once, which blur when they are reprojected in turn. Gaps are therefore filled only
+        where a whole neighbourhood lacks samples.
+        """
+        if self._history is None:
+            return known.count
+        images = disc.images([known.count, dr.full(type(known.count), 1, known.size)], [0.0, 0.0])
+        sums = [window_sum(disc.arrays, image, disc.shape, _WINDOW) for image in images]
+        total, number = (dr.gather(type(of), of, disc.inside) for of in sums)
+        return dr.select(known.count < 1, 0, dr.maximum(total / number, 1))
+
+    def _sampled(self, pixels: Any, counts: int | Counts, traced: Traced) -> Samples:
+        """What was traced of (D,) pixels, `counts` samples in each."""
+        plain = self._arrays.plain
+        count = (
+            dr.full(plain.Float, counts, dr.width(pixels))
+            if isinstance(counts, int)
+            else plain.Float(counts.each)
+        )
+        light = (_plain(channels) for channels in (traced.radiance, traced.squares))
+        names = zip(("radiance", "squares"), light, strict=True)
+        found = replace(Samples.none(self._arrays, pixels), count=count, **dict(names))
+        return found if traced.features is None else _showing(found, traced.features)
+
+
+@dataclass(frozen=True)
+class _Sequence:
+    """Where the next samples lie in their pixels.
+
+    Attributes:
+        taken: samples already drawn, UInt (D,) or one number for all pixels.
+        pattern: seed of the sampling pattern.
+    """
+
+    taken: Any
+    pattern: int
+
+
+def _first_spp(spp: int) -> int:
+    """Samples per pixel that are traced everywhere before the others go where they help most."""
+    return max(_FEWEST_FIRST, int(_FIRST_SHARE * spp))
+
+
+def _second_counts(request: DiscRequest, known: Samples, have: Any, underlay: Underlay) -> int | Counts:
+    """The samples that go where what is known disagrees with the splats.
+
+    Args:
+        request: of all samples.
+        known: of the disc's pixels.
+        have: Float (D,), samples around each pixel.
+        underlay: the splats.
+    """
+    disc = request.disc
+    # Where samples go needs no fine detail: the quicker denoiser takes a fifth of the time.
+    parents = parents_of(disc, known, underlay, quick=True)
+    denoised, splat = (channels_of(disc.arrays, image) for image in (parents.denoised, parents.splat))
+    differs = disagreement(disc.arrays, denoised, splat, disc.shape)
+    worth = dr.gather(type(differs), differs, disc.inside)
+    left = (request.spp - _first_spp(request.spp)) * disc.count
+    # The second samples must not repeat the random numbers of the first ones.
+    return allotted(worth, have, left, request.seed + _SECOND_STREAM)
+
+
+def _chosen(arrays: Arrays, counts: int | Counts, size: int) -> tuple[Any, int | Counts]:
+    """Indices (M,) of those of D pixels that get samples, and how many."""
+    if isinstance(counts, int):
+        return dr.arange(arrays.plain.UInt, size), counts
+    chosen = dr.compress(counts.each > 0)
+    return chosen, replace(counts, each=dr.gather(type(counts.each), counts.each, chosen))
+
+
+def _without_light(samples: Samples) -> Samples:
+    """The same pixels without any samples of radiance."""
+    dark = dr.zeros(type(samples.count), samples.size)
+    return replace(samples, count=dark, radiance=[dark] * 3, squares=[dark] * 3)
+
+
+def _plain(channels: list[Any]) -> list[Any]:
+    """Mitsuba's floats as arrays without derivatives."""
+    return [dr.detach(channel, preserve_type=False) for channel in channels]
+
+
+def _showing(samples: Samples, seen: AuxiliaryFeatures) -> Samples:
+    """The samples with auxiliary features of the same pixels."""
+    gloss, *mover = _plain([seen.gloss] if seen.mover is None else [seen.gloss, seen.mover])
+    return replace(
+        samples,
+        albedo=_plain(seen.albedo),
+        normal=_plain(seen.normal),
+        position=_plain(seen.position),
+        gloss=gloss,
+        mover=mover[0] if mover else samples.mover,
+    )

@@ -1,0 +1,145 @@
+"""The fovea of a frame: its samples, and the image made from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+
+from compose.camera.camera import Camera
+from compose.fovea.disc import Disc, thinned
+from compose.fovea.foveation import FoveaMode
+from compose.fovea.samples import Samples
+from compose.fusion.combination import fuse
+from compose.fusion.network import Fusion
+from compose.image.device_image import DeviceImage
+from hybrid.base.compute_device import torch_device, torch_working_on
+from hybrid.render.disc_images import DiscImages, Underlay, channels_of, parents_of
+from hybrid.render.disc_tracer import DiscRequest, DiscTracer
+from pathtrace.trace.tracer import Tracer
+
+
+@dataclass(frozen=True)
+class FoveaImage:
+    """The fovea and what it was made from, for the D pixels of a disc; channels are Floats (D,).
+
+    Attributes:
+        disc: the pixels, and the weights of the blend.
+        radiance: three channels, linear.
+        samples: of each pixel, including those of earlier frames.
+        denoised: three channels, linear radiance; None if raw.
+        weights: three channels, share of each parent (compose.fusion.parents.PARENTS); None unless fused.
+        excluded: pixels in which a parent was left out (compose.fusion.parents.Fused).
+    """
+
+    disc: Disc
+    radiance: list[Any]
+    samples: Samples
+    denoised: list[Any] | None = None
+    weights: list[Any] | None = None
+    excluded: int = 0
+
+    @staticmethod
+    def none(disc: Disc) -> FoveaImage:
+        """Of a disc of which nothing was traced."""
+        samples = Samples.none(disc.arrays, disc.pixels)
+        return FoveaImage(disc, samples.radiance, samples)
+
+
+class Fovea:
+    """Traces and reconstructs the foveas of one scene.
+
+    Args:
+        tracer: of the scene.
+        fusion: fitted to the scene and its splats; None fuses by statistics alone.
+        history: whether samples of earlier frames are reused.
+    """
+
+    def __init__(self, tracer: Tracer, fusion: Fusion | None = None, history: bool = False):
+        self.disc = DiscTracer(tracer, history)
+        self._fusion = None if fusion is None else fusion.to(torch_device())
+
+    def thins_band(self, mode: FoveaMode) -> bool:
+        """Whether fewer samples are traced in the band; only possible if no other pixel depends on them."""
+        return mode is FoveaMode.RAW and not self.disc.has_history
+
+    def paths(self, mode: FoveaMode, disc: Disc, spp: int) -> float:
+        """Expected number of paths that `trace` takes for a disc."""
+        if self.thins_band(mode) and disc.count:
+            return spp * float(dr.sum(disc.weights)[0])
+        return float(spp * disc.count)
+
+    def trace(
+        self,
+        mode: FoveaMode,
+        camera: Camera,
+        disc: Disc,
+        spp: int,
+        seed: int,
+        underlay: Underlay | None = None,
+        quick: bool = False,
+    ) -> tuple[Disc, Samples]:
+        """Traces the disc.
+
+        Args:
+            mode: how the fovea will be made.
+            camera, disc: the view and the disc.
+            spp: samples per pixel.
+            seed: same seed, same samples.
+            underlay: the splats under the disc, for a fused fovea.
+            quick: whether samples are distributed evenly, which takes less time.
+
+        Returns:
+            The pixels that have samples, with the weights of the blend; and the samples.
+        """
+        if self.thins_band(mode):
+            thin, counts = thinned(disc, spp, seed)
+            return thin, self.disc.trace_each(camera, thin.pixels, counts, seed)
+        auxiliary = mode is not FoveaMode.RAW
+        return disc, self.disc.trace(DiscRequest(camera, disc, spp, seed, auxiliary), underlay, quick)
+
+    def image(
+        self,
+        mode: FoveaMode,
+        disc: Disc,
+        samples: Samples,
+        surroundings: DeviceImage | None = None,
+        underlay: Underlay | None = None,
+        quick: bool = False,
+    ) -> FoveaImage:
+        """Makes the fovea from its samples.
+
+        Args:
+            mode: how to make it.
+            disc: the disc.
+            samples: of its pixels.
+            surroundings: radiance that fills the corners of the rectangle around the disc; required for a
+                denoised fovea only.
+            underlay: the splats under the disc, in the same view; required for a fused fovea only.
+            quick: whether the quicker denoiser is used.
+
+        Raises:
+            ValueError: what the mode requires is missing.
+        """
+        if mode is FoveaMode.RAW or not disc.count:
+            return FoveaImage(disc, samples.radiance, samples)
+        assert disc.box is not None
+        if mode is FoveaMode.DENOISED:
+            if surroundings is None:
+                raise ValueError("a denoised fovea requires the radiance around the disc")
+            images = DiscImages.of(disc, samples, surroundings.of_box(disc.box))
+            flat = images.denoised(quick).array
+            denoised = [dr.gather(type(flat), flat, disc.inside * 3 + c) for c in range(3)]
+            return FoveaImage(disc, denoised, samples, denoised)
+        if underlay is None:
+            raise ValueError("a fused fovea requires the splats under the disc")
+        parents = parents_of(disc, samples, underlay, quick)
+        with torch_working_on(disc.shape[0] * disc.shape[1]):
+            fused = fuse(parents, self._fusion)
+        gathered = []
+        for image in (fused.radiance, parents.denoised, fused.weights):
+            channels = channels_of(disc.arrays, image)
+            gathered.append([dr.gather(type(channel), channel, disc.inside) for channel in channels])
+        radiance, shown, weights = gathered
+        return FoveaImage(disc, radiance, samples, shown, weights, fused.excluded)

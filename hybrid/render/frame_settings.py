@@ -1,0 +1,226 @@
+"""The settings of one frame, shared by renderer, window, sweeps, evaluation and command line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from compose.base.errors import UserError
+from compose.camera.camera import Camera
+from compose.eye.acuity import COARSEST_RATE, DEFAULT_ACUITY_MODEL, QUICK_ACUITY_MODEL, acuity_model_named
+from compose.eye.display import DISPLAYS, Display, display_named
+from compose.eye.gaze import FURTHEST, Gaze
+from compose.fovea.foveation import FoveaMode, Foveation
+from pathtrace.trace.integrator import Integrator, integrator_named
+
+Given = TypeVar("Given")
+Kept = TypeVar("Kept")
+
+
+class Converted(Generic[Given, Kept]):
+    """A dataclass field that converts what the constructor is given.
+
+    Args:
+        convert: called with the given value; raises for values that cannot be converted.
+        default: of the field.
+    """
+
+    def __init__(self, convert: Callable[[Given], Kept], default: Kept):
+        self._convert, self._default = convert, default
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = f"_{name}"
+
+    def __get__(self, instance: Any, owner: type | None = None) -> Kept:
+        # Dataclasses read a field's default from the class.
+        kept: Kept = self._default if instance is None else instance.__dict__[self._name]
+        return kept
+
+    def __set__(self, instance: Any, value: Given) -> None:
+        instance.__dict__[self._name] = self._convert(value)
+
+
+# AOVs that frames have if their settings ask for them, since each is rendered apart.
+EXTRA_AOVS = "splat", "depth"
+# Samples are counted in float32, which holds all whole numbers up to this one.
+MOST_SPP = 1 << 24
+
+
+def aovs_of_file(path: Path) -> tuple[str, ...]:
+    """The AOVs of EXTRA_AOVS that a frame's file can hold: all of them, or none unless it is EXR."""
+    return EXTRA_AOVS if path.suffix.lower() == ".exr" else ()
+
+
+def _gaze(given: Gaze | tuple[float, float]) -> Gaze:
+    if isinstance(given, Gaze):
+        return given
+    try:
+        x, y = given
+        return Gaze(x, y)
+    except (TypeError, ValueError) as error:
+        raise UserError(
+            f"gaze {given}: must be two finite numbers, fractions of the frame from -{FURTHEST} to {FURTHEST}"
+        ) from error
+
+
+def _fovea_mode(given: FoveaMode | str) -> FoveaMode:
+    try:
+        return FoveaMode(given)
+    except ValueError as error:
+        names = [mode.value for mode in FoveaMode]
+        raise UserError(f"fovea {given}: must be {', '.join(names[:-1])} or {names[-1]}") from error
+
+
+def _integrator(given: Integrator | str | None) -> Integrator | None:
+    return None if given is None else integrator_named(given)
+
+
+def _display(given: Display | str) -> Display:
+    return display_named(given) if isinstance(given, str) else given
+
+
+@dataclass(frozen=True)
+class FrameSettings:
+    """How one frame is made.
+
+    The constructor also accepts a pair (x, y) as the gaze, the name of a fovea mode or an integrator, and a
+    display's name or JSON file.
+
+    Attributes:
+        gaze: where the viewer looks, in fractions of the frame.
+        fov_a: radius of the path-traced disc in percent of the frame's height; 0 traces nothing.
+        fov_b: radius inside which no splats are visible, in percent of the height; at most fov_a.
+        spp: samples per pixel in the disc, from 1 to MOST_SPP.
+        fovea: how the disc is made from its samples.
+        acuity_model: name of the acuity model (compose.eye.acuity.ACUITY_MODELS).
+        layers: coarsest and finest layer that may be drawn, from 1 (coarsest) to L; None for all.
+        rate: finest sampling rate of the periphery, log2 of pixels per sample along each axis, 0 to 4.
+        scale: side of the rendered frame over side of the camera's frame, above 0 and at most 1.
+        display: what the frame is shown on, around the display's centre.
+        camera: the view; None for the scene's own.
+        integrator: how paths are traced; None for unbiased paths in a raw fovea and cached ones in others.
+        fill: whether what the forest does not know is path-traced, at a lower resolution.
+        time: that the frame shows of a scene that moves, from 0 to 1.
+        aovs: which of EXTRA_AOVS are rendered with the frame.
+
+    Raises:
+        UserError: a value is out of range or unknown.
+    """
+
+    gaze: Converted[Gaze | tuple[float, float], Gaze] = Converted(_gaze, Gaze())
+    fov_a: float = 20.0
+    fov_b: float = 15.0
+    spp: int = 4
+    fovea: Converted[FoveaMode | str, FoveaMode] = Converted(_fovea_mode, FoveaMode.FUSED)
+    acuity_model: str = DEFAULT_ACUITY_MODEL
+    layers: tuple[int, int] | None = None
+    rate: int = 0
+    scale: float = 1.0
+    display: Converted[Display | str, Display] = Converted(_display, DISPLAYS["desktop"])
+    camera: Camera | None = None
+    integrator: Converted[Integrator | str | None, Integrator | None] = Converted(_integrator, None)
+    fill: bool = True
+    time: float = 0.0
+    aovs: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        acuity_model_named(self.acuity_model)
+        # Checks the radii.
+        _ = self.foveation
+        if not isinstance(self.spp, int) or self.spp < 1:
+            raise UserError(f"spp {self.spp}: must be a whole number of samples per pixel, 1 or more")
+        if self.spp > MOST_SPP:
+            raise UserError(f"spp {self.spp}: must be at most {MOST_SPP} samples per pixel")
+        if not isinstance(self.rate, int) or not 0 <= self.rate <= COARSEST_RATE:
+            raise UserError(f"rate {self.rate}: must be a whole number from 0 to {COARSEST_RATE}")
+        if not 0 < self.scale <= 1:
+            raise UserError(f"scale {self.scale}: must be above 0 and at most 1")
+        if not 0 <= self.time <= 1:
+            raise UserError(f"time {self.time:g}: must be from 0 to 1")
+        if unknown := [name for name in self.aovs if name not in EXTRA_AOVS]:
+            raise UserError(f"aovs {unknown[0]}: must be of {', '.join(EXTRA_AOVS)}")
+
+    @property
+    def used_integrator(self) -> Integrator:
+        """How paths are traced, also where the settings leave it open."""
+        if self.integrator is not None:
+            return self.integrator
+        # What is denoised or fused is biased anyway.
+        return Integrator.PATH if self.fovea is FoveaMode.RAW else Integrator.CACHED
+
+    @property
+    def is_unbiased(self) -> bool:
+        """Whether the disc's radiance is the truth on average: raw samples of an unbiased integrator."""
+        return self.fovea is FoveaMode.RAW and self.used_integrator.is_unbiased
+
+    @property
+    def foveation(self) -> Foveation:
+        """Gaze and radii."""
+        return Foveation(self.gaze, self.fov_a, self.fov_b)
+
+    def layers_of(self, count: int) -> tuple[int, int]:
+        """Coarsest and finest layer that may be drawn of a forest with a number of layers.
+
+        Raises:
+            UserError: the forest does not have those layers.
+        """
+        low, high = self.layers or (1, count)
+        if not 1 <= low <= high <= count:
+            raise UserError(f"layers {low} {high}: this forest has layers 1 to {count}")
+        return low, high
+
+    def with_radius(self, fov_a: float) -> FrameSettings:
+        """The same settings with another radius; fov_b keeps its ratio to fov_a."""
+        share = self.fov_b / self.fov_a if self.fov_a > 0 else 0.0
+        return replace(self, fov_a=fov_a, fov_b=share * fov_a)
+
+    def resolved(self, default: Camera) -> tuple[Camera, FrameSettings]:
+        """The camera that is rendered, and the settings with that camera and a scale of 1.
+
+        At a scale below 1, camera and display have fewer pixels across the same angles.
+
+        Args:
+            default: the camera to use if the settings have none.
+        """
+        camera = self.camera or default
+        if self.scale == 1:
+            return camera, replace(self, camera=camera)
+        camera = camera.resized(*_scaled(self.scale, camera.width, camera.height))
+        width, height = _scaled(self.scale, self.display.width, self.display.height)
+        display = replace(self.display, width=width, height=height)
+        return camera, replace(self, camera=camera, display=display, scale=1.0)
+
+    def as_json(self) -> dict[str, Any]:
+        """All settings of the picture, in types that JSON has; equal for equal settings only."""
+        return {
+            "gaze": [self.gaze.x, self.gaze.y],
+            "fov_a": self.fov_a,
+            "fov_b": self.fov_b,
+            "spp": self.spp,
+            "fovea": self.fovea.value,
+            "acuity_model": self.acuity_model,
+            "layers": None if self.layers is None else list(self.layers),
+            "rate": self.rate,
+            "scale": self.scale,
+            "display": asdict(self.display),
+            "camera": None if self.camera is None else self.camera.key.hex(),
+            "integrator": self.used_integrator.value,
+            "fill": self.fill,
+            "time": self.time,
+        }
+
+
+def _scaled(scale: float, *sides: int) -> tuple[int, ...]:
+    return tuple(max(1, round(scale * side)) for side in sides)
+
+
+# The defaults of single frames and, below, of other uses.
+DEFAULTS = FrameSettings()
+# The window: a small disc at the lowest sample count, because samples add up while nothing moves.
+INTERACTIVE = FrameSettings(fov_a=15.0, fov_b=11.25, spp=1, acuity_model=QUICK_ACUITY_MODEL)
+# An evaluation compares methods where samples are scarce.
+EVALUATION = FrameSettings(spp=1)
+# A sweep times what Foveated Path Culling times: samples without denoising, in the disc alone.
+SWEEP = FrameSettings(spp=1, fovea=FoveaMode.RAW, fill=False)

@@ -1,0 +1,373 @@
+"""Fills what a forest does not know: path-traced at low resolution, denoised, blended into the splats.
+
+A forest knows what its training views saw from no much greater distance.
+
+Radiance over albedo varies slowly: traced at a quarter of the resolution and multiplied by the albedo of each
+pixel, it is as good as radiance traced at half of it, at a third of the time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, median_filter, minimum_filter
+
+from compose.base.arrays import Arrays, constant, uploaded
+from compose.camera.camera import Camera
+from compose.camera.seen_surfaces import SeenSurfaces
+from compose.fovea.disc import Disc, blend
+from compose.image.device_image import DeviceImage
+from hybrid.render.forest_attachments import views_of
+from pathtrace.trace.denoise import denoise
+from pathtrace.trace.film import FilmPositions, box_positions, interleaved, pixel_positions
+from pathtrace.trace.first_hit import SKY_DISTANCE
+from pathtrace.trace.tracer import Tracer
+from splat.lod.forest_renderer import ForestRenderer
+from splat.model.forest import Forest
+from splat.raster.tiles import TILE
+
+# Rows and columns of the depth map of a training view.
+_MAP = 64
+# Rays by which a view is tried, at most: where there are more tiles, a ray stands for several of them.
+_MOST_RAYS = 2048
+# Distance from which a few training views saw a point, over that from which it is seen now: up to the
+# first, splats show it well; from the second on they are blurred and out of shape.
+_NEAR, _FAR = 1.6, 2.4
+# Cells beside what is not known that count as such.
+_BORDER = 2
+# Opacity of splats up to which a pixel counts as unknown, and from which on as known, where nothing is known
+# of training views.
+_EMPTY, _FULL = 0.5, 0.9
+# log2 of a tile's side: sampling rate at which opacity is drawn.
+_TILE_RATE = int(np.log2(TILE))
+
+
+class Coverage:
+    """Tells what a forest knows of its scene.
+
+    Args:
+        arrays: the backend's array types.
+        forest: the forest; of its training views where it says which they were, else of what is opaque.
+    """
+
+    def __init__(self, arrays: Arrays, forest: Forest):
+        self._arrays, self._forest = arrays, forest
+        self._views = views_of(forest)
+        self._seen: SeenSurfaces | None = None
+
+    def cell(self, camera: Camera) -> int:
+        """Side in pixels of the cells in which a frame is tried."""
+        side = TILE
+        while -(-camera.width // side) * -(-camera.height // side) > _MOST_RAYS:
+            side *= 2
+        return side
+
+    def of(self, camera: Camera, tracer: Tracer) -> NDArray[np.float32]:
+        """(rows, columns) how well the splats show each cell of a frame, 0 where not at all to 1.
+
+        Up to two cells beside one that is not known count as that one, since few views showed what is there,
+        and Gaussians smear. A single cell that differs from those around it counts as these do.
+
+        Args:
+            camera: the view.
+            tracer: of the scene.
+        """
+        side = self.cell(camera)
+        points = _points(tracer, camera, side)
+        known = self._of_points(points, camera, tracer) if self._views else self._opaque(camera, side)
+        known = known.reshape(-(-camera.height // side), -(-camera.width // side))
+        if tracer.scene.mitsuba.environment() is None:
+            # Darkness, which splats show as well as paths do.
+            known[_is_sky(points, camera).reshape(known.shape)] = 1
+        plain = median_filter(known, 3, mode="nearest")
+        return minimum_filter(plain, 2 * _BORDER + 1, mode="nearest")
+
+    def _of_points(self, points: NDArray[np.float32], camera: Camera, tracer: Tracer) -> NDArray[np.float32]:
+        """(N,) how well the training views saw points (N, 3) of a view."""
+        if self._seen is None:
+            self._seen = self._seen_by_training(tracer)
+        pixel = self._seen.finest(points)
+        depth = points @ camera.world_to_camera[2, :3].astype(np.float32) + np.float32(
+            camera.world_to_camera[2, 3]
+        )
+        ratio = pixel * self._forest.trained_focal / np.maximum(depth, np.finfo(np.float32).tiny)
+        return np.clip((_FAR - ratio) / (_FAR - _NEAR), 0, 1).astype(np.float32)
+
+    def _seen_by_training(self, tracer: Tracer) -> SeenSurfaces:
+        depths = []
+        for camera in self._views:
+            rows, columns = (min(_MAP, side) for side in (camera.height, camera.width))
+            depths.append(_depths(tracer, camera, rows, columns))
+        return SeenSurfaces(self._arrays, self._views, np.stack(depths))
+
+    def _opaque(self, camera: Camera, side: int) -> NDArray[np.float32]:
+        """(rows, columns) the share of full opacity that the coarsest layer has in each cell."""
+        image = self._coarse.render_layer(camera, 1, _TILE_RATE)
+        if not image.nodes:
+            return np.zeros((-(-camera.height // side), -(-camera.width // side)), dtype=np.float32)
+        samples = image.values.numpy().reshape(-1, image.stride, image.channels)
+        opacity = samples[: image.height : side // TILE, : image.width : side // TILE, -1]
+        return np.clip((opacity - _EMPTY) / (_FULL - _EMPTY), 0, 1).astype(np.float32)
+
+    @cached_property
+    def _coarse(self) -> ForestRenderer:
+        """Draws the coarsest layer alone."""
+        forest, layer = self._forest, self._forest.layers[0]
+        focal = forest.focal_of(1)
+        alone = Forest(layer, (len(layer),), focal, forest.scene_name, forest.scene_hash, {}, forest.place)
+        return ForestRenderer(self._arrays, alone)
+
+
+def _points(tracer: Tracer, camera: Camera, side: int) -> NDArray[np.float32]:
+    """(N, 3) apparent position of what a ray in each cell hits, row by row."""
+    top, left = (np.arange(0, size, side, dtype=np.float32) for size in (camera.height, camera.width))
+    tall, wide = (
+        np.minimum(side, size - first) for first, size in ((top, camera.height), (left, camera.width))
+    )
+    grids = (np.meshgrid(a, b, indexing="ij") for a, b in ((top, left), (tall, wide)))
+    (y, x), (height, width) = ([axis.ravel() for axis in grid] for grid in grids)
+    found = tracer.auxiliary(camera, box_positions(x, y, width, height), 1, 0)
+    return interleaved(found.position)
+
+
+def _depths(tracer: Tracer, camera: Camera, rows: int, columns: int) -> NDArray[np.float32]:
+    """(rows, columns) depth along the view axis of what a view's cells show."""
+    tall, wide = camera.height / rows, camera.width / columns
+    y, x = (axis.ravel() for axis in np.mgrid[0:rows, 0:columns])
+    size = np.full(len(x), tall), np.full(len(x), wide)
+    found = tracer.auxiliary(camera, box_positions(x * wide, y * tall, size[1], size[0]), 1, 0)
+    points = interleaved(found.position)
+    depth = points @ camera.world_to_camera[2, :3] + camera.world_to_camera[2, 3]
+    return depth.astype(np.float32).reshape(rows, columns)
+
+
+def _is_sky(points: NDArray[np.float32], camera: Camera) -> NDArray[np.bool_]:
+    """(N,) whether points (N, 3) are beyond the scene."""
+    return np.asarray(np.abs(points - camera.position).max(axis=1) > SKY_DISTANCE / 4)
+
+
+# Side in pixels of the frame of those in which light is traced.
+_SIDE = 4
+# Added to the albedo before radiance is divided by it, so that dark surfaces do not amplify noise.
+_ALBEDO_OFFSET = 0.1
+# Keeps its random numbers apart from those of the disc.
+_STREAM = 0x3F110000
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How well a fill is traced.
+
+    Attributes:
+        light_spp: samples per pixel of 4 x 4 pixels of the frame.
+        albedo_spp: samples per pixel of the frame of what is seen there.
+        quick: whether the quicker denoiser is used.
+    """
+
+    light_spp: int
+    albedo_spp: int
+    quick: bool
+
+
+# While the camera moves, and of a single frame.
+MOVING, STILL = Effort(1, 1, True), Effort(4, 4, False)
+
+
+@dataclass(frozen=True)
+class Fill:
+    """What is filled of a frame.
+
+    Attributes:
+        disc: the D pixels, and the weight of the filled radiance in each.
+        radiance: three Floats (D,), linear.
+    """
+
+    disc: Disc
+    radiance: list[Any]
+
+    @property
+    def share(self) -> float:
+        """Part of the frame that is filled, 0 to 1."""
+        return float(dr.sum(self.disc.weights)[0]) / (self.disc.width * self.disc.height)
+
+    def over(self, splats: DeviceImage) -> DeviceImage:
+        """Splats with the filled radiance in place of what they do not know."""
+        return blend(splats, self.radiance, self.disc)
+
+
+class Filler:
+    """Finds out what a forest does not know of a view, and traces that.
+
+    Args:
+        arrays: the backend's array types.
+        forest: the forest.
+    """
+
+    def __init__(self, arrays: Arrays, forest: Forest):
+        self._arrays = arrays
+        self._coverage = Coverage(arrays, forest)
+        # What the last camera's frame shows of what is known, and the fill of the last still one.
+        self._known: tuple[Camera, NDArray[np.float32]] | None = None
+        self._kept: tuple[tuple[Camera, object], Fill] | None = None
+
+    def forget(self) -> None:
+        """Drops what was traced."""
+        self._kept = None
+
+    def fill(
+        self, camera: Camera, probe: Tracer, light: Callable[[], Tracer], effort: Effort, seed: int
+    ) -> Fill | None:
+        """What is filled of a camera's frame; None if the forest knows all of it.
+
+        Args:
+            camera: the view.
+            probe: traces rays to surfaces.
+            light: makes what traces radiance; called only if some is needed.
+            effort: how well.
+            seed: same seed, same fill.
+        """
+        if self._known is None or self._known[0] != camera:
+            self._known = camera, self._coverage.of(camera, probe)
+        unknown = np.float32(1) - self._known[1]
+        if not unknown.any():
+            return None
+        side = self._coverage.cell(camera)
+        disc = _disc(self._arrays, camera, unknown, side)
+        # What is beside them as well: it shines through the enlargement, and denoising looks at it.
+        cells = maximum_filter(unknown, 3, mode="nearest") > 0
+        traced, known = _light(self._arrays, light(), camera, cells, side, effort, seed + _STREAM)
+        albedo = probe.auxiliary(
+            camera, pixel_positions(mi.UInt32(disc.pixels), camera.width), effort.albedo_spp, seed
+        ).albedo
+        return Fill(disc, self._lit(disc, albedo, traced, known))
+
+    def kept(
+        self, camera: Camera, probe: Tracer, light: Callable[[], Tracer], key: object, seed: int
+    ) -> Fill | None:
+        """As `fill` with the effort of a still camera, traced once until the camera or the key changes."""
+        if self._kept is None or self._kept[0] != (camera, key):
+            made = self.fill(camera, probe, light, STILL, seed)
+            if made is None:
+                return None
+            self._kept = (camera, key), made
+        return self._kept[1]
+
+    def _lit(self, disc: Disc, albedo: list[Any], light: Any, known: Disc) -> list[Any]:
+        """Radiance of pixels with an albedo in a light that is linear between its pixels.
+
+        Args:
+            disc: the D pixels.
+            albedo: three Floats (D,).
+            light: (h, w, 3) tensor of the rectangle around the pixels of the light that are known.
+            known: those; 0 outside their rectangle.
+        """
+        arrays, plain, pixel = self._arrays, self._arrays.plain, disc.pixels
+        assert known.box is not None, "some light is known wherever something is filled"
+        top, left = (arrays.constant(side.start) for side in known.box)
+        height, width = (arrays.constant(side) for side in known.shape)
+        rows, columns = (plain.Int(arrays.constant(side)) for side in (known.height, known.width))
+        row = pixel // arrays.constant(disc.width)
+        column = pixel - row * arrays.constant(disc.width)
+        x, y = ((plain.Float(at) + 0.5) * (1 / _SIDE) - 0.5 for at in (column, row))
+        first_x, first_y = plain.Int(dr.floor(x)), plain.Int(dr.floor(y))
+        total = [plain.Float(0) for _ in range(3)]
+        for k in range(4):
+            i, j = first_y + k // 2, first_x + k % 2
+            weight = (1 - dr.abs(y - plain.Float(i))) * (1 - dr.abs(x - plain.Float(j)))
+            # What lies above or to the left of the rectangle wraps around to beyond it.
+            i, j = plain.UInt(dr.clip(i, 0, rows - 1)) - top, plain.UInt(dr.clip(j, 0, columns - 1)) - left
+            inside = (i < height) & (j < width)
+            for c in range(3):
+                tap = dr.gather(plain.Float, light.array, (i * width + j) * 3 + c, inside)
+                total[c] = dr.fma(weight, tap, total[c])
+        lit = [t * (plain.Float(a) + _ALBEDO_OFFSET) for t, a in zip(total, albedo, strict=True)]
+        dr.eval(lit)
+        return lit
+
+
+def _disc(arrays: Arrays, camera: Camera, unknown: NDArray[np.float32], side: int) -> Disc:
+    """The pixels with a share of what is unknown, given for cells; it is linear between their centres."""
+    plain, height, width = arrays.plain, camera.height, camera.width
+    across, columns = arrays.constant(width), arrays.constant(unknown.shape[1])
+    shares = uploaded(plain.Float, unknown)
+    pixel = dr.arange(plain.UInt, height * width)
+    row = pixel // across
+    taps = []
+    for at, count in zip((row, pixel - row * across), unknown.shape, strict=True):
+        last = arrays.constant(count - 1)
+        place = dr.clip((plain.Float(at) + 0.5) * (1 / side) - 0.5, 0, plain.Float(last))
+        first = plain.UInt(place)
+        taps.append((first, dr.minimum(first + 1, last), place - plain.Float(first)))
+    (top, bottom, down), (left, right, along) = taps
+    lines = [
+        dr.lerp(*(dr.gather(plain.Float, shares, line * columns + at) for at in (left, right)), along)
+        for line in (top, bottom)
+    ]
+    weights = dr.lerp(*lines, down)
+    shown = weights > 0
+    dr.eval(weights, shown)
+    pixels = dr.compress(shown)
+    return Disc(arrays, width, height, pixels, dr.gather(plain.Float, weights, pixels), None)
+
+
+def _light(
+    arrays: Arrays,
+    tracer: Tracer,
+    camera: Camera,
+    cells: NDArray[np.bool_],
+    side: int,
+    effort: Effort,
+    seed: int,
+) -> tuple[Any, Disc]:
+    """Denoised radiance over albedo in some cells, in pixels of 4 x 4 pixels of the frame.
+
+    Args:
+        arrays: the backend's array types.
+        tracer: of the radiance.
+        camera: the view.
+        cells: (rows, columns) bool.
+        side: of a cell in pixels of the frame.
+        effort: how well.
+        seed: same seed, same light.
+
+    Returns:
+        (h, w, 3) tensor of the rectangle around the cells; and the pixels in these.
+    """
+    known = _known(arrays, camera, cells, side // _SIDE)
+    corner = pixel_positions(mi.UInt32(known.pixels), known.width)
+    x, y = corner.x * _SIDE, corner.y * _SIDE
+    ends = constant(mi.Float, camera.width), constant(mi.Float, camera.height)
+    wide, tall = (dr.minimum(_SIDE, end - start) for start, end in zip((x, y), ends, strict=True))
+    dr.eval(x, y, wide, tall)
+    positions = FilmPositions(x, y, wide, tall)
+    traced, features = tracer.trace_with_features(camera, positions, effort.light_spp, seed)
+    radiance, albedo, normal = (
+        known.tensor(known.images([dr.detach(of, preserve_type=False) for of in channels], [0.0] * 3))
+        for channels in (traced.radiance, features.albedo, features.normal)
+    )
+    dr.eval(radiance, albedo, normal)
+    light = denoise(radiance, albedo, normal, effort.quick) / (albedo + _ALBEDO_OFFSET)
+    dr.eval(light)
+    return light, known
+
+
+def _known(arrays: Arrays, camera: Camera, cells: NDArray[np.bool_], times: int) -> Disc:
+    """The light's pixels in some cells, of which each has `times` along a side."""
+    plain, (height, width) = arrays.plain, (-(-size // _SIDE) for size in (camera.height, camera.width))
+    pixel, across = dr.arange(plain.UInt, height * width), arrays.constant(width)
+    row = pixel // across
+    cell = row // times * arrays.constant(cells.shape[1]) + (pixel - row * across) // times
+    pixels = dr.compress(dr.gather(plain.Bool, uploaded(plain.Bool, cells), cell))
+    # Denoising takes as long as the rectangle is large.
+    rows, columns = (
+        slice(int(at.min()) * times, min((int(at.max()) + 1) * times, end))
+        for at, end in zip(np.nonzero(cells), (height, width), strict=True)
+    )
+    return Disc(arrays, width, height, pixels, dr.full(plain.Float, 1, dr.width(pixels)), (rows, columns))

@@ -1,0 +1,160 @@
+"""Files of images: EXR with named AOVs in linear radiance, PNG in sRGB, and videos (H.264 in MP4)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as PillowImage
+
+from compose.base.errors import UserError, one_line
+from compose.base.files import write_whole
+from compose.image.colour import Image, bytes_from_radiance
+from compose.image.exr import read_channels, write_channels
+
+
+def check_writable(path: Path) -> None:
+    """Checks, before long work begins, that a file can be written; creates its folder.
+
+    Raises:
+        UserError: the folder cannot be created or written to, or the path is a folder itself.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{path}: its folder cannot be created ({error.strerror})") from error
+    if not os.access(path.parent, os.W_OK | os.X_OK) or path.is_dir():
+        raise UserError(f"{path}: cannot be written")
+
+
+def write_png(path: Path, radiance: Image) -> None:
+    """Writes (H, W, 3) linear radiance as an sRGB PNG file.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    write_srgb(path, bytes_from_radiance(radiance))
+
+
+def write_srgb(path: Path, image: NDArray[np.uint8]) -> None:
+    """Writes an (H, W, 3) image that is already in sRGB as a PNG file.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    write_whole(path, lambda part: PillowImage.fromarray(image).save(part, format="PNG"))
+
+
+def write_exr(
+    path: Path, aovs: dict[str, NDArray[np.float32]], attributes: dict[str, str] | None = None
+) -> None:
+    """Writes AOVs to one EXR file: channels name.R, .G and .B for (H, W, 3), name.V for (H, W).
+
+    Viewers that ignore layer names show the AOV whose name is empty.
+
+    Args:
+        path: of the file.
+        aovs: images by name, all of the same size.
+        attributes: further entries of the file's header.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    channels = {}
+    for name, image in aovs.items():
+        prefix = f"{name}." if name else ""
+        planes = {"V": image} if image.ndim == 2 else {c: image[..., i] for i, c in enumerate("RGB")}
+        for channel, plane in planes.items():
+            channels[prefix + channel] = np.ascontiguousarray(plane, dtype=np.float32)
+    write_channels(path, channels, attributes)
+
+
+def save_frame(
+    path: Path | str,
+    image: Image,
+    aovs: Callable[[], dict[str, NDArray[np.float32]]],
+    attributes: dict[str, str] | None = None,
+) -> None:
+    """Writes a frame: .exr with all AOVs in linear radiance, or .png with the image in sRGB.
+
+    Args:
+        path: of the file.
+        image: (H, W, 3) linear radiance.
+        aovs: makes what an EXR file contains.
+        attributes: further entries of its header.
+
+    Raises:
+        UserError: the file has another extension, or cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".exr":
+        write_exr(path, aovs(), attributes)
+    elif path.suffix.lower() == ".png":
+        write_png(path, image)
+    else:
+        raise UserError(f"{path}: must end in .exr or .png")
+
+
+def read_exr(path: Path, size: tuple[int, int] | None = None) -> dict[str, NDArray[np.float32]]:
+    """All channels of an EXR file by their full names, such as composite.R; (H, W) each.
+
+    Args:
+        path: of the file.
+        size: width and height that the image must have.
+
+    Raises:
+        UserError: the file is missing, damaged or of another size.
+    """
+    try:
+        return read_channels(path, size)
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: cannot be read ({one_line(error)})") from error
+
+
+_INSTALL = "videos require PyAV: pip install 'foveated-hybrid-renderer[demo]'"
+# Constant rate factor of H.264: visually lossless.
+_QUALITY = "16"
+
+
+def check_video(width: int, height: int) -> None:
+    """Checks, before long work begins, that a video with that frame size can be written.
+
+    Raises:
+        UserError: PyAV is not installed, or a side of the frame is odd.
+    """
+    try:
+        import av  # noqa: F401
+    except ImportError as error:
+        raise UserError(_INSTALL) from error
+    if width % 2 or height % 2:
+        raise UserError(f"frame size {width} x {height}: width and height of a video must be even")
+
+
+def write_mp4(path: Path, images: Iterator[NDArray[np.uint8]], size: tuple[int, int], fps: int) -> None:
+    """Writes a video; the file appears complete or not at all.
+
+    Args:
+        path: of the file.
+        images: (H, W, 3) in sRGB, one per frame.
+        size: width and height in pixels, both even.
+        fps: frames per second.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    write_whole(path, lambda part: _encode(part, images, size, fps))
+
+
+def _encode(path: Path, images: Iterator[NDArray[np.uint8]], size: tuple[int, int], fps: int) -> None:
+    import av
+
+    with av.open(str(path), "w", format="mp4") as video:
+        stream = video.add_stream("h264", rate=fps, options={"crf": _QUALITY})
+        stream.width, stream.height = size
+        stream.pix_fmt = "yuv420p"
+        for image in images:
+            video.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        video.mux(stream.encode(None))

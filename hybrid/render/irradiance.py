@@ -1,0 +1,220 @@
+"""The irradiance cache of a scene: filled once, kept in a file, and the tracer whose paths end in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from compose.base.errors import UserError
+from compose.base.files import checksum, write_whole
+from hybrid.base.cache_folder import scene_folder
+from hybrid.base.progress import Bars, no_bars, no_progress
+from pathtrace.cache.cells import SIDES, Cells, Grid, Points
+from pathtrace.cache.irradiance_cache import IrradianceCache
+from pathtrace.cache.light_selection import LightChoice
+from pathtrace.cache.transport import Patches, Rays, Transfer, Transport
+from pathtrace.fill.filling import fill_cache
+from pathtrace.fill.relight import Relighting
+from pathtrace.region.neighbourhood import choose_views
+from pathtrace.scene.scene import Scene
+from pathtrace.scene.triangles import Surfaces
+from pathtrace.trace.tracer import Tracer
+
+_CHECKSUM = "crc32"
+
+
+def stored_cache(path: Path, fill: Callable[[], IrradianceCache]) -> IrradianceCache:
+    """The cache in a file; if there is none or it is damaged, one that is filled and stored now.
+
+    Args:
+        path: the file.
+        fill: fills a cache.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    try:
+        return _cache(_stored(path))
+    except (OSError, SafetensorError, LookupError, ValueError, TypeError, OverflowError):
+        cache = fill()
+        arrays = _arrays(cache)
+        # The library's own file writing leaves a file of another name behind if the process dies meanwhile.
+        content = save(arrays, {_CHECKSUM: checksum(arrays)})
+        write_whole(path, lambda part: part.write_bytes(content))
+        return cache
+
+
+def _stored(path: Path) -> dict[str, NDArray[np.generic]]:
+    """The arrays in a file.
+
+    Raises:
+        OSError, SafetensorError, ValueError: it cannot be read, or is damaged.
+    """
+    with safe_open(path, framework="np") as file:
+        arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        expected = (file.metadata() or {}).get(_CHECKSUM)
+    if expected not in (None, checksum(arrays)):
+        raise ValueError("the checksum differs")
+    return arrays
+
+
+def _arrays(cache: IrradianceCache) -> dict[str, NDArray[np.generic]]:
+    """A cache as arrays by name."""
+    cells, lights = cache.cells, cache.lights
+    transfer, transport = cache.transfer, cache.transfer.transport
+    arrays: dict[str, NDArray[np.generic]] = {
+        "origin": cells.grid.origin,
+        "scale": np.array([cells.grid.scale]),
+        "irradiance": cache.irradiance,
+        "lights.keys": lights.keys,
+        "lights.chances": lights.chances,
+        "points.position": transfer.points.position,
+        "points.normal": transfer.points.normal,
+        "points.patch": transfer.patch,
+        "rays.point": transfer.rays.point,
+        "rays.square": transfer.rays.square,
+        "rays.weight": transfer.rays.weight,
+        "direct": transfer.direct,
+        "reflected": transfer.reflected,
+        "passed": transfer.passed,
+        "known": transfer.known,
+        "patches.cells": transport.patches.cells,
+        "patches.rays": transport.rays,
+        "links.starts": transport.starts,
+        "links.cells": transport.cells,
+        "links.reflectance": transport.reflectance,
+    }
+    for level, (keys, counts) in enumerate(zip(cells.keys, cells.counts, strict=True)):
+        arrays |= {f"keys.{level}": keys, f"counts.{level}": counts}
+    return {name: np.ascontiguousarray(values) for name, values in arrays.items()}
+
+
+def _cache(arrays: dict[str, NDArray[np.generic]]) -> IrradianceCache:
+    """The cache of `_arrays`.
+
+    Raises:
+        KeyError, ValueError: something is missing, or sizes do not match.
+    """
+    grid = Grid(arrays["origin"].astype(np.float32), float(arrays["scale"][0]))
+    levels = range(len(SIDES))
+    keys = tuple(arrays[f"keys.{level}"].astype(np.uint64) for level in levels)
+    cells = Cells(grid, keys, tuple(arrays[f"counts.{level}"].astype(np.int64) for level in levels))
+    irradiance, transfer = arrays["irradiance"].astype(np.float32), _transfer(arrays)
+    if irradiance.shape[1:] != (len(cells), 3) or not np.isfinite(irradiance).all():
+        raise ValueError("irradiance does not match the cells")
+    if transfer.known.sum() != len(cells):
+        raise ValueError("transfer does not match the cells")
+    names, chances = arrays["lights.keys"].astype(np.uint64), arrays["lights.chances"].astype(np.float32)
+    return IrradianceCache(cells, irradiance, LightChoice(grid, names, chances), transfer)
+
+
+def _transfer(arrays: dict[str, NDArray[np.generic]]) -> Transfer:
+    """The transfer of `_arrays`.
+
+    Raises:
+        KeyError, ValueError: something is missing, or sizes do not match.
+    """
+    single = lambda name: arrays[name].astype(np.float32)  # noqa: E731
+    whole = lambda name: arrays[name].astype(np.int32)  # noqa: E731
+    known = arrays["known"].astype(bool)
+    patches = Patches(whole("patches.cells"), len(known))
+    links = whole("links.cells"), single("links.reflectance")
+    transport = Transport(patches, whole("patches.rays"), whole("links.starts"), *links)
+    points, rays = Points(single("points.position"), single("points.normal")), whole("rays.point")
+    transfer = Transfer(
+        points,
+        whole("points.patch"),
+        Rays(rays, single("rays.square"), single("rays.weight")),
+        single("direct"),
+        single("reflected"),
+        single("passed"),
+        transport,
+        known,
+    )
+    transfer.check()
+    return transfer
+
+
+# Views around the scene's own camera whose paths a cache is filled for.
+_VIEWS = 8
+
+
+def cache_for(scene: Scene, bars: Bars = no_bars) -> IrradianceCache:
+    """The stored cache of a scene; if there is none, it is filled in seconds and stored.
+
+    Args:
+        scene: the scene.
+        bars: show the progress of filling it.
+
+    Raises:
+        UserError: the cache folder cannot be written.
+    """
+    file = scene_folder(scene.name, scene.hash) / "irradiance.safetensors"
+
+    def filled() -> IrradianceCache:
+        with bars("irradiance (steps)") as bar:
+            return filled_cache(scene, bar)
+
+    return stored_cache(file, filled)
+
+
+def filled_cache(
+    scene: Scene, progress: Callable[[int, int], None] = no_progress, seed: int = 0
+) -> IrradianceCache:
+    """A cache filled for views around the scene's own camera; of a scene that moves, at time 0.
+
+    Args:
+        scene: the scene.
+        progress: called with steps done and steps in total.
+        seed: same seed, same cache on the same machine.
+    """
+    scene.show(0.0)
+    camera = scene.camera
+    try:
+        views = choose_views(scene, Surfaces(scene), _VIEWS, camera.width, camera.height, 0)
+        cameras = [*views.fixed, *views.spread]
+    except UserError:
+        # There is no free space around the camera.
+        cameras = [camera]
+    return fill_cache(scene, cameras, seed, progress)
+
+
+class CachedTracer:
+    """Traces a scene by paths that end in a cache, whose light follows the lights of the scene.
+
+    Args:
+        scene: the scene.
+        cache: of it.
+        roulette_depth: path depth from which Russian roulette ends paths; that of the scene if None.
+
+    Attributes:
+        tracer: traces, with what is known of the light now.
+    """
+
+    def __init__(self, scene: Scene, cache: IrradianceCache, roulette_depth: int | None):
+        self.tracer = Tracer(scene, roulette_depth=roulette_depth, cache=cache)
+        self._scene, self._cache = scene, cache
+        self._relighting: Relighting | None = None
+
+    @property
+    def renewed(self) -> float:
+        """Share, 0 to 1, of the work that was done to follow the last change of lights; 1 if none changed."""
+        return self._cache.renewed if self._relighting is None else self._relighting.renewed
+
+    def lights_changed(self) -> None:
+        """Says that the scene's lights changed; the light known now is old."""
+        if self._relighting is not None:
+            self._relighting.change()
+        # Without cells, nothing is known, and all paths are traced to their ends.
+        elif len(self._cache.cells):
+            self._relighting = Relighting(self._scene, self._cache)
+
+    def update(self) -> None:
+        """Renews a part of the light; to be called before each frame, it takes no time when all is known."""
+        if self._relighting is not None and self._relighting.renewed < 1:
+            self.tracer.relight(self._relighting.update())

@@ -1,0 +1,229 @@
+"""The splatted periphery of a frame: the detail that eye and image ask for, and the layers drawn for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.arrays import Arrays
+from compose.camera.camera import Camera
+from compose.eye.acuity import ACUITY_MODELS, COARSEST_RATE
+from compose.eye.detail import CELL, DetailMap, LayerRange, at_corners, detail_map, saliency
+from compose.fovea.foveation import FoveaRegion
+from hybrid.render.frame_settings import FrameSettings
+from splat.lod.forest_renderer import CachedLayerImages, ForestRenderer, finest_frequency
+from splat.lod.layer_images import LayerImage, SplatImage, Under
+from splat.model.forest import Forest
+from splat.raster.tiles import TILE
+
+# Side in pixels of the coarse image in which saliency is computed.
+_COARSE = 64
+# Number of Gaussians by whose motion views are compared, at most, and the share of them that counts.
+_LANDMARKS = 512
+_SHARE = 0.9
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """Saliency of a view.
+
+    Attributes:
+        camera: the view.
+        saliency: (rows + 1, columns + 1).
+        landmarks: (K, 3) points that are visible in it.
+        pixels: (K, 2) where.
+    """
+
+    camera: Camera
+    saliency: NDArray[np.float32]
+    landmarks: NDArray[np.float64]
+    pixels: NDArray[np.float64]
+
+
+class ViewSaliency:
+    """Computes the saliency of views from a forest's coarsest layer.
+
+    Args:
+        renderer: of the forest.
+        forest: the forest.
+    """
+
+    def __init__(self, renderer: ForestRenderer, forest: Forest):
+        self._renderer = renderer
+        means = forest.layers[0].gaussians.means.detach().numpy()  # (3, N)
+        self._points = forest.place.in_world(means[:, :: -(-means.shape[1] // _LANDMARKS)].T)
+        self._kept: _Kept | None = None
+
+    def forget(self) -> None:
+        """Says that the forest looks different now."""
+        self._kept = None
+
+    def of(self, camera: Camera, nearly: bool = False) -> NDArray[np.float32]:
+        """(rows + 1, columns + 1) saliency in 0..1 at the corners of the detail map's cells.
+
+        Args:
+            camera: the view.
+            nearly: whether the saliency of an earlier view will do from which most of what it shows has moved
+                by less than a cell.
+        """
+        kept = self._kept
+        if kept is None or not (kept.camera == camera or (nearly and self._hardly_moved(kept, camera))):
+            kept = self._kept = self._computed(camera)
+        return kept.saliency
+
+    def _computed(self, camera: Camera) -> _Kept:
+        rate = max(0, round(np.log2(max(camera.width, camera.height) / _COARSE)))
+        coarse = self._renderer.render_layer(camera, 1, rate).numpy()
+        found = at_corners(saliency(coarse), camera.width, camera.height)
+        pixels, depth = camera.project(self._points)
+        inside = (pixels >= 0) & (pixels < (camera.width, camera.height))
+        visible = (depth > 0) & inside.all(axis=1)
+        return _Kept(camera, found, self._points[visible], pixels[visible])
+
+    @staticmethod
+    def _hardly_moved(kept: _Kept, camera: Camera) -> bool:
+        if (kept.camera.width, kept.camera.height) != (camera.width, camera.height) or not len(kept.pixels):
+            return False
+        pixels, depth = camera.project(kept.landmarks)
+        moved = np.linalg.norm(pixels - kept.pixels, axis=1)
+        return float(np.mean((depth > 0) & (moved < CELL))) >= _SHARE
+
+
+# The detail map's cells are the rasterizer's tiles.
+assert CELL == TILE
+
+
+class Periphery:
+    """Draws the periphery of frames with one forest.
+
+    Results that depend on the camera alone are kept until it changes.
+
+    Args:
+        arrays: the rasterizer's array types.
+        forest: what to draw.
+    """
+
+    def __init__(self, arrays: Arrays, forest: Forest):
+        self.forest = forest
+        self._renderer = ForestRenderer(arrays, forest)
+        self._saliency = ViewSaliency(self._renderer, forest)
+        # What the layers of the last still view were drawn for; their images; the finest one as a whole.
+        self._kept: tuple[tuple[object, ...], CachedLayerImages, SplatImage] | None = None
+        self._time = 0.0
+
+    def set_time(self, time: float) -> None:
+        """Shows the forest at a time from 0 to 1 in what is drawn from now on."""
+        if time != self._time:
+            self._time, self._kept = time, None
+            self._renderer.set_time(time)
+            self._saliency.forget()
+
+    def layers_of(self, settings: FrameSettings) -> tuple[int, int]:
+        """Coarsest and finest layer that may be drawn with these settings.
+
+        Raises:
+            UserError: the forest does not have those layers.
+        """
+        return settings.layers_of(len(self.forest.counts))
+
+    def detail(self, camera: Camera, settings: FrameSettings, moving: bool = False) -> DetailMap:
+        """The detail that the viewer resolves in each part of a frame.
+
+        Args:
+            camera: the view.
+            settings: of the frame.
+            moving: whether the saliency of an earlier view will do that shows nearly the same.
+
+        Raises:
+            UserError: the forest does not have the layers that the settings ask for.
+        """
+        low, high = self.layers_of(settings)
+        unlimited = settings.acuity_model == "none"
+        rates = [0 if unlimited else self._finest_rate(camera, settings, n) for n in range(1, high + 1)]
+        layers = LayerRange(
+            finest_frequency(camera, self.forest, high),
+            tuple(max(rate, settings.rate) for rate in rates),
+            low,
+        )
+        return detail_map(
+            settings.display,
+            settings.gaze,
+            camera.width,
+            camera.height,
+            ACUITY_MODELS[settings.acuity_model],
+            settings.fov_b,
+            layers,
+            None if unlimited else self._saliency.of(camera, moving),
+        )
+
+    def _finest_rate(self, camera: Camera, settings: FrameSettings, layer: int) -> int:
+        """Finest useful sampling rate of a layer: it has no detail between its training pixels."""
+        pixel = camera.fy / self.forest.focal_of(layer)
+        samples = 1 if ACUITY_MODELS[settings.acuity_model].relative else 2
+        return int(np.clip(np.floor(np.log2(pixel / samples)), 0, COARSEST_RATE))
+
+    def draw(self, camera: Camera, detail: DetailMap, region: FoveaRegion) -> SplatImage:
+        """The part of a frame that the fovea leaves visible, drawn with the required detail."""
+        return self._drawn(camera, detail, region, None)[0]
+
+    def draw_with_disc(
+        self, camera: Camera, settings: FrameSettings, detail: DetailMap, region: FoveaRegion
+    ) -> tuple[SplatImage, SplatImage]:
+        """As `draw`, and as `under_disc`, in little more time than the first of them takes."""
+        return self._drawn(camera, detail, region, self._under(settings, region))
+
+    def _drawn(
+        self, camera: Camera, detail: DetailMap, region: FoveaRegion, under: Under | None
+    ) -> tuple[SplatImage, SplatImage]:
+        pictures = [
+            LayerImage(step.layer, step.rate, detail.weight(number))
+            for number, step in enumerate(detail.steps)
+        ]
+        wanted = region.peripheral_tiles(TILE)
+        return self._renderer.render_with(camera, pictures, detail.low_pass, wanted, under)
+
+    def draw_still(
+        self, camera: Camera, settings: FrameSettings, detail: DetailMap, region: FoveaRegion
+    ) -> SplatImage:
+        """Like `draw`, from layers that are drawn once per camera and joined again for each gaze.
+
+        All layers and rates that any gaze may require are drawn over the whole frame, which takes little
+        longer than `draw` takes for one frame; joining takes a quarter of that. Within a step the cut-off
+        does not follow the gaze, so the frame has slightly more detail than required.
+        """
+        shares = [detail.weight(number) for number in range(len(detail.steps))]
+        kept, _ = self._kept_layers(camera, settings, detail)
+        return kept.composite(shares, region.peripheral_tiles(TILE))
+
+    def whole_still(self, camera: Camera, settings: FrameSettings, detail: DetailMap) -> SplatImage:
+        """Like `whole`, drawn once per camera."""
+        return self._kept_layers(camera, settings, detail)[1]
+
+    def _kept_layers(
+        self, camera: Camera, settings: FrameSettings, detail: DetailMap
+    ) -> tuple[CachedLayerImages, SplatImage]:
+        steps = [(step.layer, step.rate) for step in detail.steps]
+        drawn_for = camera, self.layers_of(settings), steps
+        if self._kept is None or self._kept[0] != drawn_for:
+            layers = CachedLayerImages(self._renderer, camera, steps)
+            self._kept = drawn_for, layers, self.whole(camera, settings)
+        return self._kept[1:]
+
+    def under_disc(self, camera: Camera, settings: FrameSettings, region: FoveaRegion) -> SplatImage:
+        """The finest allowed layer at full rate, over the rectangle around the disc."""
+        under = self._under(settings, region)
+        nothing = np.zeros((under.cells.shape[0] + 1, under.cells.shape[1] + 1), np.float32)
+        return self._renderer.render_with(camera, [], nothing, np.zeros_like(under.cells), under)[1]
+
+    def _under(self, settings: FrameSettings, region: FoveaRegion) -> Under:
+        return Under(self.layers_of(settings)[1], region.foveal_tiles(TILE))
+
+    def enlargement(self, camera: Camera, settings: FrameSettings) -> float:
+        """Side of the pixels that the finest allowed layer was trained on, in pixels of a camera."""
+        return camera.fy / self.forest.focal_of(self.layers_of(settings)[1])
+
+    def whole(self, camera: Camera, settings: FrameSettings) -> SplatImage:
+        """The finest allowed layer over the whole frame at full rate."""
+        return self._renderer.render_layer(camera, self.layers_of(settings)[1])

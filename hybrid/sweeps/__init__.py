@@ -1,1 +1,0 @@
-"""Tables and figures over one quantity at a time, including those of Foveated Path Culling (FPC)."""

@@ -1,0 +1,193 @@
+"""Runs the window until it is closed; as a bench, with the mouse moving for some seconds."""
+
+from __future__ import annotations
+
+import math
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer
+from PySide6.QtGui import QMouseEvent
+from PySide6.QtWidgets import QApplication
+
+from compose.eye.gaze import Gaze, GazeTrace
+from hybrid.render.frame_settings import FrameSettings
+from hybrid.window.frame_source import prepared
+from hybrid.window.gaze_input import GazeInput
+from hybrid.window.main_window import Window
+from hybrid.window.messages import Shown
+from hybrid.window.meter import figures, steadiness, summary
+from hybrid.window.render_thread import RenderThread
+
+# Seconds before anything counts, in which kernels are compiled.
+_WARM_UP = 4.0
+# Milliseconds between two movements of the mouse, about as often as mice report them, and seconds for its
+# whole path.
+_MOVE = 8
+_ROUND = 8.0
+# A program that keeps a core busy for some seconds; it ends by itself, whatever becomes of the window.
+_BUSY = """
+import sys, time
+end = time.monotonic() + float(sys.argv[1])
+while time.monotonic() < end:
+    pass
+"""
+
+
+class WindowBench(QObject):
+    """Moves the mouse over a window for some seconds, then closes it.
+
+    Args:
+        window: not opened yet.
+        seconds: for which it is measured, after four seconds of warm-up.
+        moves: whether to move the mouse; not if a gaze trace is replayed.
+        load: seconds in the middle for which another process keeps one core busy.
+    """
+
+    def __init__(self, window: Window, seconds: float, moves: bool, load: float = 0.0):
+        super().__init__(window)
+        self._window, self._seconds, self._moves, self._load = window, seconds, moves, load
+        self._began = 0.0
+        self._busy: subprocess.Popen[bytes] | None = None
+        # When the load began, and when it ended.
+        self._load_times: list[float] = []
+        self._timer = QTimer(self)
+        self._timer.timeout.connect(self._step)
+        # Not before the first frame: a forest may be trained, or settings measured.
+        window.canvas.painted.connect(self._begin)
+
+    def _begin(self, shown: Shown) -> None:
+        camera, canvas = shown.request.settings.camera, self._window.canvas
+        if camera is None or (camera.width, camera.height) != (canvas.width(), canvas.height()):
+            # The window has just been laid out; frames of its final size come next.
+            return
+        canvas.painted.disconnect(self._begin)
+        self._began = time.perf_counter()
+        self._timer.start(_MOVE)
+
+    def _step(self) -> None:
+        passed = time.perf_counter() - self._began
+        self._keep_busy(passed - _WARM_UP - (self._seconds - self._load) / 2)
+        if passed > _WARM_UP + self._seconds:
+            self._timer.stop()
+            self._window.close()
+        elif self._moves:
+            turn = 2 * math.pi * passed / _ROUND
+            move_mouse(self._window, Gaze(0.5 + 0.3 * math.sin(turn), 0.5 + 0.3 * math.sin(2 * turn)))
+
+    def _keep_busy(self, since: float) -> None:
+        """Runs the other process for its time.
+
+        Args:
+            since: seconds since it should begin; negative before that.
+        """
+        if self._busy is None and self._load and since >= 0:
+            self._busy = subprocess.Popen([sys.executable, "-c", _BUSY, str(self._load)])
+            self._load_times.append(time.perf_counter())
+        elif self._busy is not None and len(self._load_times) == 1 and self._busy.poll() is not None:
+            self._load_times.append(time.perf_counter())
+
+    @property
+    def start(self) -> float:
+        """time.perf_counter from which on frames count."""
+        return self._began + _WARM_UP
+
+    @property
+    def loaded(self) -> tuple[float, float] | None:
+        """Seconds from `start` at which the load began and ended; None if there was none."""
+        if len(self._load_times) < 2:
+            return None
+        begin, end = self._load_times
+        return begin - self.start, end - self.start
+
+
+def move_mouse(window: Window, gaze: Gaze) -> None:
+    """Moves the mouse to a point of the frame, with no button pressed."""
+    canvas = window.canvas
+    point: QPointF = canvas.point_of(gaze)
+    none = Qt.MouseButton.NoButton
+    event = QMouseEvent(
+        QEvent.Type.MouseMove, point, canvas.mapToGlobal(point), none, none, Qt.KeyboardModifier.NoModifier
+    )
+    QApplication.sendEvent(canvas, event)
+
+
+@dataclass(frozen=True)
+class WindowOptions:
+    """How the window runs.
+
+    Attributes:
+        size: width and height of the frame in pixels.
+        latency: delay of the gaze in seconds.
+        folder: for screenshots and gaze traces.
+        target_fps: frames per second to keep; None for no target.
+        bench: seconds after which the window closes, with the mouse moving until then; None leaves it open.
+        load: seconds of the bench for which another process keeps one core busy.
+        plays: whether a scene that moves plays from the start.
+    """
+
+    size: tuple[int, int]
+    latency: float
+    folder: Path
+    target_fps: float | None = None
+    bench: float | None = None
+    load: float = 0.0
+    plays: bool = False
+
+
+def run_window(
+    scene: str,
+    forest: Path | None,
+    backend: str,
+    settings: FrameSettings,
+    trace: GazeTrace | None,
+    options: WindowOptions,
+    thin_glass: bool = False,
+) -> tuple[dict[str, Any], str]:
+    """Runs the window until it is closed.
+
+    Args:
+        scene: name of a bundled scene, or a Mitsuba XML file.
+        forest: forest file; None for the newest one of the scene.
+        backend: auto, cuda or llvm.
+        settings: initial settings of the frames.
+        trace: replayed instead of the mouse; None for the mouse.
+        options: how the window runs.
+        thin_glass: whether panes of glass let shadow rays pass.
+
+    Returns:
+        What was measured (see `figures`; `target`, see `steadiness`), and a summary of it for people.
+
+    Raises:
+        UserError: the scene or the forest cannot be used.
+    """
+    application = QApplication(sys.argv[:1])
+    measures = options.bench is not None
+    # Training would take minutes of a measurement that is expected to take seconds.
+    source = partial(prepared, scene, forest, backend, not measures, settings, thin_glass=thin_glass)
+    thread = RenderThread(source)
+    gaze = GazeInput(options.latency, trace)
+    window = Window(
+        thread, settings, options.target_fps, options.size, gaze, options.folder, measures, options.plays
+    )
+    bench = None
+    if options.bench is not None:
+        bench = WindowBench(window, options.bench, trace is None, options.load)
+    window.show()
+    # Qt does not notice Ctrl-C by itself.
+    signal.signal(signal.SIGINT, lambda number, frame: window.close())
+    application.exec()
+    if window.error is not None:
+        raise window.error
+    size = window.canvas.width(), window.canvas.height()
+    found = figures(window.meter, size, 0.0 if bench is None else bench.start)
+    if options.target_fps is not None:
+        loaded = None if bench is None else bench.loaded
+        found["target"] = steadiness(found["frames"], options.target_fps, loaded)
+    return found, summary(found)

@@ -1,0 +1,219 @@
+"""The interactive loop: what is rendered next, when, and with which of the settings measured on this machine.
+
+Settings are measured once, from coarse to fine: times on the scene's own view, quality on views that training
+has not seen.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from PIL import Image as Pillow
+
+from compose.camera.camera import Camera, View
+from compose.eye.gaze import Gaze
+from compose.image.colour import Image
+from hybrid.base.progress import Report
+from hybrid.evaluation.frame_time_controller import FrameTimeController, applied
+from hybrid.evaluation.measured_settings import MeasuredSettings, MeasuredStore, front_of
+from hybrid.measure.frame_times import gaze_path
+from hybrid.measure.image_metrics import ssim
+from hybrid.measure.perceptual_metrics import jod
+from hybrid.measure.reference import REFERENCE_SEED, reference
+from hybrid.render.frame_settings import FrameSettings
+from hybrid.window.frame_source import FrameSource
+from hybrid.window.messages import Request, Shown
+from pathtrace.region.neighbourhood import unseen_views
+
+# Seconds without a change after which frames may take longer, for more samples each.
+_QUICK_FOR = 1.0
+
+
+class FrameLoop:
+    """Renders frame after frame.
+
+    Args:
+        source: of the frames.
+        ladder: measures the settings to choose from for frames like a requested one.
+
+    Attributes:
+        due: time.perf_counter before which the next frame should not begin.
+        idle: whether there is nothing to do until another frame is requested.
+    """
+
+    def __init__(self, source: FrameSource, ladder: Callable[[Request], Sequence[MeasuredSettings]]):
+        self._source, self._ladder = source, ladder
+        self._request: Request | None = None
+        self._settings: FrameSettings | None = None
+        self._changed = 0.0
+        self._controller: FrameTimeController | None = None
+        self._measured_for: tuple[object, ...] = ()
+        self._returned = 0.0
+        self.due, self.idle = 0.0, True
+
+    def make(self, request: Request) -> Shown:
+        """The requested frame; a better one if the last request was the same."""
+        again = request.same_frame(self._request)
+        if not again or self._settings is None:
+            self._request, self._settings = request, self._chosen(request)
+            self._changed = time.perf_counter()
+        start = time.perf_counter()
+        quick = start - self._changed <= _QUICK_FOR
+        shown = self._source.show(replace(request, settings=self._settings), quick)
+        end, self.due = time.perf_counter(), 0.0
+        if request.target_fps is not None and self._controller is not None:
+            if not again:
+                self._controller.took((end - start) * 1000)
+            if quick:
+                self._pace(end, request.target_fps, self._controller)
+        self._returned = time.perf_counter()
+        self.idle = shown.finished
+        return shown
+
+    def _pace(self, end: float, target_fps: float, controller: FrameTimeController) -> None:
+        """Holds an early frame back, since a steady rate is wanted, and sets when the next one is due."""
+        time.sleep(max(0.0, self._returned + 1 / target_fps - end))
+        # As late as the next frame can begin and still be ready one period after this one: its gaze is
+        # newest then.
+        self.due = time.perf_counter() + (1000 / target_fps - controller.expected) / 1000
+
+    def _chosen(self, request: Request) -> FrameSettings:
+        """The requested settings, or those that keep the target."""
+        settings, target_fps = request.settings, request.target_fps
+        if target_fps is None:
+            return settings
+        camera, _ = replace(settings, scale=1.0).resolved(self._source.camera)
+        # Of the user's choices, those that the measured times depend on.
+        measured_for = camera.width, camera.height, settings.acuity_model
+        if self._controller is None or measured_for != self._measured_for:
+            self._controller = FrameTimeController(self._ladder(request), 1000 / target_fps)
+            self._measured_for = measured_for
+        self._controller.target = 1000 / target_fps
+        return applied(self._controller.choice(), settings)
+
+
+_REFERENCE_SPP = 16
+# Views on which quality is judged; training has seen none of them.
+_VIEWS = 3
+# Timed frames, and frames before them that are not timed.
+_TIMED, _WARM_UP = 5, 2
+_RADII = (5.0, 8.0, 11.0, 15.0, 20.0, 25.0, 30.0)
+_ACTIVITY = "measuring settings"
+
+
+def ladder_for(source: FrameSource, like: Request, report: Report) -> list[MeasuredSettings]:
+    """The Pareto-optimal settings of the window, each slower and better than the one before it.
+
+    Args:
+        source: of frames.
+        like: a request with the window's size, acuity model and display.
+        report: called with the activity, steps done and steps in total.
+
+    Raises:
+        UserError: the cache folder cannot be written, or a file in it is damaged.
+    """
+    window = like.settings.camera or source.camera
+    camera = source.camera.resized(window.width, window.height)
+    settings = replace(like.settings, camera=camera, gaze=Gaze(), scale=1.0)
+    renderer, size = source.renderer, (camera.width, camera.height)
+    store = MeasuredStore.of("window", renderer.scene, renderer.periphery.forest, size, settings)
+    found = store.load()
+    if found is not None:
+        return front_of(found[1])
+    measured = _measured(source, camera, settings, report)
+    store.save("quality", measured)
+    return front_of(measured)
+
+
+def candidates(base: FrameSettings, layers: int) -> list[FrameSettings]:
+    """Settings from very coarse to very fine.
+
+    Args:
+        base: acuity model, display, and the share of the radius that the band takes.
+        layers: of the forest.
+    """
+
+    def made(
+        fov_a: float, spp: int = 1, finest: int = layers, rate: int = 0, scale: float = 1.0
+    ) -> FrameSettings:
+        sized = base.with_radius(fov_a)
+        return replace(sized, spp=spp, layers=(1, finest), rate=rate, scale=scale)
+
+    coarse = [made(radius, scale=scale) for scale in (0.5, 0.75) for radius in (8.0, 15.0)]
+    coarse += [made(radius, rate=1) for radius in (8.0, 15.0)]
+    coarse += [made(8.0, finest=max(layers - 1, 1))]
+    fine = [made(radius) for radius in _RADII]
+    fine += [made(radius, spp) for spp in (2, 4) for radius in (15.0, 20.0, 30.0)]
+    return list(dict.fromkeys(coarse + fine))
+
+
+def _measured(
+    source: FrameSource, camera: Camera, base: FrameSettings, report: Report
+) -> list[MeasuredSettings]:
+    """All candidates with their time and quality."""
+    wanted = candidates(base, source.layers)
+    report(_ACTIVITY, 0, len(wanted) + 1)
+    judged = _judged_views(source, camera)
+    measured = []
+    for number, settings in enumerate(wanted):
+        report(_ACTIVITY, number + 1, len(wanted) + 1)
+        milliseconds = _median_time(source, settings)
+        quality = float(np.mean([_quality(source, settings, view) for view in judged]))
+        measured.append(MeasuredSettings(settings, milliseconds, quality))
+    report(_ACTIVITY, len(wanted) + 1, len(wanted) + 1)
+    source.forget()
+    return measured
+
+
+def _median_time(source: FrameSource, settings: FrameSettings) -> float:
+    """Median milliseconds of frames while the gaze moves."""
+    times = []
+    for gaze in gaze_path(_WARM_UP + _TIMED):
+        start = time.perf_counter()
+        source.show(Request(replace(settings, gaze=gaze)), quick=True)
+        times.append((time.perf_counter() - start) * 1000)
+    return float(np.median(times[_WARM_UP:]))
+
+
+@dataclass(frozen=True)
+class _JudgedView:
+    """A view at the window's resolution, and its radiance (H, W, 3)."""
+
+    shown: View
+    truth: Image
+
+
+def _judged_views(source: FrameSource, camera: Camera) -> list[_JudgedView]:
+    """Views that training has not seen, with their references."""
+    renderer, found = source.renderer, []
+    for number, view in enumerate(unseen_views(renderer.scene, _VIEWS, camera.width, camera.height)):
+        renderer.scene.show(view.time)
+        truth = reference(renderer.tracer, view.camera, _REFERENCE_SPP, REFERENCE_SEED + number)
+        found.append(_JudgedView(view, truth.radiance))
+    return found
+
+
+def _quality(source: FrameSource, settings: FrameSettings, view: _JudgedView) -> float:
+    """Quality of a view's first frame, without any history, to a viewer who looks at the settings' gaze.
+
+    In JOD, or SSIM where FovVideoVDP is not installed.
+    """
+    source.forget()
+    own = replace(settings, camera=view.shown.camera, time=view.shown.time)
+    composite = _enlarged(source.show(Request(own), quick=True).frame.composite, view.shown.camera)
+    found = jod(composite, view.truth, settings.display, settings.gaze)
+    return ssim(composite, view.truth) if found is None else found
+
+
+def _enlarged(image: Image, camera: Camera) -> Image:
+    """(H, W, 3) image at the window's resolution, as the window shows it."""
+    size = camera.width, camera.height
+    if image.shape[1::-1] == size:
+        return image
+    planes = [
+        Pillow.fromarray(plane).resize(size, Pillow.Resampling.BILINEAR) for plane in np.moveaxis(image, 2, 0)
+    ]
+    return np.stack([np.asarray(plane) for plane in planes], axis=2)

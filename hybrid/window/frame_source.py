@@ -1,0 +1,205 @@
+"""Renders what the window shows, request by request on one thread, once scene and forest are prepared."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from compose.base.errors import UserError
+from compose.camera.camera import Camera
+from hybrid.base.cache_folder import newest_forest
+from hybrid.base.compute_device import Clock, release_memory
+from hybrid.base.progress import Bar, Report
+from hybrid.preparation.preparation import forest_for
+from hybrid.preparation.scene_plan import planned_scene
+from hybrid.render.frame import Frame
+from hybrid.render.frame_renderer import LiveRenderer
+from hybrid.render.frame_settings import FrameSettings
+from hybrid.render.image_files import write_srgb
+from hybrid.render.irradiance import cache_for
+from hybrid.window.messages import Request, Shown, View
+from hybrid.window.window_views import ConvergingFrame, image_of
+from pathtrace.scene.backend import select_backend
+from pathtrace.scene.triangles import Surfaces
+from pathtrace.trace.integrator import Integrator
+
+# Samples per pixel added at once when nothing moves: one at a time, fusing would take most of the time.
+_PATIENT_SPP = 6
+# The same for the path-traced frame, in steps of a sixteenth of a sample.
+_PATIENT_STEPS = 8
+# Samples per pixel of the disc beyond which nobody sees a difference.
+_ENOUGH = 4096
+# Seconds between two releases of unused memory, each of which takes three to six milliseconds.
+_RELEASE_EVERY = 2.0
+
+
+class FrameSource:
+    """Frames of one scene.
+
+    Args:
+        renderer: of the scene.
+    """
+
+    def __init__(self, renderer: LiveRenderer):
+        self.renderer = renderer
+        self._last: Shown | None = None
+        self._converging: ConvergingFrame | None = None
+        self._seed = 0
+        self._released = time.monotonic()
+
+    @property
+    def name(self) -> str:
+        """The scene's name."""
+        return self.renderer.scene.name
+
+    @property
+    def camera(self) -> Camera:
+        """The scene's own camera."""
+        return self.renderer.scene.camera
+
+    @property
+    def layers(self) -> int:
+        """Number of layers of the forest."""
+        return len(self.renderer.periphery.forest.counts)
+
+    @property
+    def seconds(self) -> float | None:
+        """What the scene's motion takes; None if it stands still."""
+        moving = self.renderer.scene.moving
+        return None if moving is None else moving.motion.seconds
+
+    def distance(self) -> float:
+        """Median distance to what the scene's own camera sees, in scene units; 1 if it sees nothing."""
+        distance = Surfaces(self.renderer.scene).median_distance(self.camera)
+        return distance if np.isfinite(distance) else 1.0
+
+    def show(self, request: Request, quick: bool) -> Shown:
+        """The requested image; the same request again yields a slightly better one each time.
+
+        Args:
+            request: what to show.
+            quick: whether the frame must not take longer for more samples.
+        """
+        self._seed += 1
+        self._release_memory()
+        last = self._last if request.same_frame(self._last.request if self._last else None) else None
+        frame, paths = self._rendered(request, last.frame if last else None, quick)
+        # A frame that is only shown again has taken no time.
+        fresh = last is None or frame is not last.frame
+        passes = dict(frame.milliseconds) if fresh else {}
+        before = passes.pop("total", 0.0)
+        clock = Clock()
+        path_traced, more_paths = None, 0
+        if request.view.needs_path_traced:
+            path_traced, more_paths = self._path_traced(frame, quick)
+            clock.lap("reference")
+        image = image_of(request.view, frame, path_traced)
+        clock.lap("picture")
+        rest = clock.milliseconds()
+        rest["total"] += before
+        self._last = Shown(
+            image,
+            request,
+            frame,
+            paths + more_paths,
+            passes | rest,
+            path_traced.samples if path_traced else 0,
+            paths == 0 and (path_traced is None or path_traced.complete),
+        )
+        return self._last
+
+    def forget(self) -> None:
+        """Renders the next frame as if it were the first one."""
+        self._last = None
+        self.renderer.forget()
+
+    def save(self, png: Path) -> None:
+        """Writes what was shown last: the image as PNG and, beside it, the AOVs of its frame as EXR.
+
+        Raises:
+            UserError: a file cannot be written.
+        """
+        if self._last is not None:
+            write_srgb(png, self._last.image)
+            self.renderer.with_aovs(self._last.frame).save(png.with_suffix(".exr"))
+
+    def _release_memory(self) -> None:
+        """Every two seconds, releases what frames of another size or kind needed."""
+        if time.monotonic() - self._released > _RELEASE_EVERY:
+            release_memory()
+            self._released = time.monotonic()
+
+    def _rendered(self, request: Request, frame: Frame | None, quick: bool) -> tuple[Frame, int]:
+        """The hybrid frame of a request, and how many paths were traced for it now.
+
+        Args:
+            request: what to show.
+            frame: the frame so far, None if the request is a new one.
+            quick: whether it must not take longer for more samples.
+        """
+        spp = request.settings.spp
+        if frame is None:
+            frame = self.renderer.frame(request.settings, self._seed)
+            return frame, spp * frame.fovea.disc.count
+        if request.view is View.PATH_TRACED or _is_finished(frame):
+            return frame, 0
+        spp = spp if quick else max(_PATIENT_SPP, spp)
+        return self.renderer.refined(frame, spp, self._seed, quick), spp * frame.fovea.disc.count
+
+    def _path_traced(self, frame: Frame, quick: bool) -> tuple[ConvergingFrame, int]:
+        """A frame's view, path-traced with more samples, and how many paths those took."""
+        if self._converging is None or self._converging.camera != frame.camera:
+            splats = self.renderer.splats(frame.settings)
+            self._converging = ConvergingFrame(self.renderer.tracer, frame.camera, splats)
+        converging = self._converging
+        steps = 0 if converging.complete else 1 if quick else _PATIENT_STEPS
+        return converging, sum(converging.refine() for _ in range(steps))
+
+
+def _is_finished(frame: Frame) -> bool:
+    """Whether further samples would make no visible difference."""
+    samples = frame.fovea.samples
+    return not samples.size or samples.mean_count() >= _ENOUGH
+
+
+def prepared(
+    scene: str,
+    forest: Path | None,
+    backend: str,
+    trains: bool,
+    settings: FrameSettings,
+    report: Report,
+    thin_glass: bool = False,
+) -> FrameSource:
+    """The source of a scene's frames.
+
+    Args:
+        scene: name of a bundled scene, or a Mitsuba XML file.
+        forest: forest file; None for the newest one of the scene.
+        backend: auto, cuda or llvm.
+        trains: whether to train a forest if there is none.
+        settings: of the first frame.
+        report: called with the activity, steps done and steps in total.
+        thin_glass: whether panes of glass let shadow rays pass.
+
+    Raises:
+        UserError: the scene or the forest is missing, or they do not belong together.
+    """
+
+    @contextmanager
+    def bars(title: str) -> Iterator[Bar]:
+        yield lambda done, total, step="": report(title, done, total)
+
+    # Before the scene is loaded, since the backend decides what it is loaded into.
+    select_backend(backend)
+    loaded = planned_scene(scene, thin_glass=thin_glass, bars=bars)
+    if not trains and forest is None and newest_forest(loaded) is None:
+        raise UserError(f"{scene}: there is no forest yet; run hybrid demo {scene} first, which trains one")
+    found = forest_for(loaded, forest, bars)
+    if settings.used_integrator is Integrator.CACHED:
+        cache_for(loaded, bars)
+    return FrameSource(LiveRenderer(loaded, found))

@@ -1,0 +1,110 @@
+"""What window and renderer hand to each other: requests, what is shown for them, always the newest."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from enum import Enum
+from typing import Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hybrid.render.frame import Frame
+from hybrid.render.frame_settings import FrameSettings
+
+
+class View(Enum):
+    """What the window shows; the values are its labels."""
+
+    COMPOSITE = "composite"
+    FOVEA = "fovea alone"
+    PERIPHERY = "periphery alone"
+    PATH_TRACED = "path-traced frame"
+    SPLIT = "composite | path-traced"
+    LEVELS = "levels and rates"
+    DIFFERENCE = "difference from the path-traced frame"
+
+    @property
+    def needs_path_traced(self) -> bool:
+        """Whether it shows a whole path-traced frame."""
+        return self in (View.PATH_TRACED, View.SPLIT, View.DIFFERENCE)
+
+
+@dataclass(frozen=True)
+class Request:
+    """One frame that the window asks for.
+
+    Attributes:
+        settings: of the frame, with its camera at the window's resolution.
+        view: what to show of the frame.
+        gaze_time: time.perf_counter of the newest gaze movement that the settings include.
+        target_fps: frames per second for which radius, samples, layers, rate and scale are chosen frame by
+            frame; None leaves them as they are.
+    """
+
+    settings: FrameSettings
+    view: View = View.COMPOSITE
+    gaze_time: float = 0.0
+    target_fps: float | None = None
+
+    def same_frame(self, other: Request | None) -> bool:
+        """Whether another request asks for the same frame, possibly at another time."""
+        return other is not None and (self.settings, self.view, self.target_fps) == (
+            other.settings,
+            other.view,
+            other.target_fps,
+        )
+
+
+@dataclass(frozen=True)
+class Shown:
+    """An image for the window, and what it was made of.
+
+    Attributes:
+        image: (H, W, 3) sRGB.
+        request: what was asked for, with the settings that were chosen for it.
+        frame: the hybrid frame behind the image.
+        paths: traced for it.
+        milliseconds: of each pass that was run for it, and in total.
+        path_traced_spp: samples per pixel of the path-traced frame; 0 if the view needs none.
+        finished: whether the same request would yield no better image.
+    """
+
+    image: NDArray[np.uint8]
+    request: Request
+    frame: Frame
+    paths: int
+    milliseconds: dict[str, float]
+    path_traced_spp: int
+    finished: bool
+
+    @property
+    def spp(self) -> float:
+        """Mean samples per pixel of the disc, including those of earlier frames."""
+        return self.frame.fovea.samples.mean_count()
+
+
+T = TypeVar("T")
+
+
+class Newest(Generic[T]):
+    """Holds one item; a newer one replaces it, whether or not it was taken."""
+
+    def __init__(self) -> None:
+        self._arrived = threading.Condition()
+        self._item: T | None = None
+
+    def put(self, item: T) -> None:
+        """Puts an item into the slot; never waits."""
+        with self._arrived:
+            self._item = item
+            self._arrived.notify()
+
+    def take(self, timeout: float = 0.0) -> T | None:
+        """Takes the newest item out of the slot; None if it is still empty after `timeout` seconds."""
+        with self._arrived:
+            if self._item is None:
+                self._arrived.wait(timeout)
+            item, self._item = self._item, None
+            return item

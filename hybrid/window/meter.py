@@ -1,0 +1,195 @@
+"""Times of the window's frames: collected, shown as text over the frame, and summed up in figures."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hybrid.base.identity import machine
+from hybrid.measure.frame_times import percentiles
+from hybrid.window.messages import Shown
+
+# Recent frames whose percentiles are shown while the window runs.
+_RECENT = 100
+
+
+class Timed(NamedTuple):
+    """A duration that ended when a frame was shown.
+
+    Attributes:
+        at: time.perf_counter of that frame.
+        seconds: the duration.
+    """
+
+    at: float
+    seconds: float
+
+
+class Meter:
+    """Collects the times of shown frames.
+
+    All times are of time.perf_counter.
+
+    Args:
+        keeps_all: whether to keep every frame, or only the last hundred.
+
+    Attributes:
+        intervals: from each frame to the next one.
+        latencies: from each gaze movement to the first frame that includes it or a newer one.
+        passes: milliseconds of each pass, by name, of each frame.
+    """
+
+    def __init__(self, keeps_all: bool = False):
+        most = None if keeps_all else _RECENT
+        self.intervals: deque[Timed] = deque(maxlen=most)
+        self.latencies: deque[Timed] = deque(maxlen=most)
+        self.passes: deque[dict[str, float]] = deque(maxlen=most)
+        self._movements: deque[float] = deque(maxlen=10 * _RECENT)
+        self._last: float | None = None
+
+    def moved(self, gaze_time: float) -> None:
+        """Notes that the gaze moved at that time."""
+        self._movements.append(gaze_time)
+
+    def pause(self) -> None:
+        """Notes that no frames come for a while, for another reason than that they are slow."""
+        self._movements.clear()
+        self._last = None
+
+    def shown(self, at: float, gaze_time: float, passes: dict[str, float]) -> None:
+        """Notes that a frame is on the screen which includes all movements up to `gaze_time`."""
+        self.passes.append(passes)
+        while self._movements and self._movements[0] <= gaze_time:
+            self.latencies.append(Timed(at, at - self._movements.popleft()))
+        if self._last is not None:
+            self.intervals.append(Timed(at, at - self._last))
+        self._last = at
+
+
+def lines_of(shown: Shown, meter: Meter) -> list[str]:
+    """Lines that tell how long frames take, what was drawn, and with which settings."""
+    return [*_times(shown, meter), *_counts(shown), *_settings(shown)]
+
+
+def _times(shown: Shown, meter: Meter) -> list[str]:
+    lines = []
+    if meter.intervals:
+        p50, p95 = np.percentile([1000 * interval.seconds for interval in meter.intervals], [50, 95])
+        lines.append(f"frame {p50:.0f} ms (p95 {p95:.0f}), {1000 / p50:.1f} FPS")
+    if meter.latencies:
+        latency = np.median([1000 * latency.seconds for latency in meter.latencies])
+        lines.append(f"mouse to screen {latency:.0f} ms")
+    passes = " ".join(f"{name} {milliseconds:.0f}" for name, milliseconds in shown.milliseconds.items())
+    return [*lines, f"{passes} ms"]
+
+
+def _counts(shown: Shown) -> list[str]:
+    lines = [
+        f"{shown.paths:,} paths, {shown.frame.nodes_drawn:,} Gaussians",
+        f"{shown.spp:.1f} samples per pixel in the disc",
+    ]
+    if shown.request.view.needs_path_traced:
+        lines.append(f"{shown.path_traced_spp} samples per pixel in the path-traced frame")
+    return lines
+
+
+def _settings(shown: Shown) -> list[str]:
+    settings, camera = shown.request.settings, shown.frame.camera
+    line = f"fov-a {settings.fov_a:.1f} %, fov-b {settings.fov_b:.1f} %, {settings.spp} spp, "
+    lines = [line + f"{camera.width} x {camera.height}, {settings.acuity_model}"]
+    target_fps = shown.request.target_fps
+    if target_fps is not None:
+        finest = settings.layers[1] if settings.layers else shown.frame.detail.layers
+        side = 1 << settings.rate
+        lines.append(
+            f"chosen for {target_fps:g} FPS: finest layer {finest}, at most 1 sample per {side} x {side} px"
+        )
+    return lines
+
+
+# A frame whose time is within this share of the target keeps it.
+_TOLERANCE = 0.2
+# Seconds after a load within which the target should be kept again.
+_RECOVERY = 2.0
+
+
+def figures(meter: Meter, size: tuple[int, int], start: float) -> dict[str, Any]:
+    """Frame times, latencies and passes of a window.
+
+    Args:
+        meter: what was measured.
+        size: width and height of the frame in pixels.
+        start: time.perf_counter from which on frames count.
+
+    Returns:
+        `width`, `height`; `fps` and `ms`, median and percentiles of the frame times; `latency_ms`,
+        percentiles from mouse to screen; `passes`, median milliseconds of each; `frames`, the seconds from
+        the start and the milliseconds of each; `machine`. Absent where nothing was measured.
+    """
+    frames = [(at - start, seconds * 1000) for at, seconds in meter.intervals if at > start]
+    latencies = [seconds * 1000 for at, seconds in meter.latencies if at > start]
+    found: dict[str, Any] = {"width": size[0], "height": size[1]}
+    if frames:
+        times = [milliseconds for _, milliseconds in frames]
+        found |= {"fps": 1000 / float(np.median(times)), "ms": percentiles(times, (50, 95, 99))}
+    if latencies:
+        found["latency_ms"] = percentiles(latencies)
+    passes = list(meter.passes)[len(meter.passes) - len(frames) :]
+    names = dict.fromkeys(name for frame in passes for name in frame)
+    medians = {n: float(np.median([frame[n] for frame in passes if n in frame])) for n in names}
+    return found | {"passes": medians, "frames": frames, "machine": machine()}
+
+
+def steadiness(
+    frames: Sequence[tuple[float, float]], fps: float, loaded: tuple[float, float] | None
+) -> dict[str, Any]:
+    """How well a frame time was kept.
+
+    Args:
+        frames: of each, the seconds at which it came, and the milliseconds since the one before.
+        fps: the target.
+        loaded: seconds at which another process began and ended to keep a core busy.
+
+    Returns:
+        `fps`, `tolerance`; `kept`, the share of frames within 20 % of the target, without those under load
+        and in the two seconds after it; `kept_after_load`, the share in those two seconds; `loaded_s` and
+        `ms_under_load`, the median under load. Absent where there are no such frames.
+    """
+    found: dict[str, Any] = {"fps": fps, "tolerance": _TOLERANCE}
+    begin, end = loaded or (math.inf, math.inf)
+    outside = [ms for at, ms in frames if not begin <= at <= end + _RECOVERY]
+    after = [ms for at, ms in frames if end < at <= end + _RECOVERY]
+    under_load = [ms for at, ms in frames if begin <= at <= end]
+    if outside:
+        found["kept"] = _share_kept(outside, fps)
+    if after:
+        found["kept_after_load"] = _share_kept(after, fps)
+    if under_load:
+        found |= {"loaded_s": [begin, end], "ms_under_load": float(np.median(under_load))}
+    return found
+
+
+def summary(found: dict[str, Any]) -> str:
+    """The figures in one line and, if there was a target, how well it was kept in a second one."""
+    if "fps" not in found:
+        return "no frame was shown"
+    ms, latency = found["ms"], found.get("latency_ms")
+    line = f"{found['fps']:.1f} FPS, frames of {ms['p50']:.0f} ms (p95 {ms['p95']:.0f}, p99 {ms['p99']:.0f})"
+    if latency:
+        line += f", {latency['p50']:.0f} ms from mouse to screen (p95 {latency['p95']:.0f})"
+    target = found.get("target", {})
+    if "kept" in target:
+        line += f"\n{target['kept']:.1%} of frames within {_TOLERANCE:.0%} of {1000 / target['fps']:.0f} ms"
+    if "kept_after_load" in target:
+        line += f", {target['kept_after_load']:.1%} in the {_RECOVERY:.0f} seconds after the load"
+    if "ms_under_load" in target:
+        line += f"; {target['ms_under_load']:.0f} ms under load"
+    return line
+
+
+def _share_kept(milliseconds: list[float], fps: float) -> float:
+    return float(np.mean([abs(ms * fps / 1000 - 1) <= _TOLERANCE for ms in milliseconds]))

@@ -1,0 +1,88 @@
+"""Moving through a scene: walking and looking around with the horizon level, and the time of what moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from compose.camera.camera import Array, Camera, camera_from_pose, turned
+
+# Steepest look up or down, in degrees.
+_MOST_PITCH = 85.0
+
+
+class Walker:
+    """A viewer who starts at a camera.
+
+    Args:
+        home: where the walk begins; its upward axis stays upward.
+    """
+
+    def __init__(self, home: Camera):
+        self._home = home
+        self.reset()
+
+    def reset(self) -> None:
+        """Returns to where the walk began."""
+        self._offset: Array = np.zeros(3)
+        self._yaw = self._pitch = 0.0
+        self._view: Camera | None = None
+
+    def look(self, right: float, down: float) -> None:
+        """Turns by angles in degrees."""
+        self._view = None
+        self._yaw += right
+        self._pitch = float(np.clip(self._pitch + down, -_MOST_PITCH, _MOST_PITCH))
+
+    def walk(self, right: float, down: float, forward: float) -> None:
+        """Moves along the axes of the view, in units of the scene."""
+        self._view = None
+        self._offset = self._offset + self._rotation() @ np.array([right, down, forward])
+
+    def camera(self, width: int, height: int) -> Camera:
+        """The view in a frame of that many pixels; the same object as long as nothing moves."""
+        if self._view is None or (self._view.width, self._view.height) != (width, height):
+            self._view = self._seen(width, height)
+        return self._view
+
+    def _seen(self, width: int, height: int) -> Camera:
+        home = self._home.resized(width, height)
+        if not self._offset.any() and not self._yaw and not self._pitch:
+            return home
+        pose = np.eye(4)
+        pose[:3, :3] = self._rotation()
+        pose[:3, 3] = self._home.position + self._offset
+        moved = camera_from_pose(pose, width, height, home.fx, home.fy, home.cx, home.cy)
+        return replace(home, world_to_camera=moved.world_to_camera)
+
+    def _rotation(self) -> Array:
+        """(3, 3) camera-to-world rotation of the view."""
+        return turned(self._home.camera_to_world[:3, :3], self._yaw, -self._pitch)
+
+
+class Playback:
+    """Time of a scene, from 0 to 1, over the clock.
+
+    Args:
+        seconds: that the time from 0 to 1 takes at speed 1.
+
+    Attributes:
+        playing: whether time passes.
+        speed: how many times as fast as the scene itself.
+    """
+
+    def __init__(self, seconds: float):
+        self._seconds, self._time, self._before = seconds, 0.0, 0.0
+        self.playing, self.speed = False, 1.0
+
+    def at(self, now: float) -> float:
+        """The time at `now`, in seconds of a clock that does not go back; after 1 comes 0."""
+        if self.playing:
+            self._time = (self._time + (now - self._before) * self.speed / self._seconds) % 1
+        self._before = now
+        return self._time
+
+    def seek(self, time: float) -> None:
+        """Goes to a time from 0 to 1."""
+        self._time = time

@@ -1,0 +1,123 @@
+"""The thread on which everything is rendered; scene, forest and Dr.Jit live on it alone."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from PySide6.QtCore import QThread, Signal
+
+from compose.base.errors import UserError
+from compose.camera.camera import Camera
+from hybrid.base.progress import Report
+from hybrid.window.frame_loop import FrameLoop, ladder_for
+from hybrid.window.frame_source import FrameSource
+from hybrid.window.messages import Newest, Request, Shown
+
+# Seconds between two checks of an idle thread whether it is to end.
+_POLL = 0.1
+
+
+@dataclass(frozen=True)
+class Ready:
+    """What the window needs to know before it asks for frames.
+
+    Attributes:
+        name: of the scene.
+        camera: the scene's own.
+        distance: median distance to what that camera sees, in units of the scene.
+        layers: of the forest.
+        seconds: that the scene's motion takes; None if it stands still.
+    """
+
+    name: str
+    camera: Camera
+    distance: float
+    layers: int
+    seconds: float | None = None
+
+
+class RenderThread(QThread):
+    """Renders the newest request, again and again as long as that makes the frame better.
+
+    Args:
+        prepare: makes the source of frames, on this thread. It is given a function that reports progress,
+            and that raises KeyboardInterrupt once the window is closed.
+
+    Attributes:
+        requests: what the window asks for.
+        frames: what it receives.
+    """
+
+    # Activity, steps done, steps in total.
+    progress = Signal(str, int, int)
+    ready = Signal(object)
+    # There is a frame in `frames`. If the signal carried it, frames would pile up before a busy window.
+    arrived = Signal()
+    # A message for the user.
+    saved = Signal(str)
+    failed = Signal(object)
+
+    def __init__(self, prepare: Callable[[Report], FrameSource]):
+        super().__init__()
+        self.requests: Newest[Request] = Newest()
+        self.frames: Newest[Shown] = Newest()
+        self._prepare = prepare
+        self._screenshots: Newest[Path] = Newest()
+        self._stopping = threading.Event()
+
+    def stop(self) -> None:
+        """Ends the thread after the frame or step that it is at; returns when it has ended."""
+        self._stopping.set()
+        self.wait()
+
+    def save(self, png: Path) -> None:
+        """Asks for files of what is shown: the image as PNG, the frame's AOVs as EXR beside it."""
+        self._screenshots.put(png)
+
+    def run(self) -> None:
+        """Prepares and renders; Qt calls this on the new thread."""
+        try:
+            source = self._prepare(self._report)
+            self.ready.emit(
+                Ready(source.name, source.camera, source.distance(), source.layers, source.seconds)
+            )
+            self._serve(source, FrameLoop(source, partial(ladder_for, source, report=self._report)))
+        except KeyboardInterrupt:
+            pass  # the window was closed during preparation
+        except Exception as error:
+            # The window closes, and raises it on the main thread.
+            self.failed.emit(error)
+
+    def _report(self, activity: str, done: int, total: int) -> None:
+        if self._stopping.is_set():
+            raise KeyboardInterrupt
+        self.progress.emit(activity, done, total)
+
+    def _serve(self, source: FrameSource, loop: FrameLoop) -> None:
+        """Renders until the window is closed."""
+        request: Request | None = None
+        while not self._stopping.is_set():
+            # Wait first, then take the request, so that its gaze is as new as can be.
+            self._stopping.wait(max(0.0, loop.due - time.perf_counter()))
+            newer = self.requests.take(_POLL if loop.idle else 0.0)
+            png = self._screenshots.take()
+            if png is not None:
+                self.saved.emit(_saved(source, png))
+            request = newer or request
+            if request is not None and (newer is not None or not loop.idle):
+                self.frames.put(loop.make(request))
+                self.arrived.emit()
+
+
+def _saved(source: FrameSource, png: Path) -> str:
+    """Writes the files of a screenshot; a message for the user."""
+    try:
+        source.save(png)
+    except UserError as error:
+        return str(error)
+    return f"{png} and .exr"

@@ -1,0 +1,167 @@
+"""The window's views of a frame in sRGB, and the whole path-traced frame that some of them compare with."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.camera.camera import Camera
+from compose.image.colour import Image, srgb_from_radiance
+from compose.image.device_image import srgb_curve
+from hybrid.measure.reference import REFERENCE_SEED
+from hybrid.render.false_colours import levels_picture
+from hybrid.render.frame import Frame
+from hybrid.window.messages import View
+from pathtrace.trace.film import frame_positions, interleaved, pixel_positions
+from pathtrace.trace.traced_images import TracedImage, auxiliary_images
+from pathtrace.trace.tracer import Tracer, auxiliary_spp
+
+# Each step traces one pixel of every 4 x 4 block: the window stays responsive, and the image sharpens
+# everywhere at once. The order is that of a dither matrix (Bayer 1973).
+_SIDE = 4
+_ORDER = (0, 10, 2, 8, 5, 15, 7, 13, 1, 11, 3, 9, 4, 14, 6, 12)
+# No screen shows a difference beyond this many samples per pixel.
+_MOST_SAMPLES = 1024
+
+
+class ConvergingFrame:
+    """Path-traced radiance of one view, which gets better with every step.
+
+    Args:
+        tracer: of the scene.
+        camera: the view.
+        stand_in: (H, W, 3) radiance for pixels that have no sample yet.
+
+    Attributes:
+        camera: the view.
+    """
+
+    def __init__(self, tracer: Tracer, camera: Camera, stand_in: Image):
+        self._tracer, self.camera = tracer, camera
+        # One row per pixel, row-major: (H * W, 3) and (H * W,).
+        self._stand_in = stand_in.reshape(-1, 3)
+        self._sums = np.zeros_like(self._stand_in)
+        self._counts = np.zeros(len(self._sums), dtype=np.float32)
+        self._steps = 0
+
+    @property
+    def samples(self) -> int:
+        """Samples that every pixel has."""
+        return self._steps // len(_ORDER)
+
+    @property
+    def complete(self) -> bool:
+        """Whether further samples would make no visible difference."""
+        return self.samples >= _MOST_SAMPLES
+
+    def refine(self) -> int:
+        """Adds one sample to a sixteenth of the pixels.
+
+        Returns:
+            Number of paths traced.
+        """
+        # The pixels of this step have `samples` samples so far.
+        samples, in_block = self.samples, _ORDER[self._steps % len(_ORDER)]
+        pixels = _one_per_block(self.camera, in_block // _SIDE, in_block % _SIDE)
+        self._steps += 1
+        if not len(pixels):
+            return 0
+        positions = pixel_positions(mi.UInt32(pixels), self.camera.width)
+        # Not the seeds of the frames that this one is compared with.
+        seed = REFERENCE_SEED + self._steps
+        traced = self._tracer.trace(self.camera, positions, 1, seed, samples, REFERENCE_SEED)
+        self._sums[pixels] += interleaved(traced.radiance)
+        self._counts[pixels] += 1
+        return len(pixels)
+
+    def image(self) -> Image:
+        """(H, W, 3) mean radiance of all samples."""
+        counts = self._counts[:, None]
+        mean = np.where(counts > 0, self._sums / np.maximum(counts, 1), self._stand_in)
+        return mean.reshape(self.camera.height, self.camera.width, 3)
+
+    def denoised(self) -> Image:
+        """(H, W, 3) the same, denoised: the noise of few samples would hide every difference."""
+        return TracedImage(self.image(), *self._auxiliary).denoised(quick=True)
+
+    @cached_property
+    def _auxiliary(self) -> tuple[Image, Image]:
+        """Albedo and normal, (H, W, 3) each."""
+        positions = frame_positions(self.camera)
+        return auxiliary_images(
+            self._tracer, self.camera, positions, self.camera.width, auxiliary_spp(1), REFERENCE_SEED
+        )
+
+
+def _one_per_block(camera: Camera, row: int, column: int) -> NDArray[np.uint32]:
+    """(N,) row-major indices of the pixels at a row and column, 0 to 3, of their 4 x 4 block."""
+    rows = np.arange(row, camera.height, _SIDE, dtype=np.uint32)
+    columns = np.arange(column, camera.width, _SIDE, dtype=np.uint32)
+    return (rows[:, None] * np.uint32(camera.width) + columns).ravel()
+
+
+# Differences of this much in sRGB, or more, are white in the heat map.
+_STRONGEST = 0.25
+
+
+def image_of(view: View, frame: Frame, path_traced: ConvergingFrame | None) -> NDArray[np.uint8]:
+    """(H, W, 3) sRGB image of a view.
+
+    Args:
+        view: what to show.
+        frame: the hybrid frame.
+        path_traced: the whole frame, path-traced, for views that need it.
+
+    Raises:
+        ValueError: the view needs the path-traced frame, and there is none.
+    """
+    if view is View.LEVELS:
+        return levels_picture(frame.composite, frame.detail, frame.region)
+    if not view.needs_path_traced:
+        return _of_frame(view, frame)
+    if path_traced is None:
+        raise ValueError(f"{view} needs the path-traced frame")
+    if view is View.DIFFERENCE:
+        return _heat_map(frame.composite, path_traced.denoised())
+    if view is View.SPLIT:
+        return _split(frame.composite, path_traced.image())
+    return _srgb_bytes(path_traced.image())
+
+
+def _of_frame(view: View, frame: Frame) -> NDArray[np.uint8]:
+    """(H, W, 3) sRGB image of a part of the frame, or of all of it."""
+    if view is View.FOVEA:
+        return _srgb_bytes(frame.of_disc([c * frame.fovea.disc.weights for c in frame.fovea.radiance]))
+    shown = frame.splats if view is View.PERIPHERY else frame.image
+    return _bytes_of(shown.tensor().array, (shown.height, shown.width, 3))
+
+
+def _srgb_bytes(radiance: Image) -> NDArray[np.uint8]:
+    """compose.image.colour.bytes_from_radiance as a kernel, which takes a tenth of the time."""
+    return _bytes_of(mi.Float(np.ascontiguousarray(radiance).ravel()), radiance.shape)
+
+
+def _bytes_of(flat: Any, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """sRGB bytes of linear radiance that is on the device: all that leaves it of a frame."""
+    value = dr.fma(srgb_curve(dr.fmin(dr.fmax(flat, 0), 1)), 255, 0.5)
+    return np.asarray(dr.uint8_array_t(type(value))(value)).reshape(shape)
+
+
+def _split(left: Image, right: Image) -> NDArray[np.uint8]:
+    """Two images on either side of a white line."""
+    middle = left.shape[1] // 2
+    image = _srgb_bytes(np.concatenate([left[:, :middle], right[:, middle:]], axis=1))
+    image[:, middle] = 255
+    return image
+
+
+def _heat_map(image: Image, reference: Image) -> NDArray[np.uint8]:
+    """Mean absolute difference in sRGB: black for none, then red, yellow, and white for the strongest."""
+    difference = np.abs(srgb_from_radiance(image) - srgb_from_radiance(reference)).mean(axis=2)
+    heat = 3 * np.clip(difference / _STRONGEST, 0, 1)[..., None] - np.arange(3)
+    return (np.clip(heat, 0, 1) * 255 + 0.5).astype(np.uint8)

@@ -1,0 +1,271 @@
+"""Images of other people with known cameras and times: their folder, their lens, and their pixels without it.
+
+The model of the lens is that of Nerfies' cameras, and of OpenCV: three radial and two tangential
+coefficients, and skew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as PillowImage
+from scipy.ndimage import map_coordinates
+
+from compose.base.errors import MOST_PIXELS, UserError, one_line
+from compose.camera.camera import Camera
+from compose.image.colour import Image, radiance_from_srgb
+
+Array = NDArray[np.float64]
+# Share of a frame's pixels that must be left once what the lens did not show is cut off.
+_LEAST_LEFT = 0.5
+# Pixels beyond the border that are taken for the border itself.
+_TOLERANCE = 0.5
+
+
+@dataclass(frozen=True)
+class Lens:
+    """How a lens distorts.
+
+    Attributes:
+        radial: k1, k2 and k3.
+        tangential: p1 and p2.
+        skew: pixels to the right per unit downwards on the image plane.
+    """
+
+    radial: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tangential: tuple[float, float] = (0.0, 0.0)
+    skew: float = 0.0
+
+    @property
+    def distorts(self) -> bool:
+        """Whether it does anything at all."""
+        return any((*self.radial, *self.tangential, self.skew))
+
+    def distorted(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Where points of the image plane at depth 1 appear on it."""
+        (k1, k2, k3), (p1, p2) = self.radial, self.tangential
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        return (
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * radial + 2 * p2 * x * y + p1 * (r2 + 2 * y * y),
+        )
+
+
+def undistorted(camera: Camera, lens: Lens, images: Sequence[Array]) -> tuple[Camera, list[Array]]:
+    """Images as a camera without a lens would show them, without the margin that the lens did not show.
+
+    Args:
+        camera: the view without distortion, at the size of the images.
+        lens: what they were taken with.
+        images: (H, W) each.
+
+    Returns:
+        The camera of the remaining rectangle, and (H', W') of each image in it, by cubic splines.
+
+    Raises:
+        ValueError: the distortion is too strong: it folds, or leaves less than half of the frame.
+    """
+    # Lenses of damaged files overflow, and are refused.
+    with np.errstate(over="ignore", invalid="ignore"):
+        x, y = _sources(camera, lens)
+        rectangle = _valid_rectangle(camera, x, y)
+    rows, columns = rectangle
+    left = (rows.stop - rows.start) * (columns.stop - columns.start)
+    if left < _LEAST_LEFT * x.size or _folds(x[rectangle], y[rectangle]):
+        raise ValueError(
+            f"distortion {[*lens.radial, *lens.tangential]} is too strong for an image of "
+            f"{camera.width} x {camera.height} pixels; undistort the images first"
+        )
+    at = np.stack([y[rectangle], x[rectangle]])
+    cut = camera.cropped(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
+    return cut, [map_coordinates(image, at, order=3, mode="nearest") for image in images]
+
+
+def _sources(camera: Camera, lens: Lens) -> tuple[Array, Array]:
+    """(H, W) columns and rows, counted from 0, where the image shows what an undistorted pixel does."""
+    centres = camera.pixel_centres()
+    x, y = (centres[:, 0] - camera.cx) / camera.fx, (centres[:, 1] - camera.cy) / camera.fy
+    x, y = lens.distorted(x, y)
+    shape = camera.height, camera.width
+    across = camera.fx * x + lens.skew * y + camera.cx - 0.5
+    down = camera.fy * y + camera.cy - 0.5
+    return across.reshape(shape), down.reshape(shape)
+
+
+def _valid_rectangle(camera: Camera, x: Array, y: Array) -> tuple[slice, slice]:
+    """Rows and columns left when sides that the image does not show are cut off, the worst one first."""
+    shown = (np.abs(2 * x - (camera.width - 1)) <= camera.width - 1 + 2 * _TOLERANCE) & (
+        np.abs(2 * y - (camera.height - 1)) <= camera.height - 1 + 2 * _TOLERANCE
+    )
+    # What is not a number is not shown, either.
+    missed = ~shown
+    top, bottom, left, right = 0, camera.height, 0, camera.width
+    while top < bottom and left < right and missed[top:bottom, left:right].any():
+        inner = missed[top:bottom, left:right]
+        shares = [side.mean() for side in (inner[0], inner[-1], inner[:, 0], inner[:, -1])]
+        worst = int(np.argmax(shares))
+        # A hole amid the frame is no margin: cutting goes on until little is left, which is refused.
+        top, bottom = top + (worst == 0), bottom - (worst == 1)
+        left, right = left + (worst == 2), right - (worst == 3)
+    return slice(top, bottom), slice(left, right)
+
+
+def _folds(x: Array, y: Array) -> bool:
+    """Whether neighbours change places somewhere."""
+    if min(x.shape) < 2:
+        return False
+    (x_down, x_across), (y_down, y_across) = np.gradient(x), np.gradient(y)
+    return bool((x_across * y_down - x_down * y_across <= 0).any())
+
+
+@dataclass(frozen=True)
+class PosedImage:
+    """An image of a known camera and time.
+
+    Attributes:
+        camera: the view without the distortion of its lens, in the size of the image.
+        lens: its distortion; None if there is none.
+        file: the image, PNG in sRGB, with or without alpha.
+        labels: an image of the same size that shows what moves; None if nobody says.
+        time: that it shows, from 0 to 1.
+        held_out: whether training must not see it.
+    """
+
+    camera: Camera
+    lens: Lens | None
+    file: Path
+    labels: Path | None
+    time: float
+    held_out: bool
+
+
+@dataclass(frozen=True)
+class PosedFolder:
+    """A folder of posed images.
+
+    Attributes:
+        folder: the folder itself.
+        layout: name of its layout.
+        scene_name: the folder's name, as far as it can be that of a scene.
+        scene_hash: SHA-256 of the images and of all that is known of them.
+        images: training and held-out ones, in the order of the folder.
+        points: (M, 3) float64, some of what the images show, in world space; None if none are known.
+        bounds: distances between which everything lies that they show; None if nobody says.
+    """
+
+    folder: Path
+    layout: str
+    scene_name: str
+    scene_hash: str
+    images: list[PosedImage]
+    points: NDArray[np.float64] | None = None
+    bounds: tuple[float, float] | None = None
+
+    @property
+    def digest(self) -> str:
+        """What distinguishes it from other folders."""
+        return self.scene_hash
+
+    @property
+    def training(self) -> list[PosedImage]:
+        """Images to train on."""
+        return [image for image in self.images if not image.held_out]
+
+    @property
+    def held_out(self) -> list[PosedImage]:
+        """Images that training must not see."""
+        return [image for image in self.images if image.held_out]
+
+    @property
+    def moves(self) -> bool:
+        """Whether the training images show several times."""
+        return len({image.time for image in self.training}) > 1
+
+
+# In labels that are masks of COLMAP, named ID.png.png, what is dark moves; in others, what is not zero does.
+_COLMAP_SUFFIX = ".png.png"
+_MODES = {"1", "L", "LA", "P", "RGB", "RGBA"}
+
+
+@dataclass(frozen=True)
+class PosedPixels:
+    """What a posed image shows, without the distortion of its lens.
+
+    Attributes:
+        camera: the view; smaller than the image where a margin had to be cut off.
+        radiance: (H, W, 3) float32, linear; over white where the image has alpha, as is convention.
+        alpha: (H, W) float32 from 0 to 1, 0 where nothing is; None if the image is opaque.
+        moving: (H, W) bool, what moves; None if nobody says.
+    """
+
+    camera: Camera
+    radiance: Image
+    alpha: NDArray[np.float32] | None
+    moving: NDArray[np.bool_] | None
+
+
+def read_size(path: Path) -> tuple[int, int]:
+    """Width and height of an image, from its header.
+
+    Raises:
+        UserError: it is missing, no image, or too large.
+    """
+    return _opened(path).size
+
+
+def read_pixels(image: PosedImage) -> PosedPixels:
+    """The pixels of a posed image.
+
+    Raises:
+        UserError: a file is missing, damaged, or its distortion is too strong to be undone.
+    """
+    planes = [_decoded(image.file, "RGBA")[..., channel] / 255.0 for channel in range(4)]
+    if image.labels is not None:
+        labels = _decoded(image.labels, "L")
+        is_mask = image.labels.name.endswith(_COLMAP_SUFFIX)
+        planes.append(np.asarray(labels < 128 if is_mask else labels > 0, dtype=np.float64))
+    camera = image.camera
+    if image.lens is not None:
+        try:
+            camera, planes = undistorted(camera, image.lens, planes)
+        except ValueError as error:
+            raise UserError(f"{image.file}: {error}") from error
+    srgb, alpha = np.clip(np.stack(planes[:3], axis=-1), 0, 1), np.clip(planes[3], 0, 1)
+    # Blended in sRGB, as those who publish such images do.
+    radiance = radiance_from_srgb((srgb * alpha[..., None] + 1 - alpha[..., None]).astype(np.float32))
+    return PosedPixels(
+        camera,
+        radiance,
+        alpha.astype(np.float32) if (alpha < 1).any() else None,
+        planes[4] >= 0.5 if image.labels is not None else None,
+    )
+
+
+def _decoded(path: Path, mode: str) -> NDArray[np.float64]:
+    """Values from 0 to 255 of an image, (H, W) or (H, W, channels)."""
+    with _opened(path) as image:
+        try:
+            return np.asarray(image.convert(mode), dtype=np.float64)
+        except (OSError, SyntaxError, ValueError) as error:
+            raise UserError(f"{path}: not a readable image ({one_line(error)})") from error
+
+
+def _opened(path: Path) -> PillowImage.Image:
+    """An image of which only the header has been read."""
+    try:
+        image = PillowImage.open(path)
+    except FileNotFoundError as error:
+        raise UserError(f"{path}: this image is missing") from error
+    except (OSError, SyntaxError, ValueError, PillowImage.DecompressionBombError) as error:
+        raise UserError(f"{path}: not a readable image ({one_line(error)})") from error
+    if image.mode not in _MODES or image.width * image.height > MOST_PIXELS:
+        raise UserError(
+            f"{path}: {image.width} x {image.height} pixels of {image.mode}; must have 8 bits per channel, "
+            f"and at most {MOST_PIXELS:,} pixels"
+        )
+    return image

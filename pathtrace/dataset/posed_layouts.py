@@ -1,0 +1,276 @@
+"""Layouts of folders of posed images: NeRF's synthetic scenes and D-NeRF; Nerfies, HyperNeRF and NeRF-DS.
+
+That of NeRF's synthetic scenes, and of D-NeRF: transforms_train.json and transforms_test.json. Frames are
+`file_path` (without .png), `transform_matrix` (camera to world in OpenGL axes) and, of scenes that move,
+`time`; `camera_angle_x` is the horizontal field of view in radians (Mildenhall et al. 2020; Pumarola et al.
+2021).
+
+That of Nerfies, HyperNeRF (Park et al. 2021) and NeRF-DS (Yan et al. 2023), which adds labels:
+
+dataset.json     train_ids, val_ids
+metadata.json    by id: time_id, or warp_id in older folders
+scene.json       scale and center: a point p of the cameras lies at (p - center) scale; near and far, scaled
+camera/ID.json   orientation (rows are the axes x right, y down, z forward), position, and the lens
+rgb/1x/ID.png    images, also at 1/2, 1/4 ... of their size: 2x, 4x ...
+mask/1x/ID.png   label images: what is not 0 moves; named ID.png.png, masks of COLMAP: what is dark moves
+points.npy       some points that the images show
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.errors import UserError, file_inside, one_line
+from compose.base.files import read_json, require_size_below
+from compose.camera.camera import Camera, camera_from_pose
+from compose.camera.coordinate_systems import opencv_from_opengl
+from pathtrace.dataset.posed_images import Lens, PosedImage, read_size
+
+
+def document(path: Path) -> Any:
+    """The content of a JSON file.
+
+    Raises:
+        UserError: it is missing, cannot be read, or is no JSON.
+    """
+    try:
+        return read_json(path)
+    except FileNotFoundError as error:
+        raise UserError(f"{path}: this file is missing") from error
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: not a JSON file that can be read ({one_line(error)})") from error
+
+
+@contextmanager
+def described_by(path: Path, what: str = "") -> Iterator[None]:
+    """Says of a mistake in a file's content which file it is in, and of what, such as "frame 3"."""
+    try:
+        yield
+    except KeyError as error:
+        raise UserError(f"{path}: {what or 'it'} has no {one_line(error)}") from error
+    except (ValueError, TypeError, LookupError, AttributeError, OverflowError) as error:
+        raise UserError(f"{path}: {what + ': ' if what else ''}{one_line(error)}") from error
+
+
+def time_of(value: Any) -> float:
+    """A time; ValueError if it is not from 0 to 1."""
+    time = float(value)
+    if not 0 <= time <= 1:
+        raise ValueError(f"time {time:g}: must be from 0 to 1")
+    return time
+
+
+SYNTHETIC = "NeRF-synthetic or D-NeRF"
+TRAINING = "transforms_train.json"
+# Held out are test images; of a folder without any, those for validation.
+_HELD_OUT = "transforms_test.json", "transforms_val.json"
+
+
+def read_synthetic(folder: Path) -> list[PosedImage]:
+    """The images of a folder, training ones first.
+
+    Raises:
+        UserError: a file is missing or damaged, or a frame has values that make no view.
+    """
+    images = _frames(folder, TRAINING, False)
+    for name in _HELD_OUT:
+        if (folder / name).is_file():
+            return images + _frames(folder, name, True)
+    return images
+
+
+def _frames(folder: Path, name: str, held_out: bool) -> list[PosedImage]:
+    path = folder / name
+    content = document(path)
+    with described_by(path):
+        angle = float(content["camera_angle_x"])
+        if not 0 < angle < math.pi:
+            raise ValueError(f"camera_angle_x {angle:g}: must be in radians, above 0 and below pi")
+        frames = list(content["frames"])
+    found = []
+    for number, frame in enumerate(frames):
+        with described_by(path, f"frame {number}"):
+            found.append(_image(folder, frame, angle, held_out))
+    return found
+
+
+def _image(folder: Path, frame: dict[str, Any], angle: float, held_out: bool) -> PosedImage:
+    file = file_inside(folder, frame["file_path"])
+    if file.suffix.lower() != ".png":
+        file = file.with_name(file.name + ".png")
+    camera = _synthetic_camera(frame["transform_matrix"], angle, *read_size(file))
+    return PosedImage(camera, None, file, None, time_of(frame.get("time", 0.0)), held_out)
+
+
+def _synthetic_camera(matrix: Any, angle: float, width: int, height: int) -> Camera:
+    pose = np.asarray(matrix, dtype=np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        raise ValueError("transform_matrix must be 4 x 4 finite numbers")
+    focal = width / 2 / math.tan(angle / 2)
+    return camera_from_pose(opencv_from_opengl(pose), width, height, focal, focal, width / 2, height / 2)
+
+
+NERFIES = "Nerfies, HyperNeRF or NeRF-DS"
+DATASET = "dataset.json"
+_SCALES = (1, 2, 4, 8, 16)
+# Of several sizes, the largest images are read that have at most so many pixels each, as those have that
+# HyperNeRF's figures are of, and so many in all: a training keeps them in memory.
+_MOST_PIXELS, _MOST_IN_ALL = 1 << 20, 1 << 26
+_LABEL_FOLDERS = "mask", "resized_mask"
+_POINTS = "points.npy"
+_MOST_BYTES = 1 << 30
+# By how many pixels images may differ from the size that their camera says: folders round differently.
+_ROUNDING = 2
+
+
+def read_nerfies(
+    folder: Path,
+) -> tuple[list[PosedImage], NDArray[np.float64] | None, tuple[float, float] | None]:
+    """Images, points (M, 3) in the coordinates of their cameras, and the bounds of distances.
+
+    Raises:
+        UserError: a file is missing or damaged, labels are of another size, or values make no view.
+    """
+    training, held_out = _ids(folder / DATASET)
+    ids = [*training, *held_out]
+    times = _times(folder / "metadata.json", ids)
+    centre, scale, bounds = _scene(folder / "scene.json")
+    level = _level(folder, ids)
+    labels = _labels_folder(folder, level)
+    images = []
+    for name, time in zip(ids, times, strict=True):
+        file = _file(folder / "rgb" / f"{level}x", name, ".png")
+        path = _file(folder / "camera", name, ".json")
+        size, content = read_size(file), document(path)
+        with described_by(path):
+            camera, lens = _nerfies_camera(content, centre, scale, level, size)
+        label = None if labels is None else _label(labels, name, size)
+        images.append(PosedImage(camera, lens, file, label, time, name in held_out))
+    points = _points(folder / _POINTS) if (folder / _POINTS).is_file() else None
+    return images, None if points is None else (points - centre) * scale, bounds
+
+
+def _ids(path: Path) -> tuple[list[str], list[str]]:
+    """Names of the training and of the held-out images; what is both is held out."""
+    content = document(path)
+    with described_by(path):
+        held_out = [str(name) for name in content.get("val_ids", [])]
+        training = [str(name) for name in content["train_ids"]]
+    return [name for name in training if name not in set(held_out)], held_out
+
+
+def _times(path: Path, ids: list[str]) -> list[float]:
+    """The time of each image: its number over the largest one."""
+    content = document(path)
+    numbers = []
+    for name in ids:
+        with described_by(path, name):
+            entry = content[name]
+            numbers.append(float(entry["time_id"] if "time_id" in entry else entry["warp_id"]))
+    last = max(numbers, default=0.0)
+    with described_by(path):
+        return [time_of(number / last if last else number) for number in numbers]
+
+
+def _scene(path: Path) -> tuple[NDArray[np.float64], float, tuple[float, float] | None]:
+    """Centre (3,), scale, and the bounds of distances after scaling."""
+    content = document(path)
+    with described_by(path):
+        centre, scale = np.asarray(content["center"], dtype=np.float64), float(content["scale"])
+        if centre.shape != (3,) or not np.isfinite(centre).all() or scale <= 0:
+            raise ValueError("center must be three finite numbers, and scale positive")
+        near, far = (content.get(name) for name in ("near", "far"))
+        if near is None or far is None:
+            return centre, scale, None
+        if not 0 < float(near) < float(far):
+            raise ValueError(f"near {near}, far {far}: must be positive, near the smaller one")
+        return centre, scale, (float(near), float(far))
+
+
+def _level(folder: Path, ids: list[str]) -> int:
+    """By how much the images are reduced that are read; those with labels first, if there are any."""
+    found = [level for level in _SCALES if (folder / "rgb" / f"{level}x").is_dir()]
+    if not found:
+        raise UserError(f"{folder / 'rgb'}: has no folder of images (1x, 2x, 4x, 8x or 16x)")
+    found = [level for level in found if _labels_folder(folder, level) is not None] or found
+    for level in found if ids else []:
+        width, height = read_size(_file(folder / "rgb" / f"{level}x", ids[0], ".png"))
+        if width * height <= min(_MOST_PIXELS, _MOST_IN_ALL / len(ids)):
+            return level
+    return found[-1]
+
+
+def _labels_folder(folder: Path, level: int) -> Path | None:
+    """Where the label images of that size lie; None if there are none."""
+    places = [folder / name / f"{level}x" for name in _LABEL_FOLDERS]
+    return next((place for place in places if place.is_dir()), None)
+
+
+def _label(folder: Path, name: str, size: tuple[int, int]) -> Path:
+    """The label image that belongs to an image of a size."""
+    mask = _file(folder, name, ".png.png")
+    path = mask if mask.is_file() else _file(folder, name, ".png")
+    found = read_size(path)
+    if found != size:
+        raise UserError(
+            f"{path}: {found[0]} x {found[1]} pixels; must be {size[0]} x {size[1]}, as of the image"
+        )
+    return path
+
+
+def _nerfies_camera(
+    content: Any, centre: NDArray[np.float64], scale: float, level: int, size: tuple[int, int]
+) -> tuple[Camera, Lens | None]:
+    """The camera of an image, and its lens if that distorts."""
+    rotation = np.asarray(content["orientation"], dtype=np.float64)
+    position = (np.asarray(content["position"], dtype=np.float64) - centre) * scale
+    if rotation.shape != (3, 3) or position.shape != (3,):
+        raise ValueError("orientation must be 3 x 3 numbers, and position three")
+    full = [float(side) for side in content["image_size"]]
+    if any(abs(whole / level - side) > _ROUNDING for whole, side in zip(full, size, strict=True)):
+        raise ValueError(
+            f"image_size {full[0]:g} x {full[1]:g}: its image at {level}x has {size[0]} x {size[1]} pixels"
+        )
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, -rotation @ position
+    across, down = size[0] / full[0], size[1] / full[1]
+    focal, (x, y) = float(content["focal_length"]), content["principal_point"]
+    aspect = float(content.get("pixel_aspect_ratio", 1.0))
+    camera = Camera(pose, *size, focal * across, focal * aspect * down, float(x) * across, float(y) * down)
+    # Older folders call them `tangential`.
+    tangential = content.get("tangential_distortion", content.get("tangential", (0, 0)))
+    k1, k2, k3 = map(float, content.get("radial_distortion", (0, 0, 0)))
+    p1, p2 = map(float, tangential)
+    lens = Lens((k1, k2, k3), (p1, p2), float(content.get("skew", 0.0)) * across)
+    if not np.isfinite([k1, k2, k3, p1, p2, lens.skew]).all():
+        raise ValueError("distortion has a number that is not finite")
+    return camera, lens if lens.distorts else None
+
+
+def _points(path: Path) -> NDArray[np.float64]:
+    """(M, 3) points of a NumPy file, in the coordinates of the cameras' files."""
+    try:
+        require_size_below(path, _MOST_BYTES)
+        # Mapped: what the header declares is compared with the file's size, and not allocated.
+        points = np.load(path, mmap_mode="r", allow_pickle=False)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+            raise ValueError(
+                f"{points.dtype} of shape {points.shape}; must be finite numbers of shape (M, 3)"
+            )
+        return points.astype(np.float64)
+    # A damaged header is compiled as Python, which fails with nearly anything.
+    except Exception as error:
+        raise UserError(f"{path}: not a file of points ({one_line(error)})") from error
+
+
+def _file(folder: Path, name: str, suffix: str) -> Path:
+    """A file named by an id."""
+    with described_by(folder):
+        return file_inside(folder, name + suffix)

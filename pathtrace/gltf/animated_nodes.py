@@ -1,0 +1,286 @@
+"""Where the nodes of a glTF file are while an animation plays (specification, 3.5, 3.11 and appendix C)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from compose.base.errors import UserError
+from pathtrace.gltf.document import Document, read_array
+
+_SamplerArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sampler:
+    """Values over time; before the first keyframe and after the last one, they are those of it.
+
+    Attributes:
+        times: (K,) of the keyframes in seconds, ascending.
+        values: (K, C); (K, 3, C) of cubic splines: in-tangents, values and out-tangents.
+        interpolation: LINEAR, STEP or CUBICSPLINE.
+        is_rotation: whether values are quaternions (x, y, z, w), which turn at a constant speed.
+
+    Raises:
+        ValueError: times do not ascend, are negative, or are not as many as the values, or a quaternion has
+            no length.
+    """
+
+    times: _SamplerArray
+    values: _SamplerArray
+    interpolation: str
+    is_rotation: bool
+
+    def __post_init__(self) -> None:
+        if len(self.times) != len(self.values):
+            raise ValueError(f"has {len(self.times)} times for {len(self.values)} values")
+        if self.times[0] < 0 or (np.diff(self.times) <= 0).any():
+            raise ValueError("has times that do not ascend from 0")
+        if self.is_rotation and not np.linalg.norm(self._keys, axis=1).all():
+            raise ValueError("has a quaternion without length")
+
+    @property
+    def _keys(self) -> _SamplerArray:
+        """(K, C) values at keyframes."""
+        return self.values[:, 1] if self.interpolation == "CUBICSPLINE" else self.values
+
+    def at(self, times: _SamplerArray) -> _SamplerArray:
+        """(T, C) values at times (T,) in seconds."""
+        inside = np.clip(times, self.times[0], self.times[-1])
+        if self.interpolation == "STEP" or len(self.times) == 1:
+            found = self._keys[np.searchsorted(self.times, inside, side="right") - 1]
+        elif self.interpolation == "CUBICSPLINE":
+            found = self._cubic(inside)
+        elif self.is_rotation:
+            return Slerp(self.times, Rotation.from_quat(self.values))(inside).as_quat()
+        else:
+            columns = [np.interp(inside, self.times, column) for column in self.values.T]
+            found = np.stack(columns, axis=1)
+        return _unit(found) if self.is_rotation else found
+
+    def _cubic(self, times: _SamplerArray) -> _SamplerArray:
+        """Cubic Hermite splines, whose tangents are per second (C.5)."""
+        first = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
+        span = np.diff(self.times)[first, None]
+        u = (times - self.times[first])[:, None] / span
+        before, after = self.values[first], self.values[first + 1]
+        return (
+            (2 * u**3 - 3 * u**2 + 1) * before[:, 1]
+            + span * (u**3 - 2 * u**2 + u) * before[:, 2]
+            + (3 * u**2 - 2 * u**3) * after[:, 1]
+            + span * (u**3 - u**2) * after[:, 0]
+        )
+
+
+def _unit(quaternions: _SamplerArray) -> _SamplerArray:
+    lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
+    return np.where(lengths > 0, quaternions / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 0.0, 1.0])
+
+
+_AnimationArray = NDArray[np.float64]
+
+_COLUMNS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 1}
+# Of the whole time, between what is before a step and what is after it.
+_STEP = 1e-6
+
+
+@dataclass(frozen=True)
+class Animation:
+    """What moves, by the number of the node and its property (translation, rotation, scale, weights)."""
+
+    channels: dict[tuple[int, str], Sampler] = field(default_factory=dict)
+
+    @property
+    def seconds(self) -> float:
+        """When its last keyframe is; 0 if nothing moves."""
+        return max((float(sampler.times[-1]) for sampler in self.channels.values()), default=0.0)
+
+    def even_times(self, fps: float) -> _AnimationArray:
+        """(T,) equal steps of time in seconds, from 0 to the end, at least so many a second."""
+        return np.linspace(0, self.seconds, max(int(np.ceil(self.seconds * fps - 1e-6)), 1) + 1)
+
+    def all_times(self, fps: float) -> _AnimationArray:
+        """(T,) these, all keyframes, and moments before steps, in seconds, ascending."""
+        found = [self.even_times(fps)]
+        for sampler in self.channels.values():
+            found.append(sampler.times)
+            if sampler.interpolation == "STEP":
+                found.append(sampler.times[1:] - _STEP * self.seconds)
+        times = np.unique(np.concatenate(found))
+        # Those that are closer are the same but for rounding, and keyframes must ascend.
+        return times[np.diff(times, prepend=-np.inf) > 0.1 * _STEP * self.seconds]
+
+
+def chosen_animation(document: Document, name: str | None, remarks: list[str]) -> Animation:
+    """The animation of a name; without one, all of a file that move different things, else the first one.
+
+    Args:
+        document: the file.
+        name: of an animation, or its number.
+        remarks: lines for the user are added to them.
+
+    Raises:
+        UserError: there is none of that name, or it moves what does not exist.
+    """
+    items = document.section("animations")
+    names = [str(item.get("name", number)) for number, item in enumerate(items)]
+    if name is not None:
+        if name not in names:
+            known = ", ".join(names) or "none"
+            raise UserError(f"--animation {name}: {document.file} has no such animation; it has {known}")
+        return _animation(document, items[names.index(name)], name, remarks)
+    together = Animation()
+    for item, own in zip(items, names, strict=True):
+        found = _animation(document, item, own, remarks)
+        if found.channels.keys() & together.channels.keys():
+            remarks.append(f"the animation {names[0]} plays; --animation chooses from {', '.join(names)}")
+            return _animation(document, items[0], names[0], [])
+        together.channels.update(found.channels)
+    return together
+
+
+def _animation(document: Document, item: dict[str, Any], name: str, remarks: list[str]) -> Animation:
+    channels: dict[tuple[int, str], Sampler] = {}
+    for number, channel in enumerate(item["channels"]):
+        user = f"animation {name}: channels[{number}]"
+        target = channel["target"]
+        if "node" not in target or target["path"] not in _COLUMNS:
+            remarks.append(f"{user} moves no node, and is left out")
+            continue
+        document.item("nodes", target["node"], user)
+        if not 0 <= channel["sampler"] < len(item["samplers"]):
+            raise document.refused(f"{user} refers to samplers[{channel['sampler']}], which does not exist")
+        sampler = item["samplers"][int(channel["sampler"])]
+        channels[int(target["node"]), target["path"]] = _sampler(document, sampler, target["path"], user)
+    return Animation(channels)
+
+
+def _sampler(document: Document, sampler: dict[str, Any], path: str, user: str) -> Sampler:
+    kind = sampler["interpolation"]
+    if kind not in ("LINEAR", "STEP", "CUBICSPLINE"):
+        raise document.refused(f"{user} has the interpolation {kind}; must be LINEAR, STEP or CUBICSPLINE")
+    times = read_array(document, sampler["input"], 1, user)[:, 0]
+    values = read_array(document, sampler["output"], _COLUMNS[path], user)
+    parts = 3 if kind == "CUBICSPLINE" else 1
+    # Of each keyframe there are as many weights as morph targets, each in a row of its own.
+    if values.size % (len(times) * parts):
+        raise document.refused(f"{user} has {len(values)} values for {len(times)} keyframes")
+    rows = values.reshape(len(times), parts, -1)
+    if path != "weights" and rows.shape[2] != _COLUMNS[path]:
+        raise document.refused(f"{user} has {len(values)} values for {len(times)} keyframes")
+    try:
+        return Sampler(times, rows if parts == 3 else rows[:, 0], kind, path == "rotation")
+    except ValueError as error:
+        raise document.refused(f"{user} {error}") from error
+
+
+Array = NDArray[np.float64]
+
+
+class Nodes:
+    """The nodes of a file while an animation plays.
+
+    Attributes:
+        shown: numbers of the nodes of the scene that is shown, parents first.
+        animation: as given.
+
+    Raises:
+        UserError: a node has two parents, is its own ancestor, or does not exist.
+    """
+
+    def __init__(self, document: Document, animation: Animation):
+        self.animation = animation
+        self._items = document.section("nodes")
+        self._parents = _parents(document, self._items)
+        self._order = _parents_first(document, self._parents)
+        self.shown = self._below(set(_roots(document, self._parents)))
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def to_world(self, times: Array) -> list[Array]:
+        """Of each node, (T, 4, 4) at times (T,) in seconds; (1, 4, 4) of those that stand still."""
+        found: dict[int, Array] = {}
+        for node in self._order:
+            own, parent = self._local(node, times), self._parents[node]
+            found[node] = own if parent is None else found[parent] @ own
+        return [found[node] for node in range(len(self._items))]
+
+    def ancestors(self, node: int) -> list[int]:
+        """A node, its parent, and so on."""
+        found: list[int] = []
+        upper: int | None = node
+        while upper is not None:
+            found.append(upper)
+            upper = self._parents[upper]
+        return found
+
+    def weights(self, node: int, default: Array, times: Array) -> Array:
+        """(T, M) of a node's M morph targets; (1, M), the default of its mesh, if nothing else says them."""
+        sampler = self.animation.channels.get((node, "weights"))
+        if sampler is not None:
+            return sampler.at(times)
+        return np.atleast_2d(np.asarray(self._items[node].get("weights", default), dtype=np.float64))
+
+    def _below(self, roots: set[int]) -> list[int]:
+        found = set(roots)
+        found.update(node for node in self._order if self._parents[node] in found)
+        return [node for node in self._order if node in found]
+
+    def _local(self, node: int, times: Array) -> Array:
+        """(T, 4, 4) or (1, 4, 4): translation, rotation and scale, or a matrix."""
+        item = self._items[node]
+        shift, turn, scale = (self._values(node, item, path, times) for path in _PATHS)
+        local = np.tile(np.eye(4), (max(len(shift), len(turn), len(scale)), 1, 1))
+        local[:, :3, :3] = Rotation.from_quat(turn).as_matrix() * scale[:, None]
+        local[:, :3, 3] = shift
+        # Column by column.
+        return local @ np.reshape(item["matrix"], (4, 4)).T.astype(np.float64)
+
+    def _values(self, node: int, item: dict[str, Any], path: str, times: Array) -> Array:
+        sampler = self.animation.channels.get((node, path))
+        found = np.array([item[path]], dtype=np.float64) if sampler is None else sampler.at(times)
+        if path == "rotation" and not found.any(axis=1).all():
+            return np.array([[0.0, 0.0, 0.0, 1.0]])
+        return found
+
+
+_PATHS = ("translation", "rotation", "scale")
+
+
+def _parents(document: Document, items: list[dict[str, Any]]) -> list[int | None]:
+    found: list[int | None] = [None] * len(items)
+    for parent, item in enumerate(items):
+        for child in item.get("children", []):
+            document.item("nodes", child, f"nodes[{parent}]")
+            if found[int(child)] is not None:
+                raise document.refused(f"nodes[{child}] has two parents")
+            found[int(child)] = parent
+    return found
+
+
+def _parents_first(document: Document, parents: list[int | None]) -> list[int]:
+    children: dict[int | None, list[int]] = {}
+    for node, parent in enumerate(parents):
+        children.setdefault(parent, []).append(node)
+    order = list(children.get(None, []))
+    for node in order:
+        order += children.get(node, [])
+    if len(order) < len(parents):
+        lost = min(set(range(len(parents))) - set(order))
+        raise document.refused(f"nodes[{lost}] is its own ancestor")
+    return order
+
+
+def _roots(document: Document, parents: list[int | None]) -> list[int]:
+    """Roots of the scene that a viewer is to show, the first one if the file does not say."""
+    if not document.section("scenes"):
+        return [node for node, parent in enumerate(parents) if parent is None]
+    scene = document.item("scenes", document.tree.get("scene", 0), "scene")
+    for node in scene.get("nodes", []):
+        document.item("nodes", node, "scene")
+    return [int(node) for node in scene.get("nodes", [])]

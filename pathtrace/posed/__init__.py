@@ -1,1 +1,0 @@
-"""Folders of other people's images with known cameras and times, but without a scene."""

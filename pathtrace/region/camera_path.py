@@ -1,0 +1,256 @@
+"""The surroundings of a camera's path as a region, and the file that holds the path.
+
+The file is JSON with the pose of each frame, in the coordinates of the scene's file:
+
+    {"radius": 0.3, "frames": [
+        {"position": [1, 1.6, 0], "look_at": [3, 1.2, 0], "up": [0, 1, 0]},
+        {"transform_matrix": [[...], [...], [...], [...]]}]}
+
+A pose is a matrix as in transforms.json (camera-to-world, OpenGL axes), whose files are paths therefore, or a
+position, what it looks at, and what is up, which may be left out. `radius` may be left out as well.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.errors import UserError, one_line
+from compose.base.files import read_json
+from compose.camera.camera import Array, Camera, camera_from_pose, look_at, turned
+from compose.camera.coordinate_systems import camera_from_json, opengl_from_opencv
+from pathtrace.region.looks import JUDGING, TRAINING, VIEWING, Looks, drawn, generator, looks_of
+from pathtrace.region.view_selection import Selection
+from pathtrace.scene.scene import Scene
+from pathtrace.scene.triangles import Surfaces, sphere_directions
+
+_MOST_BYTES = 1 << 24
+# The path is part of what is trained, and goes into its files.
+MOST_POSES = 1000
+# Cameras as JSON need some.
+_ANY_INTRINSICS = {"w": 1, "h": 1, "fl_x": 1.0, "fl_y": 1.0, "cx": 0.5, "cy": 0.5}
+
+
+@dataclass(frozen=True)
+class CameraPath:
+    """A camera's path, in the coordinates of the scene's file.
+
+    Attributes:
+        poses: at least one, (4, 4) camera-to-world each, OpenCV axes.
+        radius: of the space around it; None to leave the choice to the region.
+    """
+
+    poses: list[Array]
+    radius: float | None
+
+
+def read_path(file: Path, up: Array) -> CameraPath:
+    """The path that a file holds.
+
+    Args:
+        file: the file.
+        up: (3,) what is up where a pose does not say so.
+
+    Raises:
+        UserError: the file cannot be read, or is no path.
+    """
+    try:
+        document = read_json(file, _MOST_BYTES)
+    except (OSError, ValueError) as error:
+        raise UserError(f"{file}: cannot be read ({one_line(error)})") from error
+    return path_from_json(document, up, str(file))
+
+
+def path_from_json(document: Any, up: Array, name: str) -> CameraPath:
+    """The path of such a file's content; `name` is for error messages, the rest as of `read_path`."""
+    frames = document.get("frames") if isinstance(document, dict) else None
+    if not isinstance(frames, list) or not frames:
+        raise UserError(f"{name}: is no camera path; must be JSON with a list of poses under frames")
+    if len(frames) > MOST_POSES:
+        raise UserError(f"{name}: {len(frames):,} frames; must be at most {MOST_POSES:,}")
+    radius = document.get("radius")
+    if radius is not None and not _is_positive(radius):
+        raise UserError(f"{name}: radius is {one_line(repr(radius))}; must be a positive number")
+    poses = []
+    for index, frame in enumerate(frames):
+        try:
+            poses.append(_pose(frame, up))
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            what = f"has no {error.args[0]}" if isinstance(error, KeyError) else one_line(error)
+            raise UserError(
+                f"{name}: frames[{index}] is no pose ({what}); must have transform_matrix, or position and "
+                "look_at"
+            ) from error
+    return CameraPath(poses, radius)
+
+
+def _is_positive(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < np.inf
+
+
+def _pose(frame: Any, up: Array) -> Array:
+    """(4, 4) camera-to-world of a frame, OpenCV axes."""
+    if not isinstance(frame, dict):
+        raise ValueError("not an object")
+    if "transform_matrix" in frame:
+        matrix = frame["transform_matrix"]
+        return camera_from_json({**_ANY_INTRINSICS, "transform_matrix": matrix}).camera_to_world
+    return look_at(_point(frame, "position"), _point(frame, "look_at"), _point({"up": up, **frame}, "up"))
+
+
+def _point(frame: dict[str, Any], name: str) -> Array:
+    """(3,) numbers of a frame."""
+    value = np.asarray(frame[name], dtype=np.float64)
+    if value.shape != (3,) or not np.isfinite(value).all():
+        raise ValueError(f"{name} is not three numbers")
+    return value
+
+
+# Lengths in units of the median distance to what the cameras of the path see.
+_RADIUS = 0.12
+_CLEARANCE = 0.01
+_NEAR = 0.05
+_PATCH = 0.04
+# Largest turns away from the path's own looks: yaw and pitch in degrees, to judge by and to train on.
+_TURNS, _TRAINING_TURNS = (20.0, 10.0), (32.0, 16.0)
+_DIRECTIONS = 96
+# Points of a path whose surroundings are drawn from, and tries for each.
+_BALL_TRIES = 8
+
+
+class PathRegion:
+    """The space around a camera's path.
+
+    Args:
+        scene: the scene.
+        surfaces: its surfaces.
+        path: the poses, in the coordinates of the scene's file, and the radius of what belongs to the region
+            around them: without one, an eighth of the distance to what the cameras see.
+        name: of the file.
+
+    Raises:
+        UserError: a pose lies on a surface, or a surface lies between it and the pose before; or the path
+            sees no surface.
+    """
+
+    def __init__(self, scene: Scene, surfaces: Surfaces, path: CameraPath, name: str):
+        self._scene, self._surfaces, self._path, self.name = scene, surfaces, path, name
+        home, place = scene.camera, scene.place
+        intrinsics = home.width, home.height, home.fx, home.fy, home.cx, home.cy
+        poses = [place.camera(camera_from_pose(pose, *intrinsics)) for pose in path.poses]
+        self._looks = looks_of(poses)
+        distance = self._looks.probe(surfaces, scene.camera, 12)
+        if not np.isfinite(distance).any():
+            raise UserError(f"{name}: no frame of the path sees a surface")
+        self._scale = float(np.median(distance[np.isfinite(distance)]))
+        self.radius = _RADIUS * self._scale if path.radius is None else path.radius / place.unit
+        self._least = min(_CLEARANCE * self._scale, 0.5 * self.radius)
+        self._check_free()
+
+    def contains(self, points: Array) -> NDArray[np.bool_]:
+        """(N,) whether points (N, 3) lie within the radius, and nothing between them and the path."""
+        points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        finite = np.isfinite(points.sum(axis=1))
+        nearest = self._nearest(np.where(finite[:, None], points, 0))
+        away = np.linalg.norm(points - nearest, axis=1)
+        # Rounding of the pose must not put the path itself outside.
+        found = finite & (away <= self.radius * (1 + 1e-6))
+        is_path = away[found] <= 1e-6 * self._scale
+        found[found] = is_path | self._is_free(nearest[found], points[found])
+        return found
+
+    def identity(self) -> dict[str, Any]:
+        """What tells it from other regions of the same scene, in the coordinates of the scene's file."""
+        matrices = [opengl_from_opencv(pose).tolist() for pose in self._path.poses]
+        radius = self.radius * self._scene.place.unit
+        return {"kind": "path", "radius": radius, "frames": [{"transform_matrix": m} for m in matrices]}
+
+    def views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
+        """Views to train on: the path's first, then those that show most of what is new."""
+        like = self._scene.camera.resized(width, height)
+        first = self._looks.camera(0, like)
+        viewers = self._draw(Selection.viewers(), like, _TURNS, generator(0, VIEWING))
+        patch, origin = _PATCH * self._scale, first.position
+        selection = Selection(self._surfaces, patch, origin, (viewers, like))
+
+        def candidates(number: int, round_index: int) -> Looks:
+            return self._draw(number, like, _TRAINING_TURNS, generator(seed, TRAINING, round_index))
+
+        return selection.chosen(count, [first], like, candidates)
+
+    def unseen_views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
+        """Views to judge by: anywhere along the path, turned away from its looks by up to 20 degrees."""
+        like = self._scene.camera.resized(width, height)
+        looks = self._draw(count, like, _TURNS, generator(seed, JUDGING))
+        if len(looks) < count:
+            raise UserError(f"{self.name}: only {len(looks)} of {count} views along the path show surfaces")
+        return [looks.camera(index, like) for index in range(count)]
+
+    def _draw(self, count: int, like: Camera, turns: tuple[float, float], rng: np.random.Generator) -> Looks:
+        def propose(number: int) -> Looks:
+            places, index = self._along(rng.random(number))
+            ball = rng.normal(size=(_BALL_TRIES, number, 3))
+            ball /= np.linalg.norm(ball, axis=2, keepdims=True)
+            ball *= self.radius * rng.random((_BALL_TRIES, number, 1)) ** (1 / 3)
+            positions = places.copy()
+            for offset in ball[::-1]:
+                free = self._is_free(places, places + offset)
+                positions[free] = (places + offset)[free]
+            yaw, pitch = (limit * (2 * rng.random(number) - 1) for limit in turns)
+            rotations = self._looks.rotations[index]
+            turned_ = [turned(r, y, p) for r, y, p in zip(rotations, yaw, pitch, strict=True)]
+            return Looks(positions, np.array(turned_))
+
+        found = drawn(count, propose, self._surfaces, like, _NEAR * self._scale)
+        if not len(found):
+            raise UserError(f"{self.name}: no view along the path sees more than surfaces right before it")
+        return found
+
+    def _along(self, share: Array) -> tuple[Array, NDArray[np.int64]]:
+        """Points (N, 3) at shares of the path's length, and the poses nearest to each along it."""
+        stops = self._looks.positions
+        steps = np.linalg.norm(np.diff(stops, axis=0), axis=1)
+        if not steps.sum():
+            return stops[np.zeros(len(share), dtype=int)], (share * len(stops)).astype(np.int64)
+        ends = np.append(0, np.cumsum(steps))
+        at = share * ends[-1]
+        index = np.clip(np.searchsorted(ends, at, side="right") - 1, 0, len(steps) - 1)
+        part = (at - ends[index]) / np.where(steps[index] > 0, steps[index], 1)
+        return stops[index] + part[:, None] * (stops[index + 1] - stops[index]), index + (part > 0.5)
+
+    def _nearest(self, points: Array) -> Array:
+        """(N, 3) the path's nearest points to points (N, 3)."""
+        stops = self._looks.positions
+        nearest = np.repeat(stops[:1], len(points), axis=0)
+        least = np.linalg.norm(points - nearest, axis=1)
+        for start, end in itertools.pairwise(stops):
+            way = end - start
+            part = np.clip((points - start) @ way / max(float(way @ way), 1e-300), 0, 1)
+            candidate = start + part[:, None] * way
+            distance = np.linalg.norm(points - candidate, axis=1)
+            nearest = np.where((distance < least)[:, None], candidate, nearest)
+            least = np.minimum(distance, least)
+        return nearest
+
+    def _is_free(self, places: Array, points: Array) -> NDArray[np.bool_]:
+        """Whether points (N, 3) are seen from places (N, 3) and not on a surface."""
+        clearance = self._surfaces.clearances(points, sphere_directions(_DIRECTIONS))
+        return self._surfaces.are_joined(places, points) & (clearance >= self._least)
+
+    def _check_free(self) -> None:
+        stops = self._looks.positions
+        clearance = self._surfaces.clearances(stops, sphere_directions(_DIRECTIONS))
+        tight = np.flatnonzero(clearance < 0.1 * self._least)
+        blocked = 1 + np.flatnonzero(~self._surfaces.are_joined(stops[:-1], stops[1:]))
+        if len(tight) and not (len(blocked) and blocked[0] < tight[0]):
+            raise UserError(f"{self.name}: frames[{tight[0]}] lies on a surface; must be in free space")
+        if len(blocked):
+            raise UserError(
+                f"{self.name}: the path leaves the free space: a surface lies between "
+                f"frames[{blocked[0] - 1}] and frames[{blocked[0]}]"
+            )

@@ -1,0 +1,296 @@
+"""The neighbourhood of the scene's own camera: a ball of views that look about where it looks.
+
+Captures are trained and measured on such views; those of a scene that moves have times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.errors import UserError
+from compose.camera.camera import Array, Camera, View, camera_from_pose, turned
+from pathtrace.scene.scene import Scene
+from pathtrace.scene.triangles import Surfaces, sphere_directions
+
+# All lengths are in units of the median distance to what the scene's own camera sees, so that scenes in
+# millimetres and in metres get the same views.
+_REACH = 0.12  # largest distance of a view from the scene's own camera
+_CLEARANCE = 0.02  # smallest distance of a view from any surface
+_NEAR = 0.15  # surfaces nearer than this are too near to look at
+_NEAR_SHARE = 0.1  # largest share of the frame that may show such surfaces
+_YAW, _PITCH = 20.0, 10.0  # largest turns, degrees to either side
+# In a narrower field of view, given by the tangent of its half, reach and turns shrink with it: views that
+# did not overlap would show nothing twice.
+_NARROW = 0.3
+_TRIES_PER_VIEW = 200
+# Sizes of a camera's path that are tried, in units of the reach, and the share of the largest yaw by which it
+# looks back to the middle from either end.
+_SWAYS, _LOOKS_BACK = (0.7, 0.4, 0.2, 0.1, 0.05), 0.4
+# In which the nearest surface to a point is looked for.
+_DIRECTIONS = 96
+# Unlikely to be the seed of a training.
+UNSEEN_SEED = 7919
+# Views between the scene's own camera and those at the border, which few views can do without.
+_BEFORE_BORDER = 7
+# The same, before such from elsewhere than the scene's own camera.
+_BEFORE_OUTER = 15
+_OUTER_TRIES = 20
+# Views turned further than all others, in units of the largest yaw and pitch: without them, hardly any frame
+# would show what lies at the edge of every other view.
+BORDER = tuple((x, y) for x in (-1.6, 0.0, 1.6) for y in (-1.6, 0.0, 1.6) if (x, y) != (0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Neighbourhood:
+    """The space around the scene's own camera, at the scale of what it sees.
+
+    Attributes:
+        scene_name: for error messages.
+        surfaces: the scene's surfaces.
+        home: the scene's own camera at the size of the frames.
+        scale: median distance to what it sees.
+        share: of the reach and the turns that views have in a field of view of ordinary width, at most 1.
+    """
+
+    scene_name: str
+    surfaces: Surfaces
+    home: Camera
+    scale: float
+    share: float
+
+    @staticmethod
+    def of(scene: Scene, surfaces: Surfaces, width: int, height: int) -> Neighbourhood:
+        """The neighbourhood of a scene's own camera; UserError if that sees nothing."""
+        home = scene.camera.resized(width, height)
+        scale = surfaces.median_distance(home)
+        if not np.isfinite(scale):
+            raise UserError(f"{scene.name}: the scene's own camera sees no surface")
+        tangent = min(width / home.fx, height / home.fy) / 2
+        return Neighbourhood(scene.name, surfaces, home, scale, min(1.0, tangent / _NARROW))
+
+    @property
+    def radius(self) -> float:
+        """Largest distance of a view from the scene's own camera."""
+        return _REACH * self.share * self.scale
+
+    def contains(self, points: Array) -> NDArray[np.bool_]:
+        """(N,) whether a viewer can be at points (N, 3)."""
+        points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        # Rounding of the pose must not put the camera itself outside.
+        found = np.linalg.norm(points - self.home.position, axis=1) <= self.radius * (1 + 1e-6)
+        inside = points[found]
+        joined = self.surfaces.are_joined(np.tile(self.home.position, (len(inside), 1)), inside)
+        clear = self.surfaces.clearances(inside, sphere_directions(_DIRECTIONS)) >= _CLEARANCE * self.scale
+        is_home = np.linalg.norm(inside - self.home.position, axis=1) <= 1e-6 * self.scale
+        found[found] = (joined & clear) | is_home
+        return found
+
+    def border(self) -> list[Camera]:
+        """The scene's own camera, turned to the border of what other views see."""
+        views = [_moved(self.home, np.zeros(3), x * self.share, y * self.share) for x, y in BORDER]
+        return [view for view in views if self._is_usable(view)]
+
+    def outer(self, seed: int) -> list[Camera]:
+        """The same from elsewhere at the edge of the neighbourhood, where other things are hidden."""
+        rng = np.random.default_rng([seed, len(BORDER)])
+        views = []
+        for x, y in BORDER:
+            for _ in range(_OUTER_TRIES):
+                direction = rng.normal(size=3)
+                offset = direction / np.linalg.norm(direction) * self.radius
+                view = _moved(self.home, offset, x * self.share, y * self.share)
+                if self._is_usable(view):
+                    views.append(view)
+                    break
+        return views
+
+    def spread(self, count: int, seed: int) -> list[Camera]:
+        """Views spread evenly over positions and directions; UserError if there is no space for them."""
+        # Takes a second to import, which frames that need no views should not wait for.
+        from scipy.stats import qmc
+
+        found: list[Camera] = []
+        sequence = qmc.Halton(5, seed=seed)
+        for _ in range(count * _TRIES_PER_VIEW):
+            if len(found) == count:
+                break
+            u = sequence.random(1)[0]
+            offset = _in_ball(u[:3]) * self.radius
+            candidate = _moved(self.home, offset, *((2 * u[3:] - 1) * self.share))
+            if self._is_usable(candidate):
+                found.append(candidate)
+        if len(found) < count:
+            raise UserError(
+                f"{self.scene_name}: only {len(found)} of {count} further views fit into the free space "
+                "around the scene's camera; ask for fewer views"
+            )
+        return found
+
+    def path(self, shares: Sequence[float]) -> list[Camera]:
+        """Views along a closed path around the scene's own camera, at shares 0 to 1 of it.
+
+        It sways as far as there is free space: a scene that leaves none has a camera that stands still.
+        """
+        for size in _SWAYS:
+            found = [self._swayed(2 * np.pi * share, size) for share in shares]
+            if all(self._is_usable(view) for view in found):
+                return found
+        return [self.home for _ in shares]
+
+    def _swayed(self, turn: float, size: float) -> Camera:
+        """The scene's own camera at an angle of the path, on which it looks back to what it sees."""
+        axes = self.home.camera_to_world[:3, :3]
+        across, down, ahead = np.sin(turn), np.sin(2 * turn) / 2, np.cos(turn) / 4
+        offset = axes @ np.array([across, down, ahead]) * (size * self.radius)
+        return _moved(self.home, offset, -_LOOKS_BACK * size * across * self.share, 0.0)
+
+    def _is_usable(self, candidate: Camera) -> bool:
+        """Whether a view is reachable from the scene's own camera and not too near to surfaces."""
+        if not self.surfaces.sees(self.home.position, candidate.position):
+            return False
+        if self.surfaces.clearance(candidate.position) < _CLEARANCE * self.scale:
+            return False
+        distance = self.surfaces.probe(candidate)
+        return float(np.mean(distance < _NEAR * self.scale)) <= _NEAR_SHARE
+
+
+@dataclass(frozen=True)
+class NearRegion:
+    """The neighbourhood of the scene's own camera as a region.
+
+    Attributes:
+        scene: the scene.
+        surfaces: its surfaces.
+    """
+
+    scene: Scene
+    surfaces: Surfaces
+    name: str = "near"
+
+    def contains(self, points: Array) -> NDArray[np.bool_]:
+        """(N,) whether a viewer can be at points (N, 3)."""
+        home = self.scene.camera
+        return Neighbourhood.of(self.scene, self.surfaces, home.width, home.height).contains(points)
+
+    def identity(self) -> dict[str, Any]:
+        """What tells it from other regions of the same scene."""
+        return {"kind": "near"}
+
+    def views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
+        """Views to train on: the scene's own camera and views around it; some of these show the border."""
+        around = Neighbourhood.of(self.scene, self.surfaces, width, height)
+        border = around.border()[: max(0, count - 1 - _BEFORE_BORDER)]
+        first, second = _BEFORE_BORDER, _BEFORE_OUTER
+        outer = around.outer(seed)[: max(0, count - 1 - second - len(border))]
+        spread = around.spread(max(0, count - 1 - len(border) - len(outer)), seed)
+        return [around.home, *spread[:first], *border, *spread[first:second], *outer, *spread[second:]][
+            :count
+        ]
+
+    def unseen_views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
+        """Views to judge by."""
+        around = Neighbourhood.of(self.scene, self.surfaces, width, height)
+        return around.spread(count, UNSEEN_SEED + seed)
+
+
+def _in_ball(u: Array) -> Array:
+    """A point (3,) of the unit ball from three numbers in 0..1, uniform in volume."""
+    z, turn = 2 * u[0] - 1, 2 * np.pi * u[1]
+    radius = np.sqrt(1 - z * z)
+    return np.array([radius * np.cos(turn), radius * np.sin(turn), z]) * u[2] ** (1 / 3)
+
+
+def _moved(home: Camera, offset: Array, yaw_share: float, pitch_share: float) -> Camera:
+    """The camera moved by an offset (3,) and turned by shares of the largest yaw and pitch."""
+    pose = home.camera_to_world
+    moved = np.eye(4)
+    moved[:3, :3] = turned(pose[:3, :3], yaw_share * _YAW, pitch_share * _PITCH)
+    moved[:3, 3] = pose[:3, 3] + offset
+    return camera_from_pose(moved, home.width, home.height, home.fx, home.fy, home.cx, home.cy)
+
+
+# Multiples of the golden ratio, modulo 1, are evenly spread however many they are.
+_GOLDEN = (5**0.5 - 1) / 2
+
+
+@dataclass(frozen=True)
+class ViewSet:
+    """Chosen cameras.
+
+    Attributes:
+        fixed: the scene's own camera, then the same turned to the border of what the others see.
+        spread: spread evenly over positions and directions, or along a path; any of them may be held out of
+            training.
+        times: that all of them show, from 0 to 1, the fixed ones first; 0 if nothing moves.
+    """
+
+    fixed: list[Camera]
+    spread: list[Camera]
+    times: list[float]
+
+
+def unseen_views(scene: Scene, count: int, width: int, height: int) -> list[View]:
+    """Views around the scene's own camera to measure on, which differ from those of any training.
+
+    Of a scene that moves, they show times half a step from those of training views.
+
+    Args and raises as of `choose_views`.
+    """
+    neighbourhood = Neighbourhood.of(scene, Surfaces(scene), width, height)
+    cameras = neighbourhood.spread(count, UNSEEN_SEED)
+    return [View(camera, unseen_time(scene, number)) for number, camera in enumerate(cameras)]
+
+
+def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, height: int, seed: int) -> ViewSet:
+    """Views around the scene's own camera.
+
+    Args:
+        scene: the scene.
+        surfaces: its surfaces.
+        count: number of views in all; with 16 or fewer, only the scene's own camera is fixed.
+        width, height: frame size in pixels.
+        seed: same seed, same views.
+
+    Raises:
+        UserError: the scene's own camera sees no surface, or there is no free space for that many views.
+    """
+    neighbourhood = Neighbourhood.of(scene, surfaces, width, height)
+    fixed = [neighbourhood.home]
+    if count > 2 * len(BORDER):
+        fixed += neighbourhood.border()
+    times = view_times(scene, count)
+    return ViewSet(fixed, neighbourhood.spread(count - len(fixed), seed), times)
+
+
+def monocular_views(scene: Scene, surfaces: Surfaces, count: int, width: int, height: int) -> ViewSet:
+    """Views of one camera that sways around the scene's own, one instant after the other, as of a video.
+
+    Args and raises as of `choose_views`.
+    """
+    shares = np.linspace(0, 1, count)
+    cameras = Neighbourhood.of(scene, surfaces, width, height).path(shares.tolist())
+    return ViewSet([], cameras, [0.0 if scene.moving is None else float(share) for share in shares])
+
+
+def time_of(number: float) -> float:
+    """The time from 0 to 1 that a view shows of a scene that moves; views have all times alike."""
+    return (0.5 + number * _GOLDEN) % 1
+
+
+def unseen_time(scene: Scene, number: int) -> float:
+    """The time that a view to measure on shows: half a step from those of training; 0 if nothing moves."""
+    return _time(scene, number + 0.5)
+
+
+def view_times(scene: Scene, count: int) -> list[float]:
+    """The times that views to train on show; 0 if nothing moves."""
+    return [_time(scene, number) for number in range(count)]
+
+
+def _time(scene: Scene, number: float) -> float:
+    return 0.0 if scene.moving is None else time_of(number)

@@ -1,0 +1,129 @@
+"""How well views that were trained on cover what a camera sees."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.camera.camera import Array, Camera
+from pathtrace.scene.triangles import Surfaces
+
+_Indices = NDArray[np.int64]
+
+# Frame in which coverage is looked up: 16 by 9 rays, or as many in other shapes.
+_RAYS = 144
+# Where nothing is seen, a point so far away, in units of the distances between views, that only its direction
+# counts.
+_SKY = 1e5
+# From a point back to a view, rays end this share of the way before the point: it lies on a surface.
+_TOUCH = 1e-3
+# Of what a camera sees, what is shown at half of its resolution or more is covered.
+_LEAST = 0.5
+
+
+class Coverage:
+    """What a set of views shows of a scene, and how finely.
+
+    A view covers a point if the point lies in its frame, nothing hides it, and the pixels there are fine
+    enough. Resolutions are compared as if all frames had the height of the views': how many pixels a display
+    has is not for a region to judge, how near its views came to a surface is. Reflections do not count.
+
+    Args:
+        surfaces: the scene's surfaces.
+        cameras: the views, in the scene's coordinates.
+    """
+
+    def __init__(self, surfaces: Surfaces, cameras: list[Camera]):
+        self._surfaces = surfaces
+        self._transforms, self._positions = np.zeros((0, 3, 4)), np.zeros((0, 3))
+        self._intrinsics = np.zeros((0, 6))
+        self.add(cameras)
+
+    def add(self, cameras: list[Camera]) -> None:
+        """Adds views."""
+        if not cameras:
+            return
+        transforms = np.array([camera.world_to_camera[:3] for camera in cameras])
+        self._transforms = np.concatenate([self._transforms, transforms])
+        positions = np.array([camera.position for camera in cameras])
+        self._positions = np.concatenate([self._positions, positions])
+        intrinsics = np.array(
+            [(c.width, c.height, c.fx, c.fy, c.cx, c.cy) for c in cameras], dtype=np.float64
+        )
+        self._intrinsics = np.concatenate([self._intrinsics, intrinsics])
+
+    def map(self, camera: Camera) -> Array:
+        """(h, w) how well a camera's frame is covered, from 0 (unseen) to 1 (seen as finely or finer).
+
+        Between the two, values are ratios of resolutions, in pixels per length along a surface. The map has
+        the frame's shape, and about 144 values.
+        """
+        height = max(1, round(float(np.sqrt(_RAYS * camera.height / camera.width))))
+        width = max(1, round(_RAYS / height))
+        x, y = np.meshgrid(
+            (np.arange(width) + 0.5) * camera.width / width,
+            (np.arange(height) + 0.5) * camera.height / height,
+        )
+        rays = camera.rays(np.stack([x.ravel(), y.ravel()], axis=1))
+        distance, normal = self._surfaces.hits(np.repeat(camera.position[None], len(rays), axis=0), rays)
+        is_sky = ~np.isfinite(distance)
+        distance[is_sky] = _SKY * self._extent(camera)
+        points = camera.position + rays * distance[:, None]
+        normal[is_sky] = -rays[is_sky]
+        wanted = _resolution(camera.fx, camera.fy, camera.height, camera.position - points, normal)
+        view, point = self._pairs(points)
+        _, heights, fx, fy, _, _ = self._intrinsics[view].T
+        ways = self._positions[view] - points[point]
+        shown = _resolution(fx, fy, heights, ways, normal[point])
+        ratio = np.minimum(shown / np.maximum(wanted[point], 1e-300), 1)
+        ratio[~self._are_visible(ways, self._positions[view], is_sky[point])] = 0
+        best = np.zeros(len(points))
+        np.maximum.at(best, point, ratio)
+        return best.reshape(height, width)
+
+    def share(self, camera: Camera, least: float = _LEAST) -> float:
+        """Share of a camera's frame that is covered at that ratio of resolutions or more, 0..1."""
+        return float(np.mean(self.map(camera) >= least))
+
+    def _pairs(self, points: Array) -> tuple[_Indices, _Indices]:
+        """Index of the view and of the point wherever one of points (N, 3) lies in a view's frame."""
+        local = np.einsum("vij,nj->vni", self._transforms[:, :, :3], points)
+        local += self._transforms[:, None, :, 3]
+        depth = local[:, :, 2]
+        width, height, fx, fy, cx, cy = (column[:, None] for column in self._intrinsics.T)
+        # Multiplied by the depth, which may be zero.
+        x, y = fx * local[:, :, 0] + cx * depth, fy * local[:, :, 1] + cy * depth
+        within = (depth > 0) & (x >= 0) & (y >= 0) & (x < width * depth) & (y < height * depth)
+        view, point = np.nonzero(within)
+        return view, point
+
+    def _are_visible(self, ways: Array, positions: Array, is_sky: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(M,) whether nothing hides points from views, given the ways (M, 3) from points to views."""
+        length = np.linalg.norm(ways, axis=1)
+        free = self._surfaces.distance(positions, -ways / length[:, None])
+        return np.where(is_sky, np.isinf(free), free >= (1 - _TOUCH) * length)
+
+    def _extent(self, camera: Camera) -> float:
+        """A length that the distances between the camera, the views and the surfaces do not exceed by far."""
+        positions = np.concatenate([self._positions, camera.position[None]])
+        low, high = self._surfaces.bounds
+        box = np.linalg.norm(high - low) if np.isfinite(low).all() else 0.0
+        return max(float(np.ptp(positions, axis=0).max()), float(box), 1e-30)
+
+
+def _resolution(
+    fx: Array | float, fy: Array | float, height: Array | float, ways: Array, normal: Array
+) -> Array:
+    """(N,) frame heights per unit of length along surfaces with unit normals (N, 3).
+
+    Seen at a slant, a surface keeps its resolution along one axis and loses it along the other: this is the
+    geometric mean. A surface seen from behind has none.
+
+    Args:
+        fx, fy, height: of the frames, in pixels.
+        ways: (N, 3) from the surfaces to the views.
+        normal: (N, 3) of the surfaces.
+    """
+    length = np.linalg.norm(ways, axis=1)
+    cosine = np.sum(ways * normal, axis=1) / length
+    return np.sqrt(fx * fy) / height / length * np.sqrt(np.clip(cosine, 0, 1))

@@ -1,0 +1,88 @@
+"""Regions: where a viewer may be, which views to train on there, and which to judge by."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.base.errors import UserError
+from compose.camera.camera import Array, Camera
+from pathtrace.region.camera_path import PathRegion, path_from_json, read_path
+from pathtrace.region.looks import upright
+from pathtrace.region.neighbourhood import NearRegion
+from pathtrace.region.reachable import ReachableRegion
+from pathtrace.scene.scene import Scene
+from pathtrace.scene.triangles import Surfaces
+
+NEAR, REACHABLE = "near", "reachable"
+
+
+class Region(Protocol):
+    """A part of a scene's free space. Points and cameras are in the scene's coordinates."""
+
+    @property
+    def name(self) -> str:
+        """What users call it: near, reachable, or the name of a file."""
+
+    def contains(self, points: Array) -> NDArray[np.bool_]:
+        """(N,) whether a viewer can be at points (N, 3)."""
+
+    def identity(self) -> dict[str, Any]:
+        """What tells it from other regions of the same scene, as JSON; `region_from_identity` reads it."""
+
+    def views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
+        """Views to train on; the first of them are the same whatever their number.
+
+        Args:
+            count: number of views.
+            width, height: frame size in pixels.
+            seed: same seed, same views.
+
+        Raises:
+            UserError: there is no free space for them.
+        """
+
+    def unseen_views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
+        """Views to judge by, drawn otherwise than those to train on; args and raises as of `views`."""
+
+
+def region_of(scene: Scene, surfaces: Surfaces, given: str) -> Region:
+    """The region that a user asks for.
+
+    Args:
+        scene: the scene.
+        surfaces: its surfaces.
+        given: "near" for a ball around the scene's own camera, "reachable" for all that a viewer can reach
+            from there, or the name of a file with a camera's path (pathtrace.region.camera_path).
+
+    Raises:
+        UserError: there is no such region or file, the file is broken, the path leaves the free space, the
+            scene's own camera sees nothing, or there is no free space around it.
+    """
+    if given == NEAR:
+        return NearRegion(scene, surfaces)
+    if given == REACHABLE:
+        return ReachableRegion(scene, surfaces)
+    file = Path(given)
+    if not file.suffix and not file.exists():
+        raise UserError(f"region {given!r}: must be {NEAR}, {REACHABLE} or the file of a camera's path")
+    return PathRegion(scene, surfaces, read_path(file, upright(scene.camera)), str(file))
+
+
+def region_from_identity(scene: Scene, surfaces: Surfaces, identity: dict[str, Any]) -> Region:
+    """The region that a forest was trained for, from what `identity` gave.
+
+    Raises:
+        UserError: there is no such region.
+    """
+    kind = identity.get("kind")
+    if kind == "path":
+        name = "the region's path"
+        path = path_from_json(identity, upright(scene.camera), name)
+        return PathRegion(scene, surfaces, path, name)
+    if kind not in (NEAR, REACHABLE):
+        raise UserError(f"region of the kind {kind!r}; must be {NEAR}, {REACHABLE} or path")
+    return region_of(scene, surfaces, kind)

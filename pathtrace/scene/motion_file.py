@@ -1,0 +1,190 @@
+"""Reads a motion file: JSON beside a scene that says which of its shapes and lights move, and how.
+
+    {"seconds": 4, "shapes": {
+        "door": {"axis": [0, 0, 1], "about": [1, 0, 0], "keyframes": [
+            {"t": 0}, {"t": 0.5, "degrees": 90}, {"t": 1, "degrees": 0, "translate": [0, 0, 0.1]}]},
+        "flag": {"formula": ["x", "y + 0.1 * x * sin(2 * pi * (t + x))", "z"]},
+        "cloth": {"meshes": ["cloth-0.ply", "cloth-1.ply", "cloth-2.ply"]}},
+     "lights": {
+        "lamp": {"keyframes": [{"t": 0, "factor": 1}, {"t": 1, "factor": [1, 0.5, 0.2]}]}}}
+
+Shapes are named by their id in the scene; all numbers are in the coordinates of the scene's file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from compose.base.errors import UserError, one_line
+from compose.base.files import read_json
+from pathtrace.scene.tracks import (
+    Brightness,
+    Formula,
+    FormulaTrack,
+    Keyframe,
+    LightTrack,
+    MeshTrack,
+    Motion,
+    RigidTrack,
+    ShapeTrack,
+)
+
+_MOST_BYTES = 1 << 24
+_DEFAULT_SECONDS = 1.0
+_Track = TypeVar("_Track")
+
+
+def read_motion(file: Path) -> Motion:
+    """The motion that a file holds.
+
+    Raises:
+        UserError: the file cannot be read, is no motion, or names a mesh that cannot be read.
+    """
+    try:
+        document = read_json(file, _MOST_BYTES)
+        content = file.read_bytes()
+    except (OSError, ValueError) as error:
+        raise UserError(f"{file}: cannot be read ({one_line(error)})") from error
+    shapes, lights = _section(file, document, "shapes"), _section(file, document, "lights")
+    if not shapes and not lights:
+        raise UserError(f"{file}: nothing moves; must have tracks under shapes or lights")
+    seconds = document.get("seconds", _DEFAULT_SECONDS)
+    if not _is_number(seconds) or seconds <= 0:
+        raise UserError(f"{file}: seconds is {one_line(repr(seconds))}; must be a positive number")
+    moved = _tracks(file, "shapes", shapes, lambda track: _shape_track(track, file.parent))
+    shining = _tracks(file, "lights", lights, _light_track)
+    return Motion(float(seconds), moved, shining, _fingerprint(file, content, moved))
+
+
+def _section(file: Path, document: Any, name: str) -> dict[str, Any]:
+    section = document.get(name, {}) if isinstance(document, dict) else None
+    if not isinstance(section, dict):
+        raise UserError(f"{file}: is no motion; must be JSON with tracks by name under shapes or lights")
+    return section
+
+
+def _tracks(
+    file: Path, section: str, tracks: dict[str, Any], read: Callable[[dict[str, Any]], _Track]
+) -> dict[str, _Track]:
+    found = {}
+    for name, track in tracks.items():
+        try:
+            if not isinstance(track, dict):
+                raise ValueError("is no track")
+            found[name] = read(track)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise UserError(f"{file}: {section}: {one_line(name)}: {one_line(error)}") from error
+    return found
+
+
+def _shape_track(track: dict[str, Any], folder: Path) -> ShapeTrack:
+    kinds = [kind for kind in ("keyframes", "formula", "meshes") if kind in track]
+    if len(kinds) != 1:
+        raise ValueError("must have one of keyframes, formula and meshes")
+    _require_known(track, {"keyframes", "axis", "about"} if kinds == ["keyframes"] else set(kinds))
+    if "formula" in track:
+        return FormulaTrack(_formula(track["formula"]))
+    if "meshes" in track:
+        return MeshTrack(_meshes(track["meshes"], folder))
+    axis = np.array(_point(track, "axis", [0, 0, 1]))
+    length = float(np.linalg.norm(axis))
+    if not length:
+        raise ValueError("axis has no length")
+    x, y, z = (axis / length).tolist()
+    return RigidTrack(_each(track["keyframes"], _keyframe), (x, y, z), _point(track, "about", [0, 0, 0]))
+
+
+def _light_track(track: dict[str, Any]) -> LightTrack:
+    _require_known(track, {"keyframes"})
+    return LightTrack(_each(track.get("keyframes"), _brightness))
+
+
+def _keyframe(key: dict[str, Any]) -> Keyframe:
+    _require_known(key, {"t", "translate", "degrees", "rotation"})
+    if "degrees" in key and "rotation" in key:
+        raise ValueError("a keyframe has degrees and rotation; must have one of them")
+    rotation = _quaternion(key["rotation"]) if "rotation" in key else None
+    shift = _point(key, "translate", [0, 0, 0])
+    return Keyframe(_number(key, "t"), shift, _number(key, "degrees", 0.0), rotation)
+
+
+def _quaternion(value: Any) -> tuple[float, float, float, float]:
+    if not isinstance(value, list) or len(value) != 4 or not all(_is_number(part) for part in value):
+        raise ValueError(f"rotation is {value!r}; must be four numbers, w, x, y and z")
+    length = float(np.linalg.norm(value))
+    if not 0.99 < length < 1.01:
+        raise ValueError(f"rotation is {value!r}; must be a unit quaternion")
+    w, x, y, z = (float(part) / length for part in value)
+    return (w, x, y, z)
+
+
+def _brightness(key: dict[str, Any]) -> Brightness:
+    _require_known(key, {"t", "factor"})
+    factor = key.get("factor", 1.0)
+    red, green, blue = _point({"factor": [factor] * 3 if _is_number(factor) else factor}, "factor", [1] * 3)
+    if min(red, green, blue) < 0:
+        raise ValueError("factor is negative")
+    return Brightness(_number(key, "t"), (red, green, blue))
+
+
+def _formula(texts: Any) -> Formula:
+    if not isinstance(texts, list) or len(texts) != 3 or not all(isinstance(text, str) for text in texts):
+        raise ValueError("formula must be three texts, of x, y and z")
+    return Formula((texts[0], texts[1], texts[2]))
+
+
+def _meshes(names: Any, folder: Path) -> tuple[Path, ...]:
+    if not isinstance(names, list) or len(names) < 2 or not all(isinstance(name, str) for name in names):
+        raise ValueError("meshes must be two files or more")
+    files = tuple(folder / name for name in names)
+    missing = [file for file in files if not file.is_file()]
+    if missing:
+        raise ValueError(f"{missing[0]} does not exist")
+    return files
+
+
+def _each(keys: Any, read: Callable[[dict[str, Any]], _Track]) -> tuple[_Track, ...]:
+    if not isinstance(keys, list) or not all(isinstance(key, dict) for key in keys):
+        raise ValueError("keyframes must be a list of objects")
+    return tuple(read(key) for key in keys)
+
+
+def _require_known(found: dict[str, Any], known: set[str]) -> None:
+    """A misspelt name would be a motion that is silently left out."""
+    unknown = sorted(set(found) - known)
+    if unknown:
+        raise ValueError(f"{unknown[0]} is unknown here; may have {', '.join(sorted(known))}")
+
+
+def _number(found: dict[str, Any], name: str, default: float | None = None) -> float:
+    value = found.get(name, default)
+    if value is None or not _is_number(value):
+        raise ValueError(f"{name} is {value!r}; must be a number")
+    return float(value)
+
+
+def _point(found: dict[str, Any], name: str, default: list[float]) -> tuple[float, float, float]:
+    value = found.get(name, default)
+    if not isinstance(value, list) or len(value) != 3 or not all(_is_number(part) for part in value):
+        raise ValueError(f"{name} is {value!r}; must be three numbers")
+    return (float(value[0]), float(value[1]), float(value[2]))
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def _fingerprint(file: Path, content: bytes, shapes: dict[str, ShapeTrack]) -> str:
+    digest = hashlib.sha256(content)
+    for track in shapes.values():
+        for mesh in track.files if isinstance(track, MeshTrack) else ():
+            try:
+                digest.update(mesh.read_bytes())
+            except OSError as error:
+                raise UserError(f"{file}: {mesh}: cannot be read ({one_line(error)})") from error
+    return digest.hexdigest()

@@ -1,0 +1,363 @@
+"""Moves what has a track in a loaded scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias
+
+import mitsuba as mi
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from compose.base.errors import UserError, one_line
+from compose.base.traced_samples import UNSTEADY, Moment
+from compose.camera.camera import between_steps
+from compose.camera.coordinate_systems import Place
+from pathtrace.scene.courses import (
+    Course,
+    course_of_poses,
+    courses_of_pieces,
+    is_unchanged,
+    spread_over_faces,
+)
+from pathtrace.scene.tracks import FormulaTrack, LightTrack, MeshTrack, Motion, RigidTrack, ShapeTrack
+
+Array = NDArray[np.float64]
+# Parameters by name that have a value of their own at a time.
+_Part: TypeAlias = Callable[[float], dict[str, Any]]
+
+_POSITIONS, _NORMALS, _TO_WORLD, _POSITION = "vertex_positions", "vertex_normals", "to_world", "position"
+# Poses of a course: linear between them, a turn of ten times is off by next to nothing.
+_STEPS = 129
+# Meshes of fewer vertices are taken to pieces with as many points on their faces: a quad has four vertices,
+# and needs more pieces.
+_COARSE = 1000
+# What a light's brightness is called, in that order.
+_BRIGHTNESS = ("radiance", "intensity", "irradiance", "scale")
+
+
+class MovingScene:
+    """A Mitsuba scene in which shapes and lights follow their tracks; it is at t = 0 at first.
+
+    Only what has another place than before is touched, and no kernel is compiled again.
+
+    Args:
+        scene: the Mitsuba scene; it is changed in place.
+        motion: the tracks.
+        names: the id that a shape or light of the scene has, by the one that it has in the scene's file.
+        place: the scene's coordinates.
+        source: name of the scene, for error messages.
+
+    Attributes:
+        motion: as given.
+        time: what the scene shows, from 0 to 1.
+
+    Raises:
+        UserError: a track is for a shape or light that does not exist or cannot move that way.
+    """
+
+    def __init__(self, scene: Any, motion: Motion, names: dict[str, str], place: Place, source: str):
+        self.motion, self.time = motion, 0.0
+        self._scene, self._names = scene, names
+        self._parameters = mi.traverse(scene)
+        self._tracked = _Tracked(self._parameters, names, place, source)
+        self._rest = self._tracked.vertices_of(motion)
+        self._parts = self._tracked.parts(motion, self._rest)
+        self._shown: dict[str, bytes] = {}
+        self._show(0.0)
+
+    def set_time(self, time: float) -> None:
+        """Shows the scene at a time.
+
+        Raises:
+            UserError: the time is not from 0 to 1.
+        """
+        if not 0 <= time <= 1:
+            raise UserError(f"time {time:g}: must be from 0 to 1")
+        if time != self.time:
+            self._show(time)
+            self.time = time
+
+    @property
+    def shapes(self) -> list[Any]:
+        """The Mitsuba shapes that have a track, of whatever kind."""
+        tracked = {self._names[name] for name in self.motion.shapes}
+        return [shape for shape in self._scene.shapes() if shape.id() in tracked]
+
+    def movers(self) -> list[tuple[Any, int]]:
+        """The Mitsuba shapes that have a track, with the numbers of their samples (`Moment`)."""
+        rigid = {self._names[name]: number for number, (name, _) in enumerate(self._rigid_tracks(), 1)}
+        return [(shape, rigid.get(shape.id(), UNSTEADY)) for shape in self.shapes]
+
+    def moment(self) -> Moment:
+        """The time that the scene shows, and where its movers are."""
+        poses = [self._tracked.pose(track, self.time)[:3] for _, track in self._rigid_tracks()]
+        return Moment(self.time, np.stack([np.eye(4)[:3], *poses]))
+
+    def _rigid_tracks(self) -> list[tuple[str, RigidTrack]]:
+        return [(name, track) for name, track in self.motion.shapes.items() if isinstance(track, RigidTrack)]
+
+    def courses(self, steps: int = _STEPS) -> list[Course]:
+        """The courses of all shapes that move, of pieces of those that deform, in the scene's coordinates.
+
+        Turns that nobody sees are left out: those of a ball without a texture.
+        """
+        shapes = {shape.id(): (number, shape) for number, shape in enumerate(self._scene.shapes())}
+        times, found = np.linspace(0, 1, steps), []
+        for name, track in self.motion.shapes.items():
+            if self._names[name] not in shapes:
+                continue
+            number, shape = shapes[self._names[name]]
+            if isinstance(track, RigidTrack):
+                poses = np.stack([self._tracked.pose(track, time) for time in times])
+                centre = self._tracked.place_of(track.about)
+                rest = self._rest.get(name)
+                plain = None if _is_textured(shape) else rest
+                if plain is not None and self._tracked.is_round(name, plain, centre, poses):
+                    # Its highlights stay where they are while it turns.
+                    poses = _without_turns(poses, centre)
+                found.append(course_of_poses(name, number, poses, centre))
+            else:
+                rest = self._rest[name]
+                at = self._tracked.deforming(name, rest, track)
+                moved = np.stack([at(time) for time in times])
+                if len(rest) < _COARSE:
+                    rest, moved = _with_points(rest, moved, self._tracked.faces_of(name))
+                found += courses_of_pieces(name, number, rest, moved)
+        return found
+
+    def _show(self, time: float) -> None:
+        for part in self._parts:
+            for key, value in part(time).items():
+                content = np.asarray(value, dtype=np.float64).tobytes()
+                if self._shown.get(key) != content:
+                    self._set(key, value)
+                    self._shown[key] = content
+        self._parameters.update()
+
+    def _set(self, key: str, value: Array) -> None:
+        """Gives a parameter a value, that of vertices in the memory that they have.
+
+        A frozen function may go on reading the memory that they had when it was recorded (Dr.Jit 1.5).
+        """
+        if key.endswith((_POSITIONS, _NORMALS)):
+            torch.from_dlpack(self._parameters[key])[:] = torch.from_numpy(value.astype(np.float32))
+            self._parameters.set_dirty(key)
+        else:
+            self._parameters[key] = _like(self._parameters[key], value)
+
+
+class _Tracked:
+    """What tracks make of a scene's parameters, as functions of time.
+
+    These functions hold it, and it holds none of them: whatever holds a Mitsuba scene must be freed at once,
+    and not by the garbage collector, which may come while Dr.Jit goes through all scenes.
+
+    Args:
+        parameters, names, place, source: as of `MovingScene`.
+    """
+
+    def __init__(self, parameters: Any, names: dict[str, str], place: Place, source: str):
+        self._parameters, self._names, self._place, self._source = parameters, names, place, source
+
+    def parts(self, motion: Motion, rest: Mapping[str, Array]) -> list[_Part]:
+        """What each track makes of the parameters; `rest` as of `vertices_of`."""
+        shapes = [
+            self._moving(name, self._key(name, "shape or light"), track, rest.get(name))
+            for name, track in motion.shapes.items()
+        ]
+        lights = [
+            self._shining(name, self._key(name, "light"), track) for name, track in motion.lights.items()
+        ]
+        return shapes + lights
+
+    def vertices_of(self, motion: Motion) -> dict[str, Array]:
+        """Vertices (N, 3) of each mesh with a track as they are now, by its name in the scene's file."""
+        keys = {name: f"{self._key(name, 'shape or light')}.{_POSITIONS}" for name in motion.shapes}
+        return {name: self._rows(key) for name, key in keys.items() if self._has(key)}
+
+    def is_round(self, name: str, rest: Array, centre: Array, poses: Array) -> bool:
+        """Whether a mesh, with vertices (N, 3) at rest, looks the same however poses (T, 4, 4) turn it."""
+        return is_unchanged(rest, self.faces_of(name), centre, poses[:, :3, :3])
+
+    def faces_of(self, name: str) -> NDArray[np.int64]:
+        """(F, 3) indices of the vertices of a mesh."""
+        faces = np.reshape(self._parameters[f"{self._names[name]}.faces"].numpy(), (-1, 3))
+        return faces.astype(np.int64)
+
+    def place_of(self, point: Sequence[float]) -> Array:
+        """A point (3,) of the scene's file in the scene's coordinates."""
+        return (np.array(point) - np.array(self._place.origin)) / self._place.unit
+
+    def _key(self, name: str, what: str) -> str:
+        if name not in self._names:
+            raise self._refused(name, f"there is no such {what} in the scene")
+        return self._names[name]
+
+    def _refused(self, name: str, why: str) -> UserError:
+        return UserError(f"{self._source}: motion of {one_line(name)}: {why}")
+
+    def _has(self, key: str) -> bool:
+        return key in self._parameters.properties
+
+    def _moving(self, name: str, key: str, track: ShapeTrack, rest: Array | None) -> _Part:
+        """What a track makes of a shape's, or light's, parameters; `rest` are the vertices of a mesh."""
+        if rest is not None:
+            if isinstance(track, RigidTrack):
+                return self._rigid_mesh(key, rest, track)
+            return self._deforming_mesh(key, self.deforming(name, rest, track))
+        if not isinstance(track, RigidTrack):
+            raise self._refused(name, "it has no vertices; must have keyframes")
+        for kind in (_TO_WORLD, _POSITION):
+            if self._has(f"{key}.{kind}"):
+                return self._rigid(f"{key}.{kind}", track)
+        raise self._refused(name, "it has no place that could change")
+
+    def _deforming_mesh(self, key: str, at: Callable[[float], Array]) -> _Part:
+        positions, normals = f"{key}.{_POSITIONS}", f"{key}.{_NORMALS}"
+        if not self._has_normals(key):
+            return lambda time: {positions: at(time).ravel()}
+        faces = np.reshape(self._parameters[f"{key}.faces"].numpy(), (-1, 3)).astype(np.int64)
+
+        def moved(time: float) -> dict[str, Any]:
+            vertices = at(time)
+            # Mitsuba would put its own into other memory.
+            return {positions: vertices.ravel(), normals: _vertex_normals(vertices, faces).ravel()}
+
+        return moved
+
+    def _rows(self, key: str) -> Array:
+        """(N, 3) what a parameter is now: a copy, since its memory is written to at each time."""
+        return np.reshape(self._parameters[key].numpy(), (-1, 3)).astype(np.float64)
+
+    def _has_normals(self, key: str) -> bool:
+        return self._has(f"{key}.{_NORMALS}") and len(self._parameters[f"{key}.{_NORMALS}"]) > 0
+
+    def _rigid_mesh(self, key: str, rest: Array, track: RigidTrack) -> _Part:
+        positions, normals = f"{key}.{_POSITIONS}", f"{key}.{_NORMALS}"
+        upright = self._rows(normals) if self._has_normals(key) else None
+
+        def at(time: float) -> dict[str, Any]:
+            pose = self.pose(track, time)
+            moved = {positions: (rest @ pose[:3, :3].T + pose[:3, 3]).ravel()}
+            if upright is not None:
+                moved[normals] = (upright @ pose[:3, :3].T).ravel()
+            return moved
+
+        return at
+
+    def _rigid(self, key: str, track: RigidTrack) -> _Part:
+        """For shapes and lights without vertices."""
+        rest = self._parameters[key]
+        if key.endswith(_POSITION):
+            point = np.ravel(rest).astype(np.float64)
+            return lambda time: {key: (self.pose(track, time) @ [*point, 1])[:3]}
+        matrix = np.array(rest.matrix, dtype=np.float64).reshape(4, 4)
+        return lambda time: {key: self.pose(track, time) @ matrix}
+
+    def deforming(self, name: str, rest: Array, track: FormulaTrack | MeshTrack) -> Callable[[float], Array]:
+        """Positions (N, 3) of a shape's vertices in the scene's coordinates, as a function of time."""
+        origin, unit = np.array(self._place.origin), self._place.unit
+        if isinstance(track, FormulaTrack):
+            in_file = self._place.in_world(rest)
+
+            def by_formula(time: float) -> Array:
+                try:
+                    return (track.formula.positions(in_file, time) - origin) / unit
+                except ValueError as error:
+                    raise self._refused(name, str(error)) from error
+
+            return by_formula
+        meshes = [(self._mesh(name, file, len(rest)) - origin) / unit for file in track.files]
+
+        def between_meshes(time: float) -> Array:
+            first, share = between_steps(time, len(meshes))
+            return meshes[first] + share * (meshes[first + 1] - meshes[first])
+
+        return between_meshes
+
+    def _mesh(self, name: str, file: Any, count: int) -> Array:
+        """Vertices (N, 3) of a mesh file."""
+        kind = file.suffix.lower().lstrip(".")
+        if kind not in ("ply", "obj"):
+            raise self._refused(name, f"{file}: must be a PLY or OBJ file")
+        try:
+            loaded = mi.load_dict({"type": kind, "filename": str(file)})
+        except Exception as error:
+            raise self._refused(name, f"{file}: cannot be read ({one_line(error)})") from error
+        vertices = np.reshape(mi.traverse(loaded)[_POSITIONS].numpy(), (-1, 3)).astype(np.float64)
+        if len(vertices) != count:
+            raise self._refused(name, f"{file}: has {len(vertices):,} vertices; the shape has {count:,}")
+        return vertices
+
+    def pose(self, track: RigidTrack, time: float) -> Array:
+        """(4, 4) from rest to a time in the scene's coordinates."""
+        pose = track.pose(time)
+        origin = np.array(self._place.origin)
+        pose[:3, 3] = (pose[:3, :3] @ origin + pose[:3, 3] - origin) / self._place.unit
+        return pose
+
+    def _shining(self, name: str, key: str, track: LightTrack) -> _Part:
+        """What a track makes of a light's brightness; `key` may be that of the shape that shines."""
+        prefixes = (key, f"{key}.emitter")
+        found = [
+            f"{prefix}.{kind}{value}"
+            for prefix in prefixes
+            for kind in _BRIGHTNESS
+            for value in (".value", "")
+            if self._has(f"{prefix}.{kind}{value}")
+        ]
+        if not found:
+            raise self._refused(name, "it has no radiance that could change")
+        rest = np.ravel(self._parameters[found[0]]).astype(np.float64)
+
+        def at(time: float) -> dict[str, Any]:
+            factor = track.factor(time)
+            if len(rest) == 1 and np.ptp(factor):
+                raise self._refused(name, "its radiance has no colour; factor must be one number")
+            return {found[0]: rest * (factor if len(rest) == 3 else factor[0])}
+
+        return at
+
+
+def _is_textured(shape: Any) -> bool:
+    """Whether colours are painted on a shape, by an image or at its vertices."""
+    bsdf = shape.bsdf()
+    images = bsdf is not None and any(key.endswith(".data") for key in mi.traverse(bsdf).properties)
+    return images or any("_color" in key for key in mi.traverse(shape).properties)
+
+
+def _with_points(rest: Array, moved: Array, faces: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Vertices (V, 3) at rest and (T, V, 3) moved, with points on the faces between them."""
+    corners, shares = spread_over_faces(rest, faces, _COARSE)
+    between = np.einsum("nc,tnci->tni", shares, moved[:, corners])
+    rest_between = np.einsum("nc,nci->ni", shares, rest[corners])
+    return np.concatenate([rest, rest_between]), np.concatenate([moved, between], axis=1)
+
+
+def _without_turns(poses: Array, centre: Array) -> Array:
+    """Poses (T, 4, 4) that bring a point where the given ones bring it, and turn nothing."""
+    found = np.tile(np.eye(4), (len(poses), 1, 1))
+    found[:, :3, 3] = poses[:, :3, :3] @ centre + poses[:, :3, 3] - centre
+    return found
+
+
+def _vertex_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
+    """(N, 3) normals of vertices (N, 3): those of their faces (F, 3), weighed by area."""
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    of_faces = np.cross(b - a, c - a)
+    sums = np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(sums, faces[:, corner], of_faces)
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.where(lengths > 0, sums / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0])
+
+
+def _like(old: Any, value: Array) -> Any:
+    """A value in the type that a parameter has."""
+    if isinstance(value, np.ndarray) and value.shape == (4, 4):
+        return type(old)(value.tolist())
+    if len(np.ravel(value)) in (1, 3) and not isinstance(old, mi.Float):
+        return type(old)(*np.ravel(value).tolist())
+    return type(old)(np.ascontiguousarray(value, dtype=np.float32))

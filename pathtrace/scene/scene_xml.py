@@ -1,0 +1,309 @@
+"""A scene's XML file, checked and prepared for Mitsuba: what its elements refer to, and its fingerprint.
+
+Nothing in it makes a parser take unbounded memory or stack, or loads code that is not Mitsuba's.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+
+from compose.base.errors import UserError, one_line
+from compose.base.files import require_size_below
+from pathtrace.scene.sunsky import balance_xml
+
+# Scenes with thousands of shapes have some megabytes of XML, nested ten deep.
+_MOST_BYTES = 1 << 28
+_DEEPEST = 100
+
+
+def parse_xml(path: Path) -> ET.Element:
+    """The top element of an XML file.
+
+    Raises:
+        UserError: the file cannot be read, is too large, is not well-formed, declares entities, which can
+            stand for any amount of text, or is nested too deeply for parsers that call themselves.
+    """
+    try:
+        require_size_below(path, _MOST_BYTES)
+        content = path.read_bytes()
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: cannot be read ({one_line(error)})") from error
+    # In UTF-16, each character has a zero byte.
+    if b"<!ENTITY" in content.replace(b"\0", b""):
+        raise UserError(f"{path}: declares XML entities; write out what they stand for")
+    try:
+        root = ET.fromstring(content)
+    except (ET.ParseError, ValueError, LookupError) as error:
+        raise UserError(f"{path}: not well-formed XML: {one_line(error)}") from error
+    _check_depth(path, root)
+    return root
+
+
+def _check_depth(path: Path, root: ET.Element) -> None:
+    level, depth = [root], 1
+    while level:
+        if depth > _DEEPEST:
+            raise UserError(f"{path}: elements are nested more than {_DEEPEST} deep")
+        level, depth = [child for element in level for child in element], depth + 1
+
+
+# Mitsuba's limit, below which a loop of includes ends.
+_DEEPEST_INCLUDE = 15
+# Files that include each other twice are 2^15 by then.
+_MOST_INCLUDES = 1000
+# Of an attribute once its parameters are replaced: parameters of parameters grow exponentially.
+_LONGEST = 1 << 16
+
+
+@dataclass
+class References:
+    """What the XML of a scene, and of the files that it includes, refers to.
+
+    Attributes:
+        source: the scene's XML file.
+        names: of files in the order of the XML, parameters replaced; whether they exist is not known.
+        folders: in which Mitsuba looks for them, besides the scene's: those of `<path>`.
+        plugins: types of all elements.
+    """
+
+    source: Path
+    names: list[str] = field(default_factory=list)
+    folders: list[Path] = field(default_factory=list)
+    plugins: set[str] = field(default_factory=set)
+    _parameters: dict[str, str] = field(default_factory=dict)
+    _includes: int = 0
+
+    @staticmethod
+    def of(source: Path, root: ET.Element) -> References:
+        """The references of a scene.
+
+        Args:
+            source: its XML file.
+            root: its elements.
+
+        Raises:
+            UserError: an included file is not well-formed, includes form a loop or are too many, or
+                parameters stand for too much text.
+        """
+        found = References(source)
+        found._collect(root, source.parent, 0)
+        return found
+
+    def candidates(self, name: str) -> Iterator[Path]:
+        """Files that a name may stand for: those in the search folders, else that in the working folder."""
+        folders = [*self.folders, self.source.parent]
+        files = [folder / name for folder in folders if is_file(folder / name)]
+        return iter(files or ([Path(name)] if is_file(Path(name)) else []))
+
+    def _collect(self, root: ET.Element, folder: Path, depth: int) -> None:
+        """Walks through a file in the order of its elements, in which parameters are defined."""
+        for element in root.iter():
+            values = {self._replaced(key): self._replaced(value) for key, value in element.items()}
+            self.plugins.update({values["type"]} if "type" in values else ())
+            value = values.get("value", "")
+            if element.tag == "default":
+                # Mitsuba keeps the first definition.
+                self._parameters.setdefault(values.get("name", ""), value)
+            elif element.tag == "path" and value:
+                self.folders += [self.source.parent / value, folder / value]
+            elif element.tag == "include":
+                self._include(values.get("filename", ""), depth)
+            elif element.tag == "string" and values.get("name") == "filename":
+                self.names.append(value)
+            elif "filename" in values:
+                self.names.append(values["filename"])
+
+    def _include(self, name: str, depth: int) -> None:
+        self._includes += 1
+        if depth >= _DEEPEST_INCLUDE or self._includes > _MOST_INCLUDES:
+            limits = f"{_DEEPEST_INCLUDE} deep, {_MOST_INCLUDES} in all"
+            raise UserError(
+                f"{self.source}: includes {name[:80]!r} too often, or in a loop; at most {limits}"
+            )
+        self.names.append(name)
+        for file in self.candidates(name):
+            self._collect(parse_xml(file), file.parent, depth + 1)
+
+    def _replaced(self, text: str) -> str:
+        """A text with `$` parameters replaced, the longest names first."""
+        if "$" not in text:
+            return text
+        for name in sorted(self._parameters, key=len, reverse=True):
+            value, times = self._parameters[name], text.count(f"${name}")
+            if len(text) + times * len(value) > _LONGEST:
+                raise UserError(f"{self.source}: parameters stand for more than {_LONGEST:,} characters")
+            text = text.replace(f"${name}", value)
+        return text
+
+
+def is_file(path: Path) -> bool:
+    """Whether a file exists; also for names that no file can have, such as those that are too long."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def mitsuba_folder() -> Path:
+    """The folder of Mitsuba's own plugins and data."""
+    return Path(mi.__file__).parent
+
+
+def require_own_plugins(source: Path, types: Iterable[str], folders: Iterable[Path]) -> None:
+    """Checks that no plugin of a scene would be loaded from its own files.
+
+    Args:
+        source: the scene's XML file, for the message.
+        types: of its elements.
+        folders: in which Mitsuba looks for files.
+
+    Raises:
+        UserError: a type is a path or unknown, or a file of that name lies in one of the folders.
+    """
+    own = {path.stem for path in (mitsuba_folder() / "plugins").iterdir()}
+    searched = [folder / "plugins" for folder in (*folders, Path())]
+    found = {path.stem for folder in searched if folder.is_dir() for path in folder.iterdir()}
+    for kind in sorted(types):
+        if set("/\\$\0") & set(kind) or (kind not in own and kind in found):
+            raise UserError(
+                f"{source}: type {kind[:80]!r} is no plugin of Mitsuba; a scene may not bring its own code"
+            )
+
+
+_MOST_HASHED_BYTES = 1 << 36
+
+
+def file_fingerprint(path: Path, root: ET.Element, references: References | None = None) -> str:
+    """Hash of an XML file and of every file that Mitsuba loads because of it.
+
+    Scenes that name all their files directly, relative to their folder, have the same hash as ever. Files
+    that only includes, search folders or parameters lead to are added, with their sizes.
+
+    Args:
+        path: the XML file.
+        root: its elements.
+        references: what they refer to, if it is known already. Files that do not exist are skipped: Mitsuba
+            reports them when it loads the scene.
+
+    Returns:
+        64 hexadecimal digits.
+
+    Raises:
+        UserError: an included file is damaged, or a file cannot be read.
+    """
+    digest = hashlib.sha256(path.read_bytes())
+    direct = [
+        path.parent / (element.get("value") or "")
+        for element in root.iter("string")
+        if element.get("name") == "filename"
+    ]
+    direct = [file for file in direct if is_file(file)]
+    for file in direct:
+        _add(digest, file)
+    references = references or References.of(path, root)
+    for number, name in enumerate(references.names):
+        for file in references.candidates(name):
+            if file not in direct:
+                digest.update(f"{number} {file.stat().st_size}\0".encode())
+                _add(digest, file)
+    return digest.hexdigest()
+
+
+def _add(digest: hashlib._Hash, file: Path) -> None:
+    """Adds the content of a file, block by block."""
+    try:
+        left = require_size_below(file, _MOST_HASHED_BYTES)
+        with file.open("rb") as opened:
+            # No more than its size: some files of the system never end.
+            while left > 0 and (block := opened.read(min(left, 1 << 20))):
+                digest.update(block)
+                left -= len(block)
+    except (OSError, ValueError) as error:
+        raise UserError(f"{file}: cannot be read ({one_line(error)})") from error
+
+
+def dictionary_fingerprint(description: dict[str, Any]) -> str:
+    """Hash of a scene dictionary's printed form: 64 hexadecimal digits."""
+    return hashlib.sha256(repr(description).encode()).hexdigest()
+
+
+def fingerprint_with_thin_glass(fingerprint: str) -> str:
+    """Hash of a scene whose panes let shadow rays pass: images of it show slightly other light."""
+    return hashlib.sha256(f"{fingerprint} with thin glass".encode()).hexdigest()
+
+
+def fingerprint_in_motion(fingerprint: str, motion: str) -> str:
+    """Hash of a scene that moves, with the hash of its motion: it looks alike at no time for sure."""
+    return hashlib.sha256(f"{fingerprint} moving by {motion}".encode()).hexdigest()
+
+
+def fingerprint_at_depth(fingerprint: str, depth: int) -> str:
+    """Hash of a scene whose path depth is not its own: images at another depth show other light."""
+    return hashlib.sha256(f"{fingerprint} at depth {depth}".encode()).hexdigest()
+
+
+# Beyond this path depth, hardly any energy is left in a closed room.
+DEFAULT_MAX_DEPTH = 8
+
+
+@dataclass(frozen=True)
+class SceneDescription:
+    """A scene's XML without its integrator.
+
+    Attributes:
+        text: XML for Mitsuba.
+        fingerprint: hash of the file and of all files that it names.
+        max_depth: path depth that the scene asks for, DEFAULT_MAX_DEPTH at most.
+    """
+
+    text: str
+    fingerprint: str
+    max_depth: int
+
+
+def read_description(path: Path) -> SceneDescription:
+    """Reads a scene's XML file and removes its integrator.
+
+    Radiance always comes from Mitsuba's `path`; scenes found elsewhere may name integrators that only their
+    author has, which Mitsuba would refuse.
+
+    Raises:
+        UserError: the file is not well-formed XML, might take unbounded memory, or would load native code
+            that is not Mitsuba's.
+    """
+    root = parse_xml(path)
+    depth = _max_depth(root)
+    for integrator in root.findall("integrator"):
+        root.remove(integrator)
+    for default in root.findall("default"):
+        if default.get("name") == "integrator":
+            root.remove(default)
+    references = References.of(path, root)
+    require_own_plugins(path, references.plugins, [path.parent, *references.folders])
+    fingerprint = file_fingerprint(path, root, references)
+    balance_xml(root)
+    return SceneDescription(ET.tostring(root, encoding="unicode"), fingerprint, depth)
+
+
+def _max_depth(root: ET.Element) -> int:
+    """Path depth of the scene's integrator, with `$` parameters replaced by their defaults."""
+    defaults = {element.get("name"): element.get("value") for element in root.iter("default")}
+    depth = DEFAULT_MAX_DEPTH
+    for integrator in root.findall("integrator"):
+        values = (e.get("value") for e in integrator.iter("integer") if e.get("name") == "max_depth")
+        value = next(values, None)
+        if value and value.startswith("$"):
+            value = defaults.get(value[1:])
+        # Longer numbers are beyond the limit as well.
+        if value and re.fullmatch(r"-?\d{1,9}", value.strip()):
+            # -1 is Mitsuba's "no limit".
+            depth = min(int(value), DEFAULT_MAX_DEPTH) if int(value) > 0 else DEFAULT_MAX_DEPTH
+    return depth

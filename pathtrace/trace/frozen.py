@@ -1,0 +1,190 @@
+"""Functions that Dr.Jit records once and replays, safe beside other threads and the garbage collector."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
+from threading import Lock
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+_lock = Lock()
+# Pauses under way, in all threads, and whether the collector ran before the first of them.
+_pauses = 0
+_was_enabled = False
+
+
+@contextmanager
+def collector_paused() -> Iterator[None]:
+    """No automatic collection inside, in any thread; pauses may overlap and lie inside each other."""
+    global _pauses, _was_enabled
+    with _lock:
+        if not _pauses:
+            _was_enabled = gc.isenabled()
+            gc.disable()
+        _pauses += 1
+    try:
+        yield
+    finally:
+        with _lock:
+            _pauses -= 1
+            if not _pauses and _was_enabled:
+                gc.enable()
+
+
+# Array types by whose entries one gets at all objects that Mitsuba has registered.
+_REGISTERED = "BSDF", "Emitter", "Medium", "PhaseFunction", "Sensor", "Shape", "Texture"
+# More objects than there are, and what stands for one that there is not.
+_NO_NUMBER = 1 << 30
+_MISSING = object()
+
+
+class Frozen:
+    """`dr.freeze` without three ways in which it stops or aborts the process, or takes its time (Dr.Jit 1.5).
+
+    Dr.Jit holds its lock while it walks through arguments and results. For dataclasses this runs Python code,
+    in which another thread may get its turn; if that one frees an array, it waits for Dr.Jit's lock and this
+    one for the interpreter's, for ever. So dataclasses pass as plain tuples. And a garbage collection that
+    frees a Mitsuba scene during a recording aborts the process. So there is none meanwhile.
+
+    A scene is walked through at each call, each shape with all that it refers to: 2 ms for 38 shapes. So its
+    arrays pass in its place, and are only looked for again if one of them has been replaced.
+
+    What the function takes from elsewhere than its arguments is part of the recording for good.
+
+    Args:
+        function: takes and returns Dr.Jit arrays, Mitsuba's types, and dataclasses, tuples, lists and dicts
+            of them, nested in any way. A dataclass must be made by its fields. Scenes are arguments of their
+            own, in nothing else. Other values are part of the recording; their hash must not run Python code
+            either.
+    """
+
+    def __init__(self, function: Callable[..., Any]):
+        self._function = function
+        self._recorded = dr.freeze(self._plain)
+        self._scenes: dict[int, _Scene] = {}
+
+    def __call__(self, *arguments: Any) -> Any:
+        with collector_paused():
+            given = tuple(self._known(each) if type(each) is mi.Scene else each for each in arguments)
+            try:
+                result = self._recorded(_flattened(given))
+            except RuntimeError:
+                # Another recording, where scenes came into memory since the arrays were looked for.
+                if not sum(each.renewed() for each in given if type(each) is _Scene):
+                    raise
+                result = self._recorded(_flattened(given))
+        return _rebuilt(result)
+
+    @property
+    def n_recordings(self) -> int:
+        """Number of times that the function was recorded."""
+        return int(self._recorded.n_recordings)
+
+    def _known(self, scene: Any) -> _Scene:
+        """A scene with its arrays as they are now."""
+        # What is kept holds the scene, so that no other one gets its address.
+        known = self._scenes.setdefault(id(scene), _Scene(scene))
+        known.follow()
+        return known
+
+    def _plain(self, arguments: Any) -> Any:
+        """The function from flattened arguments to a flattened result; frozen."""
+        return _flattened(self._function(*_rebuilt(arguments)))
+
+
+class _Scene:
+    """A scene as an argument of a recording: told apart by identity, with its arrays beside it.
+
+    Attributes:
+        scene: the scene.
+        flat: what it is flattened to.
+    """
+
+    def __init__(self, scene: Any):
+        self.scene = scene
+        self._indices: list[int] = []
+        self._held: list[int] = []
+        self.flat: tuple[Any, ...] = ()
+
+    def follow(self) -> None:
+        """Looks for the arrays again if one of the scene's has been replaced since the last time."""
+        indices = _indices([self.scene])
+        if indices != self._indices:
+            self._indices = indices
+            self.renewed()
+
+    def renewed(self) -> bool:
+        """Looks for the arrays again; whether there are others."""
+        # A recording has the functions of all objects in memory in it, and reads the arrays of all.
+        found = _indices([self.scene, *_registered_objects()])
+        of_all = [index for index in dict.fromkeys(found) if index]
+        if of_all == self._held:
+            return False
+        # What is held keeps its number: none that is freed meanwhile can be taken for it.
+        held = dr.detail.update_indices([mi.Float(0)] * len(of_all), of_all)
+        dr.eval(held)
+        # Constants are compiled in; one string is compared sooner than their numbers.
+        constants = repr([array.index for array in held if array.state != dr.VarState.Evaluated])
+        self._held, self.flat = of_all, (_Scene, self, constants, *held)
+        return True
+
+
+def _indices(objects: list[Any]) -> list[int]:
+    """Numbers of the arrays of Mitsuba's objects, each as often as they refer to it; 0 of empty ones."""
+    with dr.scoped_set_flag(dr.JitFlag.EnableObjectTraversal, True):
+        return dr.detail.collect_indices(objects)
+
+
+def _registered_objects() -> list[Any]:
+    """All objects of Mitsuba whose methods kernels call."""
+    found: list[Any] = []
+    for name in _REGISTERED:
+        kind = getattr(mi, f"{name}Ptr")
+        # Beyond the last number of a kind is an error, but of a kind that has none, all are None.
+        if _of_number(kind, _NO_NUMBER) is not _MISSING:
+            continue
+        number = 1
+        while (each := _of_number(kind, number)) is not _MISSING:
+            found += [] if each is None else [each]
+            number += 1
+    return found
+
+
+def _of_number(kind: Any, number: int) -> Any:
+    """The registered object of a kind with a number; None if it was freed, _MISSING beyond the last one."""
+    try:
+        return dr.reinterpret_array(kind, mi.UInt32(number))[0]
+    except RuntimeError:
+        return _MISSING
+
+
+def _flattened(value: Any) -> Any:
+    """Dataclasses, tuples and lists as tuples that start with their type, by which recordings differ."""
+    kind = type(value)
+    if kind is _Scene:
+        return value.flat
+    if is_dataclass(kind):
+        return (kind, *(_flattened(getattr(value, field.name)) for field in fields(kind)))
+    if kind in (tuple, list):
+        return (kind, *map(_flattened, value))
+    return {key: _flattened(part) for key, part in value.items()} if kind is dict else value
+
+
+def _rebuilt(value: Any) -> Any:
+    """What was flattened."""
+    if type(value) is dict:
+        return {key: _rebuilt(part) for key, part in value.items()}
+    if type(value) is not tuple:
+        return value
+    kind, *parts = value
+    if kind is _Scene:
+        return parts[0].scene
+    rebuilt = map(_rebuilt, parts)
+    if kind in (tuple, list):
+        return kind(rebuilt)
+    return kind(**{field.name: part for field, part in zip(fields(kind), rebuilt, strict=True)})

@@ -1,0 +1,158 @@
+"""How much of the radiance of a scene paths of each length bring."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.camera.camera import Camera
+from pathtrace.cache.cells import Grid
+from pathtrace.cache.irradiance_cache import IrradianceCache
+from pathtrace.scene.scene import Scene
+from pathtrace.trace.cached_paths import PathSettings, path_radiance
+from pathtrace.trace.film import opaque_camera, ray_through
+from pathtrace.trace.sampling import Sequences, sobol_tables
+
+# Path depth without a bound.
+UNBOUNDED = -1
+# Longest paths that are told apart.
+MOST_SEGMENTS = 64
+# Segments from which on roulette ends paths. Later than when rendering: long paths are what is asked for.
+_ROULETTE = 8
+# Share of the brightest paths that tell nothing of the variance: of fireflies, too few are seen.
+_FIREFLIES = 0.01
+# Independent parts of the samples of a view, from which errors are found.
+_PARTS = 4
+# Samples in a row of a sequence.
+_ROW = 16
+
+
+@dataclass(frozen=True)
+class DepthShares:
+    """Radiance by the number of segments of paths, over all views.
+
+    Attributes:
+        radiance: (P, D) mean luminance of each of P independent parts; of paths of 1 to D segments, the last
+            of which stands for all that are longer.
+    """
+
+    radiance: NDArray[np.float64]
+
+    @property
+    def shares(self) -> NDArray[np.float64]:
+        """(D,) of the whole; all 0 of a scene without light."""
+        means = self.radiance.mean(axis=0)
+        return means / max(float(means.sum()), 1e-300)
+
+    def beyond(self, segments: int) -> float:
+        """Share of the radiance that paths of more segments bring."""
+        return float(self.shares[segments:].sum())
+
+    def error_beyond(self, segments: int) -> float:
+        """Standard error of that share."""
+        totals = self.radiance.sum(axis=1)
+        rest = self.radiance[:, segments:].sum(axis=1)
+        share = rest.sum() / max(float(totals.sum()), 1e-300)
+        # Of a ratio of means, to first order.
+        deviations = (rest - share * totals) / max(float(totals.mean()), 1e-300)
+        return float(np.std(deviations, ddof=1) / np.sqrt(len(totals)))
+
+    def depth_for(self, share: float) -> int:
+        """Least number of segments beyond which there is no more than a share of the radiance.
+
+        The upper end of the measured share counts, two standard errors above its mean. Where paths of
+        MOST_SEGMENTS still bring more, that number.
+        """
+        for segments in range(1, self.radiance.shape[1]):
+            if self.beyond(segments) + 2 * self.error_beyond(segments) <= share:
+                return segments
+        return int(self.radiance.shape[1])
+
+
+@dataclass(frozen=True)
+class PathCosts:
+    """What paths of some settings cost.
+
+    Attributes:
+        segments: mean number of segments of a path; rays to lights are not counted.
+        variance: of its luminance within a view, mean over views, without the brightest paths.
+    """
+
+    segments: float
+    variance: float
+
+
+class _Bins:
+    """Adds up luminance by the number of segments, and counts segments."""
+
+    def __init__(self) -> None:
+        self.sums = dr.zeros(mi.Float, MOST_SEGMENTS)
+        self.segments = dr.zeros(mi.UInt32, 1)
+
+    def add(self, radiance: Any, segments: Any) -> None:
+        luminance = mi.luminance(radiance)
+        index = dr.minimum(segments, MOST_SEGMENTS) - 1
+        dr.scatter_add(self.sums, luminance, index, dr.isfinite(luminance) & (luminance > 0))
+
+    def follow(self, active: Any) -> None:
+        dr.scatter_add(self.segments, mi.UInt32(1), mi.UInt32(0), active)
+
+
+def depth_shares(scene: Scene, cameras: Sequence[Camera], samples: int, seed: int) -> DepthShares:
+    """How much paths of each length bring to what cameras see; unbiased, without a bound on their length.
+
+    Args:
+        scene: the scene.
+        cameras: views.
+        samples: paths of each view, spread over the frame.
+        seed: same seed, same result on the same machine.
+    """
+    count = -(-samples // _PARTS)
+    means = np.zeros((_PARTS, MOST_SEGMENTS))
+    for part in range(_PARTS):
+        for number, camera in enumerate(cameras):
+            _, bins = _traced(scene, camera, count, (UNBOUNDED, _ROULETTE), [seed, part, number])
+            means[part] += bins.sums.numpy() / count
+    return DepthShares(means / len(cameras))
+
+
+def path_costs(
+    scene: Scene, cameras: Sequence[Camera], samples: int, depths: tuple[int, int], seed: int
+) -> PathCosts:
+    """What paths cost that are no longer than a depth, below 0 for any, and play roulette from another one.
+
+    Other args as of `depth_shares`.
+    """
+    segments, variances = 0.0, []
+    for number, camera in enumerate(cameras):
+        radiance, bins = _traced(scene, camera, samples, depths, [seed, number])
+        found = np.sort(mi.luminance(radiance).numpy())[: max(1, int(samples * (1 - _FIREFLIES)))]
+        variances.append(float(found.var()))
+        # What the camera sees is the first segment of every path.
+        segments += 1 + int(bins.segments.numpy()[0]) / samples
+    return PathCosts(segments / len(cameras), float(np.mean(variances)))
+
+
+def _traced(
+    scene: Scene, camera: Camera, count: int, depths: tuple[int, int], seed: list[int]
+) -> tuple[Any, _Bins]:
+    """Radiance of paths spread over the frame, and what they bring and cost by their segments."""
+    state = int(np.random.SeedSequence(seed).generate_state(1)[0])
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(dr.opaque(mi.UInt32, state), count)
+    x, y = sampler.next_1d() * camera.width, sampler.next_1d() * camera.height
+    ray, lane = ray_through(opaque_camera(camera), x, y), dr.arange(mi.UInt32, count)
+    sequences = Sequences(sobol_tables(), lane % _ROW, (lane // _ROW, dr.opaque(mi.UInt32, state)))
+    settings = PathSettings(*depths, 1, scene.thin_glass)
+    empty = IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), len(scene.mitsuba.emitters()))
+    bins, surface, active = _Bins(), scene.mitsuba.ray_intersect(ray), mi.Bool(True)
+    known = empty.arrays(scene.mitsuba)
+    radiance = path_radiance(scene.mitsuba, sampler, ray, surface, active, settings, sequences, known, bins)
+    dr.eval(radiance, bins.sums, bins.segments)
+    return radiance, bins

@@ -1,0 +1,206 @@
+"""Samples of film positions: how many, the Sobol sequence of each, and which lane of a kernel traces it."""
+
+from __future__ import annotations
+
+import atexit
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from compose.base.arrays import constant
+from compose.base.traced_samples import Counts
+from pathtrace.trace.film import FilmPositions
+
+# After so many points a sequence restarts, scrambled otherwise.
+_LOG2_LENGTH = 12
+# Pairs of dimensions: positions on the film, points on lights, directions of scattering.
+FILM, LIGHT, SCATTERING = range(3)
+_PAIRS = 3
+# Keeps the scramblings of different pairs apart.
+_PAIR_STEP = 0x9E3779B9
+# Of the hash that scrambles each pair. Four leave a pattern where neighbouring positions differ in one word.
+_ROUNDS = (4, 8, 8)
+
+
+@cache
+def _bits() -> NDArray[np.uint32]:
+    """(2 * _PAIRS, 4096) coordinates of the Sobol points as 32-bit fixed-point fractions."""
+    points = qmc.Sobol(2 * _PAIRS, scramble=False, bits=32).random_base2(_LOG2_LENGTH)
+    return np.ascontiguousarray((points.T * 2.0**32).astype(np.uint32))
+
+
+def sobol_tables() -> list[Any]:
+    """The Sobol points as Dr.Jit arrays, one for each dimension."""
+    return _tables(mi.variant())
+
+
+@cache
+def _tables(variant: str) -> list[Any]:
+    """The Sobol points on the device of the variant that is set; uploaded once."""
+    return [mi.UInt32(bits) for bits in _bits()]
+
+
+# Dr.Jit complains of arrays that outlive it.
+atexit.register(_tables.cache_clear)
+
+
+@dataclass(frozen=True)
+class Sequences:
+    """The sequences of N lanes, scrambled by a random digital shift each (Kollig and Keller 2002).
+
+    This is as unbiased as independent samples; but edges, textures, soft shadows and auxiliary features have
+    far less noise, and later samples fill the gaps that earlier ones left.
+
+    Attributes:
+        tables: of `sobol_tables`.
+        number: (N,) number of each lane's sample in its sequence.
+        scramble: two (N,) Dr.Jit integers that select the scrambling.
+    """
+
+    tables: list[Any]
+    number: Any
+    scramble: tuple[Any, Any]
+
+    def point(self, pair: int, number: Any) -> tuple[Any, Any]:
+        """Coordinates in 0..1 of each sequence's point of a number (N,), in one pair of dimensions."""
+        restarts = number >> _LOG2_LENGTH
+        one, other = self.scramble
+        shifts = mi.sample_tea_32(one, other + restarts + ((pair * _PAIR_STEP) & 0xFFFFFFFF), _ROUNDS[pair])
+        index = number & ((1 << _LOG2_LENGTH) - 1)
+        # 24 of the 32 bits: as many as a float in 0..1 holds without being rounded to 1.
+        x, y = (
+            mi.Float((dr.gather(mi.UInt32, table, index) ^ shift) >> 8) * 2**-24
+            for table, shift in zip(self.tables[2 * pair : 2 * pair + 2], shifts, strict=True)
+        )
+        return x, y
+
+
+# Lanes are padded to a multiple of this with masked ones: a frozen function is recorded again when the
+# divisibility of its width changes, and masked lanes at the end cost next to nothing.
+_LANE_MULTIPLE = 4096
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """Assignment of lanes to samples; the samples of a position lie side by side.
+
+    Attributes:
+        count: lanes in use; the others are padding.
+        active: mask of the lanes in use.
+        index: film position of each lane.
+        sample: number of each lane's sample among those of its position, from 0.
+        first: (N,) lane of each position's first sample.
+        spp: samples per position, one number for all or Counts of N positions.
+    """
+
+    count: int
+    active: Any
+    index: Any
+    sample: Any
+    first: Any
+    spp: int | Counts
+
+    @staticmethod
+    def of(positions: int, spp: int | Counts) -> Lanes:
+        """Lanes for `spp` samples of each of a number of positions, some of which may have none."""
+        count = positions * spp if isinstance(spp, int) else spp.total
+        padded = max(1, -(-count // _LANE_MULTIPLE)) * _LANE_MULTIPLE
+        lane = dr.arange(mi.UInt32, padded)
+        active = lane < constant(mi.UInt32, count)
+        if isinstance(spp, int):
+            index = lane // spp
+            first = dr.arange(mi.UInt32, positions) * spp
+            return Lanes(count, active, index, lane - index * spp, first, spp)
+        each = mi.UInt32(spp.each)
+        start = dr.prefix_sum(each)
+        # Each run of lanes starts with its position's number, which holds until the next run.
+        marks = dr.zeros(mi.UInt32, padded)
+        dr.scatter(marks, dr.arange(mi.UInt32, positions), start, each > 0)
+        index = dr.prefix_reduce(dr.ReduceOp.Max, marks, exclusive=False)
+        # A position without samples has no lane; it must not point beyond the last one either.
+        first = dr.minimum(start, constant(mi.UInt32, max(count - 1, 0)))
+        dr.eval(first, index)
+        sample = lane - dr.gather(mi.UInt32, first, index, active)
+        return Lanes(count, active, index, sample, first, spp)
+
+    def sequences(self, positions: FilmPositions, offset: Any, pattern: Any) -> Sequences:
+        """The Sobol sequences of the lanes' samples, one for each position.
+
+        Args:
+            positions: the boxes of all samples.
+            offset: samples drawn from each position's sequence before, Dr.Jit integers: one for all, or (N,).
+            pattern: Dr.Jit integer that selects the scrambling.
+        """
+        x, y = (dr.reinterpret_array(mi.UInt32, self._gathered(side)) for side in (positions.x, positions.y))
+        if dr.width(offset) > 1:
+            offset = self._gathered(offset)
+        return Sequences(sobol_tables(), self.sample + offset, (x, y + pattern))
+
+    def sample_positions(self, positions: FilmPositions, sequences: Sequences) -> tuple[Any, Any]:
+        """Film coordinates (x, y) of each lane's sample in its box."""
+        unit = sequences.point(FILM, sequences.number)
+        corner = self._gathered(positions.x), self._gathered(positions.y)
+        sizes = (
+            self._gathered(side) if dr.width(side) > 1 else side
+            for side in (positions.width, positions.height)
+        )
+        x, y = (start + size * share for start, size, share in zip(corner, sizes, unit, strict=True))
+        return x, y
+
+    def _gathered(self, values: Any) -> Any:
+        """For each lane, the value (one per position) of its position."""
+        return dr.gather(type(values), values, self.index, self.active)
+
+    def sums(self, channels: list[Any]) -> list[Any]:
+        """(N,) sums of each channel, one value per lane, over each position's samples.
+
+        The same input gives the same bits, and no position's samples touch the sums of others.
+        """
+        # One kernel, even if the channels have not been computed yet.
+        dr.eval(channels)
+        if isinstance(self.spp, int):
+            if self.spp == 1:
+                used = dr.arange(mi.UInt32, self.count)
+                return [dr.gather(mi.Float, channel, used) for channel in channels]
+            return _runs_summed(channels, self.first, self.first + constant(mi.UInt32, self.spp))
+        return _runs_summed(channels, self.first, self.first + mi.UInt32(self.spp.each))
+
+
+def _runs_summed(channels: list[Any], first: Any, end: Any) -> list[Any]:
+    """(N,) sums of each channel over N runs of lanes, from `first` up to `end`, in one kernel."""
+
+    def add(lane: Any, sums: list[Any]) -> tuple[Any, list[Any]]:
+        values = (mi.Float64(dr.gather(mi.Float, channel, lane)) for channel in channels)
+        return lane + 1, [total + value for total, value in zip(sums, values, strict=True)]
+
+    # In float32, the sum of thousands of samples would lose the last ones' digits.
+    state = first, [mi.Float64(0) for _ in channels]
+    _, sums = dr.while_loop(state, lambda lane, sums: lane < end, add, mode="symbolic")
+    return [mi.Float(total) for total in sums]
+
+
+def fractional_counts(spp: float, positions: int, seed: int) -> int | NDArray[np.int64]:
+    """Samples of each position, with mean `spp`: the whole numbers below and above it, shuffled.
+
+    Args:
+        spp: samples per position on average, at least 1.
+        positions: N, the number of positions.
+        seed: same seed, same counts.
+
+    Returns:
+        `spp` itself if it is a whole number, else (N,) counts; their sum is spp N, rounded.
+    """
+    whole = math.floor(spp)
+    if spp == whole:
+        return whole
+    more = round((spp - whole) * positions)
+    counts = np.full(positions, whole, dtype=np.int64)
+    counts[np.random.default_rng(seed).permutation(positions)[:more]] += 1
+    return counts

@@ -1,0 +1,90 @@
+"""Images from film positions that lie in rows: radiance, its auxiliary features, and both denoised."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compose.camera.camera import Camera
+from compose.image.colour import Image
+from pathtrace.trace.denoise import denoise
+from pathtrace.trace.film import FilmPositions, interleaved
+from pathtrace.trace.tracer import Tracer
+
+
+@dataclass(frozen=True)
+class TracedImage:
+    """A path-traced image with its auxiliary features.
+
+    Attributes:
+        radiance: (H, W, 3) linear, with Monte Carlo noise.
+        albedo: (H, W, 3).
+        normal: (H, W, 3) shading normal in world space.
+    """
+
+    radiance: Image
+    albedo: Image
+    normal: Image
+
+    def denoised(self, quick: bool = False) -> Image:
+        """(H, W, 3) radiance denoised with albedo and normal, by the quicker network if `quick`."""
+        return denoise(self.radiance, self.albedo, self.normal, quick)
+
+
+def trace_image(
+    tracer: Tracer,
+    camera: Camera,
+    positions: FilmPositions,
+    columns: int,
+    spp: int,
+    seed: int,
+    least_auxiliary: int = 0,
+) -> TracedImage:
+    """Radiance with `spp` samples per pixel, and auxiliary features with as many as go with that.
+
+    Args:
+        tracer: traces the scene.
+        camera: the view; its film coordinates are those of `positions`.
+        positions: H * W film positions, row by row from the top.
+        columns: W, the width of the image.
+        spp: samples per pixel.
+        seed: same seed, same image.
+        least_auxiliary: samples per pixel that auxiliary features have at least; they guide the denoiser.
+    """
+    traced, features = tracer.trace_with_features(camera, positions, spp, seed, least_auxiliary)
+    channels = traced.radiance, features.albedo, features.normal
+    return TracedImage(*(_image(image, columns) for image in channels))
+
+
+def radiance_image(
+    tracer: Tracer,
+    camera: Camera,
+    positions: FilmPositions,
+    columns: int,
+    spp: int | NDArray[np.int64],
+    seed: int,
+) -> Image:
+    """(H, W, 3) linear radiance; arguments as of `trace_image`, but `spp` may be (H * W,) counts."""
+    return _image(tracer.trace(camera, positions, spp, seed).radiance, columns)
+
+
+def auxiliary_images(
+    tracer: Tracer, camera: Camera, positions: FilmPositions, columns: int, spp: int, pattern: int
+) -> tuple[Image, Image]:
+    """Albedo and normal, (H, W, 3) each.
+
+    Args:
+        tracer, camera, positions, columns: as of `trace_image`.
+        spp: samples per pixel of the features.
+        pattern: seed of the sample positions; that of the radiance, so that both have the same edges.
+    """
+    features = tracer.auxiliary(camera, positions, spp, pattern)
+    return _image(features.albedo, columns), _image(features.normal, columns)
+
+
+def _image(channels: list[Any], columns: int) -> Image:
+    """(H, columns, 3) image of three (H * columns,) Dr.Jit floats."""
+    return interleaved(channels).reshape(-1, columns, 3)

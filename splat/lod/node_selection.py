@@ -1,0 +1,151 @@
+"""Selects the nodes that may show in the cells in which their images are drawn, by a table of the atlas.
+
+The table is one array: uploads cost as much as small kernels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from compose.base.arrays import Arrays
+from splat.lod.layer_images import NYQUIST, AtlasEntry, Lattice
+from splat.raster.projection import PIXEL_FILTER, Footprints
+from splat.raster.records import RecordLayout, records_before
+from splat.raster.tiles import TILE
+
+# Of an entry: its first candidate, and that one's number among all footprints; where its counts of cells and
+# the cut-off lie in the array; for its selection the variance of the widest filter in px^2, and pixels by
+# which boxes are enlarged; samples per pixel, minimum width of the filter as a multiple of the filter at the
+# pixel grid, first row of samples, and bounds in tiles. Four floats are spare.
+_ENTRY = RecordLayout(
+    (8, 8),
+    ("start", "node", "counts", "cutoff"),
+    **dict.fromkeys(("start", "node", "counts", "cutoff", "widest", "margin", "scale", "least_blur"), 1),
+    **dict.fromkeys(("offset", "columns", "top", "bottom"), 1),
+)
+_FLOATS = 16
+
+
+class EntryTable:
+    """The entries of an atlas and their candidates: all footprints of their layers, entry by entry.
+
+    Args:
+        arrays: the backend's array types.
+        entries: of the atlas, at least one.
+        nodes: for each of them, where its layer's footprints lie among all.
+        blurs: for each the widest and the narrowest filter, as multiples of the filter at the pixel grid.
+        cutoff: (rows + 1, columns + 1) highest frequency to keep, in cycles per pixel, at the corners of
+            cells of TILE pixels.
+
+    Attributes:
+        candidates: how many there are.
+    """
+
+    def __init__(
+        self,
+        arrays: Arrays,
+        entries: Sequence[AtlasEntry],
+        nodes: Sequence[range],
+        blurs: Sequence[tuple[float, float]],
+        cutoff: Lattice,
+    ):
+        self._arrays, self._count = arrays, len(entries)
+        self._rows, self._columns = (arrays.constant(side) for side in cutoff.shape)
+        *starts, self.candidates = np.cumsum([0, *map(len, nodes)]).tolist()
+        # Summed-area tables: counting the cells in a box takes four look-ups.
+        counts = np.zeros((len(entries), *cutoff.shape), dtype=np.int32)
+        counts[:, 1:, 1:] = np.stack([entry.cells for entry in entries]).cumsum(axis=1).cumsum(axis=2)
+        first = len(entries) * _FLOATS
+        lattices = [cutoff]
+        if any(entry.is_sharp for entry in entries):
+            lattices.append(np.full_like(cutoff, NYQUIST))
+        behind = first + counts.size
+        rates = [entry.image.rate for entry in entries]
+        rows = _ENTRY.rows(
+            start=starts,
+            node=[part.start for part in nodes],
+            counts=[first + k * cutoff.size for k in range(len(entries))],
+            cutoff=[behind + cutoff.size if entry.is_sharp else behind for entry in entries],
+            widest=[PIXEL_FILTER * widest**2 for widest, _ in blurs],
+            # At lower rates pixels look up samples that lie up to one sample away.
+            margin=[2.0**rate if rate else 0.0 for rate in rates],
+            scale=[0.5**rate for rate in rates],
+            least_blur=[least for _, least in blurs],
+            offset=[entry.top for entry in entries],
+            columns=[entry.tiles.shape[1] for entry in entries],
+            top=[entry.tile_rows.start for entry in entries],
+            bottom=[entry.tile_rows.stop for entry in entries],
+        )
+        self._records = records_before(arrays, _ENTRY, rows, counts, *lattices)
+
+    def of(self, candidate: Any) -> tuple[SimpleNamespace, Any]:
+        """The entries that candidates (M,) belong to, and their numbers among all footprints."""
+        UInt = self._arrays.plain.UInt
+        # Dr.Jit copies what is read at a literal index to an array of its own.
+        zero = self._arrays.constant(0)
+        number = zero
+        for k in range(1, self._count):
+            start = dr.reinterpret_array(UInt, self._at(zero + k * _FLOATS))
+            number = number + dr.select(candidate >= start, UInt(1), UInt(0))
+        entry = self._records.at(number)
+        return entry, candidate - entry.start + entry.node
+
+    def cells(self, entry: SimpleNamespace, box: tuple[Any, Any, Any, Any], valid: Any) -> Any:
+        """(M,) number of an entry's cells in boxes, 0 in those that are not valid.
+
+        Args:
+            entry: from `of`.
+            box: left and top, right and bottom, exclusive, in cells; pixels are clipped to the frame.
+            valid: which boxes are looked at.
+        """
+        Float, Int, UInt = self._arrays.plain.Float, self._arrays.plain.Int, self._arrays.plain.UInt
+        across, down = Float(self._columns - 1), Float(self._rows - 1)
+        inside = lambda position, count: dr.clip(position * (1 / TILE), 0, count)  # noqa: E731
+        left, top = UInt(inside(box[0], across)), UInt(inside(box[1], down))
+        right, bottom = UInt(dr.ceil(inside(box[2], across))), UInt(dr.ceil(inside(box[3], down)))
+
+        def at(row: Any, column: Any) -> Any:
+            return dr.reinterpret_array(Int, self._at(entry.counts + row * self._columns + column, valid))
+
+        return at(bottom, right) - at(top, right) - at(bottom, left) + at(top, left)
+
+    def cutoff(self, entry: SimpleNamespace, x: Any, y: Any) -> Any:
+        """The cut-off, linear between the corners of cells, at positions in pixels."""
+        Float, UInt = self._arrays.plain.Float, self._arrays.plain.UInt
+        u = dr.clip(x * (1 / TILE), 0, Float(self._columns) - 1.001)
+        v = dr.clip(y * (1 / TILE), 0, Float(self._rows) - 1.001)
+        column, row = UInt(u), UInt(v)
+        fu, fv = u - Float(column), v - Float(row)
+        above = entry.cutoff + row * self._columns + column
+        below = above + self._columns
+        lines = (dr.lerp(self._at(corner), self._at(corner + 1), fu) for corner in (above, below))
+        return dr.lerp(*lines, fv)
+
+    def _at(self, index: Any, valid: Any = True) -> Any:
+        return dr.gather(self._arrays.plain.Float, self._records.tables[0], index, valid)
+
+
+def touching(arrays: Arrays, table: EntryTable, footprints: Callable[[Any], Footprints]) -> Any:
+    """Mask of the candidates whose filtered box touches any cell of their entry.
+
+    Args:
+        arrays: the backend's array types.
+        table: the entries and their candidates, at least one.
+        footprints: those with the given numbers.
+    """
+    entry, index = table.of(dr.arange(arrays.plain.UInt, table.candidates))
+    node = footprints(index)
+    # Square of the distance, in standard deviations, beyond which alpha is below 1/255.
+    extent = 2 * dr.log(dr.maximum(node.opacity * 255, 1))
+    reach_x, reach_y = (
+        dr.sqrt(extent * (variance + entry.widest)) + entry.margin for variance in (node.xx, node.yy)
+    )
+    # Rejects NaN and infinite boxes.
+    finite = (extent > 0) & (reach_x + reach_y < np.inf)
+    box = node.x - reach_x, node.y - reach_y, node.x + reach_x, node.y + reach_y
+    return finite & (table.cells(entry, box, finite) > 0)

@@ -1,0 +1,354 @@
+"""Light that changes over time: at points of surfaces, and on the nodes of a forest, trained and drawn.
+
+Fov-GS names what moves over still things as its limit (section 6): shadows, lights, or what moves under
+these. Here some nodes, and only they, have a factor on their radiance at some times; those of something thin
+have one for each of its sides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from compose.camera.camera import Camera, between_steps
+from compose.camera.coordinate_systems import Place
+from splat.model.gaussians import (
+    SH_DC,
+    Directional,
+    Gaussians,
+    perceptual_from_radiance,
+    radiance_from_perceptual,
+)
+from splat.model.layer import Layer
+from splat.model.motion import multiplied, turned
+
+# Radiance below which a factor has nothing to change.
+_DARK = 1e-4
+
+
+@dataclass(frozen=True)
+class LightCourse:
+    """Factors on the radiance of M nodes of a forest.
+
+    Attributes:
+        nodes: (M,) int64, their indices in the forest, ascending.
+        factors: (T, 3, M) float16, 0 or more, of each channel at T equal steps of time from 0 to 1;
+            T is two or more.
+        sided: (B,) int64, which of the M have other factors for those who see them from behind.
+        behind: (T, 3, B) float16, these factors.
+        normals: (3, B) float32, from those nodes at rest to where they are seen from in front.
+
+    Raises:
+        ValueError: a tensor has the wrong shape or type, or a sided node is none of the M.
+    """
+
+    nodes: torch.Tensor
+    factors: torch.Tensor
+    sided: torch.Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.int64))
+    behind: torch.Tensor = field(default_factory=lambda: torch.zeros(2, 3, 0, dtype=torch.float16))
+    normals: torch.Tensor = field(default_factory=lambda: torch.zeros(3, 0))
+
+    def __post_init__(self) -> None:
+        _require_factors("nodes and factors", self.nodes, self.factors)
+        _require_factors("sided and behind", self.sided, self.behind)
+        if self.normals.shape != (3, len(self.sided)) or self.normals.dtype != torch.float32:
+            raise ValueError(f"normals of {tuple(self.normals.shape)}; must be float32 (3, B)")
+        if len(self.sided):
+            if len(self.behind) != len(self.factors):
+                raise ValueError(f"factors at {len(self.factors)} and {len(self.behind)} times")
+            if int(self.sided.min()) < 0 or int(self.sided.max()) >= len(self.nodes):
+                raise ValueError(f"sides of more than {len(self.nodes)} nodes")
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """All numbers, by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def among(self, first: int, end: int) -> LightCourse:
+        """The course of those nodes alone whose indices are from first up to end."""
+        kept = (self.nodes >= first) & (self.nodes < end)
+        position = torch.cumsum(kept, 0) - 1
+        sided = kept[self.sided]
+        return LightCourse(
+            self.nodes[kept],
+            self.factors[..., kept],
+            position[self.sided[sided]],
+            self.behind[..., sided],
+            self.normals[:, sided],
+        )
+
+    def at(self, time: float) -> torch.Tensor:
+        """(3, M) factors at a time from 0 to 1, seen from in front."""
+        return factors_at(self.factors, time)
+
+    def behind_at(self, time: float) -> torch.Tensor:
+        """(3, B) factors of sided nodes at a time from 0 to 1, seen from behind."""
+        return factors_at(self.behind, time)
+
+
+def _require_factors(what: str, nodes: torch.Tensor, factors: torch.Tensor) -> None:
+    right = nodes.ndim == 1 and factors.shape[1:] == (3, len(nodes))
+    if not right or nodes.dtype != torch.int64 or factors.dtype != torch.float16:
+        shapes = f"{tuple(nodes.shape)} and {tuple(factors.shape)}"
+        raise ValueError(f"{what} of {shapes}; must be int64 (M,) and float16 (T, 3, M)")
+    if len(factors) < 2:
+        raise ValueError(f"factors at {len(factors)} times; must be two or more")
+
+
+def factors_at(factors: torch.Tensor, time: float) -> torch.Tensor:
+    """(3, M) float32 factors at a time, from those (T, 3, M) at T equal steps of time from 0 to 1."""
+    first, share = between_steps(time, len(factors))
+    return torch.lerp(factors[first].float(), factors[first + 1].float(), share)
+
+
+def seen_from_behind(
+    normals: torch.Tensor,
+    rest: torch.Tensor,
+    rotations: torch.Tensor,
+    means: torch.Tensor,
+    eye: torch.Tensor,
+) -> torch.Tensor:
+    """(B,) whether nodes are seen from behind.
+
+    Args:
+        normals: (3, B) towards the front at rest.
+        rest, rotations: (4, B) quaternions of the nodes at rest and now, of any length.
+        means: (3, B) where they are now.
+        eye: (3,) where they are seen from.
+    """
+    turn = multiplied(rotations, rest * rest.new_tensor([1, -1, -1, -1])[:, None])
+    now = turned(turn / turn.norm(dim=0, keepdim=True).clamp(min=1e-12), normals)
+    return (now * (eye[:, None] - means)).sum(dim=0) < 0
+
+
+def in_light(gaussians: Gaussians, nodes: torch.Tensor, factor: torch.Tensor) -> Gaussians:
+    """Gaussians, of which the radiance of those at an index (M,) has factors (3, M).
+
+    The factors are exact for the mean over directions; what depends on direction is scaled as much.
+    """
+    sh, further = gaussians.sh[..., nodes], gaussians.directional
+    mean = 0.5 + SH_DC * sh[0]
+    radiance = radiance_from_perceptual(mean.clamp(min=0))
+    change = perceptual_from_radiance(radiance * factor) / mean.clamp(min=_DARK)
+    change = torch.where(radiance > _DARK, change, torch.ones_like(change))
+    constant = (mean * change - 0.5) / SH_DC
+    if further is not None:
+        whole = torch.ones_like(gaussians.means).index_copy(1, nodes, change)
+        further = Directional(further.index, further.sh * whole[:, further.index])
+    lit = gaussians.sh.index_copy(2, nodes, torch.cat([constant[None], sh[1:] * change]))
+    return replace(gaussians, sh=lit, directional=further)
+
+
+# A node has the light of the nearest point if that is within so many gaps between points there.
+_REACH = 8.0
+# Which neighbour of a point tells the gap.
+_NEIGHBOUR = 4
+# Among so many neighbours of a point there is one of the other side of something thin, whose normal's
+# product with that of the point is at most so much.
+_AROUND, _OPPOSITE = 32, -0.3
+# Neighbours of a point that tell how light changes from place to place, and the least product of their
+# normals with its own: light that changes around a corner is no edge of a shadow.
+_NEIGHBOURS, _ALIKE = 6, 0.7
+# Times that tell it, about.
+_SAMPLED = 32
+# Of the curve on which radiance is compared, about.
+_GAMMA = 2.2
+
+
+@dataclass(frozen=True)
+class Near:
+    """Which points nodes have their light from.
+
+    Attributes:
+        front: (N,) int64 index of a point; -1 for a node whose light does not change.
+        back: (N,) the same for those who see the node from behind; `front` for what has one side only.
+    """
+
+    front: torch.Tensor
+    back: torch.Tensor
+
+    def select(self, index: torch.Tensor) -> Near:
+        """Those of nodes at an index (M,)."""
+        return Near(self.front[index], self.back[index])
+
+
+@dataclass(frozen=True)
+class SurfaceLight:
+    """Light at P points of surfaces, each seen from one side.
+
+    Attributes:
+        means: (3, P) float32, the points at rest.
+        normals: (3, P) float32, at rest, towards where each was seen from.
+        instance: (P,) int32, what moves them; -1 for nothing.
+        factors: (T, 3, P) float16, irradiance of each channel over what is usual there, at T equal
+            steps of time from 0 to 1.
+        changes: (P,) bool, whether that is more than noise.
+    """
+
+    means: torch.Tensor
+    normals: torch.Tensor
+    instance: torch.Tensor
+    factors: torch.Tensor
+    changes: torch.Tensor
+
+    def __len__(self) -> int:
+        return len(self.instance)
+
+    def placed(self, place: Place) -> SurfaceLight:
+        """The same points in the coordinates of a place, from world space."""
+        origin = torch.tensor(place.origin, dtype=torch.float64)[:, None]
+        return replace(self, means=((self.means.double() - origin) / place.unit).float())
+
+    @cached_property
+    def _apart(self) -> float:
+        """How far instances are moved apart, in the fourth axis in which neighbours are sought."""
+        return 4 * float(np.ptp(self.means.numpy(), axis=1).max()) + 1.0
+
+    def _keys(self, means: torch.Tensor, instance: torch.Tensor) -> NDArray[np.float64]:
+        """(N, 4) points among which those of other instances are never the nearest."""
+        own = instance.clamp(min=-1).double() * self._apart
+        return torch.cat([means.detach().double(), own[None]]).T.numpy()
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self._keys(self.means, self.instance))
+
+    @cached_property
+    def _around(self) -> tuple[NDArray[np.float64], torch.Tensor]:
+        """(P,) gap to other points, and (P,) index of a point of the other side, the point itself if none."""
+        count = min(_AROUND, len(self))
+        away, near = (part.reshape(len(self), -1) for part in self._tree.query(self._tree.data, k=count))
+        gap = away[:, min(_NEIGHBOUR, count - 1)]
+        normals = self.normals.numpy().T
+        opposite = np.einsum("pi,pki->pk", normals, normals[near]) < _OPPOSITE
+        opposite &= away < self._apart / 2
+        first = near[np.arange(len(self)), opposite.argmax(axis=1)]
+        return gap, torch.from_numpy(np.where(opposite.any(axis=1), first, np.arange(len(self))))
+
+    @cached_property
+    def _unevenness(self) -> NDArray[np.float64]:
+        """(P,) mean squared change of the perceived light per distance from a point, over many times."""
+        sampled = self.factors[:: max(1, len(self.factors) // _SAMPLED)]
+        perceived = sampled.float().numpy() ** np.float32(1 / _GAMMA)
+        count = min(_NEIGHBOURS + 1, len(self))
+        away, near = (part.reshape(len(self), -1) for part in self._tree.query(self._tree.data, k=count))
+        normals = self.normals.numpy().T
+        total, alike = np.zeros(len(self)), np.zeros(len(self))
+        for distance, other in zip(away.T[1:], near.T[1:], strict=True):
+            counts = np.einsum("pi,pi->p", normals, normals[other]) > _ALIKE
+            counts &= (distance > 0) & (distance < self._apart / 2)
+            change = ((perceived - perceived[..., other]) ** 2).mean(axis=(0, 1))
+            total += np.where(counts, change / np.where(counts, distance, 1), 0)
+            alike += counts
+        return total / np.maximum(alike, 1)
+
+    def unevenness(self, means: torch.Tensor, instance: torch.Tensor) -> torch.Tensor:
+        """(N,) how much light differs around nodes, as a mean over time.
+
+        The squared difference of the perceived factors between two places, over their distance. Where edges
+        of shadows pass, it does not depend on that distance: the farther the places are apart, the longer
+        an edge lies between them.
+
+        Args:
+            means: (3, N) centres at rest.
+            instance: (N,) what moves them.
+        """
+        gap, _ = self._around
+        away, nearest = self._tree.query(self._keys(means, instance))
+        return torch.from_numpy(np.where(away <= _REACH * gap[nearest], self._unevenness[nearest], 0)).float()
+
+    def near(self, means: torch.Tensor, instance: torch.Tensor) -> Near:
+        """The points that nodes with centres (3, N) at rest, of instances (N,), have their light from."""
+        gap, other = self._around
+        away, nearest = self._tree.query(self._keys(means, instance))
+        front = torch.from_numpy(nearest)
+        back = other[front]
+        lit = torch.from_numpy(away <= _REACH * gap[nearest]) & (self.changes[front] | self.changes[back])
+        none = torch.full_like(front, -1)
+        return Near(torch.where(lit, front, none), torch.where(lit, back, none))
+
+    def course(self, nodes: Layer) -> LightCourse | None:
+        """The light on nodes over time; None if it changes on none of them."""
+        near = self.near(nodes.gaussians.means, nodes.semantic)
+        lit = torch.nonzero(near.front >= 0)[:, 0]
+        if not len(lit):
+            return None
+        front, back = near.front[lit], near.back[lit]
+        sided = torch.nonzero(front != back)[:, 0]
+        return LightCourse(
+            lit,
+            self.factors[..., front],
+            sided,
+            self.factors[..., back[sided]],
+            self.normals[:, front[sided]],
+        )
+
+
+# Factor below which a pixel tells nothing of the radiance in usual light.
+_LEAST = 0.1
+
+
+class NodeLight:
+    """The light that a layer's nodes have from points of surfaces.
+
+    Args:
+        light: at the points, in the coordinates of the nodes.
+
+    Attributes:
+        surface: as given.
+    """
+
+    def __init__(self, light: SurfaceLight):
+        self.surface = light
+        self._near = Near(torch.zeros(0, dtype=torch.int64), torch.zeros(0, dtype=torch.int64))
+
+    def follow(self, layer: Layer) -> None:
+        """Finds the points that are nearest to the nodes as they are now."""
+        self._near = self.surface.near(layer.gaussians.means, layer.semantic)
+
+    def lit(
+        self, rest: Gaussians, shown: Gaussians, index: torch.Tensor, camera: Camera, time: float
+    ) -> Gaussians:
+        """Some nodes in the light that they have; torch can differentiate them.
+
+        Args:
+            rest, shown: M nodes, at rest and where they are.
+            index: (M,) their indices in the layer.
+            camera: which sees them.
+            time: from 0 to 1.
+        """
+        near = self._near.select(index)
+        changed = torch.nonzero(near.front >= 0)[:, 0]
+        factor = self._factor(near.select(changed), rest.select(changed), shown.select(changed), camera, time)
+        return in_light(shown, changed, factor)
+
+    def in_usual_light(self, layer: Layer, shown: Gaussians, camera: Camera, time: float) -> Layer:
+        """Nodes at rest that have the radiance seen by a camera, with that in usual light instead."""
+        near = self.surface.near(layer.gaussians.means, layer.semantic)
+        changed = torch.nonzero(near.front >= 0)[:, 0]
+        own = layer.gaussians
+        factor = self._factor(near.select(changed), own.select(changed), shown.select(changed), camera, time)
+        return replace(layer, gaussians=in_light(own, changed, 1 / factor.clamp(min=_LEAST)))
+
+    @torch.no_grad()
+    def _factor(
+        self, near: Near, rest: Gaussians, shown: Gaussians, camera: Camera, time: float
+    ) -> torch.Tensor:
+        """(3, M) factors of nodes whose light changes."""
+        eye = torch.from_numpy(camera.position.copy()).float()
+        normals = self.surface.normals[:, near.front]
+        behind = seen_from_behind(normals, rest.rotations, shown.rotations, shown.means, eye)
+        point = torch.where(behind, near.back, near.front)
+        return factors_at(self.surface.factors, time)[:, point]
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """Tensors for a checkpoint."""
+        return {"light.front": self._near.front, "light.back": self._near.back}
+
+    def restore(self, tensors: dict[str, torch.Tensor]) -> None:
+        """Restores what `state` returned; other tensors are ignored."""
+        self._near = Near(tensors["light.front"], tensors["light.back"])

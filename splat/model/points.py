@@ -1,0 +1,143 @@
+"""Gaussians as points in space: rows, other coordinates, remoteness, neighbours, order along a curve."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from compose.camera.coordinate_systems import TYPICAL_DISTANCE, WORLD, Place, place_around
+from splat.model.gaussians import Gaussians
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def rows_of(tensor: torch.Tensor) -> Floats:
+    """(N, K) float64 rows of a tensor (K, N)."""
+    return tensor.detach().numpy().T.astype(np.float64)
+
+
+def means_of(gaussians: Gaussians) -> Floats:
+    """(N, 3) centres in world space."""
+    return rows_of(gaussians.means)
+
+
+def quaternions_xyzw(gaussians: Gaussians) -> Floats:
+    """(N, 4) rotations in SciPy's order x, y, z, w, not necessarily of unit length."""
+    return rows_of(gaussians.rotations)[:, [1, 2, 3, 0]]
+
+
+# Sizes of sets of Gaussians, in world space, that float32 and the rasterizer's near plane are made for, and
+# how many sizes away from the world's origin they may lie.
+_LEAST_SIZE, _LARGEST_SIZE, _FARTHEST = 0.1, 1e5, 1e3
+
+
+def in_world(own: Gaussians, place: Place) -> Gaussians:
+    """Gaussians of a place in world space: as exact as float32 is there."""
+    return _mapped(own, np.array(place.origin), place.unit)
+
+
+def from_world(world: Gaussians, place: Place) -> Gaussians:
+    """Gaussians of the world in the coordinates of a place."""
+    return _mapped(world, -np.array(place.origin) / place.unit, 1 / place.unit)
+
+
+def place_of_gaussians(world: Gaussians) -> Place:
+    """The place for Gaussians of which no views are known; the world itself where that is good enough."""
+    means = means_of(world)
+    middle = np.median(means, axis=0)
+    size = float(np.median(np.linalg.norm(means - middle, axis=1)))
+    near = np.linalg.norm(middle) <= _FARTHEST * size
+    # A single Gaussian, or many in one point, have no size.
+    return (
+        WORLD if size == 0 or (near and _LEAST_SIZE <= size <= _LARGEST_SIZE) else place_around(means, size)
+    )
+
+
+def _mapped(gaussians: Gaussians, offset: NDArray[np.float64], scale: float) -> Gaussians:
+    """The Gaussians scaled, then moved; computed in float64, and differentiable."""
+    means = gaussians.means.double() * scale + torch.from_numpy(offset).to(gaussians.means.device)[:, None]
+    log_scales = gaussians.log_scales.double() + float(np.log(scale))
+    return replace(gaussians, means=means.float(), log_scales=log_scales.float())
+
+
+# In units of a place. What is nearer counts as typical, since views differ in how far away it is from them.
+_FAR_AWAY = 32 * TYPICAL_DISTANCE
+
+
+def remoteness(means: torch.Tensor) -> torch.Tensor:
+    """(N,) distance of far Gaussians from the origin of their place over the typical distance; 1 for others.
+
+    Args:
+        means: (3, N) centres in the coordinates of a place.
+    """
+    distance = torch.linalg.vector_norm(means.detach(), dim=0)
+    return torch.where(distance > _FAR_AWAY, distance / TYPICAL_DISTANCE, 1.0)
+
+
+class Neighbours:
+    """The nearest `count` of M points to each of N positions.
+
+    Args:
+        points: (M, 3).
+        positions: (N, 3).
+        count: neighbours per position; all M if there are fewer.
+
+    Attributes:
+        distance, index: (N, K) of each position's neighbours, nearest first.
+        reach: (N,) the distance up to which no point is missing; infinite if all M are listed.
+    """
+
+    def __init__(self, points: Floats, positions: Floats, count: int):
+        count = min(count, len(points))
+        self.distance: Floats = np.zeros((len(positions), count))
+        self.index: Ints = np.zeros((len(positions), count), dtype=np.int64)
+        if count:
+            nearest = np.arange(1, count + 1)
+            self.distance, self.index = cKDTree(points).query(positions, k=nearest, workers=-1)
+        listed = count < len(points)
+        self.reach = self.distance[:, -1] if listed else np.full(len(positions), np.inf)
+
+
+_BITS = 20  # per axis
+# Points more than this many times the median distance away from the middle, such as the sky's, are drawn in:
+# otherwise all others would share the few cells in the middle of them.
+_FAR = 64.0
+# Squares of what is longer leave the range of numbers.
+_LARGEST = 1e150
+
+
+def z_curve_order(points: Floats) -> Ints:
+    """Order (N,) of points (N, 3) along the Z-order curve, which keeps neighbours together (Morton 1966).
+
+    The result does not depend on the order in memory, except among identical points.
+    """
+    # A training that diverged is rejected elsewhere; its points only need some position here.
+    points = _drawn_in(np.clip(np.nan_to_num(points), -_LARGEST, _LARGEST))
+    low = points.min(axis=0)
+    extent = max(float((points.max(axis=0) - low).max()), 1e-30)
+    cell = ((points - low) / extent * (2**_BITS - 1)).astype(np.uint64)
+    key = np.zeros(len(points), dtype=np.uint64)
+    for bit in range(_BITS):
+        for axis in range(3):
+            key |= ((cell[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
+    # Equal keys are sorted by coordinates.
+    return np.lexsort((points[:, 2], points[:, 1], points[:, 0], key))
+
+
+def _drawn_in(points: Floats) -> Floats:
+    """Points (N, 3), those that are far away from most at the logarithm of their distance."""
+    away = points - np.median(points, axis=0)
+    distance = np.linalg.norm(away, axis=1)
+    reach = _FAR * np.median(distance)
+    far = distance > reach
+    if reach == 0 or not far.any():
+        return points
+    nearer = reach * (1 + np.log(distance[far] / reach)) / distance[far]
+    points = points.copy()
+    points[far] += (nearer - 1)[:, None] * away[far]
+    return points

@@ -1,0 +1,372 @@
+"""The trees of a forest: built from the bottom up (Fov-GS, Algorithm 1), completed after training (3.3)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from scipy.special import expit
+
+from splat.model.gaussians import Gaussians, written
+from splat.model.layer import MAX_CHILDREN, NO_PARENT, Layer, concatenated_layers
+from splat.model.points import (
+    Floats,
+    Ints,
+    Neighbours,
+    means_of,
+    quaternions_xyzw,
+    remoteness,
+    rows_of,
+    z_curve_order,
+)
+
+_MAXIMUM_OPACITY = 0.99
+# Least ratio of the shortest axis of a merged Gaussian to its longest.
+_FLATTEST = 1e-7
+
+
+def merge(a: Gaussians, b: Gaussians) -> Gaussians:
+    """Merges N pairs of Gaussians.
+
+    The weights are w = o S, with o the opacity and S = s1 s2 + s1 s3 + s2 s3, half the surface of a box with
+    the standard deviations as sides. Mean, covariance and colour are means weighted by w; the opacity is
+    (w_a + w_b) / S of the result, at most 0.99. It has directional harmonics if one of the two has.
+
+    Args:
+        a, b: N Gaussians each, of one degree.
+
+    Returns:
+        N Gaussians.
+    """
+    # Logarithms: weights of tiny or transparent Gaussians would be 0, and their shares 0 / 0.
+    weight_a, weight_b = (_log_opacity(g) + _log_surface(rows_of(g.log_scales)) for g in (a, b))
+    share = expit(weight_a - weight_b)
+    mean_a, mean_b = rows_of(a.means), rows_of(b.means)
+    mean = share[:, None] * mean_a + (1 - share)[:, None] * mean_b
+    covariance = sum(
+        part[:, None, None] * (_covariance(g) + np.einsum("ni,nj->nij", centre - mean, centre - mean))
+        for part, g, centre in ((share, a, mean_a), (1 - share, b, mean_b))
+    )
+    variance, axes = np.linalg.eigh(covariance)
+    axes[np.linalg.det(axes) < 0, :, 0] *= -1
+    # Eigenvalues are exact to a share of the largest one only, and rounding can make the others negative.
+    log_scales = 0.5 * np.log(np.maximum(variance, _FLATTEST**2 * variance[:, -1:]))
+    log_opacity = np.minimum(
+        np.logaddexp(weight_a, weight_b) - _log_surface(log_scales), np.log(_MAXIMUM_OPACITY)
+    )
+    quaternion = Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]] if len(axes) else np.zeros((0, 4))
+    to_torch = lambda values: torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))  # noqa: E731
+    part = to_torch(share)
+    merged = Gaussians(
+        to_torch(mean.T),
+        to_torch(log_scales.T),
+        to_torch(quaternion.T),
+        to_torch(log_opacity - np.log1p(-np.exp(log_opacity))),
+        part * a.all_turning().sh + (1 - part) * b.all_turning().sh,
+    )
+    apart = a.directional is not None or b.directional is not None
+    return merged.turning(_turns(a) | _turns(b)) if apart else merged
+
+
+def _turns(gaussians: Gaussians) -> torch.Tensor:
+    """(N,) which ones have harmonics above the constant one."""
+    turns = torch.full((len(gaussians),), gaussians.directional is None)
+    return turns if gaussians.directional is None else turns.index_fill(0, gaussians.directional.index, True)
+
+
+def _log_opacity(gaussians: Gaussians) -> Floats:
+    """(N,) logarithm of the opacity."""
+    return -np.logaddexp(0, -gaussians.opacity_logits.detach().numpy().astype(np.float64))
+
+
+def _log_surface(log_sides: Floats) -> Floats:
+    """(N,) logarithm of half the surface of boxes, from those of their sides (N, 3)."""
+    a, b, c = log_sides.T
+    return np.logaddexp(np.logaddexp(a + b, a + c), b + c)
+
+
+def _covariance(gaussians: Gaussians) -> Floats:
+    """(N, 3, 3) covariance in world space."""
+    turn = Rotation.from_quat(quaternions_xyzw(gaussians)).as_matrix().reshape(-1, 3, 3)
+    scaled = turn * np.exp(rows_of(gaussians.log_scales))[:, None, :]
+    return scaled @ scaled.transpose(0, 2, 1)
+
+
+# Neighbours that are looked up at once; where more are needed, the search goes through all.
+NEIGHBOURS = 16
+
+
+def with_parents(below: Layer, above: Layer, parent: Ints, tries: int) -> tuple[Layer, Ints]:
+    """Gives a parent to every node that has none, if necessary a new one.
+
+    Args:
+        below: N nodes.
+        above: the next coarser layer.
+        parent: (N,) index of each node's parent in the layer above; -1 for none.
+        tries: how many parents a node tries; the paper's algorithm tries one.
+
+    Returns:
+        The layer above with the new parents after the given nodes, and the parent (N,) of every node below.
+    """
+    parent = parent.copy()
+    codes_below, codes_above = label_codes(below, above)
+    room = np.full(len(above), MAX_CHILDREN) - np.bincount(parent[parent >= 0], minlength=len(above))
+    made: list[Layer] = []
+    count = len(above)
+    # Nodes of different labels never share a tree.
+    for code in np.unique(codes_below[parent < 0]):
+        children = np.flatnonzero((parent < 0) & (codes_below == code))
+        candidates = np.flatnonzero(codes_above == code)
+        centres = means_of(below.gaussians)[children]
+        order = z_curve_order(centres)
+        children, centres = children[order], centres[order]
+        search = _ParentSearch(centres, means_of(above.gaussians)[candidates], room[candidates], tries)
+        found = search.run()
+        old = found < len(candidates)
+        parent[children[old]] = candidates[found[old]]
+        parent[children[~old]] = count + found[~old] - len(candidates)
+        made.append(_made_parents(below, children[~old], parent[children[~old]] - count))
+        count += len(made[-1])
+    return concatenated_layers([above, *made]), parent
+
+
+def label_codes(below: Layer, above: Layer) -> tuple[Ints, Ints]:
+    """One number per node of each layer, equal for nodes with the same labels."""
+    codes = [2 * layer.semantic.numpy().astype(np.int64) + layer.dynamic.numpy() for layer in (below, above)]
+    return codes[0], codes[1]
+
+
+class _ParentSearch:
+    """The loop of Algorithm 1 (lines 3 to 12), child by child.
+
+    Each child tries the nearest parents in turn, including those made for earlier children. If none of
+    `tries` parents has room, a new one is made at the child's own position.
+
+    Args:
+        children: (N, 3) centres, in the order in which they choose.
+        parents: (M, 3) centres.
+        room: (M,) children that each parent can still take.
+        tries: how many parents a child tries.
+    """
+
+    def __init__(self, children: Floats, parents: Floats, room: Ints, tries: int):
+        self._children, self._tries = children, tries
+        self._given = len(parents)
+        self._near_parents = Neighbours(parents, children, tries)
+        self._near_children = Neighbours(children, children, NEIGHBOURS + 1)
+        self._room = room.tolist()
+        # The new parent at each child's position, and the positions of all new ones.
+        self._made_for = [-1] * len(children)
+        self._made = np.empty_like(children)
+        self._count = 0
+
+    def run(self) -> Ints:
+        """(N,) index of each child's parent; M + k for the k-th new one."""
+        result = np.empty(len(self._children), dtype=np.int64)
+        for child in range(len(self._children)):
+            chosen = next((parent for parent in self._nearest(child) if self._room[parent] > 0), None)
+            if chosen is None:
+                chosen = self._make(child)
+            self._room[chosen] -= 1
+            result[child] = chosen
+        return result
+
+    def _nearest(self, child: int) -> list[int]:
+        """The nearest parents that there are so far, at most `tries`, nearest first."""
+        given, near, tries = self._near_parents, self._near_children, self._tries
+        # Lists of plain numbers are quicker to go through, but those of all children take much memory.
+        candidates = list(zip(given.distance[child].tolist(), given.index[child].tolist(), strict=True))
+        new = 0
+        for distance, j in zip(near.distance[child].tolist(), near.index[child].tolist(), strict=True):
+            if self._made_for[j] >= 0:
+                candidates.append((distance, self._given + self._made_for[j]))
+                new += 1
+                if new == tries:
+                    break
+        candidates.sort()
+        known = near.reach[child]
+        if self._count and new < tries and (len(candidates) < tries or candidates[tries - 1][0] > known):
+            # A new parent beyond the known neighbours may be among the nearest: measure all of them.
+            candidates = [c for c in candidates if c[1] < self._given]
+            distances = np.linalg.norm(self._made[: self._count] - self._children[child], axis=1)
+            nearest = np.argpartition(distances, min(tries, self._count) - 1)[:tries]
+            candidates += [(float(distances[k]), self._given + int(k)) for k in nearest]
+            candidates.sort()
+        return [parent for _, parent in candidates[:tries]]
+
+    def _make(self, child: int) -> int:
+        """A new parent at a child's position."""
+        self._made_for[child] = self._count
+        self._made[self._count] = self._children[child]
+        self._count += 1
+        self._room.append(MAX_CHILDREN)
+        return self._given + self._count - 1
+
+
+def _made_parents(below: Layer, children: Ints, number: Ints) -> Layer:
+    """New parents: twice the size of an only child, or the moments of two.
+
+    Args:
+        below: the layer of the children.
+        children: (C,) indices of the children.
+        number: (C,) the new parent of each of them, counted from 0 without gaps.
+    """
+    order = np.argsort(number, kind="stable")
+    children, number = children[order], number[order]
+    first = np.flatnonzero(np.r_[True, number[1:] != number[:-1]]) if len(number) else np.zeros(0, int)
+    single = below.select(torch.from_numpy(children[first]))
+    doubled = single.gaussians.log_scales + float(np.log(2.0))
+    gaussians = replace(single.gaussians, log_scales=doubled)
+    pairs = np.flatnonzero(np.diff(np.r_[first, len(number)]) == MAX_CHILDREN)
+    if len(pairs):
+        left = below.gaussians.select(torch.from_numpy(children[first[pairs]]))
+        right = below.gaussians.select(torch.from_numpy(children[first[pairs] + 1]))
+        gaussians = written(gaussians, torch.from_numpy(pairs), merge(left, right))
+    return replace(single, gaussians=gaussians, parent=torch.full_like(single.parent, NO_PARENT))
+
+
+def build_forest(finest: Layer, pixel: float, layers: int) -> list[Layer]:
+    """Builds trees over the Gaussians of one trained set, which becomes layer L unchanged (Algorithm 1).
+
+    Args:
+        finest: the Gaussians and their labels.
+        pixel: size in world space of a pixel of the training frames at their mean depth.
+        layers: L.
+
+    Returns:
+        The layers, coarsest first. They do not depend on the order of the set in memory.
+    """
+    # The sky is huge, and yet its Gaussians are as small in a frame as others.
+    size = longest_axis(finest.gaussians) / remoteness(finest.gaussians.means).numpy()
+    level = layer_of_size(size, pixel, layers)
+    below = replace(finest, parent=torch.full((len(finest),), NO_PARENT, dtype=torch.int32))
+    # For each node of the layer below, the given Gaussian that it is; -1 for a new parent.
+    origin = np.arange(len(finest))
+    forest: list[Layer] = []
+    for number in range(layers, 1, -1):
+        # A given Gaussian of a coarser class is a node of the layer above, and its own child.
+        itself = (origin >= 0) & (level[np.maximum(origin, 0)] < number)
+        above = below.select(torch.from_numpy(np.flatnonzero(itself)))
+        parent = np.full(len(below), NO_PARENT, dtype=np.int64)
+        parent[itself] = np.arange(int(itself.sum()))
+        above, parent = with_parents(below, above, parent, tries=1)
+        forest.insert(0, replace(below, parent=torch.from_numpy(parent.astype(np.int32))))
+        origin = np.concatenate([origin[itself], np.full(len(above) - int(itself.sum()), -1)])
+        below = above
+    return [below, *forest]
+
+
+def longest_axis(gaussians: Gaussians) -> NDArray[np.float32]:
+    """(N,) largest standard deviation: the 3D size of the paper."""
+    return gaussians.log_scales.detach().max(dim=0).values.exp().numpy()
+
+
+def layer_of_size(size: NDArray[np.floating], pixel: float, layers: int) -> Ints:
+    """(N,) layer, 1 to L, that a Gaussian belongs to by its size.
+
+    Layer L takes sizes below 4 pixels, layer l from 2^(L - l + 1) to 2^(L - l + 2) pixels, layer 1 all above:
+    what a frame reduced by 2^(L - l) can still sample. (The printed upper bound 2^L s_L f d must read
+    2^L s_L d / f.)
+
+    Args:
+        size: (N,) longest axes in world space.
+        pixel: d / f, the size of a pixel of the training frames at their mean depth d.
+        layers: L.
+    """
+    octave = np.floor(np.log2(np.maximum(size / pixel, 2.0))).astype(np.int64)
+    return np.clip(layers + 1 - octave, 1, layers)
+
+
+def settle(layers: list[Layer]) -> list[Layer]:
+    """Completes the trees over trained layers.
+
+    A child inside its parent's ellipsoid and with the same labels keeps its parent. The others choose the
+    nearest parent that has room. A node left without children takes one from a nearby node that has two.
+
+    Args:
+        layers: coarsest first; parents may be missing, out of range, or too many children may share one.
+
+    Returns:
+        The layers, coarsest first: the given nodes in their order, and new nodes after them.
+    """
+    settled = [layers[-1]]
+    for above in reversed(layers[:-1]):
+        below = settled[0]
+        parent = _kept_parents(below, above)
+        above, parent = with_parents(below, above, parent, tries=NEIGHBOURS)
+        below, parent = _with_children(below, above, parent)
+        settled[0] = replace(below, parent=torch.from_numpy(parent.astype(np.int32)))
+        settled.insert(0, above)
+    settled[0] = replace(settled[0], parent=torch.full((len(settled[0]),), NO_PARENT, dtype=torch.int32))
+    # Copies were added as children to layers that were complete already; they need children as well.
+    return _grown_down(settled)
+
+
+def _grown_down(layers: list[Layer]) -> list[Layer]:
+    """Gives every node without children a copy of itself as a child, from the top down."""
+    for index in range(len(layers) - 1):
+        above, below = layers[index], layers[index + 1]
+        childless = np.setdiff1d(np.arange(len(above)), below.parent.numpy())
+        if len(childless):
+            copies = above.select(torch.from_numpy(childless))
+            copies = replace(copies, parent=torch.from_numpy(childless.astype(np.int32)))
+            layers[index + 1] = concatenated_layers([below, copies])
+    return layers
+
+
+def _kept_parents(below: Layer, above: Layer) -> Ints:
+    """(N,) parents that children may keep, else -1: within one standard deviation, with the same labels."""
+    parent = below.parent.numpy().astype(np.int64)
+    known = np.flatnonzero((parent >= 0) & (parent < len(above)))
+    of = parent[known]
+    offset = means_of(below.gaussians)[known] - means_of(above.gaussians)[of]
+    turn = Rotation.from_quat(quaternions_xyzw(above.gaussians)[of])
+    local = turn.inv().apply(offset) if len(known) else offset
+    inside = (local / np.exp(rows_of(above.gaussians.log_scales))[of]) ** 2
+    codes_below, codes_above = label_codes(below, above)
+    stays = (inside.sum(axis=1) <= 1) & (codes_below[known] == codes_above[of])
+    kept = np.full(len(below), NO_PARENT, dtype=np.int64)
+    kept[known[stays]] = of[stays]
+    # Where more children would stay than fit, the two nearest do.
+    order = known[stays][np.argsort(inside.sum(axis=1)[stays], kind="stable")]
+    kept[order[_occurrence(kept[order]) >= MAX_CHILDREN]] = NO_PARENT
+    return kept
+
+
+def _occurrence(values: Ints) -> Ints:
+    """(N,) how often each value occurs before its position in the array."""
+    order = np.argsort(values, kind="stable")
+    ordered = values[order]
+    starts = np.flatnonzero(np.r_[True, ordered[1:] != ordered[:-1]]) if len(values) else np.zeros(0, int)
+    lengths = np.diff(np.r_[starts, len(values)])
+    result = np.empty(len(values), dtype=np.int64)
+    result[order] = np.arange(len(values)) - np.repeat(starts, lengths)
+    return result
+
+
+def _with_children(below: Layer, above: Layer, parent: Ints) -> tuple[Layer, Ints]:
+    """Gives a child to every node above that has none: a nearby node's second child, else a copy of itself.
+
+    Returns:
+        The layer below with the copies after the given nodes, and the parent of every node in it.
+    """
+    parent = parent.copy()
+    count = np.bincount(parent, minlength=len(above))
+    codes_below, codes_above = label_codes(below, above)
+    childless = np.flatnonzero(count == 0)
+    near = Neighbours(means_of(below.gaussians), means_of(above.gaussians)[childless], NEIGHBOURS)
+    without = []
+    for node, candidates in zip(childless, near.index, strict=True):
+        for child in candidates:
+            if codes_below[child] == codes_above[node] and count[parent[child]] == MAX_CHILDREN:
+                count[parent[child]] -= 1
+                count[node] += 1
+                parent[child] = node
+                break
+        else:
+            without.append(node)
+    copies = above.select(torch.tensor(without, dtype=torch.long))
+    return concatenated_layers([below, copies]), np.concatenate([parent, np.array(without, dtype=np.int64)])

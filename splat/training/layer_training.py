@@ -1,0 +1,316 @@
+"""Training of one layer of a forest: its frames and their order, its Gaussians, its density control."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from compose.base.arrays import Arrays
+from compose.camera.camera import View
+from splat.model.dynamic_light import NodeLight, SurfaceLight
+from splat.model.gaussians import Gaussians
+from splat.model.layer import LABELS, NO_PARENT, Layer, concatenated_layers
+from splat.model.learned_motion import LearnedMotion
+from splat.model.motion import Dynamics
+from splat.raster.differentiable import render_differentiable
+from splat.raster.projection import PIXEL_FILTER
+from splat.raster.visibility import visible
+from splat.training.density import LEAST_STEPS, DensityControl, halves, largest_log_scales, too_large
+from splat.training.depth_estimates import measured
+from splat.training.gaussian_optimizer import HOST, GaussianOptimizer
+from splat.training.loss import Target
+from splat.training.moving_nodes import Evidence, evidence_of, separated
+from splat.training.training_view import TrainingView, pixel_footprint
+from splat.training.view_dependence import turning_as_nearest, without_unseen_turning
+
+# Of an average view's share, what every view gets whatever its error, which others may make larger meanwhile.
+_FLOOR = 0.25
+
+
+def order_of_views(errors: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.int64]:
+    """(V,) views of a round of V steps, in random order; a view may be among them several times, or not.
+
+    How often differs by less than 1 from what is in proportion to its error and a floor.
+
+    Args:
+        errors: (V,) latest error of each view; NaN where it is not known, which counts as average.
+        rng: shuffles them.
+    """
+    count = len(errors)
+    known = errors[np.isfinite(errors)]
+    average = known.mean() if len(known) and known.mean() > 0 else 1.0
+    weights = np.where(np.isfinite(errors), errors, average) + _FLOOR * average
+    views = rng.permutation(count)
+    # Systematic sampling: evenly spaced marks on the weights laid end to end.
+    ends = np.cumsum(weights[views])
+    marks = (np.arange(count) + rng.random()) * (ends[-1] / count)
+    return rng.permutation(views[np.minimum(np.searchsorted(ends, marks, side="right"), count - 1)])
+
+
+# Steps from one look at the sizes to the next.
+_LIMITED_EVERY = 25
+# And from one look at which points of surfaces nodes have their light from.
+_LIT_EVERY = 100
+# How often in a training nodes are told anew which of them move; views from which, at most, and as a share of
+# the steps since the last time: each takes about as long as a step.
+_SEPARATIONS, _SEPARATING_VIEWS, _SEPARATING_SHARE = 8, 32, 0.2
+# When it is told which nodes turn with the view, as shares of the steps, and by what share of what is visible
+# they must: while there are few, so that most never have harmonics, which have not gone far then; and when
+# these have, and all nodes can still make up for those that go.
+_TURNING = {0.3: 0.2, 0.8: 1.0}
+# Views that tell it, as a share of the steps, and their least and greatest number: short trainings have no
+# time for more. They are half as large along each side, which takes less than half of the time of a step.
+_TURNING_SHARE, _TURNING_VIEWS = 0.1, (8, 32)
+
+
+class LayerTraining:
+    """Trains one layer; its whole state can be saved between two steps and restored.
+
+    Args:
+        arrays: the backend's array types.
+        views: frames at this layer's resolution.
+        steps: how many steps this layer gets in total.
+        seed: determines the order of the views and the new Gaussians.
+        motion: of the instances that views show; None if nothing moves.
+        light: on the surfaces that they show; None if it does not change.
+        all_harmonics: whether nodes whose radiance is not seen to turn keep harmonics.
+
+    Attributes:
+        views: as given.
+        done: steps so far.
+        skipped: those of them that changed nothing, because their loss or its gradient was not finite.
+        stepped: whether the last one changed something.
+        begun: whether the layer has nodes.
+    """
+
+    _tree: Layer
+    _optimizer: GaussianOptimizer
+    _density: DensityControl
+    # Views of the round of steps that is under way.
+    _order: torch.Tensor
+
+    def __init__(
+        self,
+        arrays: Arrays,
+        views: list[TrainingView],
+        steps: int,
+        seed: list[int],
+        motion: Dynamics | None = None,
+        light: SurfaceLight | None = None,
+        all_harmonics: bool = False,
+    ):
+        self._motion, self._all_harmonics = motion, all_harmonics
+        self._light = None if light is None else NodeLight(light)
+        self.views, self.done, self.skipped, self.begun = views, 0, 0, False
+        self.stepped = False
+        self._arrays, self._steps, self._seed = arrays, steps, seed
+        # What moves, and light that changes, are shown on the host.
+        still = motion is None and light is None
+        self._device = arrays.device if still else HOST
+        self._targets = [Target(arrays, torch.from_numpy(v.radiance).to(self._device)) for v in views]
+        self._pixel = pixel_footprint(views)
+        labels = [view.instance for view in views if view.instance is not None]
+        self._instances = 1 + max((int(label.max()) for label in labels), default=-1)
+        # Where all that is seen moves, or nothing, there is nothing to tell. Where courses are known, labels
+        # are exact: nodes at edges that got others cost up to 0.8 dB.
+        partly = any(bool((label < 0).any()) for label in labels)
+        self._separates = isinstance(motion, LearnedMotion) and self._instances > 0 and partly
+
+    def begin(self, layer: Layer, final_count: int) -> None:
+        """Starts from the given nodes; density control brings their number to the final one."""
+        self._tree, self.begun = layer, True
+        self._optimizer = GaussianOptimizer(layer.gaussians, self._pixel, self._device)
+        self._density = self._controlled(len(layer), final_count)
+        self._follow_light()
+
+    def _controlled(self, initial_count: int, final_count: int) -> DensityControl:
+        return DensityControl(self._steps, initial_count, final_count, self._motion, self._light)
+
+    def _follow_light(self) -> None:
+        if self._light is not None:
+            self._light.follow(self.layer)
+
+    def extend(self, layer: Layer) -> None:
+        """Continues with the same nodes, possibly with other parents, and with new nodes after them."""
+        before = len(self._tree)
+        self._tree = layer
+        if len(layer) > before:
+            self._optimizer.replace(layer.gaussians, torch.arange(before))
+        self._follow_light()
+
+    @property
+    def layer(self) -> Layer:
+        """The nodes as they are now, without gradients."""
+        return replace(self._tree, gaussians=self._optimizer.gaussians)
+
+    def step(self, grows: bool = True) -> torch.Tensor | None:
+        """Takes one optimizer step on one frame.
+
+        Args:
+            grows: whether density control may change the nodes.
+
+        Returns:
+            If density control changed the nodes: (N,) the index that each former node has now, -1 if it was
+            removed.
+        """
+        index = self._view_of(self.done)
+        camera, time = self.views[index].camera, self.views[index].time
+        semantic = self._tree.semantic
+        own = self._optimizer.on_device if self._motion is None else self._shown(time)
+        shown = visible(self._arrays, own, camera)
+        rest = chosen = self._optimizer.chosen(shown)
+        if self._motion is not None:
+            chosen = self._motion.shown(rest, semantic[shown], time)
+        if self._light is not None:
+            chosen = self._light.lit(rest, chosen, shown, camera, time)
+        image = render_differentiable(self._arrays, chosen, camera, PIXEL_FILTER)
+        loss, error = self._targets[index].loss(image)
+        self.stepped = self._optimizer.step(loss, self.done / self._steps)
+        if self.stepped:
+            self._density.observe(index, error.to(HOST))
+        else:
+            self.skipped += 1
+        if self.done % _LIMITED_EVERY == _LIMITED_EVERY - 1:
+            means = self._optimizer.gaussians.means
+            self._optimizer.limit_scales(largest_log_scales(means, self.views))
+        due = grows and self._density.is_due(self.done)
+        every = max(1, self._steps // _SEPARATIONS)
+        if grows and self.done % every == every - 1:
+            self.separate(min(_SEPARATING_VIEWS, int(np.ceil(_SEPARATING_SHARE * every))))
+        self.done += 1
+        now = self._change_density() if due else None
+        turns = self._optimizer.gaussians.degree and not self._all_harmonics
+        for share, least in _TURNING.items():
+            if turns and self.done == int(share * self._steps):
+                self._keep_turning(least)
+        if due or self.done % _LIT_EVERY == 0:
+            self._follow_light()
+        return now
+
+    def separate(self, count: int) -> None:
+        """Tells anew which nodes move, from at most a number of views (Fov-GS, section 3.3)."""
+        if self._separates:
+            count = min(len(self.views), count)
+            chosen = np.random.default_rng([*self._seed, 3, self.done]).choice(len(self.views), count, False)
+            self._separate([self.views[index] for index in sorted(chosen)])
+
+    def separate_at_last(self) -> torch.Tensor | None:
+        """Tells from all views which nodes move, and removes those that move and that none of them shows.
+
+        A field has led these behind something. Nobody will tell any more that they do not belong there.
+
+        Returns:
+            As of `step`.
+        """
+        if not self._separates:
+            return None
+        evidence = self._separate(self.views)
+        kept = torch.nonzero(evidence.is_seen | ~self._tree.dynamic)[:, 0]
+        if len(kept) in (0, len(self._tree)):
+            return None
+        now = self._continue_with(kept, [])
+        self._follow_light()
+        return now
+
+    def _separate(self, views: list[TrainingView]) -> Evidence:
+        assert self._motion is not None
+        views = [self._measured(view) for view in views]
+        evidence = evidence_of(self._arrays, self.layer, views, self._motion, self._instances)
+        self._tree = separated(self.layer, evidence, self._motion)
+        self._optimizer.replace(self._tree.gaussians, torch.arange(len(self._tree)))
+        return evidence
+
+    def _keep_turning(self, least: float) -> None:
+        """Leaves harmonics to those nodes whose radiance is seen to turn, by a share of what is visible."""
+        count = min(len(self.views), int(np.clip(_TURNING_SHARE * self._steps, *_TURNING_VIEWS)))
+        chosen = np.random.default_rng([*self._seed, 4]).choice(len(self.views), count, False)
+        views = [_smaller(self.views[index]) for index in sorted(chosen)]
+        gaussians = without_unseen_turning(self._arrays, self._optimizer.gaussians, views, self._shown, least)
+        self._tree = replace(self._tree, gaussians=gaussians)
+        self._optimizer.replace(gaussians, torch.arange(len(gaussians)))
+
+    def _change_density(self) -> torch.Tensor:
+        """Removes and adds nodes; returns as `step`."""
+        rng = np.random.default_rng([*self._seed, 1, self.done])
+        before = self.layer
+        kept, added = self._density.change(before.gaussians, self.views, rng, self._measured)
+        added = replace(added, gaussians=turning_as_nearest(added.gaussians, before.gaussians))
+        if self._light is not None and self._steps >= LEAST_STEPS:
+            kept, added = self._split(self._light.surface, before, kept, added)
+        return self._continue_with(kept, [added])
+
+    def _continue_with(self, kept: torch.Tensor, added: list[Layer]) -> torch.Tensor:
+        """Continues with nodes of an index and others after them; returns as `step`."""
+        before = self.layer
+        self._tree = concatenated_layers([before.select(kept), *added])
+        self._optimizer.replace(self._tree.gaussians, kept)
+        now = torch.full((len(before),), NO_PARENT, dtype=torch.int32)
+        now[kept] = torch.arange(len(kept), dtype=torch.int32)
+        return now
+
+    def _split(
+        self, light: SurfaceLight, before: Layer, kept: torch.Tensor, added: Layer
+    ) -> tuple[torch.Tensor, Layer]:
+        """What stays and what is new, with halves of those nodes that are too large for their light."""
+        staying = before.select(kept)
+        large = too_large(staying, light, self.views)
+        return kept[~large], concatenated_layers([added, halves(staying.select(large))])
+
+    def _measured(self, view: TrainingView) -> TrainingView:
+        """The view, with the distances that the nodes show now if nobody knows them."""
+        return measured(self._arrays, self._shown(view.time), view) if view.guessed else view
+
+    def _shown(self, time: float) -> Gaussians:
+        """The nodes' Gaussians as they are at a time, without gradients."""
+        gaussians = self._optimizer.gaussians
+        if self._motion is None:
+            return gaussians
+        with torch.no_grad():
+            return self._motion.shown(gaussians, self._tree.semantic, time)
+
+    def _view_of(self, step: int) -> int:
+        """The view of a step: in the first round each one once, later in proportion to their errors."""
+        turn, position = divmod(step, len(self.views))
+        if position == 0:
+            rng = np.random.default_rng([*self._seed, 2, turn])
+            self._order = torch.from_numpy(order_of_views(self._density.view_errors(len(self.views)), rng))
+        return int(self._order[position])
+
+    def state(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+        """Everything that the next step depends on: tensors, and numbers."""
+        if not self.begun:
+            return {}, {"done": 0}
+        counts = {"initial": self._density.initial_count, "final": self._density.final_count}
+        tensors = dict(self._tree.labels()) | self._optimizer.state() | self._density.state()
+        tensors |= {"order": self._order} if self.done else {}
+        tensors |= {} if self._light is None else self._light.state()
+        return tensors, {"done": self.done, "skipped": self.skipped, **counts}
+
+    def restore(self, tensors: dict[str, torch.Tensor], numbers: dict[str, Any]) -> None:
+        """Restores what `state` returned.
+
+        Raises:
+            KeyError: a tensor or a number is missing.
+        """
+        if "initial" not in numbers:
+            return
+        self._optimizer = GaussianOptimizer.restored(tensors, self._pixel, self._device)
+        gaussians = self._optimizer.gaussians
+        self._tree, self.begun = Layer(gaussians, *(tensors[name] for name in LABELS)), True
+        self._density = self._controlled(int(numbers["initial"]), int(numbers["final"]))
+        if self._light is not None:
+            self._light.restore(tensors)
+        self._density.restore(tensors)
+        self.done, self.skipped = int(numbers["done"]), int(numbers["skipped"])
+        if self.done:
+            self._order = tensors["order"]
+
+
+def _smaller(view: TrainingView) -> View:
+    """From where and when a view shows something, with half as many pixels along each side."""
+    camera = view.camera
+    return View(camera.resized(camera.width // 2, camera.height // 2), view.time)

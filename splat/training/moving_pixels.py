@@ -1,0 +1,323 @@
+"""Which pixels show something that moves, and which object, from frames without masks.
+
+Fov-GS (section 3.2) looks at the optical flow between a frame and a forest that stands still. Flow is unsure
+where nothing is textured, and shadows flow as well. Here a pixel must refute that it stands still. What it
+shows is looked for, at the same place, in frames of other times:
+
+1. Another frame looks through that place: what was there has gone. Sure wherever distances are, whether
+   there is texture or not.
+2. Another frame sees a surface at that place, of another texture: what was there has slid or turned in its
+   own plane, or the distances do not know of it. Patches are compared by their normalised cross-correlation,
+   on which a light that gets brighter or darker has no influence, and where they have no texture by their
+   mean albedo, else their chromaticity.
+
+What is hidden in another frame says nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter, minimum_filter
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+from torch.nn.functional import avg_pool2d
+
+from splat.training.observation import Observation, surfaces_of
+
+# Relative difference of depths that counts as none.
+_TOLERANCE = 0.005
+# Share of the frames that could show what a pixel shows, from which on it has moved if they look through it.
+_GONE = 0.1
+# Share of the frames that show a surface there, from which on it has moved if they show another one.
+_CHANGED = 1 / 3
+# Frames that must have shown a surface there for that share to mean something.
+_LEAST_COMPARED = 2
+# Frames at most that each is looked for in, and nearest ones whose patches it is compared with.
+_MOST_FRAMES, _COMPARED = 32, 10
+# Degrees between the rays along which two frames see a point: seen from elsewhere, what is glossy looks
+# different although it stands still. On a ball of rough metal 0.1 % of patches do up to here, 18 % up to
+# twice as far.
+_SAME_VIEW = 3.0
+# Side in pixels of patches, and the least deviation within one that is texture.
+_PATCH, _TEXTURE = 5, 0.09
+# Correlation below which patches show different things, and difference of their mean colours above which.
+_CORRELATED, _COLOUR = 0.5, 0.3
+# Share of a surface that must be seen to move for all of it to move.
+_MOST_OF_IT = 0.3
+
+
+@dataclass(frozen=True)
+class Votes:
+    """How frames of other times agree with one frame.
+
+    Attributes:
+        gone: (H, W) number of frames that look through what a pixel shows.
+        there: (H, W) of those that see a surface at its place.
+        changed: (H, W) of the nearest views that see another surface there.
+        compared: (H, W) of the nearest views that could tell.
+    """
+
+    gone: NDArray[np.int32]
+    there: NDArray[np.int32]
+    changed: NDArray[np.int32]
+    compared: NDArray[np.int32]
+
+    @property
+    def moves(self) -> NDArray[np.bool_]:
+        """(H, W) whether a pixel cannot show something that stands still."""
+        gone = self.gone > _GONE * (self.gone + self.there)
+        changed = (self.changed > _CHANGED * self.compared) & (self.compared >= _LEAST_COMPARED)
+        return gone | changed
+
+
+def moving_pixels(observations: Sequence[Observation]) -> list[NDArray[np.bool_]]:
+    """(H, W) for each frame, which pixels show something that moves.
+
+    Args:
+        observations: frames of one scene, of any sizes, views and times. Of a single time, nothing moves.
+    """
+    frames = [_Frame(observation) for observation in observations]
+    return [_refined(frames, index) for index in range(len(frames))]
+
+
+def votes_on(observations: Sequence[Observation], index: int) -> Votes:
+    """How the other frames agree with one of them, given by its index."""
+    return _votes([_Frame(observation) for observation in observations], index)
+
+
+class _Frame:
+    """An observation with what others are compared with, found once."""
+
+    def __init__(self, observation: Observation):
+        self.camera, self.time = observation.camera, observation.time
+        self.appearance, self.has_albedo = observation.appearance, observation.albedo is not None
+        self.points = observation.points()
+        self.inverse = observation.inverse_depth
+        # What lies in front of all that the nine pixels around a place show, cannot be among them.
+        self.nearest = _filtered_depth(self.inverse, nearest=True)
+        self.farthest = _filtered_depth(self.inverse, nearest=False)
+
+
+def _filtered_depth(inverse: NDArray[np.float32], nearest: bool) -> NDArray[np.float32]:
+    """(H, W) nearest or farthest depth within a pixel of each; infinite where that is nothing."""
+    extreme = -minimum_filter(-inverse, 3) if nearest else minimum_filter(inverse, 3)
+    return np.where(extreme > 0, 1 / np.where(extreme > 0, extreme, 1), np.inf).astype(np.float32)
+
+
+def _refined(frames: list[_Frame], index: int) -> NDArray[np.bool_]:
+    """The votes on a frame, without lone pixels, and over the whole of surfaces most of which moves."""
+    moves = median_filter(_votes(frames, index).moves, 3)
+    if not moves.any():
+        return moves
+    frame = frames[index]
+    surface = surfaces_of(frame.points, frame.appearance)
+    known = surface >= 0
+    pixels = np.maximum(np.bincount(surface[known]), 1)
+    share = np.bincount(surface[known], weights=moves[known]) / pixels
+    return moves | (known & (share >= _MOST_OF_IT)[surface])
+
+
+def _votes(frames: list[_Frame], index: int) -> Votes:
+    frame = frames[index]
+    others = [other for other in frames if other.time != frame.time]
+    shape = frame.inverse.shape
+    gone, there, changed, compared = (np.zeros(shape, dtype=np.int32) for _ in range(4))
+    for other in _spread_in_time(others):
+        _look_through(frame, other, gone, there)
+    for other in _nearest_views(frame, others):
+        _compare(frame, other, changed, compared)
+    return Votes(gone, there, changed, compared)
+
+
+def _spread_in_time(frames: list[_Frame]) -> list[_Frame]:
+    """At most so many frames as are looked at, evenly spread over their times."""
+    ordered = sorted(frames, key=lambda frame: frame.time)
+    chosen = np.linspace(0, len(ordered) - 1, min(len(ordered), _MOST_FRAMES)).round().astype(int)
+    return [ordered[index] for index in chosen]
+
+
+def _nearest_views(frame: _Frame, others: list[_Frame]) -> list[_Frame]:
+    """The frames taken from nearest by."""
+
+    def way(other: _Frame) -> float:
+        return float(np.linalg.norm(frame.camera.position - other.camera.position))
+
+    return sorted(others, key=way)[:_COMPARED]
+
+
+def _look_through(frame: _Frame, other: _Frame, gone: NDArray[np.int32], there: NDArray[np.int32]) -> None:
+    """Adds the vote of another frame on where a frame's points have gone and where they may be."""
+    pixels, position, depth = _projected(frame, other, margin=1)
+    column, row = position.astype(np.int64).T
+    nearest, farthest = other.nearest[row, column], other.farthest[row, column]
+    is_gone = nearest > depth * (1 + _TOLERANCE)
+    is_there = ~is_gone & (farthest >= depth * (1 - _TOLERANCE))
+    gone.ravel()[pixels[is_gone]] += 1
+    there.ravel()[pixels[is_there]] += 1
+
+
+def _projected(
+    frame: _Frame, other: _Frame, margin: float
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Where another frame shows a frame's points.
+
+    Returns:
+        Row-major indices (M,) of the points that lie within the other frame, a margin in pixels apart from
+        its border; their positions (M, 2) in it and depths (M,).
+    """
+    pixels = np.flatnonzero(frame.inverse > 0)
+    position, depth = other.camera.project(frame.points.reshape(-1, 3)[pixels])
+    size = np.array([other.camera.width, other.camera.height])
+    inside = (depth > 0) & ((position >= margin) & (position < size - margin)).all(axis=1)
+    return pixels[inside], position[inside], depth[inside]
+
+
+def _compare(frame: _Frame, other: _Frame, changed: NDArray[np.int32], compared: NDArray[np.int32]) -> None:
+    """Adds the vote of a near view on whether patches at the same place look alike."""
+    pixels, position, depth = _projected(frame, other, margin=1)
+    pixels, position, depth = _from_same_side(frame, other, pixels, position, depth)
+    shape = frame.inverse.shape
+    corner = (position - 0.5).astype(np.int64)
+    (left, top), (x, y) = corner.T, (position - 0.5 - corner).T.astype(np.float32)
+    corners = (top, left), (top, left + 1), (top + 1, left), (top + 1, left + 1)
+    weights = (1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y
+    inverse = sum(weight * other.inverse[at] for weight, at in zip(weights, corners, strict=True))
+    seen = np.zeros(shape, dtype=np.float32)
+    seen.ravel()[pixels] = np.abs(inverse * depth - 1) < _TOLERANCE
+    warped = np.zeros((*shape, 3), dtype=np.float32)
+    warped.reshape(-1, 3)[pixels] = sum(
+        weight[:, None] * other.appearance[at] for weight, at in zip(weights, corners, strict=True)
+    )
+    tells, differs = _difference(frame.appearance, warped, seen, frame.has_albedo and other.has_albedo)
+    compared += tells
+    changed += differs
+
+
+def _from_same_side(
+    frame: _Frame,
+    other: _Frame,
+    pixels: NDArray[np.int64],
+    position: NDArray[np.float64],
+    depth: NDArray[np.float64],
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Those points, as of `_projected`, that both frames see along nearly the same direction."""
+    points = frame.points.reshape(-1, 3)[pixels]
+    rays = [points - one.camera.position for one in (frame, other)]
+    lengths = [np.linalg.norm(ray, axis=1) for ray in rays]
+    cosine = (rays[0] * rays[1]).sum(axis=1) / (lengths[0] * np.maximum(lengths[1], 1e-12))
+    same = cosine > np.cos(np.radians(_SAME_VIEW))
+    return pixels[same], position[same], depth[same]
+
+
+def _difference(
+    a: NDArray[np.float32], b: NDArray[np.float32], seen: NDArray[np.float32], is_albedo: bool
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(H, W) where patches of two images (H, W, 3) tell whether they are alike, and where they are not.
+
+    Args:
+        a, b: the images.
+        seen: (H, W) 1 where both show a surface at the same place, else 0.
+        is_albedo: whether a change of brightness is one of the surface.
+    """
+    squares = [(image * other).sum(axis=-1) for image, other in ((a, a), (b, b), (a, b))]
+    weight, *means = _patch_means(
+        [np.ones_like(seen), *np.moveaxis(a, -1, 0), *np.moveaxis(b, -1, 0), *squares], seen
+    )
+    mean_a, mean_b = np.stack(means[:3], axis=-1), np.stack(means[3:6], axis=-1)
+    variance_a = np.maximum(means[6] - (mean_a**2).sum(axis=-1), 0)
+    variance_b = np.maximum(means[7] - (mean_b**2).sum(axis=-1), 0)
+    covariance = means[8] - (mean_a * mean_b).sum(axis=-1)
+    usable = (seen > 0) & (weight > 0.5)
+    textured = np.minimum(variance_a, variance_b) > _TEXTURE**2
+    uncorrelated = covariance < _CORRELATED * np.sqrt(variance_a * variance_b)
+    offset = mean_a - mean_b
+    if not is_albedo:
+        offset -= offset.mean(axis=-1, keepdims=True)
+    other_colour = np.abs(offset).max(axis=-1) > _COLOUR
+    return usable, usable & (other_colour | (textured & uncorrelated))
+
+
+def _patch_means(images: list[NDArray[np.float32]], weight: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(C, H, W) weighted means of C images (H, W) over patches; of the first one, the mean weight instead."""
+    stacked = torch.from_numpy(np.stack(images) * weight)
+    sums = avg_pool2d(stacked[None], _PATCH, stride=1, padding=_PATCH // 2)[0].numpy()
+    sums[1:] /= np.maximum(sums[0], 1e-6)
+    return np.asarray(sums)
+
+
+# Points of what moves, about, from which objects are made.
+_POINTS = 8000
+# Distance up to which two points at the same time are of one object, in units of the median distance of what
+# moves; a step from one frame to the next, in the order of their times, counts as half of that.
+_NEAR = 0.06
+# Share of all moving points from which on they are an object of their own; fewer belong to the nearest one.
+_LEAST = 0.02
+
+
+def objects_of(
+    observations: Sequence[Observation], moving: Sequence[NDArray[np.bool_]]
+) -> list[NDArray[np.int32]]:
+    """(H, W) for each frame, which object a pixel shows, from 0; -1 for what stands still.
+
+    Points are of one object if they are near each other in space and in time, or if others lead from one to
+    the other. Objects that touch are one. They are numbered by how much of them is seen, most first.
+
+    Args:
+        observations: frames of one scene.
+        moving: (H, W) for each frame, which pixels show something that moves.
+    """
+    shown = [
+        mask & np.isfinite(one.distance) & (one.distance > 0)
+        for one, mask in zip(observations, moving, strict=True)
+    ]
+    clouds = _clouds(observations, shown)
+    every = max(1, sum(map(len, clouds)) // _POINTS)
+    sampled = np.concatenate([cloud[::every] for cloud in clouds]) if clouds else np.zeros((0, 4))
+    if not len(sampled):
+        return [np.full(mask.shape, -1, dtype=np.int32) for mask in moving]
+    number = _numbers(sampled)
+    tree = cKDTree(sampled)
+    found = []
+    for cloud, mask in zip(clouds, shown, strict=True):
+        labels = np.full(mask.shape, -1, dtype=np.int32)
+        labels[mask] = number[tree.query(cloud)[1]] if len(cloud) else 0
+        found.append(labels)
+    return found
+
+
+def _clouds(
+    observations: Sequence[Observation], shown: Sequence[NDArray[np.bool_]]
+) -> list[NDArray[np.float64]]:
+    """For each frame (M, 4) the points of what moves, and when, in units of how far apart points may be."""
+    distances = [one.distance[mask] for one, mask in zip(observations, shown, strict=True)]
+    near = _NEAR * float(np.median(np.concatenate(distances))) if sum(map(len, distances)) else 1.0
+    times = sorted({one.time for one in observations})
+    order = {time: 0.5 * step for step, time in enumerate(times)}
+    return [
+        np.concatenate([one.points()[mask] / near, np.full((int(mask.sum()), 1), order[one.time])], axis=1)
+        for one, mask in zip(observations, shown, strict=True)
+    ]
+
+
+def _numbers(points: NDArray[np.float64]) -> NDArray[np.int32]:
+    """(N,) object of each point (N, 4), by links of length 1 at most."""
+    pairs = cKDTree(points).query_pairs(1.0, output_type="ndarray")
+    links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(points), len(points)))
+    _, part = connected_components(links, directed=False)
+    size = np.bincount(part)
+    large = np.flatnonzero(size >= max(_LEAST * len(points), 1))
+    large = large[np.argsort(-size[large], kind="stable")] if len(large) else np.array([size.argmax()])
+    rank = np.full(len(size), -1, dtype=np.int32)
+    rank[large] = np.arange(len(large))
+    number = rank[part]
+    rest = number < 0
+    if rest.any():
+        nearest = cKDTree(points[~rest]).query(points[rest])[1]
+        number[rest] = number[~rest][nearest]
+    return number

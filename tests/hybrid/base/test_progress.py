@@ -1,0 +1,54 @@
+"""Progress bars: title, step and count on standard error."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from rich.console import Console
+
+from hybrid.base import progress
+from hybrid.base.progress import progress_bar
+
+
+@pytest.fixture
+def shown(monkeypatch):
+    """What the bar writes to a terminal."""
+    screen = io.StringIO()
+    monkeypatch.setattr(progress, "console", Console(file=screen, force_terminal=True, width=120))
+    return screen
+
+
+def test_a_bar_shows_title_step_and_count(shown):
+    with progress_bar("capture") as bar:
+        bar(3, 12, "denoising")
+    assert "capture denoising" in shown.getvalue()
+    assert "3/12" in shown.getvalue()
+
+
+def test_a_step_is_not_shown_once_it_is_over(shown):
+    with progress_bar("capture") as bar:
+        bar(3, 12, "denoising")
+        bar(4, 12)
+    last = shown.getvalue().rsplit("capture", 1)[1]
+    assert "4/12" in last
+    assert "denoising" not in last
+
+
+def test_results_and_bars_do_not_mix(capsys):
+    progress.console.print("a bar")
+    assert progress.console.stderr
+    assert capsys.readouterr().out == ""
+
+
+def test_a_file_gets_a_line_now_and_then(monkeypatch):
+    screen, clock = io.StringIO(), iter([0.0, 5.0, 20.0, 22.0, 40.0])
+    monkeypatch.setattr(progress, "console", Console(file=screen, width=40))
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: next(clock))
+    with progress_bar("capture (samples)") as bar:
+        for done in (1, 4, 5, 10):
+            bar(done, 10)
+    assert screen.getvalue().splitlines() == [
+        "capture (samples): 4 of 10, 20 s, about 30 s left",
+        "capture (samples): 10 of 10, 40 s, about 0 s left",
+    ]

@@ -1,0 +1,85 @@
+"""A folder with the results of an evaluation, without its having been run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image as PillowImage
+
+from hybrid.evaluation.result_keys import HALVES, flip_name, image_name
+from hybrid.evaluation.results import keys_of
+from tests.hybrid.evaluation import fakes
+
+
+def evaluation() -> dict[str, Any]:
+    """The content of evaluation.json."""
+    found = fakes.found()
+    for row in found["time"]:
+        row.update({"passes": {"trace": 0.7 * row["ms"]["p50"]}, "repeats": 20})
+        row["ms"]["p95"] = 2 * row["ms"]["p50"]
+    key = {"view": 0, "method": HALVES, "budget": "fixed", "region": "foveal"}
+    found["quality"].append({**key, "metric": "jod", "value": 9.5})
+    references = [
+        {"view": view, "region": region, "psnr": psnr + view}
+        for view in range(2)
+        for region, psnr in (("whole", 40.04), ("foveal", 50.0))
+    ]
+    settings = {"width": 32, "height": 16, "spp": 2, "fov_a": 20.0, "fov_b": 15.0, "reference_spp": 4}
+    machine = {"cpu": "An <abacus>", "cores": 2, "python": "3.11", "packages": {"numpy": "1.26"}}
+    return {
+        "scene": "corner",
+        "settings": {**settings, "gaze_x": 0.25, "gaze_y": 0.5},
+        "references": references,
+        "machine": machine,
+        **found,
+    }
+
+
+def sweep(over: str = "radius") -> dict[str, Any]:
+    """The content of sweep-*.json."""
+    rows = [
+        {
+            **({"width": 48, "height": 32} if over == "resolution" else {"spp": 1, "radius": radius}),
+            "ms": {"p50": 10.0 + radius},
+            "full_ms": {"p50": 40.0},
+            "ratio": 40 / (10 + radius),
+            "repeats": 3,
+            "covered": 0.1,
+            "paper": {"ratio": 1.25},
+            "quality": {"whole jod": 8.123, "foveal jod": 9.0, "foveal flip": 0.1},
+        }
+        for radius in (20, 90)
+    ]
+    crossing = {
+        "width": 48,
+        "height": 32,
+        "radius": 50.0,
+        "slower_from": None,
+        "least_ratio": 0.4,
+        "paper": 51.0,
+    }
+    return {
+        "scene": "corner",
+        "over": over,
+        "title": "radius of the fovea",
+        "fovea": "raw",
+        "rows": rows,
+        "break_even": [crossing] if over == "radius" else [],
+    }
+
+
+def write(folder: Path, flips: bool = True) -> dict[str, Any]:
+    """Writes evaluation.json and all images; returns the content."""
+    found = evaluation()
+    (folder / "evaluation.json").write_text(json.dumps(found))
+    for view in range(2):
+        for number, key in enumerate([None, *keys_of(found)]):
+            # Each image has a colour of its own.
+            pixels = np.full((16, 32, 3), 20 * number + 10 * view, dtype=np.uint8)
+            PillowImage.fromarray(pixels).save(folder / image_name(view, key))
+            if key is not None and flips:
+                PillowImage.fromarray(pixels).save(folder / flip_name(view, key))
+    return found

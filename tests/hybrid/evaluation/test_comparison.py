@@ -1,0 +1,66 @@
+"""A hybrid frame against the full path-traced one and its disc."""
+
+from __future__ import annotations
+
+import pytest
+
+from compose.camera.camera import View
+from compose.fovea.foveation import FoveaMode
+from hybrid.evaluation import comparison
+from hybrid.evaluation.baselines import FullTrace
+from hybrid.evaluation.comparison import compare
+from hybrid.render.frame_settings import FrameSettings
+
+
+def ignore(done: int, total: int) -> None:
+    """No progress."""
+
+
+def test_each_frame_has_a_camera_of_its_own(renderer, monkeypatch):
+    asked = []
+    for name in ("frame", "disc_alone"):
+        make = getattr(renderer, name)
+        monkeypatch.setattr(
+            renderer,
+            name,
+            lambda settings, seed, make=make: (asked.append(settings.camera.key), make(settings, seed)),
+        )
+    trace = FullTrace.render
+    monkeypatch.setattr(
+        FullTrace,
+        "render",
+        lambda self, view, *rest: (asked.append(view.camera.key), trace(self, view, *rest)),
+    )
+    settings = FrameSettings(fov_a=60, fov_b=40, spp=1)
+    row = compare(renderer, [View(renderer.scene.camera.resized(48, 32))], settings, 3, 1, ignore)
+    assert len(asked) == len(set(asked)) == 3 * (3 + 1)
+    assert row["covered"] == pytest.approx(0.69, abs=0.01)
+
+
+@pytest.mark.parametrize("mode", list(FoveaMode))
+def test_the_full_frame_is_denoised_where_the_disc_is(renderer, monkeypatch, mode):
+    made = []
+
+    def recorded(tracer, spp, denoised):
+        made.append((spp, denoised))
+        return FullTrace(tracer, spp, denoised)
+
+    monkeypatch.setattr(comparison, "FullTrace", recorded)
+    camera = renderer.scene.camera.resized(32, 32)
+    row = compare(
+        renderer, [View(camera)], FrameSettings(fovea=mode, spp=2, fov_a=30, fov_b=10), 3, 1, ignore
+    )
+    assert made == [(2, mode is not FoveaMode.RAW)]
+    assert (row["width"], row["height"], row["spp"], row["fov_a"], row["fov_b"]) == (32, 32, 2, 30, 10)
+
+
+def test_ratios_are_those_of_the_medians(renderer, monkeypatch):
+    """Path tracing takes 30 ms, hybrid frames 10, their discs 6."""
+    times = {"hybrid": [10.0, 9, 11], "path_traced": [30.0, 90, 3], "disc": [6.0, 6, 6]}
+    monkeypatch.setattr(
+        comparison, "interleaved", lambda methods, *_: {name: times[name] for name in methods}
+    )
+    row = compare(renderer, [View(renderer.scene.camera)], FrameSettings(), 3, 1, ignore)
+    assert (row["ratio"], row["ceiling"]) == (3.0, 5.0)
+    assert row["path_traced_ms"]["p50"] == 30
+    assert row["repeats"] == 3

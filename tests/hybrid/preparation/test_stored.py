@@ -1,0 +1,109 @@
+"""Plans in the cache folder, and scenes as planned."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from compose.base.errors import UserError
+from hybrid.base.cache_folder import scene_folder
+from hybrid.preparation import scene_plan as stored
+from hybrid.preparation.scene_plan import (
+    attach_plan,
+    plan_for,
+    plan_of_forest,
+    planned_scene,
+    require_plan,
+    scene_as_stored,
+    store_plan,
+)
+from pathtrace.scene.scene import load_scene
+from pathtrace.trace.tracer import Tracer
+from tests import small
+from tests.extremes import extreme
+from tests.hybrid.forests import rough_forest
+from tests.moving import moving_corner
+
+pytestmark = pytest.mark.usefixtures("backend", "own_home")
+
+
+def file_of(scene):
+    return scene_folder(scene.name, scene.own_hash) / "plan.json"
+
+
+def test_a_scene_is_planned_once_and_loaded_as_planned(monkeypatch):
+    assert scene_as_stored("cornell").plan == {}
+    first = planned_scene("cornell")
+    assert first.max_depth == first.plan["path depth"] == -1
+    assert first.roulette_depth == first.plan["roulette depth"]
+    assert first.hash != first.own_hash
+    monkeypatch.setattr(stored, "plan_of", None)
+    again = planned_scene("cornell")
+    assert (again.hash, again.plan) == (first.hash, first.plan)
+    assert scene_as_stored("cornell").hash == first.hash
+
+
+def test_a_depth_that_is_given_stays():
+    scene = planned_scene("cornell", 3)
+    assert scene.max_depth == scene.plan["path depth"] == 3
+    assert scene.hash == load_scene("cornell", 3).hash
+    assert load_scene("cornell").at_depth(3).hash == scene.hash
+
+
+def test_paths_are_as_planned():
+    """With roulette from the second segment on, hardly anything changes but the noise."""
+    scene = load_scene(small.furnace(0.5))
+    assert scene.at_depth(scene.own_depth).hash == scene.hash == scene.own_hash
+    assert Tracer(scene.at_depth(2))._settings.max_depth == 2
+    assert Tracer(scene)._settings.roulette_depth == scene.roulette_depth
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"version": 0}', '{"version": 1, "scene": "x"}'])
+def test_a_damaged_plan_is_made_again(text):
+    scene = load_scene(small.corner())
+    plan = plan_for(scene)
+    file_of(scene).write_text(text)
+    again = plan_for(scene)
+    assert again.values() == plan.values()
+    assert json.loads(file_of(scene).read_text())["scene"] == scene.own_hash
+
+
+@extreme("a plan that contradicts the scene", given="still, of a scene that moves", expected="one line")
+def test_a_plan_that_contradicts_the_scene_is_refused(tmp_path, got):
+    scene = moving_corner(tmp_path)
+    store_plan(plan_for(scene))
+    content = json.loads(file_of(scene).read_text())
+    content["decisions"][0]["value"] = "still"
+    file_of(scene).write_text(json.dumps(content))
+    with pytest.raises(UserError, match="its plan has motion still, but") as refused:
+        plan_for(scene)
+    got(str(refused.value))
+    still = load_scene(small.corner())
+    require_plan({"motion": "still"}, still, "x")
+    with pytest.raises(UserError, match="x: its plan has motion moving"):
+        require_plan({"motion": "moving"}, still, "x")
+
+
+@extreme("a scene that cannot be looked at", given="a sky, no shape", expected="loaded, not planned")
+def test_what_cannot_be_looked_at_is_loaded_without_a_plan(capsys, got):
+    empty = {"type": "scene", "sensor": small.sensor(), "sky": {"type": "constant"}}
+    scene = planned_scene(empty)
+    assert (scene.plan, scene.max_depth) == ({}, scene.own_depth)
+    said = capsys.readouterr().err
+    assert "what it requires is not planned" in said
+    got(said.strip())
+
+
+def test_a_forest_says_what_was_planned_for_it():
+    forest = rough_forest(load_scene(small.corner()))
+    assert plan_of_forest(forest) == {}
+    assert attach_plan(forest, {}) is forest
+    values = {"motion": "still", "degree": 0, "path depth": 5}
+    attached = attach_plan(forest, values)
+    assert plan_of_forest(attached) == values
+    damaged = attached.attached["plan.json"].clone()
+    damaged[0] = 0
+    attached.attached["plan.json"] = damaged
+    with pytest.raises(UserError, match="plan is damaged"):
+        plan_of_forest(attached)

@@ -1,0 +1,155 @@
+"""The disc as images in the rectangle around it."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import pytest
+import torch
+
+from compose.camera.camera import Camera
+from compose.eye.gaze import Gaze
+from compose.fovea.disc import Disc
+from compose.fovea.foveation import Foveation
+from compose.fovea.samples import Samples
+from compose.image.device_image import DeviceImage
+from hybrid.render import disc_images as module
+from hybrid.render.disc_images import DiscImages, Underlay, denoised_for_fusion, parents_of
+from tests import small
+from tests.compose.arrays_of import channels, host
+
+WIDTH, HEIGHT = 48, 40
+CAMERA = Camera(np.eye(4), WIDTH, HEIGHT, 50.0, 50.0, WIDTH / 2, HEIGHT / 2)
+REGION = Foveation(Gaze(0.4, 0.6), 40, 20).region(WIDTH, HEIGHT)
+
+
+@pytest.fixture
+def disc(arrays) -> Disc:
+    return REGION.disc(arrays)
+
+
+def samples(disc: Disc, count: float) -> Samples:
+    """Different values in every channel of every pixel."""
+    rng, arrays = small.rng(int(count)), disc.arrays
+    triples = [rng.uniform(size=(disc.count, 3)).astype(np.float32) for _ in range(5)]
+    radiance, squares, albedo, normal, position = triples
+    images = (channels(arrays, of) for of in (radiance, squares + 1, albedo, normal, position))
+    counts, nothing = (dr.full(arrays.plain.Float, value, disc.count) for value in (count, 0))
+    return Samples(disc.pixels, counts, *images, nothing, nothing)
+
+
+def around(disc: Disc, value: float) -> list[Any]:
+    """Three channels of one value in all of the rectangle."""
+    return [dr.full(disc.arrays.plain.Float, value, int(np.prod(disc.shape)))] * 3
+
+
+def image(disc: Disc, values: list[Any]) -> np.ndarray:
+    """(h, w, C) image of the rectangle."""
+    return host(values).reshape(*disc.shape, len(values))
+
+
+def of_disc(disc: Disc, values: np.ndarray) -> np.ndarray:
+    """(D, C) values of the disc's pixels in an image of the rectangle."""
+    return values.reshape(-1, values.shape[-1])[np.asarray(disc.inside)]
+
+
+@pytest.fixture
+def denoisers(monkeypatch):
+    """Names of the denoisers that are called; each returns radiance, albedo and normal added up."""
+    called = []
+
+    def named(name):
+        def add(radiance, albedo, normal, quick=False):
+            called.append(f"{name}, quick" if quick else name)
+            return radiance + albedo + normal
+
+        return add
+
+    monkeypatch.setattr(module, "denoise", named("fine"))
+    monkeypatch.setattr(module, "denoise_coarsely", named("coarse"))
+    return called
+
+
+def test_samples_lie_at_their_pixels_and_the_surroundings_fill_the_corners(disc):
+    known = samples(disc, 5)
+    images = DiscImages.of(disc, known, around(disc, 2.5))
+    inside = np.zeros((HEIGHT, WIDTH), dtype=bool)
+    inside.reshape(-1)[REGION.pixels] = True
+    inside = inside[REGION.box]
+    assert (~inside).any()
+    # An albedo lies in 0..1; a surrounding pixel counts as a single sample.
+    for name, filled in (("radiance", 2.5), ("albedo", 1), ("normal", 0)):
+        found = image(disc, getattr(images, name))
+        np.testing.assert_array_equal(found[inside], known.numpy(name))
+        assert (found[~inside] == filled).all()
+    count = image(disc, [images.count])
+    np.testing.assert_array_equal(count[inside], np.full((REGION.count, 1), 5))
+    assert (count[~inside] == 1).all()
+
+
+@pytest.mark.parametrize(("quick", "used"), [(True, ["fine, quick", "coarse"]), (False, ["fine", "fine"])])
+def test_a_quicker_denoiser_is_used_only_if_asked_for(quick, used, disc, denoisers):
+    images = DiscImages(disc, around(disc, 1), around(disc, 2), around(disc, 3), around(disc, 1)[0])
+    for denoised in (images.denoised(quick), denoised_for_fusion(images.tensors(), quick)):
+        assert denoised.shape == (*disc.shape, 3)
+        assert (np.array(denoised) == 6).all()
+    assert denoisers == used
+
+
+def test_all_parents_are_crops_of_one_rectangle(disc, denoisers):
+    known = samples(disc, 4)
+    splats = small.rng(9).uniform(size=(HEIGHT, WIDTH, 3)).astype(np.float32)
+    parents = parents_of(disc, known, Underlay(CAMERA, DeviceImage.of(disc.arrays, splats), 1.5))
+    found = {
+        field.name: value.cpu().numpy()
+        for field in fields(parents)
+        if isinstance(value := getattr(parents, field.name), torch.Tensor)
+    }
+    np.testing.assert_array_equal(found["splat"], splats[REGION.box])
+    images = DiscImages.of(disc, known, channels(disc.arrays, splats[REGION.box].reshape(-1, 3)))
+    radiance, albedo, normal = (image(disc, of) for of in (images.radiance, images.albedo, images.normal))
+    np.testing.assert_array_equal(found["traced"], radiance)
+    np.testing.assert_array_equal(found["denoised"], radiance + albedo + normal)
+    np.testing.assert_array_equal(found["albedo"], albedo)
+    np.testing.assert_array_equal(found["normal"], normal)
+    np.testing.assert_array_equal(found["count"], image(disc, [images.count]))
+    np.testing.assert_array_equal(of_disc(disc, found["variance"]), known.numpy("variance"))
+    # Nothing is traced outside the disc.
+    assert np.isinf(found["variance"]).sum() == 3 * (np.prod(disc.shape) - disc.count)
+    assert (parents.enlargement, parents.quick) == (1.5, False)
+
+
+def test_parents_in_a_hurry_use_the_quicker_denoiser_and_say_so(disc, denoisers):
+    splats = DeviceImage.of(disc.arrays, np.zeros((HEIGHT, WIDTH, 3), dtype=np.float32))
+    assert parents_of(disc, samples(disc, 64), Underlay(CAMERA, splats, 1.0), quick=True).quick
+    assert denoisers == ["coarse"]
+
+
+@pytest.mark.parametrize("value", [1e15, 1e30, float(np.finfo(np.float32).max), np.inf])
+def test_denoising_leaves_a_firefly_alone(disc, value):
+    """As if its pixel were the mean of its neighbours; a finite one stays in the denoised disc as it is."""
+    known = samples(disc, 5)
+    radiance = known.numpy("radiance")
+    radiance[disc.count // 2] = value
+    images, plain = (
+        DiscImages.of(disc, replace(known, radiance=light), around(disc, 0.5))
+        for light in (channels(disc.arrays, radiance), known.radiance)
+    )
+    fused = lambda images, quick: np.array(denoised_for_fusion(images.tensors(), quick))  # noqa: E731
+    fine = np.array(images.denoised(quick=False))
+    for denoised in (fine, fused(images, quick=True)):
+        assert (of_disc(disc, denoised) < 2).all(axis=1).sum() >= disc.count - 1
+    where = (image(disc, images.radiance) == np.float32(value)).all(axis=2)
+    assert where.any()
+    assert (fine[where] == np.float32(value)).all()
+    assert np.median(np.abs(fused(images, quick=False) - fused(plain, quick=False))) < 0.02
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0, 1e30])
+def test_surroundings_that_cannot_be_radiance_are_black(disc, value):
+    found, black = (DiscImages.of(disc, samples(disc, 5), around(disc, radiance)) for radiance in (value, 0))
+    for one, other in ((found.radiance, black.radiance), (found.albedo, black.albedo)):
+        np.testing.assert_array_equal(host(one), host(other))

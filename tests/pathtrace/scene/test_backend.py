@@ -1,0 +1,84 @@
+"""Which backend is selected, and what is reported where none works."""
+
+from __future__ import annotations
+
+import ctypes.util
+
+import drjit as dr
+import mitsuba as mi
+import pytest
+
+import pathtrace.scene.backend as module
+from compose.base.errors import UserError
+from pathtrace.scene.backend import CUDA_VARIANT, LLVM_VARIANT, select_backend
+
+
+@pytest.fixture
+def unselected(backend, monkeypatch):
+    """As in a new process on a machine without CUDA; the variant of the test run is restored afterwards."""
+    monkeypatch.setattr(module, "_selected", None)
+    monkeypatch.setattr(module, "_cuda_works", lambda: False)
+    yield monkeypatch
+    mi.set_variant(backend.variant)
+
+
+def test_unknown_and_other_choices_are_refused(backend):
+    with pytest.raises(UserError, match=r"^backend metal: must be auto, cuda or llvm$"):
+        select_backend("metal")
+    other = "cuda" if backend.variant == LLVM_VARIANT else "llvm"
+    with pytest.raises(UserError, match=f"^backend {other}: {backend.variant} is already in use$"):
+        select_backend(other)
+
+
+def test_the_first_choice_stays(backend):
+    same = "llvm" if backend.variant == LLVM_VARIANT else "cuda"
+    assert select_backend() is select_backend("auto") is select_backend(same) is backend
+    assert mi.variant() == backend.variant
+
+
+@pytest.mark.parametrize(("choice", "reason"), [("llvm", "as requested"), ("auto", "no CUDA device")])
+def test_llvm_is_used_without_cuda(unselected, choice, reason):
+    selected = select_backend(choice)
+    assert selected.variant == mi.variant() == LLVM_VARIANT
+    assert selected.llvm is module.LLVM
+    assert reason in selected.reason
+
+
+@pytest.mark.parametrize("choice", ["cuda", "auto"])
+def test_cuda_is_used_if_it_works(unselected, choice):
+    unselected.setattr(module, "_cuda_works", lambda: True)
+    selected = select_backend(choice)
+    assert (selected.variant, selected.llvm) == (CUDA_VARIANT, None)
+
+
+def test_llvm_can_be_chosen_although_cuda_works(unselected):
+    unselected.setattr(module, "_cuda_works", lambda: True)
+    assert select_backend("llvm").variant == LLVM_VARIANT
+
+
+def test_cuda_that_does_not_work_is_refused(unselected):
+    with pytest.raises(UserError, match=r"^backend cuda: no CUDA device"):
+        select_backend("cuda")
+    # A refused choice does not count as the first one.
+    assert select_backend("llvm").variant == LLVM_VARIANT
+
+
+def test_a_missing_llvm_is_reported_unless_cuda_works(unselected):
+    unselected.setattr(module, "LLVM", UserError("no LLVM found"))
+    unselected.setattr(ctypes.util, "find_library", lambda name: None)
+    for choice in ("llvm", "auto"):
+        with pytest.raises(UserError, match="no LLVM found"):
+            select_backend(choice)
+    unselected.setattr(ctypes.util, "find_library", lambda name: f"lib{name}.so")
+    with pytest.raises(UserError, match="no LLVM found"):
+        select_backend("auto")
+    unselected.setattr(module, "_cuda_works", lambda: True)
+    assert select_backend("auto").variant == CUDA_VARIANT
+
+
+def test_an_old_llvm_that_was_loaded_before_is_reported(unselected):
+    unselected.setattr(dr.detail, "llvm_version", lambda: (18, 1, 0))
+    with pytest.raises(UserError, match="loaded LLVM 18; import hybrid before drjit"):
+        select_backend("llvm")
+    unselected.setattr(dr.detail, "llvm_version", lambda: (19, 1, 0))
+    assert select_backend("llvm").variant == LLVM_VARIANT
