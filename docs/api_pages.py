@@ -20,4 +20,4 @@ def on_config(config: MkDocsConfig) -> None:
 def on_files(files: Files, config: MkDocsConfig) -> None:
     """Makes the pages."""
     for name in NAMES:
-        files.append(File.generated(config, f"api/{name}.md", content=f"# {name}\n\n::: {name}\n"))
+        files.append(File.generated(config, f"api/{name}.md", content=f"::: {name}\n"))

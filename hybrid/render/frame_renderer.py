@@ -50,7 +50,7 @@ class Renderer:
     Raises:
         UserError: the forest belongs to another scene.
 
-    Example:
+    Examples:
         >>> scene = hybrid.load_scene("room")
         >>> renderer = hybrid.Renderer(scene, hybrid.load_forest("room.forest"))
         >>> frame = renderer.frame(hybrid.FrameSettings(gaze=(0.4, 0.6), spp=4, aovs=("depth",)))

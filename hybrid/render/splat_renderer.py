@@ -22,7 +22,7 @@ class SplatRenderer:
     Args:
         forest: what to draw.
 
-    Example:
+    Examples:
         >>> frames = hybrid.load_frames("lego")
         >>> renderer = hybrid.SplatRenderer(hybrid.load_forest("lego.forest"))
         >>> view = frames.held_out[0]

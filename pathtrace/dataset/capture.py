@@ -227,7 +227,7 @@ def capture(
         UserError: the folder holds another capture or cannot be written; the scene's own camera sees no
             surface; there is no free space for that many views; or more views are held out than may be.
 
-    Example:
+    Examples:
         >>> settings = CaptureSettings(views=40, held_out=4, spp=16, held_out_spp=64)
         >>> frames = capture(load_scene("room"), Path("frames"), settings, lambda done, total: None)
         >>> len(frames.training), len(frames.held_out)
