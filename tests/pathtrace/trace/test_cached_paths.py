@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+from compose.camera.camera import Camera
 from pathtrace.cache.cells import Grid
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.fill.filling import fill_cache
@@ -19,35 +20,61 @@ from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")
 
-MATERIALS = [
-    {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.6}},
-    {"type": "roughconductor", "alpha": 0.2},
-    {"type": "plastic"},
-    {"type": "roughplastic", "alpha": 0.3},
-    {"type": "dielectric"},
-    {"type": "mask", "opacity": 0.5, "nested": {"type": "diffuse"}},
-]
+MATERIALS = {
+    "diffuse": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.6}},
+    "roughconductor": {"type": "roughconductor", "alpha": 0.2},
+    "plastic": {"type": "plastic"},
+    "roughplastic": {"type": "roughplastic", "alpha": 0.3},
+    "dielectric": {"type": "dielectric"},
+    "mask": {"type": "mask", "opacity": 0.5, "nested": {"type": "diffuse"}},
+}
+# A scene of them all, so that the kernels are compiled once; each is seen in a frame of its own.
+CENTRES = {
+    name: np.array([0.55 * (number % 3 - 1), 0.5 * (number // 3) - 0.35, 1.0])
+    for number, name in enumerate(MATERIALS)
+}
 
 
-def room(ball: dict) -> dict:
-    """The corner with a second lamp, a sky, and a ball of any material."""
+def room(balls: dict[str, dict]) -> dict:
+    """The corner with a second lamp, a sky, and balls of some materials."""
     scene = small.corner()
-    scene["ball"] = {**scene["ball"], "bsdf": ball}
+    del scene["ball"]
+    for name, material in balls.items():
+        scene[name] = {"type": "sphere", "center": list(CENTRES[name]), "radius": 0.24, "bsdf": material}
     scene["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": 0.1}}
     scene["spot"] = {"type": "point", "position": [1, 1, 0], "intensity": {"type": "rgb", "value": 1.0}}
     return scene
 
 
-def samples(scene, settings: PathSettings, cache: IrradianceCache, count: int, seed: int = 1) -> np.ndarray:
-    """(count, 3) radiance of as many paths, spread over the frame."""
-    camera = scene.camera
+@pytest.fixture(scope="module")
+def all_materials(backend):
+    return load_scene(room(MATERIALS))
+
+
+@pytest.fixture(scope="module")
+def filled(all_materials):
+    return fill_cache(all_materials, [all_materials.camera], points=1 << 15)
+
+
+def camera_at(scene, ball: str) -> Camera:
+    """A camera whose frame one ball fills to two thirds."""
+    camera = scene.camera.resized(128, 128)
+    (x, y), _ = (found[0] for found in camera.project(CENTRES[ball][None]))
+    return camera.cropped(round(x) - 20, round(y) - 20, 40, 40)
+
+
+def samples(
+    scene, settings: PathSettings, cache: IrradianceCache, count: int, camera: Camera | None = None
+) -> np.ndarray:
+    """(count, 3) radiance of as many paths, spread over a frame, that of the scene's camera by default."""
+    camera = camera or scene.camera
     sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(seed, count)
+    sampler.seed(1, count)
     ray = ray_through(
         opaque_camera(camera), sampler.next_1d() * camera.width, sampler.next_1d() * camera.height
     )
     lane = dr.arange(mi.UInt32, count)
-    sequences = Sequences(sobol_tables(), lane & 15, (lane >> 4, mi.UInt32(seed)))
+    sequences = Sequences(sobol_tables(), lane & 15, (lane >> 4, mi.UInt32(1)))
     known = cache.arrays(scene.mitsuba)
     surface, active = scene.mitsuba.ray_intersect(ray), mi.Bool(True)
     radiance = path_radiance(scene.mitsuba, sampler, ray, surface, active, settings, sequences, known)
@@ -57,9 +84,9 @@ def samples(scene, settings: PathSettings, cache: IrradianceCache, count: int, s
     return np.stack([channel.numpy() for channel in channels], axis=1)
 
 
-def truth(scene, spp: int, depth: int) -> tuple[float, float]:
+def truth(scene, camera: Camera, spp: int, depth: int) -> tuple[float, float]:
     """Mean radiance of Mitsuba's own paths, and its standard error."""
-    tracer, camera = Tracer(scene, depth), scene.camera
+    tracer = Tracer(scene, depth)
     means = [
         interleaved(tracer.trace(camera, frame_positions(camera), spp, seed).radiance).mean()
         for seed in range(8)
@@ -67,15 +94,15 @@ def truth(scene, spp: int, depth: int) -> tuple[float, float]:
     return float(np.mean(means)), float(np.std(means) / np.sqrt(7))
 
 
-@pytest.mark.parametrize("ball", MATERIALS, ids=lambda ball: ball["type"])
+@pytest.mark.parametrize("ball", MATERIALS)
 @pytest.mark.parametrize(("depth", "shadow_rays"), [(2, 3), (5, 1), (5, 3)])
-def test_without_cells_the_mean_is_that_of_mitsubas_paths(ball, depth, shadow_rays):
-    scene = load_scene(room(ball))
+def test_without_cells_the_mean_is_that_of_mitsubas_paths(all_materials, ball, depth, shadow_rays):
+    camera = camera_at(all_materials, ball)
     empty = IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), 3)
-    found = samples(scene, PathSettings(depth, 3, shadow_rays), empty, 1 << 17)
+    found = samples(all_materials, PathSettings(depth, 3, shadow_rays), empty, 1 << 17, camera)
     # Means over the 16 samples of a sequence are independent of each other.
     groups = found.mean(axis=1).reshape(-1, 16).mean(axis=1)
-    mean, error = truth(scene, 128, depth)
+    mean, error = truth(all_materials, camera, 80, depth)
     assert found.mean() == pytest.approx(mean, abs=4.5 * np.hypot(error, groups.std() / np.sqrt(len(groups))))
 
 
@@ -89,14 +116,13 @@ def test_depth_below_0_is_no_bound():
     assert cut.mean() == pytest.approx(1 - 0.8**4, abs=0.01)
 
 
-@pytest.mark.parametrize("ball", MATERIALS, ids=lambda ball: ball["type"])
-def test_with_a_cache_the_mean_hardly_changes_and_noise_falls(ball):
-    scene = load_scene(room(ball))
-    cache = fill_cache(scene, [scene.camera], points=1 << 15)
-    empty = IrradianceCache.empty(cache.cells.grid, 3)
+@pytest.mark.parametrize("ball", MATERIALS)
+def test_with_a_cache_the_mean_hardly_changes_and_noise_falls(all_materials, filled, ball):
+    camera = camera_at(all_materials, ball)
+    empty = IrradianceCache.empty(filled.cells.grid, 3)
     settings = PathSettings(8, 5, 2)
-    cached, traced = (samples(scene, settings, each, 1 << 16) for each in (cache, empty))
-    mean, error = truth(scene, 64, 8)
+    cached, traced = (samples(all_materials, settings, each, 1 << 16, camera) for each in (filled, empty))
+    mean, error = truth(all_materials, camera, 40, 8)
     assert cached.mean() == pytest.approx(mean, abs=0.015 * mean + 4 * error)
     assert cached.var() < 1.05 * traced.var()
 
@@ -110,7 +136,7 @@ def test_a_furnace_stays_at_its_radiance(reflectance):
 
 
 def test_more_shadow_rays_mean_less_noise():
-    scene = load_scene(room(MATERIALS[0]))
+    scene = load_scene(room({"diffuse": MATERIALS["diffuse"]}))
     empty = IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), 3)
     one, four = (samples(scene, PathSettings(2, 5, rays), empty, 1 << 15).var() for rays in (1, 4))
     assert four < 0.6 * one
@@ -118,7 +144,8 @@ def test_more_shadow_rays_mean_less_noise():
 
 def lit_by_a_caustic() -> dict:
     """A glass ball between a small lamp and the floor: light that only scattered paths find, by chance."""
-    scene = room({"type": "dielectric"})
+    scene = room({"dielectric": MATERIALS["dielectric"]})
+    scene["dielectric"] |= {"center": [0.5, -0.1, 1.0], "radius": 0.35}
     del scene["spot"]
     scene["small"] = {
         "type": "sphere",
@@ -130,7 +157,7 @@ def lit_by_a_caustic() -> dict:
 
 
 def test_a_bound_that_nothing_exceeds_changes_nothing():
-    scene = load_scene(room({"type": "diffuse"}))
+    scene = load_scene(room({"diffuse": MATERIALS["diffuse"]}))
     cache = IrradianceCache.empty(Grid(np.zeros(3, np.float32), 1.0), len(scene.mitsuba.emitters()))
     free = samples(scene, PathSettings(6, 5, 1), cache, 4096)
     np.testing.assert_array_equal(samples(scene, PathSettings(6, 5, 1, False, 1e6), cache, 4096), free)
