@@ -213,7 +213,8 @@ def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) ->
     """Samples of earlier views in the rectangle of the visible surfaces."""
     arrays, plain = views.arrays, views.arrays.plain
     height, width = surfaces.shape
-    place = _now(views, views.places(dr.arange(plain.UInt, views.samples)))
+    place = views.places(dr.arange(plain.UInt, views.samples))
+    place = replace(place, position=views.moment.placed(arrays, place.position, place.mover))
     sight = _relative(arrays, place, [dr.opaque(plain.Float64, side) for side in camera.position.tolist()])
     across, down, inside = _quarters(arrays, sight, camera, surfaces)
     pixel = (down >> 1) * arrays.constant(width) + (across >> 1)
@@ -230,20 +231,6 @@ def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) ->
     dr.scatter_reduce(dr.ReduceOp.Min, front, bits, quarter)
     dr.eval(front)
     return _Arrivals(quarter, bits, certain, front)
-
-
-def _now(views: EarlierViews, place: Places) -> Places:
-    """The places where things are now, in float64 if any of them move."""
-    poses, plain = views.moment.poses, views.arrays.plain
-    if len(poses) == 1:
-        return place
-    # What is unsteady stays where it was: its samples are of use until the next moment.
-    mover = dr.select(place.mover < len(poses), place.mover, 0)
-    table = views.moment.table(views.arrays)
-    row = dr.gather(plain.ArrayXf64, table, mover, shape=(12, dr.width(mover)))
-    rest = [plain.Float64(at) for at in place.position]
-    position = [_product([row[4 * i + j] for j in range(3)], rest) + row[4 * i + 3] for i in range(3)]
-    return replace(place, position=position)
 
 
 def _summed(views: EarlierViews, arrivals: _Arrivals, pixels: int) -> Any:
