@@ -14,7 +14,7 @@ from compose.fovea.disc import Disc
 from compose.fovea.earlier_views import EarlierView
 from compose.fovea.reprojection import Reprojected
 from compose.fovea.samples import Samples
-from compose.image.device_image import DeviceImage
+from compose.image.device_image import DeviceImage, shape_of
 
 Floats = NDArray[np.float32]
 
@@ -138,5 +138,4 @@ class PlainReprojected:
     @staticmethod
     def of(found: Reprojected) -> PlainReprojected:
         """A copy of what is on the device."""
-        shape = (found.rows.stop - found.rows.start, found.columns.stop - found.columns.start, -1)
-        return PlainReprojected(found.rows, found.columns, np.array(found.records).reshape(shape))
+        return PlainReprojected(*found.box, np.array(found.records).reshape(*shape_of(found.box), -1))
