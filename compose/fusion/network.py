@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 
 import torch
@@ -27,77 +26,6 @@ ENLARGEMENTS = (0.5, 1, 2, 4)
 MIXED = ("network", "denoised", "splat")
 # Shares are looked up in steps of this fraction of a doubling of the sample count.
 _STEPS = 8
-
-
-@dataclass(frozen=True)
-class Cell:
-    """Conditions under which a share was tried.
-
-    Attributes:
-        quick: whether the quicker denoiser was used.
-        count: index of COUNTS.
-        enlargement: index of ENLARGEMENTS.
-    """
-
-    quick: bool
-    count: int
-    enlargement: int
-
-    @staticmethod
-    def of(quick: bool, count: float, enlargement: float) -> Cell:
-        """The cell nearest to some conditions."""
-        nearest = lambda values, value: min(  # noqa: E731
-            range(len(values)), key=lambda index: abs(math.log(values[index] / value))
-        )
-        return Cell(quick, nearest(COUNTS, max(count, 1e-6)), nearest(ENLARGEMENTS, enlargement))
-
-    @property
-    def index(self) -> tuple[int, int, int]:
-        """Of a tensor of shares."""
-        return int(self.quick), self.count, self.enlargement
-
-
-def all_of_network() -> Tensor:
-    """(2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)) shares of a network that nothing is known about."""
-    shares = torch.zeros(2, len(COUNTS), len(ENLARGEMENTS), len(MIXED))
-    shares[..., 0] = 1
-    return shares
-
-
-def shares_at(shares: Tensor, quick: bool, count: Tensor, enlargement: float) -> Tensor:
-    """(N, len(MIXED), H, W) shares for each pixel's sample count, interpolated between cells.
-
-    Args:
-        shares: as of `all_of_network`.
-        quick: whether the quicker denoiser was used.
-        count: (N, 1, H, W) samples.
-        enlargement: side of the splats' pixels in pixels of the image.
-    """
-    by_count = _weights(ENLARGEMENTS, enlargement).to(shares.device) @ shares[int(quick)]  # (COUNTS, MIXED)
-    table = _steps().to(shares.device) @ by_count
-    last = len(table) - 1
-    step = (_STEPS * torch.log2(count[:, 0].clamp(min=1))).round().clamp(max=last).long()  # (N, H, W)
-    return table[step].permute(0, 3, 1, 2).contiguous()
-
-
-@cache
-def _steps() -> Tensor:
-    """(steps, len(COUNTS)) weights of the cells at each step of the sample count."""
-    last = round(_STEPS * math.log2(COUNTS[-1]))
-    return torch.stack([_weights(COUNTS, 2 ** (step / _STEPS)) for step in range(last + 1)])
-
-
-def _weights(knots: tuple[float, ...], at: float) -> Tensor:
-    """(len(knots),) weights that interpolate over the logarithm of knots; constant beyond the ends."""
-    weights = torch.zeros(len(knots))
-    at = min(max(at, knots[0]), knots[-1])
-    upper = next(index for index, knot in enumerate(knots) if knot >= at)
-    way = 1.0
-    if upper > 0:
-        way = math.log(at / knots[upper - 1]) / math.log(knots[upper] / knots[upper - 1])
-        weights[upper - 1] = 1 - way
-    weights[upper] = way
-    return weights
 
 
 # torch keeps what it has compiled for images of each size, by default a thousand of them at 170 kB each, and
@@ -118,6 +46,56 @@ OUTPUTS = Channels(
 _WEIGHT_OFFSET = (-2.0, 0.0, 0.0)
 _MOST_COLOUR_GAIN = 0.5
 _MOST_GAIN = 2.0
+# Conditions under which shares are tried, an index of theirs: whether the quicker denoiser is used, and
+# indices of COUNTS and ENLARGEMENTS.
+Cell = tuple[int, int, int]
+
+
+def cell_of(quick: bool, count: float, enlargement: float) -> Cell:
+    """The cell nearest to some conditions, by ratios of numbers."""
+    nearest = lambda values, value: min(  # noqa: E731
+        range(len(values)), key=lambda index: abs(math.log(values[index] / value))
+    )
+    return int(quick), nearest(COUNTS, max(count, 1e-6)), nearest(ENLARGEMENTS, enlargement)
+
+
+def all_of_network() -> Tensor:
+    """(2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)) shares of a network that nothing is known about."""
+    shares = torch.zeros(2, len(COUNTS), len(ENLARGEMENTS), len(MIXED))
+    shares[..., 0] = 1
+    return shares
+
+
+def shares_at(shares: Tensor, quick: bool, count: Tensor, enlargement: float) -> Tensor:
+    """(N, len(MIXED), H, W) shares for each pixel's sample count, interpolated between cells.
+
+    Args:
+        shares: as in `Fusion`.
+        quick, enlargement: as in `Parents`.
+        count: (N, 1, H, W) samples.
+    """
+    by_count = _weights(ENLARGEMENTS, enlargement).to(shares.device) @ shares[int(quick)]  # (COUNTS, MIXED)
+    table = _steps().to(shares.device) @ by_count
+    last = len(table) - 1
+    step = (_STEPS * torch.log2(count[:, 0].clamp(min=1))).round().clamp(max=last).long()  # (N, H, W)
+    return table[step].permute(0, 3, 1, 2).contiguous()
+
+
+@cache
+def _steps() -> Tensor:
+    """(steps, len(COUNTS)) weights of the cells at each step of the sample count."""
+    last = round(_STEPS * math.log2(COUNTS[-1]))
+    return torch.stack([_weights(COUNTS, 2 ** (step / _STEPS)) for step in range(last + 1)])
+
+
+def _weights(knots: tuple[float, ...], at: float) -> Tensor:
+    """(len(knots),) weights that interpolate over the logarithm of knots; constant beyond the ends."""
+    weights = torch.zeros(len(knots))
+    at = min(max(at, knots[0]), knots[-1])
+    upper = max(1, next(index for index, knot in enumerate(knots) if knot >= at))
+    way = math.log(at / knots[upper - 1]) / math.log(knots[upper] / knots[upper - 1])
+    weights[upper - 1], weights[upper] = 1 - way, way
+    return weights
 
 
 class Fusion(torch.nn.Module):
@@ -126,8 +104,7 @@ class Fusion(torch.nn.Module):
     It sees blocks of 2 x 2 pixels, and judges every pixel of them.
 
     Attributes:
-        shares: of its estimate, of the denoised samples and of the splats in what is shown, as of
-            `compose.fusion.network.all_of_network`.
+        shares: (2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)) in what is shown, for each cell.
         gains: decibels by which that was better than the better parent on unseen views, for each cell.
     """
 
@@ -164,7 +141,7 @@ def mixture(judged: Tensor, parents: Sequence[Tensor], texture: Sequence[Tensor]
     Args:
         judged: (N, OUTPUTS.total, H, W) the network's outputs.
         parents: traced, denoised, splat, each (N, 3, H, W).
-        texture: as of Features.
+        texture: as in Features.
     """
     traced, denoised, splat = parents
     outputs = OUTPUTS.parts(judged)
@@ -184,15 +161,11 @@ def estimated(
     """Radiance (N, 3, H, W) by the network alone, and the weights (N, 3, H, W) of the parents in it.
 
     Args:
-        fusion: the network.
         images: parents, albedo, normal and count by name, (N, C, H, W) each, both sides even.
-        parents: N, for what is the same in all pixels: enlargement and denoiser.
+        parents: N, for what is the same in all pixels, enlargement and denoiser.
     """
     three = [images[name] for name in PARENTS]
-    enlargement, quick = (
-        three[0].new_tensor([float(getattr(one, name)) for one in parents])
-        for name in ("enlargement", "quick")
-    )
-    auxiliary = images["albedo"], images["normal"]
-    features = features_of([*three, *auxiliary], images["count"], enlargement, quick)
+    enlargement = three[0].new_tensor([float(one.enlargement) for one in parents])
+    quick = three[0].new_tensor([float(one.quick) for one in parents])
+    features = features_of([*three, images["albedo"], images["normal"]], images["count"], enlargement, quick)
     return mixture(fusion(features), three, features.texture)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from compose.fusion.network import COUNTS, ENLARGEMENTS, Cell, all_of_network, shares_at
+from compose.fusion.network import COUNTS, ENLARGEMENTS, all_of_network, cell_of, shares_at
 
 
 def numbered() -> torch.Tensor:
@@ -52,6 +52,6 @@ def test_each_pixel_has_the_shares_of_its_count():
 
 
 def test_the_nearest_cell_is_that_of_the_least_ratio():
-    assert Cell.of(True, 6, 1.3) == Cell(True, 2, 1)
-    assert Cell.of(False, 12, 3) == Cell(False, 3, 3)
-    assert Cell.of(False, 0, 9).index == (0, 0, 3)
+    assert cell_of(True, 6, 1.3) == (1, 2, 1)
+    assert cell_of(False, 12, 3) == (0, 3, 3)
+    assert cell_of(False, 0, 9) == (0, 0, 3)
