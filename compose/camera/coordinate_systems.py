@@ -18,6 +18,8 @@ from compose.camera.camera import Array, Camera, camera_from_pose
 
 # Seen from its views, a scene lies about this many units away, as a room does in metres.
 TYPICAL_DISTANCE = 4.0
+# Names in transforms.json.
+_INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy")
 # Each converts camera axes to OpenCV's and, being its own inverse, back again.
 _MITSUBA_AXES = np.diag([-1.0, -1.0, 1.0, 1.0])  # x left, y up, z forward
 _OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])  # x right, y up, z backward
@@ -83,15 +85,9 @@ def opengl_from_opencv(camera_to_world: Array) -> Array:
 
 def camera_to_json(camera: Camera) -> dict[str, Any]:
     """A camera's intrinsics and pose under the names of transforms.json."""
-    return {
-        "w": camera.width,
-        "h": camera.height,
-        "fl_x": camera.fx,
-        "fl_y": camera.fy,
-        "cx": camera.cx,
-        "cy": camera.cy,
-        "transform_matrix": opengl_from_opencv(camera.camera_to_world).tolist(),
-    }
+    numbers = camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
+    pose = opengl_from_opencv(camera.camera_to_world).tolist()
+    return dict(zip(_INTRINSICS, numbers, strict=True)) | {"transform_matrix": pose}
 
 
 def camera_from_json(entry: dict[str, Any]) -> Camera:

@@ -130,8 +130,12 @@ def load_gaze_trace(path: Path, most_seconds: float = MOST_SECONDS) -> GazeTrace
                 raise UserError(f"{path}: is not a gaze trace; its first line must be {','.join(_COLUMNS)}")
             for number, row in enumerate(rows, 2):
                 second, gaze = _parsed(path, number, row)
-                what = f"{path}: line {number}: time {row[0].strip()[:40]}"
-                _check_time(what, second, seconds, most_seconds)
+                time = f"{path}: line {number}: time {row[0].strip()[:40]}"
+                if not np.isfinite(second) or (seconds and second < seconds[-1]):
+                    raise UserError(f"{time} must be a number, not before the line above")
+                if seconds and second - seconds[0] > most_seconds:
+                    found = f"{second - seconds[0]:g} s after the first one"
+                    raise UserError(f"{time} is {found}; must be at most {most_seconds:g} s")
                 seconds.append(second)
                 gazes.append(gaze)
     except (OSError, ValueError, csv.Error) as error:
@@ -150,15 +154,6 @@ def _parsed(path: Path, number: int, row: list[str]) -> tuple[float, Gaze]:
         needed = f"must be seconds, x, y, the latter within {FURTHEST} frames"
         shown = one_line(",".join(row))
         raise UserError(f"{path}: line {number} is not a gaze ({shown}); {needed}") from error
-
-
-def _check_time(what: str, second: float, earlier: list[float], most_seconds: float) -> None:
-    """Raises UserError if a time is not finite, runs backwards, or is too late; `what` names it."""
-    if not np.isfinite(second) or (earlier and second < earlier[-1]):
-        raise UserError(f"{what} must be a number, not before the line above")
-    if earlier and second - earlier[0] > most_seconds:
-        found = f"{second - earlier[0]:g} s after the first one"
-        raise UserError(f"{what} is {found}; must be at most {most_seconds:g} s")
 
 
 def simulated(display: Display, width: int, height: int, duration: float, seed: int) -> GazeTrace:

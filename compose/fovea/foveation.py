@@ -100,9 +100,8 @@ class FoveaRegion:
     @cached_property
     def _rows(self) -> _Rows:
         """The disc's pixels by rows: work that grows with the frame's height only."""
-        if self.covers_frame:
-            return _Rows.all(self.width, self.height)
-        return _Rows.within(self.centre, self.outer, self.width, self.height)
+        radius = np.inf if self.covers_frame else self.outer
+        return _Rows.within(self.centre, radius, self.width, self.height)
 
     @property
     def count(self) -> int:
@@ -210,11 +209,6 @@ class _Rows:
     count: int
     right: int
     down_squared: NDArray[np.float64]
-
-    @staticmethod
-    def all(width: int, height: int) -> _Rows:
-        nothing = np.zeros(height)
-        return _Rows(0, nothing.astype(np.int64), np.arange(height) * width, width * height, width, nothing)
 
     @staticmethod
     def within(centre: tuple[float, float], radius: float, width: int, height: int) -> _Rows:

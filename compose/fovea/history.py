@@ -45,16 +45,17 @@ _MOST_POSITIONS = 64
 # Three floats are spare.
 _HIT = 8
 _POINT, _GLOSS, _MOVER = slice(0, 3), 3, 4
-# Columns of a view's records and hits by their keys in saved states; files of interrupted videos contain
-# these keys.
-_SAVED_RECORDS: dict[str, int | slice] = {
-    "count": COUNT,
-    "light": slice(RADIANCE.start, SQUARES.stop),
-    "places": POSITIONS,
-    "guides": slice(ALBEDO.start, NORMAL.stop),
+# What files of interrupted videos contain of a view by key: which columns of its records (0) or hits (1), and
+# as what.
+_SAVED: dict[str, tuple[int, int | slice, Any]] = {
+    "count": (0, COUNT, np.float32),
+    "light": (0, slice(RADIANCE.start, SQUARES.stop), np.float32),
+    "places": (0, POSITIONS, np.float32),
+    "guides": (0, slice(ALBEDO.start, NORMAL.stop), np.float32),
+    "position": (1, _POINT, np.float32),
+    "gloss": (1, _GLOSS, np.uint8),
+    "mover": (1, _MOVER, np.uint16),
 }
-_SAVED_HITS: dict[str, int | slice] = {"position": _POINT, "gloss": _GLOSS, "mover": _MOVER}
-_SAVED_TYPES = {"gloss": np.uint8, "mover": np.uint16}
 
 
 class History:
@@ -76,12 +77,8 @@ class History:
         view = self._view
         if view is None:
             return {}
-        records, hits = (
-            np.asarray(table).reshape(-1, size) for table, size in ((view.records, RECORD), (view.hits, _HIT))
-        )
-        known = {key: records[:, column].copy() for key, column in _SAVED_RECORDS.items()}
-        known |= {key: hits[:, column].copy() for key, column in _SAVED_HITS.items()}
-        known |= {key: known[key].astype(kind) for key, kind in _SAVED_TYPES.items()}
+        tables = np.asarray(view.records).reshape(-1, RECORD), np.asarray(view.hits).reshape(-1, _HIT)
+        known = {key: tables[of][:, column].astype(kind) for key, (of, column, kind) in _SAVED.items()}
         moment = {"time": np.array([view.moment.time]), "poses": view.moment.poses}
         return {**known, **moment, "pattern": np.array([view.pattern])}
 
@@ -95,13 +92,11 @@ class History:
         pattern = int(state["pattern"][0])  # type: ignore[call-overload]
         view = history._view = _View(arrays, camera, history._earlier.moment, pattern)
         size = camera.width * camera.height
-        records, hits = (np.zeros((size, width), dtype=np.float32) for width in (RECORD, _HIT))
-        for key, column in _SAVED_RECORDS.items():
-            records[:, column] = state[key]
-        for key, column in _SAVED_HITS.items():
-            hits[:, column] = state.get(key, STILL)
-        view.records, view.hits = (uploaded(arrays.plain.Float, table) for table in (records, hits))
-        view.known = arrays.plain.Bool((records[:, COUNT] > 0) | (records[:, POSITIONS] > 0))
+        tables = [np.zeros((size, width), dtype=np.float32) for width in (RECORD, _HIT)]
+        for key, (of, column, _) in _SAVED.items():
+            tables[of][:, column] = state.get(key, STILL) if of else state[key]
+        view.records, view.hits = (uploaded(arrays.plain.Float, table) for table in tables)
+        view.known = arrays.plain.Bool((tables[0][:, [COUNT, POSITIONS]] > 0).any(axis=1))
         return history
 
     def show(self, moment: Moment) -> None:

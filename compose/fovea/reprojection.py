@@ -152,30 +152,17 @@ def reproject(views: EarlierViews, camera: Camera, new: Samples, box: Box) -> Re
         return None
     surfaces = VisibleSurfaces.of(views.arrays, camera, new, box)
     height, width = shape_of(box)
-    records = _summed(views, _arrivals(views, camera, surfaces), height * width)
+    records = _summed(views, *_arrivals(views, camera, surfaces), height * width)
     return Reprojected(views.arrays, box, records)
 
 
-@dataclass(frozen=True)
-class _Arrivals:
-    """Where M samples of earlier views lie in a rectangle of P pixels, as Dr.Jit arrays.
+def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) -> tuple[Any, Any]:
+    """Where M samples of earlier views are visible among the P pixels of the surfaces' rectangle.
 
-    Attributes:
-        quarter: UInt (M,), quarter of a pixel: four times the pixel's index, plus 0 to 3; 4 P for a sample
-            that lies elsewhere, or on a surface that is not visible or looks different now.
-        distance: UInt (M,), bits of the distance from the camera as a Float, which rise with it.
-        certain: Bool (M,), whether nothing can hide the sample.
-        front: UInt (4 P + 1,), bits of the least distance in each quarter, those that lie elsewhere last.
+    Returns:
+        UInt (M,), the pixel in which each of them is; P for a sample that lies elsewhere, is hidden, or is on
+        a surface that is not visible or looks different now. And UInt (P + 1,), how many are in each.
     """
-
-    quarter: Any
-    distance: Any
-    certain: Any
-    front: Any
-
-
-def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) -> _Arrivals:
-    """Samples of earlier views in the rectangle of the visible surfaces."""
     arrays, plain = views.arrays, views.arrays.plain
     height, width = shape_of(surfaces.box)
     place = views.places(dr.arange(plain.UInt, views.samples))
@@ -187,21 +174,32 @@ def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) ->
     # Whatever was visible from this very position still is.
     certain, unchanged = _compared(views, place, sight, camera)
     holds = inside & (certain | (surfaces.contain(pixel, distance, place.gloss, inside) & unchanged))
+    # Quarters of pixels: four times the pixel's index, plus 0 to 3; 4 P for those that are nowhere.
     quarter = pixel << 2 | (down & 1) << 1 | across & 1
     quarter = dr.select(holds, quarter, arrays.constant(4 * height * width))
+    # Bits of distances rise with these.
     bits = dr.reinterpret_array(plain.UInt, distance)
     # Reductions in kernels of their own take a third of the time.
     dr.eval(quarter, bits, certain)
     front = dr.full(plain.UInt, _FARTHEST, 4 * height * width + 1)
     dr.scatter_reduce(dr.ReduceOp.Min, front, bits, quarter)
     dr.eval(front)
-    return _Arrivals(quarter, bits, certain, front)
+    as_float = lambda bits: dr.reinterpret_array(plain.Float, bits)  # noqa: E731
+    # Whatever lies behind something nearer in the same quarter of a pixel is hidden by it.
+    nearest = as_float(dr.gather(plain.UInt, front, quarter))
+    seen = certain | (as_float(bits) <= nearest * (1 + SAME_SURFACE))
+    pixel = dr.select(seen, quarter >> 2, arrays.constant(height * width))
+    dr.eval(pixel)
+    count = dr.zeros(plain.UInt, height * width + 1)
+    # Direct: pixels are many, so that threads rarely meet.
+    dr.scatter_reduce(dr.ReduceOp.Add, count, plain.UInt(1), pixel, mode=dr.ReduceMode.Direct)
+    dr.eval(count)
+    return pixel, count
 
 
-def _summed(views: EarlierViews, arrivals: _Arrivals, pixels: int) -> Any:
-    """Flat Float of the records of all pixels."""
+def _summed(views: EarlierViews, pixel: Any, count: Any, pixels: int) -> Any:
+    """Flat Float of the records of all pixels, from what `_arrivals` found."""
     arrays, UInt, Float = views.arrays, views.arrays.plain.UInt, views.arrays.plain.Float
-    pixel, count = _visible(arrays, arrivals, pixels)
     order = arrays.argsort(pixel, pixels + 1)
     target = dr.arange(UInt, pixels)
     start, count = (dr.gather(UInt, table, target) for table in (dr.prefix_sum(count), count))
@@ -220,22 +218,6 @@ def _summed(views: EarlierViews, arrivals: _Arrivals, pixels: int) -> Any:
     arrays.put_packet(table, sums, target)
     dr.eval(table)
     return table
-
-
-def _visible(arrays: Arrays, arrivals: _Arrivals, pixels: int) -> tuple[Any, Any]:
-    """The pixel in which each sample is visible, or their number: UInt (M,); and samples in each of these."""
-    UInt, Float = arrays.plain.UInt, arrays.plain.Float
-    as_float = lambda bits: dr.reinterpret_array(Float, bits)  # noqa: E731
-    # Whatever lies behind something nearer in the same quarter of a pixel is hidden by it.
-    nearest = as_float(dr.gather(UInt, arrivals.front, arrivals.quarter))
-    seen = arrivals.certain | (as_float(arrivals.distance) <= nearest * (1 + SAME_SURFACE))
-    pixel = dr.select(seen, arrivals.quarter >> 2, arrays.constant(pixels))
-    dr.eval(pixel)
-    count = dr.zeros(UInt, pixels + 1)
-    # Direct: pixels are many, so that threads rarely meet.
-    dr.scatter_reduce(dr.ReduceOp.Add, count, UInt(1), pixel, mode=dr.ReduceMode.Direct)
-    dr.eval(count)
-    return pixel, count
 
 
 def _eye(arrays: Arrays, camera: Camera) -> list[Any]:

@@ -163,7 +163,7 @@ def _squarable(*images: Tensor) -> tuple[Tensor, ...]:
 
 
 def _usable(images: dict[str, Tensor]) -> tuple[dict[str, Tensor], int]:
-    """The parents with whatever cannot be radiance replaced, and how many pixels that concerns; see `Fused`."""
+    """The parents with whatever cannot be radiance replaced, and in how many pixels; see `Fused`."""
     radiance = torch.cat([images[name] for name in PARENTS])
     plain = (radiance >= 0).all() & (radiance <= MOST).all()
     if bool(plain & torch.isfinite(images["albedo"] + images["normal"]).all()):

@@ -59,13 +59,6 @@ def cell_of(quick: bool, count: float, enlargement: float) -> Cell:
     return int(quick), nearest(COUNTS, max(count, 1e-6)), nearest(ENLARGEMENTS, enlargement)
 
 
-def all_of_network() -> Tensor:
-    """(2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)) shares of a network that nothing is known about."""
-    shares = torch.zeros(2, len(COUNTS), len(ENLARGEMENTS), len(MIXED))
-    shares[..., 0] = 1
-    return shares
-
-
 def shares_at(shares: Tensor, quick: bool, count: Tensor, enlargement: float) -> Tensor:
     """(N, len(MIXED), H, W) shares for each pixel's sample count, interpolated between cells.
 
@@ -120,9 +113,11 @@ class Fusion(torch.nn.Module):
         torch.nn.init.zeros_(self.judge.weight)
         assert self.judge.bias is not None
         torch.nn.init.zeros_(self.judge.bias)
-        shares = all_of_network()
+        gains = torch.zeros(2, len(COUNTS), len(ENLARGEMENTS))
+        # Until anything is tried, all is the network's.
+        shares = torch.stack([gains + 1, gains, gains], -1)
         self.register_buffer("shares", shares)
-        self.register_buffer("gains", torch.zeros(shares.shape[:-1]))
+        self.register_buffer("gains", gains)
 
     def forward(self, features: Features) -> Tensor:
         """(N, OUTPUTS.total, H, W)."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 import torch
 
-from compose.fusion.network import COUNTS, ENLARGEMENTS, all_of_network, cell_of, shares_at
+from compose.fusion.network import COUNTS, ENLARGEMENTS, Fusion, cell_of, shares_at
 
 
 def numbered() -> torch.Tensor:
     """Shares of the first parent that tell where they come from."""
-    shares = all_of_network()
+    shares = Fusion().shares
     for quick in (0, 1):
         for i in range(len(COUNTS)):
             for j in range(len(ENLARGEMENTS)):
@@ -23,7 +23,7 @@ def at(quick: bool, count: float, enlargement: float) -> float:
 
 
 def test_before_anything_is_tried_all_is_the_network():
-    shares = all_of_network()
+    shares = Fusion().shares
     assert shares.shape == (2, 5, 4, 3)
     assert (shares.sum(-1) == 1).all()
     assert (shares[..., 0] == 1).all()
