@@ -75,14 +75,10 @@ class Arrays:
         return result
 
     def argsort(self, key: Any, bound: int) -> Any:
-        """Indices that sort a UInt array stably: equal keys keep their order.
+        """Indices that sort keys, UInt (N,) less than `bound`, stably: equal keys keep their order.
 
         On the CPU this is a radix sort of one pass for bounds up to 2^14, or up to a quarter of the keys'
         number, and of two for bounds up to 2^22, where `dr.argsort` takes three.
-
-        Args:
-            key: (N,) UInt, every element less than `bound`.
-            bound: exclusive upper bound of the keys.
         """
         count = dr.width(key)
         if self.backend != "llvm" or not count:
@@ -118,18 +114,15 @@ class Arrays:
         return row, index - row * across
 
     def packet(self, table: Any, size: int, index: Any, active: Any = True) -> Any:
-        """ArrayXf of `size` by (N,): consecutive numbers of a flat Float, or ArrayXf64 of a flat Float64.
+        """Rows of `size` numbers of a flat Float or Float64, by indices UInt (N,), as an ArrayXf (size, N).
 
-        Args:
-            table: rows of `size` numbers; Dr.Jit loads a row at once.
-            index: UInt (N,), of the rows.
-            active: whether to read them; what is not read is 0.
+        Each row is loaded at once; rows that are not active are 0.
         """
         kind = self.plain.ArrayXf64 if dr.type_v(table) == dr.VarType.Float64 else self.plain.ArrayXf
         return dr.gather(kind, table, index, active, shape=(size, dr.width(index)))
 
     def put_packet(self, table: Any, values: Sequence[Any], index: Any, active: Any = True) -> None:
-        """Writes Floats (N,) to rows of a flat Float, each row at once; no row may be named twice."""
+        """Writes Floats (N,) to rows of a flat Float, each row at once; an index may occur only once."""
         dr.scatter(table, self.plain.ArrayXf(values), index, active, mode=dr.ReduceMode.Permute)
 
 

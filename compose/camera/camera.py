@@ -81,15 +81,9 @@ class Camera:
     def resized(self, width: int, height: int) -> Camera:
         """The same view at another frame size: the vertical field of view stays, a wider frame sees more."""
         scale = height / self.height
-        return replace(
-            self,
-            width=width,
-            height=height,
-            fx=self.fx * scale,
-            fy=self.fy * scale,
-            cx=width / 2 + (self.cx - self.width / 2) * scale,
-            cy=self.cy * scale,
-        )
+        fx, fy, cy = self.fx * scale, self.fy * scale, self.cy * scale
+        cx = width / 2 + (self.cx - self.width / 2) * scale
+        return replace(self, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
 
     def cropped(self, left: float, top: float, width: int, height: int) -> Camera:
         """The camera whose frame is a rectangle of this one, `left` and `top` in pixels."""

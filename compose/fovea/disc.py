@@ -123,13 +123,8 @@ def _listed(arrays: Arrays, region: FoveaRegion) -> tuple[Any, Any]:
     values = uploaded(plain.UInt, table)
     # Read at a literal, each would be copied on its own.
     end, one = arrays.constant(size), arrays.constant(1)
-
-    def integer(at: Any) -> Any:
-        return dr.gather(plain.UInt, values, at)
-
-    def number(at: Any) -> Any:
-        return dr.reinterpret_array(plain.Float, integer(2 * end + 2 + at))
-
+    integer = lambda at: dr.gather(plain.UInt, values, at)  # noqa: E731
+    number = lambda at: dr.reinterpret_array(plain.Float, integer(2 * end + 2 + at))  # noqa: E731
     shift, outer, slope, faded = (number(end + i) for i in range(4))
     top, width = (integer(2 * end + i) for i in range(2))
     index = dr.arange(plain.UInt, region.count)
@@ -178,8 +173,7 @@ def thinned(disc: Disc, spp: int, seed: int) -> tuple[Disc, int | Counts]:
     weights = dr.maximum(dr.gather(plain.Float, disc.weights, kept), 1 / plain.Float(most))
     # In one kernel with what needs them first.
     dr.schedule(pixels, count, weights)
-    thin = replace(disc, pixels=pixels, weights=weights)
-    return thin, 1 if spp == 1 else Counts.of(count, spp)
+    return replace(disc, pixels=pixels, weights=weights), 1 if spp == 1 else Counts.of(count, spp)
 
 
 def blend(periphery: DeviceImage, fovea: list[Any], disc: Disc) -> DeviceImage:
@@ -196,11 +190,8 @@ def blend(periphery: DeviceImage, fovea: list[Any], disc: Disc) -> DeviceImage:
         # Full weights copy instead of multiplying: 0 times a lamp's infinity is not 0.
         full = disc.weights >= 1
         behind = periphery.of_pixels(disc.pixels)
-        mixed = [
-            dr.select(full, front, back * (1 - disc.weights) + front * disc.weights)
-            for front, back in zip(fovea, behind, strict=True)
-        ]
-        for channel, values in enumerate(mixed):
+        for channel, (front, back) in enumerate(zip(fovea, behind, strict=True)):
+            values = dr.select(full, front, back * (1 - disc.weights) + front * disc.weights)
             dr.scatter(composite.values, values, disc.pixels * 3 + channel, mode=dr.ReduceMode.Permute)
         dr.eval(composite.values)
     return composite

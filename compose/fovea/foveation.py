@@ -100,8 +100,19 @@ class FoveaRegion:
     @cached_property
     def _rows(self) -> _Rows:
         """The disc's pixels by rows: work that grows with the frame's height only."""
-        radius = np.inf if self.covers_frame else self.outer
-        return _Rows.within(self.centre, radius, self.width, self.height)
+        radius, (x, y) = np.float64(np.inf if self.covers_frame else self.outer), self.centre
+        top, stop = _span(y, radius, self.height)
+        down_squared = (np.arange(top, stop) + 0.5 - y) ** 2
+        starts, stops = _span(x, np.sqrt(np.maximum(radius**2 - down_squared, 0)), self.width)
+        counts = np.maximum(stops - starts, 0)
+        used = np.flatnonzero(counts)
+        if not len(used):
+            return _Rows(0, starts[:0], starts[:0], 0, 0, down_squared[:0])
+        # Rows without a pixel, at the ends only, are left out.
+        rows = slice(int(used[0]), int(used[-1]) + 1)
+        counts, starts = counts[rows], starts[rows]
+        before, right = np.cumsum(counts) - counts, int((starts + counts).max())
+        return _Rows(int(top) + rows.start, starts, before, int(counts.sum()), right, down_squared[rows])
 
     @property
     def count(self) -> int:
@@ -168,7 +179,7 @@ class FoveaRegion:
 
     def foveal_tiles(self, tile: int) -> NDArray[np.bool_]:
         """(rows, columns) bool: tiles that overlap the rectangle around the disc, `tile` pixels per side."""
-        tiles = self._no_tiles(tile)
+        tiles = np.zeros((-(-self.height // tile), -(-self.width // tile)), dtype=bool)
         if self.count:
             down, across = (slice(s.start // tile, -(-s.stop // tile)) for s in self.box)
             tiles[down, across] = True
@@ -176,18 +187,13 @@ class FoveaRegion:
 
     def peripheral_tiles(self, tile: int) -> NDArray[np.bool_]:
         """(rows, columns) bool: tiles with a pixel in which splats are visible, `tile` pixels per side."""
-        if self.covers_frame:
-            return self._no_tiles(tile)
         # A tile is hidden if its pixel furthest from the centre is.
         y, x = (
             np.maximum(np.abs(first + 0.5 - middle), np.abs(np.minimum(first + tile, size) - 0.5 - middle))
             for size, middle in ((self.height, self.centre[1]), (self.width, self.centre[0]))
             for first in (np.arange(0, size, tile),)
         )
-        return np.hypot(y[:, None], x[None, :]) >= self.inner
-
-    def _no_tiles(self, tile: int) -> NDArray[np.bool_]:
-        return np.zeros((-(-self.height // tile), -(-self.width // tile)), dtype=bool)
+        return (np.hypot(y[:, None], x[None, :]) >= self.inner) & (not self.covers_frame)
 
 
 @dataclass(frozen=True)
@@ -209,23 +215,6 @@ class _Rows:
     count: int
     right: int
     down_squared: NDArray[np.float64]
-
-    @staticmethod
-    def within(centre: tuple[float, float], radius: float, width: int, height: int) -> _Rows:
-        """The pixels of a frame whose centres lie within a radius."""
-        x, y = centre
-        top, stop = _span(y, np.float64(radius), height)
-        down_squared = (np.arange(top, stop) + 0.5 - y) ** 2
-        starts, stops = _span(x, np.sqrt(np.maximum(radius**2 - down_squared, 0)), width)
-        counts = np.maximum(stops - starts, 0)
-        used = np.flatnonzero(counts)
-        if not len(used):
-            return _Rows(0, starts[:0], starts[:0], 0, 0, down_squared[:0])
-        # Rows without a pixel, at the ends only, are left out.
-        rows = slice(int(used[0]), int(used[-1]) + 1)
-        counts, starts = counts[rows], starts[rows]
-        before, right = np.cumsum(counts) - counts, int((starts + counts).max())
-        return _Rows(int(top) + rows.start, starts, before, int(counts.sum()), right, down_squared[rows])
 
 
 def _span(centre: float, half: Any, size: int) -> tuple[Any, Any]:

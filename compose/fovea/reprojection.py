@@ -62,13 +62,12 @@ class VisibleSurfaces:
         return VisibleSurfaces(arrays, box, _around(arrays, sampled, height, width))
 
     def contain(self, pixel: Any, distance: Any, gloss: Any, active: Any) -> Any:
-        """Whether hits lie on these surfaces.
+        """Whether hits lie on these surfaces, if active, Bool (M,).
 
         Args:
             pixel: UInt (M,), index of a pixel of the rectangle.
             distance: Float (M,), from the camera.
             gloss: UInt (M,), class of gloss of what is hit.
-            active: Bool (M,), the hits in question.
         """
         around = self.arrays.packet(self.table, _AROUND, pixel, active)
         same = active & (distance >= around[0]) & (distance <= around[1])

@@ -56,11 +56,8 @@ class DeviceImage:
     @property
     def is_packed(self) -> bool:
         """Whether the buffer holds nothing but the image."""
-        return (
-            self.stride == self.width
-            and self.channels == 3
-            and dr.width(self.values) == self.width * self.height * 3
-        )
+        floats = 3 * self.width * self.height
+        return (self.stride, self.channels, dr.width(self.values)) == (self.width, 3, floats)
 
     @property
     def is_whole(self) -> bool:
