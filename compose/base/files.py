@@ -24,13 +24,13 @@ from compose.base.errors import UserError
 
 # Files that are being written; the dot hides them from `*` in shells and from file dialogs.
 PART_PREFIX = ".part-"
-# Age at which a partial file of another machine, whose processes cannot be asked for, counts as left over.
+# Age at which a partial file of another machine, whose processes cannot be looked up, counts as left over.
 _STALE_SECONDS = 24 * 3600.0
-# Libraries choose a format by no longer extension, and a longer one might not fit into a file's name.
+# No library chooses a format by a longer extension, and a longer one might not fit into a file's name.
 _LONGEST_EXTENSION = 20
 # Of a JSON file: far more than any description of a camera, of a display, or of 100,000 frames has.
 MOST_BYTES = 1 << 28
-# Whole numbers from here on are none that the project counts, and overflow where they meet floats.
+# Nothing that the project counts is as large as this, and larger numbers overflow where they meet floats.
 _LARGEST = 2**63
 _Value = TypeVar("_Value")
 
@@ -103,7 +103,7 @@ def require_size_below(path: Path, most_bytes: int) -> int:
 
     Raises:
         OSError: there is no such file.
-        ValueError: it is larger than that, or no ordinary file: reading a device or a pipe might never end.
+        ValueError: it is larger, or not an ordinary file: reading a device or a pipe might never end.
     """
     found = path.stat()
     if not stat.S_ISREG(found.st_mode):
@@ -114,7 +114,7 @@ def require_size_below(path: Path, most_bytes: int) -> int:
 
 
 def _part_of(path: Path) -> Path:
-    """A name that no other write uses, of this machine, this process, and random."""
+    """A name that no other write uses, made of the machine, the process, and random digits."""
     # The extension stays: libraries choose the format by it.
     extension = path.suffix if len(path.suffix) <= _LONGEST_EXTENSION else ""
     return path.with_name(f"{PART_PREFIX}{_place()}-{os.getpid()}-{secrets.token_hex(8)}{extension}")

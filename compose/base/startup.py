@@ -79,10 +79,8 @@ def _explicit_llvm(path: str) -> Llvm:
     if not llvm.path.exists():
         raise UserError(f"{_PATH_VARIABLE}={path} does not exist; {_HINT}")
     if llvm.version is not None and llvm.version < MINIMUM_LLVM:
-        raise UserError(
-            f"{_PATH_VARIABLE}={path} is LLVM {llvm.version}, which Dr.Jit cannot use "
-            f"({MINIMUM_LLVM} or newer); {_HINT}"
-        )
+        refused = f"is LLVM {llvm.version}, which Dr.Jit cannot use ({MINIMUM_LLVM} or newer)"
+        raise UserError(f"{_PATH_VARIABLE}={path} {refused}; {_HINT}")
     return llvm
 
 

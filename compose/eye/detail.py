@@ -144,7 +144,7 @@ def detail_map(
         saliency: (rows + 1, columns + 1) in 0..1 at the cells' corners; None for none.
     """
     per_degree, rays = _corners(display, width, height)
-    radius = fov_b / 100 * height
+    radius, relative = fov_b / 100 * height, acuity_model.relative
     ray, edge = _gaze_ray_and_edge(display, gaze, width, height, radius)
     # Near zero an arc cosine loses half of its digits; what is left is more than float32 holds.
     angle = np.degrees(np.arccos(np.clip(rays @ ray, -1, 1)))
@@ -153,27 +153,20 @@ def detail_map(
     deciding = cutoff
     if saliency is not None:
         cutoff = with_saliency(cutoff, saliency.astype(np.float64))
-        deciding = deciding if acuity_model.relative else cutoff
+        deciding = deciding if relative else cutoff
     straight = float(np.degrees(np.arctan(radius / display.focal)))
     # No coarser layer need show what layer L does not show faithfully.
-    most = _NYQUIST if acuity_model.relative else min(_NYQUIST, _FAITHFUL * layers.finest_frequency)
+    most = _NYQUIST if relative else min(_NYQUIST, _FAITHFUL * layers.finest_frequency)
     finest, ahead = (
         min(float(acuity_model.cutoff(np.array(e))) / display.pixels_per_degree, most)
         for e in (edge, straight)
     )
-    fade = _FADE if acuity_model.relative else _FADE_BY_SALIENCY
+    fade = _FADE if relative else _FADE_BY_SALIENCY
     steps = detail_steps(finest, ahead, layers.finest_rates, layers.lowest, fade)
     resolved = np.minimum(cutoff, _NYQUIST).astype(np.float32)
-    return DetailMap(
-        width,
-        height,
-        len(layers.finest_rates),
-        angle.astype(np.float32),
-        resolved,
-        resolved if acuity_model.relative else np.full_like(resolved, _NYQUIST),
-        steps,
-        _step_index(deciding, steps, fade),
-    )
+    low_pass = resolved if relative else np.full_like(resolved, _NYQUIST)
+    index, count = _step_index(deciding, steps, fade), len(layers.finest_rates)
+    return DetailMap(width, height, count, angle.astype(np.float32), resolved, low_pass, steps, index)
 
 
 def _gaze_ray_and_edge(

@@ -123,9 +123,8 @@ def fit(
     if not examples:
         raise ValueError("there are no examples to fit the fusion to")
     if min(*examples[0].parents.traced.shape[:2]) < LEAST_SIZE:
-        raise ValueError(
-            f"fitting the fusion requires examples of at least {LEAST_SIZE} x {LEAST_SIZE} pixels"
-        )
+        least = f"{LEAST_SIZE} x {LEAST_SIZE}"
+        raise ValueError(f"fitting the fusion requires examples of at least {least} pixels")
     rng = np.random.default_rng(seed)
     with torch.random.fork_rng():
         torch.manual_seed(seed)

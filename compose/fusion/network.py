@@ -1,6 +1,6 @@
 """The fitted part of the fusion: a small convolutional network, its estimate, and how much of it is shown.
 
-The network alone may be worse than the better parent, where it has seen too few views or too noisy ones. What
+The network alone may be worse than the better parent where it has seen too few views or too noisy ones. What
 it is worth has therefore been tried on views that it had not seen (compose.fusion.proof), in cells of sample
 count, enlargement and denoiser.
 """
@@ -26,8 +26,6 @@ ENLARGEMENTS = (0.5, 1, 2, 4)
 MIXED = ("network", "denoised", "splat")
 # Shares are looked up in steps of this fraction of a doubling of the sample count.
 _STEPS = 8
-
-
 # torch keeps what it has compiled for images of each size, by default a thousand of them at 170 kB each, and
 # a disc near the edge of a frame has another size at every gaze. torch reads these limits at the first
 # convolution.
@@ -46,8 +44,8 @@ OUTPUTS = Channels(
 _WEIGHT_OFFSET = (-2.0, 0.0, 0.0)
 _MOST_COLOUR_GAIN = 0.5
 _MOST_GAIN = 2.0
-# Conditions under which shares are tried, an index of theirs: whether the quicker denoiser is used, and
-# indices of COUNTS and ENLARGEMENTS.
+# Conditions under which shares are tried, as an index into a tensor of them: whether the quicker denoiser is
+# used, and indices of COUNTS and ENLARGEMENTS.
 Cell = tuple[int, int, int]
 
 

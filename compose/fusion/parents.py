@@ -12,7 +12,7 @@ from torch.nn import functional
 
 from compose.image.colour import LUMINANCE_WEIGHTS, Image
 
-# Parents, in the order of their weights; and all images that tell of them.
+# Parents, in the order of their weights; and all images of `Parents`.
 PARENTS = ("traced", "denoised", "splat")
 IMAGES = (*PARENTS, "variance", "albedo", "normal", "count")
 
