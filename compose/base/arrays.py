@@ -17,7 +17,6 @@ BackendName = Literal["llvm", "cuda"]
 _NUMPY = {dr.VarType.UInt32: np.uint32, dr.VarType.Float32: np.float32, dr.VarType.Float64: np.float64}
 # Bytes. Dr.Jit compiles other kernels for arrays that do not start at a multiple of it.
 _ALIGNMENT = 64
-# So many floats lie between two places where an array may start.
 ALIGNED_FLOATS = _ALIGNMENT // 4
 # From so many keys per bucket on, sorting by one large digit is quicker than by two small ones.
 _KEYS_PER_BUCKET = 4
@@ -26,11 +25,7 @@ _KEYS_PER_BUCKET = 4
 class Arrays:
     """Array types of the LLVM or the CUDA backend.
 
-    Args:
-        backend: which of the two.
-
     Attributes:
-        backend: which of the two.
         plain: the module of array types without derivatives, for hand-written kernels.
         ad: the module of array types that Dr.Jit differentiates.
     """
@@ -52,7 +47,7 @@ class Arrays:
         """UInt of width 1 that kernels read from memory: the same kernel serves every value.
 
         A literal would be compiled into the kernel. Use this for everything that depends on the size of a
-        frame, the gaze or the camera. It is kept for values that come back.
+        frame, the gaze or the camera. Values that come back are cached.
         """
         return constant(self.plain.UInt, value)
 
@@ -80,14 +75,10 @@ class Arrays:
         return result
 
     def argsort(self, key: Any, bound: int) -> Any:
-        """Indices that sort a UInt array stably: equal keys keep their order.
+        """Indices that sort keys, UInt (N,) less than `bound`, stably: equal keys keep their order.
 
         On the CPU this is a radix sort of one pass for bounds up to 2^14, or up to a quarter of the keys'
         number, and of two for bounds up to 2^22, where `dr.argsort` takes three.
-
-        Args:
-            key: (N,) UInt, every element less than `bound`.
-            bound: exclusive upper bound of the keys.
         """
         count = dr.width(key)
         if self.backend != "llvm" or not count:
@@ -98,9 +89,8 @@ class Arrays:
             return dr.detail.block_mkperm(key, count, bound)
         order, shift, bits = None, 0, 11
         while bound > 1 << shift:
-            digit = (key if order is None else dr.gather(self.plain.UInt, key, order)) >> shift & (
-                1 << bits
-            ) - 1
+            digits = key if order is None else dr.gather(self.plain.UInt, key, order)
+            digit = digits >> shift & (1 << bits) - 1
             dr.eval(digit)
             step = dr.detail.block_mkperm(digit, count, min(1 << bits, -(-bound // (1 << shift))))
             order = step if order is None else dr.gather(self.plain.UInt, order, step)
@@ -117,19 +107,37 @@ class Arrays:
         start = self.constant(0)
         return [dr.gather(kind, table, start + i) for i in range(len(values))]
 
+    def rows_columns(self, index: Any, width: int) -> tuple[Any, Any]:
+        """Rows and columns, UInt each, of row-major indices UInt of an image of that width."""
+        across = self.constant(width)
+        row = index // across
+        return row, index - row * across
+
+    def packet(self, table: Any, size: int, index: Any, active: Any = True) -> Any:
+        """Rows of `size` numbers of a flat Float or Float64, by indices UInt (N,), as an ArrayXf (size, N).
+
+        Each row is loaded at once; rows that are not active are 0.
+        """
+        kind = self.plain.ArrayXf64 if dr.type_v(table) == dr.VarType.Float64 else self.plain.ArrayXf
+        return dr.gather(kind, table, index, active, shape=(size, dr.width(index)))
+
+    def put_packet(self, table: Any, values: Sequence[Any], index: Any, active: Any = True) -> None:
+        """Writes Floats (N,) to rows of a flat Float, each row at once; an index may occur only once."""
+        dr.scatter(table, self.plain.ArrayXf(values), index, active, mode=dr.ReduceMode.Permute)
+
 
 @lru_cache(maxsize=4096)
 def _constant(kind: Any, value: float) -> Any:
     return dr.opaque(kind, value)
 
 
-# Dr.Jit complains of arrays that outlive it.
+# Dr.Jit complains about arrays that outlive it.
 atexit.register(_constant.cache_clear)
 
 
 def constant(kind: Any, value: float) -> Any:
-    """Array of a kind and of width 1, as of `Arrays.constant`."""
-    # Another handle: who changes his in place leaves the kept one alone.
+    """Array of a kind and of width 1 that is cached; see `Arrays.constant`."""
+    # A new handle: changing it in place leaves the cached one alone.
     return kind(_constant(kind, value))
 
 
@@ -146,7 +154,7 @@ def uploaded(kind: Any, values: NDArray[Any]) -> Any:
 
 
 def compressed(values: Any, mask: Any) -> Any:
-    """Those of N values whose mask is set, in order; waits for their number."""
+    """Those of N values whose mask is set, in order; waits for their count."""
     chosen = dr.compress(mask)
     # Dr.Jit refuses to index with arrays of width 0.
     return dr.gather(type(values), values, chosen) if dr.width(chosen) else dr.zeros(type(values), 0)

@@ -1,8 +1,4 @@
-"""Errors that a user can cause, and checks of what users and files claim: seeds, sizes and names.
-
-Names and hashes of scenes become parts of paths, so they must not be paths; files that a document lists never
-lie outside the document's folder; no file asks for more memory than a frame can be worth.
-"""
+"""Errors that a user can cause, and checks of what users and files claim: seeds, sizes and names."""
 
 from __future__ import annotations
 
@@ -11,25 +7,27 @@ import re
 from pathlib import Path
 from typing import Any
 
+# Of an image: 16 times those of 4K.
+MOST_PIXELS = 1 << 27
+# The largest integer of 64 bits: what seeds are saved as.
+MOST_SEED = (1 << 63) - 1
+# Bytes of a scene's name: a folder's name has at most 255, and a part of the hash follows.
+_LONGEST_NAME = 200
+# Bytes of any part of a path on common systems.
+_LONGEST_PART = 255
+_HASH = re.compile(r"[0-9a-f]{0,64}")
+
 
 class UserError(Exception):
     """Bad input: one line that names the file or value, what is wrong with it and what would be right."""
 
 
 def one_line(error: BaseException | str) -> str:
-    """What an error says, short and in one line, for a message that names the file itself."""
+    """What an error says, short and on one line, for a message that names the file itself."""
     said = getattr(error, "strerror", None) or str(error) or type(error).__name__
     # A file's content may be part of it.
     line = "".join(c if c.isprintable() else " " for c in said)
     return line if len(line) <= 300 else f"{line[:300]}..."
-
-
-# Of an image: 16 times those of 4K.
-MOST_PIXELS = 1 << 27
-
-
-# The largest integer of 64 bits: what seeds are saved as.
-MOST_SEED = (1 << 63) - 1
 
 
 def require_seed(seed: Any) -> int:
@@ -47,20 +45,15 @@ def require_seed(seed: Any) -> int:
     return number
 
 
-# A folder's name has at most 255 bytes, and a part of the hash follows.
-_LONGEST_NAME = 200
-_HASH = re.compile(r"[0-9a-f]{0,64}")
-
-
 def claimed_scene(name: Any, digest: Any) -> tuple[str, str]:
-    """Name and hash of a scene, if they can be those of one.
+    """Name and hash of a scene, which become parts of paths, so they must not be paths.
 
     Args:
-        name: at most 200 bytes of printable characters, neither slash nor backslash, no dot in front.
+        name: at most 200 bytes of printable characters, neither slash nor backslash, no leading dot.
         digest: up to 64 hexadecimal digits in lower case; empty for what fits any scene.
 
     Raises:
-        ValueError: they cannot.
+        ValueError: one of them is anything else.
     """
     good = isinstance(name, str) and name.isprintable() and not set("/\\") & set(name)
     if not good or name.startswith(".") or len(name.encode()) > _LONGEST_NAME:
@@ -70,15 +63,11 @@ def claimed_scene(name: Any, digest: Any) -> tuple[str, str]:
     return name, digest
 
 
-# Bytes, of any part of a path on common systems.
-_LONGEST_PART = 255
-
-
 def file_inside(folder: Path, name: Any) -> Path:
     """A file by its name relative to a folder.
 
     Raises:
-        ValueError: it would lie elsewhere, or can be none.
+        ValueError: it would lie outside the folder, or is not a file name.
     """
     is_name = isinstance(name, str) and name.isprintable() and len(name.encode()) <= _LONGEST_PART
     if not is_name or Path(name).is_absolute() or ".." in Path(name).parts:

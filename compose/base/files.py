@@ -22,12 +22,17 @@ from numpy.typing import NDArray
 
 from compose.base.errors import UserError
 
-# Files that are being written; the dot hides them from `*` of shells and of file dialogs.
+# Files that are being written; the dot hides them from `*` in shells and from file dialogs.
 PART_PREFIX = ".part-"
-# A partial file of another machine, whose processes cannot be asked for, is left over after so long.
+# Age at which a partial file of another machine, whose processes cannot be looked up, counts as left over.
 _STALE_SECONDS = 24 * 3600.0
-# Longer ones are no extension by which a library chooses a format, and might exceed what a name may have.
+# No library chooses a format by a longer extension, and a longer one might not fit into a file's name.
 _LONGEST_EXTENSION = 20
+# Of a JSON file: far more than any description of a camera, of a display, or of 100,000 frames has.
+MOST_BYTES = 1 << 28
+# Nothing that the project counts is as large as this, and larger numbers overflow where they meet floats.
+_LARGEST = 2**63
+_Value = TypeVar("_Value")
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
@@ -53,9 +58,12 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         write(part)
         # Some libraries write files that only their owner may read.
         os.chmod(part, mode)
-        _to_disk(part)
+        with part.open("rb+") as written:
+            os.fsync(written.fileno())
         os.replace(part, path)
-        _folder_to_disk(path.parent)
+        # The name as well, where the system can tell.
+        with contextlib.suppress(OSError), _opened(path.parent) as folder:
+            os.fsync(folder)
     except (OSError, RuntimeError, ValueError) as error:
         # A name that holds a NUL byte is a ValueError; one in what is written is the caller's.
         if isinstance(error, ValueError) and "\0" not in str(path):
@@ -76,11 +84,18 @@ def locked(folder: Path) -> Iterator[None]:
         with contextlib.suppress(ImportError, OSError):
             import fcntl
 
-            descriptor = os.open(folder, os.O_RDONLY)
             # A process that dies gives the lock back.
-            stack.callback(os.close, descriptor)
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            fcntl.flock(stack.enter_context(_opened(folder)), fcntl.LOCK_EX)
         yield
+
+
+@contextlib.contextmanager
+def _opened(folder: Path) -> Iterator[int]:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
 
 
 def require_size_below(path: Path, most_bytes: int) -> int:
@@ -88,7 +103,7 @@ def require_size_below(path: Path, most_bytes: int) -> int:
 
     Raises:
         OSError: there is no such file.
-        ValueError: it is larger than that, or no ordinary file: reading a device or a pipe might never end.
+        ValueError: it is larger, or not an ordinary file: reading a device or a pipe might never end.
     """
     found = path.stat()
     if not stat.S_ISREG(found.st_mode):
@@ -99,8 +114,8 @@ def require_size_below(path: Path, most_bytes: int) -> int:
 
 
 def _part_of(path: Path) -> Path:
-    """A name that no other write uses: of this machine, this process, and random."""
-    # The extension is kept: libraries choose the format by it.
+    """A name that no other write uses, made of the machine, the process, and random digits."""
+    # The extension stays: libraries choose the format by it.
     extension = path.suffix if len(path.suffix) <= _LONGEST_EXTENSION else ""
     return path.with_name(f"{PART_PREFIX}{_place()}-{os.getpid()}-{secrets.token_hex(8)}{extension}")
 
@@ -151,33 +166,10 @@ def _mode_of_new_files(part: Path) -> int:
     return mode
 
 
-def _to_disk(file: Path) -> None:
-    """Waits until the content of a file is on the disk."""
-    with file.open("rb+") as opened:
-        os.fsync(opened.fileno())
-
-
-def _folder_to_disk(folder: Path) -> None:
-    """Waits until the names in a folder are on the disk, where the system can tell."""
-    with contextlib.suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-
-
-# Far more than any description of a camera, of a display, or of 100,000 frames has.
-MOST_BYTES = 1 << 28
-# Whole numbers beyond are none that the project counts, and overflow where they meet floats.
-_LARGEST = 2**63
-
-
 def read_json(path: Path, most_bytes: int = MOST_BYTES, finite: bool = True) -> Any:
     """The content of a JSON file.
 
     Args:
-        path: the file.
         most_bytes: larger files are refused before they are read.
         finite: whether to refuse NaN and Infinity, which JSON does not have but Python writes.
 
@@ -222,12 +214,7 @@ def _refused(name: str) -> float:
 
 
 def checksum(arrays: Mapping[str, NDArray[Any]], text: str = "") -> str:
-    """Eight hexadecimal digits of a CRC-32 over names, types, sizes and values of arrays.
-
-    Args:
-        arrays: by name, in any order.
-        text: what else it covers.
-    """
+    """Eight hexadecimal digits of a CRC-32 over a text, and names, types, sizes and values of arrays."""
     state = zlib.crc32(text.encode())
     for name in sorted(arrays):
         values = np.ascontiguousarray(arrays[name])
@@ -236,20 +223,13 @@ def checksum(arrays: Mapping[str, NDArray[Any]], text: str = "") -> str:
     return f"{state:08x}"
 
 
-_Value = TypeVar("_Value")
-
-
 def under(prefix: str, values: Mapping[str, _Value]) -> dict[str, _Value]:
     """The values whose names have a prefix, by their names without it."""
     return {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
 
 
 def json_text(content: Any) -> str:
-    """The content as an indented JSON document, in which numbers that are not finite are null.
-
-    Args:
-        content: of types that JSON has; tuples become lists.
-    """
+    """The content, of types that JSON has, as an indented document; null for numbers that are not finite."""
     return json.dumps(_finite(content), indent=1, allow_nan=False) + "\n"
 
 

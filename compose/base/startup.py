@@ -1,8 +1,8 @@
-"""Settles, before Dr.Jit and torch are loaded, which LLVM Dr.Jit uses and that waiting threads sleep.
+"""Settles, when `compose` is imported, which LLVM Dr.Jit uses and that waiting threads sleep.
 
-This happens when `compose` is imported: `import drjit` loads the first LLVM it finds, and a wrong one aborts
-the process at the first kernel. OpenMP reads its settings once, when torch loads it: threads that wait must
-not take the processor from those that work.
+`import drjit` loads the first LLVM it finds, and a wrong one aborts the process at the first kernel. OpenMP
+reads its settings once, when torch loads it: threads that wait must not take the processor from those that
+work.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import os
 import re
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from compose.base.errors import UserError
 
@@ -22,12 +22,14 @@ _PATH_VARIABLE = "DRJIT_LIBLLVM_PATH"
 # ("Cannot select: fminimum"). LLVM 19.1 and 23.1 are known to work.
 MINIMUM_LLVM = 19
 _HINT = "install one with: pip install karellen-llvm-core   (or: apt install libllvm19)"
-
 _LIBRARY_NAME = re.compile(r"libLLVM(?:-(\d+))?(?:\.so(?:\.(\d+))?.*)$")
+_SPINS_VARIABLE, _POLICY_VARIABLE = "GOMP_SPINCOUNT", "OMP_WAIT_POLICY"
+# Turns of a loop in which torch's threads wait for work before they sleep. By GNU OpenMP's default they do so
+# for milliseconds, which delays whoever has work where other processes are busy.
+_SPINS = 1000
 
 
-@dataclass(frozen=True)
-class Llvm:
+class Llvm(NamedTuple):
     """A shared LLVM library: its path and major version, None if the name does not contain it."""
 
     path: Path
@@ -52,10 +54,6 @@ def _system_libraries() -> Iterable[Path]:
         yield Path(found)
 
 
-def _environment_libraries() -> Iterable[Path]:
-    yield from (Path(sys.prefix) / "lib").glob("libLLVM*.so*")
-
-
 def find_llvm() -> Llvm:
     """The LLVM to use: DRJIT_LIBLLVM_PATH, else the newest usable one of the system, else the pip package's.
 
@@ -66,7 +64,7 @@ def find_llvm() -> Llvm:
     if explicit:
         return _explicit_llvm(explicit)
     too_old: set[int] = set()
-    for libraries in (_system_libraries(), _environment_libraries()):
+    for libraries in (_system_libraries(), (Path(sys.prefix) / "lib").glob("libLLVM*.so*")):
         known = [Llvm(path, llvm_version(path)) for path in sorted(libraries)]
         good = [llvm for llvm in known if llvm.version is not None and llvm.version >= MINIMUM_LLVM]
         if good:
@@ -77,24 +75,17 @@ def find_llvm() -> Llvm:
 
 
 def _explicit_llvm(path: str) -> Llvm:
-    """The LLVM that DRJIT_LIBLLVM_PATH names; UserError if Dr.Jit cannot use it."""
     llvm = Llvm(Path(path), llvm_version(Path(path)))
     if not llvm.path.exists():
         raise UserError(f"{_PATH_VARIABLE}={path} does not exist; {_HINT}")
     if llvm.version is not None and llvm.version < MINIMUM_LLVM:
-        raise UserError(
-            f"{_PATH_VARIABLE}={path} is LLVM {llvm.version}, which Dr.Jit cannot use "
-            f"({MINIMUM_LLVM} or newer); {_HINT}"
-        )
+        refused = f"is LLVM {llvm.version}, which Dr.Jit cannot use ({MINIMUM_LLVM} or newer)"
+        raise UserError(f"{_PATH_VARIABLE}={path} {refused}; {_HINT}")
     return llvm
 
 
 def point_drjit_to_llvm() -> Llvm | UserError:
-    """Sets DRJIT_LIBLLVM_PATH to a usable LLVM or, if there is none, to the null device.
-
-    Returns:
-        The LLVM, or the reason why there is none.
-    """
+    """Sets DRJIT_LIBLLVM_PATH to a usable LLVM, or to the null device; returns that, or why there is none."""
     try:
         llvm = find_llvm()
     except UserError as problem:
@@ -106,7 +97,7 @@ def point_drjit_to_llvm() -> Llvm | UserError:
 
 
 def _import_drjit_silently() -> None:
-    """Loads Dr.Jit, which complains of the missing LLVM to the process's standard error, not to Python's."""
+    """Loads Dr.Jit, which reports the missing LLVM on the process's standard error, not on Python's."""
     sys.stderr.flush()
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
@@ -118,12 +109,6 @@ def _import_drjit_silently() -> None:
         os.dup2(kept, 2)
         os.close(kept)
         os.close(nowhere)
-
-
-_SPINS_VARIABLE, _POLICY_VARIABLE = "GOMP_SPINCOUNT", "OMP_WAIT_POLICY"
-# Turns of a loop in which torch's threads wait for work before they sleep. By GNU OpenMP's default they do so
-# for milliseconds, which delays whoever has work where other processes are busy.
-_SPINS = 1000
 
 
 def let_waiting_threads_sleep() -> None:

@@ -1,7 +1,7 @@
-"""What path tracer and composite say of samples alike: how many there are, and what they show.
+"""What path tracer and composite both say about samples: how many there are, and of what.
 
-Of what a sample shows: its class of gloss, that is how much depends on the direction it is seen from; and how
-it moves, by numbers that samples have and the poses that go with them.
+A sample has a class of gloss, that is how much depends on the direction from which it is seen, and the number
+of what it hits among what moves, by which poses say where that is.
 """
 
 from __future__ import annotations
@@ -15,6 +15,12 @@ from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays, uploaded
 
+# Classes of gloss in ascending order: plain integers, for kernels of Dr.Jit and arrays of NumPy alike.
+DIFFUSE, GLOSSY, SPECULAR = 0, 1, 2
+# Numbers of movers: of what stands still; from 1 on, of what moves rigidly; and of what deforms, or is seen
+# in a mirror, so that nobody knows where it is at another time.
+STILL, UNSTEADY = 0, (1 << 14) - 1
+
 
 @dataclass(frozen=True)
 class Counts:
@@ -23,7 +29,7 @@ class Counts:
     Attributes:
         each: UInt (D,), of each pixel.
         total: of all pixels.
-        most: of any pixel, or more.
+        most: upper bound of the number of any pixel.
     """
 
     each: Any
@@ -36,48 +42,44 @@ class Counts:
         return Counts(each, int(dr.sum(each)[0]), most)
 
 
-# Plain integers, in ascending order of gloss: kernels of Dr.Jit and arrays of numpy hold them alike.
-DIFFUSE, GLOSSY, SPECULAR = 0, 1, 2
-
-
-# Numbers that samples have: of what stands still; from 1 on, of what moves rigidly; and of what deforms, or
-# is seen in a mirror, so that nobody knows where it is at another time.
-STILL, UNSTEADY = 0, (1 << 14) - 1
-
-
 @dataclass(frozen=True)
 class Moment:
     """A time, and where things are at it.
 
     Attributes:
         time: from 0 to 1.
-        poses: (K + 1, 3, 4) float64, from rest to that time, by the number that samples have; of what stands
-            still, the identity.
+        poses: (K + 1, 3, 4) float64, from rest to that time, by the number of the mover; the identity for
+            what stands still.
     """
 
     time: float
     poses: NDArray[np.float64]
 
     def at_rest(self, arrays: Arrays, position: list[Any], mover: Any) -> list[Any]:
-        """Where points, three Floats (D,), of movers Float (D,) are at rest.
-
-        Those that stand still or are unsteady stay.
-        """
+        """Where points, three Floats (D,), of movers Float (D,) are at rest; others stay."""
         if len(self.poses) == 1:
             return position
         plain = arrays.plain
         moves = (mover != STILL) & (mover != UNSTEADY)
-        row = dr.gather(
-            plain.ArrayXf64, self.table(arrays), plain.UInt(mover), moves, shape=(12, dr.width(mover))
-        )
+        row = arrays.packet(self._table(arrays), 12, plain.UInt(mover), moves)
         shifted = [plain.Float64(at) - row[4 * i + 3] for i, at in enumerate(position)]
         # The inverse of a rotation is its transpose.
         rest = [sum(row[4 * i + j] * shifted[i] for i in range(3)) for j in range(3)]
         return [dr.select(moves, plain.Float(at), own) for at, own in zip(rest, position, strict=True)]
 
-    def table(self, arrays: Arrays) -> Any:
-        """Flat Float64 of the poses."""
-        return uploaded(arrays.plain.Float64, self.poses.reshape(-1, 12))
+    def placed(self, arrays: Arrays, rest: list[Any], mover: Any) -> list[Any]:
+        """Where points, three Floats (D,) at rest, of movers UInt (D,) are; in float64 if anything moves.
+
+        What is unsteady stays where it was: its samples are of use until the next moment.
+        """
+        if len(self.poses) == 1:
+            return rest
+        row = arrays.packet(self._table(arrays), 12, dr.select(mover < len(self.poses), mover, 0))
+        point = [arrays.plain.Float64(at) for at in rest]
+        return [sum(row[4 * i + j] * point[j] for j in range(3)) + row[4 * i + 3] for i in range(3)]
+
+    def _table(self, arrays: Arrays) -> Any:
+        return uploaded(arrays.plain.Float64, self.poses)
 
 
 # Of a scene in which nothing moves.

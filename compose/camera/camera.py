@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 RIGID_TOLERANCE = 1e-4
 # Least sine of the angle between a direction of sight and what is up: less is rounding.
 _LEAST_SINE = 1e-12
+EYES = ("left", "right")
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,7 @@ class Camera:
         return float(np.degrees(np.arctan(self.cy / self.fy) + np.arctan((self.height - self.cy) / self.fy)))
 
     def moved_right(self, distance: float) -> Camera:
-        """The camera moved to its right, by a distance in its coordinates."""
+        """The camera moved to its right, by a distance in the units of its coordinates."""
         pose = self.world_to_camera.copy()
         pose[0, 3] -= distance
         return replace(self, world_to_camera=pose)
@@ -80,15 +81,9 @@ class Camera:
     def resized(self, width: int, height: int) -> Camera:
         """The same view at another frame size: the vertical field of view stays, a wider frame sees more."""
         scale = height / self.height
-        return replace(
-            self,
-            width=width,
-            height=height,
-            fx=self.fx * scale,
-            fy=self.fy * scale,
-            cx=width / 2 + (self.cx - self.width / 2) * scale,
-            cy=self.cy * scale,
-        )
+        fx, fy, cy = self.fx * scale, self.fy * scale, self.cy * scale
+        cx = width / 2 + (self.cx - self.width / 2) * scale
+        return replace(self, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
 
     def cropped(self, left: float, top: float, width: int, height: int) -> Camera:
         """The camera whose frame is a rectangle of this one, `left` and `top` in pixels."""
@@ -110,15 +105,8 @@ class Camera:
 
     def rays(self, pixels: Array) -> Array:
         """Unit directions (N, 3) in world space through pixel positions (N, 2)."""
-        local = np.stack(
-            [
-                (pixels[:, 0] - self.cx) / self.fx,
-                (pixels[:, 1] - self.cy) / self.fy,
-                np.ones(len(pixels)),
-            ],
-            axis=1,
-        )
-        world = local @ self.world_to_camera[:3, :3]
+        x, y = (pixels[:, 0] - self.cx) / self.fx, (pixels[:, 1] - self.cy) / self.fy
+        world = np.stack([x, y, np.ones(len(pixels))], axis=1) @ self.world_to_camera[:3, :3]
         return world / np.linalg.norm(world, axis=1, keepdims=True)
 
     def pixel_centres(self) -> Array:
@@ -128,11 +116,7 @@ class Camera:
 
 
 def check_rigid(transform: Array) -> None:
-    """Checks that a transform, (4, 4) or (3, 4), is a rotation and a translation.
-
-    Raises:
-        ValueError: it is not; says how.
-    """
+    """Raises ValueError, which says why, unless a (4, 4) or (3, 4) transform rotates and translates only."""
     shape = np.shape(transform)
     if shape not in ((4, 4), (3, 4)):
         raise ValueError(f"pose has shape {shape}; must be (4, 4)")
@@ -151,11 +135,9 @@ def check_rigid(transform: Array) -> None:
         raise ValueError(f"pose is not rigid: its axes have scalar products up to {off:.2g}; must be 0")
     if _dot(x, (y[1] * z[2] - y[2] * z[1], y[2] * z[0] - y[0] * z[2], y[0] * z[1] - y[1] * z[0])) < 0:
         raise ValueError("pose is not rigid: it mirrors (determinant -1); must be a rotation")
-    if (
-        len(rows) == 4
-        and max(abs(a - b) for a, b in zip(rows[3], (0, 0, 0, 1), strict=True)) > RIGID_TOLERANCE
-    ):
-        raise ValueError(f"pose has the last row {rows[3]}; must be 0 0 0 1")
+    for last in rows[3:]:
+        if max(abs(a - b) for a, b in zip(last, (0, 0, 0, 1), strict=True)) > RIGID_TOLERANCE:
+            raise ValueError(f"pose has the last row {last}; must be 0 0 0 1")
 
 
 def _dot(a: tuple[float, ...], b: tuple[float, ...]) -> float:
@@ -168,7 +150,7 @@ def camera_from_pose(
     """A camera from its pose: (4, 4) camera-to-world, OpenCV axes.
 
     Raises:
-        ValueError: as of `Camera`.
+        ValueError: as for `Camera`.
     """
     # Before it is inverted, which would turn a reflection or a scale into another matrix.
     check_rigid(camera_to_world)
@@ -203,12 +185,7 @@ def _rigid_inverse(transform: Array) -> Array:
 
 @dataclass(frozen=True)
 class View:
-    """What a frame shows.
-
-    Attributes:
-        camera: from where.
-        time: when, from 0 to 1; 0 in a scene that stands still.
-    """
+    """What a frame shows: from where, and at which time from 0 to 1; 0 in a scene that stands still."""
 
     camera: Camera
     time: float = 0.0
@@ -226,9 +203,7 @@ class View:
 def between_steps(time: float, count: int) -> tuple[int, float]:
     """Index of the value before a time from 0 to 1, and the share of the way from it to the next one.
 
-    Args:
-        time: 0 to 1.
-        count: number of values, the first at time 0 and the last at 1; two or more.
+    There are `count` values, two or more, the first at time 0 and the last at 1.
     """
     at = time * (count - 1)
     first = min(int(at), count - 2)
@@ -236,14 +211,9 @@ def between_steps(time: float, count: int) -> tuple[int, float]:
 
 
 def turned(rotation: Array, yaw: float, pitch: float) -> Array:
-    """(3, 3) camera-to-world rotation, turned about the camera's own axes.
+    """(3, 3) camera-to-world rotation in OpenCV axes, turned about the camera's own axes by degrees.
 
-    Yaw, about the y axis, keeps the horizon level; pitch, about the x axis, follows.
-
-    Args:
-        rotation: (3, 3) camera-to-world, OpenCV axes.
-        yaw: degrees to the right.
-        pitch: degrees upwards.
+    Yaw to the right, about the y axis, keeps the horizon level; pitch upwards, about the x axis, follows.
     """
     yaw, pitch = np.radians([yaw, pitch])
     about_y = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
@@ -251,14 +221,6 @@ def turned(rotation: Array, yaw: float, pitch: float) -> Array:
     return rotation @ about_y @ about_x
 
 
-EYES = ("left", "right")
-
-
 def eyes(camera: Camera, distance: float) -> tuple[Camera, Camera]:
-    """The left and the right eye of a viewer between whose eyes a camera is; both look the same way.
-
-    Args:
-        camera: midway between the eyes.
-        distance: between them, in the camera's coordinates.
-    """
+    """The left and the right eye, `distance` apart, on either side of a camera; both look the same way."""
     return camera.moved_right(-distance / 2), camera.moved_right(distance / 2)

@@ -1,9 +1,8 @@
-"""Coordinate systems of cameras: own ones, the axes of Mitsuba, OpenGL and OpenCV, and transforms.json.
+"""Coordinate systems of cameras: a scene's own, the axes of Mitsuba, OpenGL and OpenCV, and transforms.json.
 
-Own coordinates: where their origin lies in the world, and their unit of length. Kernels compute in float32,
-with near planes and distances of their own. In coordinates whose origin lies amid what is seen, and whose
-unit is a share of how far away that is, they are as exact in a room of a tenth of a millimetre, or a million
-rooms away from the world's origin, as in a room of four metres.
+Kernels compute in float32, with near planes and distances of their own. In a scene's own coordinates, whose
+origin lies amid what is seen and whose unit is a share of how far away that is, they are as exact in a room
+of a tenth of a millimetre, or a million rooms away from the world's origin, as in a room of four metres.
 """
 
 from __future__ import annotations
@@ -19,15 +18,16 @@ from compose.camera.camera import Array, Camera, camera_from_pose
 
 # Seen from its views, a scene lies about this many units away, as a room does in metres.
 TYPICAL_DISTANCE = 4.0
+# Names in transforms.json.
+_INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy")
+# Each converts camera axes to OpenCV's and, being its own inverse, back again.
+_MITSUBA_AXES = np.diag([-1.0, -1.0, 1.0, 1.0])  # x left, y up, z forward
+_OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])  # x right, y up, z backward
 
 
 @dataclass(frozen=True)
 class Place:
-    """Own coordinates: a point p of them lies at origin + unit * p in the world.
-
-    Attributes:
-        origin: in world space, float64.
-        unit: length of one unit in world space.
+    """A scene's own coordinates: a point p of them lies at origin + unit * p in the world.
 
     Raises:
         ValueError: a number is not finite, or the unit not positive.
@@ -46,7 +46,7 @@ class Place:
         pose[:3, 3] = (pose[:3, 3] + pose[:3, :3] @ np.array(self.origin)) / self.unit
         return replace(world, world_to_camera=pose)
 
-    def in_world(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+    def in_world(self, points: NDArray[np.floating]) -> Array:
         """World positions (N, 3) of points (N, 3) of these coordinates."""
         return np.asarray(points, dtype=np.float64) * self.unit + np.array(self.origin)
 
@@ -56,20 +56,14 @@ WORLD = Place()
 
 
 def place_around(points: NDArray[np.floating], distance: float) -> Place:
-    """The place of a scene from points (N, 3) that are seen, and the typical distance that they have."""
+    """The place of a scene of which points (N, 3) are seen, at that typical distance."""
     x, y, z = np.median(np.asarray(points, dtype=np.float64), axis=0).tolist()
     return Place((x, y, z), distance / TYPICAL_DISTANCE)
-
-
-# Each converts camera axes to OpenCV's and, being its own inverse, back again.
-_MITSUBA_AXES = np.diag([-1.0, -1.0, 1.0, 1.0])  # x left, y up, z forward
-_OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])  # x right, y up, z backward
 
 
 def opencv_from_mitsuba(to_world: Array) -> Array:
     """(4, 4) camera-to-world in OpenCV axes from Mitsuba's `to_world`; scale is removed from it."""
     pose = to_world @ _MITSUBA_AXES
-    pose = pose.copy()
     pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0, keepdims=True)
     return pose
 
@@ -91,15 +85,9 @@ def opengl_from_opencv(camera_to_world: Array) -> Array:
 
 def camera_to_json(camera: Camera) -> dict[str, Any]:
     """A camera's intrinsics and pose under the names of transforms.json."""
-    return {
-        "w": camera.width,
-        "h": camera.height,
-        "fl_x": camera.fx,
-        "fl_y": camera.fy,
-        "cx": camera.cx,
-        "cy": camera.cy,
-        "transform_matrix": opengl_from_opencv(camera.camera_to_world).tolist(),
-    }
+    numbers = camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
+    pose = opengl_from_opencv(camera.camera_to_world).tolist()
+    return dict(zip(_INTRINSICS, numbers, strict=True)) | {"transform_matrix": pose}
 
 
 def camera_from_json(entry: dict[str, Any]) -> Camera:
@@ -118,7 +106,6 @@ def camera_from_json(entry: dict[str, Any]) -> Camera:
 
 
 def _matrix(rows: Any) -> Array:
-    """(4, 4) or (3, 4) from nested lists."""
     try:
         matrix = np.asarray(rows, dtype=np.float64)
     except (ValueError, OverflowError) as error:
@@ -133,7 +120,7 @@ def _matrix(rows: Any) -> Array:
 
 def _whole_pixels(entry: dict[str, Any], name: str) -> int:
     value = entry[name]
-    # Other programs write 640.0; only to Python is true a number.
+    # Other programs write 640.0; true is a number in Python only.
     if isinstance(value, float) and value.is_integer():
         return int(value)
     if isinstance(value, bool) or not isinstance(value, int):

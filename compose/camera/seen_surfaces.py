@@ -29,8 +29,7 @@ class SeenSurfaces:
     """The surfaces that views see, each view as a small depth map.
 
     Args:
-        arrays: the backend's array types.
-        cameras: V views.
+        cameras: of V views.
         depths: (V, h, w) depth along the view axis at the centres of h x w cells of each view's frame; where
             there is nothing, a distance beyond everything that is asked for.
 
@@ -52,7 +51,7 @@ class SeenSurfaces:
     def finest(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
         """(N,) size in the world of the third-finest pixel that shows each point (N, 3).
 
-        Of less than three views, it is that of the coarsest; inf where too few views show the point.
+        With fewer than three views it is that of the coarsest; inf where too few views show the point.
         """
         x, y, z = (uploaded(self._arrays.plain.Float, points[:, k].astype(np.float32)) for k in range(3))
         # Arguments of the loop's function: it changes none of them.
@@ -72,15 +71,7 @@ def _floats(camera: Camera, rows: int, columns: int) -> NDArray[np.float32]:
 
 @dr.syntax
 def _finest(plain: Any, point: tuple[Any, ...], views: Any, depths: Any, count: Any, shape: Any) -> Any:
-    """Sizes of the three finest pixels that show a point; inf where there are fewer.
-
-    Args:
-        plain: the module of array types.
-        point: three (N,) Floats.
-        views, depths: flat Floats.
-        count: of the views.
-        shape: rows and columns of each map.
-    """
+    """Sizes of the three finest pixels that show a point, three (N,) Floats; inf where there are fewer."""
     x, y, z = point
     rows, columns = shape
     best, second, third = (dr.full(plain.Float, dr.inf, dr.width(x)) for _ in range(_VIEWS))

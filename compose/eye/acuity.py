@@ -1,8 +1,7 @@
 """Acuity models: what the eye resolves at each eccentricity, and the steps in which detail follows it.
 
 An acuity model is a function from eccentricity in degrees to cut-off frequency in cycles per degree. Level of
-detail, low-pass and sampling rate follow from the cut-off in the same way for all models: layers of a forest,
-each at a sampling rate.
+detail, low-pass and sampling rate follow from the cut-off in the same way for all models.
 """
 
 from __future__ import annotations
@@ -16,52 +15,16 @@ from numpy.typing import NDArray
 
 from compose.base.errors import UserError
 
-_Floats = NDArray[np.float64]
+Array = NDArray[np.float64]
 
+# The models of frames that must look right and of frames that must be quick, as compared in
+# docs/measured/periphery.md.
+DEFAULT_ACUITY_MODEL, QUICK_ACUITY_MODEL = "fovvideovdp", "geisler-perry"
+COARSEST_RATE = 4  # log2 of pixels per sample along each axis
+# How much more is resolved where the image draws attention (Fov-GS, Eq. 9).
+_SALIENCY_GAIN = 0.4
 # Cycles per degree. Beyond some 45 degrees stelaCSF finds nothing visible at all; the cut-off stays at this.
 _LOWEST_CUTOFF = 0.5
-
-
-def stelacsf(eccentricity: _Floats) -> _Floats:
-    """Cut-off in cycles per degree at which full contrast is just visible, 0.5 to 64.
-
-    For a static patch of one square degree at 100 cd/m2, in the temporal visual field, at eccentricities in
-    degrees.
-    """
-    eccentricities, cutoffs = _stelacsf_table()
-    return np.exp(np.interp(eccentricity, eccentricities, np.log(cutoffs)))
-
-
-@cache
-def _stelacsf_table() -> tuple[_Floats, _Floats]:
-    """Eccentricities (481,) in degrees, and the frequencies (481,) at which the sensitivity falls to 1."""
-    eccentricities = np.linspace(0, 120, 481)
-    frequencies = np.exp2(np.linspace(-4, 6, 2001))
-    # At every eccentricity the sensitivity falls with frequency beyond its peak.
-    visible = _stelacsf_sensitivity(frequencies[None, :], eccentricities[:, None]) >= 1
-    last = visible.shape[1] - 1 - np.argmax(visible[:, ::-1], axis=1)
-    cutoff = np.where(visible.any(axis=1), frequencies[last], _LOWEST_CUTOFF)
-    return eccentricities, np.maximum(cutoff, _LOWEST_CUTOFF)
-
-
-def _stelacsf_sensitivity(frequency: _Floats, eccentricity: _Floats) -> _Floats:
-    """Contrast sensitivity of the sustained channel at 0 Hz, 100 cd/m2, 1 square degree.
-
-    The formula is that of the paper (section 4), the constants are those its authors fitted on 2022-01-26.
-    The transient channel does not respond to a static image.
-    """
-    luminance, area = 100.0, 1.0
-    peak = 65.4012 * (1 + 29.8305 / luminance) ** -0.20376
-    peak *= 1 - (1 + 7.63446e-07 / luminance) ** -6.93565e09
-    best = 1.56511 * (1 + 51.1941 / luminance) ** -0.245
-    parabola = 10 ** (-((np.log10(frequency) - np.log10(best)) ** 2) / 2**1.12573)
-    parabola = np.where(frequency < best, np.maximum(parabola, 1 - 0.0835553), parabola)
-    critical = 270 / (1 + (frequency / 0.65) ** 2)
-    foveal = peak * parabola * np.sqrt(critical / (1 + critical / area)) * frequency
-    return foveal * 10 ** (-(0.0269434 + 0.0200995 * frequency) * eccentricity)
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -82,25 +45,13 @@ class AcuityModel:
     relative: bool = False
 
 
-# Minimum angle of resolution a(e) = w0 + m e, in degrees (Fov-GS, section 4.1, after Guenter et al. 2012).
-ACUITY_LIMIT = 1 / 48
-ACUITY_SLOPE = 0.022  # 1.32 arcmin per degree
-# How much more is resolved where the image draws attention (Fov-GS, Eq. 9).
-SALIENCY_GAIN = 0.4
-# The models of frames that must look right and of frames that must be quick, as compared in
-# docs/measured/periphery.md.
-DEFAULT_ACUITY_MODEL = "fovvideovdp"
-QUICK_ACUITY_MODEL = "geisler-perry"
-
-
-def minimum_angle(eccentricity: Array) -> Array:
-    """Smallest angle in degrees that is resolved at an eccentricity in degrees (Fov-GS, Eq. 6)."""
-    return ACUITY_LIMIT + ACUITY_SLOPE * np.asarray(eccentricity, dtype=np.float64)
-
-
 def fov_gs(eccentricity: Array) -> Array:
-    """Cut-off in cycles per degree, 1 / a(e) (Fov-GS, Eq. 9 without saliency)."""
-    return 1 / minimum_angle(eccentricity)
+    """Cut-off in cycles per degree, 1 / a(e) (Fov-GS, Eq. 9 without saliency).
+
+    The minimum angle of resolution a(e) = w0 + m e, with w0 = 1/48 degree and m = 0.022 (1.32 arcmin per
+    degree), is that of Fov-GS (Eq. 6, after Guenter et al. 2012).
+    """
+    return 1 / (1 / 48 + 0.022 * np.asarray(eccentricity, dtype=np.float64))
 
 
 def geisler_perry(eccentricity: Array) -> Array:
@@ -120,6 +71,44 @@ def fovvideovdp(eccentricity: Array) -> Array:
     return 1 / (1 / 32 + 0.00672 * np.asarray(eccentricity, dtype=np.float64) ** 0.76)
 
 
+def stelacsf(eccentricity: Array) -> Array:
+    """Cut-off in cycles per degree at which full contrast is just visible, 0.5 to 64, after stelaCSF.
+
+    For a static patch of one square degree at 100 cd/m2, in the temporal visual field.
+    """
+    eccentricities, cutoffs = _stelacsf_table()
+    return np.exp(np.interp(eccentricity, eccentricities, np.log(cutoffs)))
+
+
+@cache
+def _stelacsf_table() -> tuple[Array, Array]:
+    """Eccentricities (481,) in degrees, and the frequencies (481,) at which the sensitivity falls to 1."""
+    eccentricities = np.linspace(0, 120, 481)
+    frequencies = np.exp2(np.linspace(-4, 6, 2001))
+    # At every eccentricity the sensitivity falls with frequency beyond its peak.
+    visible = _stelacsf_sensitivity(frequencies[None, :], eccentricities[:, None]) >= 1
+    last = visible.shape[1] - 1 - np.argmax(visible[:, ::-1], axis=1)
+    cutoff = np.where(visible.any(axis=1), frequencies[last], _LOWEST_CUTOFF)
+    return eccentricities, np.maximum(cutoff, _LOWEST_CUTOFF)
+
+
+def _stelacsf_sensitivity(frequency: Array, eccentricity: Array) -> Array:
+    """Contrast sensitivity of the sustained channel at 0 Hz, 100 cd/m2, 1 square degree.
+
+    The formula is that of the paper (section 4), the constants are those its authors fitted on 2022-01-26.
+    The transient channel does not respond to a static image.
+    """
+    luminance, area = 100.0, 1.0
+    peak = 65.4012 * (1 + 29.8305 / luminance) ** -0.20376
+    peak *= 1 - (1 + 7.63446e-07 / luminance) ** -6.93565e09
+    best = 1.56511 * (1 + 51.1941 / luminance) ** -0.245
+    parabola = 10 ** (-((np.log10(frequency) - np.log10(best)) ** 2) / 2**1.12573)
+    parabola = np.where(frequency < best, np.maximum(parabola, 1 - 0.0835553), parabola)
+    critical = 270 / (1 + (frequency / 0.65) ** 2)
+    foveal = peak * parabola * np.sqrt(critical / (1 + critical / area)) * frequency
+    return foveal * 10 ** (-(0.0269434 + 0.0200995 * frequency) * eccentricity)
+
+
 def unlimited(eccentricity: Array) -> Array:
     """Infinity: no cut-off, everything is drawn in full detail."""
     return np.full(np.shape(eccentricity), np.inf)
@@ -135,11 +124,7 @@ ACUITY_MODELS = {
 
 
 def acuity_model_named(name: str) -> AcuityModel:
-    """The acuity model of that name.
-
-    Raises:
-        UserError: there is none.
-    """
+    """The acuity model of that name; UserError if there is none."""
     if name not in ACUITY_MODELS:
         raise UserError(f"acuity model {name}: must be {', '.join(ACUITY_MODELS)}")
     return ACUITY_MODELS[name]
@@ -147,25 +132,16 @@ def acuity_model_named(name: str) -> AcuityModel:
 
 def with_saliency(cutoff: Array, saliency: Array) -> Array:
     """Cut-off raised where the image draws attention, saliency in 0..1 (Fov-GS, Eq. 9)."""
-    return cutoff * (1 + SALIENCY_GAIN * saliency)
-
-
-COARSEST_RATE = 4  # log2 of pixels per sample along each axis
+    return cutoff * (1 + _SALIENCY_GAIN * saliency)
 
 
 @dataclass(frozen=True)
 class Step:
-    """A layer at a rate, and where it begins to be drawn.
+    """A layer at a rate, and where it begins to be drawn."""
 
-    Attributes:
-        octaves: log2 of the pixels per cycle of the cut-off at which it begins to fade in.
-        layer: 1, the coarsest, to L.
-        rate: log2 of pixels per sample along each axis.
-    """
-
-    octaves: float
-    layer: int
-    rate: int
+    octaves: float  # log2 of the pixels per cycle of the cut-off at which it begins to fade in
+    layer: int  # 1, the coarsest, to L
+    rate: int  # log2 of pixels per sample along each axis
 
 
 def detail_steps(
@@ -187,7 +163,7 @@ def detail_steps(
         fade: fraction of an octave over which a step fades in.
 
     Returns:
-        Steps from fine to coarse; the first one has no beginning.
+        Steps from fine to coarse; the first one is drawn however high the cut-off is.
     """
     layers = len(finest_rates)
     steps = [Step(-np.inf, layers, finest_rates[-1])]

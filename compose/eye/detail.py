@@ -23,6 +23,16 @@ from compose.image.colour import Image, srgb_from_radiance
 CELL = 16  # pixels, both sides of a cell
 # (rows + 1, columns + 1) values at the corners of the cells that cover a frame.
 Lattice = NDArray[np.float32]
+# Fraction of an octave over which one step turns into the next. Over a whole octave two of them would be
+# drawn nearly everywhere; without any they would pop. Where saliency affects the level, boundaries move
+# faster than the gaze, and the second fraction applies.
+_FADE, _FADE_BY_SALIENCY = 0.22, 0.25
+# Gaussians show detail faithfully up to this fraction of the Nyquist frequency of their training pixels.
+_FAITHFUL = 0.5
+_NYQUIST = 0.5  # cycles per pixel
+# Width of the blur that joins the responses of one object, as a fraction of the image's longer side (that of
+# Hou et al. 2012).
+_BLUR = 0.045
 
 
 def corner_positions(width: int, height: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -51,15 +61,6 @@ def per_pixel(lattice: Lattice, width: int, height: int) -> NDArray[np.float32]:
     return (rows[:, column] * (1 - fx) + rows[:, column + 1] * fx).astype(np.float32)
 
 
-# Fraction of an octave over which one step turns into the next. Over a whole octave two of them would be
-# drawn nearly everywhere; without any they would pop. Where saliency affects the level, boundaries move
-# faster than the gaze, and the second fraction applies.
-_FADE, _FADE_BY_SALIENCY = 0.22, 0.25
-# Gaussians show detail faithfully up to this fraction of the Nyquist frequency of their training pixels.
-_FAITHFUL = 0.5
-_NYQUIST = 0.5  # cycles per pixel
-
-
 @dataclass(frozen=True)
 class LayerRange:
     """The layers of a forest that may be drawn in a frame, and what they can show there.
@@ -82,13 +83,12 @@ class DetailMap:
     Attributes:
         width, height: frame in pixels.
         layers: L.
-        eccentricity: (rows + 1, columns + 1) in degrees.
-        cutoff: (rows + 1, columns + 1) highest frequency that is resolved, in cycles per pixel, at most 0.5.
-        low_pass: (rows + 1, columns + 1) highest frequency to keep. With Fov-GS's acuity model the cut-off
-            (Eq. 8); with others all that the samples carry: blurring further saves no time, and shows.
+        eccentricity: in degrees.
+        cutoff: highest frequency that is resolved, in cycles per pixel, at most 0.5.
+        low_pass: highest frequency to keep. With Fov-GS's acuity model the cut-off (Eq. 8); with others all
+            that the samples carry: blurring further saves no time, and shows.
         steps: what is drawn, from fine to coarse.
-        step_index: (rows + 1, columns + 1) index into the steps, 0 for the first; between two whole numbers
-            both steps are blended.
+        step_index: index into the steps, 0 for the first; between two whole numbers both are blended.
     """
 
     width: int
@@ -144,7 +144,7 @@ def detail_map(
         saliency: (rows + 1, columns + 1) in 0..1 at the cells' corners; None for none.
     """
     per_degree, rays = _corners(display, width, height)
-    radius = fov_b / 100 * height
+    radius, relative = fov_b / 100 * height, acuity_model.relative
     ray, edge = _gaze_ray_and_edge(display, gaze, width, height, radius)
     # Near zero an arc cosine loses half of its digits; what is left is more than float32 holds.
     angle = np.degrees(np.arccos(np.clip(rays @ ray, -1, 1)))
@@ -153,27 +153,20 @@ def detail_map(
     deciding = cutoff
     if saliency is not None:
         cutoff = with_saliency(cutoff, saliency.astype(np.float64))
-        deciding = deciding if acuity_model.relative else cutoff
+        deciding = deciding if relative else cutoff
     straight = float(np.degrees(np.arctan(radius / display.focal)))
     # No coarser layer need show what layer L does not show faithfully.
-    most = _NYQUIST if acuity_model.relative else min(_NYQUIST, _FAITHFUL * layers.finest_frequency)
+    most = _NYQUIST if relative else min(_NYQUIST, _FAITHFUL * layers.finest_frequency)
     finest, ahead = (
         min(float(acuity_model.cutoff(np.array(e))) / display.pixels_per_degree, most)
         for e in (edge, straight)
     )
-    fade = _FADE if acuity_model.relative else _FADE_BY_SALIENCY
+    fade = _FADE if relative else _FADE_BY_SALIENCY
     steps = detail_steps(finest, ahead, layers.finest_rates, layers.lowest, fade)
     resolved = np.minimum(cutoff, _NYQUIST).astype(np.float32)
-    return DetailMap(
-        width,
-        height,
-        len(layers.finest_rates),
-        angle.astype(np.float32),
-        resolved,
-        resolved if acuity_model.relative else np.full_like(resolved, _NYQUIST),
-        steps,
-        _step_index(deciding, steps, fade),
-    )
+    low_pass = resolved if relative else np.full_like(resolved, _NYQUIST)
+    index, count = _step_index(deciding, steps, fade), len(layers.finest_rates)
+    return DetailMap(width, height, count, angle.astype(np.float32), resolved, low_pass, steps, index)
 
 
 def _gaze_ray_and_edge(
@@ -206,11 +199,6 @@ def _corners(display: Display, width: int, height: int) -> tuple[NDArray[np.floa
     per_degree = np.radians(1) * np.sqrt(display.focal**2 + (x - width / 2) ** 2 + (y - height / 2) ** 2)
     rays = display.viewer(width, height).rays(np.stack([x.ravel(), y.ravel()], axis=1))
     return per_degree, rays.reshape(*x.shape, 3)
-
-
-# Width of the blur that joins the responses of one object, as a fraction of the image's longer side
-# (Hou et al. 2012 use 0.045).
-_BLUR = 0.045
 
 
 def saliency(coarse: Image) -> NDArray[np.float32]:

@@ -38,8 +38,7 @@ class Display:
     luminance: float = 200.0
 
     def __post_init__(self) -> None:
-        for name in ("width", "height", "fov", "luminance"):
-            value = getattr(self, name)
+        for name, value in vars(self).items():
             if not isinstance(value, int | float) or not np.isfinite(value) or value <= 0:
                 raise UserError(f"display {name} {value}: must be a positive number")
         if self.fov >= 180:
@@ -77,9 +76,8 @@ def display_named(source: str) -> Display:
     try:
         return _display_from_json(read_json(Path(source), finite=False))
     except OSError as error:
-        raise UserError(
-            f"display {source}: must be {', '.join(DISPLAYS)} or a JSON file ({error.strerror})"
-        ) from error
+        known = ", ".join(DISPLAYS)
+        raise UserError(f"display {source}: must be {known} or a JSON file ({error.strerror})") from error
     except UserError as error:
         raise UserError(f"display {source}: {one_line(error)}") from error
     except (ValueError, TypeError) as error:
@@ -90,9 +88,7 @@ def display_named(source: str) -> Display:
 def _display_from_json(entry: Any) -> Display:
     if not isinstance(entry, dict):
         raise TypeError("not an object")
-    unknown = sorted(set(entry) - {field.name for field in fields(Display)})
-    if unknown:
-        raise UserError(
-            f"{unknown[0]} is unknown; must have {', '.join(f.name for f in fields(Display))} only"
-        )
+    names = [field.name for field in fields(Display)]
+    if unknown := sorted(set(entry) - set(names)):
+        raise UserError(f"{unknown[0]} is unknown; must have {', '.join(names)} only")
     return Display(**entry)

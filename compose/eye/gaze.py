@@ -19,6 +19,23 @@ from compose.eye.display import Display
 # How far from the frame a gaze may be, in fractions of its sides: on any display that is beside the viewer,
 # and float32 still holds tenths of pixels there.
 FURTHEST = 1000
+# Longest trace in seconds: a day.
+MOST_SECONDS = 86_400.0
+_COLUMNS = ["seconds", "x", "y"]
+# Some 40 minutes at 1,000 gazes per second.
+_MOST_BYTES = 1 << 26
+# Samples per second of a simulated viewer, as by a typical eye tracker.
+_RATE = 120.0
+# Fixations while viewing scenes last 0.2 to 0.5 seconds; saccades span a few degrees, rarely more than 15
+# (Land and Hayhoe 2001; Bahill, Adler and Stark 1975). Here: median in seconds and spread of the logarithm;
+# mean and maximum in degrees.
+_FIXATION, _FIXATION_SPREAD = 0.33, 0.4
+_AMPLITUDE, _MOST_AMPLITUDE = 5.0, 15.0
+# Seconds that every saccade takes, and further seconds per degree (Carpenter 1988).
+_SACCADE, _SACCADE_PER_DEGREE = 0.021, 0.0022
+# Margin of the frame in which the viewer never fixates, in fractions of its sides.
+_MARGIN = 0.08
+_TRIES = 100
 
 
 @dataclass(frozen=True)
@@ -68,21 +85,9 @@ def eccentricity_at(camera: Camera, gaze: Gaze, pixels: Array) -> Array:
     return np.degrees(np.arctan2(sine, rays @ gaze_ray))
 
 
-_COLUMNS = ["seconds", "x", "y"]
-# Some 40 minutes at 1,000 gazes per second.
-_MOST_BYTES = 1 << 26
-# Longest trace in seconds: a day.
-MOST_SECONDS = 86_400.0
-
-
 @dataclass(frozen=True)
 class GazeTrace:
-    """A viewer's gaze at ascending times.
-
-    Attributes:
-        seconds: times, ascending from 0.
-        gazes: gaze at each of these times, in fractions of the frame.
-    """
+    """A viewer's gaze at each of some times, ascending from 0."""
 
     seconds: tuple[float, ...]
     gazes: tuple[Gaze, ...]
@@ -102,23 +107,18 @@ class GazeTrace:
 
     def save(self, path: Path) -> None:
         """Writes a CSV file with the columns seconds, x, y."""
-        rows = [
-            f"{s:.4f},{gaze.x:.6f},{gaze.y:.6f}" for s, gaze in zip(self.seconds, self.gazes, strict=True)
-        ]
-        text = "\n".join([",".join(_COLUMNS), *rows]) + "\n"
+        rows = zip(self.seconds, self.gazes, strict=True)
+        lines = [",".join(_COLUMNS), *(f"{s:.4f},{gaze.x:.6f},{gaze.y:.6f}" for s, gaze in rows)]
+        text = "\n".join(lines) + "\n"
         write_whole(path, lambda part: part.write_text(text))
 
 
 def load_gaze_trace(path: Path, most_seconds: float = MOST_SECONDS) -> GazeTrace:
     """A trace from a CSV file with the columns seconds, x, y; time 0 is that of the first row.
 
-    Args:
-        path: of the file.
-        most_seconds: longest duration.
-
     Raises:
         UserError: the file cannot be read, has other columns or no rows, a row is not a gaze, time runs
-            backwards, or the trace is too long.
+            backwards, or the trace lasts longer than `most_seconds`.
     """
     seconds: list[float] = []
     gazes: list[Gaze] = []
@@ -130,9 +130,12 @@ def load_gaze_trace(path: Path, most_seconds: float = MOST_SECONDS) -> GazeTrace
                 raise UserError(f"{path}: is not a gaze trace; its first line must be {','.join(_COLUMNS)}")
             for number, row in enumerate(rows, 2):
                 second, gaze = _parsed(path, number, row)
-                _check_time(
-                    f"{path}: line {number}: time {row[0].strip()[:40]}", second, seconds, most_seconds
-                )
+                time = f"{path}: line {number}: time {row[0].strip()[:40]}"
+                if not np.isfinite(second) or (seconds and second < seconds[-1]):
+                    raise UserError(f"{time} must be a number, not before the line above")
+                if seconds and second - seconds[0] > most_seconds:
+                    found = f"{second - seconds[0]:g} s after the first one"
+                    raise UserError(f"{time} is {found}; must be at most {most_seconds:g} s")
                 seconds.append(second)
                 gazes.append(gaze)
     except (OSError, ValueError, csv.Error) as error:
@@ -148,35 +151,9 @@ def _parsed(path: Path, number: int, row: list[str]) -> tuple[float, Gaze]:
         second, x, y = (float(value) for value in row)
         return second, Gaze(x, y)
     except ValueError as error:
+        needed = f"must be seconds, x, y, the latter within {FURTHEST} frames"
         shown = one_line(",".join(row))
-        raise UserError(
-            f"{path}: line {number} is not a gaze ({shown}); must be seconds, x, y, the latter within "
-            f"{FURTHEST} frames"
-        ) from error
-
-
-def _check_time(what: str, second: float, earlier: list[float], most_seconds: float) -> None:
-    """Raises UserError if a time is none, runs backwards, or is too late; `what` names it."""
-    if not np.isfinite(second) or (earlier and second < earlier[-1]):
-        raise UserError(f"{what} must be a number, not before the line above")
-    if earlier and second - earlier[0] > most_seconds:
-        raise UserError(
-            f"{what} is {second - earlier[0]:g} s after the first one; must be at most {most_seconds:g} s"
-        )
-
-
-# Samples per second, as of a typical eye tracker.
-_RATE = 120.0
-# Fixations while viewing scenes last 0.2 to 0.5 seconds; saccades span a few degrees, rarely more than 15
-# (Land and Hayhoe 2001; Bahill, Adler and Stark 1975). Here: median in seconds and spread of the logarithm;
-# mean and maximum in degrees.
-_FIXATION, _FIXATION_SPREAD = 0.33, 0.4
-_AMPLITUDE, _MOST_AMPLITUDE = 5.0, 15.0
-# Seconds that every saccade takes, and further seconds per degree (Carpenter 1988).
-_SACCADE, _SACCADE_PER_DEGREE = 0.021, 0.0022
-# Margin of the frame in which the viewer never fixates, in fractions of its sides.
-_MARGIN = 0.08
-_TRIES = 100
+        raise UserError(f"{path}: line {number} is not a gaze ({shown}); {needed}") from error
 
 
 def simulated(display: Display, width: int, height: int, duration: float, seed: int) -> GazeTrace:
@@ -193,22 +170,14 @@ def simulated(display: Display, width: int, height: int, duration: float, seed: 
     size = np.array([width, height])
     saccades = _saccades(display, size, duration, np.random.default_rng(seed))
     ends = [saccade.end for saccade in saccades]
-    seconds = np.arange(0, duration, 1 / _RATE)
-    positions = np.empty((len(seconds), 2))
-    for number, second in enumerate(seconds):
-        positions[number] = saccades[bisect_right(ends, second)].at(second)
-    gazes = tuple(Gaze(float(x), float(y)) for x, y in positions / size)
-    return GazeTrace(tuple(seconds.tolist()), gazes)
+    seconds = np.arange(0, duration, 1 / _RATE).tolist()
+    positions = (saccades[bisect_right(ends, second)].at(second) / size for second in seconds)
+    return GazeTrace(tuple(seconds), tuple(Gaze(float(x), float(y)) for x, y in positions))
 
 
 @dataclass(frozen=True)
 class _Saccade:
-    """A saccade, and the fixation before it.
-
-    Attributes:
-        begin, end: seconds.
-        start, goal: (2,) in pixels.
-    """
+    """A saccade, begin and end in seconds, start and goal (2,) in pixels; and the fixation before it."""
 
     begin: float
     end: float
@@ -225,8 +194,7 @@ def _saccades(
     display: Display, size: np.ndarray, duration: float, rng: np.random.Generator
 ) -> list[_Saccade]:
     """Saccades, the first from the centre of a frame of size (2,), until the duration is over."""
-    here = size / 2
-    end = 0.0
+    here, end = size / 2, 0.0
     saccades: list[_Saccade] = []
     while end < duration:
         begin = end + _FIXATION * float(np.exp(rng.normal(0, _FIXATION_SPREAD)))

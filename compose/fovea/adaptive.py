@@ -1,4 +1,4 @@
-"""Adaptive sampling: how many more samples each pixel gets, from how many it has and what they have shown.
+"""Adaptive sampling: how many more samples each pixel gets, given those it has and what they have shown.
 
 Where the denoised samples and the splats agree, more samples change little; where they differ, one of the two
 is wrong, and only samples can tell which.
@@ -34,7 +34,6 @@ def disagreement(arrays: Arrays, denoised: list[Any], splat: list[Any], shape: t
     Where one of them is not a number, nothing is known, and they count as entirely different.
 
     Args:
-        arrays: the backend's array types.
         denoised, splat: three channels each, Floats (h * w,) of linear radiance.
         shape: (h, w), at least one pixel.
     """

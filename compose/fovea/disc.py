@@ -16,7 +16,12 @@ from numpy.typing import NDArray
 from compose.base.arrays import Arrays, uploaded
 from compose.base.traced_samples import Counts
 from compose.fovea.foveation import FoveaRegion
-from compose.image.device_image import DeviceImage
+from compose.image.device_image import Box, DeviceImage, shape_of
+
+# Steps of a dither mask per column and row, in units of 2 ** -32, that leave no clumps or stripes: the
+# golden ratio's counterpart in the plane (Roberts 2018, "The unreasonable effectiveness of quasirandom
+# sequences").
+_ACROSS, _DOWN = 3242174889, 2447445414
 
 
 @dataclass(frozen=True)
@@ -24,12 +29,10 @@ class Disc:
     """D pixels of a frame with their weights in the blend.
 
     Attributes:
-        arrays: the backend's array types.
         width, height: frame in pixels.
         pixels: UInt (D,), row-major indices, ascending.
         weights: Float (D,), weight of the path-traced radiance in each of them, 0..1; it is 0 in all others.
-        box: rows and columns of the rectangle around the pixels; None if there are none, or no image is made
-            of them.
+        box: the rectangle around the pixels; None if there are none, or no image is made of them.
         covers_frame: whether the pixels are all of the frame and all weights are 1.
     """
 
@@ -38,12 +41,12 @@ class Disc:
     height: int
     pixels: Any
     weights: Any
-    box: tuple[slice, slice] | None
+    box: Box | None
     covers_frame: bool = False
 
     @staticmethod
     def in_region(arrays: Arrays, region: FoveaRegion) -> Disc:
-        """The pixels of a region, which are listed on the device."""
+        """The pixels of a region, listed on the device."""
         plain, frame = arrays.plain, (region.width, region.height)
         if not region.count:
             return Disc(arrays, *frame, dr.zeros(plain.UInt, 0), dr.zeros(plain.Float, 0), None)
@@ -64,8 +67,7 @@ class Disc:
     def shape(self) -> tuple[int, int]:
         """(h, w), rows and columns of the rectangle."""
         assert self.box is not None, "a disc without pixels has no rectangle"
-        rows, columns = self.box
-        return rows.stop - rows.start, columns.stop - columns.start
+        return shape_of(self.box)
 
     @cached_property
     def inside(self) -> Any:
@@ -73,9 +75,8 @@ class Disc:
         assert self.box is not None, "a disc without pixels has no rectangle"
         numbers = [self.box[0].start, self.box[1].start, self.shape[1]]
         top, left, across = self.arrays.scalars(self.arrays.plain.UInt, numbers)
-        width = self.arrays.constant(self.width)
-        row = self.pixels // width
-        index = (row - top) * across + (self.pixels - row * width - left)
+        row, column = self.arrays.rows_columns(self.pixels, self.width)
+        index = (row - top) * across + (column - left)
         dr.eval(index)
         return index
 
@@ -122,13 +123,8 @@ def _listed(arrays: Arrays, region: FoveaRegion) -> tuple[Any, Any]:
     values = uploaded(plain.UInt, table)
     # Read at a literal, each would be copied on its own.
     end, one = arrays.constant(size), arrays.constant(1)
-
-    def integer(at: Any) -> Any:
-        return dr.gather(plain.UInt, values, at)
-
-    def number(at: Any) -> Any:
-        return dr.reinterpret_array(plain.Float, integer(2 * end + 2 + at))
-
+    integer = lambda at: dr.gather(plain.UInt, values, at)  # noqa: E731
+    number = lambda at: dr.reinterpret_array(plain.Float, integer(2 * end + 2 + at))  # noqa: E731
     shift, outer, slope, faded = (number(end + i) for i in range(4))
     top, width = (integer(2 * end + i) for i in range(2))
     index = dr.arange(plain.UInt, region.count)
@@ -137,12 +133,6 @@ def _listed(arrays: Arrays, region: FoveaRegion) -> tuple[Any, Any]:
     radius = dr.sqrt(dr.square(plain.Float(column) + shift) + number(row))
     weight = dr.clip((outer - radius) * slope, 0, 1)
     return (top + row) * width + column, weight + (1 - weight) * faded
-
-
-# Steps of a dither mask per column and row, in units of 2 ** -32, that leave no clumps or stripes: the
-# golden ratio's counterpart in the plane (Roberts 2018, "The unreasonable effectiveness of quasirandom
-# sequences").
-_ACROSS, _DOWN = 3242174889, 2447445414
 
 
 def thinned(disc: Disc, spp: int, seed: int) -> tuple[Disc, int | Counts]:
@@ -168,9 +158,7 @@ def thinned(disc: Disc, spp: int, seed: int) -> tuple[Disc, int | Counts]:
     plain = disc.arrays.plain
     start = int(np.random.SeedSequence(seed).generate_state(1)[0])
     start, most = disc.arrays.scalars(plain.UInt, [start, spp])
-    width = disc.arrays.constant(disc.width)
-    row = disc.pixels // width
-    column = disc.pixels - row * width
+    row, column = disc.arrays.rows_columns(disc.pixels, disc.width)
     # The sum wraps around on purpose: only its fractional part counts.
     mask = plain.Float64(column * _ACROSS + row * _DOWN + start) * 2.0**-32
     due = dr.floor(plain.Float64(most) * plain.Float64(disc.weights) + mask)
@@ -180,23 +168,18 @@ def thinned(disc: Disc, spp: int, seed: int) -> tuple[Disc, int | Counts]:
     dr.eval(count, has_samples)
     kept = dr.compress(has_samples)
     if not dr.width(kept):
-        nothing = dr.zeros(plain.UInt, 0), dr.zeros(plain.Float, 0)
-        return replace(disc, pixels=nothing[0], weights=nothing[1], box=None), spp
+        return replace(disc, pixels=dr.zeros(plain.UInt, 0), weights=dr.zeros(plain.Float, 0), box=None), spp
     pixels, count = (dr.gather(plain.UInt, of, kept) for of in (disc.pixels, count))
     weights = dr.maximum(dr.gather(plain.Float, disc.weights, kept), 1 / plain.Float(most))
     # In one kernel with what needs them first.
     dr.schedule(pixels, count, weights)
-    thin = replace(disc, pixels=pixels, weights=weights)
-    return thin, 1 if spp == 1 else Counts.of(count, spp)
+    return replace(disc, pixels=pixels, weights=weights), 1 if spp == 1 else Counts.of(count, spp)
 
 
 def blend(periphery: DeviceImage, fovea: list[Any], disc: Disc) -> DeviceImage:
-    """(H, W, 3) composite: (1 - w) periphery + w fovea in the disc, the periphery elsewhere.
+    """(H, W, 3) composite: (1 - w) periphery + w fovea in the disc of weights w, the periphery elsewhere.
 
-    Args:
-        periphery: linear radiance of the frame.
-        fovea: three Floats (D,), linear radiance of the disc's pixels.
-        disc: which pixels those are, and their weights w.
+    The fovea is three Floats (D,), linear radiance of the disc's pixels.
     """
     arrays = periphery.arrays
     if disc.covers_frame:
@@ -207,11 +190,8 @@ def blend(periphery: DeviceImage, fovea: list[Any], disc: Disc) -> DeviceImage:
         # Full weights copy instead of multiplying: 0 times a lamp's infinity is not 0.
         full = disc.weights >= 1
         behind = periphery.of_pixels(disc.pixels)
-        mixed = [
-            dr.select(full, front, back * (1 - disc.weights) + front * disc.weights)
-            for front, back in zip(fovea, behind, strict=True)
-        ]
-        for channel, values in enumerate(mixed):
+        for channel, (front, back) in enumerate(zip(fovea, behind, strict=True)):
+            values = dr.select(full, front, back * (1 - disc.weights) + front * disc.weights)
             dr.scatter(composite.values, values, disc.pixels * 3 + channel, mode=dr.ReduceMode.Permute)
         dr.eval(composite.values)
     return composite

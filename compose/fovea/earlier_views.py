@@ -34,8 +34,7 @@ class EarlierView:
     Attributes:
         records: sixteen Floats (N,) (compose.fovea.samples), at least one sample each.
         position: three Floats (N,), of what was hit, in the world; of what moves, where that is at rest.
-        gloss: Float (N,), of what was hit.
-        mover: Float (N,), number of what was hit among what moves (compose.base.traced_samples).
+        gloss, mover: Float (N,) each, of what was hit.
         viewpoint: (3,) position of the camera.
         time: that it showed, from 0 to 1.
     """
@@ -65,26 +64,15 @@ class Places:
     mover: Any
 
 
-@dataclass(frozen=True)
-class _Known:
-    """What is known of a view on the host: its number, number of samples, viewpoint and time."""
-
-    number: int
-    samples: int
-    viewpoint: NDArray[np.float64]
-    time: float
-
-
 class EarlierViews:
     """The samples of the last MOST_VIEWS views, one view after another in a ring.
 
     Once a view is added, nothing of it moves unless the ring must grow.
 
-    Args:
-        arrays: the backend's array types.
-
     Attributes:
         moment: what is seen now; set before views of it are added.
+        viewpoints: (MOST_VIEWS, 3) positions of the cameras by number of their view; far away where there is
+            none.
     """
 
     def __init__(self, arrays: Arrays):
@@ -93,7 +81,10 @@ class EarlierViews:
 
     def clear(self) -> None:
         """Forgets all views."""
-        self._views: deque[_Known] = deque()
+        self.viewpoints = np.full((MOST_VIEWS, 3), np.inf)
+        # Times of views by number; numbers of samples of views, the oldest first.
+        self._times = np.full(MOST_VIEWS, np.nan)
+        self._sizes: deque[int] = deque()
         self._added = self._first = 0
         self._room = _LEAST_ROOM
         self._places, self._records = self._empty()
@@ -101,31 +92,22 @@ class EarlierViews:
     @property
     def samples(self) -> int:
         """Number of samples of all views."""
-        return sum(view.samples for view in self._views)
-
-    def viewpoints(self) -> NDArray[np.float64]:
-        """(MOST_VIEWS, 3) positions of the cameras by number of their view; far away where there is none."""
-        found = np.full((MOST_VIEWS, 3), np.inf)
-        for view in self._views:
-            found[view.number] = view.viewpoint
-        return found
+        return sum(self._sizes)
 
     def of_now(self) -> NDArray[np.bool_]:
         """(MOST_VIEWS,) by number, whether a view shows the moment that is seen now."""
-        found = np.zeros(MOST_VIEWS, dtype=bool)
-        for view in self._views:
-            found[view.number] = view.time == self.moment.time
-        return found
+        return self._times == self.moment.time
 
     def add(self, view: EarlierView) -> None:
         """Adds a view; the oldest go where there are MOST_VIEWS, or MOST_MOMENTS other than now."""
-        if len(self._views) == MOST_VIEWS:
+        if len(self._sizes) == MOST_VIEWS:
             self._drop_oldest()
         now = self.moment.time
-        while len({view.time, *(known.time for known in self._views)} - {now}) > MOST_MOMENTS:
+        while len({view.time, *self._times[~np.isnan(self._times)]} - {now}) > MOST_MOMENTS:
             self._drop_oldest()
         number, size, before = self._added % MOST_VIEWS, dr.width(view.gloss), self.samples
-        self._views.append(_Known(number, size, view.viewpoint, view.time))
+        self.viewpoints[number], self._times[number] = view.viewpoint, view.time
+        self._sizes.append(size)
         self._added += 1
         if before + size > self._room:
             self._grow(before, before + size)
@@ -133,21 +115,20 @@ class EarlierViews:
             self._write(view, number, before)
 
     def _drop_oldest(self) -> None:
-        self._first = (self._first + self._views.popleft().samples) % self._room
+        number = (self._added - len(self._sizes)) % MOST_VIEWS
+        self.viewpoints[number], self._times[number] = np.inf, np.nan
+        self._first = (self._first + self._sizes.popleft()) % self._room
 
     def places(self, index: Any) -> Places:
         """Where the samples at an index (M,) are; the oldest view's first sample has index 0."""
-        *position, tag = self._packet(self._places, _PLACE, self._slot(index))
+        *position, tag = self.arrays.packet(self._places, _PLACE, self._slot(index))
         tag = self.arrays.plain.UInt(tag)
         gloss, view = tag & ((1 << _GLOSS_BITS) - 1), (tag >> _GLOSS_BITS) & (MOST_VIEWS - 1)
         return Places(position, gloss, view, tag >> (_GLOSS_BITS + _VIEW_BITS))
 
     def records(self, index: Any) -> list[Any]:
         """Sixteen Floats (M,): the records of the samples at an index."""
-        return list(self._packet(self._records, RECORD, self._slot(index)))
-
-    def _packet(self, table: Any, size: int, slot: Any) -> Any:
-        return dr.gather(self.arrays.plain.ArrayXf, table, slot, shape=(size, dr.width(slot)))
+        return list(self.arrays.packet(self._records, RECORD, self._slot(index)))
 
     def _slot(self, index: Any) -> Any:
         """Where in the ring the samples at an index are."""
@@ -163,12 +144,8 @@ class EarlierViews:
         moved: tuple[Any, ...] = ()
         if samples:
             index = dr.arange(self.arrays.plain.UInt, samples)
-            slot = self._slot(index)
-            places, records = (
-                self._packet(self._places, _PLACE, slot),
-                self._packet(self._records, RECORD, slot),
-            )
-            moved = places, records, index
+            slot, packet = self._slot(index), self.arrays.packet
+            moved = packet(self._places, _PLACE, slot), packet(self._records, RECORD, slot), index
         self._first, self._room = 0, 1 << (wanted - 1).bit_length()
         self._places, self._records = self._empty()
         if moved:
@@ -180,9 +157,9 @@ class EarlierViews:
         tag = plain.UInt(view.gloss) | plain.UInt(view.mover) << (_GLOSS_BITS + _VIEW_BITS)
         tag |= self.arrays.constant(number << _GLOSS_BITS)
         slot = self._slot(dr.arange(plain.UInt, dr.width(tag)) + self.arrays.constant(start))
-        self._scatter(plain.ArrayXf([*view.position, plain.Float(tag)]), plain.ArrayXf(view.records), slot)
+        self._scatter([*view.position, plain.Float(tag)], view.records, slot)
 
     def _scatter(self, places: Any, records: Any, slot: Any) -> None:
-        dr.scatter(self._places, places, slot, mode=dr.ReduceMode.Permute)
-        dr.scatter(self._records, records, slot, mode=dr.ReduceMode.Permute)
+        self.arrays.put_packet(self._places, places, slot)
+        self.arrays.put_packet(self._records, records, slot)
         dr.eval(self._places, self._records)

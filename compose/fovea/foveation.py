@@ -2,8 +2,8 @@
 
 Radii are in percent of the frame's height, measured in pixels on the screen (Foveated Path Culling, section
 3): the path tracer covers r < fov-a, the splats cover r > fov-b, the weight is linear between. Once fov-a
-reaches the frame's furthest pixel, what weight is left to the splats fades out, as fov-a grows by another
-fifth: then the frame is path-traced as a whole. So weights are continuous in radii and gaze.
+reaches the frame's furthest pixel, what weight is left to the splats fades out as fov-a grows by another
+fifth; from then on the whole frame is path-traced. So weights are continuous in radii and gaze.
 """
 
 from __future__ import annotations
@@ -23,25 +23,18 @@ if TYPE_CHECKING:
     from compose.base.arrays import Arrays
     from compose.fovea.disc import Disc
 
-
-class FoveaMode(Enum):
-    """How a fovea is made from path-traced samples.
-
-    Attributes:
-        RAW: their mean, unbiased.
-        DENOISED: their mean, denoised.
-        FUSED: one estimate from samples, denoised samples and the splats under the disc.
-    """
-
-    RAW = "raw"
-    DENOISED = "denoised"
-    FUSED = "fused"
-
-
 # Radius of a disc that leaves no splats, whatever fov-b is, over the distance of the furthest pixel.
 _WHOLE = 1.2
 # Narrowest band in pixels: thinner ones are edges, and float32 could not divide by their widths.
 _THINNEST = 1e-6
+
+
+class FoveaMode(Enum):
+    """How a fovea is made from path-traced samples."""
+
+    RAW = "raw"  # their mean, unbiased
+    DENOISED = "denoised"  # their mean, denoised
+    FUSED = "fused"  # one estimate from samples, denoised samples and the splats under the disc
 
 
 @dataclass(frozen=True)
@@ -107,9 +100,19 @@ class FoveaRegion:
     @cached_property
     def _rows(self) -> _Rows:
         """The disc's pixels by rows: work that grows with the frame's height only."""
-        if self.covers_frame:
-            return _Rows.all(self.width, self.height)
-        return _Rows.within(self.centre, self.outer, self.width, self.height)
+        radius, (x, y) = np.float64(np.inf if self.covers_frame else self.outer), self.centre
+        top, stop = _span(y, radius, self.height)
+        down_squared = (np.arange(top, stop) + 0.5 - y) ** 2
+        starts, stops = _span(x, np.sqrt(np.maximum(radius**2 - down_squared, 0)), self.width)
+        counts = np.maximum(stops - starts, 0)
+        used = np.flatnonzero(counts)
+        if not len(used):
+            return _Rows(0, starts[:0], starts[:0], 0, 0, down_squared[:0])
+        # Rows without a pixel, at the ends only, are left out.
+        rows = slice(int(used[0]), int(used[-1]) + 1)
+        counts, starts = counts[rows], starts[rows]
+        before, right = np.cumsum(counts) - counts, int((starts + counts).max())
+        return _Rows(int(top) + rows.start, starts, before, int(counts.sum()), right, down_squared[rows])
 
     @property
     def count(self) -> int:
@@ -141,18 +144,23 @@ class FoveaRegion:
 
     @property
     def box(self) -> tuple[slice, slice]:
-        """Rows and columns of the rectangle around the disc, which must have a pixel."""
-        return self._rows.box(self.width, self.height)
+        """Rows and columns of the rectangle around the disc, which must have a pixel.
+
+        Its sides are even where the frame allows it, since the fusion judges blocks of 2 x 2 pixels.
+        """
+        rows = self._rows
+        down = _evenly(rows.top, rows.top + len(rows.start), self.height)
+        return down, _evenly(int(rows.start.min()), rows.right, self.width)
 
     def disc(self, arrays: Arrays) -> Disc:
         """The pixels and their weights on the device."""
-        # Only now: who writes down where the fovea is need not load Dr.Jit.
+        # Only now: code that only says where the fovea is need not load Dr.Jit.
         from compose.fovea.disc import Disc
 
         return Disc.in_region(arrays, self)
 
     def table(self) -> tuple[NDArray[np.uint32], int]:
-        """What a kernel needs to list the pixels; there must be one, and the region must not cover the frame.
+        """What a kernel needs to list the pixels, of a region with a pixel that does not cover the frame.
 
         Returns:
             Numbers of pixels above each of P rows, first columns of P rows, the first row, and the frame's
@@ -164,12 +172,10 @@ class FoveaRegion:
         size = 1 << max(len(rows.before) - 1, 63).bit_length()
         fill = 0, size - len(rows.before)
         before = np.pad(rows.before, fill, constant_values=self.count)
-        integers = np.concatenate([before, np.pad(rows.start, fill), [rows.top, self.width]]).astype(
-            np.uint32
-        )
+        integers = np.concatenate([before, np.pad(rows.start, fill), [rows.top, self.width]])
         numbers = [0.5 - self.centre[0], *self._slope, self.faded]
-        floats = np.concatenate([np.pad(rows.down_squared, fill), numbers])
-        return np.concatenate([integers, floats.astype(np.float32).view(np.uint32)]), size
+        floats = np.concatenate([np.pad(rows.down_squared, fill), numbers]).astype(np.float32)
+        return np.concatenate([integers.astype(np.uint32), floats.view(np.uint32)]), size
 
     def foveal_tiles(self, tile: int) -> NDArray[np.bool_]:
         """(rows, columns) bool: tiles that overlap the rectangle around the disc, `tile` pixels per side."""
@@ -181,15 +187,13 @@ class FoveaRegion:
 
     def peripheral_tiles(self, tile: int) -> NDArray[np.bool_]:
         """(rows, columns) bool: tiles with a pixel in which splats are visible, `tile` pixels per side."""
-        if self.covers_frame:
-            return np.zeros((-(-self.height // tile), -(-self.width // tile)), dtype=bool)
         # A tile is hidden if its pixel furthest from the centre is.
         y, x = (
             np.maximum(np.abs(first + 0.5 - middle), np.abs(np.minimum(first + tile, size) - 0.5 - middle))
             for size, middle in ((self.height, self.centre[1]), (self.width, self.centre[0]))
             for first in (np.arange(0, size, tile),)
         )
-        return np.hypot(y[:, None], x[None, :]) >= self.inner
+        return (np.hypot(y[:, None], x[None, :]) >= self.inner) & (not self.covers_frame)
 
 
 @dataclass(frozen=True)
@@ -212,41 +216,6 @@ class _Rows:
     right: int
     down_squared: NDArray[np.float64]
 
-    @staticmethod
-    def all(width: int, height: int) -> _Rows:
-        """The whole frame."""
-        nothing = np.zeros(height)
-        start = nothing.astype(np.int64)
-        return _Rows(0, start, np.arange(height) * width, width * height, width, nothing)
-
-    @staticmethod
-    def within(centre: tuple[float, float], radius: float, width: int, height: int) -> _Rows:
-        """The pixels of a frame whose centres lie within a radius."""
-        x, y = centre
-        top, stop = _span(y, np.float64(radius), height)
-        down_squared = (np.arange(top, stop) + 0.5 - y) ** 2
-        starts, stops = _span(x, np.sqrt(np.maximum(radius**2 - down_squared, 0)), width)
-        counts = np.maximum(stops - starts, 0)
-        used = np.flatnonzero(counts)
-        if not len(used):
-            return _Rows(0, starts[:0], starts[:0], 0, 0, down_squared[:0])
-        # Rows without a pixel, at the ends only, are left out.
-        rows = slice(int(used[0]), int(used[-1]) + 1)
-        counts = counts[rows]
-        before = np.cumsum(counts) - counts
-        right = int((starts[rows] + counts).max())
-        return _Rows(
-            int(top) + rows.start, starts[rows], before, int(counts.sum()), right, down_squared[rows]
-        )
-
-    def box(self, width: int, height: int) -> tuple[slice, slice]:
-        """Rows and columns of the rectangle around the pixels.
-
-        Its sides are even where the frame allows it, since the fusion judges blocks of 2 x 2 pixels.
-        """
-        rows = _evenly(self.top, self.top + len(self.start), height)
-        return rows, _evenly(int(self.start.min()), self.right, width)
-
 
 def _span(centre: float, half: Any, size: int) -> tuple[Any, Any]:
     """First pixel of an axis whose centre lies within `half` of a position, and the one after the last."""
@@ -257,8 +226,6 @@ def _span(centre: float, half: Any, size: int) -> tuple[Any, Any]:
 
 def _evenly(start: int, stop: int, end: int) -> slice:
     """From start to stop within 0..end, one longer if that makes it even."""
-    if (stop - start) % 2 and stop < end:
-        return slice(start, stop + 1)
-    if (stop - start) % 2 and start > 0:
-        return slice(start - 1, stop)
-    return slice(start, stop)
+    if (stop - start) % 2 == 0:
+        return slice(start, stop)
+    return slice(start, stop + 1) if stop < end else slice(max(start - 1, 0), stop)

@@ -45,16 +45,17 @@ _MOST_POSITIONS = 64
 # Three floats are spare.
 _HIT = 8
 _POINT, _GLOSS, _MOVER = slice(0, 3), 3, 4
-# Columns of a view's records and hits by their keys in saved states; files of interrupted videos contain
-# these keys.
-_SAVED_RECORDS: dict[str, int | slice] = {
-    "count": COUNT,
-    "light": slice(RADIANCE.start, SQUARES.stop),
-    "places": POSITIONS,
-    "guides": slice(ALBEDO.start, NORMAL.stop),
+# What files of interrupted videos contain of a view by key: which columns of its records (0) or hits (1), and
+# as what.
+_SAVED: dict[str, tuple[int, int | slice, Any]] = {
+    "count": (0, COUNT, np.float32),
+    "light": (0, slice(RADIANCE.start, SQUARES.stop), np.float32),
+    "places": (0, POSITIONS, np.float32),
+    "guides": (0, slice(ALBEDO.start, NORMAL.stop), np.float32),
+    "position": (1, _POINT, np.float32),
+    "gloss": (1, _GLOSS, np.uint8),
+    "mover": (1, _MOVER, np.uint16),
 }
-_SAVED_HITS: dict[str, int | slice] = {"position": _POINT, "gloss": _GLOSS, "mover": _MOVER}
-_SAVED_TYPES = {"gloss": np.uint8, "mover": np.uint16}
 
 
 class History:
@@ -62,9 +63,6 @@ class History:
 
     It is valid for one world: make another history when the scene changes. Where things move in it along
     known courses, `show` says how far they are.
-
-    Args:
-        arrays: the backend's array types.
     """
 
     def __init__(self, arrays: Arrays):
@@ -79,13 +77,8 @@ class History:
         view = self._view
         if view is None:
             return {}
-        records, hits = (
-            np.asarray(table).reshape(-1, size) for table, size in ((view.records, RECORD), (view.hits, _HIT))
-        )
-        known = {key: records[:, column] for key, column in _SAVED_RECORDS.items()}
-        known |= {key: hits[:, column] for key, column in _SAVED_HITS.items()}
-        known = {key: values.copy() for key, values in known.items()}
-        known |= {key: known[key].astype(kind) for key, kind in _SAVED_TYPES.items()}
+        tables = np.asarray(view.records).reshape(-1, RECORD), np.asarray(view.hits).reshape(-1, _HIT)
+        known = {key: tables[of][:, column].astype(kind) for key, (of, column, kind) in _SAVED.items()}
         moment = {"time": np.array([view.moment.time]), "poses": view.moment.poses}
         return {**known, **moment, "pattern": np.array([view.pattern])}
 
@@ -99,14 +92,11 @@ class History:
         pattern = int(state["pattern"][0])  # type: ignore[call-overload]
         view = history._view = _View(arrays, camera, history._earlier.moment, pattern)
         size = camera.width * camera.height
-        records, hits = (np.zeros((size, width), dtype=np.float32) for width in (RECORD, _HIT))
-        for key, column in _SAVED_RECORDS.items():
-            records[:, column] = state[key]
-        for key, column in _SAVED_HITS.items():
-            hits[:, column] = state.get(key, STILL)
-        view.records, view.hits = (uploaded(arrays.plain.Float, table) for table in (records, hits))
-        known = (records[:, COUNT] > 0) | (records[:, POSITIONS] > 0)
-        view.known = arrays.plain.Bool(known)
+        tables = [np.zeros((size, width), dtype=np.float32) for width in (RECORD, _HIT)]
+        for key, (of, column, _) in _SAVED.items():
+            tables[of][:, column] = state.get(key, STILL) if of else state[key]
+        view.records, view.hits = (uploaded(arrays.plain.Float, table) for table in tables)
+        view.known = arrays.plain.Bool((tables[0][:, [COUNT, POSITIONS]] > 0).any(axis=1))
         return history
 
     def show(self, moment: Moment) -> None:
@@ -203,15 +193,10 @@ class History:
 
 
 class _View:
-    """What has been traced from one camera, for all N = H * W pixels.
-
-    Args:
-        arrays: the backend's array types.
-        camera: the view.
-        moment: that it shows.
-        pattern: seed of the pattern of its samples.
+    """What has been traced from one camera at a moment, for all N = H * W pixels.
 
     Attributes:
+        pattern: seed of the pattern of its samples.
         records: flat Float, N records (compose.fovea.samples).
         hits: flat Float, for each pixel position, class of gloss and mover of what the first sample hit.
         known: Bool (N,), pixels of which anything is known.
@@ -225,20 +210,17 @@ class _View:
 
     def record(self, pixels: Any) -> list[Any]:
         """Sixteen Floats (D,), the records of pixels."""
-        return self._packet(self.records, RECORD, pixels)
+        return self._read(self.records, RECORD, pixels)
 
     def hit(self, pixels: Any) -> list[Any]:
         """Eight Floats (D,), what the first samples of pixels hit."""
-        return self._packet(self.hits, _HIT, pixels)
+        return self._read(self.hits, _HIT, pixels)
 
-    def _packet(self, table: Any, size: int, index: Any) -> list[Any]:
-        found = list(dr.gather(self._arrays.plain.ArrayXf, table, index, shape=(size, dr.width(index))))
+    def _read(self, table: Any, size: int, pixels: Any) -> list[Any]:
+        found = list(self._arrays.packet(table, size, pixels))
         # What still waits to be read from a table would have all of it copied when it is written.
         dr.eval(found)
         return found
-
-    def _write(self, table: Any, values: list[Any], index: Any, active: Any = True) -> None:
-        dr.scatter(table, self._arrays.plain.ArrayXf(values), index, active, mode=dr.ReduceMode.Permute)
 
     def begin(self, camera: Camera, moment: Moment, pattern: int) -> None:
         """Becomes the view of another camera or moment, of which nothing has been traced yet.
@@ -248,26 +230,25 @@ class _View:
         plain, pixels = self._arrays.plain, dr.compress(self.known)
         if dr.width(pixels):
             for table, size in ((self.records, RECORD), (self.hits, _HIT)):
-                self._write(table, [plain.Float(0)] * size, pixels)
+                self._arrays.put_packet(table, [plain.Float(0)] * size, pixels)
             dr.scatter(self.known, plain.Bool(False), pixels)
             dr.eval(self.records, self.hits, self.known)
         self.camera, self.moment, self.pattern = camera, moment, pattern
 
     def add_features(self, seen: Samples, positions: int) -> None:
-        """Adds auxiliary features."""
-        records = self.record(seen.pixels)
+        """Adds auxiliary features, means over a number of sample positions."""
+        records, Float = self.record(seen.pixels), self._arrays.plain.Float
         first = records[POSITIONS] == 0
-        nothing = self._arrays.plain.Float(0)
-        hit = [*seen.position, seen.gloss, seen.mover, *[nothing] * (_HIT - 5)]
-        number = self._arrays.plain.Float(self._arrays.constant(positions))
-        self._write(self.hits, hit, seen.pixels, first)
-        self._write(self.records, with_features(records, seen, number), seen.pixels)
+        hit = [*seen.position, seen.gloss, seen.mover, *[Float(0)] * (_HIT - 5)]
+        number = Float(self._arrays.constant(positions))
+        self._arrays.put_packet(self.hits, hit, seen.pixels, first)
+        self._arrays.put_packet(self.records, with_features(records, seen, number), seen.pixels)
         dr.scatter(self.known, self._arrays.plain.Bool(True), seen.pixels)
         dr.eval(self.records, self.hits, self.known)
 
     def add_light(self, new: Samples) -> None:
         """Adds samples of radiance."""
-        self._write(self.records, with_light(self.record(new.pixels), new), new.pixels)
+        self._arrays.put_packet(self.records, with_light(self.record(new.pixels), new), new.pixels)
         dr.scatter(self.known, self._arrays.plain.Bool(True), new.pixels)
         dr.eval(self.records, self.known)
 

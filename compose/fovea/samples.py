@@ -5,8 +5,8 @@ floats: the number of samples, three sums of their radiance, three of its square
 positions whose auxiliary features are known, three sums of their albedo, three of their normals; and two
 zeros. Kernels load it at once. Here, N records are a list of sixteen Floats (N,).
 
-Sums of squares that are beyond float32 are inf. Sums of radiance that are, which takes several samples near
-the largest float, count as that.
+Sums of squares beyond float32 are inf. Sums of radiance beyond it, which takes several samples near the
+largest float, count as the largest float.
 """
 
 from __future__ import annotations
@@ -16,9 +16,16 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
+
+# Floats of a record, and which of them are what.
+RECORD = 16
+COUNT, RADIANCE, SQUARES = 0, slice(1, 4), slice(4, 7)
+POSITIONS, ALBEDO, NORMAL = 7, slice(8, 11), slice(11, 14)
+# Makes 0 of 0 / 0.
+_NOTHING = 1e-6
+_LARGEST = float(np.finfo(np.float32).max)
 
 
 @dataclass(frozen=True)
@@ -34,8 +41,7 @@ class Samples:
         position: three Floats, in the world, where one of the samples appears to hit something; far away for
             sky.
         gloss: Float, DIFFUSE, GLOSSY or SPECULAR (compose.base.traced_samples), of what it hits.
-        mover: Float, number of what it hits among what moves (compose.base.traced_samples); 0 if that
-            stands still.
+        mover: Float, number of what it hits among what moves; 0 if that stands still.
     """
 
     pixels: Any
@@ -78,34 +84,23 @@ class Samples:
         """Samples per pixel on average; 0 without a pixel."""
         return float(dr.mean(self.count)[0]) if self.size else 0.0
 
-    def numpy(self, name: str) -> NDArray[Any]:
-        """(D,) or (D, 3) host array of an attribute or of the variance."""
-        values = self.variance() if name == "variance" else getattr(self, name)
-        if not isinstance(values, list):
-            return np.array(values)
-        return np.stack([np.asarray(channel) for channel in values], axis=-1)
-
 
 def merged(one: Samples, other: Samples) -> Samples:
     """The light of two sets of samples of the same pixels together; everything else is the first one's."""
     count = one.count + other.count
     share = other.count / dr.maximum(count, 1e-6)
-    mean = lambda name: _mixed(getattr(one, name), getattr(other, name), share)  # noqa: E731
-    return replace(one, count=count, radiance=mean("radiance"), squares=mean("squares"))
+    return replace(_mixed(one, other, share, "radiance", "squares"), count=count)
 
 
 def averaged_features(one: Samples, other: Samples, share: Any) -> Samples:
     """The first samples, with albedo and normal averaged over both; `share` (D,) is the other's."""
-    mean = lambda name: _mixed(getattr(one, name), getattr(other, name), share)  # noqa: E731
-    return replace(one, albedo=mean("albedo"), normal=mean("normal"))
+    return _mixed(one, other, share, "albedo", "normal")
 
 
-def _mixed(one: list[Any], other: list[Any], share: Any) -> list[Any]:
-    """Channels of which a share is the other's; the whole of either is as it was, infinities included."""
-    return [
-        dr.select(share <= 0, a, dr.select(share >= 1, b, a * (1 - share) + b * share))
-        for a, b in zip(one, other, strict=True)
-    ]
+def _mixed(one: Samples, other: Samples, share: Any, *names: str) -> Samples:
+    """The first samples, of whose named channels a share is the other's; 0 and 1 leave infinities alone."""
+    mean = lambda a, b: dr.select(share <= 0, a, dr.select(share >= 1, b, a * (1 - share) + b * share))  # noqa: E731
+    return replace(one, **{name: list(map(mean, getattr(one, name), getattr(other, name))) for name in names})
 
 
 def taken(samples: Samples, chosen: Any) -> Samples:
@@ -136,26 +131,16 @@ def _each(samples: Samples, function: Any, *others: Samples) -> Samples:
     return Samples(**found)
 
 
-# Floats of a record, and which of them are what.
-RECORD = 16
-COUNT, RADIANCE, SQUARES = 0, slice(1, 4), slice(4, 7)
-POSITIONS, ALBEDO, NORMAL = 7, slice(8, 11), slice(11, 14)
-_LIGHT, _FEATURES = range(7), range(7, 14)
-# Makes 0 of 0 / 0.
-_NOTHING = 1e-6
-_LARGEST = float(np.finfo(np.float32).max)
-
-
 def with_light(records: list[Any], samples: Samples) -> list[Any]:
     """Records (D,) with the light of samples added."""
-    light = [1, *samples.radiance, *samples.squares]
-    return [dr.fma(samples.count, more, own) for own, more in zip(records, light, strict=False)] + records[7:]
+    light = zip(records, [1, *samples.radiance, *samples.squares], strict=False)
+    return [dr.fma(samples.count, more, own) for own, more in light] + records[POSITIONS:]
 
 
 def with_features(records: list[Any], samples: Samples, positions: Any) -> list[Any]:
     """Records (D,) with auxiliary features added, means over a number of sample positions."""
-    features = zip(records[7:], [1, *samples.albedo, *samples.normal], strict=False)
-    return records[:7] + [own + more * positions for own, more in features] + records[14:]
+    features = zip(records[POSITIONS:], [1, *samples.albedo, *samples.normal], strict=False)
+    return records[:POSITIONS] + [own + more * positions for own, more in features] + records[NORMAL.stop :]
 
 
 def means(records: list[Any]) -> tuple[Any, list[Any], list[Any], list[Any], list[Any]]:
@@ -169,12 +154,9 @@ def means(records: list[Any]) -> tuple[Any, list[Any], list[Any], list[Any], lis
 
 def limited(records: list[Any], most: float) -> list[Any]:
     """Records (D,) that stand for more samples or sample positions than `most` scaled down to it."""
-    scales = {
-        part: dr.minimum(most / dr.maximum(records[n], _NOTHING), 1)
-        for n, part in ((COUNT, _LIGHT), (POSITIONS, _FEATURES))
-    }
-    found = list(records)
-    for part, scale in scales.items():
-        for number in part:
-            found[number] = records[number] * scale
-    return found
+    light, features = (dr.minimum(most / dr.maximum(records[of], _NOTHING), 1) for of in (COUNT, POSITIONS))
+    return (
+        [own * light for own in records[:POSITIONS]]
+        + [own * features for own in records[POSITIONS : NORMAL.stop]]
+        + records[NORMAL.stop :]
+    )

@@ -7,7 +7,7 @@ per pixel what each is worth. Five things are built around it:
 - The splats are sharpened first: where the traced albedo varies within the size of a splat, so must the
   radiance. How much of that variation they lack is part of what the network says.
 - What the network says is mixed with the denoised samples and the splats in shares that were tried on views
-  which it had not seen; where it did not prove itself there, the better parent alone is shown.
+  it had not seen; where it did not prove itself there, the better parent alone is shown.
 - Where there are many samples, they tell whether the denoised ones are nearer to the truth than the estimate
   of the network, which has never seen so many.
 - The result is drawn towards the traced radiance wherever the two differ by more than noise explains, in
@@ -25,6 +25,7 @@ from torch import Tensor
 
 from compose.fusion.network import Fusion, estimated, shares_at
 from compose.fusion.parents import (
+    IMAGES,
     PARENTS,
     Fused,
     Parents,
@@ -48,19 +49,13 @@ _TELLING_COUNT = 32
 _CAUTION = 24.0
 # Splats to which the network gives less weight than this show a scene that has changed since their training.
 _TRUSTED = 0.2
-_IMAGES = ("traced", "denoised", "splat", "albedo", "normal", "variance", "count")
 
 
 def fuse(parents: Parents, fusion: Fusion | None) -> Fused:
-    """One estimate from all parents.
-
-    Args:
-        parents: images of one view.
-        fusion: fitted to the scene; without it `statistical` decides.
-    """
+    """One estimate from all parents of a view, by a fusion fitted to its scene; without one by statistics."""
     height, width = parents.traced.shape[:2]
     with torch.inference_mode():
-        images, excluded = _usable({name: as_batch(getattr(parents, name)) for name in _IMAGES})
+        images, excluded = _usable({name: as_batch(getattr(parents, name)) for name in IMAGES})
         # (1, C, H, W) each; the network sees blocks of 2 x 2.
         images = {name: padded_to_even(image) for name, image in images.items()}
         traced, denoised, variance, count = (images[n] for n in ("traced", "denoised", "variance", "count"))
@@ -73,7 +68,8 @@ def fuse(parents: Parents, fusion: Fusion | None) -> Fused:
         radiance = torch.lerp(traced, radiance, share)
         weights = weights * share
         weights[:, 0:1] += 1 - share  # traced
-    return Fused(_as_image(radiance, height, width), _as_image(weights, height, width), excluded)
+    radiance, weights = (of[0, :, :height, :width].permute(1, 2, 0) for of in (radiance, weights))
+    return Fused(radiance, weights, excluded)
 
 
 def _first_estimate(
@@ -97,11 +93,6 @@ def _first_estimate(
     return radiance, weights + network * of_estimate
 
 
-def _as_image(batch: Tensor, height: int, width: int) -> Tensor:
-    """(H, W, 3) from (1, 3, H or more, W or more)."""
-    return batch[0, :, :height, :width].permute(1, 2, 0)
-
-
 def statistical(traced: Tensor, denoised: Tensor, splat: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
     """Radiance and weights (N, 3, H, W) of splats and denoised samples, without anything fitted.
 
@@ -110,7 +101,7 @@ def statistical(traced: Tensor, denoised: Tensor, splat: Tensor, variance: Tenso
     not explain; denoising is assumed to average over as many pixels.
 
     Args:
-        traced, denoised, splat, variance: (N, 3, H, W) as of Parents.
+        traced, denoised, splat, variance: (N, 3, H, W) as in Parents.
     """
     samples, smooth, biased = _squarable(traced, denoised, splat)
     known = torch.where(torch.isfinite(variance), variance, (samples - smooth) ** 2)
@@ -127,9 +118,7 @@ def regressed(estimate: Tensor, other: Tensor, traced: Tensor, variance: Tensor)
 
     It is found by least squares over about 6 x 6 pixels. A multiple of the variance of their mean is added to
     the squared length of the way: where the two estimates differ by less than noise, the first one is kept.
-
-    Args:
-        estimate, other, traced, variance: (N, 3, H, W).
+    All images are (N, 3, H, W).
     """
     estimate, other, traced = _squarable(estimate, other, traced)
     known = torch.isfinite(variance).all(1, keepdim=True)
@@ -148,11 +137,7 @@ def trust(estimate: Tensor, traced: Tensor, variance: Tensor, count: Tensor) -> 
     estimated over about 6 x 6 pixels and taken at the lower end of its confidence interval (two standard
     errors): noise must not count as bias. Where few samples have found light yet, both their mean and their
     variance are too small, so the relative variance of the neighbourhood counts where it is larger; and the
-    fewer the samples, the wider the interval may be.
-
-    Args:
-        estimate, traced, variance: (N, 3, H, W).
-        count: (N, 1, H, W) samples.
+    fewer the samples, the wider the interval may be. Images are (N, 3, H, W), counts (N, 1, H, W).
     """
     estimate, traced = _squarable(estimate, traced)
     known = torch.isfinite(variance).all(1, keepdim=True)
@@ -178,10 +163,7 @@ def _squarable(*images: Tensor) -> tuple[Tensor, ...]:
 
 
 def _usable(images: dict[str, Tensor]) -> tuple[dict[str, Tensor], int]:
-    """The parents with whatever cannot be radiance replaced, and the number of pixels concerned.
-
-    That is what is negative, not finite, or out of proportion to its neighbours and to the other parents.
-    """
+    """The parents with whatever cannot be radiance replaced, and in how many pixels; see `Fused`."""
     radiance = torch.cat([images[name] for name in PARENTS])
     plain = (radiance >= 0).all() & (radiance <= MOST).all()
     if bool(plain & torch.isfinite(images["albedo"] + images["normal"]).all()):

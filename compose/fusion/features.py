@@ -67,7 +67,7 @@ def features_of(images: Sequence[Tensor], count: Tensor, enlargement: Tensor, qu
     Args:
         images: traced, denoised, splat, albedo, normal, each (N, 3, H, W), both sides even.
         count: (N, 1, H, W) samples.
-        enlargement, quick: (N,) as of Parents.
+        enlargement, quick: (N,) as in Parents.
     """
     traced, denoised, splat, albedo, normal = images
     seen_denoised, seen_splat = perceived(denoised), perceived(splat)
@@ -110,11 +110,9 @@ def perceived_slope(radiance: Tensor) -> Tensor:
 
 
 def _texture(albedo: Tensor) -> tuple[list[Tensor], list[Tensor]]:
-    """Logarithm of the albedo (N, 3, H, W) over its means in windows.
+    """Logarithm of the albedo (N, 3, H, W) over its means in windows of 3, 6 and 12 pixels.
 
-    Returns:
-        Three of (N, 3, H, W), for windows of 3, 6 and 12 pixels; two of (N, 3, H / 2, W / 2), for windows of
-        6 and 12 pixels.
+    The last two are repeated at half the resolution, (N, 3, H / 2, W / 2).
     """
     coarse_albedo = halved(albedo)
     means = box_mean(albedo), box_mean(coarse_albedo), box_mean(halved(coarse_albedo))

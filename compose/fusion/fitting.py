@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from compose.fusion.features import perceived, perceived_slope
 from compose.fusion.network import Fusion, estimated
-from compose.fusion.parents import PARENTS, Channels, Parents, as_batch
+from compose.fusion.parents import IMAGES, Channels, Parents, as_batch
 from compose.image.colour import Image
 
 # Most that one pixel's noise may count for, in perceived radiance: a single path of a rare kind must not
@@ -23,6 +23,29 @@ from compose.image.colour import Image
 # few paths find would otherwise be missing.
 _MOST_NOISE = 1.0
 _WINDOW = 33
+# All images of an example, stacked in one tensor so that patches are cut from all of them at once. Target and
+# noise are those of `Reference.targets`.
+STACK = Channels(
+    {"traced": 3, "denoised": 3, "splat": 3, "albedo": 3, "normal": 3, "target": 3, "noise": 3, "count": 1}
+)
+# Side of a training patch, and least side of an example, in pixels.
+LEAST_SIZE = 64
+ITERATIONS = 600
+_BATCH = 6
+_RATE = 4e-3
+# Share of patches whose splats are made wrong, so that the network learns to notice a world that has changed.
+# Fewer samples than _TELLING cannot tell a change from noise; learning to see changes in them would make it
+# see some everywhere.
+_CHANGED = 0.25
+_CHANGED_IN_NOISE = 0.05
+_TELLING = 4
+# Least squared error that a patch is thought to have: relative to the reference's noise, which hides smaller
+# ones, and as one that nobody sees; else black patches would outweigh all others.
+_CERTAINTY = 0.05
+INVISIBLE = 1e-5
+# Errors count as they are and as means over squares of this many pixels: at arm's length from a monitor, the
+# eye sees waves of about eight pixels best, and blotches more easily than as much noise in single pixels.
+_SIDES = 1, 4
 
 
 @dataclass(frozen=True)
@@ -63,13 +86,6 @@ def _tamed(noise: Tensor) -> Tensor:
     return kept + excess[0]
 
 
-# All images of an example, stacked in one tensor so that patches are cut from all of them at once. Target and
-# noise are those of `Reference.targets`.
-STACK = Channels(
-    {"traced": 3, "denoised": 3, "splat": 3, "albedo": 3, "normal": 3, "target": 3, "noise": 3, "count": 1}
-)
-
-
 @dataclass(frozen=True)
 class Example:
     """A view whose radiance is known up to noise.
@@ -77,7 +93,7 @@ class Example:
     Attributes:
         parents: as a fovea would have them.
         reference: independent of the parents' samples.
-        view: number of the view; close-ups of one view have the same number.
+        view: number of the view, the same for close-ups of it.
     """
 
     parents: Parents
@@ -86,37 +102,13 @@ class Example:
 
     def stack(self) -> Tensor:
         """(STACK.total, H, W) of all images."""
-        names = (*PARENTS, "albedo", "normal", "count")
-        images = {name: as_batch(getattr(self.parents, name))[0] for name in names}
+        images = {name: as_batch(getattr(self.parents, name))[0] for name in IMAGES if name in STACK}
         target, noise = self.reference.targets()
         return STACK.stacked({**images, "target": target, "noise": noise})
 
 
-# Side of a training patch, and least side of an example, in pixels.
-LEAST_SIZE = _PATCH = 64
-ITERATIONS = 600
-_BATCH = 6
-_RATE = 4e-3
-# Share of patches whose splats are made wrong, so that the network learns to notice a world that has changed.
-# Fewer samples than _TELLING cannot tell a change from noise; learning to see changes in them would make it
-# see some everywhere.
-_CHANGED = 0.25
-_CHANGED_IN_NOISE = 0.05
-_TELLING = 4
-# Least squared error that a patch is thought to have: relative to the reference's noise, which hides smaller
-# ones, and as one that nobody sees; else black patches would outweigh all others.
-_CERTAINTY = 0.05
-INVISIBLE = 1e-5
-# Errors count as they are and as means over squares of this many pixels: at arm's length from a monitor, the
-# eye sees waves of about eight pixels best, and blotches more easily than as much noise in single pixels.
-_SIDES = 1, 4
-
-
 def fit(
-    examples: Sequence[Example],
-    seed: int,
-    progress: Callable[[int, int], None],
-    iterations: int = ITERATIONS,
+    examples: Sequence[Example], seed: int, progress: Callable[[int, int], None], iterations: int = ITERATIONS
 ) -> Fusion:
     """A network fitted to examples: it minimizes the mean logarithm of squared errors in perceived radiance.
 
@@ -124,15 +116,15 @@ def fit(
         examples: of several views, sample counts and enlargements.
         seed: same seed, same network on the same machine.
         progress: called with steps done and steps in all.
-        iterations: number of steps.
 
     Raises:
         ValueError: there are no examples, or they are smaller than a patch.
     """
     if not examples:
         raise ValueError("there are no examples to fit the fusion to")
-    if min(*examples[0].parents.traced.shape[:2]) < _PATCH:
-        raise ValueError(f"fitting the fusion requires examples of at least {_PATCH} x {_PATCH} pixels")
+    if min(*examples[0].parents.traced.shape[:2]) < LEAST_SIZE:
+        least = f"{LEAST_SIZE} x {LEAST_SIZE}"
+        raise ValueError(f"fitting the fusion requires examples of at least {least} pixels")
     rng = np.random.default_rng(seed)
     with torch.random.fork_rng():
         torch.manual_seed(seed)
@@ -174,8 +166,8 @@ def _loss(fusion: Fusion, patches: Tensor, parents: Sequence[Parents]) -> Tensor
 def _patch(stack: Tensor, rng: np.random.Generator) -> Tensor:
     """A random part of an example, mirrored and transposed at random, sometimes with wrong splats."""
     height, width = stack.shape[-2:]
-    top, left = rng.integers(height - _PATCH + 1), rng.integers(width - _PATCH + 1)
-    patch = stack[:, top : top + _PATCH, left : left + _PATCH].clone()
+    top, left = rng.integers(height - LEAST_SIZE + 1), rng.integers(width - LEAST_SIZE + 1)
+    patch = stack[:, top : top + LEAST_SIZE, left : left + LEAST_SIZE].clone()
     images = STACK.parts(patch)
     telling = float(images["count"][0, 0, 0]) >= _TELLING
     if rng.random() < (_CHANGED if telling else _CHANGED_IN_NOISE):
@@ -187,10 +179,10 @@ def _patch(stack: Tensor, rng: np.random.Generator) -> Tensor:
 
 def _changed(splat: Tensor, rng: np.random.Generator) -> Tensor:
     """Splats (3, H, W) of another world: other light or colour, something moved, turned or in the way."""
-    top, left, height, width = 0, 0, _PATCH, _PATCH
+    top, left, height, width = 0, 0, LEAST_SIZE, LEAST_SIZE
     if rng.random() < 0.5:
-        height, width = (int(n) for n in rng.integers(8, _PATCH, 2))
-        top, left = int(rng.integers(_PATCH - height)), int(rng.integers(_PATCH - width))
+        height, width = (int(n) for n in rng.integers(8, LEAST_SIZE, 2))
+        top, left = (int(rng.integers(LEAST_SIZE - side)) for side in (height, width))
     colour = lambda values: torch.tensor(values, dtype=torch.float32).view(-1, 1, 1)  # noqa: E731
     kinds: list[Callable[[], Tensor]] = [
         lambda: splat * float(np.exp(rng.uniform(-1.5, 1.2))),

@@ -1,6 +1,6 @@
 """The fitted part of the fusion: a small convolutional network, its estimate, and how much of it is shown.
 
-The network alone may be worse than the better parent, where it has seen too few views or too noisy ones. What
+The network alone may be worse than the better parent where it has seen too few views or too noisy ones. What
 it is worth has therefore been tried on views that it had not seen (compose.fusion.proof), in cells of sample
 count, enlargement and denoiser.
 """
@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 
 import torch
@@ -27,51 +26,44 @@ ENLARGEMENTS = (0.5, 1, 2, 4)
 MIXED = ("network", "denoised", "splat")
 # Shares are looked up in steps of this fraction of a doubling of the sample count.
 _STEPS = 8
+# torch keeps what it has compiled for images of each size, by default a thousand of them at 170 kB each, and
+# a disc near the edge of a frame has another size at every gaze. torch reads these limits at the first
+# convolution.
+for _capacity in ("LRU_CACHE_CAPACITY", "ONEDNN_PRIMITIVE_CACHE_CAPACITY"):
+    os.environ.setdefault(_capacity, "64")
+
+# What the network says of each pixel, in the order of its weights in files.
+OUTPUTS = Channels(
+    {
+        "weights": 3,  # of traced, denoised and splat, before softmax
+        "texture_gains": 3,  # how much of the texture in windows of 3, 6 and 12 pixels the splats lack
+        "colour_gains": 3,  # correction of the splats' red, green and blue, before tanh
+    }
+)
+# Before fitting, the noisy samples count for little.
+_WEIGHT_OFFSET = (-2.0, 0.0, 0.0)
+_MOST_COLOUR_GAIN = 0.5
+_MOST_GAIN = 2.0
+# Conditions under which shares are tried, as an index into a tensor of them: whether the quicker denoiser is
+# used, and indices of COUNTS and ENLARGEMENTS.
+Cell = tuple[int, int, int]
 
 
-@dataclass(frozen=True)
-class Cell:
-    """Conditions under which a share was tried.
-
-    Attributes:
-        quick: whether the quicker denoiser was used.
-        count: index of COUNTS.
-        enlargement: index of ENLARGEMENTS.
-    """
-
-    quick: bool
-    count: int
-    enlargement: int
-
-    @staticmethod
-    def of(quick: bool, count: float, enlargement: float) -> Cell:
-        """The cell nearest to some conditions."""
-        nearest = lambda values, value: min(  # noqa: E731
-            range(len(values)), key=lambda index: abs(math.log(values[index] / value))
-        )
-        return Cell(quick, nearest(COUNTS, max(count, 1e-6)), nearest(ENLARGEMENTS, enlargement))
-
-    @property
-    def index(self) -> tuple[int, int, int]:
-        """Of a tensor of shares."""
-        return int(self.quick), self.count, self.enlargement
-
-
-def all_of_network() -> Tensor:
-    """(2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)) shares of a network that nothing is known about."""
-    shares = torch.zeros(2, len(COUNTS), len(ENLARGEMENTS), len(MIXED))
-    shares[..., 0] = 1
-    return shares
+def cell_of(quick: bool, count: float, enlargement: float) -> Cell:
+    """The cell nearest to some conditions, by ratios of numbers."""
+    nearest = lambda values, value: min(  # noqa: E731
+        range(len(values)), key=lambda index: abs(math.log(values[index] / value))
+    )
+    return int(quick), nearest(COUNTS, max(count, 1e-6)), nearest(ENLARGEMENTS, enlargement)
 
 
 def shares_at(shares: Tensor, quick: bool, count: Tensor, enlargement: float) -> Tensor:
     """(N, len(MIXED), H, W) shares for each pixel's sample count, interpolated between cells.
 
     Args:
-        shares: as of `all_of_network`.
-        quick: whether the quicker denoiser was used.
+        shares: as in `Fusion`.
+        quick, enlargement: as in `Parents`.
         count: (N, 1, H, W) samples.
-        enlargement: side of the splats' pixels in pixels of the image.
     """
     by_count = _weights(ENLARGEMENTS, enlargement).to(shares.device) @ shares[int(quick)]  # (COUNTS, MIXED)
     table = _steps().to(shares.device) @ by_count
@@ -91,33 +83,10 @@ def _weights(knots: tuple[float, ...], at: float) -> Tensor:
     """(len(knots),) weights that interpolate over the logarithm of knots; constant beyond the ends."""
     weights = torch.zeros(len(knots))
     at = min(max(at, knots[0]), knots[-1])
-    upper = next(index for index, knot in enumerate(knots) if knot >= at)
-    way = 1.0
-    if upper > 0:
-        way = math.log(at / knots[upper - 1]) / math.log(knots[upper] / knots[upper - 1])
-        weights[upper - 1] = 1 - way
-    weights[upper] = way
+    upper = max(1, next(index for index, knot in enumerate(knots) if knot >= at))
+    way = math.log(at / knots[upper - 1]) / math.log(knots[upper] / knots[upper - 1])
+    weights[upper - 1], weights[upper] = 1 - way, way
     return weights
-
-
-# torch keeps what it has compiled for images of each size, by default a thousand of them at 170 kB each, and
-# a disc near the edge of a frame has another size at every gaze. torch reads these limits at the first
-# convolution.
-for _capacity in ("LRU_CACHE_CAPACITY", "ONEDNN_PRIMITIVE_CACHE_CAPACITY"):
-    os.environ.setdefault(_capacity, "64")
-
-# What the network says of each pixel, in the order of its weights in files.
-OUTPUTS = Channels(
-    {
-        "weights": 3,  # of traced, denoised and splat, before softmax
-        "texture_gains": 3,  # how much of the texture in windows of 3, 6 and 12 pixels the splats lack
-        "colour_gains": 3,  # correction of the splats' red, green and blue, before tanh
-    }
-)
-# Before fitting, the noisy samples count for little.
-_WEIGHT_OFFSET = (-2.0, 0.0, 0.0)
-_MOST_COLOUR_GAIN = 0.5
-_MOST_GAIN = 2.0
 
 
 class Fusion(torch.nn.Module):
@@ -126,8 +95,7 @@ class Fusion(torch.nn.Module):
     It sees blocks of 2 x 2 pixels, and judges every pixel of them.
 
     Attributes:
-        shares: of its estimate, of the denoised samples and of the splats in what is shown, as of
-            `compose.fusion.network.all_of_network`.
+        shares: (2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)) in what is shown, for each cell.
         gains: decibels by which that was better than the better parent on unseen views, for each cell.
     """
 
@@ -143,9 +111,11 @@ class Fusion(torch.nn.Module):
         torch.nn.init.zeros_(self.judge.weight)
         assert self.judge.bias is not None
         torch.nn.init.zeros_(self.judge.bias)
-        shares = all_of_network()
+        gains = torch.zeros(2, len(COUNTS), len(ENLARGEMENTS))
+        # Until anything is tried, all is the network's.
+        shares = torch.stack([gains + 1, gains, gains], -1)
         self.register_buffer("shares", shares)
-        self.register_buffer("gains", torch.zeros(shares.shape[:-1]))
+        self.register_buffer("gains", gains)
 
     def forward(self, features: Features) -> Tensor:
         """(N, OUTPUTS.total, H, W)."""
@@ -164,7 +134,7 @@ def mixture(judged: Tensor, parents: Sequence[Tensor], texture: Sequence[Tensor]
     Args:
         judged: (N, OUTPUTS.total, H, W) the network's outputs.
         parents: traced, denoised, splat, each (N, 3, H, W).
-        texture: as of Features.
+        texture: as in Features.
     """
     traced, denoised, splat = parents
     outputs = OUTPUTS.parts(judged)
@@ -184,15 +154,11 @@ def estimated(
     """Radiance (N, 3, H, W) by the network alone, and the weights (N, 3, H, W) of the parents in it.
 
     Args:
-        fusion: the network.
         images: parents, albedo, normal and count by name, (N, C, H, W) each, both sides even.
-        parents: N, for what is the same in all pixels: enlargement and denoiser.
+        parents: N, for what is the same in all pixels, enlargement and denoiser.
     """
     three = [images[name] for name in PARENTS]
-    enlargement, quick = (
-        three[0].new_tensor([float(getattr(one, name)) for one in parents])
-        for name in ("enlargement", "quick")
-    )
-    auxiliary = images["albedo"], images["normal"]
-    features = features_of([*three, *auxiliary], images["count"], enlargement, quick)
+    enlargement = three[0].new_tensor([float(one.enlargement) for one in parents])
+    quick = three[0].new_tensor([float(one.quick) for one in parents])
+    features = features_of([*three, images["albedo"], images["normal"]], images["count"], enlargement, quick)
     return mixture(fusion(features), three, features.texture)

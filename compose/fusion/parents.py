@@ -12,8 +12,9 @@ from torch.nn import functional
 
 from compose.image.colour import LUMINANCE_WEIGHTS, Image
 
-# Parents, in the order of their weights.
+# Parents, in the order of their weights; and all images of `Parents`.
 PARENTS = ("traced", "denoised", "splat")
+IMAGES = (*PARENTS, "variance", "albedo", "normal", "count")
 
 
 @dataclass(frozen=True)
@@ -45,17 +46,16 @@ class Parents:
     quick: bool = False
 
     def __post_init__(self) -> None:
-        size = self.traced.shape[:2]
-        for name in ("traced", "variance", "denoised", "splat", "albedo", "normal", "count"):
+        for name in IMAGES:
             shape = tuple(getattr(self, name).shape)
-            expected = (*size, 1 if name == "count" else 3)
+            expected = (*self.traced.shape[:2], 1 if name == "count" else 3)
             if shape != expected:
                 raise ValueError(f"{name} is {shape}, must be {expected} to match traced")
 
 
 @dataclass(frozen=True)
 class Fused:
-    """One estimate of radiance, of torch, where the parents are.
+    """One estimate of radiance, of torch, on the parents' device.
 
     Attributes:
         radiance: (H, W, 3) linear.
@@ -69,20 +69,13 @@ class Fused:
     excluded: int
 
 
-@dataclass(frozen=True)
-class Channels:
-    """The images of which a stack consists.
-
-    Attributes:
-        widths: number of channels of each image by its name, in the order in which they are stacked.
-    """
-
-    widths: Mapping[str, int]
+class Channels(dict[str, int]):
+    """Number of channels of each image of a stack by its name, in the order in which they are stacked."""
 
     @property
     def total(self) -> int:
         """Number of channels of the stack."""
-        return sum(self.widths.values())
+        return sum(self.values())
 
     def stacked(self, images: Mapping[str, Tensor]) -> Tensor:
         """(N, total, H, W) stack of named images, each (N, width, H, W).
@@ -91,13 +84,13 @@ class Channels:
             ValueError: an image is missing, superfluous, or of another width.
         """
         found = {name: image.shape[-3] for name, image in images.items()}
-        if found != self.widths:
-            raise ValueError(f"channels are {found}, must be {dict(self.widths)}")
-        return torch.cat([images[name] for name in self.widths], -3)
+        if found != self:
+            raise ValueError(f"channels are {found}, must be {dict(self)}")
+        return torch.cat([images[name] for name in self], -3)
 
     def parts(self, stack: Tensor) -> dict[str, Tensor]:
         """The named images, each (N, width, H, W), of a stack (N, total, H, W)."""
-        return dict(zip(self.widths, stack.split(list(self.widths.values()), -3), strict=True))
+        return dict(zip(self, stack.split(list(self.values()), -3), strict=True))
 
 
 def box_mean(image: Tensor) -> Tensor:
@@ -112,9 +105,8 @@ def halved(image: Tensor) -> Tensor:
     if image.shape[-1] % 2 or image.shape[-2] % 2:
         return functional.avg_pool2d(image, 2, ceil_mode=True)
     # For even sides, pooling takes three times as long.
-    return 0.25 * (
-        image[..., ::2, ::2] + image[..., 1::2, ::2] + image[..., ::2, 1::2] + image[..., 1::2, 1::2]
-    )
+    above, below = image[..., ::2, :], image[..., 1::2, :]
+    return 0.25 * (above[..., ::2] + below[..., ::2] + above[..., 1::2] + below[..., 1::2])
 
 
 def enlarged(image: Tensor, like: Tensor) -> Tensor:

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from compose.fusion.features import perceived
 from compose.fusion.fitting import INVISIBLE, STACK, Example, fit
-from compose.fusion.network import COUNTS, ENLARGEMENTS, MIXED, Cell, Fusion, estimated
+from compose.fusion.network import COUNTS, ENLARGEMENTS, MIXED, Cell, Fusion, cell_of, estimated
 
 # Steps of a trial network: enough to tell what the final one will be worth, at less than half of its time.
 TRIAL_ITERATIONS = 250
@@ -35,9 +34,11 @@ _LEAST_LEFT = 0.1
 # Shares are searched for in steps of 1 / _STEPS.
 _STEPS = 20
 
+# Errors of one view in one cell: (B, M, M) products of the errors of what is mixed, mean over each block.
+_Errors = NDArray[np.float64]
 
-@dataclass(frozen=True)
-class Proof:
+
+class Proof(NamedTuple):
     """What is shown in each cell.
 
     Attributes:
@@ -50,10 +51,6 @@ class Proof:
     gains: NDArray[np.float32]
 
 
-# Errors of one view in one cell: (B, M, M) products of the errors of what is mixed, mean over each block.
-_Errors = NDArray[np.float64]
-
-
 def trials(views: int) -> int:
     """Number of trial networks for a number of views; none if there is only one to learn from and to try."""
     return 2 if views > 1 else 0
@@ -63,7 +60,7 @@ def prove(examples: Sequence[Example], seed: int, progress: Callable[[int, int],
     """Finds what to show in each cell.
 
     Args:
-        examples: those that the final network is fitted to.
+        examples: those to which the final network is fitted.
         seed: of the trial networks.
         progress: called with steps done and steps in total.
     """
@@ -75,7 +72,7 @@ def prove(examples: Sequence[Example], seed: int, progress: Callable[[int, int],
         learnt = [example for example in examples if example.view not in tried]
         if not learnt or not tried:
             continue
-        advance = partial(_advance, progress, TRIAL_ITERATIONS * number, total)
+        advance = lambda done, _, before=TRIAL_ITERATIONS * number: progress(before + done, total)  # noqa: E731
         trial = fit(learnt, seed, advance, TRIAL_ITERATIONS)
         for example in examples:
             if example.view in tried:
@@ -87,14 +84,9 @@ def prove(examples: Sequence[Example], seed: int, progress: Callable[[int, int],
     return _proof({cell: {view: np.concatenate(e) for view, e in of.items()} for cell, of in cells.items()})
 
 
-def _advance(progress: Callable[[int, int], None], before: int, total: int, done: int, of: int) -> None:
-    """Reports the progress of one trial as that of all."""
-    progress(before + done, total)
-
-
 def _cell(example: Example) -> Cell:
     parents = example.parents
-    return Cell.of(parents.quick, float(np.exp(np.log(parents.count).mean())), parents.enlargement)
+    return cell_of(parents.quick, float(np.exp(np.log(parents.count).mean())), parents.enlargement)
 
 
 def _errors(fusion: Fusion, example: Example) -> _Errors:
@@ -115,12 +107,12 @@ def _errors(fusion: Fusion, example: Example) -> _Errors:
 
 
 def _proof(cells: dict[Cell, dict[int, _Errors]]) -> Proof:
-    """What to show in all cells; those in which nothing was tried get what the nearest one has."""
+    """What to show in all cells; those in which nothing was tried get what the nearest one gets."""
     found = {cell: _tried(of_views) for cell, of_views in cells.items()}
     shape = 2, len(COUNTS), len(ENLARGEMENTS)
     shares, gains = np.zeros((*shape, len(MIXED)), np.float32), np.zeros(shape, np.float32)
     for index in np.ndindex(shape):
-        shares[index], gains[index] = found[min(found, key=lambda cell: _distance(cell.index, index))]
+        shares[index], gains[index] = found[min(found, key=lambda cell: _distance(cell, index))]
     return Proof(shares, gains)
 
 

@@ -20,9 +20,8 @@ def luminance(image: NDArray[np.float32]) -> NDArray[np.float32]:
 def srgb_from_radiance(radiance: Image) -> Image:
     """Linear radiance clipped to 0..1, on the sRGB curve (IEC 61966-2-1)."""
     clipped = np.clip(radiance, 0, 1)
-    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * np.power(clipped, 1 / 2.4) - 0.055).astype(
-        np.float32
-    )
+    curve = 1.055 * np.power(clipped, 1 / 2.4) - 0.055
+    return np.where(clipped <= 0.0031308, 12.92 * clipped, curve).astype(np.float32)
 
 
 def radiance_from_srgb(srgb: Image) -> Image:

@@ -9,12 +9,20 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.arrays import Arrays, uploaded
-from compose.image.colour import Image
+from compose.base.arrays import Arrays
+
+# Rows and columns of a rectangle of an image.
+Box = tuple[slice, slice]
+
+
+def shape_of(box: Box) -> tuple[int, int]:
+    """(h, w), the number of rows and columns of a rectangle."""
+    rows, columns = box
+    return rows.stop - rows.start, columns.stop - columns.start
 
 
 def srgb_curve(linear: Any) -> Any:
-    """Floats from 0 to 1 on the sRGB curve (IEC 61966-2-1), as of compose.image.colour; NaN stays."""
+    """Floats from 0 to 1 on the sRGB curve (IEC 61966-2-1), as in compose.image.colour; NaN stays."""
     curve = dr.fma(1.055, dr.power(linear, 1 / 2.4), -0.055)
     return dr.select(linear <= 0.0031308, 12.92 * linear, curve)
 
@@ -24,11 +32,10 @@ class DeviceImage:
     """An image of linear radiance, possibly part of a larger buffer.
 
     Attributes:
-        arrays: the backend's array types.
         values: flat Float, rows of `stride` pixels, of each of which the first three channels count.
         width, height: image in pixels.
         stride, channels: pixels per row of the buffer, and floats per pixel.
-        first_row: of the image that is in the buffer; rows that are not in it are black.
+        first_row: first row of the image that is in the buffer; rows that are not in it are black.
     """
 
     arrays: Arrays
@@ -40,14 +47,6 @@ class DeviceImage:
     first_row: int = 0
 
     @staticmethod
-    def of(arrays: Arrays, image: Image) -> DeviceImage:
-        """A copy of an image (H, W, 3) in host memory."""
-        height, width = image.shape[:2]
-        return DeviceImage(
-            arrays, uploaded(arrays.plain.Float, np.asarray(image, np.float32)), width, height, width
-        )
-
-    @staticmethod
     def filled(arrays: Arrays, width: int, height: int, channels: list[Any]) -> DeviceImage:
         """An image from three Floats (H * W,)."""
         values = dr.ravel(arrays.plain.Array3f(*channels))
@@ -57,11 +56,8 @@ class DeviceImage:
     @property
     def is_packed(self) -> bool:
         """Whether the buffer holds nothing but the image."""
-        return (
-            self.stride == self.width
-            and self.channels == 3
-            and dr.width(self.values) == self.width * self.height * 3
-        )
+        floats = 3 * self.width * self.height
+        return (self.stride, self.channels, dr.width(self.values)) == (self.width, 3, floats)
 
     @property
     def is_whole(self) -> bool:
@@ -80,19 +76,14 @@ class DeviceImage:
 
     def of_pixels(self, pixels: Any) -> list[Any]:
         """Three Floats (N,), the radiance of pixels by their row-major indices UInt (N,)."""
-        width = self.arrays.constant(self.width)
-        row = pixels // width
-        return self.at(row, pixels - row * width)
+        return self.at(*self.arrays.rows_columns(pixels, self.width))
 
-    def of_box(self, box: tuple[slice, slice]) -> list[Any]:
-        """Three Floats (h * w,), the radiance of a rectangle, given by its rows and columns."""
-        rows, columns = box
-        width = columns.stop - columns.start
-        index = dr.arange(self.arrays.plain.UInt, (rows.stop - rows.start) * width)
-        top, left = self.arrays.scalars(self.arrays.plain.UInt, [rows.start, columns.start])
-        across = self.arrays.constant(width)
-        row = index // across
-        return self.at(row + top, index - row * across + left)
+    def of_box(self, box: Box) -> list[Any]:
+        """Three Floats (h * w,), the radiance of a rectangle."""
+        height, width = shape_of(box)
+        row, column = self.arrays.rows_columns(dr.arange(self.arrays.plain.UInt, height * width), width)
+        top, left = self.arrays.scalars(self.arrays.plain.UInt, [side.start for side in box])
+        return self.at(row + top, column + left)
 
     def packed(self) -> DeviceImage:
         """The image in a buffer of its own that holds nothing else."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +14,11 @@ from numpy.typing import NDArray
 from compose.base.errors import MOST_PIXELS
 from compose.base.files import checksum, require_size_below, write_whole
 
-MOST_CHANNELS = 256
+_MOST_CHANNELS = 256
 _MOST_BYTES = 1 << 34
 _MOST_HEADER = 1 << 20
-_MAGIC = b"\x76\x2f\x31\x01"
+# The file type, and version 2.
+_MAGIC = b"\x76\x2f\x31\x01\x02"
 # Bytes of a value by its type: unsigned integer, half, float.
 _TYPES = {0: 4, 1: 2, 2: 4}
 # Compression 0, 2 and 3: none, and ZIP of one and of 16 lines. Deflate shrinks data 1,032 times at most.
@@ -26,31 +26,12 @@ _COMPRESSIONS, _MOST_RATIO = (0, 2, 3), 1032
 _CHECKSUM = "crc32"
 
 
-@dataclass(frozen=True)
-class ExrHeader:
-    """What the header of an EXR file declares.
-
-    Attributes:
-        width, height: of the data window in pixels.
-        channels: names, in the order of the file.
-    """
-
-    width: int
-    height: int
-    channels: tuple[str, ...]
-
-
 def write_channels(
     path: Path, channels: Mapping[str, NDArray[Any]], attributes: Mapping[str, str] | None = None
 ) -> None:
     """Writes channels (H, W) of uint32, float16 or float32 with ZIP compression, atomically.
 
-    The header gets a checksum of the values, by which a reader notices damage.
-
-    Args:
-        path: of the file.
-        channels: by name, all of one size.
-        attributes: further entries of the header.
+    The header gets a checksum of the values, by which a reader notices damage, and further attributes.
 
     Raises:
         UserError: the file cannot be written.
@@ -66,41 +47,31 @@ def write_channels(
 
 
 def read_channels(path: Path, size: tuple[int, int] | None = None) -> dict[str, NDArray[Any]]:
-    """All channels (H, W) by name.
-
-    Args:
-        path: of the file.
-        size: width and height that the image must have.
+    """All channels (H, W) by name, of an image that must have a `size` in pixels: width and height.
 
     Raises:
         OSError: the file cannot be read.
         ValueError: it is not an EXR file of one part in scan lines, damaged, of another size, or declares
             more than its bytes can hold; nothing is allocated before that is known.
     """
-    header = read_header(path)
-    found = header.width, header.height
-    if size is not None and found != size:
-        raise ValueError(f"{found[0]} x {found[1]} pixels instead of {size[0]} x {size[1]}")
+    width, height = _declared_size(path)
+    if size is not None and (width, height) != size:
+        raise ValueError(f"{width} x {height} pixels instead of {size[0]} x {size[1]}")
     try:
         file = OpenEXR.File(str(path), separate_channels=True)
         channels = {name: channel.pixels for name, channel in file.channels().items()}
         expected = file.header().get(_CHECKSUM)
     except (RuntimeError, TypeError, KeyError) as error:
         raise ValueError(str(error)) from error
-    if any(values.shape != (header.height, header.width) for values in channels.values()):
+    if any(values.shape != (height, width) for values in channels.values()):
         raise ValueError("channels of other sizes than the image")
     if expected is not None and expected != checksum(channels):
         raise ValueError("the checksum differs")
     return channels
 
 
-def read_header(path: Path) -> ExrHeader:
-    """What the header declares, after a check that the file can hold it.
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: it is not an EXR file of one part in scan lines, or declares more than its bytes can hold.
-    """
+def _declared_size(path: Path) -> tuple[int, int]:
+    """Width and height in pixels that the header declares, after a check that the file can hold them."""
     size = require_size_below(path, _MOST_BYTES)
     with path.open("rb") as file:
         content = file.read(_MOST_HEADER)
@@ -108,13 +79,13 @@ def read_header(path: Path) -> ExrHeader:
     try:
         left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
         (compression,) = attributes["compression"]
-        channels = dict(_channels(attributes["channels"]))
+        channels = _channels(attributes["channels"])
     except (KeyError, ValueError, struct.error) as error:
         raise ValueError(f"header is damaged ({error})") from error
     width, height = right - left + 1, bottom - top + 1
-    if width < 1 or height < 1 or width * height > MOST_PIXELS or not 1 <= len(channels) <= MOST_CHANNELS:
+    if width < 1 or height < 1 or width * height > MOST_PIXELS or not 1 <= len(channels) <= _MOST_CHANNELS:
         declared = f"{width} x {height} pixels in {len(channels)} channels"
-        raise ValueError(f"declares {declared}; at most {MOST_PIXELS:,} in {MOST_CHANNELS} are read")
+        raise ValueError(f"declares {declared}; at most {MOST_PIXELS:,} in {_MOST_CHANNELS} are read")
     if compression not in _COMPRESSIONS:
         raise ValueError("compressed neither by ZIP nor at all")
     declared = width * height * sum(channels.values())
@@ -122,19 +93,13 @@ def read_header(path: Path) -> ExrHeader:
     # A table of offsets comes before the lines; 16 lines at most share one.
     if declared > (size - end) * ratio or height // 16 * 8 > size - end:
         raise ValueError(f"truncated: declares {width} x {height} pixels, more than {size:,} bytes can hold")
-    return ExrHeader(width, height, tuple(channels))
+    return width, height
 
 
 def _attributes(content: bytes) -> tuple[dict[str, bytes], int]:
     """Values of a header's attributes by name, and where it ends."""
     # Bit 10 of the version allows names of up to 255 bytes; others are tiles, deep images and several parts.
-    if (
-        content[:4] != _MAGIC
-        or len(content) < 8
-        or content[4] != 2
-        or content[5] & ~0x04
-        or any(content[6:8])
-    ):
+    if content[:5] != _MAGIC or len(content) < 8 or content[5] & ~0x04 or any(content[6:8]):
         raise ValueError("not an EXR file of one part in scan lines")
     found: dict[str, bytes] = {}
     at = 8
@@ -154,16 +119,16 @@ def _attributes(content: bytes) -> tuple[dict[str, bytes], int]:
     return found, at + 1
 
 
-def _channels(content: bytes) -> list[tuple[str, int]]:
-    """Names of the channels, and bytes of a value of each."""
-    found: list[tuple[str, int]] = []
+def _channels(content: bytes) -> dict[str, int]:
+    """Bytes of a value of each channel by name."""
+    found: dict[str, int] = {}
     at = 0
     while content[at : at + 1] != b"\0":
         name, at = _text(content, at)
         kind, _, x, y = struct.unpack_from("<iiii", content, at)
-        if kind not in _TYPES or (x, y) != (1, 1) or name in dict(found):
+        if kind not in _TYPES or (x, y) != (1, 1) or name in found:
             raise ValueError(f"channel {name!r} is of no known type, at lower resolution, or named twice")
-        found.append((name, _TYPES[kind]))
+        found[name] = _TYPES[kind]
         at += 16
     return found
 

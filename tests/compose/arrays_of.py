@@ -14,6 +14,7 @@ from compose.fovea.disc import Disc
 from compose.fovea.earlier_views import EarlierView
 from compose.fovea.reprojection import Reprojected
 from compose.fovea.samples import Samples
+from compose.image.device_image import DeviceImage, shape_of
 
 Floats = NDArray[np.float32]
 
@@ -36,6 +37,18 @@ def channels(arrays: Arrays, values: Any) -> list[Any]:
 def host(values: list[Any]) -> Floats:
     """(D, C) columns, C Floats (D,)."""
     return np.stack([np.array(column) for column in values], axis=-1)
+
+
+def image_on(arrays: Arrays, image: Any) -> DeviceImage:
+    """A copy on the device of an image (H, W, 3)."""
+    height, width = image.shape[:2]
+    return DeviceImage(arrays, floats(arrays, image), width, height, width)
+
+
+def numbers(samples: Samples, name: str) -> NDArray[Any]:
+    """(D,) or (D, 3) copy of an attribute or of the variance of samples on the device."""
+    values = samples.variance() if name == "variance" else getattr(samples, name)
+    return host(values) if isinstance(values, list) else np.array(values)
 
 
 def disc_of(arrays: Arrays, width: int, height: int, pixels: Any, weights: Any) -> Disc:
@@ -75,7 +88,7 @@ class PlainSamples:
     @staticmethod
     def of(samples: Samples) -> PlainSamples:
         """A copy of samples on the device."""
-        return PlainSamples(*(samples.numpy(field.name) for field in fields(PlainSamples)))
+        return PlainSamples(*(numbers(samples, field.name) for field in fields(PlainSamples)))
 
     def on(self, arrays: Arrays) -> Samples:
         """A copy on the device."""
@@ -125,5 +138,4 @@ class PlainReprojected:
     @staticmethod
     def of(found: Reprojected) -> PlainReprojected:
         """A copy of what is on the device."""
-        shape = (found.rows.stop - found.rows.start, found.columns.stop - found.columns.start, -1)
-        return PlainReprojected(found.rows, found.columns, np.array(found.records).reshape(shape))
+        return PlainReprojected(*found.box, np.array(found.records).reshape(*shape_of(found.box), -1))

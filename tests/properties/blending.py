@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 
 from compose.fovea.disc import blend
 from compose.fovea.foveation import FoveaRegion
-from compose.image.device_image import DeviceImage
 from tests.available import available_arrays
-from tests.compose.arrays_of import channels
+from tests.compose.arrays_of import channels, image_on
 
 
 def blended(
@@ -17,7 +16,7 @@ def blended(
 ) -> NDArray[np.float32]:
     """(H, W, 3) composite by the kernels, of an image (H, W, 3) and radiance (D, 3) of a region's pixels."""
     arrays = available_arrays()
-    image = blend(DeviceImage.of(arrays, periphery), channels(arrays, fovea), region.disc(arrays))
+    image = blend(image_on(arrays, periphery), channels(arrays, fovea), region.disc(arrays))
     return np.array(image.numpy())
 
 

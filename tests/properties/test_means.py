@@ -19,6 +19,7 @@ from pathtrace.scene.scene import Scene, load_scene
 from pathtrace.trace.film import frame_positions, interleaved
 from pathtrace.trace.tracer import Tracer
 from tests import small
+from tests.compose.arrays_of import numbers
 from tests.hybrid.forests import rough_forest
 from tests.properties.chance import blocks, disagreement
 
@@ -93,7 +94,7 @@ def adaptive(renderer: Renderer, spp: int) -> Callable[[int], NDArray[np.float32
 
     def image(seed: int) -> NDArray[np.float32]:
         samples = tracer.trace(DiscRequest(camera, disc, spp, seed), underlay)
-        return samples.numpy("radiance").reshape(camera.height, camera.width, 3)
+        return numbers(samples, "radiance").reshape(camera.height, camera.width, 3)
 
     return image
 

@@ -19,12 +19,12 @@ def libraries(monkeypatch, tmp_path):
 
     def make(system: list[str], environment: list[str]) -> None:
         monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
-        for kind, names in (("_system_libraries", system), ("_environment_libraries", environment)):
-            paths = [tmp_path / kind / name for name in names]
-            for path in paths:
-                path.parent.mkdir(exist_ok=True)
-                path.touch()
-            monkeypatch.setattr(llvm, kind, lambda paths=paths: paths)
+        paths = [tmp_path / "system" / name for name in system]
+        for path in (*paths, *(tmp_path / "lib" / name for name in environment)):
+            path.parent.mkdir(exist_ok=True)
+            path.touch()
+        monkeypatch.setattr(llvm, "_system_libraries", lambda: paths)
+        monkeypatch.setattr(sys, "prefix", str(tmp_path))
 
     return make
 

@@ -13,14 +13,13 @@ from compose.eye.acuity import (
     acuity_model_named,
     fov_gs,
     geisler_perry,
-    minimum_angle,
     with_saliency,
 )
 
 
 def test_the_minimum_angle_of_resolution():
     """Eq. 6: 1/48 degree in the fovea, 1.32 arcmin more per degree."""
-    np.testing.assert_allclose(minimum_angle(np.array([0.0, 10.0])), [1 / 48, 1 / 48 + 0.22])
+    np.testing.assert_allclose(1 / fov_gs(np.array([0.0, 10.0])), [1 / 48, 1 / 48 + 0.22])
 
 
 def test_level_boundaries_of_fov_gs():

@@ -12,8 +12,7 @@ from compose.base.traced_samples import Counts
 from compose.eye.gaze import Gaze
 from compose.fovea.disc import Disc, blend, thinned
 from compose.fovea.foveation import Foveation
-from compose.image.device_image import DeviceImage
-from tests.compose.arrays_of import channels, disc_of, each_of
+from tests.compose.arrays_of import channels, disc_of, each_of, image_on
 
 SEEDS = 2000
 REGION = Foveation(Gaze(0.45, 0.6), 45, 20).region(64, 48)
@@ -70,7 +69,7 @@ def test_thinned_discs_match_a_plain_twin(whole, spp, seed):
 @pytest.mark.parametrize("spp", [1, 3])
 def test_the_blend_is_unbiased(arrays, whole, spp):
     rng = np.random.default_rng(0)
-    splats = DeviceImage.of(arrays, rng.uniform(size=(48, 64, 3)).astype(np.float32))
+    splats = image_on(arrays, rng.uniform(size=(48, 64, 3)).astype(np.float32))
     traced = rng.uniform(size=(48 * 64, 3)).astype(np.float32)
 
     def blended(disc: Disc) -> np.ndarray:

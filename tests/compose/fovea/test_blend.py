@@ -11,7 +11,7 @@ from compose.fovea.disc import Disc, blend
 from compose.fovea.foveation import Foveation
 from compose.image.device_image import DeviceImage
 from tests import small
-from tests.compose.arrays_of import channels, disc_of, host
+from tests.compose.arrays_of import channels, disc_of, host, image_on
 
 GAZES = [Gaze(), Gaze(0, 0), Gaze(1, 0.3), Gaze(-0.1, 0.5), Gaze(5, 5)]
 
@@ -26,7 +26,7 @@ def row(arrays: Arrays, weights: list[float]) -> Disc:
 def blended(periphery: np.ndarray, fovea: np.ndarray, disc: Disc) -> np.ndarray:
     """The composite of an image (H, W, 3) and values (D, 3)."""
     arrays = disc.arrays
-    return blend(DeviceImage.of(arrays, periphery), channels(arrays, fovea), disc).numpy()
+    return blend(image_on(arrays, periphery), channels(arrays, fovea), disc).numpy()
 
 
 def plainly_blended(periphery: np.ndarray, fovea: np.ndarray, disc: Disc) -> np.ndarray:
@@ -54,7 +54,7 @@ def test_blends_match_a_plain_twin(arrays, gaze):
     fovea = rng.lognormal(0, 2, (disc.count, 3)).astype(np.float32)
     expected = plainly_blended(buffer[:40, :50, :3], fovea, disc)
     np.testing.assert_allclose(blended(buffer[:40, :50, :3], fovea, disc), expected, rtol=1e-5)
-    values = DeviceImage.of(arrays, buffer).values
+    values = image_on(arrays, buffer).values
     part = DeviceImage(arrays, values, 50, 40, 64, 4)
     composite = blend(part, channels(arrays, fovea), disc)
     np.testing.assert_allclose(composite.numpy(), expected, rtol=1e-5)
@@ -71,7 +71,7 @@ def test_equal_images_blend_to_themselves(arrays, gaze):
 
 def test_the_arguments_are_left_as_they_are(arrays):
     region = Foveation(Gaze(), 35, 20).region(50, 50)
-    disc, periphery = region.disc(arrays), DeviceImage.of(arrays, np.ones((50, 50, 3), np.float32))
+    disc, periphery = region.disc(arrays), image_on(arrays, np.ones((50, 50, 3), np.float32))
     fovea = channels(arrays, np.zeros((disc.count, 3)))
     composite = blend(periphery, fovea, disc).numpy()
     assert (periphery.numpy() == 1).all()
@@ -83,7 +83,7 @@ def test_a_disc_that_covers_the_frame_is_exactly_the_traced_frame(arrays):
     disc = Foveation(Gaze(0.3, 0.6), 400, 10).region(30, 20).disc(arrays)
     traced = np.random.default_rng(0).normal(size=(600, 3)).astype(np.float32)
     fovea = channels(arrays, traced)
-    composite = blend(DeviceImage.of(arrays, np.full((20, 30, 3), np.nan)), fovea, disc).numpy().copy()
+    composite = blend(image_on(arrays, np.full((20, 30, 3), np.nan)), fovea, disc).numpy().copy()
     assert np.array_equal(composite.reshape(-1, 3), traced)
     assert composite.shape == (20, 30, 3)
     assert (host(fovea) == traced).all()

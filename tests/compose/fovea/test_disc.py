@@ -10,9 +10,8 @@ from compose.base.arrays import Arrays
 from compose.eye.gaze import Gaze
 from compose.fovea.disc import Disc
 from compose.fovea.foveation import Foveation
-from compose.image.device_image import DeviceImage
 from tests import small
-from tests.compose.arrays_of import channels, disc_of, floats, host
+from tests.compose.arrays_of import channels, disc_of, floats, host, image_on
 
 GAZES = [Gaze(), Gaze(0.05, 0.9), Gaze(0.3, 0.45)]
 
@@ -38,7 +37,7 @@ def test_values_go_where_their_pixels_are_and_come_back(arrays, gaze):
     disc = Foveation(gaze, 30, 20).region(64, 48).disc(arrays)
     image = small.rng().uniform(0, 1, (48, 64, 3)).astype(np.float32)
     pixels, values = np.array(disc.pixels), flat(image)[np.array(disc.pixels)]
-    part = host(DeviceImage.of(arrays, image).of_box(disc.box)).reshape(*disc.shape, 3)
+    part = host(image_on(arrays, image).of_box(disc.box)).reshape(*disc.shape, 3)
     np.testing.assert_array_equal(part, image[disc.box])
     np.testing.assert_array_equal(flat(part)[np.array(disc.inside)], values)
     np.testing.assert_array_equal(image_of(disc, values, part), part)

@@ -36,7 +36,7 @@ def test_samples_stand_in_the_order_in_which_they_came(arrays):
         stored = np.stack([column.numpy() for column in records], axis=1)
         np.testing.assert_array_equal(stored, np.concatenate([v.records for v in expected]))
         # The number of a view leads to its viewpoint.
-        np.testing.assert_array_equal(known.viewpoints()[place.view.numpy()][:, 0], position[:, 0])
+        np.testing.assert_array_equal(known.viewpoints[place.view.numpy()][:, 0], position[:, 0])
 
 
 def test_cleared_views_are_forgotten(arrays):
@@ -44,7 +44,7 @@ def test_cleared_views_are_forgotten(arrays):
     known.add(view(3, 5).on(arrays))
     known.clear()
     assert known.samples == 0
-    assert np.isinf(known.viewpoints()).all()
+    assert np.isinf(known.viewpoints).all()
 
 
 def test_views_of_a_few_moments_before_are_kept(arrays):

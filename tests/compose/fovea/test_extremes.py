@@ -19,7 +19,7 @@ from compose.fovea.foveation import Foveation
 from compose.fovea.history import History
 from compose.fovea.samples import RECORD, limited, means, merged, with_light
 from tests import small
-from tests.compose.arrays_of import PlainSamples, channels, each_of, host, indices
+from tests.compose.arrays_of import PlainSamples, channels, each_of, host, indices, numbers
 from tests.compose.fovea.views import camera, samples, wall, whole
 from tests.extremes import extreme
 
@@ -263,7 +263,7 @@ def lit(radiance: np.ndarray, count: float = 1) -> PlainSamples:
 def test_the_variance_of_samples_matches_float64(arrays, radiance, got):
     values = radiance * small.rng().gamma(0.5, 2, (16, 300, 3))
     mean, squares = (v.mean(axis=0).astype(np.float32) for v in (values, values**2))
-    found = replace(lit(mean, 16), squares=squares).on(arrays).numpy("variance")
+    found = numbers(replace(lit(mean, 16), squares=squares).on(arrays), "variance")
     twin = values.var(axis=0) / 15
     assert got(float(np.abs(found - twin).max() / twin.max()), ".1e") < 1e-6
 
@@ -272,7 +272,7 @@ def test_the_variance_of_samples_matches_float64(arrays, radiance, got):
 def test_the_variance_of_squares_beyond_float32_is_unknown(arrays, got):
     radiance = np.full((2, 3), 0.5, np.float32)
     radiance[1] = 1e30
-    variance = lit(radiance, 4).on(arrays).numpy("variance")
+    variance = numbers(lit(radiance, 4).on(arrays), "variance")
     assert np.isfinite(variance[0]).all()
     assert got(float(variance[1, 0])) == np.inf
 
@@ -310,9 +310,9 @@ def test_sums_beyond_float32_stay_finite(arrays, got):
 def test_merging_keeps_fireflies_finite(arrays, radiance):
     one, other = lit(np.full((4, 3), 0.5), 3), lit(np.full((4, 3), radiance, np.float32), 1)
     both = merged(one.on(arrays), other.on(arrays))
-    np.testing.assert_allclose(both.numpy("radiance"), radiance / 4, rtol=1e-6)
-    assert not np.isnan(both.numpy("squares")).any()
-    assert (both.numpy("variance") == np.inf).all()
+    np.testing.assert_allclose(numbers(both, "radiance"), radiance / 4, rtol=1e-6)
+    assert not np.isnan(numbers(both, "squares")).any()
+    assert (numbers(both, "variance") == np.inf).all()
 
 
 @extreme("100,000 frames of one view", given="1 sample each, radiance 0.1", expected="mean within 0.1 %")
@@ -355,5 +355,5 @@ def test_a_jump_leaves_nothing_of_the_view_before(arrays, got):
         seen = samples(wall(view), np.full((48 * 48, 3), light, np.float32)).on(arrays)
         history.see(view, seen, 4, 0, whole(arrays, view))
         history.remember(seen)
-    radiance = history.recall(indices(arrays, np.arange(48 * 48))).numpy("radiance")
+    radiance = numbers(history.recall(indices(arrays, np.arange(48 * 48))), "radiance")
     assert got(float(radiance.min()), "g") == got(float(radiance.max()), "g") == 2

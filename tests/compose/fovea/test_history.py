@@ -13,7 +13,7 @@ from compose.camera.camera import Camera
 from compose.fovea.history import History
 from compose.fovea.samples import merged
 from tests import small
-from tests.compose.arrays_of import PlainSamples, indices
+from tests.compose.arrays_of import PlainSamples, indices, numbers
 from tests.compose.fovea.views import SIZE, camera, samples, wall, whole
 
 ALL = SIZE * SIZE
@@ -150,7 +150,7 @@ def test_a_still_camera_adds_up_exactly(arrays):
     assert (kept.count == 7).all()
     np.testing.assert_allclose(kept.radiance, draws.mean(axis=0), rtol=1e-5)
     np.testing.assert_allclose(
-        kept.on(arrays).numpy("variance"), draws.var(axis=0, ddof=1) / 7, rtol=1e-3, atol=1e-5
+        numbers(kept.on(arrays), "variance"), draws.var(axis=0, ddof=1) / 7, rtol=1e-3, atol=1e-5
     )
 
 

@@ -11,7 +11,7 @@ import pytest
 from compose.base.arrays import Arrays
 from compose.fovea.samples import RECORD, Samples, limited, means, with_features, with_light
 from tests import small
-from tests.compose.arrays_of import channels, host
+from tests.compose.arrays_of import channels, host, numbers
 from tests.compose.fovea.views import camera, samples, wall
 
 PIXELS = 48 * 48
@@ -88,13 +88,13 @@ def test_the_mean_of_nothing_is_0(arrays):
 
 def plain_sums(records: np.ndarray, new: Samples, positions: int, most: float) -> np.ndarray:
     """(D, 16) records in float64, with light and features added, then limited."""
-    records, count = records.astype(np.float64), new.numpy("count")[:, None]
+    records, count = records.astype(np.float64), numbers(new, "count")[:, None]
     records[:, 0] += count[:, 0]
-    records[:, 1:4] += new.numpy("radiance") * count
-    records[:, 4:7] += new.numpy("squares") * count
+    records[:, 1:4] += numbers(new, "radiance") * count
+    records[:, 4:7] += numbers(new, "squares") * count
     records[:, 7] += positions
-    records[:, 8:11] += new.numpy("albedo") * np.float64(positions)
-    records[:, 11:14] += new.numpy("normal") * np.float64(positions)
+    records[:, 8:11] += numbers(new, "albedo") * np.float64(positions)
+    records[:, 11:14] += numbers(new, "normal") * np.float64(positions)
     for number, part in ((0, slice(0, 7)), (7, slice(7, 14))):
         records[:, part] *= np.minimum(most / np.maximum(records[:, number, None], 1e-6), 1)
     return records

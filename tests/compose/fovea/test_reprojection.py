@@ -123,7 +123,7 @@ def test_only_the_rectangle_around_the_new_samples_counts(seen_again):
     ]
     found = seen_again([earlier(points, VIEW.position)], VIEW, new)
     assert found is not None
-    assert (found.rows, found.columns) == (slice(20, 23), slice(30, 34))
+    assert found.box == (slice(20, 23), slice(30, 34))
     assert PlainReprojected.of(found).records.shape == (3, 4, RECORD)
     rows, columns = [20, 22, 23, 21, 19], [30, 33, 31, 29, 30]
     assert at(found, rows, columns)[:, 0].tolist() == [2, 2, 0, 0, 0]

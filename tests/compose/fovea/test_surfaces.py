@@ -11,6 +11,7 @@ from compose.base.arrays import Arrays
 from compose.base.traced_samples import DIFFUSE, GLOSSY, SPECULAR
 from compose.camera.camera import Camera
 from compose.fovea.reprojection import VisibleSurfaces
+from compose.image.device_image import shape_of
 from tests import small
 from tests.compose.arrays_of import PlainSamples
 from tests.compose.fovea.views import SIZE, camera, samples, wall
@@ -39,7 +40,7 @@ def surfaces_of(arrays: Arrays, new: PlainSamples, view: Camera = VIEW) -> Visib
 
 def table(surfaces: VisibleSurfaces) -> np.ndarray:
     """(h, w, 4)."""
-    return surfaces.table.numpy().reshape(*surfaces.shape, 4)
+    return surfaces.table.numpy().reshape(*shape_of(surfaces.box), 4)
 
 
 def contained(
@@ -81,8 +82,8 @@ def random_distances(seed: int) -> np.ndarray:
 def test_the_nearest_and_the_farthest_of_nine_pixels_are_found(seed, arrays):
     distance = random_distances(seed)
     surfaces = surfaces_of(arrays, chosen(distance, seed=seed))
-    assert (surfaces.rows, surfaces.columns) == (slice(20, 25), slice(30, 37))
-    assert surfaces.shape == (HEIGHT, WIDTH)
+    assert surfaces.box == (slice(20, 25), slice(30, 37))
+    assert shape_of(surfaces.box) == (HEIGHT, WIDTH)
     found = table(surfaces)
     for row, column in np.ndindex(HEIGHT, WIDTH):
         least, greatest = twin(distance, row, column)
@@ -138,7 +139,7 @@ def test_a_single_sample_is_a_rectangle_of_one_pixel(arrays):
     distance = np.full((HEIGHT, WIDTH), np.nan)
     distance[2, 3] = 7.0
     surfaces = surfaces_of(arrays, chosen(distance, SPECULAR))
-    assert (surfaces.rows, surfaces.columns) == (slice(22, 23), slice(33, 34))
+    assert surfaces.box == (slice(22, 23), slice(33, 34))
     np.testing.assert_allclose(table(surfaces), [[[7 * 0.995, 7 * 1.005, 1, 0]]], rtol=1e-5)
     found = contained(surfaces, np.zeros(4), np.array([6.9, 7.0, 7.0, 7.1]), [SPECULAR] * 2 + [DIFFUSE] * 2)
     assert found.tolist() == [False, True, False, False]
@@ -157,7 +158,7 @@ def test_all_pixels_of_a_frame_have_surfaces(view: Camera, arrays):
     """The corners, too, where five of the nine pixels do not exist."""
     shown = samples(wall(view), np.zeros(3))
     surfaces = surfaces_of(arrays, shown, view)
-    assert (surfaces.rows, surfaces.columns) == (slice(0, SIZE), slice(0, SIZE))
+    assert surfaces.box == (slice(0, SIZE), slice(0, SIZE))
     distance = np.linalg.norm(wall(view) - view.position, axis=1)
     assert contained(surfaces, np.arange(SIZE**2), distance).all()
     assert not contained(surfaces, np.arange(SIZE**2), 1.1 * distance).any()

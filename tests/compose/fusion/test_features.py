@@ -37,9 +37,9 @@ def fine(features: Features) -> dict[str, torch.Tensor]:
 
 
 def test_networks_in_files_depend_on_the_order_of_channels():
-    assert dict(Features.FINE.widths) == {"splat": 3, "difference": 3, "texture": 3, "residual": 1}
-    assert list(Features.FINE.widths) == ["splat", "difference", "texture", "residual"]
-    assert list(Features.COARSE.widths.items()) == [
+    assert dict(Features.FINE) == {"splat": 3, "difference": 3, "texture": 3, "residual": 1}
+    assert list(Features.FINE) == ["splat", "difference", "texture", "residual"]
+    assert list(Features.COARSE.items()) == [
         ("albedo", 3),
         ("normal", 3),
         ("texture_6", 3),

@@ -31,7 +31,7 @@ def test_networks_in_files_depend_on_names_and_shapes():
         "shares": (2, 5, 4, 3),
         "gains": (2, 5, 4),
     }
-    assert list(OUTPUTS.widths.items()) == [("weights", 3), ("texture_gains", 3), ("colour_gains", 3)]
+    assert list(OUTPUTS.items()) == [("weights", 3), ("texture_gains", 3), ("colour_gains", 3)]
 
 
 def test_before_fitting_all_outputs_are_zero():

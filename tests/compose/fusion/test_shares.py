@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 import torch
 
-from compose.fusion.network import COUNTS, ENLARGEMENTS, Cell, all_of_network, shares_at
+from compose.fusion.network import COUNTS, ENLARGEMENTS, Fusion, cell_of, shares_at
 
 
 def numbered() -> torch.Tensor:
     """Shares of the first parent that tell where they come from."""
-    shares = all_of_network()
+    shares = Fusion().shares
     for quick in (0, 1):
         for i in range(len(COUNTS)):
             for j in range(len(ENLARGEMENTS)):
@@ -23,7 +23,7 @@ def at(quick: bool, count: float, enlargement: float) -> float:
 
 
 def test_before_anything_is_tried_all_is_the_network():
-    shares = all_of_network()
+    shares = Fusion().shares
     assert shares.shape == (2, 5, 4, 3)
     assert (shares.sum(-1) == 1).all()
     assert (shares[..., 0] == 1).all()
@@ -52,6 +52,6 @@ def test_each_pixel_has_the_shares_of_its_count():
 
 
 def test_the_nearest_cell_is_that_of_the_least_ratio():
-    assert Cell.of(True, 6, 1.3) == Cell(True, 2, 1)
-    assert Cell.of(False, 12, 3) == Cell(False, 3, 3)
-    assert Cell.of(False, 0, 9).index == (0, 0, 3)
+    assert cell_of(True, 6, 1.3) == (1, 2, 1)
+    assert cell_of(False, 12, 3) == (0, 3, 3)
+    assert cell_of(False, 0, 9) == (0, 0, 3)

@@ -10,7 +10,7 @@ import torch
 from compose.base.arrays import Arrays
 from compose.image.device_image import DeviceImage
 from tests import small
-from tests.compose.arrays_of import channels, floats, host, indices
+from tests.compose.arrays_of import channels, floats, host, image_on, indices
 
 # Width, height, stride, rows of the buffer, and floats per pixel.
 BUFFERS = [
@@ -106,11 +106,11 @@ def test_an_image_of_the_host_is_copied(arrays, shape):
     """Of any type and order in memory."""
     image = small.rng().uniform(0, 2, (*shape, 3))
     for given in (image, image.astype(np.float32), np.asfortranarray(image), image[::-1, ::-1][::-1, ::-1]):
-        found = DeviceImage.of(arrays, given)
+        found = image_on(arrays, given)
         assert (found.height, found.width, found.is_packed) == (*shape, True)
         np.testing.assert_array_equal(found.numpy(), given.astype(np.float32))
     kept = image.astype(np.float32)
-    found = DeviceImage.of(arrays, kept)
+    found = image_on(arrays, kept)
     expected = kept.copy()
     kept[:] = 9
     np.testing.assert_array_equal(found.numpy(), expected)

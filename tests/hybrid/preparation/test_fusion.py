@@ -11,7 +11,7 @@ import torch
 
 from compose.fusion import fitting, proof
 from compose.fusion.fitting import Example
-from compose.fusion.network import Fusion, all_of_network
+from compose.fusion.network import Fusion
 from compose.fusion.proof import Proof
 from hybrid.preparation import fusion_training as module
 from hybrid.preparation.fusion_training import fusion_steps, fusion_verdicts, with_fusion
@@ -28,7 +28,7 @@ from tests.hybrid.forests import rough_forest
 from tests.hybrid.preparation.conftest import ignore
 
 # Found where fitting is replaced.
-PROOF = Proof(all_of_network().numpy(), np.zeros((2, 5, 4), np.float32))
+PROOF = Proof(Fusion().shares.numpy(), np.zeros((2, 5, 4), np.float32))
 
 
 @pytest.fixture(scope="module")

@@ -15,11 +15,10 @@ from compose.eye.gaze import Gaze
 from compose.fovea.disc import Disc
 from compose.fovea.foveation import Foveation
 from compose.fovea.samples import Samples
-from compose.image.device_image import DeviceImage
 from hybrid.render import disc_images as module
 from hybrid.render.disc_images import DiscImages, Underlay, denoised_for_fusion, parents_of
 from tests import small
-from tests.compose.arrays_of import channels, host
+from tests.compose.arrays_of import channels, host, image_on, numbers
 
 WIDTH, HEIGHT = 48, 40
 CAMERA = Camera(np.eye(4), WIDTH, HEIGHT, 50.0, 50.0, WIDTH / 2, HEIGHT / 2)
@@ -83,7 +82,7 @@ def test_samples_lie_at_their_pixels_and_the_surroundings_fill_the_corners(disc)
     # An albedo lies in 0..1; a surrounding pixel counts as a single sample.
     for name, filled in (("radiance", 2.5), ("albedo", 1), ("normal", 0)):
         found = image(disc, getattr(images, name))
-        np.testing.assert_array_equal(found[inside], known.numpy(name))
+        np.testing.assert_array_equal(found[inside], numbers(known, name))
         assert (found[~inside] == filled).all()
     count = image(disc, [images.count])
     np.testing.assert_array_equal(count[inside], np.full((REGION.count, 1), 5))
@@ -102,7 +101,7 @@ def test_a_quicker_denoiser_is_used_only_if_asked_for(quick, used, disc, denoise
 def test_all_parents_are_crops_of_one_rectangle(disc, denoisers):
     known = samples(disc, 4)
     splats = small.rng(9).uniform(size=(HEIGHT, WIDTH, 3)).astype(np.float32)
-    parents = parents_of(disc, known, Underlay(CAMERA, DeviceImage.of(disc.arrays, splats), 1.5))
+    parents = parents_of(disc, known, Underlay(CAMERA, image_on(disc.arrays, splats), 1.5))
     found = {
         field.name: value.cpu().numpy()
         for field in fields(parents)
@@ -116,14 +115,14 @@ def test_all_parents_are_crops_of_one_rectangle(disc, denoisers):
     np.testing.assert_array_equal(found["albedo"], albedo)
     np.testing.assert_array_equal(found["normal"], normal)
     np.testing.assert_array_equal(found["count"], image(disc, [images.count]))
-    np.testing.assert_array_equal(of_disc(disc, found["variance"]), known.numpy("variance"))
+    np.testing.assert_array_equal(of_disc(disc, found["variance"]), numbers(known, "variance"))
     # Nothing is traced outside the disc.
     assert np.isinf(found["variance"]).sum() == 3 * (np.prod(disc.shape) - disc.count)
     assert (parents.enlargement, parents.quick) == (1.5, False)
 
 
 def test_parents_in_a_hurry_use_the_quicker_denoiser_and_say_so(disc, denoisers):
-    splats = DeviceImage.of(disc.arrays, np.zeros((HEIGHT, WIDTH, 3), dtype=np.float32))
+    splats = image_on(disc.arrays, np.zeros((HEIGHT, WIDTH, 3), dtype=np.float32))
     assert parents_of(disc, samples(disc, 64), Underlay(CAMERA, splats, 1.0), quick=True).quick
     assert denoisers == ["coarse"]
 
@@ -132,7 +131,7 @@ def test_parents_in_a_hurry_use_the_quicker_denoiser_and_say_so(disc, denoisers)
 def test_denoising_leaves_a_firefly_alone(disc, value):
     """As if its pixel were the mean of its neighbours; a finite one stays in the denoised disc as it is."""
     known = samples(disc, 5)
-    radiance = known.numpy("radiance")
+    radiance = numbers(known, "radiance")
     radiance[disc.count // 2] = value
     images, plain = (
         DiscImages.of(disc, replace(known, radiance=light), around(disc, 0.5))

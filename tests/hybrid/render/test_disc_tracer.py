@@ -14,13 +14,13 @@ from compose.base.traced_samples import Counts
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import Foveation
-from compose.image.device_image import DeviceImage
 from hybrid.base.compute_device import device_arrays
 from hybrid.render.disc_images import Underlay
 from hybrid.render.disc_tracer import DiscRequest, DiscTracer
 from hybrid.render.frame_settings import FrameSettings
 from pathtrace.trace.film import frame_positions, interleaved, pixel_positions
 from pathtrace.trace.tracer import Tracer
+from tests.compose.arrays_of import image_on, numbers
 
 COVERING = Foveation(Gaze(), 500, 500)
 DISC = Foveation(Gaze(0.4, 0.6), 40, 30)
@@ -44,8 +44,8 @@ def test_the_variance_is_honest(scene, tracer):
     """
     disc = DiscTracer(tracer, history=False)
     runs = [disc.trace(request(scene, COVERING, 32, 16, seed, False)) for seed in range(40)]
-    estimated = np.mean([run.numpy("variance") for run in runs], axis=0)
-    actual = np.var([run.numpy("radiance") for run in runs], axis=0, ddof=1)
+    estimated = np.mean([numbers(run, "variance") for run in runs], axis=0)
+    actual = np.var([numbers(run, "radiance") for run in runs], axis=0, ddof=1)
     noisy = actual > 1e-6
     assert 0.95 < np.median(estimated[noisy] / actual[noisy]) < 1.2
     assert estimated.sum() > 0.9 * actual.sum()
@@ -55,12 +55,12 @@ def test_auxiliary_features_are_traced_when_required(scene, tracer):
     disc = DiscTracer(tracer, history=False)
     without = disc.trace(request(scene, DISC, 32, 1, 3, auxiliary=False))
     with_them = disc.trace(request(scene, DISC, 32, 1, 3))
-    np.testing.assert_array_equal(without.numpy("radiance"), with_them.numpy("radiance"))
-    assert (without.numpy("albedo") == 0).all()
-    assert (without.numpy("normal") == 0).all()
+    np.testing.assert_array_equal(numbers(without, "radiance"), numbers(with_them, "radiance"))
+    assert (numbers(without, "albedo") == 0).all()
+    assert (numbers(without, "normal") == 0).all()
     # Most of the disc shows the wall; normals are unit vectors, shorter where they are averaged.
-    np.testing.assert_allclose(np.median(with_them.numpy("albedo"), axis=0), [0.7, 0.6, 0.3], atol=1e-3)
-    lengths = np.linalg.norm(with_them.numpy("normal"), axis=1)
+    np.testing.assert_allclose(np.median(numbers(with_them, "albedo"), axis=0), [0.7, 0.6, 0.3], atol=1e-3)
+    lengths = np.linalg.norm(numbers(with_them, "normal"), axis=1)
     assert np.median(lengths) == pytest.approx(1, abs=1e-3)
     assert lengths.max() < 1 + 1e-3
 
@@ -71,14 +71,14 @@ def test_each_pixel_can_have_a_count_of_its_own(scene, tracer, arrays):
     alone = DiscTracer(tracer, history=False)
     each = lambda of: Counts.of(uploaded(arrays.plain.UInt, of.astype(np.uint32)), 3)  # noqa: E731
     samples = alone.trace_each(camera, disc.pixels, each(counts), 5)
-    np.testing.assert_array_equal(samples.numpy("count"), counts)
-    np.testing.assert_array_equal(samples.numpy("pixels"), np.asarray(disc.pixels))
-    assert (np.isinf(samples.numpy("variance")).all(axis=1) == (counts == 1)).all()
+    np.testing.assert_array_equal(numbers(samples, "count"), counts)
+    np.testing.assert_array_equal(numbers(samples, "pixels"), np.asarray(disc.pixels))
+    assert (np.isinf(numbers(samples, "variance")).all(axis=1) == (counts == 1)).all()
     # Equal counts are those of a disc without auxiliary features.
-    whole = alone.trace(DiscRequest(camera, disc, 2, 5, auxiliary=False)).numpy("radiance")
+    whole = numbers(alone.trace(DiscRequest(camera, disc, 2, 5, auxiliary=False)), "radiance")
     for even in (each(counts * 0 + 2), 2):
         found = alone.trace_each(camera, disc.pixels, even, 5)
-        np.testing.assert_array_equal(found.numpy("radiance"), whole)
+        np.testing.assert_array_equal(numbers(found, "radiance"), whole)
 
 
 def test_no_pixels_have_no_samples(scene, tracer, arrays):
@@ -87,7 +87,7 @@ def test_no_pixels_have_no_samples(scene, tracer, arrays):
         disc = DiscTracer(tracer, history)
         assert disc.trace(request(scene, nowhere, 32, 4, 0)).size == 0
     none = dr.zeros(arrays.plain.UInt, 0)
-    assert disc.trace_each(scene.camera, none, Counts(none, 0, 0), 0).numpy("radiance").shape == (0, 3)
+    assert numbers(disc.trace_each(scene.camera, none, Counts(none, 0, 0), 0), "radiance").shape == (0, 3)
 
 
 def splats_under(renderer, camera: Camera, foveation: Foveation = COVERING) -> Underlay:
@@ -101,7 +101,7 @@ def wrong_right_half(renderer, camera: Camera) -> Underlay:
     underlay = splats_under(renderer, camera)
     wrong = np.array(underlay.radiance.numpy())
     wrong[:, 32:] = 1 - np.clip(wrong[:, 32:], 0, 1)
-    return replace(underlay, radiance=DeviceImage.of(underlay.radiance.arrays, wrong))
+    return replace(underlay, radiance=image_on(underlay.radiance.arrays, wrong))
 
 
 def test_samples_go_where_samples_and_splats_disagree(scene, renderer, tracer):
@@ -109,7 +109,7 @@ def test_samples_go_where_samples_and_splats_disagree(scene, renderer, tracer):
     asked = request(scene, COVERING, 64, 8, 0)
     underlay = wrong_right_half(renderer, asked.camera)
     disc = DiscTracer(tracer, history=False)
-    count = disc.trace(asked, underlay).numpy("count").reshape(64, 64)
+    count = numbers(disc.trace(asked, underlay), "count").reshape(64, 64)
     assert count.sum() == 8 * 64 * 64
     assert count.min() >= 2
     assert count[:, 34:].mean() > 1.5 * count[:, :30].mean()
@@ -118,7 +118,7 @@ def test_samples_go_where_samples_and_splats_disagree(scene, renderer, tracer):
         disc.trace(asked, underlay, quick=True),
         disc.trace(replace(asked, spp=3), underlay),
     ):
-        assert np.ptp(even.numpy("count")) == 0
+        assert np.ptp(numbers(even, "count")) == 0
 
 
 @pytest.mark.parametrize(("spp", "everywhere"), [(4, 2), (8, 2), (16, 4)])
@@ -127,7 +127,7 @@ def test_a_quarter_of_the_samples_and_two_at_least_are_traced_everywhere(
 ):
     asked = request(scene, COVERING, 64, spp, 0)
     underlay = wrong_right_half(renderer, asked.camera)
-    count = DiscTracer(tracer, history=False).trace(asked, underlay).numpy("count")
+    count = numbers(DiscTracer(tracer, history=False).trace(asked, underlay), "count")
     assert count.sum() == spp * 64 * 64
     # Where the splats are right, these are all.
     assert count.min() == everywhere
@@ -143,9 +143,9 @@ def test_auxiliary_features_are_means_over_4_samples_or_more(scene, renderer, tr
     everywhere = frame_positions(asked.camera)
     truth = interleaved(tracer.auxiliary(asked.camera, everywhere, 1024, 1).albedo)
     four = interleaved(tracer.auxiliary(asked.camera, everywhere, 4, 5).albedo)
-    errors = (np.abs(albedo - truth).mean() for albedo in (found.numpy("albedo"), four))
+    errors = (np.abs(albedo - truth).mean() for albedo in (numbers(found, "albedo"), four))
     assert next(errors) <= 1.02 * next(errors)
-    assert (np.linalg.norm(found.numpy("position"), axis=1) > 0).all()
+    assert (np.linalg.norm(numbers(found, "position"), axis=1) > 0).all()
 
 
 def test_adaptive_samples_are_unbiased(scene, renderer, tracer):
@@ -156,7 +156,7 @@ def test_adaptive_samples_are_unbiased(scene, renderer, tracer):
     right = np.tile(np.arange(64) >= 34, 64)
 
     def mean(seed: int, *under: Underlay) -> float:
-        return disc.trace(replace(asked, seed=seed), *under).numpy("radiance")[right].mean()
+        return numbers(disc.trace(replace(asked, seed=seed), *under), "radiance")[right].mean()
 
     even = np.mean([mean(seed) for seed in range(8)])
     runs = [mean(seed, underlay) for seed in range(8, 16)]
@@ -177,7 +177,7 @@ def test_without_a_history_nothing_is_remembered(scene, tracer):
     assert disc.history_state() == {}
     asked = request(scene, DISC, 32, 2, 1)
     first = disc.trace(asked)
-    np.testing.assert_array_equal(disc.trace(asked).numpy("radiance"), first.numpy("radiance"))
+    np.testing.assert_array_equal(numbers(disc.trace(asked), "radiance"), numbers(first, "radiance"))
     disc.forget()
     disc.restore_history(asked.camera, {})
     assert not disc.has_history
@@ -190,13 +190,13 @@ def test_with_a_history_samples_of_a_still_view_add_up(scene, tracer, quick):
     means = []
     for seed in range(4):
         samples = disc.trace(request(scene, DISC, 32, 2, seed), quick=quick)
-        assert (samples.numpy("count") == 2 * (seed + 1)).all()
-        means.append(samples.numpy("radiance"))
+        assert (numbers(samples, "count") == 2 * (seed + 1)).all()
+        means.append(numbers(samples, "radiance"))
     # Each mean holds the one before it: sums grow by what two samples have.
     added = [4 * means[1] - 2 * means[0], 8 * means[3] - 6 * means[2]]
     assert all((new >= -1e-3).all() for new in added)
     disc.forget()
-    assert (disc.trace(request(scene, DISC, 32, 2, 9)).numpy("count") == 2).all()
+    assert (numbers(disc.trace(request(scene, DISC, 32, 2, 9)), "count") == 2).all()
 
 
 def test_quick_samples_bring_their_own_auxiliary_features(scene, tracer):
@@ -205,16 +205,16 @@ def test_quick_samples_bring_their_own_auxiliary_features(scene, tracer):
     positions = pixel_positions(mi.UInt32(asked.disc.pixels), 32)
     for frame, spp in ((0, 4), (1, 5), (2, 6)):
         found = disc.trace(replace(asked, seed=5 + frame), quick=True)
-        assert (found.numpy("count") == frame + 1).all()
+        assert (numbers(found, "count") == frame + 1).all()
         if frame == 0:
             expected = tracer.auxiliary(asked.camera, positions, spp, 5)
-            np.testing.assert_allclose(found.numpy("albedo"), interleaved(expected.albedo), atol=1e-6)
-            np.testing.assert_allclose(found.numpy("normal"), interleaved(expected.normal), atol=1e-6)
+            np.testing.assert_allclose(numbers(found, "albedo"), interleaved(expected.albedo), atol=1e-6)
+            np.testing.assert_allclose(numbers(found, "normal"), interleaved(expected.normal), atol=1e-6)
             first = found
         else:
             # The position stays; of a mean of features, one sample more changes its share at most.
             position, normal, albedo = (
-                found.numpy(name) - first.numpy(name) for name in ("position", "normal", "albedo")
+                numbers(found, name) - numbers(first, name) for name in ("position", "normal", "albedo")
             )
             assert (position == 0).all()
             assert np.abs(normal).max() <= 2 * (spp - 4) / spp + 1e-6
@@ -223,7 +223,7 @@ def test_quick_samples_bring_their_own_auxiliary_features(scene, tracer):
 
 def test_samples_of_a_still_view_fill_the_gaps_between_earlier_ones(scene, tracer):
     """Four frames of 4 samples each have less error than four frames that know nothing of each other."""
-    truth = DiscTracer(tracer, False).trace(request(scene, DISC, 48, 1024, 77, False)).numpy("radiance")
+    truth = numbers(DiscTracer(tracer, False).trace(request(scene, DISC, 48, 1024, 77, False)), "radiance")
     errors = []
     for base in range(0, 400, 100):
         disc = DiscTracer(tracer, history=True)
@@ -231,7 +231,7 @@ def test_samples_of_a_still_view_fill_the_gaps_between_earlier_ones(scene, trace
             summed = disc.trace(request(scene, DISC, 48, 4, base + seed))
         alone = DiscTracer(tracer, history=False)
         apart = [alone.trace(request(scene, DISC, 48, 4, base + seed)) for seed in range(4)]
-        images = summed.numpy("radiance"), np.mean([run.numpy("radiance") for run in apart], axis=0)
+        images = numbers(summed, "radiance"), np.mean([numbers(run, "radiance") for run in apart], axis=0)
         errors.append([np.mean((image - truth) ** 2) for image in images])
     summed, independent = np.mean(errors, axis=0)
     # Seen: 0.51.
@@ -246,9 +246,9 @@ def test_a_saved_history_goes_on_as_if_it_had_never_stopped(scene, tracer):
     state = {name: np.copy(values) for name, values in first.history_state().items()}
     second.restore_history(scene.camera.resized(32, 32), state)
     expected, found = (disc.trace(request(scene, DISC, 32, 1, 3)) for disc in (whole, second))
-    np.testing.assert_array_equal(found.numpy("radiance"), expected.numpy("radiance"))
-    np.testing.assert_array_equal(found.numpy("count"), expected.numpy("count"))
-    assert (found.numpy("count") == 4).all()
+    np.testing.assert_array_equal(numbers(found, "radiance"), numbers(expected, "radiance"))
+    np.testing.assert_array_equal(numbers(found, "count"), numbers(expected, "count"))
+    assert (numbers(found, "count") == 4).all()
 
 
 def test_gaps_are_filled_where_a_neighbourhood_lacks_samples(scene, tracer):
@@ -257,8 +257,8 @@ def test_gaps_are_filled_where_a_neighbourhood_lacks_samples(scene, tracer):
     for seed in range(8):
         disc.trace(request(scene, Foveation(Gaze(0.3, 0.5), 30, 30), 64, 2, seed))
     moved = request(scene, Foveation(Gaze(0.6, 0.5), 30, 30), 64, 2, 8)
-    before = disc.known(moved).numpy("count")
-    after = disc.trace(moved).numpy("count")
+    before = numbers(disc.known(moved), "count")
+    after = numbers(disc.trace(moved), "count")
     assert (before == 0).any()
     assert (before == 16).any()
     assert after.sum() == before.sum() + 2 * len(after)

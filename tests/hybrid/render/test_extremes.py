@@ -21,7 +21,7 @@ from hybrid.render.frame_settings import FrameSettings
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.tracer import Tracer
 from tests import small
-from tests.compose.arrays_of import channels, host
+from tests.compose.arrays_of import channels, host, image_on, numbers
 from tests.extremes import extreme
 
 pytestmark = pytest.mark.usefixtures("backend")
@@ -65,7 +65,7 @@ def even(value: float, spot: float | None = None) -> DeviceImage:
     image = np.full((SIDE, SIDE, 3), value, np.float32)
     if spot is not None:
         image[16, 16] = spot
-    return DeviceImage.of(device_arrays(), image)
+    return image_on(device_arrays(), image)
 
 
 def underlay(camera, value: float = 0.3, spot: float | None = None) -> Underlay:
@@ -99,7 +99,7 @@ def test_foveas_of_extreme_scenes_are_finite(name, disc, got):
             made = fovea.image(mode, traced, samples, even(0), underlay(camera))
             radiance = host(made.radiance)
             assert np.isfinite(radiance).all()
-            assert not np.isnan(samples.numpy("variance")).any()
+            assert not np.isnan(numbers(samples, "variance")).any()
             brightest.append(float(radiance.max()))
     assert got(max(brightest), ".2g") >= 0
 
@@ -121,7 +121,7 @@ def test_broken_splats_under_the_disc_leave_it_finite(renderer, value, disc, got
     one, whole = underlay(scene.camera, spot=value), underlay(scene.camera, value)
     for (broken, excluded), spp in product(((one, 1), (whole, everywhere)), (1, 4, 17)):
         traced, samples = fovea.trace(FoveaMode.FUSED, scene.camera, disc, spp, 0, broken)
-        count = samples.numpy("count")
+        count = numbers(samples, "count")
         assert count.sum() == spp * disc.count
         assert count.min() >= 1
         made = fovea.image(FoveaMode.FUSED, traced, samples, None, broken)
@@ -137,8 +137,8 @@ def test_a_firefly_changes_a_disc_only_where_it_is(renderer, value, mode, disc):
     """Against the same samples with what their neighbours show in its pixel."""
     camera, fovea = renderer.scene.camera, Fovea(renderer.tracer)
     traced, samples = fovea.trace(mode, camera, disc, 4, 0, underlay(camera))
-    spot = int(np.searchsorted(samples.numpy("pixels"), 16 * SIDE + 16))
-    radiance, squares = samples.numpy("radiance"), samples.numpy("squares")
+    spot = int(np.searchsorted(numbers(samples, "pixels"), 16 * SIDE + 16))
+    radiance, squares = numbers(samples, "radiance"), numbers(samples, "squares")
     with np.errstate(over="ignore"):
         radiance[spot], squares[spot] = value / 4, np.float32(value) ** 2 / 4
     light, its_squares = (channels(disc.arrays, of) for of in (radiance, squares))
@@ -157,7 +157,7 @@ def test_a_firefly_changes_a_disc_only_where_it_is(renderer, value, mode, disc):
 def test_the_raw_fovea_keeps_a_firefly(renderer, disc):
     fovea = Fovea(renderer.tracer)
     traced, samples = fovea.trace(FoveaMode.RAW, renderer.scene.camera, disc, 2, 0)
-    radiance = samples.numpy("radiance")
+    radiance = numbers(samples, "radiance")
     radiance[7] = 1e30
     given = replace(samples, radiance=channels(disc.arrays, radiance))
     np.testing.assert_array_equal(host(fovea.image(FoveaMode.RAW, traced, given).radiance), radiance)
@@ -170,8 +170,8 @@ def test_discs_of_one_pixel_take_any_number_of_samples(renderer, arrays, got):
     for spp in (1, 16384):
         request = DiscRequest(camera, pixel, spp, 0)
         samples = DiscTracer(renderer.tracer, history=False).trace(request, underlay(camera))
-        assert got(samples.numpy("count").tolist()) == [spp]
-        assert np.isfinite(samples.numpy("radiance")).all()
+        assert got(numbers(samples, "count").tolist()) == [spp]
+        assert np.isfinite(numbers(samples, "radiance")).all()
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 300), (300, 1), (2, 3)])
@@ -200,5 +200,5 @@ def test_traced_light_of_any_strength_scales(renderer, disc):
         description["lamp"] = lamp(strength)
         scene = load_scene(description)
         _, samples = Fovea(Tracer(scene)).trace(FoveaMode.RAW, scene.camera, disc, 2, 0)
-        found.append(samples.numpy("radiance") / np.float32(strength))
+        found.append(numbers(samples, "radiance") / np.float32(strength))
     np.testing.assert_allclose(*found, rtol=1e-5)

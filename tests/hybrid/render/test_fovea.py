@@ -11,14 +11,13 @@ from compose.eye.gaze import Gaze
 from compose.fovea.disc import thinned
 from compose.fovea.foveation import FoveaMode, Foveation
 from compose.image.colour import srgb_from_radiance
-from compose.image.device_image import DeviceImage
 from hybrid.render.fovea import Fovea
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.frame_settings import FrameSettings
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.traced_images import radiance_image
 from pathtrace.trace.tracer import Tracer
-from tests.compose.arrays_of import host
+from tests.compose.arrays_of import host, image_on, numbers
 
 SETTINGS = FrameSettings(fov_a=45, fov_b=35, acuity_model="none")
 
@@ -41,7 +40,7 @@ def test_denoised_is_what_the_denoiser_makes_of_the_samples(renderer):
     assert frame.fovea.weights is None
     assert frame.underlay is None
     # Neighbouring pixels differ less, and are as bright as before.
-    traced, denoised = frame.fovea.samples.numpy("radiance"), host(frame.fovea.radiance)
+    traced, denoised = numbers(frame.fovea.samples, "radiance"), host(frame.fovea.radiance)
     steps = [np.median(np.abs(np.diff(image, axis=0))) for image in (denoised, traced)]
     assert steps[0] < 0.5 * steps[1]
     assert np.median(denoised) == pytest.approx(np.median(traced), rel=0.1)
@@ -53,7 +52,7 @@ def test_a_fused_fovea_lies_between_its_parents_and_says_how(renderer):
     fovea, weights = frame.fovea, host(frame.fovea.weights)
     np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-5)
     underlay = renderer.splats(settings).reshape(-1, 3)[frame.region.pixels]
-    parents = np.stack([fovea.samples.numpy("radiance"), host(fovea.denoised), underlay])
+    parents = np.stack([numbers(fovea.samples, "radiance"), host(fovea.denoised), underlay])
     # Nothing is fitted to this forest: statistics alone, without sharpening.
     mixed = (parents * weights.T[:, :, None]).sum(axis=0)
     np.testing.assert_allclose(host(fovea.radiance), mixed, atol=2e-3)
@@ -66,7 +65,7 @@ def test_pixels_in_which_a_parent_is_left_out_are_counted(renderer, arrays):
     disc, underlay = region.disc(arrays), renderer.underlay(camera, settings, region)
     image = np.array(underlay.radiance.numpy())
     image.reshape(-1, 3)[region.pixels[:7], 0] = np.nan
-    broken = replace(underlay, radiance=DeviceImage.of(arrays, image))
+    broken = replace(underlay, radiance=image_on(arrays, image))
     maker = renderer.fovea_of(settings)
     _, samples = maker.trace(FoveaMode.FUSED, camera, disc, 1, 0, underlay)
     fovea = maker.image(FoveaMode.FUSED, disc, samples, underlay=broken)
@@ -110,8 +109,8 @@ def test_a_thinned_band_has_the_samples_and_weights_that_it_was_allotted(scene, 
     camera, disc = scene.camera.resized(32, 32), Foveation(Gaze(), 40, 10).region(32, 32).disc(arrays)
     thin, samples = Fovea(Tracer(scene)).trace(FoveaMode.RAW, camera, disc, 2, 7)
     expected, counts = thinned(disc, 2, 7)
-    np.testing.assert_array_equal(samples.numpy("pixels"), np.asarray(expected.pixels))
-    np.testing.assert_array_equal(samples.numpy("count"), np.asarray(counts.each))
+    np.testing.assert_array_equal(numbers(samples, "pixels"), np.asarray(expected.pixels))
+    np.testing.assert_array_equal(numbers(samples, "count"), np.asarray(counts.each))
     np.testing.assert_array_equal(np.asarray(thin.weights), np.asarray(expected.weights))
     assert thin.count < disc.count
 
@@ -127,5 +126,5 @@ def test_a_still_view_converges(scene, forest):
         inside = frame.region.weight_image() >= 1
         shown = srgb_from_radiance(frame.composite) - srgb_from_radiance(truth)
         errors.append(np.mean(shown[inside] ** 2))
-    assert (frame.fovea.samples.numpy("count") == 64).all()
+    assert (numbers(frame.fovea.samples, "count") == 64).all()
     assert errors[63] < 0.5 * errors[7] < 0.4 * errors[0]

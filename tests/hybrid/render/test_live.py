@@ -17,7 +17,7 @@ from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
 from pathtrace.scene.scene import load_scene
 from splat.raster.tiles import TILE
 from tests import small
-from tests.compose.arrays_of import host
+from tests.compose.arrays_of import host, numbers
 from tests.hybrid.render.passes import waits
 
 
@@ -76,9 +76,9 @@ def test_each_pixel_is_the_weighted_mean_of_both(live, settings):
 def test_samples_add_up_while_nothing_moves(live, settings):
     for number in range(3):
         frame = live.frame(replace(settings, spp=2), number)
-        assert (frame.fovea.samples.numpy("count") == 2 * (number + 1)).all()
+        assert (numbers(frame.fovea.samples, "count") == 2 * (number + 1)).all()
     live.forget()
-    assert (live.frame(settings).fovea.samples.numpy("count") == 1).all()
+    assert (numbers(live.frame(settings).fovea.samples, "count") == 1).all()
 
 
 def test_the_whole_frame_is_drawn_under_the_disc_once_the_camera_stands_still(live, settings):
@@ -123,7 +123,7 @@ def test_times_are_those_of_the_passes_in_their_order(live, settings):
 def test_a_frame_is_refined_in_its_disc_only(live, settings):
     first = live.frame(settings, 0)
     better = live.refined(first, 3, 1, quick=True)
-    assert (better.fovea.samples.numpy("count") == 4).all()
+    assert (numbers(better.fovea.samples, "count") == 4).all()
     assert better.splats is first.splats
     changed = (better.composite != first.composite).any(axis=2)
     assert changed.any()
@@ -146,14 +146,14 @@ def test_only_a_patient_frame_waits_for_the_better_denoiser(live, settings, deno
 
 def test_samples_are_spread_evenly_which_takes_no_time(live, settings):
     frame = live.frame(replace(settings, spp=8))
-    assert (frame.fovea.samples.numpy("count") == 8).all()
+    assert (numbers(frame.fovea.samples, "count") == 8).all()
 
 
 def test_a_raw_fovea_reuses_samples_too(live, settings):
     raw = replace(settings, fovea="raw")
     live.frame(raw, 0)
     frame = live.frame(raw, 1)
-    assert (frame.fovea.samples.numpy("count") == 2).all()
+    assert (numbers(frame.fovea.samples, "count") == 2).all()
     assert frame.fovea.radiance is frame.fovea.samples.radiance
 
 
@@ -162,14 +162,14 @@ def test_a_denoised_fovea_reuses_samples_and_is_refined_too(live, settings):
     frames = [live.frame(denoised, number) for number in range(3)]
     frames.append(live.refined(frames[-1], 1, 3, quick=False))
     for number, frame in enumerate(frames, 1):
-        assert (frame.fovea.samples.numpy("count") == number).all()
+        assert (numbers(frame.fovea.samples, "count") == number).all()
         assert frame.fovea.radiance is frame.fovea.denoised
         assert frame.underlay is None
         weight = frame.weight_image()[..., None]
         expected = weight * frame.of_disc(frame.fovea.denoised) + (1 - weight) * live.splats(settings)
         np.testing.assert_allclose(frame.composite, expected, atol=1e-5)
     # Less noisy than the samples, and as bright.
-    shown, traced = host(frame.fovea.radiance), frame.fovea.samples.numpy("radiance")
+    shown, traced = host(frame.fovea.radiance), numbers(frame.fovea.samples, "radiance")
     steps = [np.median(np.abs(np.diff(image, axis=0))) for image in (shown, traced)]
     assert steps[0] < 0.7 * steps[1]
     assert np.median(shown) == pytest.approx(np.median(traced), rel=0.1)

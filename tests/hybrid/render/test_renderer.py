@@ -27,7 +27,7 @@ from splat.raster.projection import project
 from splat.training.trainer import Trainer, TrainingSettings
 from splat.training.training_view import TrainingView
 from tests import small
-from tests.compose.arrays_of import host
+from tests.compose.arrays_of import host, numbers
 from tests.hybrid.forests import white_dot
 from tests.hybrid.render.passes import waits
 
@@ -74,7 +74,7 @@ def test_only_the_disc_is_traced_and_hidden_tiles_are_not_rasterized(renderer):
     settings = sized(replace(RAW, fov_a=45, fov_b=40), renderer, 160, 160)
     frame = renderer.frame(settings)
     assert frame.fovea.samples.size == frame.weight_image().astype(bool).sum()
-    assert np.isin(frame.fovea.samples.numpy("pixels"), frame.region.pixels).all()
+    assert np.isin(numbers(frame.fovea.samples, "pixels"), frame.region.pixels).all()
     assert (frame.periphery[72:88, 72:88] == 0).all()
     assert (renderer.splats(settings)[72:88, 72:88] > 0).any()
 
@@ -142,7 +142,7 @@ def test_samples_that_are_reused_or_denoised_are_taken_everywhere(scene, forest,
         chosen = replace(settings, fovea=mode)
         frame = other.frame(chosen)
         np.testing.assert_allclose(frame.weight_image(), whole.weight_image(), atol=1e-5)
-        assert (frame.fovea.samples.numpy("count") == 1).all()
+        assert (numbers(frame.fovea.samples, "count") == 1).all()
         assert other.paths(chosen) == len(whole.pixels)
 
 

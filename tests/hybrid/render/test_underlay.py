@@ -11,6 +11,7 @@ from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from compose.image.device_image import DeviceImage
 from hybrid.render.disc_images import Underlay, underlay_of
+from tests.compose.arrays_of import image_on
 
 CAMERA = Camera(np.eye(4), 8, 6, 10.0, 10.0, 4.0, 3.0)
 
@@ -21,7 +22,7 @@ def underlay(arrays) -> Underlay:
 
 
 def black(arrays: Arrays, shape: tuple[int, ...]) -> DeviceImage:
-    return DeviceImage.of(arrays, np.zeros(shape, dtype=np.float32))
+    return image_on(arrays, np.zeros(shape, dtype=np.float32))
 
 
 def test_an_underlay_of_the_same_view_is_returned(underlay):

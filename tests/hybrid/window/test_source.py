@@ -17,6 +17,7 @@ from hybrid.window import frame_source as source_module
 from hybrid.window.frame_source import FrameSource
 from hybrid.window.messages import Request, View
 from pathtrace.trace.film import frame_positions
+from tests.compose.arrays_of import numbers
 
 
 def request(source: FrameSource, view: View = View.COMPOSITE, **settings: Any) -> Request:
@@ -62,9 +63,9 @@ def test_many_samples_are_no_fewer_when_there_is_time(source):
 
 def test_each_frame_has_samples_of_its_own(source):
     asked = request(source)
-    first = source.show(asked, True).frame.fovea.samples.numpy("radiance")
+    first = numbers(source.show(asked, True).frame.fovea.samples, "radiance")
     source.forget()
-    second = source.show(asked, True).frame.fovea.samples.numpy("radiance")
+    second = numbers(source.show(asked, True).frame.fovea.samples, "radiance")
     assert not np.array_equal(first, second)
 
 

@@ -12,7 +12,6 @@ from compose.eye.gaze import Gaze
 from compose.fovea.foveation import Foveation
 from compose.fovea.samples import Samples
 from compose.image.colour import bytes_from_radiance
-from compose.image.device_image import DeviceImage
 from hybrid.base.compute_device import device_arrays
 from hybrid.render.fovea import FoveaImage
 from hybrid.render.frame import Frame
@@ -21,6 +20,7 @@ from hybrid.window import window_views as views
 from hybrid.window.messages import View
 from hybrid.window.window_views import image_of
 from tests import small
+from tests.compose.arrays_of import image_on
 
 pytestmark = pytest.mark.usefixtures("backend")
 H, W = 24, 32
@@ -35,10 +35,10 @@ def frame(composite: np.ndarray | None = None) -> Frame:
     radiance = [arrays.plain.Float(noise(region.count)) for _ in range(3)]
     nothing: Any = None
     return Frame(
-        image=DeviceImage.of(arrays, noise(H, W, 3) if composite is None else composite),
+        image=image_on(arrays, noise(H, W, 3) if composite is None else composite),
         settings=FrameSettings(),
         camera=nothing,
-        splats=DeviceImage.of(arrays, noise(H, W, 3)),
+        splats=image_on(arrays, noise(H, W, 3)),
         detail=nothing,
         nodes_drawn=0,
         fovea=FoveaImage(disc, radiance, Samples.none(arrays, disc.pixels)),
