@@ -14,7 +14,7 @@ import torch
 
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
-from splat.model.dynamic_light import LightCourse, in_light, seen_from_behind
+from splat.model.dynamic_light import LightCourse, factors_at, in_light, seen_from_behind
 from splat.model.forest import Forest
 from splat.model.gaussians import Directional, Gaussians
 from splat.raster.binning import depth_order
@@ -85,10 +85,11 @@ class LayerChanges:
         eye = camera.position.tobytes() if len(light.sided) else b""
         if (self._lit_at, self._eye) == (time, eye):
             return None
-        nodes, factors, shown = light.nodes, light.at(time), self._usual
+        nodes, factors, shown = light.nodes, factors_at(light.factors, time), self._usual
         if len(light.sided):
             behind = self._seen_from_behind(light, camera)
-            factors[:, light.sided] = torch.where(behind, light.behind_at(time), factors[:, light.sided])
+            other = factors_at(light.behind, time)
+            factors[:, light.sided] = torch.where(behind, other, factors[:, light.sided])
         if self._lit_at == time:
             # Another eye may see another side; all else is as it was.
             nodes, factors = nodes[light.sided], factors[:, light.sided]
@@ -225,20 +226,15 @@ class _LayerBounds:
         # Shared with the forest, which is at rest.
         means = gaussians.means.clone() if moves else gaussians.means
         self.means = [_row(arrays, row) for row in means[:, first:end]]
-        self.size = _row(arrays, _longest(gaussians.log_scales[:, first:end]))
+        self.size = _row(arrays, gaussians.part(first, end).longest)
 
     def move(self, nodes: torch.Tensor, gaussians: Gaussians) -> None:
         """Moves some nodes of the layer, by their indices (M,) in the forest, to where Gaussians (M) are."""
         index = self._arrays.plain.UInt((nodes - self._first).numpy())
         rows = [*self.means, self.size]
-        moved = [*gaussians.means, _longest(gaussians.log_scales)]
+        moved = [*gaussians.means, gaussians.longest]
         for row, values in zip(rows, moved, strict=True):
             dr.scatter(row, _row(self._arrays, values), index, mode=dr.ReduceMode.Permute)
-
-
-def _longest(log_scales: torch.Tensor) -> torch.Tensor:
-    """(N,) longest axis of Gaussians with log scales (3, N), as a standard deviation."""
-    return log_scales.max(dim=0).values.exp()
 
 
 class _NodeTable:

@@ -33,12 +33,8 @@ class MotionModel(str, Enum):
 
     @property
     def field(self) -> FieldKind | None:
-        """Of a learned motion; None if it is known."""
-        return {
-            MotionModel.D_GS: FieldKind.D_GS,
-            MotionModel.D_GS_OF_DYNAMIC: FieldKind.D_GS,
-            MotionModel.HEX_PLANE: FieldKind.HEX_PLANE,
-        }.get(self)
+        """The kind of a learned motion; None if it is known."""
+        return None if self is MotionModel.KNOWN else FieldKind(self.value.removesuffix("-dynamic"))
 
 
 class Precision(str, Enum):

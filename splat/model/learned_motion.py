@@ -217,7 +217,7 @@ class LearnedMotion:
         self.field.load_state_dict({name.split(".", 1)[1]: tensor for name, tensor in tensors.items()})
 
     def shown(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """As of `Dynamics`."""
+        """See `Dynamics`."""
         moving = torch.nonzero(instance >= 0)[:, 0]
         if len(moving) == len(gaussians):
             return self.field(gaussians.means, time).applied(gaussians)
@@ -231,11 +231,11 @@ class LearnedMotion:
         return replace(gaussians, **parts)
 
     def course(self, gaussians: Gaussians, instance: torch.Tensor) -> Callable[[float], Gaussians]:
-        """As of `Dynamics`; a field knows nothing that all times share."""
+        """See `Dynamics`; a field knows nothing that all times share."""
         return partial(self.shown, gaussians, instance)
 
     def at_rest(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """As of `Dynamics`; as turned and as large as they are shown.
+        """See `Dynamics`; as turned and as large as they are shown.
 
         Nodes are as far from rest as the nearest anchor of their instance; without anchors, as they would be
         if they were at rest where they are shown (first order).

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import expit
 
 from splat.model.gaussians import Gaussians, written
-from splat.model.layer import MAX_CHILDREN, NO_PARENT, Layer, concatenated_layers
+from splat.model.layer import MAX_CHILDREN, NO_PARENT, Layer, concatenated_layers, without_parents
 from splat.model.points import (
     Floats,
     Ints,
@@ -67,14 +67,9 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
         to_torch(log_opacity - np.log1p(-np.exp(log_opacity))),
         part * a.all_turning().sh + (1 - part) * b.all_turning().sh,
     )
-    apart = a.directional is not None or b.directional is not None
-    return merged.turning(_turns(a) | _turns(b)) if apart else merged
-
-
-def _turns(gaussians: Gaussians) -> torch.Tensor:
-    """(N,) which ones have harmonics above the constant one."""
-    turns = torch.full((len(gaussians),), gaussians.directional is None)
-    return turns if gaussians.directional is None else turns.index_fill(0, gaussians.directional.index, True)
+    if a.directional is None and b.directional is None:
+        return merged
+    return merged.turning(a.turns | b.turns)
 
 
 def _log_opacity(gaussians: Gaussians) -> Floats:
@@ -146,10 +141,8 @@ class _ParentSearch:
     `tries` parents has room, a new one is made at the child's own position.
 
     Args:
-        children: (N, 3) centres, in the order in which they choose.
-        parents: (M, 3) centres.
+        children, parents: (N, 3) and (M, 3) centres, children in the order in which they choose.
         room: (M,) children that each parent can still take.
-        tries: how many parents a child tries.
     """
 
     def __init__(self, children: Floats, parents: Floats, room: Ints, tries: int):
@@ -210,22 +203,20 @@ def _made_parents(below: Layer, children: Ints, number: Ints) -> Layer:
     """New parents: twice the size of an only child, or the moments of two.
 
     Args:
-        below: the layer of the children.
-        children: (C,) indices of the children.
+        below, children: the layer of the children, and their indices (C,) in it.
         number: (C,) the new parent of each of them, counted from 0 without gaps.
     """
     order = np.argsort(number, kind="stable")
     children, number = children[order], number[order]
-    first = np.flatnonzero(np.r_[True, number[1:] != number[:-1]]) if len(number) else np.zeros(0, int)
+    _, first, count = np.unique(number, return_index=True, return_counts=True)
     single = below.select(torch.from_numpy(children[first]))
-    doubled = single.gaussians.log_scales + float(np.log(2.0))
-    gaussians = replace(single.gaussians, log_scales=doubled)
-    pairs = np.flatnonzero(np.diff(np.r_[first, len(number)]) == MAX_CHILDREN)
+    gaussians = replace(single.gaussians, log_scales=single.gaussians.log_scales + float(np.log(2.0)))
+    pairs = np.flatnonzero(count == MAX_CHILDREN)
     if len(pairs):
         left = below.gaussians.select(torch.from_numpy(children[first[pairs]]))
         right = below.gaussians.select(torch.from_numpy(children[first[pairs] + 1]))
         gaussians = written(gaussians, torch.from_numpy(pairs), merge(left, right))
-    return replace(single, gaussians=gaussians, parent=torch.full_like(single.parent, NO_PARENT))
+    return without_parents(replace(single, gaussians=gaussians))
 
 
 def build_forest(finest: Layer, pixel: float, layers: int) -> list[Layer]:
@@ -240,9 +231,9 @@ def build_forest(finest: Layer, pixel: float, layers: int) -> list[Layer]:
         The layers, coarsest first. They do not depend on the order of the set in memory.
     """
     # The sky is huge, and yet its Gaussians are as small in a frame as others.
-    size = longest_axis(finest.gaussians) / remoteness(finest.gaussians.means).numpy()
+    size = finest.gaussians.longest.numpy() / remoteness(finest.gaussians.means).numpy()
     level = layer_of_size(size, pixel, layers)
-    below = replace(finest, parent=torch.full((len(finest),), NO_PARENT, dtype=torch.int32))
+    below = without_parents(finest)
     # For each node of the layer below, the given Gaussian that it is; -1 for a new parent.
     origin = np.arange(len(finest))
     forest: list[Layer] = []
@@ -257,11 +248,6 @@ def build_forest(finest: Layer, pixel: float, layers: int) -> list[Layer]:
         origin = np.concatenate([origin[itself], np.full(len(above) - int(itself.sum()), -1)])
         below = above
     return [below, *forest]
-
-
-def longest_axis(gaussians: Gaussians) -> NDArray[np.float32]:
-    """(N,) largest standard deviation: the 3D size of the paper."""
-    return gaussians.log_scales.detach().max(dim=0).values.exp().numpy()
 
 
 def layer_of_size(size: NDArray[np.floating], pixel: float, layers: int) -> Ints:
@@ -300,7 +286,7 @@ def settle(layers: list[Layer]) -> list[Layer]:
         below, parent = _with_children(below, above, parent)
         settled[0] = replace(below, parent=torch.from_numpy(parent.astype(np.int32)))
         settled.insert(0, above)
-    settled[0] = replace(settled[0], parent=torch.full((len(settled[0]),), NO_PARENT, dtype=torch.int32))
+    settled[0] = without_parents(settled[0])
     # Copies were added as children to layers that were complete already; they need children as well.
     return _grown_down(settled)
 
@@ -339,9 +325,7 @@ def _kept_parents(below: Layer, above: Layer) -> Ints:
 def _occurrence(values: Ints) -> Ints:
     """(N,) how often each value occurs before its position in the array."""
     order = np.argsort(values, kind="stable")
-    ordered = values[order]
-    starts = np.flatnonzero(np.r_[True, ordered[1:] != ordered[:-1]]) if len(values) else np.zeros(0, int)
-    lengths = np.diff(np.r_[starts, len(values)])
+    _, starts, lengths = np.unique(values[order], return_index=True, return_counts=True)
     result = np.empty(len(values), dtype=np.int64)
     result[order] = np.arange(len(values)) - np.repeat(starts, lengths)
     return result

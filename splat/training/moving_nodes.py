@@ -70,7 +70,7 @@ class Attachment:
         self._inside = (depth > 0) & (position >= 0).all(axis=1) & (position < size).all(axis=1)
         self._column, self._row = np.where(self._inside[:, None], position, 0).astype(np.int64).T
         self._distance = np.linalg.norm(self._means - view.camera.position, axis=1)
-        extent = shown.log_scales.detach().max(dim=0).values.exp().double().numpy()
+        extent = shown.longest.double().numpy()
         self._off = extent + _OFF * self._distance
         self._slope = _slope(view.distance)
 
@@ -236,6 +236,5 @@ def separated(layer: Layer, evidence: Evidence, motion: Dynamics) -> Layer:
 
 def _attached(gaussians: Gaussians, semantic: torch.Tensor, evidence: Evidence) -> Gaussians:
     """Gaussians, of which those of the background are on its surfaces, within their size."""
-    size = gaussians.log_scales.max(dim=0).values.exp()
-    hovers = (semantic == BACKGROUND) & (evidence.offsets.norm(dim=1) > size)
+    hovers = (semantic == BACKGROUND) & (evidence.offsets.norm(dim=1) > gaussians.longest)
     return replace(gaussians, means=gaussians.means + torch.where(hovers, evidence.offsets.T, 0))

@@ -117,5 +117,4 @@ def turning_as_nearest(new: Gaussians, known: Gaussians) -> Gaussians:
     if not len(there):
         return new
     _, nearest = cKDTree(known.means[:, there].numpy().T).query(new.means.numpy().T)
-    turns = further.slots(len(known)) >= 0
-    return new.turning(turns[there[torch.from_numpy(nearest)]])
+    return new.turning(known.turns[there[torch.from_numpy(nearest)]])
