@@ -256,13 +256,8 @@ def compact(forest: Forest) -> Forest:
     return replace(forest, nodes=replace(forest.nodes, gaussians=gaussians))
 
 
-def is_compact(forest: Forest) -> bool:
-    """Whether a compact file holds its numbers exactly, to the bit."""
-    return exactly_encoded(forest) is not None
-
-
 def exactly_encoded(forest: Forest) -> dict[str, torch.Tensor] | None:
-    """Tensors as of `encoded` that hold the numbers of a forest exactly, to the bit; None if none do."""
+    """Tensors as from `encoded` that hold the numbers of a forest exactly, to the bit; None if none do."""
     if not forest.nodes.gaussians.is_finite():
         return None
     codes = encoded(forest.nodes, forest.counts)
@@ -307,7 +302,7 @@ def encoded(nodes: Layer, counts: tuple[int, ...]) -> dict[str, torch.Tensor]:
         "sh.constant": codes_of_constants(exact["sh"][0]),
         # The coefficients of a node side by side: where one is small, others are.
         "sh.directional": directional[..., turns].transpose(2, 0, 1),
-        "sh.turning": _mask(further.index.numpy()[turns], len(nodes)),
+        "sh.turning": np.bincount(further.index.numpy()[turns], minlength=len(nodes)) > 0,
         # Parents follow each other as their children do.
         "parent": np.diff(parent, prepend=parent.dtype.type(0)),
     }
@@ -363,13 +358,6 @@ _KINDS: dict[str, tuple[torch.dtype, int]] = {
     "semantic": (torch.int32, 1),
     "dynamic": (torch.bool, 1),
 }
-
-
-def _mask(index: Codes, count: int) -> Codes:
-    """(N,) bool, true at an index, of N = `count`."""
-    found = np.zeros(count, dtype=bool)
-    found[index] = True
-    return found
 
 
 def _codes(tensors: dict[str, torch.Tensor], name: str, kind: tuple[torch.dtype, int]) -> Codes:

@@ -62,11 +62,12 @@ def save_forest(path: str | Path, forest: Forest) -> None:
         "scene_hash": forest.scene_hash,
         **place,
     }
-    tensors = {_ATTACHED + name: tensor for name, tensor in forest.attached.items()}
-    motion = {} if forest.motion is None else forest.motion.tensors()
-    tensors |= {_MOTION + name: tensor for name, tensor in motion.items()}
-    light = {} if forest.light is None else forest.light.tensors()
-    tensors |= {_LIGHT + name: tensor for name, tensor in light.items()}
+    groups = {_ATTACHED: forest.attached} | {
+        prefix: part.tensors()
+        for prefix, part in ((_MOTION, forest.motion), (_LIGHT, forest.light))
+        if part is not None
+    }
+    tensors = {prefix + name: t for prefix, group in groups.items() for name, t in group.items()}
     codes = exactly_encoded(forest)
     if codes is not None:
         tensors, kinds = packed({**codes, **tensors})

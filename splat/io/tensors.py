@@ -42,8 +42,6 @@ def save_tensors(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[st
     """Writes tensors and metadata to a safetensors file, atomically, with a checksum of both.
 
     Args:
-        path: the file.
-        tensors: by name.
         metadata: anything that JSON can hold.
 
     Raises:
@@ -62,7 +60,6 @@ def load_tensors(path: Path, advice: str = "make it again") -> tuple[dict[str, t
     """Reads the tensors and the metadata of a file written by `save_tensors`.
 
     Args:
-        path: the file.
         advice: what to do if it is damaged, for the message.
 
     Raises:

@@ -37,10 +37,8 @@ def composite(
     """The frame, black in cells in which no entry has a weight.
 
     Args:
-        arrays: the backend's array types.
         entries: of the atlas, at least one; their weights sum to 1 in every cell in which any has one.
         atlas: the entries' samples.
-        camera: the view.
         frame: the rasterizer's, in which those cells keep what they show, and which is changed; a new one by
             default.
     """

@@ -117,7 +117,6 @@ class ForestFootprints:
     """Footprints of a forest's layers, cached for the latest camera.
 
     Args:
-        arrays: the backend's array types.
         forest: its nodes are copied to the device.
     """
 
@@ -159,7 +158,6 @@ class ForestFootprints:
         Each layer's lie together, from near to far.
 
         Args:
-            camera: the view.
             blur: widest filter that will be used, as a multiple of the filter at the pixel grid.
             layers: numbers from 1 to L.
         """

@@ -56,7 +56,6 @@ class ForestRenderer:
     """Renders a forest that stays on the device.
 
     Args:
-        arrays: the backend's array types.
         forest: what to draw.
     """
 
@@ -69,38 +68,24 @@ class ForestRenderer:
         self._footprints.set_time(time)
 
     def render(
-        self, camera: Camera, images: Sequence[LayerImage], cutoff: Lattice, wanted: Mask
-    ) -> SplatImage:
-        """Renders layer images and composites them.
-
-        Args:
-            camera: the view.
-            images: layers and rates; their weights sum to 1 wherever a cell is wanted.
-            cutoff: (rows + 1, columns + 1) highest frequency to keep, in cycles per pixel, at the corners of
-                cells of TILE pixels; 0 or more.
-            wanted: (rows, columns) bool, cells that are drawn at all.
-
-        Raises:
-            ValueError: the forest has no such layer, or a cut-off is negative or not a number.
-        """
-        return self.render_with(camera, images, cutoff, wanted, None)[0]
-
-    def render_with(
         self,
         camera: Camera,
         images: Sequence[LayerImage],
         cutoff: Lattice,
         wanted: Mask,
-        under: Under | None,
+        under: Under | None = None,
     ) -> tuple[SplatImage, SplatImage]:
-        """As `render`, and an image that is to lie under the frame, black where nothing of it is asked for.
+        """Renders layer images and composites them; and an image to lie under the frame.
 
         Args:
-            camera, images, cutoff, wanted: as for `render`.
-            under: what the second image shows; None for nothing.
+            images: layers and rates; their weights sum to 1 wherever a cell is wanted.
+            cutoff: (rows + 1, columns + 1) highest frequency to keep, in cycles per pixel, at the corners of
+                cells of TILE pixels; 0 or more.
+            wanted: (rows, columns) bool, cells that are drawn at all.
+            under: what the second image shows, which is black elsewhere; None for nothing.
 
         Raises:
-            ValueError: as of `render`.
+            ValueError: the forest has no such layer, or a cut-off is negative or not a number.
         """
         images = [image for image in images if bool((image.weight > 0).any())]
         own, alone = _largest_alone(images, wanted)
@@ -128,29 +113,19 @@ class ForestRenderer:
             ValueError: the forest has no such layer.
         """
         grid = TileGrid(camera.width, camera.height)
-        corners = (grid.rows + 1, grid.columns + 1)
-        image = LayerImage(layer, rate, np.ones(corners, np.float32))
+        image = LayerImage.whole(layer, rate, (grid.rows, grid.columns))
         entries = pack_atlas([image], grid.mask(None))
-        (samples,) = self._drawn(camera, [entries], np.full(corners, NYQUIST, np.float32), rate)
+        (samples,) = self._drawn(camera, [entries], NYQUIST * image.weight, rate)
         return replace(samples, width=-(-camera.width >> rate), height=-(-camera.height >> rate))
-
-    def draw_atlas(self, camera: Camera, entries: Sequence[AtlasEntry], cutoff: Lattice) -> SplatImage:
-        """Renders the atlas; a black image of the frame's size if no node shows in any entry.
-
-        Args:
-            camera: the view.
-            entries: of the atlas.
-            cutoff: as in `render`.
-        """
-        return self._drawn(camera, [entries], cutoff)[0]
 
     def _drawn(
         self, camera: Camera, groups: Sequence[Sequence[AtlasEntry]], cutoff: Lattice, rate: int = 0
     ) -> list[SplatImage]:
         """An image of each group of entries, which lie one above the other; all count the nodes of all.
 
+        They are black images of the frame's size if no node shows in any entry.
+
         Args:
-            camera: the view.
             groups: of entries, from the top down.
             cutoff: as in `render`.
             rate: finest that the camera's entries may have.
@@ -219,10 +194,7 @@ class ForestRenderer:
     def _splats(self, table: EntryTable, chosen: Any, split: int) -> tuple[Splats, TileBounds]:
         """The chosen candidates in samples of the atlas, and the tiles they are confined to.
 
-        Args:
-            table: of all candidates.
-            chosen: their numbers.
-            split: tiles of the rasterizer along the side of one of the atlas.
+        `split` tiles of the rasterizer lie along the side of one of the atlas.
         """
         entry, node = table.of(chosen)
         raw = self._footprints.footprints(node)
@@ -270,18 +242,16 @@ class CachedLayerImages:
 
     Args:
         renderer: draws the forest.
-        camera: the view.
         steps: layer and rate of each image.
     """
 
     def __init__(self, renderer: ForestRenderer, camera: Camera, steps: Sequence[tuple[int, int]]):
         grid = TileGrid(camera.width, camera.height)
-        corners = (grid.rows + 1, grid.columns + 1)
-        weight = np.ones(corners, np.float32)
-        images = [LayerImage(layer, rate, weight) for layer, rate in steps]
+        images = [LayerImage.whole(layer, rate, (grid.rows, grid.columns)) for layer, rate in steps]
         self._entries = pack_atlas(images, grid.mask(None))
         self._arrays, self._camera = renderer.arrays, camera
-        self._atlas = renderer.draw_atlas(camera, self._entries, np.full(corners, NYQUIST, np.float32))
+        cutoff = np.full((grid.rows + 1, grid.columns + 1), NYQUIST, np.float32)
+        (self._atlas,) = renderer._drawn(camera, [self._entries], cutoff)
 
     def composite(self, weights: Sequence[Lattice], wanted: NDArray[np.bool_]) -> SplatImage:
         """The frame with the given weights.

@@ -35,6 +35,11 @@ class LayerImage:
     rate: int
     weight: Lattice
 
+    @staticmethod
+    def whole(layer: int, rate: int, cells: tuple[int, ...]) -> LayerImage:
+        """A layer alone over a frame of so many rows and columns of cells."""
+        return LayerImage(layer, rate, np.ones((cells[0] + 1, cells[1] + 1), np.float32))
+
 
 @dataclass(frozen=True)
 class AtlasEntry:
@@ -79,8 +84,7 @@ class Under:
         """Its entry in an atlas, whose first free row of samples is `top`; at least one cell is set."""
         rows = np.flatnonzero(self.cells.any(axis=1))
         first, end = int(rows[0]), int(rows[-1]) + 1
-        weight = np.ones((self.cells.shape[0] + 1, self.cells.shape[1] + 1), np.float32)
-        image = LayerImage(self.layer, 0, weight)
+        image = LayerImage.whole(self.layer, 0, self.cells.shape)
         return AtlasEntry(image, top - first * TILE, self.cells[first:end], self.cells, first, True)
 
 
@@ -115,10 +119,9 @@ def at_corners(lattice: Lattice) -> list[Lattice]:
 
 def _joined(mask: Mask, size: int) -> Mask:
     """Tiles of so many cells a side that hold any set cell of a mask (rows, columns)."""
-    rows, columns = -(-mask.shape[0] // size), -(-mask.shape[1] // size)
-    padded = np.zeros((rows * size, columns * size), dtype=bool)
-    padded[: mask.shape[0], : mask.shape[1]] = mask
-    return np.asarray(padded.reshape(rows, size, columns, size).any(axis=(1, 3)))
+    padded = np.pad(mask, [(0, -side % size) for side in mask.shape])
+    blocks = padded.reshape(len(padded) // size, size, -1, size)
+    return np.asarray(blocks.any(axis=(1, 3)))
 
 
 def _grown(mask: Mask) -> Mask:

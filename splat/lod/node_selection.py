@@ -22,12 +22,9 @@ from splat.raster.tiles import TILE
 # the cut-off lie in the array; for its selection the variance of the widest filter in px^2, and pixels by
 # which boxes are enlarged; samples per pixel, minimum width of the filter as a multiple of the filter at the
 # pixel grid, first row of samples, and bounds in tiles. Four floats are spare.
-_ENTRY = RecordLayout(
-    (8, 8),
-    ("start", "node", "counts", "cutoff"),
-    **dict.fromkeys(("start", "node", "counts", "cutoff", "widest", "margin", "scale", "least_blur"), 1),
-    **dict.fromkeys(("offset", "columns", "top", "bottom"), 1),
-)
+_INTEGERS = "start", "node", "counts", "cutoff"
+_FLOAT_SLOTS = "widest", "margin", "scale", "least_blur", "offset", "columns", "top", "bottom"
+_ENTRY = RecordLayout((8, 8), _INTEGERS, **dict.fromkeys((*_INTEGERS, *_FLOAT_SLOTS), 1))
 _FLOATS = 16
 
 
@@ -35,7 +32,6 @@ class EntryTable:
     """The entries of an atlas and their candidates: all footprints of their layers, entry by entry.
 
     Args:
-        arrays: the backend's array types.
         entries: of the atlas, at least one.
         nodes: for each of them, where its layer's footprints lie among all.
         blurs: for each the widest and the narrowest filter, as multiples of the filter at the pixel grid.
@@ -134,7 +130,6 @@ def touching(arrays: Arrays, table: EntryTable, footprints: Callable[[Any], Foot
     """Mask of the candidates whose filtered box touches any cell of their entry.
 
     Args:
-        arrays: the backend's array types.
         table: the entries and their candidates, at least one.
         footprints: those with the given numbers.
     """

@@ -35,7 +35,6 @@ class Bins:
     Before they are sorted, the pairs of a splat lie side by side, in a run; the gradient sums over runs.
 
     Attributes:
-        arrays: the backend's array types.
         grid: the tiles.
         wanted: (rows, columns) bool, the tiles that are rasterized.
         ranges: (2 * columns * rows + 2,) start and end of each tile's list; the last one is that of the pairs
@@ -97,38 +96,18 @@ class Window:
     bottom: int
 
 
-def bin_splats(
-    arrays: Arrays,
-    splats: Splats,
-    grid: TileGrid,
-    wanted: NDArray[np.bool_] | None = None,
-    bounds: TileBounds | None = None,
-    in_order: bool = False,
-) -> Bins:
-    """Sorts pairs of splat and tile by tile and depth, all at once: `parts.Parts` bounds the memory for them.
+class Candidates:
+    """Tiles that each splat may touch, from which the lists of any part of the frame are made.
 
     Args:
-        arrays: the backend's array types.
         splats: N projected Gaussians, arrays without derivatives.
         grid: the frame's tiles.
         wanted: (rows, columns) bool, the tiles to rasterize; all by default.
         bounds: tiles that each splat is confined to; all by default.
         in_order: whether splats that meet in a tile come from near to far already.
-    """
-    candidates = Candidates(arrays, splats, grid, wanted, bounds, in_order)
-    return candidates.bins(candidates.runs(candidates.whole))
-
-
-class Candidates:
-    """Tiles that each splat may touch, from which the lists of any part of the frame are made.
-
-    Args:
-        arrays, splats, grid, wanted, bounds, in_order: as for `bin_splats`.
 
     Attributes:
-        grid: the frame's tiles.
         whole: the window of all tiles.
-        wanted: (rows, columns) bool, the tiles to rasterize.
     """
 
     def __init__(

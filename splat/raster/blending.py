@@ -46,9 +46,7 @@ def rasterize(
     """Renders linear radiance and opacity of the wanted tiles; other tiles are 0.
 
     Args:
-        arrays: the backend's array types.
         splats: without derivatives.
-        bins: the tiles and their lists.
         images: what the tiles are drawn into; new images by default.
         heights: rows of tiles of each image, which lie one above the other; one of all rows by default.
 
@@ -125,29 +123,6 @@ _SUMS = 9
 _IN_PACKETS, _ONE_BY_ONE = RecordLayout((8, 2), sums=_SUMS), RecordLayout((8, 1), sums=_SUMS)
 
 
-def rasterize_backward(arrays: Arrays, splats: Splats, bins: Bins, image: Any, gradient: Any) -> list[Any]:
-    """Gradients of a loss with respect to the splats.
-
-    Walks each list front to back once more. With T_m the transmittance in front of splat m, c_m its colour
-    and S the light that arrives from behind it, which is the final colour less all that was added up to m:
-    d colour / d alpha_m = T_m c_m - S / (1 - alpha_m).
-
-    S is exact to some 1e-7 of the final colour. Behind a splat that is a million times brighter than all
-    that lies behind it, gradients are noise of that size.
-
-    Args:
-        arrays: the backend's array types.
-        splats, bins, image: as given to and returned by `rasterize`.
-        gradient: flat array like `image`, derivative of the loss by the radiance; the derivative by the
-            opacity is taken to be zero.
-
-    Returns:
-        Nine (N,) arrays in the order of `Splats.differentiable`.
-    """
-    sums = added_sums(arrays, splats, bins, image, gradient, no_sums(arrays, splats))
-    return gradients_from_sums(splats, sums)
-
-
 def no_sums(arrays: Arrays, splats: Splats) -> list[Any]:
     """What `added_sums` adds to first."""
     return [dr.zeros(arrays.plain.Float, dr.width(splats.x)) for _ in range(_SUMS)]
@@ -158,12 +133,18 @@ def added_sums(
 ) -> list[Any]:
     """Adds what the lists of some tiles contribute to the sums that each splat's gradient is made of.
 
-    Args:
-        arrays, splats, bins, image, gradient: as for `rasterize_backward`.
-        sums: over tiles further up, and to the left in the same row.
+    Walks each list front to back once more. With T_m the transmittance in front of splat m, c_m its colour
+    and S the light that arrives from behind it, which is the final colour less all that was added up to m:
+    d colour / d alpha_m = T_m c_m - S / (1 - alpha_m).
 
-    Returns:
-        Nine (N,) arrays.
+    S is exact to some 1e-7 of the final colour. Behind a splat that is a million times brighter than all
+    that lies behind it, gradients are noise of that size.
+
+    Args:
+        splats, bins, image: as given to and returned by `rasterize`.
+        gradient: flat array like `image`, derivative of the loss by the radiance; the derivative by the
+            opacity is taken to be zero.
+        sums: nine (N,) arrays, over tiles further up, and to the left in the same row.
     """
     if not dr.width(bins.splat):
         return sums
@@ -266,7 +247,6 @@ def _block_sums(
     """Sums over a block's pixels for one splat, and the step past that splat.
 
     Args:
-        arrays: the backend's array types.
         block: the lanes.
         splat: its record.
         flow: derivative of the loss by the radiance, three channels per pixel.

@@ -40,15 +40,12 @@ class Blocks:
     """Lanes that own a block of pixels each.
 
     Args:
-        arrays: the backend's array types.
-        bins: the tiles and their lists.
         tile: UInt (M,), tile of each lane.
         number: UInt (M,), of its block in the tile, row by row.
 
     Attributes:
         side: of a block in pixels.
         pixels: in a block.
-        number: as given.
         x, y: its first pixel.
         centre_x, centre_y: that pixel's centre.
         first, last: range of each lane in the lists; `last` is exclusive.

@@ -92,7 +92,6 @@ def render(
 
     Args:
         gaussians: N Gaussians, all tensors on one device.
-        camera: the view.
         low_pass: variance in px^2 of the filter that each Gaussian gets on the screen; 0 or more.
         place: coordinates to compute in. What is nearer than 0.01 units is not drawn: for Gaussians that are
             much smaller than a room, give the size of what they show as its unit.
@@ -122,12 +121,12 @@ def render_differentiable(
     """Like `render`, with the given backend's array types."""
     if not 0 <= low_pass < float("inf"):
         raise ValueError(f"low-pass of {low_pass:g} px^2: must be finite and not negative")
+    tensors = [tensor for _, tensor in seen_from(gaussians, camera.position).tensors()]
     if not len(gaussians):
         # An empty sum carries the gradient, which has no elements. Dr.Jit refuses arrays of none.
         black = gaussians.opacity_logits.new_zeros(camera.height, camera.width, 3)
-        return black + sum(tensor.sum() for _, tensor in seen_from(gaussians, camera.position).tensors())
-    shown = seen_from(gaussians, camera.position)
-    return _Render.apply(arrays, camera, low_pass, *(tensor for _, tensor in shown.tensors()))
+        return black + sum(tensor.sum() for tensor in tensors)
+    return _Render.apply(arrays, camera, low_pass, *tensors)
 
 
 def parameters_from(arrays: Arrays, gaussians: Gaussians) -> Parameters:

@@ -82,21 +82,6 @@ class Splats:
     depth: Any
     packed: Records | None = None
 
-    @property
-    def xx(self) -> Any:
-        """Entry of the inverse of the 2D covariance, in 1/px^2."""
-        return self.x_precision
-
-    @property
-    def xy(self) -> Any:
-        """Entry of the inverse of the 2D covariance, in 1/px^2."""
-        return self.x_precision * self.shear
-
-    @property
-    def yy(self) -> Any:
-        """Entry of the inverse of the 2D covariance, in 1/px^2."""
-        return dr.fma(self.xy, self.shear, self.y_precision)
-
     def differentiable(self) -> list[Any]:
         """All parameters that the rasterizer has gradients for, in the order of declaration."""
         shape = self.x_precision, self.shear, self.y_precision
@@ -167,7 +152,6 @@ def project(parameters: Parameters, camera: Camera, low_pass: Any) -> Splats:
 
     Args:
         parameters: the Gaussians; if Dr.Jit differentiates them, it differentiates the splats.
-        camera: the view.
         low_pass: variance in px^2 that is added to each 2D covariance; a float or an array (N,).
     """
     return filtered(footprints(parameters, camera), low_pass)
@@ -274,9 +258,7 @@ def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any
     The last is an upper bound over all directions for the linearized projection of `footprints`.
 
     Args:
-        arrays: the backend's array types.
         means: three rows, world space.
-        camera: the view.
     """
     rotation, eye, (fx, fy, cx, cy), (limit_x, limit_y), _ = _opaque(arrays.plain.Float, camera)
     vx, vy, vz = _in_camera(rotation, _from_eye(means, eye))
@@ -292,10 +274,8 @@ def may_show(arrays: Arrays, means: list[Any], size: Any, camera: Camera, low_pa
     """Mask (N,) of all Gaussians that are drawn in a camera's frame, and of some beside it.
 
     Args:
-        arrays: the backend's array types.
         means: three rows, in the coordinates of the camera.
         size: (N,) longest axis, as a standard deviation.
-        camera: the view.
         low_pass: variance in px^2 of the filter on the screen.
     """
     seen, x, y, spread = view_position(arrays, means, camera)

@@ -63,7 +63,6 @@ class RecordLayout:
 
     Attributes:
         slots: which of a record's floats each slot is.
-        integers: as given.
         packets: one per load.
         spare: number of floats that no slot uses.
 
@@ -95,7 +94,6 @@ class RecordLayout:
         """Packs arrays that are on the device.
 
         Args:
-            arrays: the backend's array types.
             values: by slot an array (N,), or a list of them for a slot wider than 1; arrays of width 1 are
                 broadcast.
 
@@ -117,7 +115,6 @@ class RecordLayout:
         """Packs numbers that are in host memory and copies them to the device.
 
         Args:
-            arrays: the backend's array types.
             values: as for `rows`.
         """
         host, tables = self.rows(**values), []
@@ -163,7 +160,6 @@ class Records:
     """N records of one layout.
 
     Attributes:
-        arrays: the backend's array types.
         layout: names and positions of the numbers.
         tables: flat Floats that hold them.
     """
@@ -230,7 +226,6 @@ def records_before(arrays: Arrays, layout: RecordLayout, *parts: NDArray[Any]) -
     other numbers.
 
     Args:
-        arrays: the backend's array types.
         layout: of the records.
         parts: the records' rows (N, floats), and arrays of other numbers of 32 bits.
     """

@@ -112,12 +112,9 @@ def _clouds(
     times: Counter[int] = Counter()
     best: dict[int, tuple[int, torch.Tensor]] = {}
     for view in views:
+        surface = np.setdiff1d(view.surface_pixels, view.sky_pixels, assume_unique=True)
         # A guess of a distance is not where anything is.
-        surface = (
-            np.zeros(0, dtype=np.int64)
-            if view.guessed
-            else np.setdiff1d(view.surface_pixels, view.sky_pixels, assume_unique=True)
-        )
+        surface = surface[:0] if view.guessed else surface
         instance = view.instances(surface)
         cloud = {}
         for number in np.unique(instance[instance >= 0]).tolist():
@@ -150,11 +147,7 @@ def _distance(cloud: torch.Tensor, shown: torch.Tensor, anchors: _Anchors, camer
     Anchors beside the frame could not be seen.
     """
     apart = torch.cdist(cloud, shown) / anchors.size
-    with np.errstate(divide="ignore", invalid="ignore"):
-        position, depth = camera.project(shown.detach().double().numpy())
-    inside = (
-        (depth > 0) & (position >= 0).all(axis=1) & (position < [camera.width, camera.height]).all(axis=1)
-    )
+    _, inside = camera.shows(shown.detach().double().numpy())
     total = apart.amin(dim=1).mean()
     if inside.any():
         total = total + _UNSEEN * apart.amin(dim=0)[torch.from_numpy(inside)].mean()

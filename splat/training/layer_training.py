@@ -71,7 +71,6 @@ class LayerTraining:
     """Trains one layer; its whole state can be saved between two steps and restored.
 
     Args:
-        arrays: the backend's array types.
         views: frames at this layer's resolution.
         steps: how many steps this layer gets in total.
         seed: determines the order of the views and the new Gaussians.
@@ -80,7 +79,6 @@ class LayerTraining:
         all_harmonics: whether nodes whose radiance is not seen to turn keep harmonics.
 
     Attributes:
-        views: as given.
         done: steps so far.
         skipped: those of them that changed nothing, because their loss or its gradient was not finite.
         stepped: whether the last one changed something.

@@ -84,7 +84,6 @@ def blur(
     """Applies the window along one axis to several maps at once.
 
     Args:
-        arrays: the backend's array types.
         axis: where.
         sizes: those of the axis; recorded functions take them as arguments.
         load: the maps' numbers at an index into an image of `before` pixels per line, under a mask.
@@ -207,7 +206,6 @@ class _Similarity:
     """An image compared with a frame.
 
     Args:
-        arrays: the backend's array types.
         axes: of `_axes`.
         rendered, frame: radiance, flat.
         zero: (3,) where zero is, per channel.

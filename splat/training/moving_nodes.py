@@ -5,51 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
-from compose.camera.camera import Camera
 from splat.model.gaussians import Gaussians, written
 from splat.model.layer import BACKGROUND, Layer
 from splat.model.motion import Dynamics
 from splat.raster.visibility import contributions
+from splat.training.training_view import TrainingView
 
 # Part of the distance, beside its own size, by which a node may be off a surface.
 _OFF = 0.003
 # Pixels to each side of the one that shows a node's centre, whose surfaces it may be on.
 _AROUND = 1
-
-
-class LabelledView(Protocol):
-    """A view whose pixels are labelled."""
-
-    @property
-    def camera(self) -> Camera:
-        """The view."""
-
-    @property
-    def distance(self) -> NDArray[np.float32]:
-        """(H, W) along the ray to what is seen; inf where nothing is."""
-
-    @property
-    def normal(self) -> NDArray[np.float32]:
-        """(H, W, 3) unit normal of what is seen; 0 where it is not known."""
-
-    @property
-    def guessed(self) -> bool:
-        """Whether distances are guesses."""
-
-    @property
-    def time(self) -> float:
-        """That it shows, from 0 to 1."""
-
-    @property
-    def instance(self) -> NDArray[np.int32] | None:
-        """(H, W) the instance that moves and that a pixel shows, -1 for none; None if nothing moves."""
 
 
 class Attachment:
@@ -61,13 +32,10 @@ class Attachment:
         instance: (H, W) its labels.
     """
 
-    def __init__(self, shown: Gaussians, view: LabelledView, instance: NDArray[np.int32]):
+    def __init__(self, shown: Gaussians, view: TrainingView, instance: NDArray[np.int32]):
         self._view, self._instance = view, instance
         self._means = shown.means.detach().T.double().numpy()
-        with np.errstate(divide="ignore", invalid="ignore"):
-            position, depth = view.camera.project(self._means)
-        size = [view.distance.shape[1], view.distance.shape[0]]
-        self._inside = (depth > 0) & (position >= 0).all(axis=1) & (position < size).all(axis=1)
+        position, self._inside = view.camera.shows(self._means)
         self._column, self._row = np.where(self._inside[:, None], position, 0).astype(np.int64).T
         self._distance = np.linalg.norm(self._means - view.camera.position, axis=1)
         extent = shown.longest.double().numpy()
@@ -96,10 +64,7 @@ class Attachment:
         at = self._row, self._column
         camera = self._view.camera
         centres = np.stack([self._column + 0.5, self._row + 0.5], axis=1)
-        distance, normal = (
-            self._view.distance[at].astype(np.float64),
-            self._view.normal[at].astype(np.float64),
-        )
+        distance, normal = (a[at].astype(np.float64) for a in (self._view.distance, self._view.normal))
         near = self._near(at) & (self._instance[at] == label) & (normal != 0).any(axis=1)
         near &= not self._view.guessed
         seen = camera.position + camera.rays(centres) * np.where(near, distance, 0)[:, None]
@@ -148,23 +113,13 @@ class Evidence:
     offsets: torch.Tensor
 
     @property
-    def total(self) -> torch.Tensor:
-        """(N,) pixels of what nodes are on the surface of."""
-        return self.sums.sum(dim=1)
-
-    @property
-    def share(self) -> torch.Tensor:
-        """(N,) share of moving pixels, 0 of nodes that contribute nothing."""
-        return self.sums[:, 1:].sum(dim=1) / self.total.clamp(min=1e-12)
-
-    @property
     def is_seen(self) -> torch.Tensor:
         """(N,) whether views show nodes at all."""
         return self.seen >= _LEAST_PIXELS
 
 
 def evidence_of(
-    arrays: Arrays, layer: Layer, views: Sequence[LabelledView], motion: Dynamics, instances: int
+    arrays: Arrays, layer: Layer, views: Sequence[TrainingView], motion: Dynamics, instances: int
 ) -> Evidence:
     """What nodes contribute to labelled pixels of views, each shown at the time of the view.
 
@@ -172,7 +127,6 @@ def evidence_of(
     or that does not follow it yet, is drawn in front of what stands still, but is no part of that.
 
     Args:
-        arrays: the backend's array types.
         layer: N nodes, at rest.
         views: labelled, in the coordinates of the nodes.
         motion: of the instances.
@@ -214,10 +168,11 @@ def separated(layer: Layer, evidence: Evidence, motion: Dynamics) -> Layer:
     Args:
         layer: N nodes, at rest.
         evidence: of these nodes.
-        motion: of the instances.
     """
-    known = evidence.total >= _LEAST_PIXELS
-    moves = evidence.share > _DYNAMIC
+    # Pixels of what nodes are on the surface of.
+    total = evidence.sums.sum(dim=1)
+    known = total >= _LEAST_PIXELS
+    moves = evidence.sums[:, 1:].sum(dim=1) / total.clamp(min=1e-12) > _DYNAMIC
     best = evidence.sums[:, 1:].argmax(dim=1).int()
     semantic = torch.where(moves, best, BACKGROUND).int()
     semantic = torch.where(known, semantic, layer.semantic)

@@ -20,7 +20,6 @@ class Observation:
     """One frame of something that may move.
 
     Attributes:
-        camera: the view.
         radiance: (H, W, 3) float32, linear.
         distance: (H, W) float32 along the ray to what is seen, as it is known or as a forest renders it; inf
             where nothing is.

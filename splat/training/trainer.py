@@ -46,6 +46,8 @@ _ALONE_AGAIN = 0.6
 _FINEST = 0.6
 # Share of the steps after which density control is finished in all layers and the trees stay as they are.
 _SETTLED = 0.8
+# Factor between the resolutions of views that count as equally fine.
+_ABOUT_AS_FINE = 1.5
 # Prefix of a field's tensors in checkpoints.
 _FIELD = "field."
 
@@ -105,17 +107,14 @@ class Trainer:
     """Trains a forest; its whole state can be saved between two steps and restored.
 
     Args:
-        arrays: the backend's array types.
         views: frames to train on, of any sizes, in world space; those with numbers that are not finite are
             left out.
-        settings: of the training.
         start: whose finest layer to go on from, instead of seeds on the surfaces that the views show.
         motion: of the instances that the views show, in world space; None if nothing moves, and if a field
             learns it.
         light: on the surfaces that they show, in world space; None if it does not change.
 
     Attributes:
-        settings: as given.
         place: the coordinates in which the Gaussians are trained.
         motion: of the instances, in these coordinates; known or learned.
         light: on the surfaces, in these coordinates.
@@ -149,7 +148,8 @@ class Trainer:
             if settings.motion is MotionModel.D_GS_OF_DYNAMIC:
                 register(learned, views, settings.iterations, settings.seed)
             self._field = FieldOptimizer(learned, settings.iterations)
-        self._pixel = pixel_footprint(at_resolution(views, 0, strictly=True))
+        focal = finest_focal(views) / _ABOUT_AS_FINE
+        self._pixel = pixel_footprint([view for view in views if view.camera.fy >= focal])
         self._schedule = training_schedule(settings, _ALONE if start is None else _ALONE_AGAIN)
         self._layers = [
             LayerTraining(

@@ -25,7 +25,6 @@ class TrainingView:
     """One frame to train on.
 
     Attributes:
-        camera: the view.
         radiance: (H, W, 3) linear, float32 or float16.
         distance: (H, W) float32 along the ray to the visible surface; for a mirror, to where the reflected
             surface appears behind it; inf where nothing is hit.
@@ -150,25 +149,13 @@ def finest_focal(views: list[TrainingView]) -> float:
     return max(view.camera.fy for view in views)
 
 
-def at_resolution(views: list[TrainingView], halvings: int, strictly: bool = False) -> list[TrainingView]:
+def at_resolution(views: list[TrainingView], halvings: int) -> list[TrainingView]:
     """Views for a layer whose pixels are those of the finest views, doubled some times in width and height.
 
-    Args:
-        views: of any resolutions.
-        halvings: how often the finest views' resolution is halved.
-        strictly: whether to leave out those at a lower resolution, as long as there are others.
-
-    Returns:
-        The views, reduced to the layer's resolution; those that are coarser already, as they are.
+    Those of views that are coarser already are as they are.
     """
     focal = finest_focal(views) / 2**halvings
-    factors = [int(2 ** max(0, round(np.log2(view.camera.fy / focal)))) for view in views]
-    coarser = [view.camera.fy < focal / 1.5 for view in views]
-    return [
-        reduced(view, factor)
-        for view, factor, skipped in zip(views, factors, coarser, strict=True)
-        if not (strictly and skipped)
-    ]
+    return [reduced(view, int(2 ** max(0, round(np.log2(view.camera.fy / focal))))) for view in views]
 
 
 def reduced(view: TrainingView, factor: int) -> TrainingView:
@@ -183,22 +170,14 @@ def reduced(view: TrainingView, factor: int) -> TrainingView:
     middle = np.s_[factor // 2 : height * factor : factor, factor // 2 : width * factor : factor]
     return replace(
         view,
-        camera=_reduced_camera(camera, factor),
+        camera=replace(
+            camera,
+            width=width,
+            height=height,
+            **{name: getattr(camera, name) / factor for name in ("fx", "fy", "cx", "cy")},
+        ),
         radiance=np.ascontiguousarray(radiance),
         distance=np.ascontiguousarray(view.distance[middle]),
         normal=np.ascontiguousarray(view.normal[middle]),
         instance=None if view.instance is None else np.ascontiguousarray(view.instance[middle]),
-    )
-
-
-def _reduced_camera(camera: Camera, factor: int) -> Camera:
-    """The same view with pixels of factor x factor."""
-    return replace(
-        camera,
-        width=camera.width // factor,
-        height=camera.height // factor,
-        fx=camera.fx / factor,
-        fy=camera.fy / factor,
-        cx=camera.cx / factor,
-        cy=camera.cy / factor,
     )

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
 from compose.base.arrays import Arrays
-from compose.camera.camera import Camera
+from compose.camera.camera import View
 from splat.model.gaussians import SH_DC, Gaussians, apart
 from splat.raster.differentiable import directional_radiance
 from splat.raster.visibility import contributions
@@ -24,18 +23,6 @@ from splat.raster.visibility import contributions
 # Standard deviation over views, on the perceptual scale, that a Gaussian's radiance must have: one step of an
 # 8-bit display. Blended with others that do not vary with it, less of that is left in a pixel.
 _LEAST_DEVIATION = 1 / 255
-
-
-class SeenView(Protocol):
-    """A view that Gaussians are seen from."""
-
-    @property
-    def camera(self) -> Camera:
-        """The view."""
-
-    @property
-    def time(self) -> float:
-        """That it shows, from 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +39,11 @@ class Turning:
 
 
 def turning_of(
-    arrays: Arrays, gaussians: Gaussians, views: Sequence[SeenView], shown: Callable[[float], Gaussians]
+    arrays: Arrays, gaussians: Gaussians, views: Sequence[View], shown: Callable[[float], Gaussians]
 ) -> Turning:
     """How those Gaussians turn that have harmonics above the constant one; 0 of what no view shows.
 
     Args:
-        arrays: the backend's array types.
         gaussians: with such harmonics apart.
         views: in their coordinates.
         shown: gives the Gaussians as they are at a time, in the same order.
@@ -84,14 +70,14 @@ def turning_of(
 def without_unseen_turning(
     arrays: Arrays,
     gaussians: Gaussians,
-    views: Sequence[SeenView],
+    views: Sequence[View],
     shown: Callable[[float], Gaussians],
     least: float = 1.0,
 ) -> Gaussians:
     """Gaussians, of which only those whose radiance visibly turns keep harmonics above the constant one.
 
     Args:
-        arrays, gaussians, views, shown: as of `turning_of`.
+        views, shown: as for `turning_of`.
         least: share of what is visible by which it must turn.
     """
     gaussians = apart(gaussians)

@@ -92,7 +92,7 @@ def test_new_parents_get_parents_of_their_own():
 def test_large_gaussians_are_in_all_finer_layers():
     """A Gaussian of class l is a node of layers l to L, its own only ancestor there."""
     given = scattered(200)
-    level = layer_of_size(given.gaussians.longest, 1.0, 4)
+    level = layer_of_size(given.gaussians.longest.numpy(), 1.0, 4)
     forest = build_forest(given, 1.0, 4)
     for k in np.flatnonzero(level <= 2)[:20]:
         node, mean = k, given.gaussians.means[:, k]
