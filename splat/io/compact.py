@@ -271,11 +271,7 @@ def _contents(gaussians: Gaussians) -> list[bytes]:
 
 
 def encoded(nodes: Layer, counts: tuple[int, ...]) -> dict[str, torch.Tensor]:
-    """Tensors by name that `decoded` takes.
-
-    Args:
-        nodes: of all layers.
-        counts: nodes per layer.
+    """Tensors by name that `decoded` takes, of the nodes of all layers and their counts per layer.
 
     Raises:
         ValueError: a number is not finite.

@@ -39,10 +39,7 @@ _REFUSALS = (SafetensorError, OSError, ValueError, TypeError, KeyError, RuntimeE
 
 
 def save_tensors(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[str, Any]) -> None:
-    """Writes tensors and metadata to a safetensors file, atomically, with a checksum of both.
-
-    Args:
-        metadata: anything that JSON can hold.
+    """Writes tensors by name and metadata, which JSON can hold, atomically, with a checksum of both.
 
     Raises:
         UserError: the file cannot be written.
@@ -59,11 +56,8 @@ def save_tensors(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[st
 def load_tensors(path: Path, advice: str = "make it again") -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     """Reads the tensors and the metadata of a file written by `save_tensors`.
 
-    Args:
-        advice: what to do if it is damaged, for the message.
-
     Raises:
-        UserError: the file is missing, truncated, corrupt or of another version.
+        UserError: the file is missing, corrupt (`advice` says what to do then) or of another version.
     """
     return _load(path, advice, with_tensors=True)
 

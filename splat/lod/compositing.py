@@ -85,12 +85,7 @@ class _Group:
 
 
 def _groups(covered: Mask, rates: Sequence[int]) -> list[_Group]:
-    """Groups cells by the rates of the entries that cover them.
-
-    Args:
-        covered: (entries, cells) bool.
-        rates: of the entries.
-    """
+    """Groups cells by the rates of the entries that cover them (entries, cells)."""
     combination, members = _combinations(covered)
     # For each combination of entries: which group it belongs to, and the entries' numbers in it.
     groups: dict[tuple[int, ...], int] = {}
@@ -109,11 +104,7 @@ def _groups(covered: Mask, rates: Sequence[int]) -> list[_Group]:
 
 
 def _combinations(covered: Mask) -> tuple[NDArray[np.int64], Mask]:
-    """The combination of entries that covers each cell (cells,), and those combinations (C, entries).
-
-    Args:
-        covered: (entries, cells) bool.
-    """
+    """Of a mask (entries, cells) the combination of entries in each cell (cells,), and those (C, entries)."""
     combination = np.zeros(covered.shape[1], dtype=np.int64)
     # Some entries at a time: a table of all combinations that many of them could have would not fit memory.
     for first in range(0, len(covered), _ENTRIES_AT_ONCE):
@@ -174,13 +165,7 @@ class _Sources:
         self._starts = arrays.constant(corners.size)
 
     def mixed(self, number: int, group: _Group, columns: Any) -> tuple[_Block, list[Any]]:
-        """The blocks of a group, and red, green, blue of each of their pixels.
-
-        Args:
-            number: of the group.
-            group: that one.
-            columns: of cells in the frame.
-        """
+        """The blocks of a group, in a frame of `columns` of cells, and red, green, blue of their pixels."""
         Float, UInt, count = self._arrays.plain.Float, self._arrays.plain.UInt, len(group.rates)
         at = lambda index: dr.reinterpret_array(UInt, dr.gather(Float, self._array, index))  # noqa: E731
         lane = dr.arange(UInt, len(group.cells) * _PER_CELL)
@@ -209,13 +194,7 @@ class _Sources:
         return weights
 
     def _interpolated(self, block: _Block, rate: int, top: Any) -> list[list[Any]]:
-        """Red, green, blue of each pixel of a block, linear between the samples around it.
-
-        Args:
-            block: the pixels.
-            rate: of the entry.
-            top: its first row in the atlas.
-        """
+        """Red, green, blue of each pixel of a block, linear between samples of an entry; `top` is its first row."""
         Int, Float = self._arrays.plain.Int, self._arrays.plain.Float
         # Positions of a block's pixel centres in samples, if the block begins with a sample.
         positions = [(p + 0.5) / (1 << rate) - 0.5 for p in range(_BLOCK)]

@@ -53,11 +53,7 @@ _WIDEST_BLUR = 1e9
 
 
 class ForestRenderer:
-    """Renders a forest that stays on the device.
-
-    Args:
-        forest: what to draw.
-    """
+    """Renders a forest that stays on the device."""
 
     def __init__(self, arrays: Arrays, forest: Forest):
         self.arrays, self.forest = arrays, forest
@@ -241,7 +237,6 @@ class CachedLayerImages:
     """Layer images of one view, each drawn over the whole frame.
 
     Args:
-        renderer: draws the forest.
         steps: layer and rate of each image.
     """
 

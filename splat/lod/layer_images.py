@@ -92,7 +92,6 @@ def pack_atlas(images: Sequence[LayerImage], wanted: Mask, top: int = 0) -> list
     """Atlas entries of the images that show in the wanted cells.
 
     Args:
-        images: the layer images.
         wanted: (rows, columns) bool, cells of the frame that are drawn at all.
         top: the first row of samples that is free.
     """

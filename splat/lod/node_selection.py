@@ -94,10 +94,7 @@ class EntryTable:
     def cells(self, entry: SimpleNamespace, box: tuple[Any, Any, Any, Any], valid: Any) -> Any:
         """(M,) number of an entry's cells in boxes, 0 in those that are not valid.
 
-        Args:
-            entry: from `of`.
-            box: left and top, right and bottom, exclusive, in cells; pixels are clipped to the frame.
-            valid: which boxes are looked at.
+        Boxes are left, top, right and bottom in pixels, clipped to the frame.
         """
         Float, Int, UInt = self._arrays.plain.Float, self._arrays.plain.Int, self._arrays.plain.UInt
         across, down = Float(self._columns - 1), Float(self._rows - 1)
@@ -127,12 +124,7 @@ class EntryTable:
 
 
 def touching(arrays: Arrays, table: EntryTable, footprints: Callable[[Any], Footprints]) -> Any:
-    """Mask of the candidates whose filtered box touches any cell of their entry.
-
-    Args:
-        table: the entries and their candidates, at least one.
-        footprints: those with the given numbers.
-    """
+    """Mask of the candidates, at least one, whose filtered box touches any cell of their entry."""
     entry, index = table.of(dr.arange(arrays.plain.UInt, table.candidates))
     node = footprints(index)
     # Square of the distance, in standard deviations, beyond which alpha is below 1/255.

@@ -226,15 +226,11 @@ class SurfaceLight:
         return total / np.maximum(alike, 1)
 
     def unevenness(self, means: torch.Tensor, instance: torch.Tensor) -> torch.Tensor:
-        """(N,) how much light differs around nodes, as a mean over time.
+        """(N,) how much light differs around nodes with centres (3, N) at rest, of instances (N,), over time.
 
         The squared difference of the perceived factors between two places, over their distance. Where edges
         of shadows pass, it does not depend on that distance: the farther the places are apart, the longer
         an edge lies between them.
-
-        Args:
-            means: (3, N) centres at rest.
-            instance: (N,) what moves them.
         """
         nearest, within = self._nearest(means, instance)
         return torch.from_numpy(np.where(within, self._unevenness[nearest], 0)).float()
@@ -247,13 +243,9 @@ class SurfaceLight:
         return nearest, away <= _REACH * self._around[0][nearest]
 
     def near(self, means: torch.Tensor, instance: torch.Tensor) -> torch.Tensor:
-        """(2, N) int64, the points that nodes have their light from, seen from in front and from behind.
+        """(2, N) int64 points whose light nodes (centres at rest) have, seen from in front and from behind.
 
         -1 for nodes whose light does not change; the same point twice for what has one side only.
-
-        Args:
-            means: (3, N) centres at rest.
-            instance: (N,) what moves them.
         """
         nearest, within = self._nearest(means, instance)
         front = torch.from_numpy(nearest)
@@ -280,11 +272,7 @@ _LEAST = 0.1
 
 
 class NodeLight:
-    """The light that a layer's nodes have from points of surfaces.
-
-    Args:
-        surface: light at the points, in the coordinates of the nodes.
-    """
+    """The light that a layer's nodes have from points of surfaces, in the coordinates of the nodes."""
 
     def __init__(self, surface: SurfaceLight):
         self.surface = surface
@@ -302,7 +290,6 @@ class NodeLight:
         Args:
             rest, shown: M nodes, at rest and where they are.
             index: (M,) their indices in the layer.
-            camera: which sees them.
             time: from 0 to 1.
         """
         changed, factor = self._factor(self._near[:, index], rest, shown, camera, time)

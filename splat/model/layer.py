@@ -83,10 +83,7 @@ def concatenated_layers(parts: list[Layer]) -> Layer:
 
 
 def check_forest(layers: list[Layer]) -> None:
-    """Checks that each node has a parent and one or two children, all with the same labels.
-
-    Args:
-        layers: coarsest first.
+    """Checks of layers, coarsest first, that each node has a parent and one or two children of its labels.
 
     Raises:
         ValueError: says which node is wrong, and how. Layers are counted from 1, the coarsest.

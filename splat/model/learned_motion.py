@@ -49,7 +49,6 @@ class Heads(torch.nn.Module):
     """Turns features of points into their deformation; there is none at first.
 
     Args:
-        width: number of features.
         hidden: whether each head has a hidden layer of as many features.
     """
 
@@ -177,12 +176,7 @@ _ANY_NUMBER = 2**31 - 1
 
 
 class LearnedMotion:
-    """Deforms all nodes that belong to an instance, of which there may be any number.
-
-    Args:
-        kind: of the field.
-        field: the field itself, in the coordinates of the nodes.
-    """
+    """Deforms all nodes of any number of instances by a field in the coordinates of the nodes."""
 
     def __init__(self, kind: FieldKind, field: Field):
         self.kind, self.field = kind, field

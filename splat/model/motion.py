@@ -73,14 +73,10 @@ class Poses:
         return Poses(back, -turned(back.T, self.offsets.T).T, there, self.pieces)
 
     def followed(self, means: torch.Tensor, instance: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Which pieces points follow, and how much.
+        """Which pieces points (3, M) at rest, of instances (M,), follow, and how much.
 
         A piece's weight falls with the distance of its centre, to zero at that of the nearest piece which is
         not followed any more: it changes without a jump along the instance.
-
-        Args:
-            means: (3, M) points at rest.
-            instance: (M,) that they belong to.
 
         Returns:
             (M, F) indices of pieces, and (M, F) weights, which sum to one.

@@ -70,22 +70,13 @@ _FAR_AWAY = 32 * TYPICAL_DISTANCE
 
 
 def remoteness(means: torch.Tensor) -> torch.Tensor:
-    """(N,) distance of far Gaussians from the origin of their place over the typical distance; 1 for others.
-
-    Args:
-        means: (3, N) centres in the coordinates of a place.
-    """
+    """(N,) distance of centres (3, N) from the origin of their place over the typical one; 1 unless far."""
     distance = torch.linalg.vector_norm(means.detach(), dim=0)
     return torch.where(distance > _FAR_AWAY, distance / TYPICAL_DISTANCE, 1.0)
 
 
 class Neighbours:
-    """The nearest `count` of M points to each of N positions.
-
-    Args:
-        points: (M, 3).
-        positions: (N, 3).
-        count: neighbours per position; all M if there are fewer.
+    """The nearest `count` of M points (M, 3), or all if there are fewer, to each of N positions (N, 3).
 
     Attributes:
         distance, index: (N, K) of each position's neighbours, nearest first.

@@ -29,14 +29,11 @@ _FLATTEST = 1e-7
 
 
 def merge(a: Gaussians, b: Gaussians) -> Gaussians:
-    """Merges N pairs of Gaussians.
+    """Merges N pairs of Gaussians of one degree.
 
     The weights are w = o S, with o the opacity and S = s1 s2 + s1 s3 + s2 s3, half the surface of a box with
     the standard deviations as sides. Mean, covariance and colour are means weighted by w; the opacity is
     (w_a + w_b) / S of the result, at most 0.99. It has directional harmonics if one of the two has.
-
-    Args:
-        a, b: N Gaussians each, of one degree.
 
     Returns:
         N Gaussians.
@@ -223,9 +220,7 @@ def build_forest(finest: Layer, pixel: float, layers: int) -> list[Layer]:
     """Builds trees over the Gaussians of one trained set, which becomes layer L unchanged (Algorithm 1).
 
     Args:
-        finest: the Gaussians and their labels.
         pixel: size in world space of a pixel of the training frames at their mean depth.
-        layers: L.
 
     Returns:
         The layers, coarsest first. They do not depend on the order of the set in memory.
@@ -251,16 +246,14 @@ def build_forest(finest: Layer, pixel: float, layers: int) -> list[Layer]:
 
 
 def layer_of_size(size: NDArray[np.floating], pixel: float, layers: int) -> Ints:
-    """(N,) layer, 1 to L, that a Gaussian belongs to by its size.
+    """(N,) layer, 1 to L, that Gaussians belong to by their longest axes (N,) in world space.
 
     Layer L takes sizes below 4 pixels, layer l from 2^(L - l + 1) to 2^(L - l + 2) pixels, layer 1 all above:
     what a frame reduced by 2^(L - l) can still sample. (The printed upper bound 2^L s_L f d must read
     2^L s_L d / f.)
 
     Args:
-        size: (N,) longest axes in world space.
         pixel: d / f, the size of a pixel of the training frames at their mean depth d.
-        layers: L.
     """
     octave = np.floor(np.log2(np.maximum(size / pixel, 2.0))).astype(np.int64)
     return np.clip(layers + 1 - octave, 1, layers)

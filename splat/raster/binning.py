@@ -101,7 +101,6 @@ class Candidates:
 
     Args:
         splats: N projected Gaussians, arrays without derivatives.
-        grid: the frame's tiles.
         wanted: (rows, columns) bool, the tiles to rasterize; all by default.
         bounds: tiles that each splat is confined to; all by default.
         in_order: whether splats that meet in a tile come from near to far already.
@@ -142,7 +141,9 @@ class Candidates:
     def bins(self, runs: Runs) -> Bins:
         """The lists of a window's tiles from its runs."""
         if not runs.pairs:
-            return _no_bins(self._arrays, self.grid, runs.wanted)
+            UInt, ranges = self._arrays.plain.UInt, 2 * self.grid.columns * self.grid.rows + 2
+            none = [dr.zeros(UInt, 0) for _ in range(6)]
+            return Bins(self._arrays, self.grid, runs.wanted, dr.zeros(UInt, ranges), *none)
         mask = None if self._all_wanted else self.wanted
         key, splat = _pairs(self._arrays, runs, self.grid, mask)
         return _sorted(self._arrays, self.grid, runs, key, splat)
@@ -319,12 +320,3 @@ def _sorted(arrays: Arrays, grid: TileGrid, runs: Runs, key: Any, splat: Any) ->
         *(arrays, grid, runs.wanted, ranges),
         *(sorted_splat, own, sorting, runs.first, runs.count, owner),
     )
-
-
-def _no_bins(arrays: Arrays, grid: TileGrid, wanted: NDArray[np.bool_]) -> Bins:
-    """Empty lists."""
-    none, empty = (
-        dr.zeros(arrays.plain.UInt, 0),
-        dr.zeros(arrays.plain.UInt, 2 * grid.columns * grid.rows + 2),
-    )
-    return Bins(arrays, grid, wanted, empty, none, none, none, none, none, none)

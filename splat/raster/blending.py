@@ -62,7 +62,9 @@ def rasterize(
         return images
     records = blended_records(arrays, splats, bins)
     block = Blocks.of_tiles(arrays, bins, everywhere)
-    shown = Shown(arrays, bins, records) if _jumps(arrays, bins) else None
+    # Whether lanes go by themselves.
+    jumps = arrays.backend == "llvm" and dr.width(bins.splat) <= _LONG_LIST * np.count_nonzero(bins.wanted)
+    shown = Shown(arrays, bins, records) if jumps else None
 
     def following(i: Any) -> Any:
         return i if shown is None else shown.following(i, block.last, block.number)
@@ -109,12 +111,6 @@ def new_images(arrays: Arrays, grid: TileGrid, heights: Sequence[int], make: Cal
     """Images of so many rows of a grid's tiles, made by `dr.zeros` or `dr.empty`."""
     row = grid.side * grid.padded_width * CHANNELS
     return [make(arrays.plain.Float, height * row) for height in heights]
-
-
-def _jumps(arrays: Arrays, bins: Bins) -> bool:
-    """Whether lanes go by themselves."""
-    pairs, tiles = dr.width(bins.splat), int(np.count_nonzero(bins.wanted))
-    return arrays.backend == "llvm" and pairs <= _LONG_LIST * tiles
 
 
 # Sums per pair: the six moments and the three channels of `_block_sums`. In packets, to which the lanes of a
@@ -247,8 +243,6 @@ def _block_sums(
     """Sums over a block's pixels for one splat, and the step past that splat.
 
     Args:
-        block: the lanes.
-        splat: its record.
         flow: derivative of the loss by the radiance, three channels per pixel.
         transmittance: per pixel in front of the splat; on return, behind it.
         behind: per pixel the light from the splat and from behind it, weighted by `flow`; on return, only

@@ -67,7 +67,6 @@ class Blocks:
         """A lane per block, the 16 of a tile side by side.
 
         Args:
-            arrays, bins: as for the class.
             everywhere: whether tiles that are not rasterized have lanes, too, with nothing to read.
         """
         UInt, grid = arrays.plain.UInt, bins.grid
@@ -103,11 +102,7 @@ class Blocks:
         return found
 
     def chunks(self, width: int) -> list[tuple[Any, int]]:
-        """The block's pixels by twos: position in an image in units of two pixels, and number of the first.
-
-        Args:
-            width: of the image in pixels.
-        """
+        """The block's pixels by twos: position in an image of that width by twos, and number of the first."""
         columns = self._arrays.constant(width)
         return [
             (((self.y + pixel // self.side) * columns + self.x + pixel % self.side) // 2, pixel)
@@ -129,10 +124,6 @@ class Shown:
 
     Each lane can go from one splat that its block shows to the next: of the splats of a tile, a block shows
     a third.
-
-    Args:
-        arrays, bins: as for `Blocks`.
-        records: `blended_records`.
     """
 
     def __init__(self, arrays: Arrays, bins: Bins, records: Records):

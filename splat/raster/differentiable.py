@@ -42,13 +42,7 @@ def seen_from(gaussians: Gaussians, eye: NDArray[np.float64]) -> Gaussians:
 
 
 def directional_radiance(further: Directional, means: torch.Tensor, eye: NDArray[np.float64]) -> torch.Tensor:
-    """(3, M) what harmonics above the constant one add to the perceptual radiance that an eye sees.
-
-    Args:
-        further: of M of N Gaussians.
-        means: (3, N) their centres.
-        eye: (3,) in the same coordinates.
-    """
+    """(3, M) what such harmonics, of M of N Gaussians at means (3, N), add to what an eye (3,) sees."""
     # In float64, as in the projection: in float32 a difference of large numbers is lost.
     position = torch.from_numpy(np.ascontiguousarray(eye)).to(means.device)[:, None]
     from_eye = means.index_select(1, further.index).double() - position

@@ -31,9 +31,6 @@ class Parts:
     single part is kept; several are made anew each time. A part of a single tile is not divided further: its
     list is no longer than the splats are many.
 
-    Args:
-        candidates: tiles that each splat may touch.
-
     Attributes:
         grid: the frame's tiles.
         only: the lists of all tiles, if they are a single part.

@@ -211,12 +211,7 @@ def footprints(parameters: Parameters, camera: Camera) -> Footprints:
 
 
 def _covariance(parameters: Parameters, row_x: list[Any], row_y: list[Any]) -> tuple[Any, Any, Any, Any]:
-    """2D covariance xx, xy, yy in px^2, and its determinant over yy.
-
-    Args:
-        parameters: the Gaussians.
-        row_x, row_y: the rows of J W.
-    """
+    """2D covariance xx, xy, yy in px^2, and its determinant over yy."""
     # Rows of M = J W R S; the 2D covariance is M M^T.
     rotation = _rotation_matrix(parameters.rotations)
     mx_row, my_row = [], []
@@ -256,9 +251,6 @@ def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any
     """Positions of centres on the film: whether in front, x, y in pixels, and pixels per unit of length.
 
     The last is an upper bound over all directions for the linearized projection of `footprints`.
-
-    Args:
-        means: three rows, world space.
     """
     rotation, eye, (fx, fy, cx, cy), (limit_x, limit_y), _ = _opaque(arrays.plain.Float, camera)
     vx, vy, vz = _in_camera(rotation, _from_eye(means, eye))

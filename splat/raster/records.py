@@ -112,11 +112,7 @@ class RecordLayout:
         return self.scattered(arrays, [arrays.plain.ArrayXf(floats[p.floats]) for p in self.packets], count)
 
     def upload(self, arrays: Arrays, **values: Any) -> Records:
-        """Packs numbers that are in host memory and copies them to the device.
-
-        Args:
-            values: as for `rows`.
-        """
+        """Packs numbers that are in host memory and copies them to the device."""
         host, tables = self.rows(**values), []
         for table in range(self.packets[-1].table + 1):
             own = [packet.floats for packet in self.packets if packet.table == table]
@@ -187,7 +183,6 @@ class Records:
         """Overwrites some slots of the records at an index (M,), in which no record comes twice.
 
         Args:
-            index: of the records.
             values: by slot a list of as many floats (M,) as it is wide; no integers.
         """
         # What still waits to be written, of another number of records, would run at the same time.
@@ -226,7 +221,6 @@ def records_before(arrays: Arrays, layout: RecordLayout, *parts: NDArray[Any]) -
     other numbers.
 
     Args:
-        layout: of the records.
         parts: the records' rows (N, floats), and arrays of other numbers of 32 bits.
     """
     flat = [part.ravel().view(np.float32) for part in parts]

@@ -17,12 +17,7 @@ from splat.raster.projection import PIXEL_FILTER, may_show
 
 
 def visible(arrays: Arrays, gaussians: Gaussians, camera: Camera) -> torch.Tensor:
-    """(M,) int64 indices of all Gaussians that are drawn in a camera's frame, and of some beside it.
-
-    Args:
-        gaussians: N Gaussians.
-        camera: the view, in the same coordinates.
-    """
+    """(M,) int64 indices of all Gaussians drawn in the frame of a camera, in their coordinates, and some beside."""
     means, log_scales = gaussians.means, gaussians.log_scales
     if not len(gaussians):
         return torch.zeros(0, dtype=torch.int64, device=means.device)
@@ -47,15 +42,13 @@ def contributions(
     weights: NDArray[np.float32],
     low_pass: float = PIXEL_FILTER,
 ) -> torch.Tensor:
-    """Sums of what Gaussians contribute to the pixels of a view, weighted.
+    """Sums of what N Gaussians contribute to the pixels of a view in their coordinates, weighted.
 
     To a pixel, Gaussian m contributes c_m = alpha_m prod_{n<m} (1 - alpha_n), over the sum of that over all
     Gaussians: Eq. 1 with the product up to m - 1 and the inverse covariance, without which it would not be
     what is blended. It is the derivative of a rendered pixel by the colour of the Gaussian.
 
     Args:
-        gaussians: N Gaussians, as they are shown.
-        camera: the view, in their coordinates.
         weights: (H, W, C) of the pixels.
         low_pass: variance in px^2 of the filter on the screen.
 

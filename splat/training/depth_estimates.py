@@ -249,7 +249,6 @@ def measured(arrays: Arrays, gaussians: Gaussians, view: TrainingView) -> Traini
     Distances are rasterized as if they were colours: the mean over a pixel's Gaussians, by their weights.
 
     Args:
-        gaussians: as they are at the view's time, in its coordinates.
         view: whose distances are guesses; where nothing is, nothing changes.
     """
     position = torch.from_numpy(view.camera.position).float()

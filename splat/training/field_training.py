@@ -59,7 +59,6 @@ def register(motion: LearnedMotion, views: Sequence[TrainingView], steps: int, s
     """Fits the field of a motion to the instances that views show, and gives it their anchors.
 
     Args:
-        motion: its field is changed in place.
         views: labelled, in the coordinates of the field.
         steps: of the training that follows; no more are taken here.
         seed: determines which pixels and frames are looked at.
@@ -168,12 +167,7 @@ _VALUES, _MOMENTS = "values.", "moments."
 
 
 class FieldOptimizer:
-    """Optimizes the field of a learned motion.
-
-    Args:
-        motion: learned; its field is changed in place.
-        steps: of the training.
-    """
+    """Optimizes the field of a learned motion in place, in a training of so many steps."""
 
     def __init__(self, motion: LearnedMotion, steps: int):
         self._motion, self._steps, self._rates = motion, steps, list(motion.field.RATES.values())

@@ -115,7 +115,6 @@ def seed_at(
     """Seeds at pixels of one view, labelled by the instances that these show.
 
     Args:
-        view: the frame.
         pixels: (M,) row-major indices; pixels that show no surface give no seed.
         size: standard deviation in pixels of that frame.
         degree: of the spherical harmonics, of which only the constant one is set.

@@ -38,7 +38,6 @@ def order_of_views(errors: NDArray[np.float64], rng: np.random.Generator) -> NDA
 
     Args:
         errors: (V,) latest error of each view; NaN where it is not known, which counts as average.
-        rng: shuffles them.
     """
     count = len(errors)
     known = errors[np.isfinite(errors)]
@@ -122,11 +121,8 @@ class LayerTraining:
         """Starts from the given nodes; density control brings their number to the final one."""
         self._tree, self.begun = layer, True
         self._optimizer = GaussianOptimizer(layer.gaussians, self._pixel, self._device)
-        self._density = self._controlled(len(layer), final_count)
+        self._density = DensityControl(self._steps, len(layer), final_count, self._motion, self._light)
         self._follow_light()
-
-    def _controlled(self, initial_count: int, final_count: int) -> DensityControl:
-        return DensityControl(self._steps, initial_count, final_count, self._motion, self._light)
 
     def _follow_light(self) -> None:
         if self._light is not None:
@@ -146,10 +142,7 @@ class LayerTraining:
         return replace(self._tree, gaussians=self._optimizer.gaussians)
 
     def step(self, grows: bool = True) -> torch.Tensor | None:
-        """Takes one optimizer step on one frame.
-
-        Args:
-            grows: whether density control may change the nodes.
+        """Takes one optimizer step on one frame; density control may change the nodes if the layer `grows`.
 
         Returns:
             If density control changed the nodes: (N,) the index that each former node has now, -1 if it was
@@ -238,7 +231,10 @@ class LayerTraining:
         kept, added = self._density.change(before.gaussians, self.views, rng, self._measured)
         added = replace(added, gaussians=turning_as_nearest(added.gaussians, before.gaussians))
         if self._light is not None and self._steps >= LEAST_STEPS:
-            kept, added = self._split(self._light.surface, before, kept, added)
+            # Halves of those nodes that are too large for their light.
+            staying = before.select(kept)
+            large = too_large(staying, self._light.surface, self.views)
+            kept, added = kept[~large], concatenated_layers([added, halves(staying.select(large))])
         return self._continue_with(kept, [added])
 
     def _continue_with(self, kept: torch.Tensor, added: list[Layer]) -> torch.Tensor:
@@ -249,14 +245,6 @@ class LayerTraining:
         now = torch.full((len(before),), NO_PARENT, dtype=torch.int32)
         now[kept] = torch.arange(len(kept), dtype=torch.int32)
         return now
-
-    def _split(
-        self, light: SurfaceLight, before: Layer, kept: torch.Tensor, added: Layer
-    ) -> tuple[torch.Tensor, Layer]:
-        """What stays and what is new, with halves of those nodes that are too large for their light."""
-        staying = before.select(kept)
-        large = too_large(staying, light, self.views)
-        return kept[~large], concatenated_layers([added, halves(staying.select(large))])
 
     def _measured(self, view: TrainingView) -> TrainingView:
         """The view, with the distances that the nodes show now if nobody knows them."""
@@ -299,7 +287,8 @@ class LayerTraining:
         self._optimizer = GaussianOptimizer.restored(tensors, self._pixel, self._device)
         gaussians = self._optimizer.gaussians
         self._tree, self.begun = Layer(gaussians, *(tensors[name] for name in LABELS)), True
-        self._density = self._controlled(int(numbers["initial"]), int(numbers["final"]))
+        counts = int(numbers["initial"]), int(numbers["final"])
+        self._density = DensityControl(self._steps, *counts, self._motion, self._light)
         if self._light is not None:
             self._light.restore(tensors)
         self._density.restore(tensors)

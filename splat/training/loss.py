@@ -157,10 +157,7 @@ class Target:
         self._zero = arrays.plain.Float(means.float().numpy())
 
     def loss(self, rendered: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """(1 - w) L1 + w (1 - SSIM), on a scale for lamps beside shadows (Fov-GS Eq. 4).
-
-        Args:
-            rendered: (H, W, 3) float32, linear radiance.
+        """(1 - w) L1 + w (1 - SSIM) of radiance (H, W, 3) on a scale for lamps beside shadows (Fov-GS Eq. 4).
 
         Returns:
             The loss, and the absolute error per pixel (H, W), which has no gradient.
@@ -206,10 +203,7 @@ class _Similarity:
     """An image compared with a frame.
 
     Args:
-        axes: of `_axes`.
-        rendered, frame: radiance, flat.
         zero: (3,) where zero is, per channel.
-        sizes: of the axes.
         shares: what each number's distance adds to the loss, and each window's similarity.
     """
 

@@ -24,13 +24,7 @@ _AROUND = 1
 
 
 class Attachment:
-    """Where N nodes are, compared with what a view sees there.
-
-    Args:
-        shown: the nodes, at the time of the view.
-        view: in their coordinates.
-        instance: (H, W) its labels.
-    """
+    """Where N nodes are at the time of a view, compared with what it sees there, which has labels (H, W)."""
 
     def __init__(self, shown: Gaussians, view: TrainingView, instance: NDArray[np.int32]):
         self._view, self._instance = view, instance
@@ -56,11 +50,7 @@ class Attachment:
         return found
 
     def ways(self, label: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Ways (N, 3) to the planes of what is seen at centres, 0 where not near, and (N,) which are near.
-
-        Args:
-            label: that the surface must have.
-        """
+        """Ways (N, 3) to the planes, of a label, seen at centres, 0 where not near; and (N,) which are near."""
         at = self._row, self._column
         camera = self._view.camera
         centres = np.stack([self._column + 0.5, self._row + 0.5], axis=1)
@@ -164,10 +154,6 @@ def separated(layer: Layer, evidence: Evidence, motion: Dynamics) -> Layer:
     it contributes most to. Nodes that hardly contribute keep their labels. A node whose labels change stays
     where it was shown when it contributed most to what its new labels say. One that stands still is put on
     the surface that views see there, if it is farther from it than it is large.
-
-    Args:
-        layer: N nodes, at rest.
-        evidence: of these nodes.
     """
     # Pixels of what nodes are on the surface of.
     total = evidence.sums.sum(dim=1)

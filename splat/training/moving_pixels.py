@@ -77,11 +77,7 @@ class Votes:
 
 
 def moving_pixels(observations: Sequence[Observation]) -> list[NDArray[np.bool_]]:
-    """(H, W) for each frame, which pixels show something that moves.
-
-    Args:
-        observations: frames of one scene, of any sizes, views and times. Of a single time, nothing moves.
-    """
+    """(H, W) for each frame of a scene, which pixels show something that moves: nothing at a single time."""
     frames = [_Frame(observation) for observation in observations]
     return [_refined(frames, index) for index in range(len(frames))]
 
@@ -130,7 +126,8 @@ def _votes(frames: list[_Frame], index: int) -> Votes:
     gone, there, changed, compared = (np.zeros(shape, dtype=np.int32) for _ in range(4))
     for other in _spread_in_time(others):
         _look_through(frame, other, gone, there)
-    for other in _nearest_views(frame, others):
+    way = lambda other: np.linalg.norm(frame.camera.position - other.camera.position)  # noqa: E731
+    for other in sorted(others, key=way)[:_COMPARED]:
         _compare(frame, other, changed, compared)
     return Votes(gone, there, changed, compared)
 
@@ -140,15 +137,6 @@ def _spread_in_time(frames: list[_Frame]) -> list[_Frame]:
     ordered = sorted(frames, key=lambda frame: frame.time)
     chosen = np.linspace(0, len(ordered) - 1, min(len(ordered), _MOST_FRAMES)).round().astype(int)
     return [ordered[index] for index in chosen]
-
-
-def _nearest_views(frame: _Frame, others: list[_Frame]) -> list[_Frame]:
-    """The frames taken from nearest by."""
-
-    def way(other: _Frame) -> float:
-        return float(np.linalg.norm(frame.camera.position - other.camera.position))
-
-    return sorted(others, key=way)[:_COMPARED]
 
 
 def _look_through(frame: _Frame, other: _Frame, gone: NDArray[np.int32], there: NDArray[np.int32]) -> None:
@@ -181,7 +169,8 @@ def _projected(
 def _compare(frame: _Frame, other: _Frame, changed: NDArray[np.int32], compared: NDArray[np.int32]) -> None:
     """Adds the vote of a near view on whether patches at the same place look alike."""
     pixels, position, depth = _projected(frame, other, margin=1)
-    pixels, position, depth = _from_same_side(frame, other, pixels, position, depth)
+    same = _from_same_side(frame, other, pixels)
+    pixels, position, depth = pixels[same], position[same], depth[same]
     shape = frame.inverse.shape
     corner = (position - 0.5).astype(np.int64)
     (left, top), (x, y) = corner.T, (position - 0.5 - corner).T.astype(np.float32)
@@ -199,20 +188,13 @@ def _compare(frame: _Frame, other: _Frame, changed: NDArray[np.int32], compared:
     changed += differs
 
 
-def _from_same_side(
-    frame: _Frame,
-    other: _Frame,
-    pixels: NDArray[np.int64],
-    position: NDArray[np.float64],
-    depth: NDArray[np.float64],
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Those points, as of `_projected`, that both frames see along nearly the same direction."""
+def _from_same_side(frame: _Frame, other: _Frame, pixels: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(M,) whether both frames see what pixels show along nearly the same direction."""
     points = frame.points.reshape(-1, 3)[pixels]
     rays = [points - one.camera.position for one in (frame, other)]
     lengths = [np.linalg.norm(ray, axis=1) for ray in rays]
     cosine = (rays[0] * rays[1]).sum(axis=1) / (lengths[0] * np.maximum(lengths[1], 1e-12))
-    same = cosine > np.cos(np.radians(_SAME_VIEW))
-    return pixels[same], position[same], depth[same]
+    return cosine > np.cos(np.radians(_SAME_VIEW))
 
 
 def _difference(
@@ -221,7 +203,6 @@ def _difference(
     """(H, W) where patches of two images (H, W, 3) tell whether they are alike, and where they are not.
 
     Args:
-        a, b: the images.
         seen: (H, W) 1 where both show a surface at the same place, else 0.
         is_albedo: whether a change of brightness is one of the surface.
     """
@@ -269,7 +250,6 @@ def objects_of(
     the other. Objects that touch are one. They are numbered by how much of them is seen, most first.
 
     Args:
-        observations: frames of one scene.
         moving: (H, W) for each frame, which pixels show something that moves.
     """
     shown = [

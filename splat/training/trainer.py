@@ -115,9 +115,8 @@ class Trainer:
         light: on the surfaces that they show, in world space; None if it does not change.
 
     Attributes:
-        place: the coordinates in which the Gaussians are trained.
-        motion: of the instances, in these coordinates; known or learned.
-        light: on the surfaces, in these coordinates.
+        place: the coordinates in which the Gaussians are trained, and of what follows.
+        motion, light: known or learned; None as above.
         dropped: number of frames that were left out.
         iteration: steps so far.
 
@@ -181,7 +180,6 @@ class Trainer:
 
         Args:
             progress: called after each step with the number of steps so far.
-            until: where to stop.
         """
         while self.iteration < (until or self.settings.iterations):
             self._step()

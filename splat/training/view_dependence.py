@@ -8,7 +8,7 @@ their constant one.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -25,28 +25,19 @@ from splat.raster.visibility import contributions
 _LEAST_DEVIATION = 1 / 255
 
 
-@dataclass(frozen=True)
-class Turning:
-    """How what M Gaussians show turns with the view.
-
-    Attributes:
-        mean: (3, M) what harmonics above the constant one add, mean over views, by what each view shows.
-        deviation: (M,) root of its variance over views, of the channel that varies most.
-    """
-
-    mean: torch.Tensor
-    deviation: torch.Tensor
-
-
 def turning_of(
     arrays: Arrays, gaussians: Gaussians, views: Sequence[View], shown: Callable[[float], Gaussians]
-) -> Turning:
-    """How those Gaussians turn that have harmonics above the constant one; 0 of what no view shows.
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """How those M Gaussians turn that have harmonics above the constant one; 0 of what no view shows.
 
     Args:
         gaussians: with such harmonics apart.
         views: in their coordinates.
         shown: gives the Gaussians as they are at a time, in the same order.
+
+    Returns:
+        (3, M) what these harmonics add, mean over views, by what each view shows; and (M,) the root of its
+        variance over views, of the channel that varies most.
     """
     further = gaussians.directional
     assert further is not None
@@ -64,7 +55,7 @@ def turning_of(
     share = torch.where(seen, 1 / total.clamp(min=1e-30), 0)
     mean = first * share
     variance = (second * share - mean.square()).clamp(min=0)
-    return Turning(mean, variance.amax(dim=0).sqrt())
+    return mean, variance.amax(dim=0).sqrt()
 
 
 def without_unseen_turning(
@@ -83,9 +74,9 @@ def without_unseen_turning(
     gaussians = apart(gaussians)
     assert gaussians.directional is not None
     index = gaussians.directional.index
-    found = turning_of(arrays, gaussians, views, shown)
-    dropped = found.deviation < least * _LEAST_DEVIATION
-    constant = gaussians.sh[0].index_add(1, index[dropped], found.mean[:, dropped] / SH_DC)
+    mean, deviation = turning_of(arrays, gaussians, views, shown)
+    dropped = deviation < least * _LEAST_DEVIATION
+    constant = gaussians.sh[0].index_add(1, index[dropped], mean[:, dropped] / SH_DC)
     kept = torch.zeros(len(gaussians), dtype=torch.bool).index_fill(0, index[~dropped], True)
     return replace(gaussians, sh=constant[None]).turning(kept)
 
