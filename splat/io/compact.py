@@ -168,18 +168,12 @@ _OF_SHORTEST, _OF_LONGEST = 1 / 16, 1 / 1024
 
 @dataclass(frozen=True)
 class Boxes:
-    """B boxes around the N nodes of a forest, in their order.
+    """B boxes around the N nodes of a forest, in their order."""
 
-    Attributes:
-        counts: (B,) int32, nodes in each.
-        low, high: (3, B) float32 corners.
-        codes: (3, N) int16, of each node the steps from low to high, unsigned.
-    """
-
-    counts: Codes
-    low: NDArray[np.float32]
+    counts: Codes  # (B,) int32, nodes in each
+    low: NDArray[np.float32]  # low, high: (3, B) float32 corners
     high: NDArray[np.float32]
-    codes: Codes
+    codes: Codes  # (3, N) int16, of each node the steps from low to high, unsigned
 
 
 def tolerance(log_scales: Floats) -> Floats:

@@ -183,7 +183,11 @@ def _require_forest(path: Path, metadata: dict[str, Any]) -> None:
 
 def _exact(tensors: dict[str, torch.Tensor]) -> Layer:
     """The nodes of a file of float32 numbers."""
-    _check_types(tensors)
+    # Kernels would misread another type.
+    for name in (*TENSORS, *LABELS):
+        expected = _TYPES.get(name, torch.float32)
+        if tensors[name].dtype != expected or not tensors[name].ndim:
+            raise ValueError(f"{name} is {tensors[name].dtype}, expected an array of {expected}")
     found, further = under(_DIRECTIONAL, tensors), None
     if found:
         further = Directional(found["index"], found["sh"])
@@ -191,14 +195,6 @@ def _exact(tensors: dict[str, torch.Tensor]) -> Layer:
             raise ValueError(f"directional harmonics are {further.sh.dtype}, expected float32")
     gaussians = Gaussians(*(tensors[name] for name in TENSORS), directional=further)
     return Layer(gaussians, *(tensors[name] for name in LABELS))
-
-
-def _check_types(tensors: dict[str, torch.Tensor]) -> None:
-    """Raises a ValueError if a tensor is of another type, which kernels would misread, or has no axis."""
-    for name in (*TENSORS, *LABELS):
-        expected = _TYPES.get(name, torch.float32)
-        if tensors[name].dtype != expected or not tensors[name].ndim:
-            raise ValueError(f"{name} is {tensors[name].dtype}, expected an array of {expected}")
 
 
 def _counts(layers: Any) -> tuple[int, ...]:

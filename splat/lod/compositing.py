@@ -71,17 +71,11 @@ def composite(
 
 @dataclass(frozen=True)
 class _Group:
-    """Cells whose entries have the same rates.
+    """Cells whose entries have the same rates."""
 
-    Attributes:
-        rates: of their entries; empty for cells that no entry covers.
-        cells: (M,) numbers of the cells.
-        entries: (rates, M) the number of the entry, cell by cell.
-    """
-
-    rates: list[int]
-    cells: NDArray[np.uint32]
-    entries: NDArray[np.uint32]
+    rates: list[int]  # of their entries; empty for cells that no entry covers
+    cells: NDArray[np.uint32]  # (M,) numbers of the cells
+    entries: NDArray[np.uint32]  # (rates, M) the number of the entry, cell by cell
 
 
 def _groups(covered: Mask, rates: Sequence[int]) -> list[_Group]:
@@ -194,7 +188,7 @@ class _Sources:
         return weights
 
     def _interpolated(self, block: _Block, rate: int, top: Any) -> list[list[Any]]:
-        """Red, green, blue of each pixel of a block, linear between samples of an entry; `top` is its first row."""
+        """Red, green, blue of each pixel of a block, linear between samples of an entry from row `top` on."""
         Int, Float = self._arrays.plain.Int, self._arrays.plain.Float
         # Positions of a block's pixel centres in samples, if the block begins with a sample.
         positions = [(p + 0.5) / (1 << rate) - 0.5 for p in range(_BLOCK)]

@@ -208,29 +208,19 @@ def finest_frequency(camera: Camera, forest: Forest, layer: int) -> float:
 
 def _in_samples(splats: Splats, scale: Any, offset: Any) -> Splats:
     """Splats in pixels of the frame as splats in samples of the atlas."""
-    square = dr.rcp(dr.square(scale))
-    return Splats(
-        splats.x * scale,
-        dr.fma(splats.y, scale, offset),
-        splats.x_precision * square,
-        splats.shear,
-        splats.y_precision * square,
-        *(splats.opacity, splats.red, splats.green, splats.blue, splats.depth),
-    )
+    square, y = dr.rcp(dr.square(scale)), dr.fma(splats.y, scale, offset)
+    precisions = {"x_precision": splats.x_precision * square, "y_precision": splats.y_precision * square}
+    return replace(splats, x=splats.x * scale, y=y, **precisions)
 
 
 def _largest_alone(images: Sequence[LayerImage], wanted: Mask) -> tuple[LayerImage | None, Mask]:
     """The image at full rate that is alone in most wanted cells, and those; None if that are few."""
-    found = [(image, _is_alone(image.weight) & wanted) for image in images if image.rate == 0]
+    alone = lambda weight: np.minimum.reduce(at_corners(weight)) >= 1  # noqa: E731
+    found = [(image, alone(image.weight) & wanted) for image in images if image.rate == 0]
     best = max(found, key=lambda one: np.count_nonzero(one[1]), default=None)
     if best is None or np.count_nonzero(best[1]) < _WORTHWHILE * np.count_nonzero(wanted):
         return None, np.zeros_like(wanted)
     return best
-
-
-def _is_alone(weight: Lattice) -> Mask:
-    """(rows, columns) cells in which a weight, given at their corners, is 1 everywhere."""
-    return np.minimum.reduce(at_corners(weight)) >= 1
 
 
 class CachedLayerImages:

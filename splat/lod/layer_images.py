@@ -22,17 +22,12 @@ NYQUIST = 0.5
 
 @dataclass(frozen=True)
 class LayerImage:
-    """One layer at one sampling rate, and its weight in the frame.
+    """One layer at one sampling rate, and its weight in the frame."""
 
-    Attributes:
-        layer: 1, the coarsest, to L.
-        rate: log2 of pixels per sample along each axis, 0 for every pixel.
-        weight: (rows + 1, columns + 1) weight in the frame, 0..1, at the corners of cells of TILE pixels,
-            linear between them.
-    """
-
-    layer: int
-    rate: int
+    layer: int  # 1, the coarsest, to L
+    rate: int  # log2 of pixels per sample along each axis, 0 for every pixel
+    # (rows + 1, columns + 1) weight in the frame, 0..1, at the corners of cells of TILE pixels, linear
+    # between them.
     weight: Lattice
 
     @staticmethod
@@ -43,23 +38,14 @@ class LayerImage:
 
 @dataclass(frozen=True)
 class AtlasEntry:
-    """A layer image's place in the atlas, the image that holds all layer images one above the other.
+    """A layer image's place in the atlas, the image that holds all layer images one above the other."""
 
-    Attributes:
-        image: what it shows.
-        top: the row of samples in the atlas at which the frame's first row would be.
-        tiles: (tile rows, tile columns) bool, its tiles that are drawn.
-        cells: (rows, columns) bool, cells of TILE pixels of the frame in which its weight is not 0.
-        first_row: of its tiles, counted from the frame's; those above have no place in the atlas.
-        is_sharp: whether it keeps all that its samples carry, whatever the frame's cut-off.
-    """
-
-    image: LayerImage
-    top: int
-    tiles: Mask
-    cells: Mask
-    first_row: int = 0
-    is_sharp: bool = False
+    image: LayerImage  # what it shows
+    top: int  # the row of samples in the atlas at which the frame's first row would be
+    tiles: Mask  # (tile rows, tile columns) bool, its tiles that are drawn
+    cells: Mask  # (rows, columns) bool, cells of TILE pixels of the frame in which its weight is not 0
+    first_row: int = 0  # of its tiles, counted from the frame's; those above have no place in the atlas
+    is_sharp: bool = False  # whether it keeps all that its samples carry, whatever the frame's cut-off
 
     @property
     def tile_rows(self) -> range:
@@ -70,15 +56,10 @@ class AtlasEntry:
 
 @dataclass(frozen=True)
 class Under:
-    """What is drawn besides a frame, to lie under it: a layer at full rate with all that it resolves.
+    """What is drawn besides a frame, to lie under it: a layer at full rate with all that it resolves."""
 
-    Attributes:
-        layer: 1, the coarsest, to L.
-        cells: (rows, columns) bool, cells of TILE pixels of the frame.
-    """
-
-    layer: int
-    cells: Mask
+    layer: int  # 1, the coarsest, to L
+    cells: Mask  # (rows, columns) bool, cells of TILE pixels of the frame
 
     def entry(self, top: int) -> AtlasEntry:
         """Its entry in an atlas, whose first free row of samples is `top`; at least one cell is set."""
@@ -136,13 +117,9 @@ def _grown(mask: Mask) -> Mask:
 
 @dataclass(frozen=True)
 class SplatImage(DeviceImage):
-    """An image of a forest, black where nothing is drawn.
+    """An image of a forest, black where nothing is drawn."""
 
-    Attributes:
-        nodes: Gaussians drawn, those in several layer images counted in each.
-    """
-
-    nodes: int = 0
+    nodes: int = 0  # Gaussians drawn, those in several layer images counted in each
 
 
 def black_image(arrays: Arrays, camera: Camera, nodes: int = 0) -> SplatImage:

@@ -38,12 +38,7 @@ class MotionModel(str, Enum):
 
 
 class Precision(str, Enum):
-    """Numbers of Gaussians in a forest file.
+    """Numbers of Gaussians in a forest file."""
 
-    Attributes:
-        COMPACT: rounded to what the eye does not miss, about a fifth of the size (splat.io.compact).
-        FLOAT32: exactly as they were trained.
-    """
-
-    COMPACT = "compact"
-    FLOAT32 = "float32"
+    COMPACT = "compact"  # rounded to what the eye does not miss, about a fifth of the size (splat.io.compact)
+    FLOAT32 = "float32"  # exactly as they were trained

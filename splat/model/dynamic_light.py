@@ -35,22 +35,18 @@ _DARK = 1e-4
 class LightCourse:
     """Factors on the radiance of M nodes of a forest.
 
-    Attributes:
-        nodes: (M,) int64, their indices in the forest, ascending.
-        factors: (T, 3, M) float16, 0 or more, of each channel at T equal steps of time from 0 to 1;
-            T is two or more.
-        sided: (B,) int64, which of the M have other factors for those who see them from behind.
-        behind: (T, 3, B) float16, these factors.
-        normals: (3, B) float32, from those nodes at rest to where they are seen from in front.
-
     Raises:
         ValueError: a tensor has the wrong shape or type, or a sided node is none of the M.
     """
 
-    nodes: torch.Tensor
+    nodes: torch.Tensor  # (M,) int64, their indices in the forest, ascending
+    # (T, 3, M) float16, 0 or more, of each channel at T equal steps of time from 0 to 1; T is two or more.
     factors: torch.Tensor
+    # (B,) int64, which of the M have other factors for those who see them from behind.
     sided: torch.Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.int64))
+    # (T, 3, B) float16, these factors.
     behind: torch.Tensor = field(default_factory=lambda: torch.zeros(2, 3, 0, dtype=torch.float16))
+    # (3, B) float32, from those nodes at rest to where they are seen from in front.
     normals: torch.Tensor = field(default_factory=lambda: torch.zeros(3, 0))
 
     def __post_init__(self) -> None:
@@ -153,22 +149,15 @@ _GAMMA = 2.2
 
 @dataclass(frozen=True)
 class SurfaceLight:
-    """Light at P points of surfaces, each seen from one side.
+    """Light at P points of surfaces, each seen from one side."""
 
-    Attributes:
-        means: (3, P) float32, the points at rest.
-        normals: (3, P) float32, at rest, towards where each was seen from.
-        instance: (P,) int32, what moves them; -1 for nothing.
-        factors: (T, 3, P) float16, irradiance of each channel over what is usual there, at T equal
-            steps of time from 0 to 1.
-        changes: (P,) bool, whether that is more than noise.
-    """
-
-    means: torch.Tensor
-    normals: torch.Tensor
-    instance: torch.Tensor
+    means: torch.Tensor  # (3, P) float32, the points at rest
+    normals: torch.Tensor  # (3, P) float32, at rest, towards where each was seen from
+    instance: torch.Tensor  # (P,) int32, what moves them; -1 for nothing
+    # (T, 3, P) float16, irradiance of each channel over what is usual there, at T equal steps of time from 0
+    # to 1.
     factors: torch.Tensor
-    changes: torch.Tensor
+    changes: torch.Tensor  # (P,) bool, whether that is more than noise
 
     def __len__(self) -> int:
         return len(self.instance)

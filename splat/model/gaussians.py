@@ -32,15 +32,10 @@ TENSORS = ("means", "log_scales", "rotations", "opacity_logits", "sh")
 
 @dataclass
 class Directional:
-    """The spherical harmonics above the constant one, of those of N Gaussians that have any.
+    """The spherical harmonics above the constant one, of those of N Gaussians that have any."""
 
-    Attributes:
-        index: (M,) int64, which Gaussians, ascending.
-        sh: (K - 1, 3, M) float32, the coefficients of the perceptual radiance.
-    """
-
-    index: torch.Tensor
-    sh: torch.Tensor
+    index: torch.Tensor  # (M,) int64, which Gaussians, ascending
+    sh: torch.Tensor  # (K - 1, 3, M) float32, the coefficients of the perceptual radiance
 
     def __len__(self) -> int:
         return len(self.index)

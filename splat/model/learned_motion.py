@@ -18,17 +18,11 @@ from splat.model.gaussians import Gaussians
 
 @dataclass(frozen=True)
 class Deformation:
-    """How N Gaussians differ from those at rest.
+    """How N Gaussians differ from those at rest."""
 
-    Attributes:
-        shifts: (3, N) of their means.
-        turns: (4, N) that are added to their unit quaternions.
-        growths: (3, N) that are added to their log scales.
-    """
-
-    shifts: Tensor
-    turns: Tensor
-    growths: Tensor
+    shifts: Tensor  # (3, N) of their means
+    turns: Tensor  # (4, N) that are added to their unit quaternions
+    growths: Tensor  # (3, N) that are added to their log scales
 
     def applied(self, gaussians: Gaussians) -> Gaussians:
         """The Gaussians, deformed.

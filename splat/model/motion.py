@@ -52,19 +52,12 @@ _TINY = 1e-12
 
 @dataclass(frozen=True)
 class Poses:
-    """Where the P pieces of L instances are at one time: a point p at rest is at rotation p + offset.
+    """Where the P pieces of L instances are at one time: a point p at rest is at rotation p + offset."""
 
-    Attributes:
-        rotations: (P, 4) float64, unit quaternions (w, x, y, z).
-        offsets: (P, 3) float64.
-        centres: (P, 3) float64, points at rest.
-        pieces: (L,) int64, number of pieces of each instance.
-    """
-
-    rotations: torch.Tensor
-    offsets: torch.Tensor
-    centres: torch.Tensor
-    pieces: torch.Tensor
+    rotations: torch.Tensor  # (P, 4) float64, unit quaternions (w, x, y, z)
+    offsets: torch.Tensor  # (P, 3) float64
+    centres: torch.Tensor  # (P, 3) float64, points at rest
+    pieces: torch.Tensor  # (L,) int64, number of pieces of each instance
 
     def inverse(self) -> Poses:
         """The way back to rest; exact for instances of one piece."""
@@ -103,21 +96,16 @@ class Poses:
 class Motion:
     """The courses of L instances of P pieces, from T poses each.
 
-    Attributes:
-        rotations: (T, P, 4) float64, unit quaternions (w, x, y, z) from rest, at T equal steps of time from 0
-            to 1; two or more.
-        centres: (P, 3) float64, points at rest; between two steps, they move in a straight line.
-        shifts: (T, P, 3) float64, how far the centres are from rest.
-        pieces: (L,) int64, number of pieces of each instance, one or more; P in all.
-
     Raises:
         ValueError: a tensor has the wrong shape or type, or pieces do not sum up.
     """
 
+    # (T, P, 4) float64, unit quaternions (w, x, y, z) from rest, at T equal steps of time from 0 to 1; two or
+    # more.
     rotations: torch.Tensor
-    centres: torch.Tensor
-    shifts: torch.Tensor
-    pieces: torch.Tensor
+    centres: torch.Tensor  # (P, 3) float64, points at rest; between two steps, they move in a straight line
+    shifts: torch.Tensor  # (T, P, 3) float64, how far the centres are from rest
+    pieces: torch.Tensor  # (L,) int64, number of pieces of each instance, one or more; P in all
 
     def __post_init__(self) -> None:
         steps, count = self.rotations.shape[:2] if self.rotations.ndim == 3 else (0, 0)

@@ -33,29 +33,20 @@ class Bins:
     """For each tile the list of splats that it blends.
 
     Before they are sorted, the pairs of a splat lie side by side, in a run; the gradient sums over runs.
-
-    Attributes:
-        grid: the tiles.
-        wanted: (rows, columns) bool, the tiles that are rasterized.
-        ranges: (2 * columns * rows + 2,) start and end of each tile's list; the last one is that of the pairs
-            that no tile blends.
-        splat: (P,) splat of each pair, sorted by tile, then by depth.
-        tile: (P,) tile of each pair, columns * rows for those that no tile blends.
-        unsorted: (P,) position of each pair before sorting.
-        first, count: (S,) the run of each of S splats, which may be empty.
-        owner: (S,) these splats.
     """
 
     arrays: Arrays
-    grid: TileGrid
-    wanted: NDArray[np.bool_]
+    grid: TileGrid  # the tiles
+    wanted: NDArray[np.bool_]  # (rows, columns) bool, the tiles that are rasterized
+    # (2 * columns * rows + 2,) start and end of each tile's list; the last one is that of the pairs that no
+    # tile blends.
     ranges: Any
-    splat: Any
-    tile: Any
-    unsorted: Any
-    first: Any
+    splat: Any  # (P,) splat of each pair, sorted by tile, then by depth
+    tile: Any  # (P,) tile of each pair, columns * rows for those that no tile blends
+    unsorted: Any  # (P,) position of each pair before sorting
+    first: Any  # first, count: (S,) the run of each of S splats, which may be empty
     count: Any
-    owner: Any
+    owner: Any  # (S,) these splats
 
     @cached_property
     def tiles(self) -> Any:
@@ -74,15 +65,10 @@ class Bins:
 
 @dataclass(frozen=True)
 class TileBounds:
-    """Tiles that each of N splats is confined to, for a frame that holds several images above each other.
+    """Tiles that each of N splats is confined to, for a frame that holds several images above each other."""
 
-    Attributes:
-        columns: (N,) width in tiles; all begin at the left edge.
-        top, bottom: (N,) first row of tiles, and the row after the last.
-    """
-
-    columns: Any
-    top: Any
+    columns: Any  # (N,) width in tiles; all begin at the left edge
+    top: Any  # top, bottom: (N,) first row of tiles, and the row after the last
     bottom: Any
 
 
@@ -168,16 +154,11 @@ def depth_order(arrays: Arrays, depth: Any, seen: Any) -> Any:
 
 @dataclass(frozen=True)
 class _Boxes:
-    """Tiles that the boxes around N splats touch, UInts of width N.
+    """Tiles that the boxes around N splats touch, UInts of width N."""
 
-    Attributes:
-        left, top: first column and row.
-        across, down: numbers of columns and rows, 0 for a splat that is not seen.
-    """
-
-    left: Any
+    left: Any  # left, top: first column and row
     top: Any
-    across: Any
+    across: Any  # across, down: numbers of columns and rows, 0 for a splat that is not seen
     down: Any
 
 
@@ -217,22 +198,14 @@ def _clipped(arrays: Arrays, boxes: _Boxes, window: Window) -> _Boxes:
 
 @dataclass(frozen=True)
 class Runs:
-    """Candidate pairs of splat and tile in a window: a run per splat, one tile after another.
+    """Candidate pairs of splat and tile in a window: a run per splat, one tile after another."""
 
-    Attributes:
-        wanted: (rows, columns) bool, the window's tiles that are rasterized.
-        pairs: number of candidates; if that is 0, nothing else is set.
-        order: (S,) splats; None for all of them as they are.
-        first, count: (S,) the run of each of them; some are empty.
-        boxes: records of all splats' ellipses and boxes.
-    """
-
-    wanted: NDArray[np.bool_]
-    pairs: int
-    order: Any = None
-    first: Any = None
+    wanted: NDArray[np.bool_]  # (rows, columns) bool, the window's tiles that are rasterized
+    pairs: int  # number of candidates; if that is 0, nothing else is set
+    order: Any = None  # (S,) splats; None for all of them as they are
+    first: Any = None  # first, count: (S,) the run of each of them; some are empty
     count: Any = None
-    boxes: Any = None
+    boxes: Any = None  # records of all splats' ellipses and boxes
 
 
 def _runs(arrays: Arrays, splats: Splats, boxes: _Boxes, order: Any, wanted: NDArray[np.bool_]) -> Runs:

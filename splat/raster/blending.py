@@ -170,21 +170,15 @@ def added_sums(
 class _Walk:
     """A walk along the lists of tiles.
 
-    On the CPU, each lane goes by itself from one splat that its block shows to the next: of the splats of a
-    tile, a block shows a third. On a GPU, lanes stay together, and add in their warp.
-
-    Attributes:
-        arrays, bins, image, gradient: as for `added_sums`.
-        records: the splats, per pair.
-        shown: which blocks show which pairs, if lanes go by themselves and add in packets; None if they stay
-            together.
+    On a GPU, where lanes stay together, they add in their warp.
     """
 
-    arrays: Arrays
+    arrays: Arrays  # this, bins, image, gradient: as for `added_sums`
     bins: Bins
-    records: Records
+    records: Records  # the splats, per pair
     image: Any
     gradient: Any
+    # Which blocks show which pairs, if lanes go by themselves and add in packets; None if they stay together.
     shown: Shown | None
 
     @property
@@ -205,10 +199,12 @@ class _Walk:
             transmittance, behind = list(transmittance), list(behind)
             sums = _block_sums(arrays, block, self.records.at(i), flow, transmittance, behind)
             self._add(sums, dr.gather(UInt, bins.unsorted, i), slots)
-            return self._following(i + 1, block.last, number), transmittance, behind, slots
+            return following(i + 1), transmittance, behind, slots
 
-        start = self._following(block.first, block.last, number)
-        state = (start, [Float(1) for _ in range(block.pixels)], behind, slots)
+        def following(i: Any) -> Any:
+            return i if self.shown is None else self.shown.following(i, block.last, number)
+
+        state = (following(block.first), [Float(1) for _ in range(block.pixels)], behind, slots)
         _, _, _, slots = dr.while_loop(
             state,
             lambda i, transmittance, behind, slots: block.is_active(i, transmittance),
@@ -226,10 +222,6 @@ class _Walk:
         for packet, slot in zip(self.layout.packets, slots, strict=True):
             values = self.arrays.plain.ArrayXf(sums[packet.floats])
             dr.scatter_reduce(dr.ReduceOp.Add, slot, values, pair, mode=mode)
-
-    def _following(self, i: Any, last: Any, number: Any) -> Any:
-        """The first pair from `i` on that a lane looks at."""
-        return i if self.shown is None else self.shown.following(i, last, number)
 
 
 def _block_sums(

@@ -120,11 +120,7 @@ class Blocks:
 
 
 class Shown:
-    """Which blocks of a tile show which splats of its list.
-
-    Each lane can go from one splat that its block shows to the next: of the splats of a tile, a block shows
-    a third.
-    """
+    """Which blocks of a tile show which splats of its list: about a third of them."""
 
     def __init__(self, arrays: Arrays, bins: Bins, records: Records):
         self._arrays = arrays
@@ -220,18 +216,11 @@ def packed(arrays: Arrays, splats: Splats) -> Records:
     if splats.packed is None:
         # Powers of two cost less than powers of e, and the opacity joins the exponent as its logarithm.
         u_x = dr.sqrt(splats.x_precision * (0.5 * LOG2_E))
-        splats.packed = _BLENDED.pack(
-            arrays,
-            x=splats.x,
-            y=splats.y,
-            u_x=u_x,
-            u_y=u_x * splats.shear,
-            v_y=dr.sqrt(splats.y_precision * (0.5 * LOG2_E)),
-            constant=dr.log2(dr.maximum(splats.opacity, 1e-12)),
-            red=splats.red,
-            green=splats.green,
-            blue=splats.blue,
-        )
+        same = {name: getattr(splats, name) for name in ("x", "y", "red", "green", "blue")}
+        v_y = dr.sqrt(splats.y_precision * (0.5 * LOG2_E))
+        constant = dr.log2(dr.maximum(splats.opacity, 1e-12))
+        u_y = u_x * splats.shear
+        splats.packed = _BLENDED.pack(arrays, **same, u_x=u_x, u_y=u_y, v_y=v_y, constant=constant)
     return splats.packed
 
 

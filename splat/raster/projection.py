@@ -58,29 +58,19 @@ class Splats:
     q = x_precision (dx + shear dy)^2 + y_precision dy^2, the inverse of the 2D covariance as L D L^T. As
     xx dx^2 + 2 xy dx dy + yy dy^2, with the entries of that inverse, large terms of both signs would have to
     cancel where a splat is long and lies askew.
-
-    Attributes:
-        x, y: centre in pixels.
-        x_precision: inverse of the variance of x on one row of the frame, in 1/px^2.
-        shear: px by which the centre of a row moves to the left per row.
-        y_precision: inverse of the variance of y, in 1/px^2.
-        opacity: in 0..1, 0 for a Gaussian behind the near plane.
-        red, green, blue: linear radiance.
-        depth: along the view axis; only its order matters.
-        packed: what tiles read of them, once it is packed (`splat.raster.blocks.packed`).
     """
 
-    x: Any
+    x: Any  # x, y: centre in pixels
     y: Any
-    x_precision: Any
-    shear: Any
-    y_precision: Any
-    opacity: Any
-    red: Any
+    x_precision: Any  # inverse of the variance of x on one row of the frame, in 1/px^2
+    shear: Any  # px by which the centre of a row moves to the left per row
+    y_precision: Any  # inverse of the variance of y, in 1/px^2
+    opacity: Any  # in 0..1, 0 for a Gaussian behind the near plane
+    red: Any  # red, green, blue: linear radiance
     green: Any
     blue: Any
-    depth: Any
-    packed: Records | None = None
+    depth: Any  # along the view axis; only its order matters
+    packed: Records | None = None  # what tiles read of them, once it is packed (`splat.raster.blocks.packed`)
 
     def differentiable(self) -> list[Any]:
         """All parameters that the rasterizer has gradients for, in the order of declaration."""
@@ -94,23 +84,14 @@ class Splats:
 
 @dataclass
 class Footprints:
-    """N projected Gaussians before the low-pass filter, Dr.Jit floats of width N.
+    """N projected Gaussians before the low-pass filter, Dr.Jit floats of width N."""
 
-    Attributes:
-        x, y: centre in pixels.
-        xx, xy, yy: 2D covariance in px^2.
-        conditional: variance of x on one row of the frame in px^2, the covariance's determinant over yy.
-        opacity: in 0..1, 0 for a Gaussian behind the near plane.
-        red, green, blue: linear radiance.
-        depth: along the view axis.
-    """
-
-    x: Any
+    x: Any  # x, y, opacity, red, green, blue, depth: as in `Splats`
     y: Any
-    xx: Any
+    xx: Any  # xx, xy, yy: 2D covariance in px^2
     xy: Any
     yy: Any
-    conditional: Any
+    conditional: Any  # variance of x on one row of the frame in px^2, the covariance's determinant over yy
     opacity: Any
     red: Any
     green: Any
@@ -120,21 +101,13 @@ class Footprints:
 
 @dataclass
 class Parameters:
-    """The parameters of N Gaussians as Dr.Jit floats of width N.
+    """The parameters of N Gaussians as Dr.Jit floats of width N."""
 
-    Attributes:
-        means: three rows, world space.
-        log_scales: three rows, natural logarithms of the standard deviations.
-        rotations: four rows, quaternions (w, x, y, z).
-        opacity_logits: one row.
-        sh: for each spherical harmonic its three channels.
-    """
-
-    means: list[Any]
-    log_scales: list[Any]
-    rotations: list[Any]
-    opacity_logits: Any
-    sh: list[list[Any]]
+    means: list[Any]  # three rows, world space
+    log_scales: list[Any]  # three rows, natural logarithms of the standard deviations
+    rotations: list[Any]  # four rows, quaternions (w, x, y, z)
+    opacity_logits: Any  # one row
+    sh: list[list[Any]]  # for each spherical harmonic its three channels
 
     def leaves(self) -> list[Any]:
         """All rows, in the order of the parameter tensors' memory."""
@@ -168,18 +141,8 @@ def filtered(raw: Footprints, low_pass: Any) -> Splats:
     after = before + raw.xx * added + variance
     x_precision = dr.rcp(after)
     compensation = dr.sqrt(dr.maximum(before * x_precision, _COMPENSATION_FLOOR))
-    return Splats(
-        raw.x,
-        raw.y,
-        x_precision,
-        -raw.xy * y_precision,
-        y_precision,
-        raw.opacity * compensation,
-        raw.red,
-        raw.green,
-        raw.blue,
-        raw.depth,
-    )
+    opacity, rest = raw.opacity * compensation, (raw.red, raw.green, raw.blue, raw.depth)
+    return Splats(raw.x, raw.y, x_precision, -raw.xy * y_precision, y_precision, opacity, *rest)
 
 
 def footprints(parameters: Parameters, camera: Camera) -> Footprints:

@@ -21,19 +21,12 @@ from compose.base.arrays import Arrays, uploaded
 
 @dataclass(frozen=True)
 class Packet:
-    """One packet load of a record.
+    """One packet load of a record."""
 
-    Attributes:
-        floats: which of the record's floats it brings.
-        table: number of the table that holds it.
-        stride: packets per record in that table.
-        offset: which of those it is.
-    """
-
-    floats: slice
-    table: int
-    stride: int
-    offset: int
+    floats: slice  # which of the record's floats it brings
+    table: int  # number of the table that holds it
+    stride: int  # packets per record in that table
+    offset: int  # which of those it is
 
     @property
     def size(self) -> int:
@@ -153,16 +146,11 @@ class RecordLayout:
 
 @dataclass(frozen=True)
 class Records:
-    """N records of one layout.
-
-    Attributes:
-        layout: names and positions of the numbers.
-        tables: flat Floats that hold them.
-    """
+    """N records of one layout."""
 
     arrays: Arrays
-    layout: RecordLayout
-    tables: list[Any]
+    layout: RecordLayout  # names and positions of the numbers
+    tables: list[Any]  # flat Floats that hold them
 
     def __len__(self) -> int:
         first = self.layout.packets[0]

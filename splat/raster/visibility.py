@@ -17,7 +17,7 @@ from splat.raster.projection import PIXEL_FILTER, may_show
 
 
 def visible(arrays: Arrays, gaussians: Gaussians, camera: Camera) -> torch.Tensor:
-    """(M,) int64 indices of all Gaussians drawn in the frame of a camera, in their coordinates, and some beside."""
+    """(M,) int64 indices of all Gaussians that are drawn in a camera's frame, and of some beside it."""
     means, log_scales = gaussians.means, gaussians.log_scales
     if not len(gaussians):
         return torch.zeros(0, dtype=torch.int64, device=means.device)

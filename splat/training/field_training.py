@@ -41,17 +41,11 @@ _TINY = 1e-6
 
 @dataclass(frozen=True)
 class _Anchors:
-    """Points of one instance.
+    """Points of one instance."""
 
-    Attributes:
-        index: (A,) among the anchors of all instances.
-        size: median distance from their centre.
-        neighbours, lengths: (A, K) nearest others, and how far they are at rest.
-    """
-
-    index: torch.Tensor
-    size: float
-    neighbours: torch.Tensor
+    index: torch.Tensor  # (A,) among the anchors of all instances
+    size: float  # median distance from their centre
+    neighbours: torch.Tensor  # neighbours, lengths: (A, K) nearest others, and how far they are at rest
     lengths: torch.Tensor
 
 

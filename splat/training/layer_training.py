@@ -219,7 +219,9 @@ class LayerTraining:
         """Leaves harmonics to those nodes whose radiance is seen to turn, by a share of what is visible."""
         count = min(len(self.views), int(np.clip(_TURNING_SHARE * self._steps, *_TURNING_VIEWS)))
         chosen = np.random.default_rng([*self._seed, 4]).choice(len(self.views), count, False)
-        views = [_smaller(self.views[index]) for index in sorted(chosen)]
+        views = [View(self.views[index].camera, self.views[index].time) for index in sorted(chosen)]
+        # Half as many pixels along each side.
+        views = [view.resized(view.camera.width // 2, view.camera.height // 2) for view in views]
         gaussians = without_unseen_turning(self._arrays, self._optimizer.gaussians, views, self._shown, least)
         self._tree = replace(self._tree, gaussians=gaussians)
         self._optimizer.replace(gaussians, torch.arange(len(gaussians)))
@@ -295,9 +297,3 @@ class LayerTraining:
         self.done, self.skipped = int(numbers["done"]), int(numbers["skipped"])
         if self.done:
             self._order = tensors["order"]
-
-
-def _smaller(view: TrainingView) -> View:
-    """From where and when a view shows something, with half as many pixels along each side."""
-    camera = view.camera
-    return View(camera.resized(camera.width // 2, camera.height // 2), view.time)

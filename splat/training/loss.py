@@ -31,20 +31,13 @@ _RUN = 8
 
 @dataclass(frozen=True)
 class Axis:
-    """Where the window moves: along the rows or along the columns of an image.
+    """Where the window moves: along the rows or along the columns of an image."""
 
-    Attributes:
-        lines: rows or columns that it moves along.
-        before, after: pixels of each line before and after.
-        is_horizontal: whether the lines are rows.
-        padding: pixels of zeros that are added at both ends of each line first.
-    """
-
-    lines: int
-    before: int
+    lines: int  # rows or columns that it moves along
+    before: int  # before, after: pixels of each line before and after
     after: int
-    is_horizontal: bool
-    padding: int
+    is_horizontal: bool  # whether the lines are rows
+    padding: int  # pixels of zeros that are added at both ends of each line first
 
     @property
     def runs(self) -> int:

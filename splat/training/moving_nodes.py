@@ -50,7 +50,7 @@ class Attachment:
         return found
 
     def ways(self, label: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Ways (N, 3) to the planes, of a label, seen at centres, 0 where not near; and (N,) which are near."""
+        """Ways (N, 3) to the planes of a label at centres, 0 where not near, and (N,) which are near."""
         at = self._row, self._column
         camera = self._view.camera
         centres = np.stack([self._column + 0.5, self._row + 0.5], axis=1)
@@ -88,19 +88,14 @@ _LEAST_PIXELS = 0.5
 
 @dataclass(frozen=True)
 class Evidence:
-    """What N nodes contribute to labelled pixels.
+    """What N nodes contribute to labelled pixels."""
 
-    Attributes:
-        sums: (N, 1 + L) pixels of the background and of each of L instances, whose surfaces they are on.
-        times: (N, 2) of the views in which each contributed most to what stands still and to what moves.
-        seen: (N,) pixels in all, whatever surface they are on.
-        offsets: (N, 3) mean ways to the surfaces of the background that views see there.
-    """
-
+    # (N, 1 + L) pixels of the background and of each of L instances, whose surfaces they are on.
     sums: torch.Tensor
+    # (N, 2) of the views in which each contributed most to what stands still and to what moves.
     times: torch.Tensor
-    seen: torch.Tensor
-    offsets: torch.Tensor
+    seen: torch.Tensor  # (N,) pixels in all, whatever surface they are on
+    offsets: torch.Tensor  # (N, 3) mean ways to the surfaces of the background that views see there
 
     @property
     def is_seen(self) -> torch.Tensor:

@@ -17,7 +17,6 @@ What is hidden in another frame says nothing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -52,39 +51,10 @@ _CORRELATED, _COLOUR = 0.5, 0.3
 _MOST_OF_IT = 0.3
 
 
-@dataclass(frozen=True)
-class Votes:
-    """How frames of other times agree with one frame.
-
-    Attributes:
-        gone: (H, W) number of frames that look through what a pixel shows.
-        there: (H, W) of those that see a surface at its place.
-        changed: (H, W) of the nearest views that see another surface there.
-        compared: (H, W) of the nearest views that could tell.
-    """
-
-    gone: NDArray[np.int32]
-    there: NDArray[np.int32]
-    changed: NDArray[np.int32]
-    compared: NDArray[np.int32]
-
-    @property
-    def moves(self) -> NDArray[np.bool_]:
-        """(H, W) whether a pixel cannot show something that stands still."""
-        gone = self.gone > _GONE * (self.gone + self.there)
-        changed = (self.changed > _CHANGED * self.compared) & (self.compared >= _LEAST_COMPARED)
-        return gone | changed
-
-
 def moving_pixels(observations: Sequence[Observation]) -> list[NDArray[np.bool_]]:
     """(H, W) for each frame of a scene, which pixels show something that moves: nothing at a single time."""
     frames = [_Frame(observation) for observation in observations]
     return [_refined(frames, index) for index in range(len(frames))]
-
-
-def votes_on(observations: Sequence[Observation], index: int) -> Votes:
-    """How the other frames agree with one of them, given by its index."""
-    return _votes([_Frame(observation) for observation in observations], index)
 
 
 class _Frame:
@@ -108,7 +78,9 @@ def _filtered_depth(inverse: NDArray[np.float32], nearest: bool) -> NDArray[np.f
 
 def _refined(frames: list[_Frame], index: int) -> NDArray[np.bool_]:
     """The votes on a frame, without lone pixels, and over the whole of surfaces most of which moves."""
-    moves = median_filter(_votes(frames, index).moves, 3)
+    gone, there, changed, compared = _votes(frames, index)
+    has_changed = (changed > _CHANGED * compared) & (compared >= _LEAST_COMPARED)
+    moves = median_filter((gone > _GONE * (gone + there)) | has_changed, 3)
     if not moves.any():
         return moves
     frame = frames[index]
@@ -119,7 +91,12 @@ def _refined(frames: list[_Frame], index: int) -> NDArray[np.bool_]:
     return moves | (known & (share >= _MOST_OF_IT)[surface])
 
 
-def _votes(frames: list[_Frame], index: int) -> Votes:
+def _votes(frames: list[_Frame], index: int) -> list[NDArray[np.int32]]:
+    """How frames of other times agree with a frame: four numbers of frames, (H, W) each.
+
+    Those that look through what a pixel shows, those that see a surface at its place; of the nearest views
+    those that see another surface there, and those that could tell.
+    """
     frame = frames[index]
     others = [other for other in frames if other.time != frame.time]
     shape = frame.inverse.shape
@@ -129,7 +106,7 @@ def _votes(frames: list[_Frame], index: int) -> Votes:
     way = lambda other: np.linalg.norm(frame.camera.position - other.camera.position)  # noqa: E731
     for other in sorted(others, key=way)[:_COMPARED]:
         _compare(frame, other, changed, compared)
-    return Votes(gone, there, changed, compared)
+    return [gone, there, changed, compared]
 
 
 def _spread_in_time(frames: list[_Frame]) -> list[_Frame]:

@@ -17,21 +17,15 @@ _DARK = 0.01
 
 @dataclass(frozen=True)
 class Observation:
-    """One frame of something that may move.
-
-    Attributes:
-        radiance: (H, W, 3) float32, linear.
-        distance: (H, W) float32 along the ray to what is seen, as it is known or as a forest renders it; inf
-            where nothing is.
-        time: that the frame shows, from 0 to 1.
-        albedo: (H, W, 3) float32; None if it is not known.
-    """
+    """One frame of something that may move."""
 
     camera: Camera
-    radiance: NDArray[np.float32]
+    radiance: NDArray[np.float32]  # (H, W, 3) float32, linear
+    # (H, W) float32 along the ray to what is seen, as it is known or as a forest renders it; inf where
+    # nothing is.
     distance: NDArray[np.float32]
-    time: float
-    albedo: NDArray[np.float32] | None = None
+    time: float  # that the frame shows, from 0 to 1
+    albedo: NDArray[np.float32] | None = None  # (H, W, 3) float32; None if it is not known
 
     @property
     def appearance(self) -> NDArray[np.float32]:

@@ -22,26 +22,19 @@ _WIDE = 45.0
 
 @dataclass(frozen=True)
 class TrainingView:
-    """One frame to train on.
-
-    Attributes:
-        radiance: (H, W, 3) linear, float32 or float16.
-        distance: (H, W) float32 along the ray to the visible surface; for a mirror, to where the reflected
-            surface appears behind it; inf where nothing is hit.
-        normal: (H, W, 3) in world space, of the same type, zero where it is unknown.
-        sky: distance of pixels that show the sky, and no surface; inf for a view of the world.
-        time: that the view shows, from 0 to 1.
-        instance: (H, W) int32, which instance that moves a pixel shows, -1 for none; None if nothing moves.
-        guessed: whether distances are guesses (`depth_estimates`), which training replaces by its own.
-    """
+    """One frame to train on."""
 
     camera: Camera
-    radiance: NDArray[np.floating[Any]]
+    radiance: NDArray[np.floating[Any]]  # (H, W, 3) linear, float32 or float16
+    # (H, W) float32 along the ray to the visible surface; for a mirror, to where the reflected surface
+    # appears behind it; inf where nothing is hit.
     distance: NDArray[np.float32]
-    normal: NDArray[np.floating[Any]]
-    sky: float = np.inf
-    time: float = 0.0
+    normal: NDArray[np.floating[Any]]  # (H, W, 3) in world space, of the same type, zero where it is unknown
+    sky: float = np.inf  # distance of pixels that show the sky, and no surface; inf for a view of the world
+    time: float = 0.0  # that the view shows, from 0 to 1
+    # (H, W) int32, which instance that moves a pixel shows, -1 for none; None if nothing moves.
     instance: NDArray[np.int32] | None = None
+    # Whether distances are guesses (`depth_estimates`), which training replaces by its own.
     guessed: bool = False
 
     @property
