@@ -101,7 +101,6 @@ def _companded(values: Floats) -> Floats:
 
 
 def _expanded(values: Floats) -> Floats:
-    """The inverse of `_companded`."""
     size = np.abs(values)
     return np.where(size <= 1, values, np.copysign(np.exp(np.maximum(size, 1) - 1), values))
 
@@ -113,7 +112,6 @@ def _unsigned(values: Floats) -> Codes:
 
 
 def _signed(codes: Codes) -> Codes:
-    """The inverse of `_unsigned`."""
     unsigned = codes.view(np.uint16).astype(np.int32)
     return (unsigned >> 1) ^ -(unsigned & 1)
 
@@ -260,7 +258,6 @@ def exactly_encoded(forest: Forest) -> dict[str, torch.Tensor] | None:
 
 
 def _contents(gaussians: Gaussians) -> list[bytes]:
-    """All bits of Gaussians."""
     return [np.ascontiguousarray(t.detach().numpy()).tobytes() for t in gaussians.every_tensor()]
 
 
@@ -314,19 +311,15 @@ def decoded(tensors: dict[str, torch.Tensor]) -> Layer:
         torch.from_numpy(np.flatnonzero(codes["sh.turning"])),
         torch.from_numpy(np.ascontiguousarray(directional, dtype=np.float32)),
     )
-    gaussians = Gaussians(
-        *(
-            torch.from_numpy(np.ascontiguousarray(part, dtype=np.float32))
-            for part in (
-                unboxed(boxes),
-                log_scales_of_codes(codes["log_scales"]),
-                rotations_of_codes(codes["rotations.largest"], codes["rotations.others"]),
-                logits_of_codes(codes["opacities"]),
-                constants_of_codes(codes["sh.constant"])[None],
-            )
-        ),
-        directional=further,
+    values = (
+        unboxed(boxes),
+        log_scales_of_codes(codes["log_scales"]),
+        rotations_of_codes(codes["rotations.largest"], codes["rotations.others"]),
+        logits_of_codes(codes["opacities"]),
+        constants_of_codes(codes["sh.constant"])[None],
     )
+    exact = (torch.from_numpy(np.ascontiguousarray(part, dtype=np.float32)) for part in values)
+    gaussians = Gaussians(*exact, directional=further)
     parent = np.cumsum(codes["parent"], dtype=np.int32)
     return Layer(gaussians, *map(torch.from_numpy, (parent, codes["semantic"], codes["dynamic"])))
 

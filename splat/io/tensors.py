@@ -129,13 +129,8 @@ def _checksum(tensors: dict[str, torch.Tensor], text: str) -> str:
 
 
 # What a file may declare, by the name that it uses.
-_TYPES = {
-    str(kind).removeprefix("torch."): kind
-    for kind in (
-        *(torch.float16, torch.float32, torch.float64, torch.bool, torch.uint8),
-        *(torch.int16, torch.int32, torch.int64),
-    )
-}
+_NAMES = "float16", "float32", "float64", "bool", "uint8", "int16", "int32", "int64"
+_TYPES = {name: getattr(torch, name) for name in _NAMES}
 # Higher levels take seconds for one percent.
 _LEVEL = 6
 # Bytes that a file may unpack to, whatever its size, and per byte of it; forests take some ten.

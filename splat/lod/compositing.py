@@ -38,7 +38,6 @@ def composite(
 
     Args:
         entries: of the atlas, at least one; their weights sum to 1 in every cell in which any has one.
-        atlas: the entries' samples.
         frame: the rasterizer's, in which those cells keep what they show, and which is changed; a new one by
             default.
     """
@@ -112,11 +111,7 @@ def _combinations(covered: Mask) -> tuple[NDArray[np.int64], Mask]:
 
 
 class _Block:
-    """The lanes: one per block of pixels, those of a cell side by side.
-
-    Attributes:
-        x, y: the block's first pixel.
-    """
+    """The lanes: one per block of pixels, those of a cell side by side; x, y is its first pixel."""
 
     def __init__(self, lane: Any, cell: Any, columns: Any):
         block, across = lane % _PER_CELL, TILE // _BLOCK

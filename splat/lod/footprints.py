@@ -30,11 +30,7 @@ from splat.raster.records import RecordLayout, Records, concatenated_records
 
 
 class LayerChanges:
-    """The changes of the nodes of a layer, from `first` up to `end`; each is given out once per time.
-
-    Attributes:
-        moves: whether any of the nodes does.
-    """
+    """The changes of the nodes of a layer, from `first` up to `end`; each is given out once per time."""
 
     def __init__(self, forest: Forest, first: int, end: int):
         self._own, self._course = forest.nodes.gaussians, None
@@ -43,7 +39,8 @@ class LayerChanges:
             instance = forest.nodes.semantic[self._dynamic]
             self._course = forest.motion.course(self._own.select(self._dynamic), instance)
         self.moves = self._course is not None
-        self._light = None if forest.light is None else forest.light.among(first, end)
+        light = None if forest.light is None else forest.light.among(first, end)
+        self._light = light if light is not None and len(light.nodes) else None
         # Those whose light changes, in usual light.
         lit = torch.zeros(0, dtype=torch.int64) if self._light is None else self._light.nodes
         self._usual = self._own.select(lit)
@@ -70,7 +67,7 @@ class LayerChanges:
             camera: which sees them, in their coordinates; it matters to nodes with two sides.
         """
         light = self._light
-        if light is None or not len(light.nodes):
+        if light is None:
             return None
         eye = camera.position.tobytes() if len(light.sided) else b""
         if (self._lit_at, self._eye) == (time, eye):

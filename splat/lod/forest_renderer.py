@@ -164,21 +164,15 @@ class ForestRenderer:
         if not (cutoff >= 0).all():
             raise ValueError(f"cut-off of {cutoff.min():g} cycles per pixel: must be 0 or more")
 
-    def _least_blur(self, camera: Camera, image: LayerImage) -> float:
-        """Minimum width of the filter, as a multiple of the filter at the pixel grid.
-
-        The layer was trained with a filter of its training frames' pixels, and the sampling grid requires one
-        of its own.
-        """
-        return max(camera.fy / self.forest.focal_of(image.layer), 2.0**image.rate)
-
     def _table(self, camera: Camera, entries: Sequence[AtlasEntry], cutoff: Lattice) -> EntryTable | None:
         """The entries and the footprints that may show in them; None if there is none."""
         # A cut-off of 0 is that of the widest filter.
         cutoff = np.maximum(cutoff, NYQUIST / _WIDEST_BLUR, dtype=np.float32)
         lowest, blurs = np.minimum.reduce(at_corners(cutoff)), []
         for entry in entries:
-            least = self._least_blur(camera, entry.image)
+            # The layer was trained with a filter of its training frames' pixels, and the grid of samples
+            # requires one of its own.
+            least = max(camera.fy / self.forest.focal_of(entry.image.layer), 2.0**entry.image.rate)
             kept = NYQUIST if entry.is_sharp else float(lowest[entry.cells].min())
             blurs.append((max(NYQUIST / kept, least), least))
         widest = max(blur for blur, _ in blurs)

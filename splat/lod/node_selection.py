@@ -37,9 +37,6 @@ class EntryTable:
         blurs: for each the widest and the narrowest filter, as multiples of the filter at the pixel grid.
         cutoff: (rows + 1, columns + 1) highest frequency to keep, in cycles per pixel, at the corners of
             cells of TILE pixels.
-
-    Attributes:
-        candidates: how many there are.
     """
 
     def __init__(

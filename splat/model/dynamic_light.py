@@ -94,11 +94,7 @@ def factors_at(factors: torch.Tensor, time: float) -> torch.Tensor:
 
 
 def seen_from_behind(
-    normals: torch.Tensor,
-    rest: torch.Tensor,
-    rotations: torch.Tensor,
-    means: torch.Tensor,
-    eye: torch.Tensor,
+    normals: torch.Tensor, rest: torch.Tensor, rotations: torch.Tensor, means: torch.Tensor, eye: torch.Tensor
 ) -> torch.Tensor:
     """(B,) whether nodes are seen from behind.
 
@@ -232,9 +228,12 @@ class SurfaceLight:
         return nearest, away <= _REACH * self._around[0][nearest]
 
     def near(self, means: torch.Tensor, instance: torch.Tensor) -> torch.Tensor:
-        """(2, N) int64 points whose light nodes (centres at rest) have, seen from in front and from behind.
+        """(2, N) int64 points whose light nodes have, seen from in front and from behind; -1 if none changes.
 
-        -1 for nodes whose light does not change; the same point twice for what has one side only.
+        It is the same point twice for what has one side only.
+
+        Args:
+            means, instance: (3, N) centres at rest, and (N,) what moves them.
         """
         nearest, within = self._nearest(means, instance)
         front = torch.from_numpy(nearest)
@@ -274,12 +273,9 @@ class NodeLight:
     def lit(
         self, rest: Gaussians, shown: Gaussians, index: torch.Tensor, camera: Camera, time: float
     ) -> Gaussians:
-        """Some nodes in the light that they have; torch can differentiate them.
+        """M nodes of the layer, by their indices (M,), at rest and as they are shown: shown in their light.
 
-        Args:
-            rest, shown: M nodes, at rest and where they are.
-            index: (M,) their indices in the layer.
-            time: from 0 to 1.
+        Torch can differentiate them.
         """
         changed, factor = self._factor(self._near[:, index], rest, shown, camera, time)
         return in_light(shown, changed, factor)

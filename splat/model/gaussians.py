@@ -176,12 +176,8 @@ class Gaussians:
     def is_finite(self) -> bool:
         """Whether every number is finite."""
         # An infinity is an extreme and NaN becomes both extremes, so that no tensor of flags is needed.
-        return all(
-            bool(torch.isfinite(extreme))
-            for t in self.every_tensor()
-            if t.numel()
-            for extreme in torch.aminmax(t)
-        )
+        extremes = (extreme for t in self.every_tensor() if t.numel() for extreme in torch.aminmax(t))
+        return all(bool(torch.isfinite(extreme)) for extreme in extremes)
 
 
 def concatenated(parts: list[Gaussians]) -> Gaussians:

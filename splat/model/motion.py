@@ -23,12 +23,11 @@ class Dynamics(Protocol):
     """Where nodes that belong to instances are at a time."""
 
     def shown(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """Gaussians as they are at a time; torch can differentiate them by those at rest.
+        """Gaussians as they are at a time from 0 to 1; torch can differentiate them by those at rest.
 
         Args:
             gaussians: N Gaussians at rest.
             instance: (N,) that each belongs to; below 0, it stays where it is.
-            time: from 0 to 1.
         """
 
     def course(self, gaussians: Gaussians, instance: torch.Tensor) -> Callable[[float], Gaussians]:
@@ -66,13 +65,10 @@ class Poses:
         return Poses(back, -turned(back.T, self.offsets.T).T, there, self.pieces)
 
     def followed(self, means: torch.Tensor, instance: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Which pieces points (3, M) at rest, of instances (M,), follow, and how much.
+        """(M, F) pieces that points (3, M) at rest, of instances (M,), follow, and weights that sum to one.
 
         A piece's weight falls with the distance of its centre, to zero at that of the nearest piece which is
         not followed any more: it changes without a jump along the instance.
-
-        Returns:
-            (M, F) indices of pieces, and (M, F) weights, which sum to one.
         """
         first = torch.cumsum(self.pieces, 0) - self.pieces
         if bool((self.pieces == 1).all()):

@@ -53,9 +53,8 @@ def place_of_gaussians(world: Gaussians) -> Place:
     size = float(np.median(np.linalg.norm(means - middle, axis=1)))
     near = np.linalg.norm(middle) <= _FARTHEST * size
     # A single Gaussian, or many in one point, have no size.
-    return (
-        WORLD if size == 0 or (near and _LEAST_SIZE <= size <= _LARGEST_SIZE) else place_around(means, size)
-    )
+    good = size == 0 or (near and _LEAST_SIZE <= size <= _LARGEST_SIZE)
+    return WORLD if good else place_around(means, size)
 
 
 def _mapped(gaussians: Gaussians, offset: NDArray[np.float64], scale: float) -> Gaussians:

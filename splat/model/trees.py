@@ -34,9 +34,6 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
     The weights are w = o S, with o the opacity and S = s1 s2 + s1 s3 + s2 s3, half the surface of a box with
     the standard deviations as sides. Mean, covariance and colour are means weighted by w; the opacity is
     (w_a + w_b) / S of the result, at most 0.99. It has directional harmonics if one of the two has.
-
-    Returns:
-        N Gaussians.
     """
     # Logarithms: weights of tiny or transparent Gaussians would be 0, and their shares 0 / 0.
     weight_a, weight_b = (_log_opacity(g) + _log_surface(rows_of(g.log_scales)) for g in (a, b))
@@ -70,7 +67,6 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
 
 
 def _log_opacity(gaussians: Gaussians) -> Floats:
-    """(N,) logarithm of the opacity."""
     return -np.logaddexp(0, -gaussians.opacity_logits.detach().numpy().astype(np.float64))
 
 
@@ -92,11 +88,9 @@ NEIGHBOURS = 16
 
 
 def with_parents(below: Layer, above: Layer, parent: Ints, tries: int) -> tuple[Layer, Ints]:
-    """Gives a parent to every node that has none, if necessary a new one.
+    """Gives a parent to every node of a layer that has none, if necessary a new one.
 
     Args:
-        below: N nodes.
-        above: the next coarser layer.
         parent: (N,) index of each node's parent in the layer above; -1 for none.
         tries: how many parents a node tries; the paper's algorithm tries one.
 
@@ -188,7 +182,6 @@ class _ParentSearch:
         return [parent for _, parent in candidates[:tries]]
 
     def _make(self, child: int) -> int:
-        """A new parent at a child's position."""
         self._made_for[child] = self._count
         self._made[self._count] = self._children[child]
         self._count += 1
@@ -250,10 +243,7 @@ def layer_of_size(size: NDArray[np.floating], pixel: float, layers: int) -> Ints
 
     Layer L takes sizes below 4 pixels, layer l from 2^(L - l + 1) to 2^(L - l + 2) pixels, layer 1 all above:
     what a frame reduced by 2^(L - l) can still sample. (The printed upper bound 2^L s_L f d must read
-    2^L s_L d / f.)
-
-    Args:
-        pixel: d / f, the size of a pixel of the training frames at their mean depth d.
+    2^L s_L d / f.) `pixel` is d / f, the size of a pixel of the training frames at their mean depth d.
     """
     octave = np.floor(np.log2(np.maximum(size / pixel, 2.0))).astype(np.int64)
     return np.clip(layers + 1 - octave, 1, layers)
@@ -327,8 +317,7 @@ def _occurrence(values: Ints) -> Ints:
 def _with_children(below: Layer, above: Layer, parent: Ints) -> tuple[Layer, Ints]:
     """Gives a child to every node above that has none: a nearby node's second child, else a copy of itself.
 
-    Returns:
-        The layer below with the copies after the given nodes, and the parent of every node in it.
+    The copies come after the given nodes; the second result is the parent of every node below.
     """
     parent = parent.copy()
     count = np.bincount(parent, minlength=len(above))

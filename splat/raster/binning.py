@@ -90,9 +90,6 @@ class Candidates:
         wanted: (rows, columns) bool, the tiles to rasterize; all by default.
         bounds: tiles that each splat is confined to; all by default.
         in_order: whether splats that meet in a tile come from near to far already.
-
-    Attributes:
-        whole: the window of all tiles.
     """
 
     def __init__(
@@ -289,7 +286,5 @@ def _sorted(arrays: Arrays, grid: TileGrid, runs: Runs, key: Any, splat: Any) ->
     # Not evaluated yet: one kernel finds the ranges and gathers what the tiles read.
     owner = dr.arange(UInt, dr.width(runs.first)) if runs.order is None else runs.order
     sorted_splat = dr.gather(UInt, splat, sorting)
-    return Bins(
-        *(arrays, grid, runs.wanted, ranges),
-        *(sorted_splat, own, sorting, runs.first, runs.count, owner),
-    )
+    pairs, found = (sorted_splat, own, sorting), (runs.first, runs.count, owner)
+    return Bins(arrays, grid, runs.wanted, ranges, *pairs, *found)

@@ -44,10 +44,8 @@ class Blocks:
         number: UInt (M,), of its block in the tile, row by row.
 
     Attributes:
-        side: of a block in pixels.
-        pixels: in a block.
-        x, y: its first pixel.
-        centre_x, centre_y: that pixel's centre.
+        side, pixels: of a block in pixels, and their number.
+        x, y, centre_x, centre_y: its first pixel, and the centre of that.
         first, last: range of each lane in the lists; `last` is exclusive.
     """
 
@@ -64,11 +62,7 @@ class Blocks:
 
     @staticmethod
     def of_tiles(arrays: Arrays, bins: Bins, everywhere: bool = False) -> Blocks:
-        """A lane per block, the 16 of a tile side by side.
-
-        Args:
-            everywhere: whether tiles that are not rasterized have lanes, too, with nothing to read.
-        """
+        """A lane per block, the 16 of a tile side by side; `everywhere`: also where nothing is to be read."""
         UInt, grid = arrays.plain.UInt, bins.grid
         tiles = grid.columns * grid.rows if everywhere else dr.width(bins.tiles)
         lane = dr.arange(UInt, tiles * LANES_ACROSS**2)

@@ -30,15 +30,12 @@ class Parts:
     Iterating gives the lists of each part, from the top left to the bottom right, as `Bins` for its tiles. A
     single part is kept; several are made anew each time. A part of a single tile is not divided further: its
     list is no longer than the splats are many.
-
-    Attributes:
-        grid: the frame's tiles.
-        only: the lists of all tiles, if they are a single part.
     """
 
     def __init__(self, candidates: Candidates):
         self.grid, self._candidates = candidates.grid, candidates
         runs = self._candidates.runs(self._candidates.whole)
+        # The single part, if it is one.
         self.only = self._candidates.bins(runs) if runs.pairs <= PAIRS_AT_ONCE else None
 
     def __iter__(self) -> Iterator[Bins]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import atexit
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain
 from typing import Any
 
 import drjit as dr
@@ -111,13 +112,8 @@ class Parameters:
 
     def leaves(self) -> list[Any]:
         """All rows, in the order of the parameter tensors' memory."""
-        return [
-            *self.means,
-            *self.log_scales,
-            *self.rotations,
-            self.opacity_logits,
-            *(channel for coefficient in self.sh for channel in coefficient),
-        ]
+        harmonics = chain.from_iterable(self.sh)
+        return [*self.means, *self.log_scales, *self.rotations, self.opacity_logits, *harmonics]
 
 
 def project(parameters: Parameters, camera: Camera, low_pass: Any) -> Splats:
@@ -201,7 +197,6 @@ def directional_constant(sh: list[list[Any]], means: list[Any], camera: Camera) 
 
     Args:
         sh: for each of these harmonics its three channels.
-        means: three rows.
         camera: whose eye it is, in the same coordinates.
     """
     number: Any = type(means[0])
@@ -229,7 +224,6 @@ def may_show(arrays: Arrays, means: list[Any], size: Any, camera: Camera, low_pa
     """Mask (N,) of all Gaussians that are drawn in a camera's frame, and of some beside it.
 
     Args:
-        means: three rows, in the coordinates of the camera.
         size: (N,) longest axis, as a standard deviation.
         low_pass: variance in px^2 of the filter on the screen.
     """

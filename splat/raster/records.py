@@ -168,11 +168,7 @@ class Records:
         return SimpleNamespace(**found)
 
     def write(self, index: Any, **values: Any) -> None:
-        """Overwrites some slots of the records at an index (M,), in which no record comes twice.
-
-        Args:
-            values: by slot a list of as many floats (M,) as it is wide; no integers.
-        """
+        """Overwrites slots of the records at an index (M,), no record twice, by lists of floats (M,)."""
         # What still waits to be written, of another number of records, would run at the same time.
         dr.eval(self.tables)
         for name, rows in values.items():

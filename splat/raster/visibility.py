@@ -36,24 +36,13 @@ _GREY_SLOPE = SH_DC * 2.4 / 1.055 * ((0.5 + 0.055) / 1.055) ** 1.4
 
 
 def contributions(
-    arrays: Arrays,
-    gaussians: Gaussians,
-    camera: Camera,
-    weights: NDArray[np.float32],
-    low_pass: float = PIXEL_FILTER,
+    arrays: Arrays, gaussians: Gaussians, camera: Camera, weights: NDArray[np.float32]
 ) -> torch.Tensor:
-    """Sums of what N Gaussians contribute to the pixels of a view in their coordinates, weighted.
+    """(N, C) sums of what N Gaussians contribute to pixels of a view, times weights (H, W, C) of these.
 
     To a pixel, Gaussian m contributes c_m = alpha_m prod_{n<m} (1 - alpha_n), over the sum of that over all
     Gaussians: Eq. 1 with the product up to m - 1 and the inverse covariance, without which it would not be
     what is blended. It is the derivative of a rendered pixel by the colour of the Gaussian.
-
-    Args:
-        weights: (H, W, C) of the pixels.
-        low_pass: variance in px^2 of the filter on the screen.
-
-    Returns:
-        (N, C) float32, for each Gaussian the sum over pixels of contribution times weight.
     """
     found = torch.zeros(len(gaussians), weights.shape[2])
     if not len(gaussians):
@@ -61,7 +50,7 @@ def contributions(
     for first in range(0, weights.shape[2], _CHANNELS):
         part = torch.from_numpy(np.ascontiguousarray(weights[..., first : first + _CHANNELS]))
         sh = torch.zeros(1, 3, len(gaussians), requires_grad=True)
-        image = render_differentiable(arrays, replace(gaussians, sh=sh, directional=None), camera, low_pass)
+        image = render_differentiable(arrays, replace(gaussians, sh=sh, directional=None), camera)
         opacity = image.detach()[..., :1] / _GREY
         share = torch.where(opacity > _LEAST_OPACITY, part / opacity.clamp(min=_LEAST_OPACITY), 0)
         (image[..., : share.shape[-1]] * share).sum().backward()

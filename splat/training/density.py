@@ -48,9 +48,6 @@ class DensityControl:
     """Decides when and how the set of Gaussians changes.
 
     Args:
-        iterations: length of the training in steps.
-        initial_count: Gaussians at the start.
-        final_count: Gaussians at the end.
         motion: of the instances that views show; None if nothing moves.
         light: that changes; None if none does.
     """
@@ -90,15 +87,7 @@ class DensityControl:
         rng: np.random.Generator,
         measured: _Measure = lambda view: view,
     ) -> tuple[torch.Tensor, Layer]:
-        """Chooses what stays and what is new.
-
-        Args:
-            rng: draws the pixels of the new ones.
-            measured: gives a view whose distances are guesses those that the set shows.
-
-        Returns:
-            Indices (M,) of the Gaussians that stay, and the new nodes, at rest.
-        """
+        """Indices (M,) of the Gaussians that stay, and new nodes, at rest, at pixels drawn at random."""
         opacity = torch.sigmoid(gaussians.opacity_logits)
         finite = torch.isfinite(gaussians.means).all(dim=0) & torch.isfinite(gaussians.log_scales).all(dim=0)
         kept = torch.nonzero((opacity >= _MINIMUM_OPACITY) & finite)[:, 0]
@@ -222,12 +211,8 @@ _LARGEST = 0.12
 
 
 def largest_log_scales(means: torch.Tensor, views: list[TrainingView]) -> torch.Tensor:
-    """(N,) largest logarithm that the scales of Gaussians may have.
-
-    Args:
-        means: (3, N) centres.
-        views: in the same coordinates. What is nearer to one than the near plane is not drawn anyway.
-    """
+    """(N,) largest logarithm that the scales of Gaussians with centres (3, N) may have in some views."""
     eyes = cKDTree(np.stack([view.camera.position for view in views]))
     distance, _ = eyes.query(means.detach().T.double().numpy(), workers=-1)
+    # What is nearer than the near plane is not drawn anyway.
     return torch.from_numpy(np.log(_LARGEST * np.maximum(distance, NEAR))).float()

@@ -44,12 +44,9 @@ _UNSEEN = 1.0
 
 
 class Parallax:
-    """Finds distances of views from one another.
+    """Finds distances of views, of what hardly moves, from one another: between the nearest and the farthest.
 
-    Args:
-        views: of what does not move, for the most part.
-        nearest, farthest: distances between which everything lies.
-        distance: of what they look at, about.
+    `distance` is that of what they look at, about.
     """
 
     def __init__(self, views: list[TrainingView], nearest: float, farthest: float, distance: float):
@@ -118,9 +115,7 @@ _PARALLEL = 1e-4
 
 
 def with_guesses(
-    views: list[TrainingView],
-    points: Floats | None = None,
-    bounds: tuple[float, float] | None = None,
+    views: list[TrainingView], points: Floats | None = None, bounds: tuple[float, float] | None = None
 ) -> list[TrainingView]:
     """Views with a guess of each distance that is not known.
 

@@ -26,7 +26,6 @@ class Adam:
         values: (R, N) where to start; used up.
 
     Attributes:
-        values: as they are now.
         first_moments, second_moments: (R, N) of their gradients.
         steps: (N,) of each column.
     """
@@ -98,7 +97,6 @@ class GaussianOptimizer:
     Args:
         gaussians: where to start; copied.
         pixel: unit of the positions' learning rate.
-        device: that steps are computed on.
     """
 
     def __init__(self, gaussians: Gaussians, pixel: float, device: torch.device = HOST):
@@ -225,7 +223,6 @@ def _gradient(leaf: torch.Tensor) -> torch.Tensor:
 
 
 def _flat(tensor: torch.Tensor) -> torch.Tensor:
-    """(rows, N) of (..., N)."""
     return tensor.reshape(math.prod(tensor.shape[:-1]), tensor.shape[-1])
 
 

@@ -112,7 +112,7 @@ def seed_at(
     motion: Dynamics | None = None,
     light: NodeLight | None = None,
 ) -> Layer:
-    """Seeds at pixels of one view, labelled by the instances that these show.
+    """Seeds, without parents, at pixels of one view, labelled by the instances that these show.
 
     Args:
         pixels: (M,) row-major indices; pixels that show no surface give no seed.
@@ -120,9 +120,6 @@ def seed_at(
         degree: of the spherical harmonics, of which only the constant one is set.
         motion: of the instances; seeds of these are where they are at rest.
         light: that changes; seeds have the radiance that they show in usual light.
-
-    Returns:
-        At most M nodes without parents.
     """
     distance = view.distance.ravel()[pixels]
     pixels = pixels[np.isfinite(distance) & (distance > 0)]

@@ -71,7 +71,6 @@ class LayerTraining:
 
     Args:
         views: frames at this layer's resolution.
-        steps: how many steps this layer gets in total.
         seed: determines the order of the views and the new Gaussians.
         motion: of the instances that views show; None if nothing moves.
         light: on the surfaces that they show; None if it does not change.
@@ -102,8 +101,7 @@ class LayerTraining:
     ):
         self._motion, self._all_harmonics = motion, all_harmonics
         self._light = None if light is None else NodeLight(light)
-        self.views, self.done, self.skipped, self.begun = views, 0, 0, False
-        self.stepped = False
+        self.views, self.done, self.skipped, self.begun, self.stepped = views, 0, 0, False, False
         self._arrays, self._steps, self._seed = arrays, steps, seed
         # What moves, and light that changes, are shown on the host.
         still = motion is None and light is None
@@ -193,9 +191,7 @@ class LayerTraining:
         """Tells from all views which nodes move, and removes those that move and that none of them shows.
 
         A field has led these behind something. Nobody will tell any more that they do not belong there.
-
-        Returns:
-            As of `step`.
+        Returns as `step`.
         """
         if not self._separates:
             return None

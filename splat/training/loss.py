@@ -152,8 +152,7 @@ class Target:
     def loss(self, rendered: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """(1 - w) L1 + w (1 - SSIM) of radiance (H, W, 3) on a scale for lamps beside shadows (Fov-GS Eq. 4).
 
-        Returns:
-            The loss, and the absolute error per pixel (H, W), which has no gradient.
+        The second result is the absolute error per pixel (H, W), which has no gradient.
         """
         loss, error = _Loss.apply(self, rendered)
         return loss, error
@@ -172,7 +171,6 @@ class Target:
         return loss[0], error.reshape(height, width), gradient.reshape(rendered.shape)
 
     def _frame(self) -> Any:
-        """The frame's radiance, flat."""
         return _flat(self._arrays, self._radiance.float())
 
 
@@ -271,7 +269,6 @@ class _Similarity:
         return self._blurred(3, self._loaded(rows), finish)[0]
 
     def _blurred(self, number: int, *what: Any) -> list[Any]:
-        """`blur` along one of the axes."""
         return blur(self._arrays, self._axes[number], self._sizes[number], *what)
 
     def _loaded(self, maps: list[Any]) -> Any:

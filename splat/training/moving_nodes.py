@@ -113,8 +113,6 @@ def evidence_of(
 
     Args:
         layer: N nodes, at rest.
-        views: labelled, in the coordinates of the nodes.
-        motion: of the instances.
         instances: L, more than the largest label.
     """
     count = len(layer)

@@ -101,24 +101,19 @@ def _votes(frames: list[_Frame], index: int) -> list[NDArray[np.int32]]:
     others = [other for other in frames if other.time != frame.time]
     shape = frame.inverse.shape
     gone, there, changed, compared = (np.zeros(shape, dtype=np.int32) for _ in range(4))
-    for other in _spread_in_time(others):
-        _look_through(frame, other, gone, there)
+    # Evenly spread over their times.
+    ordered = sorted(others, key=lambda other: other.time)
+    for number in np.linspace(0, len(ordered) - 1, min(len(ordered), _MOST_FRAMES)).round().astype(int):
+        _look_through(frame, ordered[number], gone, there)
     way = lambda other: np.linalg.norm(frame.camera.position - other.camera.position)  # noqa: E731
     for other in sorted(others, key=way)[:_COMPARED]:
         _compare(frame, other, changed, compared)
     return [gone, there, changed, compared]
 
 
-def _spread_in_time(frames: list[_Frame]) -> list[_Frame]:
-    """At most so many frames as are looked at, evenly spread over their times."""
-    ordered = sorted(frames, key=lambda frame: frame.time)
-    chosen = np.linspace(0, len(ordered) - 1, min(len(ordered), _MOST_FRAMES)).round().astype(int)
-    return [ordered[index] for index in chosen]
-
-
 def _look_through(frame: _Frame, other: _Frame, gone: NDArray[np.int32], there: NDArray[np.int32]) -> None:
     """Adds the vote of another frame on where a frame's points have gone and where they may be."""
-    pixels, position, depth = _projected(frame, other, margin=1)
+    pixels, position, depth = _projected(frame, other)
     column, row = position.astype(np.int64).T
     nearest, farthest = other.nearest[row, column], other.farthest[row, column]
     is_gone = nearest > depth * (1 + _TOLERANCE)
@@ -128,24 +123,22 @@ def _look_through(frame: _Frame, other: _Frame, gone: NDArray[np.int32], there: 
 
 
 def _projected(
-    frame: _Frame, other: _Frame, margin: float
+    frame: _Frame, other: _Frame
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Where another frame shows a frame's points.
+    """Row-major indices (M,) of those points that lie within another frame, at least a pixel from its border.
 
-    Returns:
-        Row-major indices (M,) of the points that lie within the other frame, a margin in pixels apart from
-        its border; their positions (M, 2) in it and depths (M,).
+    And their positions (M, 2) in it and depths (M,).
     """
     pixels = np.flatnonzero(frame.inverse > 0)
     position, depth = other.camera.project(frame.points.reshape(-1, 3)[pixels])
     size = np.array([other.camera.width, other.camera.height])
-    inside = (depth > 0) & ((position >= margin) & (position < size - margin)).all(axis=1)
+    inside = (depth > 0) & ((position >= 1) & (position < size - 1)).all(axis=1)
     return pixels[inside], position[inside], depth[inside]
 
 
 def _compare(frame: _Frame, other: _Frame, changed: NDArray[np.int32], compared: NDArray[np.int32]) -> None:
     """Adds the vote of a near view on whether patches at the same place look alike."""
-    pixels, position, depth = _projected(frame, other, margin=1)
+    pixels, position, depth = _projected(frame, other)
     same = _from_same_side(frame, other, pixels)
     pixels, position, depth = pixels[same], position[same], depth[same]
     shape = frame.inverse.shape

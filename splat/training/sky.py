@@ -42,7 +42,6 @@ def shows_sky(radiance: NDArray[np.float32], distance: NDArray[np.float32]) -> N
     """Mask (H, W) of the pixels that see light and hit nothing.
 
     Args:
-        radiance: (H, W, 3) linear.
         distance: (H, W) along the rays; inf where nothing is hit.
     """
     missed = np.isinf(distance)
@@ -90,7 +89,6 @@ def discs(
     Args:
         means, log_scales, normals: (N, 3) each; the third axis lies along the normal.
         colour: (3, N) perceptual radiance.
-        opacity: of all.
         degree: of the spherical harmonics, of which only the constant one is set.
     """
     sh = torch.zeros(sh_count(degree), 3, len(means))

@@ -176,11 +176,7 @@ class Trainer:
         self._layers[-1].begin(known, max(settings.gaussians, len(known)))
 
     def run(self, progress: Callable[[int], None] = lambda done: None, until: int | None = None) -> None:
-        """Trains up to iteration `until`, by default to the end.
-
-        Args:
-            progress: called after each step with the number of steps so far.
-        """
+        """Trains up to iteration `until`, by default to the end; tells `progress` the steps after each."""
         while self.iteration < (until or self.settings.iterations):
             self._step()
             self.iteration += 1
@@ -207,10 +203,10 @@ class Trainer:
             for number, training in enumerate(self._layers):
                 if training.begun:
                     self._tell_children(number, training.separate_at_last())
-        if self.iteration == self._settling and self._layers[0].begun:
-            settled = settle([training.layer for training in self._layers])
-            for training, layer in zip(self._layers, settled, strict=True):
-                training.extend(layer)
+            if self._layers[0].begun:
+                settled = settle([training.layer for training in self._layers])
+                for training, layer in zip(self._layers, settled, strict=True):
+                    training.extend(layer)
         # Changes would break trees that are settled.
         moved = self._layers[index].step(grows=self.iteration < self._settling)
         if self._field is not None:

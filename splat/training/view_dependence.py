@@ -31,8 +31,6 @@ def turning_of(
     """How those M Gaussians turn that have harmonics above the constant one; 0 of what no view shows.
 
     Args:
-        gaussians: with such harmonics apart.
-        views: in their coordinates.
         shown: gives the Gaussians as they are at a time, in the same order.
 
     Returns:
