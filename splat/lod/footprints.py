@@ -188,18 +188,12 @@ def _row(arrays: Arrays, values: torch.Tensor) -> Any:
 
 
 class _LayerBounds:
-    """Where the N nodes of one layer are and how large: enough to tell which ones may show.
-
-    Attributes:
-        first: index of the first one in the forest.
-        means: three rows (N,), in the forest's own coordinates.
-        size: (N,) longest axis, as a standard deviation.
-    """
+    """Where the N nodes of one layer are and how large: enough to tell which ones may show."""
 
     def __init__(self, arrays: Arrays, gaussians: Gaussians, first: int, end: int, moves: bool):
         self._arrays, self._first = arrays, first
         self.first = arrays.constant(first)
-        # Shared with the forest, which is at rest.
+        # Three rows (N,), shared with the forest, which is at rest.
         means = gaussians.means.clone() if moves else gaussians.means
         self.means = [_row(arrays, row) for row in means[:, first:end]]
         self.size = _row(arrays, gaussians.part(first, end).longest)

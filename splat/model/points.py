@@ -75,22 +75,19 @@ def remoteness(means: torch.Tensor) -> torch.Tensor:
 
 
 class Neighbours:
-    """The nearest `count` of M points (M, 3), or all if there are fewer, to each of N positions (N, 3).
-
-    Attributes:
-        distance, index: (N, K) of each position's neighbours, nearest first.
-        reach: (N,) the distance up to which no point is missing; infinite if all M are listed.
-    """
+    """The nearest `count` of M points (M, 3), or all if there are fewer, to each of N positions (N, 3)."""
 
     def __init__(self, points: Floats, positions: Floats, count: int):
         count = min(count, len(points))
+        # (N, K) of each position's neighbours, nearest first.
         self.distance: Floats = np.zeros((len(positions), count))
         self.index: Ints = np.zeros((len(positions), count), dtype=np.int64)
         if count:
             nearest = np.arange(1, count + 1)
             self.distance, self.index = cKDTree(points).query(positions, k=nearest, workers=-1)
-        listed = count < len(points)
-        self.reach = self.distance[:, -1] if listed else np.full(len(positions), np.inf)
+        # (N,) the distance up to which no point is missing; infinite if all M are listed.
+        some = count < len(points)
+        self.reach = self.distance[:, -1] if some else np.full(len(positions), np.inf)
 
 
 _BITS = 20  # per axis

@@ -24,14 +24,11 @@ class Adam:
 
     Args:
         values: (R, N) where to start; used up.
-
-    Attributes:
-        first_moments, second_moments: (R, N) of their gradients.
-        steps: (N,) of each column.
     """
 
     def __init__(self, values: torch.Tensor):
         self.values = values
+        # (R, N) of the gradients, and (N,) of each column.
         self.first_moments, self.second_moments = (torch.zeros_like(values) for _ in range(2))
         self.steps = values.new_zeros(values.shape[1])
 

@@ -255,8 +255,7 @@ class Trainer:
         if (numbers.get("origin"), numbers.get("unit")) != (list(self.place.origin), self.place.unit):
             raise ValueError("the checkpoint holds Gaussians in other coordinates")
         for index, (training, counts) in enumerate(zip(self._layers, numbers["layers"], strict=True)):
-            prefix = f"{index}."
-            training.restore(under(prefix, tensors), counts)
+            training.restore(under(f"{index}.", tensors), counts)
         if self._field is not None:
             self._field.restore(under(_FIELD, tensors))
         self.iteration = int(numbers["iteration"])
@@ -264,11 +263,10 @@ class Trainer:
 
 def _labelled(view: TrainingView, motion: MotionModel) -> TrainingView:
     """A view in which everything that is deformed is one instance, if it is by a field."""
-    if motion.field is None:
+    has_labels = motion is MotionModel.D_GS_OF_DYNAMIC and view.instance is not None
+    if motion.field is None or has_labels:
         return view
-    if motion is not MotionModel.D_GS_OF_DYNAMIC or view.instance is None:
-        return replace(view, instance=np.zeros(view.distance.shape, dtype=np.int32))
-    return view
+    return replace(view, instance=np.zeros(view.distance.shape, dtype=np.int32))
 
 
 def _box(views: list[TrainingView]) -> tuple[torch.Tensor, torch.Tensor]:

@@ -102,15 +102,12 @@ def place_of(views: list[TrainingView]) -> Place:
     Raises:
         ValueError: no view shows a surface.
     """
-    points, distances = [], []
-    for view in views:
-        seen = view.some_surface_pixels
-        points.append(view.points(seen))
-        distances.append(view.distance.ravel()[seen])
-    distance = np.concatenate(distances)
+    seen = [(view, view.some_surface_pixels) for view in views]
+    distance = np.concatenate([view.distance.ravel()[pixels] for view, pixels in seen])
     if not len(distance):
         raise ValueError("no frame shows a surface at a finite distance; turn the camera to one")
-    return place_around(np.concatenate(points), float(np.median(distance)))
+    points = np.concatenate([view.points(pixels) for view, pixels in seen])
+    return place_around(points, float(np.median(distance)))
 
 
 def placed(view: TrainingView, place: Place) -> TrainingView:
@@ -157,18 +154,14 @@ def reduced(view: TrainingView, factor: int) -> TrainingView:
         return view
     camera = view.camera
     height, width = camera.height // factor, camera.width // factor
+    intrinsics = {name: getattr(camera, name) / factor for name in ("fx", "fy", "cx", "cy")}
     radiance = view.radiance[: height * factor, : width * factor]
     radiance = radiance.reshape(height, factor, width, factor, 3).mean(axis=(1, 3))
     # A mean of distances would lie between a table's edge and the floor; the middle one lies on one of them.
     middle = np.s_[factor // 2 : height * factor : factor, factor // 2 : width * factor : factor]
     return replace(
         view,
-        camera=replace(
-            camera,
-            width=width,
-            height=height,
-            **{name: getattr(camera, name) / factor for name in ("fx", "fy", "cx", "cy")},
-        ),
+        camera=replace(camera, width=width, height=height, **intrinsics),
         radiance=np.ascontiguousarray(radiance),
         distance=np.ascontiguousarray(view.distance[middle]),
         normal=np.ascontiguousarray(view.normal[middle]),
