@@ -138,11 +138,7 @@ _ALWAYS, _PER_BYTE = 1 << 28, 64
 
 
 def packed(tensors: dict[str, torch.Tensor]) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-    """Packs tensors.
-
-    Returns:
-        Each one's content as bytes, uint8, and its type and shape, which JSON can hold.
-    """
+    """The content of each tensor as bytes, uint8, and its type and shape, which JSON can hold."""
     kinds = {name: [str(t.dtype).removeprefix("torch."), list(t.shape)] for name, t in tensors.items()}
     return {name: _packed(tensor) for name, tensor in tensors.items()}, kinds
 
@@ -151,7 +147,6 @@ def unpacked(tensors: dict[str, torch.Tensor], kinds: Any) -> dict[str, torch.Te
     """The tensors that `packed` made these of.
 
     Args:
-        tensors: uint8, by name.
         kinds: type and shape of each, as read from a file.
 
     Raises:

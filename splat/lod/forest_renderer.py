@@ -218,11 +218,7 @@ def _largest_alone(images: Sequence[LayerImage], wanted: Mask) -> tuple[LayerIma
 
 
 class CachedLayerImages:
-    """Layer images of one view, each drawn over the whole frame.
-
-    Args:
-        steps: layer and rate of each image.
-    """
+    """Layer images of one view, given by layer and rate, each drawn over the whole frame."""
 
     def __init__(self, renderer: ForestRenderer, camera: Camera, steps: Sequence[tuple[int, int]]):
         grid = TileGrid(camera.width, camera.height)

@@ -40,11 +40,7 @@ class Deformation:
 
 
 class Heads(torch.nn.Module):
-    """Turns features of points into their deformation; there is none at first.
-
-    Args:
-        hidden: whether each head has a hidden layer of as many features.
-    """
+    """Turns features of points into their deformation, at first none; heads may have a hidden layer."""
 
     def __init__(self, width: int, hidden: bool):
         super().__init__()
@@ -112,10 +108,7 @@ _PAIRS = tuple(combinations(range(4), 2))
 class HexPlane(torch.nn.Module):
     """Planes over each pair of the axes x, y, z and time, and a small perceptron.
 
-    Its regularizers (total variation of planes) are left out.
-
-    Args:
-        low, high: (3,) corners of the box within which places differ.
+    Places differ within a box with corners (3,). The regularizers (total variation of planes) are left out.
     """
 
     # Learning rates at the start and at the end: those of 4DGS are for 20,000 steps, a few times as many as

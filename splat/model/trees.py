@@ -192,9 +192,7 @@ class _ParentSearch:
 def _made_parents(below: Layer, children: Ints, number: Ints) -> Layer:
     """New parents: twice the size of an only child, or the moments of two.
 
-    Args:
-        below, children: the layer of the children, and their indices (C,) in it.
-        number: (C,) the new parent of each of them, counted from 0 without gaps.
+    Children are given by indices (C,) in the layer below; `number` (C,) counts their parents without gaps.
     """
     order = np.argsort(number, kind="stable")
     children, number = children[order], number[order]
@@ -212,11 +210,10 @@ def _made_parents(below: Layer, children: Ints, number: Ints) -> Layer:
 def build_forest(finest: Layer, pixel: float, layers: int) -> list[Layer]:
     """Builds trees over the Gaussians of one trained set, which becomes layer L unchanged (Algorithm 1).
 
+    The layers, coarsest first, do not depend on the order of the set in memory.
+
     Args:
         pixel: size in world space of a pixel of the training frames at their mean depth.
-
-    Returns:
-        The layers, coarsest first. They do not depend on the order of the set in memory.
     """
     # The sky is huge, and yet its Gaussians are as small in a frame as others.
     size = finest.gaussians.longest.numpy() / remoteness(finest.gaussians.means).numpy()
@@ -250,16 +247,11 @@ def layer_of_size(size: NDArray[np.floating], pixel: float, layers: int) -> Ints
 
 
 def settle(layers: list[Layer]) -> list[Layer]:
-    """Completes the trees over trained layers.
+    """Completes the trees over trained layers, coarsest first; new nodes come after those given.
 
-    A child inside its parent's ellipsoid and with the same labels keeps its parent. The others choose the
-    nearest parent that has room. A node left without children takes one from a nearby node that has two.
-
-    Args:
-        layers: coarsest first; parents may be missing, out of range, or too many children may share one.
-
-    Returns:
-        The layers, coarsest first: the given nodes in their order, and new nodes after them.
+    Parents may be missing, out of range, or too many children may share one. A child inside its parent's
+    ellipsoid and with the same labels keeps its parent. The others choose the nearest parent that has room.
+    A node left without children takes one from a nearby node that has two.
     """
     settled = [layers[-1]]
     for above in reversed(layers[:-1]):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import numpy as np
@@ -72,8 +72,7 @@ class TileBounds:
     bottom: Any
 
 
-@dataclass(frozen=True)
-class Window:
+class Window(NamedTuple):
     """A rectangle of tiles; right and bottom are exclusive."""
 
     left: int
@@ -183,9 +182,7 @@ def _boxes(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> _Bo
 
 def _clipped(arrays: Arrays, boxes: _Boxes, window: Window) -> _Boxes:
     """The parts of boxes inside a window."""
-    left, top, right, bottom = (
-        arrays.constant(side) for side in (window.left, window.top, window.right, window.bottom)
-    )
+    left, top, right, bottom = (arrays.constant(side) for side in window)
     first_x, first_y = dr.maximum(boxes.left, left), dr.maximum(boxes.top, top)
     end_x, end_y = dr.minimum(boxes.left + boxes.across, right), dr.minimum(boxes.top + boxes.down, bottom)
     inside = (boxes.across > 0) & (end_x > first_x) & (end_y > first_y)

@@ -242,9 +242,7 @@ def measured(arrays: Arrays, gaussians: Gaussians, view: TrainingView) -> Traini
     """A view whose guessed distances are those that Gaussians show, where they cover a pixel.
 
     Distances are rasterized as if they were colours: the mean over a pixel's Gaussians, by their weights.
-
-    Args:
-        view: whose distances are guesses; where nothing is, nothing changes.
+    Where nothing is, nothing changes.
     """
     position = torch.from_numpy(view.camera.position).float()
     distance = (gaussians.means - position[:, None]).norm(dim=0)

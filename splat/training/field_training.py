@@ -52,10 +52,7 @@ class _Anchors:
 def register(motion: LearnedMotion, views: Sequence[TrainingView], steps: int, seed: int) -> None:
     """Fits the field of a motion to the instances that views show, and gives it their anchors.
 
-    Args:
-        views: labelled, in the coordinates of the field.
-        steps: of the training that follows; no more are taken here.
-        seed: determines which pixels and frames are looked at.
+    It takes no more steps than the training that follows.
     """
     rng = np.random.default_rng([seed, 4])
     clouds, references = _clouds(views, rng)
@@ -177,7 +174,6 @@ class FieldOptimizer:
         """Takes one step by the gradients that the parameters have, and clears them.
 
         Args:
-            done: steps of the training so far.
             valid: whether the gradients are those of a finite loss.
         """
         progress = done / self._steps

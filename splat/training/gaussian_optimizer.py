@@ -20,11 +20,7 @@ _STATE = ("values", "first_moments", "second_moments", "steps")
 
 
 class Adam:
-    """Values and their moments; the moments of a column are means over its own steps.
-
-    Args:
-        values: (R, N) where to start; used up.
-    """
+    """Values (R, N), used up, and their moments; those of a column are means over its own steps."""
 
     def __init__(self, values: torch.Tensor):
         self.values = values

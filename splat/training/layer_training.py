@@ -34,10 +34,8 @@ _FLOOR = 0.25
 def order_of_views(errors: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.int64]:
     """(V,) views of a round of V steps, in random order; a view may be among them several times, or not.
 
-    How often differs by less than 1 from what is in proportion to its error and a floor.
-
-    Args:
-        errors: (V,) latest error of each view; NaN where it is not known, which counts as average.
+    How often differs by less than 1 from what is in proportion to its error and a floor. An error that is not
+    known, NaN, counts as average.
     """
     count = len(errors)
     known = errors[np.isfinite(errors)]

@@ -106,14 +106,10 @@ class Evidence:
 def evidence_of(
     arrays: Arrays, layer: Layer, views: Sequence[TrainingView], motion: Dynamics, instances: int
 ) -> Evidence:
-    """What nodes contribute to labelled pixels of views, each shown at the time of the view.
+    """What nodes contribute to pixels of views, labelled by instances, each shown at the time of the view.
 
     A view tells of those nodes only that are on the surface that it sees: one that something has left behind,
     or that does not follow it yet, is drawn in front of what stands still, but is no part of that.
-
-    Args:
-        layer: N nodes, at rest.
-        instances: L, more than the largest label.
     """
     count = len(layer)
     sums, times, most = torch.zeros(count, 1 + instances), torch.zeros(count, 2), torch.zeros(count, 2)
@@ -163,12 +159,8 @@ def separated(layer: Layer, evidence: Evidence, motion: Dynamics) -> Layer:
         with torch.no_grad():
             there = motion.shown(gaussians.select(index), layer.semantic[index], time)
             gaussians = written(gaussians, index, motion.at_rest(there, semantic[index], time))
-    return replace(
-        layer, gaussians=_attached(gaussians, semantic, evidence), semantic=semantic, dynamic=semantic >= 0
-    )
-
-
-def _attached(gaussians: Gaussians, semantic: torch.Tensor, evidence: Evidence) -> Gaussians:
-    """Gaussians, of which those of the background are on its surfaces, within their size."""
+    # Of the background, on its surfaces within their size.
     hovers = (semantic == BACKGROUND) & (evidence.offsets.norm(dim=1) > gaussians.longest)
-    return replace(gaussians, means=gaussians.means + torch.where(hovers, evidence.offsets.T, 0))
+    means = gaussians.means + torch.where(hovers, evidence.offsets.T, 0)
+    gaussians = replace(gaussians, means=means)
+    return replace(layer, gaussians=gaussians, semantic=semantic, dynamic=semantic >= 0)

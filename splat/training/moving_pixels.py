@@ -218,14 +218,9 @@ def objects_of(
 
     Points are of one object if they are near each other in space and in time, or if others lead from one to
     the other. Objects that touch are one. They are numbered by how much of them is seen, most first.
-
-    Args:
-        moving: (H, W) for each frame, which pixels show something that moves.
+    `moving` tells for each frame which pixels (H, W) show something that moves.
     """
-    shown = [
-        mask & np.isfinite(one.distance) & (one.distance > 0)
-        for one, mask in zip(observations, moving, strict=True)
-    ]
+    shown = [mask & one.known for one, mask in zip(observations, moving, strict=True)]
     clouds = _clouds(observations, shown)
     every = max(1, sum(map(len, clouds)) // _POINTS)
     sampled = np.concatenate([cloud[::every] for cloud in clouds]) if clouds else np.zeros((0, 4))

@@ -38,19 +38,22 @@ class Observation:
         return np.log(np.maximum(self.radiance, 0) + _DARK).astype(np.float32)
 
     @property
+    def known(self) -> NDArray[np.bool_]:
+        """(H, W) whether anything is seen at a distance."""
+        return np.isfinite(self.distance) & (self.distance > 0)
+
+    @property
     def inverse_depth(self) -> NDArray[np.float32]:
         """(H, W) one over the depth along the view axis, linear in the frame on a plane; 0 at infinity."""
         rays = self.camera.rays(self.camera.pixel_centres())
         cosine = (rays @ self.camera.world_to_camera[2, :3]).reshape(self.distance.shape)
-        known = np.isfinite(self.distance) & (self.distance > 0)
-        depth = np.where(known, self.distance, 1) * cosine
-        return np.where(known, 1 / depth, 0).astype(np.float32)
+        depth = np.where(self.known, self.distance, 1) * cosine
+        return np.where(self.known, 1 / depth, 0).astype(np.float32)
 
     def points(self) -> NDArray[np.float64]:
         """(H, W, 3) world positions of what is seen; NaN where nothing is."""
         rays = self.camera.rays(self.camera.pixel_centres()).reshape(*self.distance.shape, 3)
-        known = np.isfinite(self.distance) & (self.distance > 0)
-        distance = np.where(known, self.distance.astype(np.float64), np.nan)
+        distance = np.where(self.known, self.distance.astype(np.float64), np.nan)
         return self.camera.position + rays * distance[..., None]
 
 
