@@ -80,12 +80,7 @@ def rasterize_parts(
 def rasterize_parts_backward(
     arrays: Arrays, splats: Splats, parts: Parts, image: Any, gradient: Any
 ) -> list[Any]:
-    """Nine (N,) gradients of a loss by the splats, in the order of `Splats.differentiable`.
-
-    Args:
-        splats, parts, image: as given to and returned by `rasterize_parts`.
-        gradient: as for `added_sums`.
-    """
+    """Nine (N,) gradients by the splats, in the order of `Splats.differentiable`, from that by an image."""
     sums = no_sums(arrays, splats)
     for bins in parts:
         sums = added_sums(arrays, splats, bins, image, gradient, sums)

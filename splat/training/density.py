@@ -45,12 +45,7 @@ _Measure = Callable[[TrainingView], TrainingView]
 
 
 class DensityControl:
-    """Decides when and how the set of Gaussians changes.
-
-    Args:
-        motion: of the instances that views show; None if nothing moves.
-        light: that changes; None if none does.
-    """
+    """Decides when and how the set of Gaussians changes; motion and light are what views show of these."""
 
     def __init__(
         self,
