@@ -154,7 +154,7 @@ class _Sources:
         self._starts = arrays.constant(corners.size)
 
     def mixed(self, number: int, group: _Group, columns: Any) -> tuple[_Block, list[Any]]:
-        """The blocks of a group, in a frame of `columns` of cells, and red, green, blue of their pixels."""
+        """The blocks of a group, in a frame of so many columns of cells, and red, green, blue of pixels."""
         Float, UInt, count = self._arrays.plain.Float, self._arrays.plain.UInt, len(group.rates)
         at = lambda index: dr.reinterpret_array(UInt, dr.gather(Float, self._array, index))  # noqa: E731
         lane = dr.arange(UInt, len(group.cells) * _PER_CELL)

@@ -71,7 +71,7 @@ class ForestRenderer:
         wanted: Mask,
         under: Under | None = None,
     ) -> tuple[SplatImage, SplatImage]:
-        """Renders layer images and composites them; and an image to lie under the frame.
+        """Renders and composites layer images; the second image is to lie under the frame.
 
         Args:
             images: layers and rates; their weights sum to 1 wherever a cell is wanted.

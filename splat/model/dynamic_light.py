@@ -228,9 +228,9 @@ class SurfaceLight:
         return nearest, away <= _REACH * self._around[0][nearest]
 
     def near(self, means: torch.Tensor, instance: torch.Tensor) -> torch.Tensor:
-        """(2, N) int64 points whose light nodes have, seen from in front and from behind; -1 if none changes.
+        """(2, N) int64 points that nodes have their light from, seen from in front and from behind.
 
-        It is the same point twice for what has one side only.
+        -1 for nodes whose light does not change; the same point twice for what has one side only.
 
         Args:
             means, instance: (3, N) centres at rest, and (N,) what moves them.
@@ -273,10 +273,7 @@ class NodeLight:
     def lit(
         self, rest: Gaussians, shown: Gaussians, index: torch.Tensor, camera: Camera, time: float
     ) -> Gaussians:
-        """M nodes of the layer, by their indices (M,), at rest and as they are shown: shown in their light.
-
-        Torch can differentiate them.
-        """
+        """Shown nodes of the layer, by their indices (M,), in their light; torch can differentiate them."""
         changed, factor = self._factor(self._near[:, index], rest, shown, camera, time)
         return in_light(shown, changed, factor)
 

@@ -78,7 +78,7 @@ def concatenated_layers(parts: list[Layer]) -> Layer:
 
 
 def check_forest(layers: list[Layer]) -> None:
-    """Checks of layers, coarsest first, that each node has a parent and one or two children of its labels.
+    """Checks that in layers, coarsest first, each node has a parent and one or two children with its labels.
 
     Raises:
         ValueError: says which node is wrong, and how. Layers are counted from 1, the coarsest.

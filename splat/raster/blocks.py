@@ -62,7 +62,7 @@ class Blocks:
 
     @staticmethod
     def of_tiles(arrays: Arrays, bins: Bins, everywhere: bool = False) -> Blocks:
-        """A lane per block, the 16 of a tile side by side; `everywhere`: also where nothing is to be read."""
+        """A lane per block, the 16 of a tile side by side; `everywhere`: of tiles not rasterized, too."""
         UInt, grid = arrays.plain.UInt, bins.grid
         tiles = grid.columns * grid.rows if everywhere else dr.width(bins.tiles)
         lane = dr.arange(UInt, tiles * LANES_ACROSS**2)
@@ -96,7 +96,7 @@ class Blocks:
         return found
 
     def chunks(self, width: int) -> list[tuple[Any, int]]:
-        """The block's pixels by twos: position in an image of that width by twos, and number of the first."""
+        """Pairs of the block's pixels: position in an image of that width, in pairs, and number of the first pixel."""
         columns = self._arrays.constant(width)
         return [
             (((self.y + pixel // self.side) * columns + self.x + pixel % self.side) // 2, pixel)

@@ -45,7 +45,7 @@ _Measure = Callable[[TrainingView], TrainingView]
 
 
 class DensityControl:
-    """Decides when and how the set of Gaussians changes; motion and light are what views show of these."""
+    """Decides when and how the set of Gaussians changes; motion and light are those that views show."""
 
     def __init__(
         self,
@@ -206,7 +206,7 @@ _LARGEST = 0.12
 
 
 def largest_log_scales(means: torch.Tensor, views: list[TrainingView]) -> torch.Tensor:
-    """(N,) largest logarithm that the scales of Gaussians with centres (3, N) may have in some views."""
+    """(N,) largest logarithm that the scales of Gaussians at means (3, N) may have, by how near views are."""
     eyes = cKDTree(np.stack([view.camera.position for view in views]))
     distance, _ = eyes.query(means.detach().T.double().numpy(), workers=-1)
     # What is nearer than the near plane is not drawn anyway.

@@ -44,9 +44,9 @@ _UNSEEN = 1.0
 
 
 class Parallax:
-    """Finds distances of views, of what hardly moves, from one another: between the nearest and the farthest.
+    """Finds distances between the nearest and the farthest by comparing views of what hardly moves.
 
-    `distance` is that of what they look at, about.
+    `distance` is about that of what they look at.
     """
 
     def __init__(self, views: list[TrainingView], nearest: float, farthest: float, distance: float):

@@ -138,7 +138,7 @@ class LayerTraining:
         return replace(self._tree, gaussians=self._optimizer.gaussians)
 
     def step(self, grows: bool = True) -> torch.Tensor | None:
-        """Takes one optimizer step on one frame; density control may change the nodes if the layer `grows`.
+        """Takes one optimizer step on one frame; if the layer `grows`, density control may change its nodes.
 
         Returns:
             If density control changed the nodes: (N,) the index that each former node has now, -1 if it was

@@ -39,7 +39,7 @@ _SUN = 0.98
 
 
 def shows_sky(radiance: NDArray[np.float32], distance: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Mask (H, W) of the pixels that see light and hit nothing, at a distance along the ray of inf."""
+    """Mask (H, W) of the pixels that see light and hit nothing: their distance along the ray is inf."""
     missed = np.isinf(distance)
     if not missed.any():
         return missed

@@ -142,7 +142,7 @@ def finest_focal(views: list[TrainingView]) -> float:
 def at_resolution(views: list[TrainingView], halvings: int) -> list[TrainingView]:
     """Views for a layer whose pixels are those of the finest views, doubled some times in width and height.
 
-    Those of views that are coarser already are as they are.
+    Views that are coarser already stay as they are.
     """
     focal = finest_focal(views) / 2**halvings
     return [reduced(view, int(2 ** max(0, round(np.log2(view.camera.fy / focal))))) for view in views]
