@@ -96,7 +96,7 @@ class Blocks:
         return found
 
     def chunks(self, width: int) -> list[tuple[Any, int]]:
-        """Pairs of the block's pixels: position in an image of that width, in pairs, and number of the first pixel."""
+        """Pairs of the block's pixels: position in an image of that width, in pairs, and first pixel."""
         columns = self._arrays.constant(width)
         return [
             (((self.y + pixel // self.side) * columns + self.x + pixel % self.side) // 2, pixel)

@@ -42,7 +42,7 @@ def seen_from(gaussians: Gaussians, eye: NDArray[np.float64]) -> Gaussians:
 
 
 def directional_radiance(further: Directional, means: torch.Tensor, eye: NDArray[np.float64]) -> torch.Tensor:
-    """(3, M) what these harmonics of Gaussians at means (3, N) add to the perceptual radiance at an eye (3,)."""
+    """(3, M) what these harmonics of Gaussians at means (3, N) add to perceptual radiance at an eye (3,)."""
     # In float64, as in the projection: in float32 a difference of large numbers is lost.
     position = torch.from_numpy(np.ascontiguousarray(eye)).to(means.device)[:, None]
     from_eye = means.index_select(1, further.index).double() - position
