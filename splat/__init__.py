@@ -16,26 +16,16 @@ from typing import TYPE_CHECKING, Any
 import compose  # noqa: F401  (first: it points Dr.Jit to a usable LLVM)
 
 if TYPE_CHECKING:
-    from compose.camera.camera import Camera, look_at
-    from compose.camera.coordinate_systems import Place
-    from splat.io.forest_file import load_forest, save_forest
-    from splat.io.ply import load_ply, save_ply
-    from splat.model.forest import Forest
-    from splat.model.gaussians import Gaussians
-    from splat.raster.differentiable import render
-
-__all__ = [
-    "Camera",
-    "Forest",
-    "Gaussians",
-    "Place",
-    "load_forest",
-    "load_ply",
-    "look_at",
-    "render",
-    "save_forest",
-    "save_ply",
-]
+    from compose.camera.camera import Camera as Camera
+    from compose.camera.camera import look_at as look_at
+    from compose.camera.coordinate_systems import Place as Place
+    from splat.io.forest_file import load_forest as load_forest
+    from splat.io.forest_file import save_forest as save_forest
+    from splat.io.ply import load_ply as load_ply
+    from splat.io.ply import save_ply as save_ply
+    from splat.model.forest import Forest as Forest
+    from splat.model.gaussians import Gaussians as Gaussians
+    from splat.raster.differentiable import render as render
 
 _MODULES = {
     "Camera": "compose.camera.camera",
@@ -49,6 +39,7 @@ _MODULES = {
     "save_forest": "splat.io.forest_file",
     "save_ply": "splat.io.ply",
 }
+__all__ = sorted(_MODULES)
 
 
 def __getattr__(name: str) -> Any:

@@ -97,6 +97,13 @@ class Camera:
         y = self.fy * local[:, 1] / depth + self.cy
         return np.stack([x, y], axis=1), depth
 
+    def shows(self, points: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Pixel positions (N, 2) of world points (N, 3), and (N,) which lie in front and within the frame."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            position, depth = self.project(points)
+        within = (position >= 0) & (position < (self.width, self.height))
+        return position, (depth > 0) & within.all(axis=1)
+
     @property
     def key(self) -> bytes:
         """Bytes of all its numbers: equal for equal cameras only."""

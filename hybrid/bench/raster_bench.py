@@ -12,9 +12,9 @@ import numpy as np
 from compose.base.arrays import Arrays
 from hybrid.base.compute_device import device_arrays
 from hybrid.measure.frame_times import percentiles
-from splat.raster.binning import bin_splats
-from splat.raster.blending import rasterize, rasterize_backward
+from splat.raster.binning import Candidates
 from splat.raster.blocks import CHANNELS
+from splat.raster.parts import Parts, rasterize_parts, rasterize_parts_backward
 from splat.raster.projection import Splats
 from splat.raster.tiles import TileGrid
 
@@ -67,11 +67,11 @@ def bench_raster(
     forward, backward = [], []
     for step in range(-warm_up, repeats):
         start = time.perf_counter()
-        bins = bin_splats(arrays, splats, grid)
-        (image,) = rasterize(arrays, splats, bins)
+        parts = Parts(Candidates(arrays, splats, grid))
+        (image,) = rasterize_parts(arrays, splats, parts)
         dr.sync_thread()
         middle = time.perf_counter()
-        rasterize_backward(arrays, splats, bins, image, gradient)
+        rasterize_parts_backward(arrays, splats, parts, image, gradient)
         dr.sync_thread()
         if step >= 0:
             forward.append((middle - start) * 1000)
@@ -81,7 +81,7 @@ def bench_raster(
         "gaussians": gaussians,
         "width": width,
         "height": height,
-        "pairs": bins.pairs,
+        "pairs": sum(bins.pairs for bins in parts),
         "forward_ms": percentiles(forward),
         "backward_ms": percentiles(backward),
         "repeats": repeats,

@@ -182,7 +182,7 @@ class Periphery:
             for number, step in enumerate(detail.steps)
         ]
         wanted = region.peripheral_tiles(TILE)
-        return self._renderer.render_with(camera, pictures, detail.low_pass, wanted, under)
+        return self._renderer.render(camera, pictures, detail.low_pass, wanted, under)
 
     def draw_still(
         self, camera: Camera, settings: FrameSettings, detail: DetailMap, region: FoveaRegion
@@ -215,7 +215,7 @@ class Periphery:
         """The finest allowed layer at full rate, over the rectangle around the disc."""
         under = self._under(settings, region)
         nothing = np.zeros((under.cells.shape[0] + 1, under.cells.shape[1] + 1), np.float32)
-        return self._renderer.render_with(camera, [], nothing, np.zeros_like(under.cells), under)[1]
+        return self._renderer.render(camera, [], nothing, np.zeros_like(under.cells), under)[1]
 
     def _under(self, settings: FrameSettings, region: FoveaRegion) -> Under:
         return Under(self.layers_of(settings)[1], region.foveal_tiles(TILE))

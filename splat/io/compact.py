@@ -101,7 +101,6 @@ def _companded(values: Floats) -> Floats:
 
 
 def _expanded(values: Floats) -> Floats:
-    """The inverse of `_companded`."""
     size = np.abs(values)
     return np.where(size <= 1, values, np.copysign(np.exp(np.maximum(size, 1) - 1), values))
 
@@ -113,7 +112,6 @@ def _unsigned(values: Floats) -> Codes:
 
 
 def _signed(codes: Codes) -> Codes:
-    """The inverse of `_unsigned`."""
     unsigned = codes.view(np.uint16).astype(np.int32)
     return (unsigned >> 1) ^ -(unsigned & 1)
 
@@ -168,18 +166,12 @@ _OF_SHORTEST, _OF_LONGEST = 1 / 16, 1 / 1024
 
 @dataclass(frozen=True)
 class Boxes:
-    """B boxes around the N nodes of a forest, in their order.
+    """B boxes around the N nodes of a forest, in their order."""
 
-    Attributes:
-        counts: (B,) int32, nodes in each.
-        low, high: (3, B) float32 corners.
-        codes: (3, N) int16, of each node the steps from low to high, unsigned.
-    """
-
-    counts: Codes
-    low: NDArray[np.float32]
+    counts: Codes  # (B,) int32, nodes in each
+    low: NDArray[np.float32]  # low, high: (3, B) float32 corners
     high: NDArray[np.float32]
-    codes: Codes
+    codes: Codes  # (3, N) int16, of each node the steps from low to high, unsigned
 
 
 def tolerance(log_scales: Floats) -> Floats:
@@ -256,13 +248,8 @@ def compact(forest: Forest) -> Forest:
     return replace(forest, nodes=replace(forest.nodes, gaussians=gaussians))
 
 
-def is_compact(forest: Forest) -> bool:
-    """Whether a compact file holds its numbers exactly, to the bit."""
-    return exactly_encoded(forest) is not None
-
-
 def exactly_encoded(forest: Forest) -> dict[str, torch.Tensor] | None:
-    """Tensors as of `encoded` that hold the numbers of a forest exactly, to the bit; None if none do."""
+    """Tensors as from `encoded` that hold the numbers of a forest exactly, to the bit; None if none do."""
     if not forest.nodes.gaussians.is_finite():
         return None
     codes = encoded(forest.nodes, forest.counts)
@@ -271,16 +258,11 @@ def exactly_encoded(forest: Forest) -> dict[str, torch.Tensor] | None:
 
 
 def _contents(gaussians: Gaussians) -> list[bytes]:
-    """All bits of Gaussians."""
     return [np.ascontiguousarray(t.detach().numpy()).tobytes() for t in gaussians.every_tensor()]
 
 
 def encoded(nodes: Layer, counts: tuple[int, ...]) -> dict[str, torch.Tensor]:
-    """Tensors by name that `decoded` takes.
-
-    Args:
-        nodes: of all layers.
-        counts: nodes per layer.
+    """Tensors by name that `decoded` takes, of the nodes of all layers and their counts per layer.
 
     Raises:
         ValueError: a number is not finite.
@@ -307,7 +289,7 @@ def encoded(nodes: Layer, counts: tuple[int, ...]) -> dict[str, torch.Tensor]:
         "sh.constant": codes_of_constants(exact["sh"][0]),
         # The coefficients of a node side by side: where one is small, others are.
         "sh.directional": directional[..., turns].transpose(2, 0, 1),
-        "sh.turning": _mask(further.index.numpy()[turns], len(nodes)),
+        "sh.turning": np.bincount(further.index.numpy()[turns], minlength=len(nodes)) > 0,
         # Parents follow each other as their children do.
         "parent": np.diff(parent, prepend=parent.dtype.type(0)),
     }
@@ -329,19 +311,15 @@ def decoded(tensors: dict[str, torch.Tensor]) -> Layer:
         torch.from_numpy(np.flatnonzero(codes["sh.turning"])),
         torch.from_numpy(np.ascontiguousarray(directional, dtype=np.float32)),
     )
-    gaussians = Gaussians(
-        *(
-            torch.from_numpy(np.ascontiguousarray(part, dtype=np.float32))
-            for part in (
-                unboxed(boxes),
-                log_scales_of_codes(codes["log_scales"]),
-                rotations_of_codes(codes["rotations.largest"], codes["rotations.others"]),
-                logits_of_codes(codes["opacities"]),
-                constants_of_codes(codes["sh.constant"])[None],
-            )
-        ),
-        directional=further,
+    values = (
+        unboxed(boxes),
+        log_scales_of_codes(codes["log_scales"]),
+        rotations_of_codes(codes["rotations.largest"], codes["rotations.others"]),
+        logits_of_codes(codes["opacities"]),
+        constants_of_codes(codes["sh.constant"])[None],
     )
+    exact = (torch.from_numpy(np.ascontiguousarray(part, dtype=np.float32)) for part in values)
+    gaussians = Gaussians(*exact, directional=further)
     parent = np.cumsum(codes["parent"], dtype=np.int32)
     return Layer(gaussians, *map(torch.from_numpy, (parent, codes["semantic"], codes["dynamic"])))
 
@@ -363,13 +341,6 @@ _KINDS: dict[str, tuple[torch.dtype, int]] = {
     "semantic": (torch.int32, 1),
     "dynamic": (torch.bool, 1),
 }
-
-
-def _mask(index: Codes, count: int) -> Codes:
-    """(N,) bool, true at an index, of N = `count`."""
-    found = np.zeros(count, dtype=bool)
-    found[index] = True
-    return found
 
 
 def _codes(tensors: dict[str, torch.Tensor], name: str, kind: tuple[torch.dtype, int]) -> Codes:

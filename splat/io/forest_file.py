@@ -62,11 +62,12 @@ def save_forest(path: str | Path, forest: Forest) -> None:
         "scene_hash": forest.scene_hash,
         **place,
     }
-    tensors = {_ATTACHED + name: tensor for name, tensor in forest.attached.items()}
-    motion = {} if forest.motion is None else forest.motion.tensors()
-    tensors |= {_MOTION + name: tensor for name, tensor in motion.items()}
-    light = {} if forest.light is None else forest.light.tensors()
-    tensors |= {_LIGHT + name: tensor for name, tensor in light.items()}
+    groups = {_ATTACHED: forest.attached} | {
+        prefix: part.tensors()
+        for prefix, part in ((_MOTION, forest.motion), (_LIGHT, forest.light))
+        if part is not None
+    }
+    tensors = {prefix + name: t for prefix, group in groups.items() for name, t in group.items()}
     codes = exactly_encoded(forest)
     if codes is not None:
         tensors, kinds = packed({**codes, **tensors})
@@ -182,7 +183,11 @@ def _require_forest(path: Path, metadata: dict[str, Any]) -> None:
 
 def _exact(tensors: dict[str, torch.Tensor]) -> Layer:
     """The nodes of a file of float32 numbers."""
-    _check_types(tensors)
+    # Kernels would misread another type.
+    for name in (*TENSORS, *LABELS):
+        expected = _TYPES.get(name, torch.float32)
+        if tensors[name].dtype != expected or not tensors[name].ndim:
+            raise ValueError(f"{name} is {tensors[name].dtype}, expected an array of {expected}")
     found, further = under(_DIRECTIONAL, tensors), None
     if found:
         further = Directional(found["index"], found["sh"])
@@ -190,14 +195,6 @@ def _exact(tensors: dict[str, torch.Tensor]) -> Layer:
             raise ValueError(f"directional harmonics are {further.sh.dtype}, expected float32")
     gaussians = Gaussians(*(tensors[name] for name in TENSORS), directional=further)
     return Layer(gaussians, *(tensors[name] for name in LABELS))
-
-
-def _check_types(tensors: dict[str, torch.Tensor]) -> None:
-    """Raises a ValueError if a tensor is of another type, which kernels would misread, or has no axis."""
-    for name in (*TENSORS, *LABELS):
-        expected = _TYPES.get(name, torch.float32)
-        if tensors[name].dtype != expected or not tensors[name].ndim:
-            raise ValueError(f"{name} is {tensors[name].dtype}, expected an array of {expected}")
 
 
 def _counts(layers: Any) -> tuple[int, ...]:

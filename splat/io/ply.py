@@ -101,11 +101,9 @@ def load_ply(path: str | Path) -> Gaussians:
 def _check_finite(path: Path, table: NDArray[np.float32], column: dict[str, int]) -> None:
     """Names the first Gaussian and property that is not a finite number, if there is one."""
     read = [name for name in column if name in _ply_properties(MAX_DEGREE) and name not in _UNREAD]
-    found = [
-        (int(np.argmin(ok)), name) for name in read if not (ok := np.isfinite(table[:, column[name]])).all()
-    ]
-    if found:
-        row, name = min(found)
+    wrong = np.argwhere(~np.isfinite(table[:, [column[name] for name in sorted(read)]]))
+    if len(wrong):
+        row, name = wrong[0][0], sorted(read)[wrong[0][1]]
         value = table[row, column[name]]
         raise UserError(f"{path}: Gaussian {row + 1}: {name} is {value}; must be a finite number")
 

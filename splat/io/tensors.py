@@ -39,12 +39,7 @@ _REFUSALS = (SafetensorError, OSError, ValueError, TypeError, KeyError, RuntimeE
 
 
 def save_tensors(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[str, Any]) -> None:
-    """Writes tensors and metadata to a safetensors file, atomically, with a checksum of both.
-
-    Args:
-        path: the file.
-        tensors: by name.
-        metadata: anything that JSON can hold.
+    """Writes tensors by name and metadata, which JSON can hold, atomically, with a checksum of both.
 
     Raises:
         UserError: the file cannot be written.
@@ -61,12 +56,8 @@ def save_tensors(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[st
 def load_tensors(path: Path, advice: str = "make it again") -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     """Reads the tensors and the metadata of a file written by `save_tensors`.
 
-    Args:
-        path: the file.
-        advice: what to do if it is damaged, for the message.
-
     Raises:
-        UserError: the file is missing, truncated, corrupt or of another version.
+        UserError: the file is missing, corrupt (`advice` says what to do then) or of another version.
     """
     return _load(path, advice, with_tensors=True)
 
@@ -138,13 +129,8 @@ def _checksum(tensors: dict[str, torch.Tensor], text: str) -> str:
 
 
 # What a file may declare, by the name that it uses.
-_TYPES = {
-    str(kind).removeprefix("torch."): kind
-    for kind in (
-        *(torch.float16, torch.float32, torch.float64, torch.bool, torch.uint8),
-        *(torch.int16, torch.int32, torch.int64),
-    )
-}
+_NAMES = "float16", "float32", "float64", "bool", "uint8", "int16", "int32", "int64"
+_TYPES = {name: getattr(torch, name) for name in _NAMES}
 # Higher levels take seconds for one percent.
 _LEVEL = 6
 # Bytes that a file may unpack to, whatever its size, and per byte of it; forests take some ten.
@@ -152,11 +138,7 @@ _ALWAYS, _PER_BYTE = 1 << 28, 64
 
 
 def packed(tensors: dict[str, torch.Tensor]) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-    """Packs tensors.
-
-    Returns:
-        Each one's content as bytes, uint8, and its type and shape, which JSON can hold.
-    """
+    """The content of each tensor as bytes, uint8, and its type and shape, which JSON can hold."""
     kinds = {name: [str(t.dtype).removeprefix("torch."), list(t.shape)] for name, t in tensors.items()}
     return {name: _packed(tensor) for name, tensor in tensors.items()}, kinds
 
@@ -165,7 +147,6 @@ def unpacked(tensors: dict[str, torch.Tensor], kinds: Any) -> dict[str, torch.Te
     """The tensors that `packed` made these of.
 
     Args:
-        tensors: uint8, by name.
         kinds: type and shape of each, as read from a file.
 
     Raises:

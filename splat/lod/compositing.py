@@ -37,10 +37,7 @@ def composite(
     """The frame, black in cells in which no entry has a weight.
 
     Args:
-        arrays: the backend's array types.
         entries: of the atlas, at least one; their weights sum to 1 in every cell in which any has one.
-        atlas: the entries' samples.
-        camera: the view.
         frame: the rasterizer's, in which those cells keep what they show, and which is changed; a new one by
             default.
     """
@@ -73,26 +70,15 @@ def composite(
 
 @dataclass(frozen=True)
 class _Group:
-    """Cells whose entries have the same rates.
+    """Cells whose entries have the same rates."""
 
-    Attributes:
-        rates: of their entries; empty for cells that no entry covers.
-        cells: (M,) numbers of the cells.
-        entries: (rates, M) the number of the entry, cell by cell.
-    """
-
-    rates: list[int]
-    cells: NDArray[np.uint32]
-    entries: NDArray[np.uint32]
+    rates: list[int]  # of their entries; empty for cells that no entry covers
+    cells: NDArray[np.uint32]  # (M,) numbers of the cells
+    entries: NDArray[np.uint32]  # (rates, M) the number of the entry, cell by cell
 
 
 def _groups(covered: Mask, rates: Sequence[int]) -> list[_Group]:
-    """Groups cells by the rates of the entries that cover them.
-
-    Args:
-        covered: (entries, cells) bool.
-        rates: of the entries.
-    """
+    """Groups cells by the rates of the entries that cover them (entries, cells)."""
     combination, members = _combinations(covered)
     # For each combination of entries: which group it belongs to, and the entries' numbers in it.
     groups: dict[tuple[int, ...], int] = {}
@@ -111,11 +97,7 @@ def _groups(covered: Mask, rates: Sequence[int]) -> list[_Group]:
 
 
 def _combinations(covered: Mask) -> tuple[NDArray[np.int64], Mask]:
-    """The combination of entries that covers each cell (cells,), and those combinations (C, entries).
-
-    Args:
-        covered: (entries, cells) bool.
-    """
+    """Of a mask (entries, cells) the combination of entries in each cell (cells,), and those (C, entries)."""
     combination = np.zeros(covered.shape[1], dtype=np.int64)
     # Some entries at a time: a table of all combinations that many of them could have would not fit memory.
     for first in range(0, len(covered), _ENTRIES_AT_ONCE):
@@ -129,11 +111,7 @@ def _combinations(covered: Mask) -> tuple[NDArray[np.int64], Mask]:
 
 
 class _Block:
-    """The lanes: one per block of pixels, those of a cell side by side.
-
-    Attributes:
-        x, y: the block's first pixel.
-    """
+    """The lanes: one per block of pixels, those of a cell side by side; x, y is its first pixel."""
 
     def __init__(self, lane: Any, cell: Any, columns: Any):
         block, across = lane % _PER_CELL, TILE // _BLOCK
@@ -176,13 +154,7 @@ class _Sources:
         self._starts = arrays.constant(corners.size)
 
     def mixed(self, number: int, group: _Group, columns: Any) -> tuple[_Block, list[Any]]:
-        """The blocks of a group, and red, green, blue of each of their pixels.
-
-        Args:
-            number: of the group.
-            group: that one.
-            columns: of cells in the frame.
-        """
+        """The blocks of a group, in a frame of so many columns of cells, and red, green, blue of pixels."""
         Float, UInt, count = self._arrays.plain.Float, self._arrays.plain.UInt, len(group.rates)
         at = lambda index: dr.reinterpret_array(UInt, dr.gather(Float, self._array, index))  # noqa: E731
         lane = dr.arange(UInt, len(group.cells) * _PER_CELL)
@@ -211,13 +183,7 @@ class _Sources:
         return weights
 
     def _interpolated(self, block: _Block, rate: int, top: Any) -> list[list[Any]]:
-        """Red, green, blue of each pixel of a block, linear between the samples around it.
-
-        Args:
-            block: the pixels.
-            rate: of the entry.
-            top: its first row in the atlas.
-        """
+        """Red, green, blue of each pixel of a block, linear between samples of an entry from row `top` on."""
         Int, Float = self._arrays.plain.Int, self._arrays.plain.Float
         # Positions of a block's pixel centres in samples, if the block begins with a sample.
         positions = [(p + 0.5) / (1 << rate) - 0.5 for p in range(_BLOCK)]

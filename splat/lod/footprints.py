@@ -14,7 +14,7 @@ import torch
 
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
-from splat.model.dynamic_light import LightCourse, in_light, seen_from_behind
+from splat.model.dynamic_light import factors_at, in_light, seen_from_behind
 from splat.model.forest import Forest
 from splat.model.gaussians import Directional, Gaussians
 from splat.raster.binning import depth_order
@@ -30,35 +30,22 @@ from splat.raster.records import RecordLayout, Records, concatenated_records
 
 
 class LayerChanges:
-    """The changes of the nodes of a layer; each is given out once per time.
-
-    Args:
-        forest: at rest.
-        first, end: of the layer's nodes in the forest.
-
-    Attributes:
-        moves: whether any of the nodes does.
-    """
+    """The changes of the nodes of a layer, from `first` up to `end`; each is given out once per time."""
 
     def __init__(self, forest: Forest, first: int, end: int):
-        self._own = forest.nodes.gaussians
-        self._dynamic, self._course = torch.zeros(0, dtype=torch.int64), None
-        if forest.motion is not None:
-            labels = forest.nodes.semantic[first:end]
-            self._dynamic = first + torch.nonzero(labels >= 0)[:, 0]
+        self._own, self._course = forest.nodes.gaussians, None
+        self._dynamic = first + torch.nonzero(forest.nodes.semantic[first:end] >= 0)[:, 0]
         if forest.motion is not None and len(self._dynamic):
             instance = forest.nodes.semantic[self._dynamic]
             self._course = forest.motion.course(self._own.select(self._dynamic), instance)
-        self._light = None if forest.light is None else forest.light.among(first, end)
+        self.moves = self._course is not None
+        light = None if forest.light is None else forest.light.among(first, end)
+        self._light = light if light is not None and len(light.nodes) else None
         # Those whose light changes, in usual light.
         lit = torch.zeros(0, dtype=torch.int64) if self._light is None else self._light.nodes
         self._usual = self._own.select(lit)
         self._means, self._rotations = self._own.means, self._own.rotations
         self._moved_to, self._lit_at, self._eye = -1.0, -1.0, b""
-
-    @property
-    def moves(self) -> bool:
-        return self._course is not None
 
     def moved(self, time: float) -> tuple[torch.Tensor, Gaussians] | None:
         """Indices (M,) of nodes in the forest and where they are at a time; None if given out already."""
@@ -80,28 +67,25 @@ class LayerChanges:
             camera: which sees them, in their coordinates; it matters to nodes with two sides.
         """
         light = self._light
-        if light is None or not len(light.nodes):
+        if light is None:
             return None
         eye = camera.position.tobytes() if len(light.sided) else b""
         if (self._lit_at, self._eye) == (time, eye):
             return None
-        nodes, factors, shown = light.nodes, light.at(time), self._usual
+        nodes, factors, shown = light.nodes, factors_at(light.factors, time), self._usual
         if len(light.sided):
-            behind = self._seen_from_behind(light, camera)
-            factors[:, light.sided] = torch.where(behind, light.behind_at(time), factors[:, light.sided])
+            sided = nodes[light.sided]
+            rest, now, means = (t[:, sided] for t in (self._own.rotations, self._rotations, self._means))
+            position = torch.from_numpy(camera.position.copy()).float()
+            behind = seen_from_behind(light.normals, rest, now, means, position)
+            other = factors_at(light.behind, time)
+            factors[:, light.sided] = torch.where(behind, other, factors[:, light.sided])
         if self._lit_at == time:
             # Another eye may see another side; all else is as it was.
             nodes, factors = nodes[light.sided], factors[:, light.sided]
             shown = shown.select(light.sided)
         self._lit_at, self._eye = time, eye
         return nodes, in_light(shown, torch.arange(len(nodes)), factors)
-
-    def _seen_from_behind(self, light: LightCourse, camera: Camera) -> torch.Tensor:
-        """(B,) whether nodes with two sides are seen from behind where they are now."""
-        nodes = light.nodes[light.sided]
-        rest, now, means = (part[:, nodes] for part in (self._own.rotations, self._rotations, self._means))
-        eye = torch.from_numpy(camera.position.copy()).float()
-        return seen_from_behind(light.normals, rest, now, means, eye)
 
 
 # The fields of `Footprints`. One float is spare.
@@ -113,12 +97,7 @@ _NODE_LOAD = 8
 
 
 class ForestFootprints:
-    """Footprints of a forest's layers, cached for the latest camera.
-
-    Args:
-        arrays: the backend's array types.
-        forest: its nodes are copied to the device.
-    """
+    """Footprints of a forest's layers, cached for the latest camera."""
 
     def __init__(self, arrays: Arrays, forest: Forest):
         self.arrays, self._place = arrays, forest.place
@@ -158,9 +137,7 @@ class ForestFootprints:
         Each layer's lie together, from near to far.
 
         Args:
-            camera: the view.
             blur: widest filter that will be used, as a multiple of the filter at the pixel grid.
-            layers: numbers from 1 to L.
         """
         if self._key is None or self._key[0] != camera.key or self._key[1] < blur:
             self._layers.clear()
@@ -211,34 +188,23 @@ def _row(arrays: Arrays, values: torch.Tensor) -> Any:
 
 
 class _LayerBounds:
-    """Where the N nodes of one layer are and how large: enough to tell which ones may show.
-
-    Attributes:
-        first: index of the first one in the forest.
-        means: three rows (N,), in the forest's own coordinates.
-        size: (N,) longest axis, as a standard deviation.
-    """
+    """Where the N nodes of one layer are and how large: enough to tell which ones may show."""
 
     def __init__(self, arrays: Arrays, gaussians: Gaussians, first: int, end: int, moves: bool):
         self._arrays, self._first = arrays, first
         self.first = arrays.constant(first)
-        # Shared with the forest, which is at rest.
+        # Three rows (N,), shared with the forest, which is at rest.
         means = gaussians.means.clone() if moves else gaussians.means
         self.means = [_row(arrays, row) for row in means[:, first:end]]
-        self.size = _row(arrays, _longest(gaussians.log_scales[:, first:end]))
+        self.size = _row(arrays, gaussians.part(first, end).longest)
 
     def move(self, nodes: torch.Tensor, gaussians: Gaussians) -> None:
         """Moves some nodes of the layer, by their indices (M,) in the forest, to where Gaussians (M) are."""
         index = self._arrays.plain.UInt((nodes - self._first).numpy())
         rows = [*self.means, self.size]
-        moved = [*gaussians.means, _longest(gaussians.log_scales)]
+        moved = [*gaussians.means, gaussians.longest]
         for row, values in zip(rows, moved, strict=True):
             dr.scatter(row, _row(self._arrays, values), index, mode=dr.ReduceMode.Permute)
-
-
-def _longest(log_scales: torch.Tensor) -> torch.Tensor:
-    """(N,) longest axis of Gaussians with log scales (3, N), as a standard deviation."""
-    return log_scales.max(dim=0).values.exp()
 
 
 class _NodeTable:

@@ -53,12 +53,7 @@ _WIDEST_BLUR = 1e9
 
 
 class ForestRenderer:
-    """Renders a forest that stays on the device.
-
-    Args:
-        arrays: the backend's array types.
-        forest: what to draw.
-    """
+    """Renders a forest that stays on the device."""
 
     def __init__(self, arrays: Arrays, forest: Forest):
         self.arrays, self.forest = arrays, forest
@@ -69,38 +64,24 @@ class ForestRenderer:
         self._footprints.set_time(time)
 
     def render(
-        self, camera: Camera, images: Sequence[LayerImage], cutoff: Lattice, wanted: Mask
-    ) -> SplatImage:
-        """Renders layer images and composites them.
-
-        Args:
-            camera: the view.
-            images: layers and rates; their weights sum to 1 wherever a cell is wanted.
-            cutoff: (rows + 1, columns + 1) highest frequency to keep, in cycles per pixel, at the corners of
-                cells of TILE pixels; 0 or more.
-            wanted: (rows, columns) bool, cells that are drawn at all.
-
-        Raises:
-            ValueError: the forest has no such layer, or a cut-off is negative or not a number.
-        """
-        return self.render_with(camera, images, cutoff, wanted, None)[0]
-
-    def render_with(
         self,
         camera: Camera,
         images: Sequence[LayerImage],
         cutoff: Lattice,
         wanted: Mask,
-        under: Under | None,
+        under: Under | None = None,
     ) -> tuple[SplatImage, SplatImage]:
-        """As `render`, and an image that is to lie under the frame, black where nothing of it is asked for.
+        """Renders and composites layer images; the second image is to lie under the frame.
 
         Args:
-            camera, images, cutoff, wanted: as for `render`.
-            under: what the second image shows; None for nothing.
+            images: layers and rates; their weights sum to 1 wherever a cell is wanted.
+            cutoff: (rows + 1, columns + 1) highest frequency to keep, in cycles per pixel, at the corners of
+                cells of TILE pixels; 0 or more.
+            wanted: (rows, columns) bool, cells that are drawn at all.
+            under: what the second image shows, which is black elsewhere; None for nothing.
 
         Raises:
-            ValueError: as of `render`.
+            ValueError: the forest has no such layer, or a cut-off is negative or not a number.
         """
         images = [image for image in images if bool((image.weight > 0).any())]
         own, alone = _largest_alone(images, wanted)
@@ -128,29 +109,19 @@ class ForestRenderer:
             ValueError: the forest has no such layer.
         """
         grid = TileGrid(camera.width, camera.height)
-        corners = (grid.rows + 1, grid.columns + 1)
-        image = LayerImage(layer, rate, np.ones(corners, np.float32))
+        image = LayerImage.whole(layer, rate, (grid.rows, grid.columns))
         entries = pack_atlas([image], grid.mask(None))
-        (samples,) = self._drawn(camera, [entries], np.full(corners, NYQUIST, np.float32), rate)
+        (samples,) = self._drawn(camera, [entries], NYQUIST * image.weight, rate)
         return replace(samples, width=-(-camera.width >> rate), height=-(-camera.height >> rate))
-
-    def draw_atlas(self, camera: Camera, entries: Sequence[AtlasEntry], cutoff: Lattice) -> SplatImage:
-        """Renders the atlas; a black image of the frame's size if no node shows in any entry.
-
-        Args:
-            camera: the view.
-            entries: of the atlas.
-            cutoff: as in `render`.
-        """
-        return self._drawn(camera, [entries], cutoff)[0]
 
     def _drawn(
         self, camera: Camera, groups: Sequence[Sequence[AtlasEntry]], cutoff: Lattice, rate: int = 0
     ) -> list[SplatImage]:
         """An image of each group of entries, which lie one above the other; all count the nodes of all.
 
+        They are black images of the frame's size if no node shows in any entry.
+
         Args:
-            camera: the view.
             groups: of entries, from the top down.
             cutoff: as in `render`.
             rate: finest that the camera's entries may have.
@@ -193,21 +164,15 @@ class ForestRenderer:
         if not (cutoff >= 0).all():
             raise ValueError(f"cut-off of {cutoff.min():g} cycles per pixel: must be 0 or more")
 
-    def _least_blur(self, camera: Camera, image: LayerImage) -> float:
-        """Minimum width of the filter, as a multiple of the filter at the pixel grid.
-
-        The layer was trained with a filter of its training frames' pixels, and the sampling grid requires one
-        of its own.
-        """
-        return max(camera.fy / self.forest.focal_of(image.layer), 2.0**image.rate)
-
     def _table(self, camera: Camera, entries: Sequence[AtlasEntry], cutoff: Lattice) -> EntryTable | None:
         """The entries and the footprints that may show in them; None if there is none."""
         # A cut-off of 0 is that of the widest filter.
         cutoff = np.maximum(cutoff, NYQUIST / _WIDEST_BLUR, dtype=np.float32)
         lowest, blurs = np.minimum.reduce(at_corners(cutoff)), []
         for entry in entries:
-            least = self._least_blur(camera, entry.image)
+            # The layer was trained with a filter of its training frames' pixels, and the grid of samples
+            # requires one of its own.
+            least = max(camera.fy / self.forest.focal_of(entry.image.layer), 2.0**entry.image.rate)
             kept = NYQUIST if entry.is_sharp else float(lowest[entry.cells].min())
             blurs.append((max(NYQUIST / kept, least), least))
         widest = max(blur for blur, _ in blurs)
@@ -219,10 +184,7 @@ class ForestRenderer:
     def _splats(self, table: EntryTable, chosen: Any, split: int) -> tuple[Splats, TileBounds]:
         """The chosen candidates in samples of the atlas, and the tiles they are confined to.
 
-        Args:
-            table: of all candidates.
-            chosen: their numbers.
-            split: tiles of the rasterizer along the side of one of the atlas.
+        `split` tiles of the rasterizer lie along the side of one of the atlas.
         """
         entry, node = table.of(chosen)
         raw = self._footprints.footprints(node)
@@ -240,48 +202,31 @@ def finest_frequency(camera: Camera, forest: Forest, layer: int) -> float:
 
 def _in_samples(splats: Splats, scale: Any, offset: Any) -> Splats:
     """Splats in pixels of the frame as splats in samples of the atlas."""
-    square = dr.rcp(dr.square(scale))
-    return Splats(
-        splats.x * scale,
-        dr.fma(splats.y, scale, offset),
-        splats.x_precision * square,
-        splats.shear,
-        splats.y_precision * square,
-        *(splats.opacity, splats.red, splats.green, splats.blue, splats.depth),
-    )
+    square, y = dr.rcp(dr.square(scale)), dr.fma(splats.y, scale, offset)
+    precisions = {"x_precision": splats.x_precision * square, "y_precision": splats.y_precision * square}
+    return replace(splats, x=splats.x * scale, y=y, **precisions)
 
 
 def _largest_alone(images: Sequence[LayerImage], wanted: Mask) -> tuple[LayerImage | None, Mask]:
     """The image at full rate that is alone in most wanted cells, and those; None if that are few."""
-    found = [(image, _is_alone(image.weight) & wanted) for image in images if image.rate == 0]
+    alone = lambda weight: np.minimum.reduce(at_corners(weight)) >= 1  # noqa: E731
+    found = [(image, alone(image.weight) & wanted) for image in images if image.rate == 0]
     best = max(found, key=lambda one: np.count_nonzero(one[1]), default=None)
     if best is None or np.count_nonzero(best[1]) < _WORTHWHILE * np.count_nonzero(wanted):
         return None, np.zeros_like(wanted)
     return best
 
 
-def _is_alone(weight: Lattice) -> Mask:
-    """(rows, columns) cells in which a weight, given at their corners, is 1 everywhere."""
-    return np.minimum.reduce(at_corners(weight)) >= 1
-
-
 class CachedLayerImages:
-    """Layer images of one view, each drawn over the whole frame.
-
-    Args:
-        renderer: draws the forest.
-        camera: the view.
-        steps: layer and rate of each image.
-    """
+    """Layer images of one view, given by layer and rate, each drawn over the whole frame."""
 
     def __init__(self, renderer: ForestRenderer, camera: Camera, steps: Sequence[tuple[int, int]]):
         grid = TileGrid(camera.width, camera.height)
-        corners = (grid.rows + 1, grid.columns + 1)
-        weight = np.ones(corners, np.float32)
-        images = [LayerImage(layer, rate, weight) for layer, rate in steps]
+        images = [LayerImage.whole(layer, rate, (grid.rows, grid.columns)) for layer, rate in steps]
         self._entries = pack_atlas(images, grid.mask(None))
         self._arrays, self._camera = renderer.arrays, camera
-        self._atlas = renderer.draw_atlas(camera, self._entries, np.full(corners, NYQUIST, np.float32))
+        cutoff = np.full((grid.rows + 1, grid.columns + 1), NYQUIST, np.float32)
+        (self._atlas,) = renderer._drawn(camera, [self._entries], cutoff)
 
     def composite(self, weights: Sequence[Lattice], wanted: NDArray[np.bool_]) -> SplatImage:
         """The frame with the given weights.

@@ -22,39 +22,30 @@ NYQUIST = 0.5
 
 @dataclass(frozen=True)
 class LayerImage:
-    """One layer at one sampling rate, and its weight in the frame.
+    """One layer at one sampling rate, and its weight in the frame."""
 
-    Attributes:
-        layer: 1, the coarsest, to L.
-        rate: log2 of pixels per sample along each axis, 0 for every pixel.
-        weight: (rows + 1, columns + 1) weight in the frame, 0..1, at the corners of cells of TILE pixels,
-            linear between them.
-    """
-
-    layer: int
-    rate: int
+    layer: int  # 1, the coarsest, to L
+    rate: int  # log2 of pixels per sample along each axis, 0 for every pixel
+    # (rows + 1, columns + 1) weight in the frame, 0..1, at the corners of cells of TILE pixels, linear
+    # between them.
     weight: Lattice
+
+    @staticmethod
+    def whole(layer: int, rate: int, cells: tuple[int, ...]) -> LayerImage:
+        """A layer alone over a frame of so many rows and columns of cells."""
+        return LayerImage(layer, rate, np.ones((cells[0] + 1, cells[1] + 1), np.float32))
 
 
 @dataclass(frozen=True)
 class AtlasEntry:
-    """A layer image's place in the atlas, the image that holds all layer images one above the other.
+    """A layer image's place in the atlas, the image that holds all layer images one above the other."""
 
-    Attributes:
-        image: what it shows.
-        top: the row of samples in the atlas at which the frame's first row would be.
-        tiles: (tile rows, tile columns) bool, its tiles that are drawn.
-        cells: (rows, columns) bool, cells of TILE pixels of the frame in which its weight is not 0.
-        first_row: of its tiles, counted from the frame's; those above have no place in the atlas.
-        is_sharp: whether it keeps all that its samples carry, whatever the frame's cut-off.
-    """
-
-    image: LayerImage
-    top: int
-    tiles: Mask
-    cells: Mask
-    first_row: int = 0
-    is_sharp: bool = False
+    image: LayerImage  # what it shows
+    top: int  # the row of samples in the atlas at which the frame's first row would be
+    tiles: Mask  # (tile rows, tile columns) bool, its tiles that are drawn
+    cells: Mask  # (rows, columns) bool, cells of TILE pixels of the frame in which its weight is not 0
+    first_row: int = 0  # of its tiles, counted from the frame's; those above have no place in the atlas
+    is_sharp: bool = False  # whether it keeps all that its samples carry, whatever the frame's cut-off
 
     @property
     def tile_rows(self) -> range:
@@ -65,22 +56,16 @@ class AtlasEntry:
 
 @dataclass(frozen=True)
 class Under:
-    """What is drawn besides a frame, to lie under it: a layer at full rate with all that it resolves.
+    """What is drawn besides a frame, to lie under it: a layer at full rate with all that it resolves."""
 
-    Attributes:
-        layer: 1, the coarsest, to L.
-        cells: (rows, columns) bool, cells of TILE pixels of the frame.
-    """
-
-    layer: int
-    cells: Mask
+    layer: int  # 1, the coarsest, to L
+    cells: Mask  # (rows, columns) bool, cells of TILE pixels of the frame
 
     def entry(self, top: int) -> AtlasEntry:
         """Its entry in an atlas, whose first free row of samples is `top`; at least one cell is set."""
         rows = np.flatnonzero(self.cells.any(axis=1))
         first, end = int(rows[0]), int(rows[-1]) + 1
-        weight = np.ones((self.cells.shape[0] + 1, self.cells.shape[1] + 1), np.float32)
-        image = LayerImage(self.layer, 0, weight)
+        image = LayerImage.whole(self.layer, 0, self.cells.shape)
         return AtlasEntry(image, top - first * TILE, self.cells[first:end], self.cells, first, True)
 
 
@@ -88,7 +73,6 @@ def pack_atlas(images: Sequence[LayerImage], wanted: Mask, top: int = 0) -> list
     """Atlas entries of the images that show in the wanted cells.
 
     Args:
-        images: the layer images.
         wanted: (rows, columns) bool, cells of the frame that are drawn at all.
         top: the first row of samples that is free.
     """
@@ -115,10 +99,9 @@ def at_corners(lattice: Lattice) -> list[Lattice]:
 
 def _joined(mask: Mask, size: int) -> Mask:
     """Tiles of so many cells a side that hold any set cell of a mask (rows, columns)."""
-    rows, columns = -(-mask.shape[0] // size), -(-mask.shape[1] // size)
-    padded = np.zeros((rows * size, columns * size), dtype=bool)
-    padded[: mask.shape[0], : mask.shape[1]] = mask
-    return np.asarray(padded.reshape(rows, size, columns, size).any(axis=(1, 3)))
+    padded = np.pad(mask, [(0, -side % size) for side in mask.shape])
+    blocks = padded.reshape(len(padded) // size, size, -1, size)
+    return np.asarray(blocks.any(axis=(1, 3)))
 
 
 def _grown(mask: Mask) -> Mask:
@@ -134,13 +117,9 @@ def _grown(mask: Mask) -> Mask:
 
 @dataclass(frozen=True)
 class SplatImage(DeviceImage):
-    """An image of a forest, black where nothing is drawn.
+    """An image of a forest, black where nothing is drawn."""
 
-    Attributes:
-        nodes: Gaussians drawn, those in several layer images counted in each.
-    """
-
-    nodes: int = 0
+    nodes: int = 0  # Gaussians drawn, those in several layer images counted in each
 
 
 def black_image(arrays: Arrays, camera: Camera, nodes: int = 0) -> SplatImage:

@@ -22,12 +22,9 @@ from splat.raster.tiles import TILE
 # the cut-off lie in the array; for its selection the variance of the widest filter in px^2, and pixels by
 # which boxes are enlarged; samples per pixel, minimum width of the filter as a multiple of the filter at the
 # pixel grid, first row of samples, and bounds in tiles. Four floats are spare.
-_ENTRY = RecordLayout(
-    (8, 8),
-    ("start", "node", "counts", "cutoff"),
-    **dict.fromkeys(("start", "node", "counts", "cutoff", "widest", "margin", "scale", "least_blur"), 1),
-    **dict.fromkeys(("offset", "columns", "top", "bottom"), 1),
-)
+_INTEGERS = "start", "node", "counts", "cutoff"
+_FLOAT_SLOTS = "widest", "margin", "scale", "least_blur", "offset", "columns", "top", "bottom"
+_ENTRY = RecordLayout((8, 8), _INTEGERS, **dict.fromkeys((*_INTEGERS, *_FLOAT_SLOTS), 1))
 _FLOATS = 16
 
 
@@ -35,15 +32,11 @@ class EntryTable:
     """The entries of an atlas and their candidates: all footprints of their layers, entry by entry.
 
     Args:
-        arrays: the backend's array types.
         entries: of the atlas, at least one.
         nodes: for each of them, where its layer's footprints lie among all.
         blurs: for each the widest and the narrowest filter, as multiples of the filter at the pixel grid.
         cutoff: (rows + 1, columns + 1) highest frequency to keep, in cycles per pixel, at the corners of
             cells of TILE pixels.
-
-    Attributes:
-        candidates: how many there are.
     """
 
     def __init__(
@@ -98,10 +91,7 @@ class EntryTable:
     def cells(self, entry: SimpleNamespace, box: tuple[Any, Any, Any, Any], valid: Any) -> Any:
         """(M,) number of an entry's cells in boxes, 0 in those that are not valid.
 
-        Args:
-            entry: from `of`.
-            box: left and top, right and bottom, exclusive, in cells; pixels are clipped to the frame.
-            valid: which boxes are looked at.
+        Boxes are left, top, right and bottom in pixels, clipped to the frame.
         """
         Float, Int, UInt = self._arrays.plain.Float, self._arrays.plain.Int, self._arrays.plain.UInt
         across, down = Float(self._columns - 1), Float(self._rows - 1)
@@ -131,13 +121,7 @@ class EntryTable:
 
 
 def touching(arrays: Arrays, table: EntryTable, footprints: Callable[[Any], Footprints]) -> Any:
-    """Mask of the candidates whose filtered box touches any cell of their entry.
-
-    Args:
-        arrays: the backend's array types.
-        table: the entries and their candidates, at least one.
-        footprints: those with the given numbers.
-    """
+    """Mask of the candidates, at least one, whose filtered box touches any cell of their entry."""
     entry, index = table.of(dr.arange(arrays.plain.UInt, table.candidates))
     node = footprints(index)
     # Square of the distance, in standard deviations, beyond which alpha is below 1/255.

@@ -33,21 +33,12 @@ class MotionModel(str, Enum):
 
     @property
     def field(self) -> FieldKind | None:
-        """Of a learned motion; None if it is known."""
-        return {
-            MotionModel.D_GS: FieldKind.D_GS,
-            MotionModel.D_GS_OF_DYNAMIC: FieldKind.D_GS,
-            MotionModel.HEX_PLANE: FieldKind.HEX_PLANE,
-        }.get(self)
+        """The kind of a learned motion; None if it is known."""
+        return None if self is MotionModel.KNOWN else FieldKind(self.value.removesuffix("-dynamic"))
 
 
 class Precision(str, Enum):
-    """Numbers of Gaussians in a forest file.
+    """Numbers of Gaussians in a forest file."""
 
-    Attributes:
-        COMPACT: rounded to what the eye does not miss, about a fifth of the size (splat.io.compact).
-        FLOAT32: exactly as they were trained.
-    """
-
-    COMPACT = "compact"
-    FLOAT32 = "float32"
+    COMPACT = "compact"  # rounded to what the eye does not miss, about a fifth of the size (splat.io.compact)
+    FLOAT32 = "float32"  # exactly as they were trained

@@ -35,22 +35,18 @@ _DARK = 1e-4
 class LightCourse:
     """Factors on the radiance of M nodes of a forest.
 
-    Attributes:
-        nodes: (M,) int64, their indices in the forest, ascending.
-        factors: (T, 3, M) float16, 0 or more, of each channel at T equal steps of time from 0 to 1;
-            T is two or more.
-        sided: (B,) int64, which of the M have other factors for those who see them from behind.
-        behind: (T, 3, B) float16, these factors.
-        normals: (3, B) float32, from those nodes at rest to where they are seen from in front.
-
     Raises:
         ValueError: a tensor has the wrong shape or type, or a sided node is none of the M.
     """
 
-    nodes: torch.Tensor
+    nodes: torch.Tensor  # (M,) int64, their indices in the forest, ascending
+    # (T, 3, M) float16, 0 or more, of each channel at T equal steps of time from 0 to 1; T is two or more.
     factors: torch.Tensor
+    # (B,) int64, which of the M have other factors for those who see them from behind.
     sided: torch.Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.int64))
+    # (T, 3, B) float16, these factors.
     behind: torch.Tensor = field(default_factory=lambda: torch.zeros(2, 3, 0, dtype=torch.float16))
+    # (3, B) float32, from those nodes at rest to where they are seen from in front.
     normals: torch.Tensor = field(default_factory=lambda: torch.zeros(3, 0))
 
     def __post_init__(self) -> None:
@@ -81,14 +77,6 @@ class LightCourse:
             self.normals[:, sided],
         )
 
-    def at(self, time: float) -> torch.Tensor:
-        """(3, M) factors at a time from 0 to 1, seen from in front."""
-        return factors_at(self.factors, time)
-
-    def behind_at(self, time: float) -> torch.Tensor:
-        """(3, B) factors of sided nodes at a time from 0 to 1, seen from behind."""
-        return factors_at(self.behind, time)
-
 
 def _require_factors(what: str, nodes: torch.Tensor, factors: torch.Tensor) -> None:
     right = nodes.ndim == 1 and factors.shape[1:] == (3, len(nodes))
@@ -106,11 +94,7 @@ def factors_at(factors: torch.Tensor, time: float) -> torch.Tensor:
 
 
 def seen_from_behind(
-    normals: torch.Tensor,
-    rest: torch.Tensor,
-    rotations: torch.Tensor,
-    means: torch.Tensor,
-    eye: torch.Tensor,
+    normals: torch.Tensor, rest: torch.Tensor, rotations: torch.Tensor, means: torch.Tensor, eye: torch.Tensor
 ) -> torch.Tensor:
     """(B,) whether nodes are seen from behind.
 
@@ -160,48 +144,24 @@ _GAMMA = 2.2
 
 
 @dataclass(frozen=True)
-class Near:
-    """Which points nodes have their light from.
-
-    Attributes:
-        front: (N,) int64 index of a point; -1 for a node whose light does not change.
-        back: (N,) the same for those who see the node from behind; `front` for what has one side only.
-    """
-
-    front: torch.Tensor
-    back: torch.Tensor
-
-    def select(self, index: torch.Tensor) -> Near:
-        """Those of nodes at an index (M,)."""
-        return Near(self.front[index], self.back[index])
-
-
-@dataclass(frozen=True)
 class SurfaceLight:
-    """Light at P points of surfaces, each seen from one side.
+    """Light at P points of surfaces, each seen from one side."""
 
-    Attributes:
-        means: (3, P) float32, the points at rest.
-        normals: (3, P) float32, at rest, towards where each was seen from.
-        instance: (P,) int32, what moves them; -1 for nothing.
-        factors: (T, 3, P) float16, irradiance of each channel over what is usual there, at T equal
-            steps of time from 0 to 1.
-        changes: (P,) bool, whether that is more than noise.
-    """
-
-    means: torch.Tensor
-    normals: torch.Tensor
-    instance: torch.Tensor
+    means: torch.Tensor  # (3, P) float32, the points at rest
+    normals: torch.Tensor  # (3, P) float32, at rest, towards where each was seen from
+    instance: torch.Tensor  # (P,) int32, what moves them; -1 for nothing
+    # (T, 3, P) float16, irradiance of each channel over what is usual there, at T equal steps of time from 0
+    # to 1.
     factors: torch.Tensor
-    changes: torch.Tensor
+    changes: torch.Tensor  # (P,) bool, whether that is more than noise
 
     def __len__(self) -> int:
         return len(self.instance)
 
     def placed(self, place: Place) -> SurfaceLight:
         """The same points in the coordinates of a place, from world space."""
-        origin = torch.tensor(place.origin, dtype=torch.float64)[:, None]
-        return replace(self, means=((self.means.double() - origin) / place.unit).float())
+        means = place.from_world(self.means.T.numpy()).T
+        return replace(self, means=torch.from_numpy(means).float())
 
     @cached_property
     def _apart(self) -> float:
@@ -217,12 +177,17 @@ class SurfaceLight:
     def _tree(self) -> cKDTree:
         return cKDTree(self._keys(self.means, self.instance))
 
+    def _neighbours(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """(P, K) distances and indices of the K nearest points of each one, itself first; K <= `count`."""
+        found = self._tree.query(self._tree.data, k=min(count, len(self)))
+        away, near = (part.reshape(len(self), -1) for part in found)
+        return away, near
+
     @cached_property
     def _around(self) -> tuple[NDArray[np.float64], torch.Tensor]:
         """(P,) gap to other points, and (P,) index of a point of the other side, the point itself if none."""
-        count = min(_AROUND, len(self))
-        away, near = (part.reshape(len(self), -1) for part in self._tree.query(self._tree.data, k=count))
-        gap = away[:, min(_NEIGHBOUR, count - 1)]
+        away, near = self._neighbours(_AROUND)
+        gap = away[:, min(_NEIGHBOUR, away.shape[1] - 1)]
         normals = self.normals.numpy().T
         opposite = np.einsum("pi,pki->pk", normals, normals[near]) < _OPPOSITE
         opposite &= away < self._apart / 2
@@ -234,8 +199,7 @@ class SurfaceLight:
         """(P,) mean squared change of the perceived light per distance from a point, over many times."""
         sampled = self.factors[:: max(1, len(self.factors) // _SAMPLED)]
         perceived = sampled.float().numpy() ** np.float32(1 / _GAMMA)
-        count = min(_NEIGHBOURS + 1, len(self))
-        away, near = (part.reshape(len(self), -1) for part in self._tree.query(self._tree.data, k=count))
+        away, near = self._neighbours(_NEIGHBOURS + 1)
         normals = self.normals.numpy().T
         total, alike = np.zeros(len(self)), np.zeros(len(self))
         for distance, other in zip(away.T[1:], near.T[1:], strict=True):
@@ -247,64 +211,60 @@ class SurfaceLight:
         return total / np.maximum(alike, 1)
 
     def unevenness(self, means: torch.Tensor, instance: torch.Tensor) -> torch.Tensor:
-        """(N,) how much light differs around nodes, as a mean over time.
+        """(N,) how much light differs around nodes with centres (3, N) at rest, of instances (N,), over time.
 
         The squared difference of the perceived factors between two places, over their distance. Where edges
         of shadows pass, it does not depend on that distance: the farther the places are apart, the longer
         an edge lies between them.
+        """
+        nearest, within = self._nearest(means, instance)
+        return torch.from_numpy(np.where(within, self._unevenness[nearest], 0)).float()
+
+    def _nearest(
+        self, means: torch.Tensor, instance: torch.Tensor
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """(N,) the nearest point of each node, and (N,) whether it is near enough to tell its light."""
+        away, nearest = self._tree.query(self._keys(means, instance))
+        return nearest, away <= _REACH * self._around[0][nearest]
+
+    def near(self, means: torch.Tensor, instance: torch.Tensor) -> torch.Tensor:
+        """(2, N) int64 points that nodes have their light from, seen from in front and from behind.
+
+        -1 for nodes whose light does not change; the same point twice for what has one side only.
 
         Args:
-            means: (3, N) centres at rest.
-            instance: (N,) what moves them.
+            means, instance: (3, N) centres at rest, and (N,) what moves them.
         """
-        gap, _ = self._around
-        away, nearest = self._tree.query(self._keys(means, instance))
-        return torch.from_numpy(np.where(away <= _REACH * gap[nearest], self._unevenness[nearest], 0)).float()
-
-    def near(self, means: torch.Tensor, instance: torch.Tensor) -> Near:
-        """The points that nodes with centres (3, N) at rest, of instances (N,), have their light from."""
-        gap, other = self._around
-        away, nearest = self._tree.query(self._keys(means, instance))
+        nearest, within = self._nearest(means, instance)
         front = torch.from_numpy(nearest)
-        back = other[front]
-        lit = torch.from_numpy(away <= _REACH * gap[nearest]) & (self.changes[front] | self.changes[back])
-        none = torch.full_like(front, -1)
-        return Near(torch.where(lit, front, none), torch.where(lit, back, none))
+        back = self._around[1][front]
+        lit = torch.from_numpy(within) & (self.changes[front] | self.changes[back])
+        return torch.where(lit, torch.stack([front, back]), -1)
 
     def course(self, nodes: Layer) -> LightCourse | None:
         """The light on nodes over time; None if it changes on none of them."""
         near = self.near(nodes.gaussians.means, nodes.semantic)
-        lit = torch.nonzero(near.front >= 0)[:, 0]
+        lit = torch.nonzero(near[0] >= 0)[:, 0]
         if not len(lit):
             return None
-        front, back = near.front[lit], near.back[lit]
+        front, back = near[:, lit]
         sided = torch.nonzero(front != back)[:, 0]
-        return LightCourse(
-            lit,
-            self.factors[..., front],
-            sided,
-            self.factors[..., back[sided]],
-            self.normals[:, front[sided]],
-        )
+        behind, normals = self.factors[..., back[sided]], self.normals[:, front[sided]]
+        return LightCourse(lit, self.factors[..., front], sided, behind, normals)
 
 
+# Names in checkpoints.
+_STATE = "light.front", "light.back"
 # Factor below which a pixel tells nothing of the radiance in usual light.
 _LEAST = 0.1
 
 
 class NodeLight:
-    """The light that a layer's nodes have from points of surfaces.
+    """The light that a layer's nodes have from points of surfaces, in the coordinates of the nodes."""
 
-    Args:
-        light: at the points, in the coordinates of the nodes.
-
-    Attributes:
-        surface: as given.
-    """
-
-    def __init__(self, light: SurfaceLight):
-        self.surface = light
-        self._near = Near(torch.zeros(0, dtype=torch.int64), torch.zeros(0, dtype=torch.int64))
+    def __init__(self, surface: SurfaceLight):
+        self.surface = surface
+        self._near = torch.zeros(2, 0, dtype=torch.int64)
 
     def follow(self, layer: Layer) -> None:
         """Finds the points that are nearest to the nodes as they are now."""
@@ -313,42 +273,34 @@ class NodeLight:
     def lit(
         self, rest: Gaussians, shown: Gaussians, index: torch.Tensor, camera: Camera, time: float
     ) -> Gaussians:
-        """Some nodes in the light that they have; torch can differentiate them.
-
-        Args:
-            rest, shown: M nodes, at rest and where they are.
-            index: (M,) their indices in the layer.
-            camera: which sees them.
-            time: from 0 to 1.
-        """
-        near = self._near.select(index)
-        changed = torch.nonzero(near.front >= 0)[:, 0]
-        factor = self._factor(near.select(changed), rest.select(changed), shown.select(changed), camera, time)
+        """Shown nodes of the layer, by their indices (M,), in their light; torch can differentiate them."""
+        changed, factor = self._factor(self._near[:, index], rest, shown, camera, time)
         return in_light(shown, changed, factor)
 
     def in_usual_light(self, layer: Layer, shown: Gaussians, camera: Camera, time: float) -> Layer:
         """Nodes at rest that have the radiance seen by a camera, with that in usual light instead."""
         near = self.surface.near(layer.gaussians.means, layer.semantic)
-        changed = torch.nonzero(near.front >= 0)[:, 0]
-        own = layer.gaussians
-        factor = self._factor(near.select(changed), own.select(changed), shown.select(changed), camera, time)
-        return replace(layer, gaussians=in_light(own, changed, 1 / factor.clamp(min=_LEAST)))
+        changed, factor = self._factor(near, layer.gaussians, shown, camera, time)
+        factor = 1 / factor.clamp(min=_LEAST)
+        return replace(layer, gaussians=in_light(layer.gaussians, changed, factor))
 
     @torch.no_grad()
     def _factor(
-        self, near: Near, rest: Gaussians, shown: Gaussians, camera: Camera, time: float
-    ) -> torch.Tensor:
-        """(3, M) factors of nodes whose light changes."""
+        self, near: torch.Tensor, rest: Gaussians, shown: Gaussians, camera: Camera, time: float
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Indices (C,) of those of M nodes whose light changes, and their factors (3, C)."""
+        changed = torch.nonzero(near[0] >= 0)[:, 0]
+        front, back = near[:, changed]
+        turns, now, means = (t[:, changed] for t in (rest.rotations, shown.rotations, shown.means))
         eye = torch.from_numpy(camera.position.copy()).float()
-        normals = self.surface.normals[:, near.front]
-        behind = seen_from_behind(normals, rest.rotations, shown.rotations, shown.means, eye)
-        point = torch.where(behind, near.back, near.front)
-        return factors_at(self.surface.factors, time)[:, point]
+        behind = seen_from_behind(self.surface.normals[:, front], turns, now, means, eye)
+        point = torch.where(behind, back, front)
+        return changed, factors_at(self.surface.factors, time)[:, point]
 
     def state(self) -> dict[str, torch.Tensor]:
         """Tensors for a checkpoint."""
-        return {"light.front": self._near.front, "light.back": self._near.back}
+        return dict(zip(_STATE, self._near, strict=True))
 
     def restore(self, tensors: dict[str, torch.Tensor]) -> None:
         """Restores what `state` returned; other tensors are ignored."""
-        self._near = Near(tensors["light.front"], tensors["light.back"])
+        self._near = torch.stack([tensors[name] for name in _STATE])

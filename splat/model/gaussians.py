@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import accumulate
 
 import torch
 
@@ -31,15 +32,10 @@ TENSORS = ("means", "log_scales", "rotations", "opacity_logits", "sh")
 
 @dataclass
 class Directional:
-    """The spherical harmonics above the constant one, of those of N Gaussians that have any.
+    """The spherical harmonics above the constant one, of those of N Gaussians that have any."""
 
-    Attributes:
-        index: (M,) int64, which Gaussians, ascending.
-        sh: (K - 1, 3, M) float32, the coefficients of the perceptual radiance.
-    """
-
-    index: torch.Tensor
-    sh: torch.Tensor
+    index: torch.Tensor  # (M,) int64, which Gaussians, ascending
+    sh: torch.Tensor  # (K - 1, 3, M) float32, the coefficients of the perceptual radiance
 
     def __len__(self) -> int:
         return len(self.index)
@@ -106,6 +102,18 @@ class Gaussians:
         further = 0 if self.directional is None else self.directional.sh.shape[0]
         return round((self.sh.shape[0] + further) ** 0.5) - 1
 
+    @property
+    def longest(self) -> torch.Tensor:
+        """(N,) longest axis, as a standard deviation, without gradient: the 3D size of Fov-GS."""
+        return self.log_scales.detach().max(dim=0).values.exp()
+
+    @property
+    def turns(self) -> torch.Tensor:
+        """(N,) which ones have harmonics above the constant one; all if none are apart."""
+        if self.directional is None:
+            return torch.ones(len(self), dtype=torch.bool)
+        return self.directional.slots(len(self)) >= 0
+
     def tensors(self) -> Iterator[tuple[str, torch.Tensor]]:
         """Names and tensors of what all Gaussians have, in the order of declaration."""
         for name in TENSORS:
@@ -113,11 +121,8 @@ class Gaussians:
 
     def every_tensor(self) -> list[torch.Tensor]:
         """All tensors, those of `directional` last."""
-        further = self.directional
-        return [
-            *(tensor for _, tensor in self.tensors()),
-            *(() if further is None else (further.index, further.sh)),
-        ]
+        further = () if self.directional is None else (self.directional.index, self.directional.sh)
+        return [*(tensor for _, tensor in self.tensors()), *further]
 
     @staticmethod
     def none(degree: int) -> Gaussians:
@@ -171,12 +176,8 @@ class Gaussians:
     def is_finite(self) -> bool:
         """Whether every number is finite."""
         # An infinity is an extreme and NaN becomes both extremes, so that no tensor of flags is needed.
-        return all(
-            bool(torch.isfinite(extreme))
-            for t in self.every_tensor()
-            if t.numel()
-            for extreme in torch.aminmax(t)
-        )
+        extremes = (extreme for t in self.every_tensor() if t.numel() for extreme in torch.aminmax(t))
+        return all(bool(torch.isfinite(extreme)) for extreme in extremes)
 
 
 def concatenated(parts: list[Gaussians]) -> Gaussians:
@@ -184,9 +185,12 @@ def concatenated(parts: list[Gaussians]) -> Gaussians:
     further = None
     if any(part.directional is not None for part in parts):
         parts = [apart(part) for part in parts]
-        further = _concatenated_directional(parts)
-    own = (torch.cat([getattr(p, name) for p in parts], dim=-1) for name in TENSORS)
-    return Gaussians(*own, directional=further)
+        starts = accumulate(map(len, parts), initial=0)
+        own = [(start, part.directional) for start, part in zip(starts, parts, strict=False)]
+        index = torch.cat([d.index + start for start, d in own if d is not None])
+        further = Directional(index, torch.cat([d.sh for _, d in own if d is not None], dim=-1))
+    tensors = (torch.cat([getattr(p, name) for p in parts], dim=-1) for name in TENSORS)
+    return Gaussians(*tensors, directional=further)
 
 
 def written(gaussians: Gaussians, index: torch.Tensor, part: Gaussians) -> Gaussians:
@@ -211,17 +215,6 @@ def apart(gaussians: Gaussians) -> Gaussians:
     if gaussians.directional is not None:
         return gaussians
     return gaussians.turning(torch.ones(len(gaussians), dtype=torch.bool))
-
-
-def _concatenated_directional(parts: list[Gaussians]) -> Directional:
-    """Those of several sets that have them apart."""
-    indices, coefficients, before = [], [], 0
-    for part in parts:
-        assert part.directional is not None
-        indices.append(part.directional.index + before)
-        coefficients.append(part.directional.sh)
-        before += len(part)
-    return Directional(torch.cat(indices), torch.cat(coefficients, dim=-1))
 
 
 def _check_directional(directional: Directional, constant: int, count: int) -> None:

@@ -20,20 +20,15 @@ LABELS = ("parent", "semantic", "dynamic")
 class Layer:
     """One layer of a forest: N nodes, each a Gaussian.
 
-    Attributes:
-        gaussians: N Gaussians.
-        parent: (N,) int32, index in the next coarser layer; -1 in the coarsest, whose nodes are the roots.
-        semantic: (N,) int32, instance that a node belongs to; -1 for the background.
-        dynamic: (N,) bool, whether that instance moves.
-
     Raises:
         ValueError: a tensor has the wrong shape.
     """
 
-    gaussians: Gaussians
+    gaussians: Gaussians  # N Gaussians
+    # (N,) int32, index in the next coarser layer; -1 in the coarsest, whose nodes are the roots.
     parent: torch.Tensor
-    semantic: torch.Tensor
-    dynamic: torch.Tensor
+    semantic: torch.Tensor  # (N,) int32, instance that a node belongs to; -1 for the background
+    dynamic: torch.Tensor  # (N,) bool, whether that instance moves
 
     def __post_init__(self) -> None:
         n = len(self.gaussians)
@@ -83,10 +78,7 @@ def concatenated_layers(parts: list[Layer]) -> Layer:
 
 
 def check_forest(layers: list[Layer]) -> None:
-    """Checks that each node has a parent and one or two children, all with the same labels.
-
-    Args:
-        layers: coarsest first.
+    """Checks that in layers, coarsest first, each node has a parent and one or two children with its labels.
 
     Raises:
         ValueError: says which node is wrong, and how. Layers are counted from 1, the coarsest.
@@ -100,22 +92,18 @@ def check_forest(layers: list[Layer]) -> None:
             if bool((layer.parent != NO_PARENT).any()):
                 raise ValueError("broken tree: a node of layer 1 has a parent")
             continue
-        _check_pair(layers[number - 2], layer, number)
-
-
-def _check_pair(above: Layer, layer: Layer, number: int) -> None:
-    """Checks a layer against the next coarser one."""
-    wrong = (layer.parent < 0) | (layer.parent >= len(above))
-    if bool(wrong.any()):
-        raise ValueError(f"broken tree: node {_first(wrong)} of layer {number} has no parent")
-    parent = layer.parent.long()
-    children = torch.bincount(parent, minlength=len(above))
-    for trouble, what in ((children == 0, "no child"), (children > MAX_CHILDREN, "more than 2 children")):
-        if bool(trouble.any()):
-            raise ValueError(f"broken tree: node {_first(trouble)} of layer {number - 1} has {what}")
-    other = (layer.semantic != above.semantic[parent]) | (layer.dynamic != above.dynamic[parent])
-    if bool(other.any()):
-        raise ValueError(f"labels disagree: node {_first(other)} of layer {number} and its parent")
+        above = layers[number - 2]
+        wrong = (layer.parent < 0) | (layer.parent >= len(above))
+        if bool(wrong.any()):
+            raise ValueError(f"broken tree: node {_first(wrong)} of layer {number} has no parent")
+        parent = layer.parent.long()
+        children = torch.bincount(parent, minlength=len(above))
+        for trouble, what in ((children == 0, "no child"), (children > MAX_CHILDREN, "more than 2 children")):
+            if bool(trouble.any()):
+                raise ValueError(f"broken tree: node {_first(trouble)} of layer {number - 1} has {what}")
+        other = (layer.semantic != above.semantic[parent]) | (layer.dynamic != above.dynamic[parent])
+        if bool(other.any()):
+            raise ValueError(f"labels disagree: node {_first(other)} of layer {number} and its parent")
 
 
 def _first(mask: torch.Tensor) -> int:

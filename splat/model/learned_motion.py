@@ -18,17 +18,11 @@ from splat.model.gaussians import Gaussians
 
 @dataclass(frozen=True)
 class Deformation:
-    """How N Gaussians differ from those at rest.
+    """How N Gaussians differ from those at rest."""
 
-    Attributes:
-        shifts: (3, N) of their means.
-        turns: (4, N) that are added to their unit quaternions.
-        growths: (3, N) that are added to their log scales.
-    """
-
-    shifts: Tensor
-    turns: Tensor
-    growths: Tensor
+    shifts: Tensor  # (3, N) of their means
+    turns: Tensor  # (4, N) that are added to their unit quaternions
+    growths: Tensor  # (3, N) that are added to their log scales
 
     def applied(self, gaussians: Gaussians) -> Gaussians:
         """The Gaussians, deformed.
@@ -46,12 +40,7 @@ class Deformation:
 
 
 class Heads(torch.nn.Module):
-    """Turns features of points into their deformation; there is none at first.
-
-    Args:
-        width: number of features.
-        hidden: whether each head has a hidden layer of as many features.
-    """
+    """Turns features of points into their deformation, at first none; heads may have a hidden layer."""
 
     def __init__(self, width: int, hidden: bool):
         super().__init__()
@@ -119,10 +108,7 @@ _PAIRS = tuple(combinations(range(4), 2))
 class HexPlane(torch.nn.Module):
     """Planes over each pair of the axes x, y, z and time, and a small perceptron.
 
-    Its regularizers (total variation of planes) are left out.
-
-    Args:
-        low, high: (3,) corners of the box within which places differ.
+    Places differ within a box with corners (3,). The regularizers (total variation of planes) are left out.
     """
 
     # Learning rates at the start and at the end: those of 4DGS are for 20,000 steps, a few times as many as
@@ -177,12 +163,7 @@ _ANY_NUMBER = 2**31 - 1
 
 
 class LearnedMotion:
-    """Deforms all nodes that belong to an instance, of which there may be any number.
-
-    Args:
-        kind: of the field.
-        field: the field itself, in the coordinates of the nodes.
-    """
+    """Deforms all nodes of any number of instances by a field in the coordinates of the nodes."""
 
     def __init__(self, kind: FieldKind, field: Field):
         self.kind, self.field = kind, field
@@ -217,7 +198,7 @@ class LearnedMotion:
         self.field.load_state_dict({name.split(".", 1)[1]: tensor for name, tensor in tensors.items()})
 
     def shown(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """As of `Dynamics`."""
+        """See `Dynamics`."""
         moving = torch.nonzero(instance >= 0)[:, 0]
         if len(moving) == len(gaussians):
             return self.field(gaussians.means, time).applied(gaussians)
@@ -231,11 +212,11 @@ class LearnedMotion:
         return replace(gaussians, **parts)
 
     def course(self, gaussians: Gaussians, instance: torch.Tensor) -> Callable[[float], Gaussians]:
-        """As of `Dynamics`; a field knows nothing that all times share."""
+        """See `Dynamics`; a field knows nothing that all times share."""
         return partial(self.shown, gaussians, instance)
 
     def at_rest(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """As of `Dynamics`; as turned and as large as they are shown.
+        """See `Dynamics`; as turned and as large as they are shown.
 
         Nodes are as far from rest as the nearest anchor of their instance; without anchors, as they would be
         if they were at rest where they are shown (first order).

@@ -23,19 +23,18 @@ class Dynamics(Protocol):
     """Where nodes that belong to instances are at a time."""
 
     def shown(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """Gaussians as they are at a time; torch can differentiate them by those at rest.
+        """Gaussians as they are at a time from 0 to 1; torch can differentiate them by those at rest.
 
         Args:
             gaussians: N Gaussians at rest.
             instance: (N,) that each belongs to; below 0, it stays where it is.
-            time: from 0 to 1.
         """
 
     def course(self, gaussians: Gaussians, instance: torch.Tensor) -> Callable[[float], Gaussians]:
         """`shown` of some Gaussians as a function of time: what all times share is found once."""
 
     def at_rest(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """The way back: at rest, Gaussians that are shown at a time; arguments as of `shown`."""
+        """The way back: at rest, Gaussians that are shown at a time; same arguments as `shown`."""
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All numbers, by name."""
@@ -52,19 +51,12 @@ _TINY = 1e-12
 
 @dataclass(frozen=True)
 class Poses:
-    """Where the P pieces of L instances are at one time: a point p at rest is at rotation p + offset.
+    """Where the P pieces of L instances are at one time: a point p at rest is at rotation p + offset."""
 
-    Attributes:
-        rotations: (P, 4) float64, unit quaternions (w, x, y, z).
-        offsets: (P, 3) float64.
-        centres: (P, 3) float64, points at rest.
-        pieces: (L,) int64, number of pieces of each instance.
-    """
-
-    rotations: torch.Tensor
-    offsets: torch.Tensor
-    centres: torch.Tensor
-    pieces: torch.Tensor
+    rotations: torch.Tensor  # (P, 4) float64, unit quaternions (w, x, y, z)
+    offsets: torch.Tensor  # (P, 3) float64
+    centres: torch.Tensor  # (P, 3) float64, points at rest
+    pieces: torch.Tensor  # (L,) int64, number of pieces of each instance
 
     def inverse(self) -> Poses:
         """The way back to rest; exact for instances of one piece."""
@@ -73,17 +65,10 @@ class Poses:
         return Poses(back, -turned(back.T, self.offsets.T).T, there, self.pieces)
 
     def followed(self, means: torch.Tensor, instance: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Which pieces points follow, and how much.
+        """(M, F) pieces that points (3, M) at rest, of instances (M,), follow, and weights that sum to one.
 
         A piece's weight falls with the distance of its centre, to zero at that of the nearest piece which is
         not followed any more: it changes without a jump along the instance.
-
-        Args:
-            means: (3, M) points at rest.
-            instance: (M,) that they belong to.
-
-        Returns:
-            (M, F) indices of pieces, and (M, F) weights, which sum to one.
         """
         first = torch.cumsum(self.pieces, 0) - self.pieces
         if bool((self.pieces == 1).all()):
@@ -107,21 +92,16 @@ class Poses:
 class Motion:
     """The courses of L instances of P pieces, from T poses each.
 
-    Attributes:
-        rotations: (T, P, 4) float64, unit quaternions (w, x, y, z) from rest, at T equal steps of time from 0
-            to 1; two or more.
-        centres: (P, 3) float64, points at rest; between two steps, they move in a straight line.
-        shifts: (T, P, 3) float64, how far the centres are from rest.
-        pieces: (L,) int64, number of pieces of each instance, one or more; P in all.
-
     Raises:
         ValueError: a tensor has the wrong shape or type, or pieces do not sum up.
     """
 
+    # (T, P, 4) float64, unit quaternions (w, x, y, z) from rest, at T equal steps of time from 0 to 1; two or
+    # more.
     rotations: torch.Tensor
-    centres: torch.Tensor
-    shifts: torch.Tensor
-    pieces: torch.Tensor
+    centres: torch.Tensor  # (P, 3) float64, points at rest; between two steps, they move in a straight line
+    shifts: torch.Tensor  # (T, P, 3) float64, how far the centres are from rest
+    pieces: torch.Tensor  # (L,) int64, number of pieces of each instance, one or more; P in all
 
     def __post_init__(self) -> None:
         steps, count = self.rotations.shape[:2] if self.rotations.ndim == 3 else (0, 0)
@@ -156,81 +136,59 @@ class Motion:
         return Poses(rotations, offsets, self.centres, self.pieces)
 
     def shown(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """As of `Dynamics`."""
+        """See `Dynamics`."""
         return self.course(gaussians, instance)(time)
 
     def course(self, gaussians: Gaussians, instance: torch.Tensor) -> Callable[[float], Gaussians]:
-        """As of `Dynamics`."""
+        """See `Dynamics`."""
         # Which pieces a node follows is told at rest, whatever the time.
-        followers = _Followers.of(gaussians, instance, self.at(0.0))
-        return lambda time: followers.posed(gaussians, self.at(time))
+        followed = _followed(gaussians, instance, self.at(0.0))
+        return lambda time: _posed(gaussians, followed, self.at(time))
 
     def at_rest(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """As of `Dynamics`; exact for instances of one piece."""
+        """See `Dynamics`; exact for instances of one piece."""
         return posed(gaussians, instance, self.at(time).inverse())
 
     def placed(self, place: Place) -> Motion:
         """The motion in the coordinates of a place, from that in world space."""
-        origin = torch.tensor(place.origin, dtype=torch.float64)
-        return replace(self, centres=(self.centres - origin) / place.unit, shifts=self.shifts / place.unit)
+        centres = torch.from_numpy(place.from_world(self.centres.numpy()))
+        return replace(self, centres=centres, shifts=self.shifts / place.unit)
 
 
 def posed(gaussians: Gaussians, instance: torch.Tensor, poses: Poses) -> Gaussians:
-    """Gaussians where they are at a time; torch can differentiate them by those at rest.
+    """Gaussians of instances (N,) where they are at a time; torch can differentiate them by those at rest.
 
     Their spherical harmonics stay as they are: radiance depends on where light comes from, which stays.
-
-    Args:
-        gaussians: N Gaussians at rest.
-        instance: (N,) which instance each belongs to; below 0, it stays where it is.
-        poses: of the instances.
     """
-    return _Followers.of(gaussians, instance, poses).posed(gaussians, poses)
+    return _posed(gaussians, _followed(gaussians, instance, poses), poses)
 
 
-@dataclass(frozen=True)
-class _Followers:
-    """Those of some Gaussians that follow pieces.
+# Indices (M,) of Gaussians that follow pieces, then which pieces and how much as from `Poses.followed`.
+_Followed = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 
-    Attributes:
-        moving: (M,) their indices.
-        pieces, weights: (M, F) as of `Poses.followed`.
-    """
 
-    moving: torch.Tensor
-    pieces: torch.Tensor
-    weights: torch.Tensor
+def _followed(gaussians: Gaussians, instance: torch.Tensor, poses: Poses) -> _Followed:
+    moving = torch.nonzero(instance >= 0)[:, 0]
+    return moving, *poses.followed(gaussians.means[:, moving], instance[moving].long())
 
-    @staticmethod
-    def of(gaussians: Gaussians, instance: torch.Tensor, poses: Poses) -> _Followers:
-        """Those that belong to an instance (N,)."""
-        moving = torch.nonzero(instance >= 0)[:, 0]
-        return _Followers(moving, *poses.followed(gaussians.means[:, moving], instance[moving].long()))
 
-    def posed(self, gaussians: Gaussians, poses: Poses) -> Gaussians:
-        """All N Gaussians, the followers where their pieces are."""
-        moving = self.moving
-        if not len(moving):
-            return gaussians
-        means, rotations = _blended(poses, self.pieces, self.weights, gaussians.means[:, moving])
-        orientations = multiplied(rotations, gaussians.rotations[:, moving])
-        return replace(
-            gaussians,
-            means=gaussians.means.index_copy(1, moving, means),
-            rotations=gaussians.rotations.index_copy(1, moving, orientations),
-        )
+def _posed(gaussians: Gaussians, followed: _Followed, poses: Poses) -> Gaussians:
+    moving, pieces, weights = followed
+    if not len(moving):
+        return gaussians
+    means, rotations = _blended(poses, pieces, weights, gaussians.means[:, moving])
+    orientations = multiplied(rotations, gaussians.rotations[:, moving])
+    return replace(
+        gaussians,
+        means=gaussians.means.index_copy(1, moving, means),
+        rotations=gaussians.rotations.index_copy(1, moving, orientations),
+    )
 
 
 def _blended(
     poses: Poses, index: torch.Tensor, weights: torch.Tensor, means: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Where points (3, M) are, and unit quaternions (4, M) by which they have turned.
-
-    Args:
-        poses: of the pieces.
-        index, weights: (M, F) pieces that they follow, and how much.
-        means: (3, M) at rest.
-    """
+    """Where points (3, M) at rest are, and unit quaternions (4, M) by which they have turned."""
     place, turn = torch.zeros_like(means), means.new_zeros(4, means.shape[1])
     leading = poses.rotations[index[:, 0]].T.to(means.dtype)
     for piece, weight in zip(index.T, weights.T, strict=True):

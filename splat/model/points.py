@@ -53,9 +53,8 @@ def place_of_gaussians(world: Gaussians) -> Place:
     size = float(np.median(np.linalg.norm(means - middle, axis=1)))
     near = np.linalg.norm(middle) <= _FARTHEST * size
     # A single Gaussian, or many in one point, have no size.
-    return (
-        WORLD if size == 0 or (near and _LEAST_SIZE <= size <= _LARGEST_SIZE) else place_around(means, size)
-    )
+    good = size == 0 or (near and _LEAST_SIZE <= size <= _LARGEST_SIZE)
+    return WORLD if good else place_around(means, size)
 
 
 def _mapped(gaussians: Gaussians, offset: NDArray[np.float64], scale: float) -> Gaussians:
@@ -70,37 +69,25 @@ _FAR_AWAY = 32 * TYPICAL_DISTANCE
 
 
 def remoteness(means: torch.Tensor) -> torch.Tensor:
-    """(N,) distance of far Gaussians from the origin of their place over the typical distance; 1 for others.
-
-    Args:
-        means: (3, N) centres in the coordinates of a place.
-    """
+    """(N,) distance of centres (3, N) from the origin of their place over the typical one; 1 unless far."""
     distance = torch.linalg.vector_norm(means.detach(), dim=0)
     return torch.where(distance > _FAR_AWAY, distance / TYPICAL_DISTANCE, 1.0)
 
 
 class Neighbours:
-    """The nearest `count` of M points to each of N positions.
-
-    Args:
-        points: (M, 3).
-        positions: (N, 3).
-        count: neighbours per position; all M if there are fewer.
-
-    Attributes:
-        distance, index: (N, K) of each position's neighbours, nearest first.
-        reach: (N,) the distance up to which no point is missing; infinite if all M are listed.
-    """
+    """The nearest `count` of M points (M, 3), or all if there are fewer, to each of N positions (N, 3)."""
 
     def __init__(self, points: Floats, positions: Floats, count: int):
         count = min(count, len(points))
+        # (N, K) of each position's neighbours, nearest first.
         self.distance: Floats = np.zeros((len(positions), count))
         self.index: Ints = np.zeros((len(positions), count), dtype=np.int64)
         if count:
             nearest = np.arange(1, count + 1)
             self.distance, self.index = cKDTree(points).query(positions, k=nearest, workers=-1)
-        listed = count < len(points)
-        self.reach = self.distance[:, -1] if listed else np.full(len(positions), np.inf)
+        # (N,) the distance up to which no point is missing; infinite if all M are listed.
+        some = count < len(points)
+        self.reach = self.distance[:, -1] if some else np.full(len(positions), np.inf)
 
 
 _BITS = 20  # per axis

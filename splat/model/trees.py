@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import expit
 
 from splat.model.gaussians import Gaussians, written
-from splat.model.layer import MAX_CHILDREN, NO_PARENT, Layer, concatenated_layers
+from splat.model.layer import MAX_CHILDREN, NO_PARENT, Layer, concatenated_layers, without_parents
 from splat.model.points import (
     Floats,
     Ints,
@@ -29,17 +29,11 @@ _FLATTEST = 1e-7
 
 
 def merge(a: Gaussians, b: Gaussians) -> Gaussians:
-    """Merges N pairs of Gaussians.
+    """Merges N pairs of Gaussians of one degree.
 
     The weights are w = o S, with o the opacity and S = s1 s2 + s1 s3 + s2 s3, half the surface of a box with
     the standard deviations as sides. Mean, covariance and colour are means weighted by w; the opacity is
     (w_a + w_b) / S of the result, at most 0.99. It has directional harmonics if one of the two has.
-
-    Args:
-        a, b: N Gaussians each, of one degree.
-
-    Returns:
-        N Gaussians.
     """
     # Logarithms: weights of tiny or transparent Gaussians would be 0, and their shares 0 / 0.
     weight_a, weight_b = (_log_opacity(g) + _log_surface(rows_of(g.log_scales)) for g in (a, b))
@@ -67,18 +61,12 @@ def merge(a: Gaussians, b: Gaussians) -> Gaussians:
         to_torch(log_opacity - np.log1p(-np.exp(log_opacity))),
         part * a.all_turning().sh + (1 - part) * b.all_turning().sh,
     )
-    apart = a.directional is not None or b.directional is not None
-    return merged.turning(_turns(a) | _turns(b)) if apart else merged
-
-
-def _turns(gaussians: Gaussians) -> torch.Tensor:
-    """(N,) which ones have harmonics above the constant one."""
-    turns = torch.full((len(gaussians),), gaussians.directional is None)
-    return turns if gaussians.directional is None else turns.index_fill(0, gaussians.directional.index, True)
+    if a.directional is None and b.directional is None:
+        return merged
+    return merged.turning(a.turns | b.turns)
 
 
 def _log_opacity(gaussians: Gaussians) -> Floats:
-    """(N,) logarithm of the opacity."""
     return -np.logaddexp(0, -gaussians.opacity_logits.detach().numpy().astype(np.float64))
 
 
@@ -100,11 +88,9 @@ NEIGHBOURS = 16
 
 
 def with_parents(below: Layer, above: Layer, parent: Ints, tries: int) -> tuple[Layer, Ints]:
-    """Gives a parent to every node that has none, if necessary a new one.
+    """Gives a parent to every node of a layer that has none, if necessary a new one.
 
     Args:
-        below: N nodes.
-        above: the next coarser layer.
         parent: (N,) index of each node's parent in the layer above; -1 for none.
         tries: how many parents a node tries; the paper's algorithm tries one.
 
@@ -146,10 +132,8 @@ class _ParentSearch:
     `tries` parents has room, a new one is made at the child's own position.
 
     Args:
-        children: (N, 3) centres, in the order in which they choose.
-        parents: (M, 3) centres.
+        children, parents: (N, 3) and (M, 3) centres, children in the order in which they choose.
         room: (M,) children that each parent can still take.
-        tries: how many parents a child tries.
     """
 
     def __init__(self, children: Floats, parents: Floats, room: Ints, tries: int):
@@ -198,7 +182,6 @@ class _ParentSearch:
         return [parent for _, parent in candidates[:tries]]
 
     def _make(self, child: int) -> int:
-        """A new parent at a child's position."""
         self._made_for[child] = self._count
         self._made[self._count] = self._children[child]
         self._count += 1
@@ -209,40 +192,33 @@ class _ParentSearch:
 def _made_parents(below: Layer, children: Ints, number: Ints) -> Layer:
     """New parents: twice the size of an only child, or the moments of two.
 
-    Args:
-        below: the layer of the children.
-        children: (C,) indices of the children.
-        number: (C,) the new parent of each of them, counted from 0 without gaps.
+    Children are given by indices (C,) in the layer below; `number` (C,) counts their parents without gaps.
     """
     order = np.argsort(number, kind="stable")
     children, number = children[order], number[order]
-    first = np.flatnonzero(np.r_[True, number[1:] != number[:-1]]) if len(number) else np.zeros(0, int)
+    _, first, count = np.unique(number, return_index=True, return_counts=True)
     single = below.select(torch.from_numpy(children[first]))
-    doubled = single.gaussians.log_scales + float(np.log(2.0))
-    gaussians = replace(single.gaussians, log_scales=doubled)
-    pairs = np.flatnonzero(np.diff(np.r_[first, len(number)]) == MAX_CHILDREN)
+    gaussians = replace(single.gaussians, log_scales=single.gaussians.log_scales + float(np.log(2.0)))
+    pairs = np.flatnonzero(count == MAX_CHILDREN)
     if len(pairs):
         left = below.gaussians.select(torch.from_numpy(children[first[pairs]]))
         right = below.gaussians.select(torch.from_numpy(children[first[pairs] + 1]))
         gaussians = written(gaussians, torch.from_numpy(pairs), merge(left, right))
-    return replace(single, gaussians=gaussians, parent=torch.full_like(single.parent, NO_PARENT))
+    return without_parents(replace(single, gaussians=gaussians))
 
 
 def build_forest(finest: Layer, pixel: float, layers: int) -> list[Layer]:
     """Builds trees over the Gaussians of one trained set, which becomes layer L unchanged (Algorithm 1).
 
-    Args:
-        finest: the Gaussians and their labels.
-        pixel: size in world space of a pixel of the training frames at their mean depth.
-        layers: L.
+    The layers, coarsest first, do not depend on the order of the set in memory.
 
-    Returns:
-        The layers, coarsest first. They do not depend on the order of the set in memory.
+    Args:
+        pixel: size in world space of a pixel of the training frames at their mean depth.
     """
     # The sky is huge, and yet its Gaussians are as small in a frame as others.
-    size = longest_axis(finest.gaussians) / remoteness(finest.gaussians.means).numpy()
+    size = finest.gaussians.longest.numpy() / remoteness(finest.gaussians.means).numpy()
     level = layer_of_size(size, pixel, layers)
-    below = replace(finest, parent=torch.full((len(finest),), NO_PARENT, dtype=torch.int32))
+    below = without_parents(finest)
     # For each node of the layer below, the given Gaussian that it is; -1 for a new parent.
     origin = np.arange(len(finest))
     forest: list[Layer] = []
@@ -259,38 +235,23 @@ def build_forest(finest: Layer, pixel: float, layers: int) -> list[Layer]:
     return [below, *forest]
 
 
-def longest_axis(gaussians: Gaussians) -> NDArray[np.float32]:
-    """(N,) largest standard deviation: the 3D size of the paper."""
-    return gaussians.log_scales.detach().max(dim=0).values.exp().numpy()
-
-
 def layer_of_size(size: NDArray[np.floating], pixel: float, layers: int) -> Ints:
-    """(N,) layer, 1 to L, that a Gaussian belongs to by its size.
+    """(N,) layer, 1 to L, that Gaussians belong to by their longest axes (N,) in world space.
 
     Layer L takes sizes below 4 pixels, layer l from 2^(L - l + 1) to 2^(L - l + 2) pixels, layer 1 all above:
     what a frame reduced by 2^(L - l) can still sample. (The printed upper bound 2^L s_L f d must read
-    2^L s_L d / f.)
-
-    Args:
-        size: (N,) longest axes in world space.
-        pixel: d / f, the size of a pixel of the training frames at their mean depth d.
-        layers: L.
+    2^L s_L d / f.) `pixel` is d / f, the size of a pixel of the training frames at their mean depth d.
     """
     octave = np.floor(np.log2(np.maximum(size / pixel, 2.0))).astype(np.int64)
     return np.clip(layers + 1 - octave, 1, layers)
 
 
 def settle(layers: list[Layer]) -> list[Layer]:
-    """Completes the trees over trained layers.
+    """Completes the trees over trained layers, coarsest first; new nodes come after those given.
 
-    A child inside its parent's ellipsoid and with the same labels keeps its parent. The others choose the
-    nearest parent that has room. A node left without children takes one from a nearby node that has two.
-
-    Args:
-        layers: coarsest first; parents may be missing, out of range, or too many children may share one.
-
-    Returns:
-        The layers, coarsest first: the given nodes in their order, and new nodes after them.
+    Parents may be missing, out of range, or too many children may share one. A child inside its parent's
+    ellipsoid and with the same labels keeps its parent. The others choose the nearest parent that has room.
+    A node left without children takes one from a nearby node that has two.
     """
     settled = [layers[-1]]
     for above in reversed(layers[:-1]):
@@ -300,7 +261,7 @@ def settle(layers: list[Layer]) -> list[Layer]:
         below, parent = _with_children(below, above, parent)
         settled[0] = replace(below, parent=torch.from_numpy(parent.astype(np.int32)))
         settled.insert(0, above)
-    settled[0] = replace(settled[0], parent=torch.full((len(settled[0]),), NO_PARENT, dtype=torch.int32))
+    settled[0] = without_parents(settled[0])
     # Copies were added as children to layers that were complete already; they need children as well.
     return _grown_down(settled)
 
@@ -339,9 +300,7 @@ def _kept_parents(below: Layer, above: Layer) -> Ints:
 def _occurrence(values: Ints) -> Ints:
     """(N,) how often each value occurs before its position in the array."""
     order = np.argsort(values, kind="stable")
-    ordered = values[order]
-    starts = np.flatnonzero(np.r_[True, ordered[1:] != ordered[:-1]]) if len(values) else np.zeros(0, int)
-    lengths = np.diff(np.r_[starts, len(values)])
+    _, starts, lengths = np.unique(values[order], return_index=True, return_counts=True)
     result = np.empty(len(values), dtype=np.int64)
     result[order] = np.arange(len(values)) - np.repeat(starts, lengths)
     return result
@@ -350,8 +309,7 @@ def _occurrence(values: Ints) -> Ints:
 def _with_children(below: Layer, above: Layer, parent: Ints) -> tuple[Layer, Ints]:
     """Gives a child to every node above that has none: a nearby node's second child, else a copy of itself.
 
-    Returns:
-        The layer below with the copies after the given nodes, and the parent of every node in it.
+    The copies come after the given nodes; the second result is the parent of every node below.
     """
     parent = parent.copy()
     count = np.bincount(parent, minlength=len(above))

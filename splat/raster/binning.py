@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import numpy as np
@@ -33,30 +33,20 @@ class Bins:
     """For each tile the list of splats that it blends.
 
     Before they are sorted, the pairs of a splat lie side by side, in a run; the gradient sums over runs.
-
-    Attributes:
-        arrays: the backend's array types.
-        grid: the tiles.
-        wanted: (rows, columns) bool, the tiles that are rasterized.
-        ranges: (2 * columns * rows + 2,) start and end of each tile's list; the last one is that of the pairs
-            that no tile blends.
-        splat: (P,) splat of each pair, sorted by tile, then by depth.
-        tile: (P,) tile of each pair, columns * rows for those that no tile blends.
-        unsorted: (P,) position of each pair before sorting.
-        first, count: (S,) the run of each of S splats, which may be empty.
-        owner: (S,) these splats.
     """
 
     arrays: Arrays
-    grid: TileGrid
-    wanted: NDArray[np.bool_]
+    grid: TileGrid  # the tiles
+    wanted: NDArray[np.bool_]  # (rows, columns) bool, the tiles that are rasterized
+    # (2 * columns * rows + 2,) start and end of each tile's list; the last one is that of the pairs that no
+    # tile blends.
     ranges: Any
-    splat: Any
-    tile: Any
-    unsorted: Any
-    first: Any
+    splat: Any  # (P,) splat of each pair, sorted by tile, then by depth
+    tile: Any  # (P,) tile of each pair, columns * rows for those that no tile blends
+    unsorted: Any  # (P,) position of each pair before sorting
+    first: Any  # first, count: (S,) the run of each of S splats, which may be empty
     count: Any
-    owner: Any
+    owner: Any  # (S,) these splats
 
     @cached_property
     def tiles(self) -> Any:
@@ -75,20 +65,14 @@ class Bins:
 
 @dataclass(frozen=True)
 class TileBounds:
-    """Tiles that each of N splats is confined to, for a frame that holds several images above each other.
+    """Tiles that each of N splats is confined to, for a frame that holds several images above each other."""
 
-    Attributes:
-        columns: (N,) width in tiles; all begin at the left edge.
-        top, bottom: (N,) first row of tiles, and the row after the last.
-    """
-
-    columns: Any
-    top: Any
+    columns: Any  # (N,) width in tiles; all begin at the left edge
+    top: Any  # top, bottom: (N,) first row of tiles, and the row after the last
     bottom: Any
 
 
-@dataclass(frozen=True)
-class Window:
+class Window(NamedTuple):
     """A rectangle of tiles; right and bottom are exclusive."""
 
     left: int
@@ -97,38 +81,14 @@ class Window:
     bottom: int
 
 
-def bin_splats(
-    arrays: Arrays,
-    splats: Splats,
-    grid: TileGrid,
-    wanted: NDArray[np.bool_] | None = None,
-    bounds: TileBounds | None = None,
-    in_order: bool = False,
-) -> Bins:
-    """Sorts pairs of splat and tile by tile and depth, all at once: `parts.Parts` bounds the memory for them.
-
-    Args:
-        arrays: the backend's array types.
-        splats: N projected Gaussians, arrays without derivatives.
-        grid: the frame's tiles.
-        wanted: (rows, columns) bool, the tiles to rasterize; all by default.
-        bounds: tiles that each splat is confined to; all by default.
-        in_order: whether splats that meet in a tile come from near to far already.
-    """
-    candidates = Candidates(arrays, splats, grid, wanted, bounds, in_order)
-    return candidates.bins(candidates.runs(candidates.whole))
-
-
 class Candidates:
     """Tiles that each splat may touch, from which the lists of any part of the frame are made.
 
     Args:
-        arrays, splats, grid, wanted, bounds, in_order: as for `bin_splats`.
-
-    Attributes:
-        grid: the frame's tiles.
-        whole: the window of all tiles.
-        wanted: (rows, columns) bool, the tiles to rasterize.
+        splats: N projected Gaussians, arrays without derivatives.
+        wanted: (rows, columns) bool, the tiles to rasterize; all by default.
+        bounds: tiles that each splat is confined to; all by default.
+        in_order: whether splats that meet in a tile come from near to far already.
     """
 
     def __init__(
@@ -163,7 +123,9 @@ class Candidates:
     def bins(self, runs: Runs) -> Bins:
         """The lists of a window's tiles from its runs."""
         if not runs.pairs:
-            return _no_bins(self._arrays, self.grid, runs.wanted)
+            UInt, ranges = self._arrays.plain.UInt, 2 * self.grid.columns * self.grid.rows + 2
+            none = [dr.zeros(UInt, 0) for _ in range(6)]
+            return Bins(self._arrays, self.grid, runs.wanted, dr.zeros(UInt, ranges), *none)
         mask = None if self._all_wanted else self.wanted
         key, splat = _pairs(self._arrays, runs, self.grid, mask)
         return _sorted(self._arrays, self.grid, runs, key, splat)
@@ -188,16 +150,11 @@ def depth_order(arrays: Arrays, depth: Any, seen: Any) -> Any:
 
 @dataclass(frozen=True)
 class _Boxes:
-    """Tiles that the boxes around N splats touch, UInts of width N.
+    """Tiles that the boxes around N splats touch, UInts of width N."""
 
-    Attributes:
-        left, top: first column and row.
-        across, down: numbers of columns and rows, 0 for a splat that is not seen.
-    """
-
-    left: Any
+    left: Any  # left, top: first column and row
     top: Any
-    across: Any
+    across: Any  # across, down: numbers of columns and rows, 0 for a splat that is not seen
     down: Any
 
 
@@ -225,9 +182,7 @@ def _boxes(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> _Bo
 
 def _clipped(arrays: Arrays, boxes: _Boxes, window: Window) -> _Boxes:
     """The parts of boxes inside a window."""
-    left, top, right, bottom = (
-        arrays.constant(side) for side in (window.left, window.top, window.right, window.bottom)
-    )
+    left, top, right, bottom = (arrays.constant(side) for side in window)
     first_x, first_y = dr.maximum(boxes.left, left), dr.maximum(boxes.top, top)
     end_x, end_y = dr.minimum(boxes.left + boxes.across, right), dr.minimum(boxes.top + boxes.down, bottom)
     inside = (boxes.across > 0) & (end_x > first_x) & (end_y > first_y)
@@ -237,22 +192,14 @@ def _clipped(arrays: Arrays, boxes: _Boxes, window: Window) -> _Boxes:
 
 @dataclass(frozen=True)
 class Runs:
-    """Candidate pairs of splat and tile in a window: a run per splat, one tile after another.
+    """Candidate pairs of splat and tile in a window: a run per splat, one tile after another."""
 
-    Attributes:
-        wanted: (rows, columns) bool, the window's tiles that are rasterized.
-        pairs: number of candidates; if that is 0, nothing else is set.
-        order: (S,) splats; None for all of them as they are.
-        first, count: (S,) the run of each of them; some are empty.
-        boxes: records of all splats' ellipses and boxes.
-    """
-
-    wanted: NDArray[np.bool_]
-    pairs: int
-    order: Any = None
-    first: Any = None
+    wanted: NDArray[np.bool_]  # (rows, columns) bool, the window's tiles that are rasterized
+    pairs: int  # number of candidates; if that is 0, nothing else is set
+    order: Any = None  # (S,) splats; None for all of them as they are
+    first: Any = None  # first, count: (S,) the run of each of them; some are empty
     count: Any = None
-    boxes: Any = None
+    boxes: Any = None  # records of all splats' ellipses and boxes
 
 
 def _runs(arrays: Arrays, splats: Splats, boxes: _Boxes, order: Any, wanted: NDArray[np.bool_]) -> Runs:
@@ -336,16 +283,5 @@ def _sorted(arrays: Arrays, grid: TileGrid, runs: Runs, key: Any, splat: Any) ->
     # Not evaluated yet: one kernel finds the ranges and gathers what the tiles read.
     owner = dr.arange(UInt, dr.width(runs.first)) if runs.order is None else runs.order
     sorted_splat = dr.gather(UInt, splat, sorting)
-    return Bins(
-        *(arrays, grid, runs.wanted, ranges),
-        *(sorted_splat, own, sorting, runs.first, runs.count, owner),
-    )
-
-
-def _no_bins(arrays: Arrays, grid: TileGrid, wanted: NDArray[np.bool_]) -> Bins:
-    """Empty lists."""
-    none, empty = (
-        dr.zeros(arrays.plain.UInt, 0),
-        dr.zeros(arrays.plain.UInt, 2 * grid.columns * grid.rows + 2),
-    )
-    return Bins(arrays, grid, wanted, empty, none, none, none, none, none, none)
+    pairs, found = (sorted_splat, own, sorting), (runs.first, runs.count, owner)
+    return Bins(arrays, grid, runs.wanted, ranges, *pairs, *found)

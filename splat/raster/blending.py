@@ -46,9 +46,7 @@ def rasterize(
     """Renders linear radiance and opacity of the wanted tiles; other tiles are 0.
 
     Args:
-        arrays: the backend's array types.
         splats: without derivatives.
-        bins: the tiles and their lists.
         images: what the tiles are drawn into; new images by default.
         heights: rows of tiles of each image, which lie one above the other; one of all rows by default.
 
@@ -64,7 +62,9 @@ def rasterize(
         return images
     records = blended_records(arrays, splats, bins)
     block = Blocks.of_tiles(arrays, bins, everywhere)
-    shown = Shown(arrays, bins, records) if _jumps(arrays, bins) else None
+    # Whether lanes go by themselves.
+    jumps = arrays.backend == "llvm" and dr.width(bins.splat) <= _LONG_LIST * np.count_nonzero(bins.wanted)
+    shown = Shown(arrays, bins, records) if jumps else None
 
     def following(i: Any) -> Any:
         return i if shown is None else shown.following(i, block.last, block.number)
@@ -113,39 +113,10 @@ def new_images(arrays: Arrays, grid: TileGrid, heights: Sequence[int], make: Cal
     return [make(arrays.plain.Float, height * row) for height in heights]
 
 
-def _jumps(arrays: Arrays, bins: Bins) -> bool:
-    """Whether lanes go by themselves."""
-    pairs, tiles = dr.width(bins.splat), int(np.count_nonzero(bins.wanted))
-    return arrays.backend == "llvm" and pairs <= _LONG_LIST * tiles
-
-
 # Sums per pair: the six moments and the three channels of `_block_sums`. In packets, to which the lanes of a
 # vector add one after the other; or each by itself, with atomic additions.
 _SUMS = 9
 _IN_PACKETS, _ONE_BY_ONE = RecordLayout((8, 2), sums=_SUMS), RecordLayout((8, 1), sums=_SUMS)
-
-
-def rasterize_backward(arrays: Arrays, splats: Splats, bins: Bins, image: Any, gradient: Any) -> list[Any]:
-    """Gradients of a loss with respect to the splats.
-
-    Walks each list front to back once more. With T_m the transmittance in front of splat m, c_m its colour
-    and S the light that arrives from behind it, which is the final colour less all that was added up to m:
-    d colour / d alpha_m = T_m c_m - S / (1 - alpha_m).
-
-    S is exact to some 1e-7 of the final colour. Behind a splat that is a million times brighter than all
-    that lies behind it, gradients are noise of that size.
-
-    Args:
-        arrays: the backend's array types.
-        splats, bins, image: as given to and returned by `rasterize`.
-        gradient: flat array like `image`, derivative of the loss by the radiance; the derivative by the
-            opacity is taken to be zero.
-
-    Returns:
-        Nine (N,) arrays in the order of `Splats.differentiable`.
-    """
-    sums = added_sums(arrays, splats, bins, image, gradient, no_sums(arrays, splats))
-    return gradients_from_sums(splats, sums)
 
 
 def no_sums(arrays: Arrays, splats: Splats) -> list[Any]:
@@ -158,12 +129,18 @@ def added_sums(
 ) -> list[Any]:
     """Adds what the lists of some tiles contribute to the sums that each splat's gradient is made of.
 
-    Args:
-        arrays, splats, bins, image, gradient: as for `rasterize_backward`.
-        sums: over tiles further up, and to the left in the same row.
+    Walks each list front to back once more. With T_m the transmittance in front of splat m, c_m its colour
+    and S the light that arrives from behind it, which is the final colour less all that was added up to m:
+    d colour / d alpha_m = T_m c_m - S / (1 - alpha_m).
 
-    Returns:
-        Nine (N,) arrays.
+    S is exact to some 1e-7 of the final colour. Behind a splat that is a million times brighter than all
+    that lies behind it, gradients are noise of that size.
+
+    Args:
+        splats, bins, image: as given to and returned by `rasterize`.
+        gradient: flat array like `image`, derivative of the loss by the radiance; the derivative by the
+            opacity is taken to be zero.
+        sums: nine (N,) arrays, over tiles further up, and to the left in the same row.
     """
     if not dr.width(bins.splat):
         return sums
@@ -193,21 +170,15 @@ def added_sums(
 class _Walk:
     """A walk along the lists of tiles.
 
-    On the CPU, each lane goes by itself from one splat that its block shows to the next: of the splats of a
-    tile, a block shows a third. On a GPU, lanes stay together, and add in their warp.
-
-    Attributes:
-        arrays, bins, image, gradient: as for `added_sums`.
-        records: the splats, per pair.
-        shown: which blocks show which pairs, if lanes go by themselves and add in packets; None if they stay
-            together.
+    On a GPU, where lanes stay together, they add in their warp.
     """
 
-    arrays: Arrays
+    arrays: Arrays  # this, bins, image, gradient: as for `added_sums`
     bins: Bins
-    records: Records
+    records: Records  # the splats, per pair
     image: Any
     gradient: Any
+    # Which blocks show which pairs, if lanes go by themselves and add in packets; None if they stay together.
     shown: Shown | None
 
     @property
@@ -228,10 +199,12 @@ class _Walk:
             transmittance, behind = list(transmittance), list(behind)
             sums = _block_sums(arrays, block, self.records.at(i), flow, transmittance, behind)
             self._add(sums, dr.gather(UInt, bins.unsorted, i), slots)
-            return self._following(i + 1, block.last, number), transmittance, behind, slots
+            return following(i + 1), transmittance, behind, slots
 
-        start = self._following(block.first, block.last, number)
-        state = (start, [Float(1) for _ in range(block.pixels)], behind, slots)
+        def following(i: Any) -> Any:
+            return i if self.shown is None else self.shown.following(i, block.last, number)
+
+        state = (following(block.first), [Float(1) for _ in range(block.pixels)], behind, slots)
         _, _, _, slots = dr.while_loop(
             state,
             lambda i, transmittance, behind, slots: block.is_active(i, transmittance),
@@ -250,10 +223,6 @@ class _Walk:
             values = self.arrays.plain.ArrayXf(sums[packet.floats])
             dr.scatter_reduce(dr.ReduceOp.Add, slot, values, pair, mode=mode)
 
-    def _following(self, i: Any, last: Any, number: Any) -> Any:
-        """The first pair from `i` on that a lane looks at."""
-        return i if self.shown is None else self.shown.following(i, last, number)
-
 
 def _block_sums(
     arrays: Arrays,
@@ -266,9 +235,6 @@ def _block_sums(
     """Sums over a block's pixels for one splat, and the step past that splat.
 
     Args:
-        arrays: the backend's array types.
-        block: the lanes.
-        splat: its record.
         flow: derivative of the loss by the radiance, three channels per pixel.
         transmittance: per pixel in front of the splat; on return, behind it.
         behind: per pixel the light from the splat and from behind it, weighted by `flow`; on return, only

@@ -40,17 +40,12 @@ class Blocks:
     """Lanes that own a block of pixels each.
 
     Args:
-        arrays: the backend's array types.
-        bins: the tiles and their lists.
         tile: UInt (M,), tile of each lane.
         number: UInt (M,), of its block in the tile, row by row.
 
     Attributes:
-        side: of a block in pixels.
-        pixels: in a block.
-        number: as given.
-        x, y: its first pixel.
-        centre_x, centre_y: that pixel's centre.
+        side, pixels: of a block in pixels, and their number.
+        x, y, centre_x, centre_y: its first pixel, and the centre of that.
         first, last: range of each lane in the lists; `last` is exclusive.
     """
 
@@ -67,12 +62,7 @@ class Blocks:
 
     @staticmethod
     def of_tiles(arrays: Arrays, bins: Bins, everywhere: bool = False) -> Blocks:
-        """A lane per block, the 16 of a tile side by side.
-
-        Args:
-            arrays, bins: as for the class.
-            everywhere: whether tiles that are not rasterized have lanes, too, with nothing to read.
-        """
+        """A lane per block, the 16 of a tile side by side; `everywhere`: of tiles not rasterized, too."""
         UInt, grid = arrays.plain.UInt, bins.grid
         tiles = grid.columns * grid.rows if everywhere else dr.width(bins.tiles)
         lane = dr.arange(UInt, tiles * LANES_ACROSS**2)
@@ -106,11 +96,7 @@ class Blocks:
         return found
 
     def chunks(self, width: int) -> list[tuple[Any, int]]:
-        """The block's pixels by twos: position in an image in units of two pixels, and number of the first.
-
-        Args:
-            width: of the image in pixels.
-        """
+        """Pairs of the block's pixels: position in an image of that width, in pairs, and first pixel."""
         columns = self._arrays.constant(width)
         return [
             (((self.y + pixel // self.side) * columns + self.x + pixel % self.side) // 2, pixel)
@@ -128,15 +114,7 @@ class Blocks:
 
 
 class Shown:
-    """Which blocks of a tile show which splats of its list.
-
-    Each lane can go from one splat that its block shows to the next: of the splats of a tile, a block shows
-    a third.
-
-    Args:
-        arrays, bins: as for `Blocks`.
-        records: `blended_records`.
-    """
+    """Which blocks of a tile show which splats of its list: about a third of them."""
 
     def __init__(self, arrays: Arrays, bins: Bins, records: Records):
         self._arrays = arrays
@@ -232,18 +210,11 @@ def packed(arrays: Arrays, splats: Splats) -> Records:
     if splats.packed is None:
         # Powers of two cost less than powers of e, and the opacity joins the exponent as its logarithm.
         u_x = dr.sqrt(splats.x_precision * (0.5 * LOG2_E))
-        splats.packed = _BLENDED.pack(
-            arrays,
-            x=splats.x,
-            y=splats.y,
-            u_x=u_x,
-            u_y=u_x * splats.shear,
-            v_y=dr.sqrt(splats.y_precision * (0.5 * LOG2_E)),
-            constant=dr.log2(dr.maximum(splats.opacity, 1e-12)),
-            red=splats.red,
-            green=splats.green,
-            blue=splats.blue,
-        )
+        same = {name: getattr(splats, name) for name in ("x", "y", "red", "green", "blue")}
+        v_y = dr.sqrt(splats.y_precision * (0.5 * LOG2_E))
+        constant = dr.log2(dr.maximum(splats.opacity, 1e-12))
+        u_y = u_x * splats.shear
+        splats.packed = _BLENDED.pack(arrays, **same, u_x=u_x, u_y=u_y, v_y=v_y, constant=constant)
     return splats.packed
 
 

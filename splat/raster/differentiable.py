@@ -42,13 +42,7 @@ def seen_from(gaussians: Gaussians, eye: NDArray[np.float64]) -> Gaussians:
 
 
 def directional_radiance(further: Directional, means: torch.Tensor, eye: NDArray[np.float64]) -> torch.Tensor:
-    """(3, M) what harmonics above the constant one add to the perceptual radiance that an eye sees.
-
-    Args:
-        further: of M of N Gaussians.
-        means: (3, N) their centres.
-        eye: (3,) in the same coordinates.
-    """
+    """(3, M) what these harmonics of Gaussians at means (3, N) add to perceptual radiance at an eye (3,)."""
     # In float64, as in the projection: in float32 a difference of large numbers is lost.
     position = torch.from_numpy(np.ascontiguousarray(eye)).to(means.device)[:, None]
     from_eye = means.index_select(1, further.index).double() - position
@@ -92,7 +86,6 @@ def render(
 
     Args:
         gaussians: N Gaussians, all tensors on one device.
-        camera: the view.
         low_pass: variance in px^2 of the filter that each Gaussian gets on the screen; 0 or more.
         place: coordinates to compute in. What is nearer than 0.01 units is not drawn: for Gaussians that are
             much smaller than a room, give the size of what they show as its unit.
@@ -122,12 +115,12 @@ def render_differentiable(
     """Like `render`, with the given backend's array types."""
     if not 0 <= low_pass < float("inf"):
         raise ValueError(f"low-pass of {low_pass:g} px^2: must be finite and not negative")
+    tensors = [tensor for _, tensor in seen_from(gaussians, camera.position).tensors()]
     if not len(gaussians):
         # An empty sum carries the gradient, which has no elements. Dr.Jit refuses arrays of none.
         black = gaussians.opacity_logits.new_zeros(camera.height, camera.width, 3)
-        return black + sum(tensor.sum() for _, tensor in seen_from(gaussians, camera.position).tensors())
-    shown = seen_from(gaussians, camera.position)
-    return _Render.apply(arrays, camera, low_pass, *(tensor for _, tensor in shown.tensors()))
+        return black + sum(tensor.sum() for tensor in tensors)
+    return _Render.apply(arrays, camera, low_pass, *tensors)
 
 
 def parameters_from(arrays: Arrays, gaussians: Gaussians) -> Parameters:

@@ -30,22 +30,17 @@ class Parts:
     Iterating gives the lists of each part, from the top left to the bottom right, as `Bins` for its tiles. A
     single part is kept; several are made anew each time. A part of a single tile is not divided further: its
     list is no longer than the splats are many.
-
-    Args:
-        candidates: tiles that each splat may touch.
-
-    Attributes:
-        grid: the frame's tiles.
     """
 
     def __init__(self, candidates: Candidates):
         self.grid, self._candidates = candidates.grid, candidates
         runs = self._candidates.runs(self._candidates.whole)
-        self._only = self._candidates.bins(runs) if runs.pairs <= PAIRS_AT_ONCE else None
+        # The single part, if it is one.
+        self.only = self._candidates.bins(runs) if runs.pairs <= PAIRS_AT_ONCE else None
 
     def __iter__(self) -> Iterator[Bins]:
-        if self._only is not None:
-            yield self._only
+        if self.only is not None:
+            yield self.only
         else:
             yield from self._lists(self._candidates.whole)
 
@@ -69,18 +64,13 @@ class Parts:
         yield from self._lists(upper)
         yield from self._lists(lower)
 
-    @property
-    def is_single(self) -> bool:
-        """Whether all tiles are one part."""
-        return self._only is not None
-
 
 def rasterize_parts(
     arrays: Arrays, splats: Splats, parts: Parts, heights: Sequence[int] | None = None
 ) -> list[Any]:
     """Renders linear radiance and opacity, as `rasterize` does."""
     heights = heights or [parts.grid.rows]
-    images = None if parts.is_single else new_images(arrays, parts.grid, heights, dr.zeros)
+    images = None if parts.only is not None else new_images(arrays, parts.grid, heights, dr.zeros)
     for bins in parts:
         images = rasterize(arrays, splats, bins, images, heights)
     assert images is not None
@@ -90,7 +80,7 @@ def rasterize_parts(
 def rasterize_parts_backward(
     arrays: Arrays, splats: Splats, parts: Parts, image: Any, gradient: Any
 ) -> list[Any]:
-    """Gradients of a loss with respect to the splats, as `rasterize_backward` gives them."""
+    """Nine (N,) gradients by the splats, in the order of `Splats.differentiable`, from that by an image."""
     sums = no_sums(arrays, splats)
     for bins in parts:
         sums = added_sums(arrays, splats, bins, image, gradient, sums)

@@ -14,6 +14,7 @@ from __future__ import annotations
 import atexit
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain
 from typing import Any
 
 import drjit as dr
@@ -58,44 +59,19 @@ class Splats:
     q = x_precision (dx + shear dy)^2 + y_precision dy^2, the inverse of the 2D covariance as L D L^T. As
     xx dx^2 + 2 xy dx dy + yy dy^2, with the entries of that inverse, large terms of both signs would have to
     cancel where a splat is long and lies askew.
-
-    Attributes:
-        x, y: centre in pixels.
-        x_precision: inverse of the variance of x on one row of the frame, in 1/px^2.
-        shear: px by which the centre of a row moves to the left per row.
-        y_precision: inverse of the variance of y, in 1/px^2.
-        opacity: in 0..1, 0 for a Gaussian behind the near plane.
-        red, green, blue: linear radiance.
-        depth: along the view axis; only its order matters.
-        packed: what tiles read of them, once it is packed (`splat.raster.blocks.packed`).
     """
 
-    x: Any
+    x: Any  # x, y: centre in pixels
     y: Any
-    x_precision: Any
-    shear: Any
-    y_precision: Any
-    opacity: Any
-    red: Any
+    x_precision: Any  # inverse of the variance of x on one row of the frame, in 1/px^2
+    shear: Any  # px by which the centre of a row moves to the left per row
+    y_precision: Any  # inverse of the variance of y, in 1/px^2
+    opacity: Any  # in 0..1, 0 for a Gaussian behind the near plane
+    red: Any  # red, green, blue: linear radiance
     green: Any
     blue: Any
-    depth: Any
-    packed: Records | None = None
-
-    @property
-    def xx(self) -> Any:
-        """Entry of the inverse of the 2D covariance, in 1/px^2."""
-        return self.x_precision
-
-    @property
-    def xy(self) -> Any:
-        """Entry of the inverse of the 2D covariance, in 1/px^2."""
-        return self.x_precision * self.shear
-
-    @property
-    def yy(self) -> Any:
-        """Entry of the inverse of the 2D covariance, in 1/px^2."""
-        return dr.fma(self.xy, self.shear, self.y_precision)
+    depth: Any  # along the view axis; only its order matters
+    packed: Records | None = None  # what tiles read of them, once it is packed (`splat.raster.blocks.packed`)
 
     def differentiable(self) -> list[Any]:
         """All parameters that the rasterizer has gradients for, in the order of declaration."""
@@ -109,23 +85,14 @@ class Splats:
 
 @dataclass
 class Footprints:
-    """N projected Gaussians before the low-pass filter, Dr.Jit floats of width N.
+    """N projected Gaussians before the low-pass filter, Dr.Jit floats of width N."""
 
-    Attributes:
-        x, y: centre in pixels.
-        xx, xy, yy: 2D covariance in px^2.
-        conditional: variance of x on one row of the frame in px^2, the covariance's determinant over yy.
-        opacity: in 0..1, 0 for a Gaussian behind the near plane.
-        red, green, blue: linear radiance.
-        depth: along the view axis.
-    """
-
-    x: Any
+    x: Any  # x, y, opacity, red, green, blue, depth: as in `Splats`
     y: Any
-    xx: Any
+    xx: Any  # xx, xy, yy: 2D covariance in px^2
     xy: Any
     yy: Any
-    conditional: Any
+    conditional: Any  # variance of x on one row of the frame in px^2, the covariance's determinant over yy
     opacity: Any
     red: Any
     green: Any
@@ -135,31 +102,18 @@ class Footprints:
 
 @dataclass
 class Parameters:
-    """The parameters of N Gaussians as Dr.Jit floats of width N.
+    """The parameters of N Gaussians as Dr.Jit floats of width N."""
 
-    Attributes:
-        means: three rows, world space.
-        log_scales: three rows, natural logarithms of the standard deviations.
-        rotations: four rows, quaternions (w, x, y, z).
-        opacity_logits: one row.
-        sh: for each spherical harmonic its three channels.
-    """
-
-    means: list[Any]
-    log_scales: list[Any]
-    rotations: list[Any]
-    opacity_logits: Any
-    sh: list[list[Any]]
+    means: list[Any]  # three rows, world space
+    log_scales: list[Any]  # three rows, natural logarithms of the standard deviations
+    rotations: list[Any]  # four rows, quaternions (w, x, y, z)
+    opacity_logits: Any  # one row
+    sh: list[list[Any]]  # for each spherical harmonic its three channels
 
     def leaves(self) -> list[Any]:
         """All rows, in the order of the parameter tensors' memory."""
-        return [
-            *self.means,
-            *self.log_scales,
-            *self.rotations,
-            self.opacity_logits,
-            *(channel for coefficient in self.sh for channel in coefficient),
-        ]
+        harmonics = chain.from_iterable(self.sh)
+        return [*self.means, *self.log_scales, *self.rotations, self.opacity_logits, *harmonics]
 
 
 def project(parameters: Parameters, camera: Camera, low_pass: Any) -> Splats:
@@ -167,7 +121,6 @@ def project(parameters: Parameters, camera: Camera, low_pass: Any) -> Splats:
 
     Args:
         parameters: the Gaussians; if Dr.Jit differentiates them, it differentiates the splats.
-        camera: the view.
         low_pass: variance in px^2 that is added to each 2D covariance; a float or an array (N,).
     """
     return filtered(footprints(parameters, camera), low_pass)
@@ -184,18 +137,8 @@ def filtered(raw: Footprints, low_pass: Any) -> Splats:
     after = before + raw.xx * added + variance
     x_precision = dr.rcp(after)
     compensation = dr.sqrt(dr.maximum(before * x_precision, _COMPENSATION_FLOOR))
-    return Splats(
-        raw.x,
-        raw.y,
-        x_precision,
-        -raw.xy * y_precision,
-        y_precision,
-        raw.opacity * compensation,
-        raw.red,
-        raw.green,
-        raw.blue,
-        raw.depth,
-    )
+    opacity, rest = raw.opacity * compensation, (raw.red, raw.green, raw.blue, raw.depth)
+    return Splats(raw.x, raw.y, x_precision, -raw.xy * y_precision, y_precision, opacity, *rest)
 
 
 def footprints(parameters: Parameters, camera: Camera) -> Footprints:
@@ -227,12 +170,7 @@ def footprints(parameters: Parameters, camera: Camera) -> Footprints:
 
 
 def _covariance(parameters: Parameters, row_x: list[Any], row_y: list[Any]) -> tuple[Any, Any, Any, Any]:
-    """2D covariance xx, xy, yy in px^2, and its determinant over yy.
-
-    Args:
-        parameters: the Gaussians.
-        row_x, row_y: the rows of J W.
-    """
+    """2D covariance xx, xy, yy in px^2, and its determinant over yy."""
     # Rows of M = J W R S; the 2D covariance is M M^T.
     rotation = _rotation_matrix(parameters.rotations)
     mx_row, my_row = [], []
@@ -259,7 +197,6 @@ def directional_constant(sh: list[list[Any]], means: list[Any], camera: Camera) 
 
     Args:
         sh: for each of these harmonics its three channels.
-        means: three rows.
         camera: whose eye it is, in the same coordinates.
     """
     number: Any = type(means[0])
@@ -272,11 +209,6 @@ def view_position(arrays: Arrays, means: list[Any], camera: Camera) -> tuple[Any
     """Positions of centres on the film: whether in front, x, y in pixels, and pixels per unit of length.
 
     The last is an upper bound over all directions for the linearized projection of `footprints`.
-
-    Args:
-        arrays: the backend's array types.
-        means: three rows, world space.
-        camera: the view.
     """
     rotation, eye, (fx, fy, cx, cy), (limit_x, limit_y), _ = _opaque(arrays.plain.Float, camera)
     vx, vy, vz = _in_camera(rotation, _from_eye(means, eye))
@@ -292,10 +224,7 @@ def may_show(arrays: Arrays, means: list[Any], size: Any, camera: Camera, low_pa
     """Mask (N,) of all Gaussians that are drawn in a camera's frame, and of some beside it.
 
     Args:
-        arrays: the backend's array types.
-        means: three rows, in the coordinates of the camera.
         size: (N,) longest axis, as a standard deviation.
-        camera: the view.
         low_pass: variance in px^2 of the filter on the screen.
     """
     seen, x, y, spread = view_position(arrays, means, camera)

@@ -21,19 +21,12 @@ from compose.base.arrays import Arrays, uploaded
 
 @dataclass(frozen=True)
 class Packet:
-    """One packet load of a record.
+    """One packet load of a record."""
 
-    Attributes:
-        floats: which of the record's floats it brings.
-        table: number of the table that holds it.
-        stride: packets per record in that table.
-        offset: which of those it is.
-    """
-
-    floats: slice
-    table: int
-    stride: int
-    offset: int
+    floats: slice  # which of the record's floats it brings
+    table: int  # number of the table that holds it
+    stride: int  # packets per record in that table
+    offset: int  # which of those it is
 
     @property
     def size(self) -> int:
@@ -63,7 +56,6 @@ class RecordLayout:
 
     Attributes:
         slots: which of a record's floats each slot is.
-        integers: as given.
         packets: one per load.
         spare: number of floats that no slot uses.
 
@@ -95,7 +87,6 @@ class RecordLayout:
         """Packs arrays that are on the device.
 
         Args:
-            arrays: the backend's array types.
             values: by slot an array (N,), or a list of them for a slot wider than 1; arrays of width 1 are
                 broadcast.
 
@@ -114,12 +105,7 @@ class RecordLayout:
         return self.scattered(arrays, [arrays.plain.ArrayXf(floats[p.floats]) for p in self.packets], count)
 
     def upload(self, arrays: Arrays, **values: Any) -> Records:
-        """Packs numbers that are in host memory and copies them to the device.
-
-        Args:
-            arrays: the backend's array types.
-            values: as for `rows`.
-        """
+        """Packs numbers that are in host memory and copies them to the device."""
         host, tables = self.rows(**values), []
         for table in range(self.packets[-1].table + 1):
             own = [packet.floats for packet in self.packets if packet.table == table]
@@ -160,17 +146,11 @@ class RecordLayout:
 
 @dataclass(frozen=True)
 class Records:
-    """N records of one layout.
-
-    Attributes:
-        arrays: the backend's array types.
-        layout: names and positions of the numbers.
-        tables: flat Floats that hold them.
-    """
+    """N records of one layout."""
 
     arrays: Arrays
-    layout: RecordLayout
-    tables: list[Any]
+    layout: RecordLayout  # names and positions of the numbers
+    tables: list[Any]  # flat Floats that hold them
 
     def __len__(self) -> int:
         first = self.layout.packets[0]
@@ -188,12 +168,7 @@ class Records:
         return SimpleNamespace(**found)
 
     def write(self, index: Any, **values: Any) -> None:
-        """Overwrites some slots of the records at an index (M,), in which no record comes twice.
-
-        Args:
-            index: of the records.
-            values: by slot a list of as many floats (M,) as it is wide; no integers.
-        """
+        """Overwrites slots of the records at an index (M,), no record twice, by lists of floats (M,)."""
         # What still waits to be written, of another number of records, would run at the same time.
         dr.eval(self.tables)
         for name, rows in values.items():
@@ -230,8 +205,6 @@ def records_before(arrays: Arrays, layout: RecordLayout, *parts: NDArray[Any]) -
     other numbers.
 
     Args:
-        arrays: the backend's array types.
-        layout: of the records.
         parts: the records' rows (N, floats), and arrays of other numbers of 32 bits.
     """
     flat = [part.ravel().view(np.float32) for part in parts]

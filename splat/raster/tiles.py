@@ -23,17 +23,13 @@ _MOST_PIXELS = (1 << 30) - 1
 class TileGrid:
     """A frame divided into tiles; those at the right and at the bottom may reach beyond it.
 
-    Attributes:
-        width, height: frame in pixels.
-        side: of a tile in pixels, a multiple of 4.
-
     Raises:
         UserError: the frame has more than 65,536 tiles along a side, or 2^30 pixels.
     """
 
-    width: int
+    width: int  # width, height: frame in pixels
     height: int
-    side: int = TILE
+    side: int = TILE  # of a tile in pixels, a multiple of 4
 
     def __post_init__(self) -> None:
         if max(self.columns, self.rows) > _MOST_TILES:

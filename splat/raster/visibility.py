@@ -11,19 +11,13 @@ from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
-from splat.model.gaussians import SH_DC, Gaussians, radiance_from_perceptual
+from splat.model.gaussians import SH_DC, Gaussians
 from splat.raster.differentiable import aligned_rows, render_differentiable
 from splat.raster.projection import PIXEL_FILTER, may_show
 
 
 def visible(arrays: Arrays, gaussians: Gaussians, camera: Camera) -> torch.Tensor:
-    """(M,) int64 indices of all Gaussians that are drawn in a camera's frame, and of some beside it.
-
-    Args:
-        arrays: the backend's array types.
-        gaussians: N Gaussians.
-        camera: the view, in the same coordinates.
-    """
+    """(M,) int64 indices of all Gaussians that are drawn in a camera's frame, and of some beside it."""
     means, log_scales = gaussians.means, gaussians.log_scales
     if not len(gaussians):
         return torch.zeros(0, dtype=torch.int64, device=means.device)
@@ -36,51 +30,30 @@ def visible(arrays: Arrays, gaussians: Gaussians, camera: Camera) -> torch.Tenso
 # Opacity below which a pixel shows no Gaussian.
 _LEAST_OPACITY = 1 / 255
 _CHANNELS = 3
+# Radiance of a Gaussian without spherical harmonics, and its derivative by the constant one.
+_GREY = ((0.5 + 0.055) / 1.055) ** 2.4
+_GREY_SLOPE = SH_DC * 2.4 / 1.055 * ((0.5 + 0.055) / 1.055) ** 1.4
 
 
 def contributions(
-    arrays: Arrays,
-    gaussians: Gaussians,
-    camera: Camera,
-    weights: NDArray[np.float32],
-    low_pass: float = PIXEL_FILTER,
+    arrays: Arrays, gaussians: Gaussians, camera: Camera, weights: NDArray[np.float32]
 ) -> torch.Tensor:
-    """Sums of what Gaussians contribute to the pixels of a view, weighted.
+    """(N, C) sums of what N Gaussians contribute to pixels of a view, times weights (H, W, C) of these.
 
     To a pixel, Gaussian m contributes c_m = alpha_m prod_{n<m} (1 - alpha_n), over the sum of that over all
     Gaussians: Eq. 1 with the product up to m - 1 and the inverse covariance, without which it would not be
     what is blended. It is the derivative of a rendered pixel by the colour of the Gaussian.
-
-    Args:
-        arrays: the backend's array types.
-        gaussians: N Gaussians, as they are shown.
-        camera: the view, in their coordinates.
-        weights: (H, W, C) of the pixels.
-        low_pass: variance in px^2 of the filter on the screen.
-
-    Returns:
-        (N, C) float32, for each Gaussian the sum over pixels of contribution times weight.
     """
     found = torch.zeros(len(gaussians), weights.shape[2])
     if not len(gaussians):
         return found
-    grey, slope = _grey()
     for first in range(0, weights.shape[2], _CHANNELS):
         part = torch.from_numpy(np.ascontiguousarray(weights[..., first : first + _CHANNELS]))
         sh = torch.zeros(1, 3, len(gaussians), requires_grad=True)
-        image = render_differentiable(arrays, replace(gaussians, sh=sh, directional=None), camera, low_pass)
-        opacity = image.detach()[..., :1] / grey
+        image = render_differentiable(arrays, replace(gaussians, sh=sh, directional=None), camera)
+        opacity = image.detach()[..., :1] / _GREY
         share = torch.where(opacity > _LEAST_OPACITY, part / opacity.clamp(min=_LEAST_OPACITY), 0)
         (image[..., : share.shape[-1]] * share).sum().backward()
         assert sh.grad is not None
-        found[:, first : first + _CHANNELS] = sh.grad[0, : share.shape[-1]].T / slope
+        found[:, first : first + _CHANNELS] = sh.grad[0, : share.shape[-1]].T / _GREY_SLOPE
     return found
-
-
-def _grey() -> tuple[float, float]:
-    """Radiance of a Gaussian without spherical harmonics, and its derivative by the constant one."""
-    value = torch.tensor(0.5, dtype=torch.float64, requires_grad=True)
-    radiance = radiance_from_perceptual(value)
-    radiance.backward()
-    assert value.grad is not None
-    return float(radiance.detach()), float(value.grad) * SH_DC

@@ -40,17 +40,12 @@ _SIZE = 0.6  # standard deviation of an added Gaussian in pixels
 # Views of guessed distances that get new Gaussians in a change: what they show has to be rendered first.
 _MEASURED = 16
 
+# Gives a view whose distances are guesses those that Gaussians show.
+_Measure = Callable[[TrainingView], TrainingView]
+
 
 class DensityControl:
-    """Decides when and how the set of Gaussians changes.
-
-    Args:
-        iterations: length of the training in steps.
-        initial_count: Gaussians at the start.
-        final_count: Gaussians at the end.
-        motion: of the instances that views show; None if nothing moves.
-        light: that changes; None if none does.
-    """
+    """Decides when and how the set of Gaussians changes; motion and light are those that views show."""
 
     def __init__(
         self,
@@ -85,19 +80,9 @@ class DensityControl:
         gaussians: Gaussians,
         views: list[TrainingView],
         rng: np.random.Generator,
-        measured: Callable[[TrainingView], TrainingView] = lambda view: view,
+        measured: _Measure = lambda view: view,
     ) -> tuple[torch.Tensor, Layer]:
-        """Chooses what stays and what is new.
-
-        Args:
-            gaussians: the set as it is.
-            views: those that errors were recorded for.
-            rng: draws the pixels of the new ones.
-            measured: gives a view whose distances are guesses those that the set shows.
-
-        Returns:
-            Indices (M,) of the Gaussians that stay, and the new nodes, at rest.
-        """
+        """Indices (M,) of the Gaussians that stay, and new nodes, at rest, at pixels drawn at random."""
         opacity = torch.sigmoid(gaussians.opacity_logits)
         finite = torch.isfinite(gaussians.means).all(dim=0) & torch.isfinite(gaussians.log_scales).all(dim=0)
         kept = torch.nonzero((opacity >= _MINIMUM_OPACITY) & finite)[:, 0]
@@ -110,12 +95,7 @@ class DensityControl:
         return kept, self._added(target - len(kept), views, gaussians.degree, rng, measured)
 
     def _added(
-        self,
-        count: int,
-        views: list[TrainingView],
-        degree: int,
-        rng: np.random.Generator,
-        measured: Callable[[TrainingView], TrainingView],
+        self, count: int, views: list[TrainingView], degree: int, rng: np.random.Generator, measured: _Measure
     ) -> Layer:
         """New nodes, shared among the views in proportion to their mean errors."""
         seen = sorted(self._errors)
@@ -179,11 +159,6 @@ def too_large(layer: Layer, light: SurfaceLight, views: list[TrainingView]) -> t
     """(N,) bool, which nodes that stand still are too large for the light that passes over them.
 
     The light on what moves changes all over it. Of many, those are named that exceed their limits most.
-
-    Args:
-        layer: N nodes, at rest.
-        light: on the surfaces.
-        views: of the training, in the same coordinates.
     """
     gaussians = layer.gaussians
     perceived = (0.5 + SH_DC * gaussians.sh[0]).clamp(0, _WHITE).mean(dim=0)
@@ -221,20 +196,9 @@ def halves(layer: Layer) -> Layer:
     offset = turned(gaussians.rotations / norm, aside)
     opacity = (1 - torch.sigmoid(-gaussians.opacity_logits).sqrt()) / _MIDDLE
     logits = torch.logit(opacity, eps=1 - _MOST_OPAQUE)
-    return concatenated_layers(
-        [
-            replace(
-                layer,
-                gaussians=replace(
-                    gaussians,
-                    means=gaussians.means + side * offset,
-                    log_scales=log_scales,
-                    opacity_logits=logits,
-                ),
-            )
-            for side in (1, -1)
-        ]
-    )
+    moved = (gaussians.means + side * offset for side in (1, -1))
+    sides = (replace(gaussians, means=m, log_scales=log_scales, opacity_logits=logits) for m in moved)
+    return concatenated_layers([replace(layer, gaussians=half) for half in sides])
 
 
 # Longest axis, as a standard deviation, over the distance from the nearest training view.
@@ -242,12 +206,8 @@ _LARGEST = 0.12
 
 
 def largest_log_scales(means: torch.Tensor, views: list[TrainingView]) -> torch.Tensor:
-    """(N,) largest logarithm that the scales of Gaussians may have.
-
-    Args:
-        means: (3, N) centres.
-        views: in the same coordinates. What is nearer to one than the near plane is not drawn anyway.
-    """
+    """(N,) largest logarithm that the scales of Gaussians at means (3, N) may have, by how near views are."""
     eyes = cKDTree(np.stack([view.camera.position for view in views]))
     distance, _ = eyes.query(means.detach().T.double().numpy(), workers=-1)
+    # What is nearer than the near plane is not drawn anyway.
     return torch.from_numpy(np.log(_LARGEST * np.maximum(distance, NEAR))).float()

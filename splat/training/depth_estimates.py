@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -22,6 +21,7 @@ from scipy.spatial import cKDTree
 from compose.base.arrays import Arrays
 from compose.camera.camera import Camera
 from splat.model.gaussians import SH_DC, Gaussians, perceptual_from_radiance
+from splat.model.points import Floats
 from splat.raster.differentiable import render_differentiable
 from splat.raster.projection import PIXEL_FILTER
 from splat.training.training_view import TrainingView, reduced
@@ -42,16 +42,11 @@ _WINDOW, _FILTER = 5, 5
 # Difference of a pixel that another view does not show.
 _UNSEEN = 1.0
 
-_Floats = NDArray[np.float64]
-
 
 class Parallax:
-    """Finds distances of views from one another.
+    """Finds distances between the nearest and the farthest by comparing views of what hardly moves.
 
-    Args:
-        views: of what does not move, for the most part.
-        nearest, farthest: distances between which everything lies.
-        distance: of what they look at, about.
+    `distance` is about that of what they look at.
     """
 
     def __init__(self, views: list[TrainingView], nearest: float, farthest: float, distance: float):
@@ -66,7 +61,7 @@ class Parallax:
         self._tried = 1 / np.linspace(1 / farthest, 1 / max(nearest, _LEAST * farthest), _TRIED)
         self._distance = distance
 
-    def distances(self, number: int, pixels: NDArray[np.int64]) -> _Floats:
+    def distances(self, number: int, pixels: NDArray[np.int64]) -> Floats:
         """Distances (M,) along the rays through pixels of a view, row-major indices at full resolution."""
         small = self._views[number]
         height, width = small.distance.shape
@@ -94,8 +89,7 @@ class Parallax:
         costs = []
         for other in others:
             camera, colours = self._views[other].camera, self._colours[other]
-            at, depth = camera.project(points)
-            inside = (depth > 0) & ((at >= 0) & (at < (camera.width, camera.height))).all(axis=1)
+            at, inside = camera.shows(points)
             columns, rows = np.where(inside[:, None], at, 0).astype(np.int64).T
             difference = np.abs(colours[rows, columns] - own.reshape(-1, 3)).mean(axis=1)
             difference[~inside] = _UNSEEN
@@ -104,7 +98,6 @@ class Parallax:
         return np.asarray(np.sort(np.stack(costs), axis=0)[:agreeing].mean(axis=0))
 
 
-Array = NDArray[np.float64]
 # Pixels of a view, about, that get a guess of their own; those around them get the same.
 _GUESSES = 1 << 14
 # Points around a pixel, the median of whose distances is its guess.
@@ -122,9 +115,7 @@ _PARALLEL = 1e-4
 
 
 def with_guesses(
-    views: list[TrainingView],
-    points: Array | None = None,
-    bounds: tuple[float, float] | None = None,
+    views: list[TrainingView], points: Floats | None = None, bounds: tuple[float, float] | None = None
 ) -> list[TrainingView]:
     """Views with a guess of each distance that is not known.
 
@@ -136,30 +127,28 @@ def with_guesses(
     if not views:
         return []
     source = _source(views, points, bounds)
-    return [_guessed(view, partial(source.distances, number)) for number, view in enumerate(views)]
+    return [_guessed(view, partial(source, number)) for number, view in enumerate(views)]
 
 
-class _Source(Protocol):
-    """Where guesses come from."""
-
-    def distances(self, number: int, pixels: NDArray[np.int64]) -> Array:
-        """Distances (M,) along the rays through pixels of a view, row-major indices (M,)."""
+# Distances (M,) along the rays through pixels of a view, from its number and row-major indices (M,).
+_Source = Callable[[int, NDArray[np.int64]], Floats]
 
 
-def _source(views: list[TrainingView], points: Array | None, bounds: tuple[float, float] | None) -> _Source:
+def _source(views: list[TrainingView], points: Floats | None, bounds: tuple[float, float] | None) -> _Source:
     """The best source of guesses that there is."""
     middle, distance = focus([view.camera for view in views])
     nearest, farthest = bounds or (_NEAREST * distance, _FARTHEST * distance)
     if points is not None and len(points):
-        return _Points(views, points, farthest)
+        return partial(_among_points, views, points, farthest)
     if any(np.isinf(view.distance).any() for view in views):
-        return _Hull(views, middle, distance)
+        return _Hull(views, middle, distance).distances
     if len(views) == 1:
-        return _Points(views, np.zeros((0, 3)), float(np.sqrt(nearest * farthest)))
-    return Parallax(views, nearest, farthest, distance)
+        guess = float(np.sqrt(nearest * farthest))
+        return lambda number, pixels: np.full(len(pixels), guess)
+    return Parallax(views, nearest, farthest, distance).distances
 
 
-def focus(cameras: list[Camera]) -> tuple[Array, float]:
+def focus(cameras: list[Camera]) -> tuple[Floats, float]:
     """Where cameras look: the point (3,) nearest to all their axes, and its median distance from them.
 
     Of axes that are all but parallel, a point a few times as far in front as the cameras are apart.
@@ -178,7 +167,7 @@ def focus(cameras: list[Camera]) -> tuple[Array, float]:
     return middle + axes.mean(axis=0) * distance, distance
 
 
-def _guessed(view: TrainingView, guess: Callable[[NDArray[np.int64]], Array]) -> TrainingView:
+def _guessed(view: TrainingView, guess: Callable[[NDArray[np.int64]], Floats]) -> TrainingView:
     """A view with a guess of the distance of each pixel that shows anything, and normals towards it."""
     height, width = view.distance.shape
     stride = max(1, int(np.ceil(np.sqrt(height * width / _GUESSES))))
@@ -194,57 +183,38 @@ def _guessed(view: TrainingView, guess: Callable[[NDArray[np.int64]], Array]) ->
     )
 
 
-class _Points:
-    """Points that are known.
-
-    Args:
-        views: that show them.
-        points: (M, 3).
-        otherwise: distance in a view that shows none.
-    """
-
-    def __init__(self, views: list[TrainingView], points: Array, otherwise: float):
-        self._views, self._points, self._otherwise = views, points, otherwise
-
-    def distances(self, number: int, pixels: NDArray[np.int64]) -> Array:
-        """Median distances of the points that are seen around pixels."""
-        camera = self._views[number].camera
-        points = self._points[self._points @ camera.world_to_camera[2, :3] + camera.world_to_camera[2, 3] > 0]
-        at, _ = camera.project(points)
-        inside = ((at >= 0) & (at < (camera.width, camera.height))).all(axis=1)
-        at, distance = at[inside], np.linalg.norm(points[inside] - camera.position, axis=1)
-        if not len(at):
-            return np.full(len(pixels), self._otherwise)
-        centres = np.stack([pixels % camera.width + 0.5, pixels // camera.width + 0.5], axis=1)
-        _, near = cKDTree(at).query(centres, k=np.arange(1, min(_AROUND, len(at)) + 1), workers=-1)
-        return np.median(distance[near], axis=1)
+def _among_points(
+    views: list[TrainingView], points: Floats, otherwise: float, number: int, pixels: NDArray[np.int64]
+) -> Floats:
+    """Median distances of the known points that are seen around pixels; `otherwise` if a view shows none."""
+    camera = views[number].camera
+    at, inside = camera.shows(points)
+    at, distance = at[inside], np.linalg.norm(points[inside] - camera.position, axis=1)
+    if not len(at):
+        return np.full(len(pixels), otherwise)
+    centres = np.stack([pixels % camera.width + 0.5, pixels // camera.width + 0.5], axis=1)
+    _, near = cKDTree(at).query(centres, k=np.arange(1, min(_AROUND, len(at)) + 1), workers=-1)
+    return np.median(distance[near], axis=1)
 
 
 class _Hull:
-    """Where views show that something is: a grid, with the share of views in each cell.
+    """Where views show that something is: a grid around what they look at, and per cell a share of views."""
 
-    Args:
-        views: with distances of inf where nothing is.
-        middle: (3,) what they look at.
-        distance: how far away that is.
-    """
-
-    def __init__(self, views: list[TrainingView], middle: Array, distance: float):
+    def __init__(self, views: list[TrainingView], middle: Floats, distance: float):
         self._views, self._middle, self._distance = views, middle, distance
         self._half = float(np.median([distance * view.camera.width / 2 / view.camera.fx for view in views]))
         axis = ((np.arange(_CELLS) + 0.5) / _CELLS * 2 - 1) * self._half
         cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) + self._middle
         filled, seen = np.zeros(len(cells)), np.zeros(len(cells))
         for view in views:
-            at, depth = view.camera.project(cells)
-            inside = (depth > 0) & ((at >= 0) & (at < (view.camera.width, view.camera.height))).all(axis=1)
+            at, inside = view.camera.shows(cells)
             columns, rows = at[inside].astype(np.int64).T
             seen[inside] += 1
             filled[inside] += ~np.isinf(view.distance[rows, columns])
         # A cell that hardly any view shows is not proven to be anything.
         self._share = np.where(seen >= len(views) / 2, filled / np.maximum(seen, 1), 0)
 
-    def distances(self, number: int, pixels: NDArray[np.int64]) -> Array:
+    def distances(self, number: int, pixels: NDArray[np.int64]) -> Floats:
         """Distances to the hull along rays through pixels; to the grid's middle where they miss it."""
         view = self._views[number]
         found = np.full(len(pixels), self._distance)
@@ -272,11 +242,7 @@ def measured(arrays: Arrays, gaussians: Gaussians, view: TrainingView) -> Traini
     """A view whose guessed distances are those that Gaussians show, where they cover a pixel.
 
     Distances are rasterized as if they were colours: the mean over a pixel's Gaussians, by their weights.
-
-    Args:
-        arrays: the backend's array types.
-        gaussians: as they are at the view's time, in its coordinates.
-        view: whose distances are guesses; where nothing is, nothing changes.
+    Where nothing is, nothing changes.
     """
     position = torch.from_numpy(view.camera.position).float()
     distance = (gaussians.means - position[:, None]).norm(dim=0)

@@ -41,28 +41,18 @@ _TINY = 1e-6
 
 @dataclass(frozen=True)
 class _Anchors:
-    """Points of one instance.
+    """Points of one instance."""
 
-    Attributes:
-        index: (A,) among the anchors of all instances.
-        size: median distance from their centre.
-        neighbours, lengths: (A, K) nearest others, and how far they are at rest.
-    """
-
-    index: torch.Tensor
-    size: float
-    neighbours: torch.Tensor
+    index: torch.Tensor  # (A,) among the anchors of all instances
+    size: float  # median distance from their centre
+    neighbours: torch.Tensor  # neighbours, lengths: (A, K) nearest others, and how far they are at rest
     lengths: torch.Tensor
 
 
 def register(motion: LearnedMotion, views: Sequence[TrainingView], steps: int, seed: int) -> None:
     """Fits the field of a motion to the instances that views show, and gives it their anchors.
 
-    Args:
-        motion: its field is changed in place.
-        views: labelled, in the coordinates of the field.
-        steps: of the training that follows; no more are taken here.
-        seed: determines which pixels and frames are looked at.
+    It takes no more steps than the training that follows.
     """
     rng = np.random.default_rng([seed, 4])
     clouds, references = _clouds(views, rng)
@@ -112,12 +102,9 @@ def _clouds(
     times: Counter[int] = Counter()
     best: dict[int, tuple[int, torch.Tensor]] = {}
     for view in views:
+        surface = np.setdiff1d(view.surface_pixels, view.sky_pixels, assume_unique=True)
         # A guess of a distance is not where anything is.
-        surface = (
-            np.zeros(0, dtype=np.int64)
-            if view.guessed
-            else np.setdiff1d(view.surface_pixels, view.sky_pixels, assume_unique=True)
-        )
+        surface = surface[:0] if view.guessed else surface
         instance = view.instances(surface)
         cloud = {}
         for number in np.unique(instance[instance >= 0]).tolist():
@@ -150,11 +137,7 @@ def _distance(cloud: torch.Tensor, shown: torch.Tensor, anchors: _Anchors, camer
     Anchors beside the frame could not be seen.
     """
     apart = torch.cdist(cloud, shown) / anchors.size
-    with np.errstate(divide="ignore", invalid="ignore"):
-        position, depth = camera.project(shown.detach().double().numpy())
-    inside = (
-        (depth > 0) & (position >= 0).all(axis=1) & (position < [camera.width, camera.height]).all(axis=1)
-    )
+    _, inside = camera.shows(shown.detach().double().numpy())
     total = apart.amin(dim=1).mean()
     if inside.any():
         total = total + _UNSEEN * apart.amin(dim=0)[torch.from_numpy(inside)].mean()
@@ -175,12 +158,7 @@ _VALUES, _MOMENTS = "values.", "moments."
 
 
 class FieldOptimizer:
-    """Optimizes the field of a learned motion.
-
-    Args:
-        motion: learned; its field is changed in place.
-        steps: of the training.
-    """
+    """Optimizes the field of a learned motion in place, in a training of so many steps."""
 
     def __init__(self, motion: LearnedMotion, steps: int):
         self._motion, self._steps, self._rates = motion, steps, list(motion.field.RATES.values())
@@ -196,7 +174,6 @@ class FieldOptimizer:
         """Takes one step by the gradients that the parameters have, and clears them.
 
         Args:
-            done: steps of the training so far.
             valid: whether the gradients are those of a finite loss.
         """
         progress = done / self._steps

@@ -20,19 +20,11 @@ _STATE = ("values", "first_moments", "second_moments", "steps")
 
 
 class Adam:
-    """Values and their moments; the moments of a column are means over its own steps.
-
-    Args:
-        values: (R, N) where to start; used up.
-
-    Attributes:
-        values: as they are now.
-        first_moments, second_moments: (R, N) of their gradients.
-        steps: (N,) of each column.
-    """
+    """Values (R, N), used up, and their moments; those of a column are means over its own steps."""
 
     def __init__(self, values: torch.Tensor):
         self.values = values
+        # (R, N) of the gradients, and (N,) of each column.
         self.first_moments, self.second_moments = (torch.zeros_like(values) for _ in range(2))
         self.steps = values.new_zeros(values.shape[1])
 
@@ -98,7 +90,6 @@ class GaussianOptimizer:
     Args:
         gaussians: where to start; copied.
         pixel: unit of the positions' learning rate.
-        device: that steps are computed on.
     """
 
     def __init__(self, gaussians: Gaussians, pixel: float, device: torch.device = HOST):
@@ -225,7 +216,6 @@ def _gradient(leaf: torch.Tensor) -> torch.Tensor:
 
 
 def _flat(tensor: torch.Tensor) -> torch.Tensor:
-    """(rows, N) of (..., N)."""
     return tensor.reshape(math.prod(tensor.shape[:-1]), tensor.shape[-1])
 
 

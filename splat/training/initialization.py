@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from splat.model.dynamic_light import NodeLight
-from splat.model.gaussians import SH_DC, Gaussians, perceptual_from_radiance, sh_count
+from splat.model.gaussians import Gaussians, perceptual_from_radiance
 from splat.model.layer import Layer, concatenated_layers, static_layer
 from splat.model.motion import Dynamics
-from splat.training.sky import rotation_to, whole_sky
+from splat.training.sky import discs, opacity_logit, whole_sky
 from splat.training.training_view import TrainingView
 
 # A seed is a flat disc on its surface, this much thinner than wide.
@@ -52,15 +52,20 @@ def seed_from_views(
     shares = np.full(len(views), count // len(views))
     shares[: count % len(views)] += 1
     size = spacing * _COVERING
+    seeded = lambda view, pixels: seed_at(view, pixels, size, degree, motion, light)  # noqa: E731
     parts = []
     for view, share in zip(views, shares, strict=True):
         total = view.distance.size
-        chosen = rng.choice(total, min(int(share), total), replace=False)
-        parts.append(seed_at(view, chosen, size, degree, motion, light))
+        parts.append(seeded(view, rng.choice(total, min(int(share), total), replace=False)))
     seeds = concatenated_layers(parts)
     seeds = replace(seeds, gaussians=_covering(seeds.gaussians))
     seeds = concatenated_layers([seeds, static_layer(_sky_around(views, degree))])
-    return seeds if len(seeds) else _first_seed(views, size, degree, rng, motion, light)
+    if len(seeds):
+        return seeds
+    # Hardly any pixel shows a surface, and no random one did.
+    view = max(views, key=lambda view: len(view.surface_pixels))
+    surface = view.surface_pixels
+    return seeded(view, rng.choice(surface, 1) if len(surface) else surface)
 
 
 def _covering(seeds: Gaussians) -> Gaussians:
@@ -75,11 +80,10 @@ def _covering(seeds: Gaussians) -> Gaussians:
     gap = np.sqrt(np.mean(gaps[:, 1:] ** 2, axis=1))
     log_scales = seeds.log_scales.numpy()
     change = np.log(np.clip(_COVERING * gap / np.exp(log_scales[0]), _NARROWEST, _WIDEST))
-    opacity = float(np.log(_COVERING_OPACITY / (1 - _COVERING_OPACITY)))
     return replace(
         seeds,
         log_scales=torch.from_numpy((log_scales + change).astype(np.float32)),
-        opacity_logits=torch.full_like(seeds.opacity_logits, opacity),
+        opacity_logits=torch.full_like(seeds.opacity_logits, opacity_logit(_COVERING_OPACITY)),
     )
 
 
@@ -100,21 +104,6 @@ def _some_directions(view: TrainingView, sky: bool) -> tuple[NDArray[np.float64]
     return view.rays(seen), view.radiance.reshape(-1, 3)[seen].astype(np.float32)
 
 
-def _first_seed(
-    views: list[TrainingView],
-    size: float,
-    degree: int,
-    rng: np.random.Generator,
-    motion: Dynamics | None,
-    light: NodeLight | None,
-) -> Layer:
-    """One seed, where hardly any pixel shows a surface and no random one did; none if there is no surface."""
-    view = max(views, key=lambda view: len(view.surface_pixels))
-    surface = view.surface_pixels
-    chosen = rng.choice(surface, 1) if len(surface) else surface
-    return seed_at(view, chosen, size, degree, motion, light)
-
-
 def seed_at(
     view: TrainingView,
     pixels: NDArray[np.int64],
@@ -123,36 +112,23 @@ def seed_at(
     motion: Dynamics | None = None,
     light: NodeLight | None = None,
 ) -> Layer:
-    """Seeds at pixels of one view, labelled by the instances that these show.
+    """Seeds, without parents, at pixels of one view, labelled by the instances that these show.
 
     Args:
-        view: the frame.
         pixels: (M,) row-major indices; pixels that show no surface give no seed.
         size: standard deviation in pixels of that frame.
         degree: of the spherical harmonics, of which only the constant one is set.
         motion: of the instances; seeds of these are where they are at rest.
         light: that changes; seeds have the radiance that they show in usual light.
-
-    Returns:
-        At most M nodes without parents.
     """
     distance = view.distance.ravel()[pixels]
     pixels = pixels[np.isfinite(distance) & (distance > 0)]
-    means = view.points(pixels)
     deviation = size * view.pixel_sizes(pixels)
     scales = np.stack([deviation, deviation, deviation * _FLATNESS])
     radiance = torch.from_numpy(view.radiance.reshape(-1, 3)[pixels].T.astype(np.float32))
-    n = len(pixels)
-    sh = torch.zeros(sh_count(degree), 3, n)
-    sh[0] = (perceptual_from_radiance(radiance.clamp(min=0)) - 0.5) / SH_DC
+    colour = perceptual_from_radiance(radiance.clamp(min=0))
     normals = view.normal.reshape(-1, 3)[pixels].astype(np.float64)
-    seeds = Gaussians(
-        torch.from_numpy(means.T.astype(np.float32).copy()),
-        torch.from_numpy(np.log(scales).astype(np.float32)),
-        torch.from_numpy(rotation_to(normals).T.astype(np.float32).copy()),
-        torch.full((n,), float(np.log(_INITIAL_OPACITY / (1 - _INITIAL_OPACITY)))),
-        sh,
-    )
+    seeds = discs(view.points(pixels), np.log(scales).T, normals, colour, _INITIAL_OPACITY, degree)
     found = static_layer(seeds)
     if motion is not None:
         instance = torch.from_numpy(view.instances(pixels))

@@ -34,11 +34,8 @@ _FLOOR = 0.25
 def order_of_views(errors: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.int64]:
     """(V,) views of a round of V steps, in random order; a view may be among them several times, or not.
 
-    How often differs by less than 1 from what is in proportion to its error and a floor.
-
-    Args:
-        errors: (V,) latest error of each view; NaN where it is not known, which counts as average.
-        rng: shuffles them.
+    How often differs by less than 1 from what is in proportion to its error and a floor. An error that is not
+    known, NaN, counts as average.
     """
     count = len(errors)
     known = errors[np.isfinite(errors)]
@@ -71,16 +68,13 @@ class LayerTraining:
     """Trains one layer; its whole state can be saved between two steps and restored.
 
     Args:
-        arrays: the backend's array types.
         views: frames at this layer's resolution.
-        steps: how many steps this layer gets in total.
         seed: determines the order of the views and the new Gaussians.
         motion: of the instances that views show; None if nothing moves.
         light: on the surfaces that they show; None if it does not change.
         all_harmonics: whether nodes whose radiance is not seen to turn keep harmonics.
 
     Attributes:
-        views: as given.
         done: steps so far.
         skipped: those of them that changed nothing, because their loss or its gradient was not finite.
         stepped: whether the last one changed something.
@@ -105,8 +99,7 @@ class LayerTraining:
     ):
         self._motion, self._all_harmonics = motion, all_harmonics
         self._light = None if light is None else NodeLight(light)
-        self.views, self.done, self.skipped, self.begun = views, 0, 0, False
-        self.stepped = False
+        self.views, self.done, self.skipped, self.begun, self.stepped = views, 0, 0, False, False
         self._arrays, self._steps, self._seed = arrays, steps, seed
         # What moves, and light that changes, are shown on the host.
         still = motion is None and light is None
@@ -124,11 +117,8 @@ class LayerTraining:
         """Starts from the given nodes; density control brings their number to the final one."""
         self._tree, self.begun = layer, True
         self._optimizer = GaussianOptimizer(layer.gaussians, self._pixel, self._device)
-        self._density = self._controlled(len(layer), final_count)
+        self._density = DensityControl(self._steps, len(layer), final_count, self._motion, self._light)
         self._follow_light()
-
-    def _controlled(self, initial_count: int, final_count: int) -> DensityControl:
-        return DensityControl(self._steps, initial_count, final_count, self._motion, self._light)
 
     def _follow_light(self) -> None:
         if self._light is not None:
@@ -148,10 +138,7 @@ class LayerTraining:
         return replace(self._tree, gaussians=self._optimizer.gaussians)
 
     def step(self, grows: bool = True) -> torch.Tensor | None:
-        """Takes one optimizer step on one frame.
-
-        Args:
-            grows: whether density control may change the nodes.
+        """Takes one optimizer step on one frame; if the layer `grows`, density control may change its nodes.
 
         Returns:
             If density control changed the nodes: (N,) the index that each former node has now, -1 if it was
@@ -202,9 +189,7 @@ class LayerTraining:
         """Tells from all views which nodes move, and removes those that move and that none of them shows.
 
         A field has led these behind something. Nobody will tell any more that they do not belong there.
-
-        Returns:
-            As of `step`.
+        Returns as `step`.
         """
         if not self._separates:
             return None
@@ -228,7 +213,9 @@ class LayerTraining:
         """Leaves harmonics to those nodes whose radiance is seen to turn, by a share of what is visible."""
         count = min(len(self.views), int(np.clip(_TURNING_SHARE * self._steps, *_TURNING_VIEWS)))
         chosen = np.random.default_rng([*self._seed, 4]).choice(len(self.views), count, False)
-        views = [_smaller(self.views[index]) for index in sorted(chosen)]
+        views = [View(self.views[index].camera, self.views[index].time) for index in sorted(chosen)]
+        # Half as many pixels along each side.
+        views = [view.resized(view.camera.width // 2, view.camera.height // 2) for view in views]
         gaussians = without_unseen_turning(self._arrays, self._optimizer.gaussians, views, self._shown, least)
         self._tree = replace(self._tree, gaussians=gaussians)
         self._optimizer.replace(gaussians, torch.arange(len(gaussians)))
@@ -240,7 +227,10 @@ class LayerTraining:
         kept, added = self._density.change(before.gaussians, self.views, rng, self._measured)
         added = replace(added, gaussians=turning_as_nearest(added.gaussians, before.gaussians))
         if self._light is not None and self._steps >= LEAST_STEPS:
-            kept, added = self._split(self._light.surface, before, kept, added)
+            # Halves of those nodes that are too large for their light.
+            staying = before.select(kept)
+            large = too_large(staying, self._light.surface, self.views)
+            kept, added = kept[~large], concatenated_layers([added, halves(staying.select(large))])
         return self._continue_with(kept, [added])
 
     def _continue_with(self, kept: torch.Tensor, added: list[Layer]) -> torch.Tensor:
@@ -251,14 +241,6 @@ class LayerTraining:
         now = torch.full((len(before),), NO_PARENT, dtype=torch.int32)
         now[kept] = torch.arange(len(kept), dtype=torch.int32)
         return now
-
-    def _split(
-        self, light: SurfaceLight, before: Layer, kept: torch.Tensor, added: Layer
-    ) -> tuple[torch.Tensor, Layer]:
-        """What stays and what is new, with halves of those nodes that are too large for their light."""
-        staying = before.select(kept)
-        large = too_large(staying, light, self.views)
-        return kept[~large], concatenated_layers([added, halves(staying.select(large))])
 
     def _measured(self, view: TrainingView) -> TrainingView:
         """The view, with the distances that the nodes show now if nobody knows them."""
@@ -301,16 +283,11 @@ class LayerTraining:
         self._optimizer = GaussianOptimizer.restored(tensors, self._pixel, self._device)
         gaussians = self._optimizer.gaussians
         self._tree, self.begun = Layer(gaussians, *(tensors[name] for name in LABELS)), True
-        self._density = self._controlled(int(numbers["initial"]), int(numbers["final"]))
+        counts = int(numbers["initial"]), int(numbers["final"])
+        self._density = DensityControl(self._steps, *counts, self._motion, self._light)
         if self._light is not None:
             self._light.restore(tensors)
         self._density.restore(tensors)
         self.done, self.skipped = int(numbers["done"]), int(numbers["skipped"])
         if self.done:
             self._order = tensors["order"]
-
-
-def _smaller(view: TrainingView) -> View:
-    """From where and when a view shows something, with half as many pixels along each side."""
-    camera = view.camera
-    return View(camera.resized(camera.width // 2, camera.height // 2), view.time)

@@ -31,20 +31,13 @@ _RUN = 8
 
 @dataclass(frozen=True)
 class Axis:
-    """Where the window moves: along the rows or along the columns of an image.
+    """Where the window moves: along the rows or along the columns of an image."""
 
-    Attributes:
-        lines: rows or columns that it moves along.
-        before, after: pixels of each line before and after.
-        is_horizontal: whether the lines are rows.
-        padding: pixels of zeros that are added at both ends of each line first.
-    """
-
-    lines: int
-    before: int
+    lines: int  # rows or columns that it moves along
+    before: int  # before, after: pixels of each line before and after
     after: int
-    is_horizontal: bool
-    padding: int
+    is_horizontal: bool  # whether the lines are rows
+    padding: int  # pixels of zeros that are added at both ends of each line first
 
     @property
     def runs(self) -> int:
@@ -84,7 +77,6 @@ def blur(
     """Applies the window along one axis to several maps at once.
 
     Args:
-        arrays: the backend's array types.
         axis: where.
         sizes: those of the axis; recorded functions take them as arguments.
         load: the maps' numbers at an index into an image of `before` pixels per line, under a mask.
@@ -158,13 +150,9 @@ class Target:
         self._zero = arrays.plain.Float(means.float().numpy())
 
     def loss(self, rendered: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """(1 - w) L1 + w (1 - SSIM), on a scale for lamps beside shadows (Fov-GS Eq. 4).
+        """(1 - w) L1 + w (1 - SSIM) of radiance (H, W, 3) on a scale for lamps beside shadows (Fov-GS Eq. 4).
 
-        Args:
-            rendered: (H, W, 3) float32, linear radiance.
-
-        Returns:
-            The loss, and the absolute error per pixel (H, W), which has no gradient.
+        The second result is the absolute error per pixel (H, W), which has no gradient.
         """
         loss, error = _Loss.apply(self, rendered)
         return loss, error
@@ -183,7 +171,6 @@ class Target:
         return loss[0], error.reshape(height, width), gradient.reshape(rendered.shape)
 
     def _frame(self) -> Any:
-        """The frame's radiance, flat."""
         return _flat(self._arrays, self._radiance.float())
 
 
@@ -207,11 +194,7 @@ class _Similarity:
     """An image compared with a frame.
 
     Args:
-        arrays: the backend's array types.
-        axes: of `_axes`.
-        rendered, frame: radiance, flat.
         zero: (3,) where zero is, per channel.
-        sizes: of the axes.
         shares: what each number's distance adds to the loss, and each window's similarity.
     """
 
@@ -286,7 +269,6 @@ class _Similarity:
         return self._blurred(3, self._loaded(rows), finish)[0]
 
     def _blurred(self, number: int, *what: Any) -> list[Any]:
-        """`blur` along one of the axes."""
         return blur(self._arrays, self._axes[number], self._sizes[number], *what)
 
     def _loaded(self, maps: list[Any]) -> Any:

@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from compose.base.arrays import Arrays
-from compose.camera.camera import Camera
 from splat.model.gaussians import Gaussians, written
 from splat.model.layer import BACKGROUND, Layer
 from splat.model.motion import Dynamics
 from splat.raster.visibility import contributions
+from splat.training.training_view import TrainingView
 
 # Part of the distance, beside its own size, by which a node may be off a surface.
 _OFF = 0.003
@@ -24,53 +23,16 @@ _OFF = 0.003
 _AROUND = 1
 
 
-class LabelledView(Protocol):
-    """A view whose pixels are labelled."""
-
-    @property
-    def camera(self) -> Camera:
-        """The view."""
-
-    @property
-    def distance(self) -> NDArray[np.float32]:
-        """(H, W) along the ray to what is seen; inf where nothing is."""
-
-    @property
-    def normal(self) -> NDArray[np.float32]:
-        """(H, W, 3) unit normal of what is seen; 0 where it is not known."""
-
-    @property
-    def guessed(self) -> bool:
-        """Whether distances are guesses."""
-
-    @property
-    def time(self) -> float:
-        """That it shows, from 0 to 1."""
-
-    @property
-    def instance(self) -> NDArray[np.int32] | None:
-        """(H, W) the instance that moves and that a pixel shows, -1 for none; None if nothing moves."""
-
-
 class Attachment:
-    """Where N nodes are, compared with what a view sees there.
+    """Where N nodes are at the time of a view, compared with what it sees there, which has labels (H, W)."""
 
-    Args:
-        shown: the nodes, at the time of the view.
-        view: in their coordinates.
-        instance: (H, W) its labels.
-    """
-
-    def __init__(self, shown: Gaussians, view: LabelledView, instance: NDArray[np.int32]):
+    def __init__(self, shown: Gaussians, view: TrainingView, instance: NDArray[np.int32]):
         self._view, self._instance = view, instance
         self._means = shown.means.detach().T.double().numpy()
-        with np.errstate(divide="ignore", invalid="ignore"):
-            position, depth = view.camera.project(self._means)
-        size = [view.distance.shape[1], view.distance.shape[0]]
-        self._inside = (depth > 0) & (position >= 0).all(axis=1) & (position < size).all(axis=1)
+        position, self._inside = view.camera.shows(self._means)
         self._column, self._row = np.where(self._inside[:, None], position, 0).astype(np.int64).T
         self._distance = np.linalg.norm(self._means - view.camera.position, axis=1)
-        extent = shown.log_scales.detach().max(dim=0).values.exp().double().numpy()
+        extent = shown.longest.double().numpy()
         self._off = extent + _OFF * self._distance
         self._slope = _slope(view.distance)
 
@@ -88,18 +50,11 @@ class Attachment:
         return found
 
     def ways(self, label: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Ways (N, 3) to the planes of what is seen at centres, 0 where not near, and (N,) which are near.
-
-        Args:
-            label: that the surface must have.
-        """
+        """Ways (N, 3) to the planes of a label at centres, 0 where not near, and (N,) which are near."""
         at = self._row, self._column
         camera = self._view.camera
         centres = np.stack([self._column + 0.5, self._row + 0.5], axis=1)
-        distance, normal = (
-            self._view.distance[at].astype(np.float64),
-            self._view.normal[at].astype(np.float64),
-        )
+        distance, normal = (a[at].astype(np.float64) for a in (self._view.distance, self._view.normal))
         near = self._near(at) & (self._instance[at] == label) & (normal != 0).any(axis=1)
         near &= not self._view.guessed
         seen = camera.position + camera.rays(centres) * np.where(near, distance, 0)[:, None]
@@ -133,29 +88,14 @@ _LEAST_PIXELS = 0.5
 
 @dataclass(frozen=True)
 class Evidence:
-    """What N nodes contribute to labelled pixels.
+    """What N nodes contribute to labelled pixels."""
 
-    Attributes:
-        sums: (N, 1 + L) pixels of the background and of each of L instances, whose surfaces they are on.
-        times: (N, 2) of the views in which each contributed most to what stands still and to what moves.
-        seen: (N,) pixels in all, whatever surface they are on.
-        offsets: (N, 3) mean ways to the surfaces of the background that views see there.
-    """
-
+    # (N, 1 + L) pixels of the background and of each of L instances, whose surfaces they are on.
     sums: torch.Tensor
+    # (N, 2) of the views in which each contributed most to what stands still and to what moves.
     times: torch.Tensor
-    seen: torch.Tensor
-    offsets: torch.Tensor
-
-    @property
-    def total(self) -> torch.Tensor:
-        """(N,) pixels of what nodes are on the surface of."""
-        return self.sums.sum(dim=1)
-
-    @property
-    def share(self) -> torch.Tensor:
-        """(N,) share of moving pixels, 0 of nodes that contribute nothing."""
-        return self.sums[:, 1:].sum(dim=1) / self.total.clamp(min=1e-12)
+    seen: torch.Tensor  # (N,) pixels in all, whatever surface they are on
+    offsets: torch.Tensor  # (N, 3) mean ways to the surfaces of the background that views see there
 
     @property
     def is_seen(self) -> torch.Tensor:
@@ -164,19 +104,12 @@ class Evidence:
 
 
 def evidence_of(
-    arrays: Arrays, layer: Layer, views: Sequence[LabelledView], motion: Dynamics, instances: int
+    arrays: Arrays, layer: Layer, views: Sequence[TrainingView], motion: Dynamics, instances: int
 ) -> Evidence:
-    """What nodes contribute to labelled pixels of views, each shown at the time of the view.
+    """What nodes contribute to pixels of views, labelled by instances, each shown at the time of the view.
 
     A view tells of those nodes only that are on the surface that it sees: one that something has left behind,
     or that does not follow it yet, is drawn in front of what stands still, but is no part of that.
-
-    Args:
-        arrays: the backend's array types.
-        layer: N nodes, at rest.
-        views: labelled, in the coordinates of the nodes.
-        motion: of the instances.
-        instances: L, more than the largest label.
     """
     count = len(layer)
     sums, times, most = torch.zeros(count, 1 + instances), torch.zeros(count, 2), torch.zeros(count, 2)
@@ -210,14 +143,11 @@ def separated(layer: Layer, evidence: Evidence, motion: Dynamics) -> Layer:
     it contributes most to. Nodes that hardly contribute keep their labels. A node whose labels change stays
     where it was shown when it contributed most to what its new labels say. One that stands still is put on
     the surface that views see there, if it is farther from it than it is large.
-
-    Args:
-        layer: N nodes, at rest.
-        evidence: of these nodes.
-        motion: of the instances.
     """
-    known = evidence.total >= _LEAST_PIXELS
-    moves = evidence.share > _DYNAMIC
+    # Pixels of what nodes are on the surface of.
+    total = evidence.sums.sum(dim=1)
+    known = total >= _LEAST_PIXELS
+    moves = evidence.sums[:, 1:].sum(dim=1) / total.clamp(min=1e-12) > _DYNAMIC
     best = evidence.sums[:, 1:].argmax(dim=1).int()
     semantic = torch.where(moves, best, BACKGROUND).int()
     semantic = torch.where(known, semantic, layer.semantic)
@@ -229,13 +159,8 @@ def separated(layer: Layer, evidence: Evidence, motion: Dynamics) -> Layer:
         with torch.no_grad():
             there = motion.shown(gaussians.select(index), layer.semantic[index], time)
             gaussians = written(gaussians, index, motion.at_rest(there, semantic[index], time))
-    return replace(
-        layer, gaussians=_attached(gaussians, semantic, evidence), semantic=semantic, dynamic=semantic >= 0
-    )
-
-
-def _attached(gaussians: Gaussians, semantic: torch.Tensor, evidence: Evidence) -> Gaussians:
-    """Gaussians, of which those of the background are on its surfaces, within their size."""
-    size = gaussians.log_scales.max(dim=0).values.exp()
-    hovers = (semantic == BACKGROUND) & (evidence.offsets.norm(dim=1) > size)
-    return replace(gaussians, means=gaussians.means + torch.where(hovers, evidence.offsets.T, 0))
+    # Of the background, on its surfaces within their size.
+    hovers = (semantic == BACKGROUND) & (evidence.offsets.norm(dim=1) > gaussians.longest)
+    means = gaussians.means + torch.where(hovers, evidence.offsets.T, 0)
+    gaussians = replace(gaussians, means=means)
+    return replace(layer, gaussians=gaussians, semantic=semantic, dynamic=semantic >= 0)

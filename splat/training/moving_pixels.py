@@ -17,7 +17,6 @@ What is hidden in another frame says nothing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -52,43 +51,10 @@ _CORRELATED, _COLOUR = 0.5, 0.3
 _MOST_OF_IT = 0.3
 
 
-@dataclass(frozen=True)
-class Votes:
-    """How frames of other times agree with one frame.
-
-    Attributes:
-        gone: (H, W) number of frames that look through what a pixel shows.
-        there: (H, W) of those that see a surface at its place.
-        changed: (H, W) of the nearest views that see another surface there.
-        compared: (H, W) of the nearest views that could tell.
-    """
-
-    gone: NDArray[np.int32]
-    there: NDArray[np.int32]
-    changed: NDArray[np.int32]
-    compared: NDArray[np.int32]
-
-    @property
-    def moves(self) -> NDArray[np.bool_]:
-        """(H, W) whether a pixel cannot show something that stands still."""
-        gone = self.gone > _GONE * (self.gone + self.there)
-        changed = (self.changed > _CHANGED * self.compared) & (self.compared >= _LEAST_COMPARED)
-        return gone | changed
-
-
 def moving_pixels(observations: Sequence[Observation]) -> list[NDArray[np.bool_]]:
-    """(H, W) for each frame, which pixels show something that moves.
-
-    Args:
-        observations: frames of one scene, of any sizes, views and times. Of a single time, nothing moves.
-    """
+    """(H, W) for each frame of a scene, which pixels show something that moves: nothing at a single time."""
     frames = [_Frame(observation) for observation in observations]
     return [_refined(frames, index) for index in range(len(frames))]
-
-
-def votes_on(observations: Sequence[Observation], index: int) -> Votes:
-    """How the other frames agree with one of them, given by its index."""
-    return _votes([_Frame(observation) for observation in observations], index)
 
 
 class _Frame:
@@ -112,7 +78,9 @@ def _filtered_depth(inverse: NDArray[np.float32], nearest: bool) -> NDArray[np.f
 
 def _refined(frames: list[_Frame], index: int) -> NDArray[np.bool_]:
     """The votes on a frame, without lone pixels, and over the whole of surfaces most of which moves."""
-    moves = median_filter(_votes(frames, index).moves, 3)
+    gone, there, changed, compared = _votes(frames, index)
+    has_changed = (changed > _CHANGED * compared) & (compared >= _LEAST_COMPARED)
+    moves = median_filter((gone > _GONE * (gone + there)) | has_changed, 3)
     if not moves.any():
         return moves
     frame = frames[index]
@@ -123,37 +91,29 @@ def _refined(frames: list[_Frame], index: int) -> NDArray[np.bool_]:
     return moves | (known & (share >= _MOST_OF_IT)[surface])
 
 
-def _votes(frames: list[_Frame], index: int) -> Votes:
+def _votes(frames: list[_Frame], index: int) -> list[NDArray[np.int32]]:
+    """How frames of other times agree with a frame: four numbers of frames, (H, W) each.
+
+    Those that look through what a pixel shows, those that see a surface at its place; of the nearest views
+    those that see another surface there, and those that could tell.
+    """
     frame = frames[index]
     others = [other for other in frames if other.time != frame.time]
     shape = frame.inverse.shape
     gone, there, changed, compared = (np.zeros(shape, dtype=np.int32) for _ in range(4))
-    for other in _spread_in_time(others):
-        _look_through(frame, other, gone, there)
-    for other in _nearest_views(frame, others):
+    # Evenly spread over their times.
+    ordered = sorted(others, key=lambda other: other.time)
+    for number in np.linspace(0, len(ordered) - 1, min(len(ordered), _MOST_FRAMES)).round().astype(int):
+        _look_through(frame, ordered[number], gone, there)
+    way = lambda other: np.linalg.norm(frame.camera.position - other.camera.position)  # noqa: E731
+    for other in sorted(others, key=way)[:_COMPARED]:
         _compare(frame, other, changed, compared)
-    return Votes(gone, there, changed, compared)
-
-
-def _spread_in_time(frames: list[_Frame]) -> list[_Frame]:
-    """At most so many frames as are looked at, evenly spread over their times."""
-    ordered = sorted(frames, key=lambda frame: frame.time)
-    chosen = np.linspace(0, len(ordered) - 1, min(len(ordered), _MOST_FRAMES)).round().astype(int)
-    return [ordered[index] for index in chosen]
-
-
-def _nearest_views(frame: _Frame, others: list[_Frame]) -> list[_Frame]:
-    """The frames taken from nearest by."""
-
-    def way(other: _Frame) -> float:
-        return float(np.linalg.norm(frame.camera.position - other.camera.position))
-
-    return sorted(others, key=way)[:_COMPARED]
+    return [gone, there, changed, compared]
 
 
 def _look_through(frame: _Frame, other: _Frame, gone: NDArray[np.int32], there: NDArray[np.int32]) -> None:
     """Adds the vote of another frame on where a frame's points have gone and where they may be."""
-    pixels, position, depth = _projected(frame, other, margin=1)
+    pixels, position, depth = _projected(frame, other)
     column, row = position.astype(np.int64).T
     nearest, farthest = other.nearest[row, column], other.farthest[row, column]
     is_gone = nearest > depth * (1 + _TOLERANCE)
@@ -163,25 +123,24 @@ def _look_through(frame: _Frame, other: _Frame, gone: NDArray[np.int32], there: 
 
 
 def _projected(
-    frame: _Frame, other: _Frame, margin: float
+    frame: _Frame, other: _Frame
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Where another frame shows a frame's points.
+    """Row-major indices (M,) of those points that lie within another frame, at least a pixel from its border.
 
-    Returns:
-        Row-major indices (M,) of the points that lie within the other frame, a margin in pixels apart from
-        its border; their positions (M, 2) in it and depths (M,).
+    And their positions (M, 2) in it and depths (M,).
     """
     pixels = np.flatnonzero(frame.inverse > 0)
     position, depth = other.camera.project(frame.points.reshape(-1, 3)[pixels])
     size = np.array([other.camera.width, other.camera.height])
-    inside = (depth > 0) & ((position >= margin) & (position < size - margin)).all(axis=1)
+    inside = (depth > 0) & ((position >= 1) & (position < size - 1)).all(axis=1)
     return pixels[inside], position[inside], depth[inside]
 
 
 def _compare(frame: _Frame, other: _Frame, changed: NDArray[np.int32], compared: NDArray[np.int32]) -> None:
     """Adds the vote of a near view on whether patches at the same place look alike."""
-    pixels, position, depth = _projected(frame, other, margin=1)
-    pixels, position, depth = _from_same_side(frame, other, pixels, position, depth)
+    pixels, position, depth = _projected(frame, other)
+    same = _from_same_side(frame, other, pixels)
+    pixels, position, depth = pixels[same], position[same], depth[same]
     shape = frame.inverse.shape
     corner = (position - 0.5).astype(np.int64)
     (left, top), (x, y) = corner.T, (position - 0.5 - corner).T.astype(np.float32)
@@ -199,20 +158,13 @@ def _compare(frame: _Frame, other: _Frame, changed: NDArray[np.int32], compared:
     changed += differs
 
 
-def _from_same_side(
-    frame: _Frame,
-    other: _Frame,
-    pixels: NDArray[np.int64],
-    position: NDArray[np.float64],
-    depth: NDArray[np.float64],
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Those points, as of `_projected`, that both frames see along nearly the same direction."""
+def _from_same_side(frame: _Frame, other: _Frame, pixels: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(M,) whether both frames see what pixels show along nearly the same direction."""
     points = frame.points.reshape(-1, 3)[pixels]
     rays = [points - one.camera.position for one in (frame, other)]
     lengths = [np.linalg.norm(ray, axis=1) for ray in rays]
     cosine = (rays[0] * rays[1]).sum(axis=1) / (lengths[0] * np.maximum(lengths[1], 1e-12))
-    same = cosine > np.cos(np.radians(_SAME_VIEW))
-    return pixels[same], position[same], depth[same]
+    return cosine > np.cos(np.radians(_SAME_VIEW))
 
 
 def _difference(
@@ -221,7 +173,6 @@ def _difference(
     """(H, W) where patches of two images (H, W, 3) tell whether they are alike, and where they are not.
 
     Args:
-        a, b: the images.
         seen: (H, W) 1 where both show a surface at the same place, else 0.
         is_albedo: whether a change of brightness is one of the surface.
     """
@@ -267,15 +218,9 @@ def objects_of(
 
     Points are of one object if they are near each other in space and in time, or if others lead from one to
     the other. Objects that touch are one. They are numbered by how much of them is seen, most first.
-
-    Args:
-        observations: frames of one scene.
-        moving: (H, W) for each frame, which pixels show something that moves.
+    `moving` tells for each frame which pixels (H, W) show something that moves.
     """
-    shown = [
-        mask & np.isfinite(one.distance) & (one.distance > 0)
-        for one, mask in zip(observations, moving, strict=True)
-    ]
+    shown = [mask & one.known for one, mask in zip(observations, moving, strict=True)]
     clouds = _clouds(observations, shown)
     every = max(1, sum(map(len, clouds)) // _POINTS)
     sampled = np.concatenate([cloud[::every] for cloud in clouds]) if clouds else np.zeros((0, 4))

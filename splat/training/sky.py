@@ -13,6 +13,7 @@ from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from splat.model.gaussians import SH_DC, Gaussians, perceptual_from_radiance, sh_count
+from splat.model.points import Floats
 
 # In units of a place (compose.camera.coordinate_systems), 25,000 times the median distance of what is seen:
 # seven times that median distance away, a viewer sees the sky moved by half a pixel of 1,920 over 60 degrees.
@@ -38,12 +39,7 @@ _SUN = 0.98
 
 
 def shows_sky(radiance: NDArray[np.float32], distance: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Mask (H, W) of the pixels that see light and hit nothing.
-
-    Args:
-        radiance: (H, W, 3) linear.
-        distance: (H, W) along the rays; inf where nothing is hit.
-    """
+    """Mask (H, W) of the pixels that see light and hit nothing: their distance along the ray is inf."""
     missed = np.isinf(distance)
     if not missed.any():
         return missed
@@ -56,9 +52,7 @@ def shows_sky(radiance: NDArray[np.float32], distance: NDArray[np.float32]) -> N
     return np.asarray(missed & ~nothing)
 
 
-def whole_sky(
-    sky: NDArray[np.float64], radiance: NDArray[np.float32], surface: NDArray[np.float64], degree: int
-) -> Gaussians:
+def whole_sky(sky: Floats, radiance: NDArray[np.float32], surface: Floats, degree: int) -> Gaussians:
     """Gaussians behind all others in every direction of the sky, in the mean colour of what is next to it.
 
     A direction that no frame shows belongs to the sky if the nearest one that is seen does.
@@ -77,17 +71,32 @@ def whole_sky(
         directions, near = directions[belongs], near[belongs]
     seen = perceptual_from_radiance(torch.from_numpy(radiance).clamp(min=0))
     seen = torch.minimum(seen, seen.quantile(_SUN, dim=0))
-    n = len(directions)
-    sh = torch.zeros(sh_count(degree), 3, n)
-    sh[0] = (seen[torch.from_numpy(near)].mean(dim=1).T - 0.5) / SH_DC
-    scales = np.log(_BEHIND * SKY_DISTANCE * _SPACING * _COVERING * np.array([1, 1, _FLATNESS]))
-    return Gaussians(
-        torch.from_numpy((_BEHIND * SKY_DISTANCE * directions.T).astype(np.float32)),
-        torch.from_numpy(scales.astype(np.float32))[:, None].repeat(1, n),
-        torch.from_numpy(rotation_to(directions).T.astype(np.float32).copy()),
-        torch.full((n,), float(np.log(_OPACITY / (1 - _OPACITY)))),
-        sh,
-    )
+    colour = seen[torch.from_numpy(near)].mean(dim=1).T
+    sizes = _BEHIND * SKY_DISTANCE * _SPACING * _COVERING * np.array([1, 1, _FLATNESS])
+    log_scales = np.broadcast_to(np.log(sizes), directions.shape)
+    return discs(_BEHIND * SKY_DISTANCE * directions, log_scales, directions, colour, _OPACITY, degree)
+
+
+def discs(
+    means: Floats, log_scales: Floats, normals: Floats, colour: torch.Tensor, opacity: float, degree: int
+) -> Gaussians:
+    """N Gaussians that are flat across their normals and look alike from everywhere.
+
+    Args:
+        means, log_scales, normals: (N, 3) each; the third axis lies along the normal.
+        colour: (3, N) perceptual radiance.
+        degree: of the spherical harmonics, of which only the constant one is set.
+    """
+    sh = torch.zeros(sh_count(degree), 3, len(means))
+    sh[0] = (colour - 0.5) / SH_DC
+    as_rows = lambda values: torch.from_numpy(np.ascontiguousarray(values.T, dtype=np.float32))  # noqa: E731
+    logits = torch.full((len(means),), opacity_logit(opacity))
+    return Gaussians(as_rows(means), as_rows(log_scales), as_rows(rotation_to(normals)), logits, sh)
+
+
+def opacity_logit(opacity: float) -> float:
+    """The inverse of the sigmoid."""
+    return float(np.log(opacity / (1 - opacity)))
 
 
 def rotation_to(normals: NDArray[np.floating]) -> NDArray[np.float64]:

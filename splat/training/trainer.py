@@ -46,6 +46,8 @@ _ALONE_AGAIN = 0.6
 _FINEST = 0.6
 # Share of the steps after which density control is finished in all layers and the trees stay as they are.
 _SETTLED = 0.8
+# Factor between the resolutions of views that count as equally fine.
+_ABOUT_AS_FINE = 1.5
 # Prefix of a field's tensors in checkpoints.
 _FIELD = "field."
 
@@ -105,20 +107,16 @@ class Trainer:
     """Trains a forest; its whole state can be saved between two steps and restored.
 
     Args:
-        arrays: the backend's array types.
         views: frames to train on, of any sizes, in world space; those with numbers that are not finite are
             left out.
-        settings: of the training.
         start: whose finest layer to go on from, instead of seeds on the surfaces that the views show.
         motion: of the instances that the views show, in world space; None if nothing moves, and if a field
             learns it.
         light: on the surfaces that they show, in world space; None if it does not change.
 
     Attributes:
-        settings: as given.
-        place: the coordinates in which the Gaussians are trained.
-        motion: of the instances, in these coordinates; known or learned.
-        light: on the surfaces, in these coordinates.
+        place: the coordinates in which the Gaussians are trained, and of what follows.
+        motion, light: known or learned; None as above.
         dropped: number of frames that were left out.
         iteration: steps so far.
 
@@ -149,7 +147,8 @@ class Trainer:
             if settings.motion is MotionModel.D_GS_OF_DYNAMIC:
                 register(learned, views, settings.iterations, settings.seed)
             self._field = FieldOptimizer(learned, settings.iterations)
-        self._pixel = pixel_footprint(at_resolution(views, 0, strictly=True))
+        focal = finest_focal(views) / _ABOUT_AS_FINE
+        self._pixel = pixel_footprint([view for view in views if view.camera.fy >= focal])
         self._schedule = training_schedule(settings, _ALONE if start is None else _ALONE_AGAIN)
         self._layers = [
             LayerTraining(
@@ -177,12 +176,7 @@ class Trainer:
         self._layers[-1].begin(known, max(settings.gaussians, len(known)))
 
     def run(self, progress: Callable[[int], None] = lambda done: None, until: int | None = None) -> None:
-        """Trains up to iteration `until`, by default to the end.
-
-        Args:
-            progress: called after each step with the number of steps so far.
-            until: where to stop.
-        """
+        """Trains up to iteration `until`, by default to the end; tells `progress` the steps after each."""
         while self.iteration < (until or self.settings.iterations):
             self._step()
             self.iteration += 1
@@ -209,10 +203,10 @@ class Trainer:
             for number, training in enumerate(self._layers):
                 if training.begun:
                     self._tell_children(number, training.separate_at_last())
-        if self.iteration == self._settling and self._layers[0].begun:
-            settled = settle([training.layer for training in self._layers])
-            for training, layer in zip(self._layers, settled, strict=True):
-                training.extend(layer)
+            if self._layers[0].begun:
+                settled = settle([training.layer for training in self._layers])
+                for training, layer in zip(self._layers, settled, strict=True):
+                    training.extend(layer)
         # Changes would break trees that are settled.
         moved = self._layers[index].step(grows=self.iteration < self._settling)
         if self._field is not None:
@@ -261,8 +255,7 @@ class Trainer:
         if (numbers.get("origin"), numbers.get("unit")) != (list(self.place.origin), self.place.unit):
             raise ValueError("the checkpoint holds Gaussians in other coordinates")
         for index, (training, counts) in enumerate(zip(self._layers, numbers["layers"], strict=True)):
-            prefix = f"{index}."
-            training.restore(under(prefix, tensors), counts)
+            training.restore(under(f"{index}.", tensors), counts)
         if self._field is not None:
             self._field.restore(under(_FIELD, tensors))
         self.iteration = int(numbers["iteration"])
@@ -270,11 +263,10 @@ class Trainer:
 
 def _labelled(view: TrainingView, motion: MotionModel) -> TrainingView:
     """A view in which everything that is deformed is one instance, if it is by a field."""
-    if motion.field is None:
+    has_labels = motion is MotionModel.D_GS_OF_DYNAMIC and view.instance is not None
+    if motion.field is None or has_labels:
         return view
-    if motion is not MotionModel.D_GS_OF_DYNAMIC or view.instance is None:
-        return replace(view, instance=np.zeros(view.distance.shape, dtype=np.int32))
-    return view
+    return replace(view, instance=np.zeros(view.distance.shape, dtype=np.int32))
 
 
 def _box(views: list[TrainingView]) -> tuple[torch.Tensor, torch.Tensor]:

@@ -22,27 +22,19 @@ _WIDE = 45.0
 
 @dataclass(frozen=True)
 class TrainingView:
-    """One frame to train on.
-
-    Attributes:
-        camera: the view.
-        radiance: (H, W, 3) linear, float32 or float16.
-        distance: (H, W) float32 along the ray to the visible surface; for a mirror, to where the reflected
-            surface appears behind it; inf where nothing is hit.
-        normal: (H, W, 3) in world space, of the same type, zero where it is unknown.
-        sky: distance of pixels that show the sky, and no surface; inf for a view of the world.
-        time: that the view shows, from 0 to 1.
-        instance: (H, W) int32, which instance that moves a pixel shows, -1 for none; None if nothing moves.
-        guessed: whether distances are guesses (`depth_estimates`), which training replaces by its own.
-    """
+    """One frame to train on."""
 
     camera: Camera
-    radiance: NDArray[np.floating[Any]]
+    radiance: NDArray[np.floating[Any]]  # (H, W, 3) linear, float32 or float16
+    # (H, W) float32 along the ray to the visible surface; for a mirror, to where the reflected surface
+    # appears behind it; inf where nothing is hit.
     distance: NDArray[np.float32]
-    normal: NDArray[np.floating[Any]]
-    sky: float = np.inf
-    time: float = 0.0
+    normal: NDArray[np.floating[Any]]  # (H, W, 3) in world space, of the same type, zero where it is unknown
+    sky: float = np.inf  # distance of pixels that show the sky, and no surface; inf for a view of the world
+    time: float = 0.0  # that the view shows, from 0 to 1
+    # (H, W) int32, which instance that moves a pixel shows, -1 for none; None if nothing moves.
     instance: NDArray[np.int32] | None = None
+    # Whether distances are guesses (`depth_estimates`), which training replaces by its own.
     guessed: bool = False
 
     @property
@@ -110,15 +102,12 @@ def place_of(views: list[TrainingView]) -> Place:
     Raises:
         ValueError: no view shows a surface.
     """
-    points, distances = [], []
-    for view in views:
-        seen = view.some_surface_pixels
-        points.append(view.points(seen))
-        distances.append(view.distance.ravel()[seen])
-    distance = np.concatenate(distances)
+    seen = [(view, view.some_surface_pixels) for view in views]
+    distance = np.concatenate([view.distance.ravel()[pixels] for view, pixels in seen])
     if not len(distance):
         raise ValueError("no frame shows a surface at a finite distance; turn the camera to one")
-    return place_around(np.concatenate(points), float(np.median(distance)))
+    points = np.concatenate([view.points(pixels) for view, pixels in seen])
+    return place_around(points, float(np.median(distance)))
 
 
 def placed(view: TrainingView, place: Place) -> TrainingView:
@@ -150,25 +139,13 @@ def finest_focal(views: list[TrainingView]) -> float:
     return max(view.camera.fy for view in views)
 
 
-def at_resolution(views: list[TrainingView], halvings: int, strictly: bool = False) -> list[TrainingView]:
+def at_resolution(views: list[TrainingView], halvings: int) -> list[TrainingView]:
     """Views for a layer whose pixels are those of the finest views, doubled some times in width and height.
 
-    Args:
-        views: of any resolutions.
-        halvings: how often the finest views' resolution is halved.
-        strictly: whether to leave out those at a lower resolution, as long as there are others.
-
-    Returns:
-        The views, reduced to the layer's resolution; those that are coarser already, as they are.
+    Views that are coarser already stay as they are.
     """
     focal = finest_focal(views) / 2**halvings
-    factors = [int(2 ** max(0, round(np.log2(view.camera.fy / focal)))) for view in views]
-    coarser = [view.camera.fy < focal / 1.5 for view in views]
-    return [
-        reduced(view, factor)
-        for view, factor, skipped in zip(views, factors, coarser, strict=True)
-        if not (strictly and skipped)
-    ]
+    return [reduced(view, int(2 ** max(0, round(np.log2(view.camera.fy / focal))))) for view in views]
 
 
 def reduced(view: TrainingView, factor: int) -> TrainingView:
@@ -177,28 +154,16 @@ def reduced(view: TrainingView, factor: int) -> TrainingView:
         return view
     camera = view.camera
     height, width = camera.height // factor, camera.width // factor
+    intrinsics = {name: getattr(camera, name) / factor for name in ("fx", "fy", "cx", "cy")}
     radiance = view.radiance[: height * factor, : width * factor]
     radiance = radiance.reshape(height, factor, width, factor, 3).mean(axis=(1, 3))
     # A mean of distances would lie between a table's edge and the floor; the middle one lies on one of them.
     middle = np.s_[factor // 2 : height * factor : factor, factor // 2 : width * factor : factor]
     return replace(
         view,
-        camera=_reduced_camera(camera, factor),
+        camera=replace(camera, width=width, height=height, **intrinsics),
         radiance=np.ascontiguousarray(radiance),
         distance=np.ascontiguousarray(view.distance[middle]),
         normal=np.ascontiguousarray(view.normal[middle]),
         instance=None if view.instance is None else np.ascontiguousarray(view.instance[middle]),
-    )
-
-
-def _reduced_camera(camera: Camera, factor: int) -> Camera:
-    """The same view with pixels of factor x factor."""
-    return replace(
-        camera,
-        width=camera.width // factor,
-        height=camera.height // factor,
-        fx=camera.fx / factor,
-        fy=camera.fy / factor,
-        cx=camera.cx / factor,
-        cy=camera.cy / factor,
     )

@@ -8,15 +8,14 @@ their constant one.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import replace
 
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
 from compose.base.arrays import Arrays
-from compose.camera.camera import Camera
+from compose.camera.camera import View
 from splat.model.gaussians import SH_DC, Gaussians, apart
 from splat.raster.differentiable import directional_radiance
 from splat.raster.visibility import contributions
@@ -26,41 +25,17 @@ from splat.raster.visibility import contributions
 _LEAST_DEVIATION = 1 / 255
 
 
-class SeenView(Protocol):
-    """A view that Gaussians are seen from."""
-
-    @property
-    def camera(self) -> Camera:
-        """The view."""
-
-    @property
-    def time(self) -> float:
-        """That it shows, from 0 to 1."""
-
-
-@dataclass(frozen=True)
-class Turning:
-    """How what M Gaussians show turns with the view.
-
-    Attributes:
-        mean: (3, M) what harmonics above the constant one add, mean over views, by what each view shows.
-        deviation: (M,) root of its variance over views, of the channel that varies most.
-    """
-
-    mean: torch.Tensor
-    deviation: torch.Tensor
-
-
 def turning_of(
-    arrays: Arrays, gaussians: Gaussians, views: Sequence[SeenView], shown: Callable[[float], Gaussians]
-) -> Turning:
-    """How those Gaussians turn that have harmonics above the constant one; 0 of what no view shows.
+    arrays: Arrays, gaussians: Gaussians, views: Sequence[View], shown: Callable[[float], Gaussians]
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """How those M Gaussians turn that have harmonics above the constant one; 0 of what no view shows.
 
     Args:
-        arrays: the backend's array types.
-        gaussians: with such harmonics apart.
-        views: in their coordinates.
         shown: gives the Gaussians as they are at a time, in the same order.
+
+    Returns:
+        (3, M) what these harmonics add, mean over views, by what each view shows; and (M,) the root of its
+        variance over views, of the channel that varies most.
     """
     further = gaussians.directional
     assert further is not None
@@ -78,28 +53,28 @@ def turning_of(
     share = torch.where(seen, 1 / total.clamp(min=1e-30), 0)
     mean = first * share
     variance = (second * share - mean.square()).clamp(min=0)
-    return Turning(mean, variance.amax(dim=0).sqrt())
+    return mean, variance.amax(dim=0).sqrt()
 
 
 def without_unseen_turning(
     arrays: Arrays,
     gaussians: Gaussians,
-    views: Sequence[SeenView],
+    views: Sequence[View],
     shown: Callable[[float], Gaussians],
     least: float = 1.0,
 ) -> Gaussians:
     """Gaussians, of which only those whose radiance visibly turns keep harmonics above the constant one.
 
     Args:
-        arrays, gaussians, views, shown: as of `turning_of`.
+        views, shown: as for `turning_of`.
         least: share of what is visible by which it must turn.
     """
     gaussians = apart(gaussians)
     assert gaussians.directional is not None
     index = gaussians.directional.index
-    found = turning_of(arrays, gaussians, views, shown)
-    dropped = found.deviation < least * _LEAST_DEVIATION
-    constant = gaussians.sh[0].index_add(1, index[dropped], found.mean[:, dropped] / SH_DC)
+    mean, deviation = turning_of(arrays, gaussians, views, shown)
+    dropped = deviation < least * _LEAST_DEVIATION
+    constant = gaussians.sh[0].index_add(1, index[dropped], mean[:, dropped] / SH_DC)
     kept = torch.zeros(len(gaussians), dtype=torch.bool).index_fill(0, index[~dropped], True)
     return replace(gaussians, sh=constant[None]).turning(kept)
 
@@ -117,5 +92,4 @@ def turning_as_nearest(new: Gaussians, known: Gaussians) -> Gaussians:
     if not len(there):
         return new
     _, nearest = cKDTree(known.means[:, there].numpy().T).query(new.means.numpy().T)
-    turns = further.slots(len(known)) >= 0
-    return new.turning(turns[there[torch.from_numpy(nearest)]])
+    return new.turning(known.turns[there[torch.from_numpy(nearest)]])

@@ -18,7 +18,7 @@ from pathtrace.dataset.capture import capture
 from pathtrace.dataset.captured_frames import read_frame
 from pathtrace.dataset.frame_set import CaptureSettings
 from pathtrace.scene.scene import load_scene
-from splat.io.compact import compact, is_compact
+from splat.io.compact import compact, exactly_encoded
 from splat.io.forest_file import load_forest
 from splat.model.choices import Precision
 from splat.training.trainer import TrainingSettings
@@ -63,9 +63,9 @@ def test_a_forest_belongs_to_the_scene_of_its_frames(frames, trained, training_s
 
 def test_numbers_are_rounded_unless_exact_ones_are_asked_for(frames, trained, training_settings, tmp_path):
     """What is returned is what the file holds, and what the fusion was fitted to."""
-    assert is_compact(trained)
+    assert exactly_encoded(trained) is not None
     exact = train(frames, tmp_path / "f", training_settings, precision=Precision.FLOAT32)
-    assert not is_compact(exact)
+    assert exactly_encoded(exact) is None
     assert load_forest(tmp_path / "f").digest() == exact.digest()
     assert compact(exact).digest() == replace(trained, attached=exact.attached).digest()
 

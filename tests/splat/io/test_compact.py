@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from compose.base.errors import UserError
-from splat.io.compact import compact, decoded, encoded, is_compact
+from splat.io.compact import compact, decoded, encoded, exactly_encoded
 from splat.io.forest_file import load_forest, save_forest
 from splat.io.tensors import load_tensors, save_tensors
 from splat.model.forest import Forest, forest_of
@@ -58,13 +58,13 @@ def test_a_compact_forest_is_close_and_reads_back_to_the_bit(kind, degree, tmp_p
 
 def test_rounding_twice_changes_nothing():
     small = compact(forest())
-    assert is_compact(small)
+    assert exactly_encoded(small) is not None
     assert compact(small).digest() == small.digest()
 
 
 def test_other_numbers_are_stored_exactly(tmp_path):
     made = forest()
-    assert not is_compact(made)
+    assert exactly_encoded(made) is None
     save_forest(tmp_path / "f", made)
     assert load_forest(tmp_path / "f").digest() == made.digest()
 
@@ -138,7 +138,7 @@ def test_extreme_forests_are_stored(name, tmp_path, got):
     assert (opacity > 0).all()
     assert (opacity < 1).all()
     assert own.log_scales.abs().max() <= 128
-    assert is_compact(small)
+    assert exactly_encoded(small) is not None
     save_forest(tmp_path / "f", small)
     assert load_forest(tmp_path / "f").digest() == small.digest()
     got(f"{(tmp_path / 'f').stat().st_size / len(small.nodes):.0f} bytes per node")
@@ -153,7 +153,7 @@ def test_no_nodes_are_encoded(degree):
 def test_numbers_that_are_not_finite_are_refused():
     made = forest()
     made.nodes.gaussians.means[0, 3] = float("nan")
-    assert not is_compact(made)
+    assert exactly_encoded(made) is None
     with pytest.raises(ValueError, match="not finite"):
         compact(made)
 

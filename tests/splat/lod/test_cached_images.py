@@ -8,7 +8,7 @@ from splat.lod.forest_renderer import CachedLayerImages, ForestRenderer
 from splat.lod.layer_images import LayerImage
 from splat.model.forest import forest_of
 from splat.model.layer import static_layer
-from tests.splat.lod.views import CELLS, everything, frame_camera, no_cutoff, ramp, small_forest
+from tests.splat.lod.views import CELLS, drawn, everything, frame_camera, no_cutoff, ramp, small_forest
 from tests.splat.samples import gaussians
 
 STEPS = [(3, 0), (2, 1), (1, 2)]
@@ -22,7 +22,7 @@ def test_a_cached_frame_equals_a_fresh_one(arrays):
     # More than once, and with other weights in between.
     for weights in (WEIGHTS, WEIGHTS[::-1], WEIGHTS):
         images = [LayerImage(*step, weight) for step, weight in zip(STEPS, weights, strict=True)]
-        fresh = renderer.render(camera, images, no_cutoff(), everything())
+        fresh = drawn(renderer, camera, images, no_cutoff(), everything())
         frame = cached.composite(weights, everything())
         np.testing.assert_allclose(frame.numpy(), fresh.numpy(), atol=1e-5)
         assert frame.nodes == fresh.nodes

@@ -18,6 +18,7 @@ from splat.raster.projection import PIXEL_FILTER
 from tests.extremes import extreme
 from tests.splat.lod.views import (
     CORNERS,
+    drawn,
     everything,
     frame_camera,
     no_cutoff,
@@ -47,7 +48,7 @@ def test_a_forest_of_no_node_is_black(each_arrays, got):
     empty = gaussians("overlap", 1, 0).select(torch.zeros(1, dtype=torch.bool))
     renderer = ForestRenderer(each_arrays, one_layer(empty))
     images = [LayerImage(1, 0, ramp(0, 1)), LayerImage(1, 2, ramp(1, 0))]
-    frame = renderer.render(frame_camera(), images, no_cutoff(), everything())
+    frame = drawn(renderer, frame_camera(), images, no_cutoff(), everything())
     assert got(float(frame.numpy().max()), "g") == 0
     assert frame.numpy().shape == (100, 150, 3)
     # And so is the picture of no Gaussians that training asks for; its gradient has no elements.
@@ -121,7 +122,7 @@ def test_many_layer_images_are_composited(each_arrays, got, tall):
     single = [LayerImage(1 + k % LAYERS, 0, weight) for k, weight in enumerate(corners)]
     joined = [LayerImage(1 + k, 0, corners[k::LAYERS].sum(axis=0)) for k in range(LAYERS)]
     first, second = (
-        renderer.render(camera, images, no_cutoff(), everything()).numpy() for images in (single, joined)
+        drawn(renderer, camera, images, no_cutoff(), everything()).numpy() for images in (single, joined)
     )
     assert second.mean() > 0.1
     assert got(float(np.abs(first - second).max()), ".1e") < 1e-4
@@ -151,9 +152,11 @@ def test_layers_that_do_not_exist_are_refused(each_arrays, tall, layer):
 def test_a_cutoff_of_nothing_leaves_a_haze(each_arrays, got, cutoff):
     """A Gaussian of opacity above 0.78 keeps half a percent, however wide its filter."""
     renderer, image = ForestRenderer(each_arrays, small_forest()), LayerImage(3, 0, ramp(1, 1))
-    draw = lambda value: renderer.render(  # noqa: E731
-        frame_camera(), [image], np.full(CORNERS, value, np.float32), everything()
-    ).numpy()
+
+    def draw(value: float) -> np.ndarray:
+        lattice = np.full(CORNERS, value, np.float32)
+        return drawn(renderer, frame_camera(), [image], lattice, everything()).numpy()
+
     frame = draw(cutoff)
     assert 0 < got(float(frame.max()), ".4f") < 0.05
     np.testing.assert_allclose(frame, draw(1e-7), atol=1e-6)
@@ -162,7 +165,7 @@ def test_a_cutoff_of_nothing_leaves_a_haze(each_arrays, got, cutoff):
 @extreme("cut-off of 1e10 cycles per pixel", given="one layer", expected="the pixel's own filter")
 def test_a_cutoff_beyond_the_pixels_is_that_of_the_pixels(each_arrays, got):
     renderer, image = ForestRenderer(each_arrays, small_forest()), LayerImage(3, 0, ramp(1, 1))
-    frame = renderer.render(frame_camera(), [image], np.full(CORNERS, 1e10, np.float32), everything())
+    frame = drawn(renderer, frame_camera(), [image], np.full(CORNERS, 1e10, np.float32), everything())
     expected = renderer.render_layer(frame_camera(), 3).numpy()
     assert got(float(np.abs(frame.numpy() - expected).max()), "g") == 0
 
@@ -172,7 +175,7 @@ def test_a_cutoff_that_is_none_is_refused(each_arrays, cutoff):
     renderer, lattice = ForestRenderer(each_arrays, small_forest()), no_cutoff()
     lattice[2, 3] = cutoff
     with pytest.raises(ValueError, match="cycles per pixel: must be 0 or more"):
-        renderer.render(frame_camera(), [LayerImage(3, 0, ramp(1, 1))], lattice, everything())
+        drawn(renderer, frame_camera(), [LayerImage(3, 0, ramp(1, 1))], lattice, everything())
 
 
 @pytest.mark.parametrize(
@@ -200,7 +203,7 @@ def test_frames_smaller_than_a_sample(each_arrays, got, size):
     whole = np.ones((corners[0] - 1, corners[1] - 1), dtype=bool)
     lattice = np.full(corners, 0.5, np.float32)
     image = LayerImage(3, 4, np.ones(corners, np.float32))
-    frame = renderer.render(camera, [image], lattice, whole).numpy()
+    frame = drawn(renderer, camera, [image], lattice, whole).numpy()
     assert frame.shape == (size[1], size[0], 3)
     assert samples.min() - 1e-6 <= frame.min() <= frame.max() <= samples.max() + 1e-6
 
@@ -211,14 +214,14 @@ def test_one_bad_node_spoils_no_frame(each_arrays, value):
     g = gaussians("overlap", 60, 1)
     g.sh[0, 1, 7] = value
     images = [LayerImage(1, 0, ramp(0, 1)), LayerImage(1, 2, ramp(1, 0))]
-    frame = ForestRenderer(each_arrays, one_layer(g)).render(
-        frame_camera(), images, no_cutoff(), everything()
+    frame = drawn(
+        ForestRenderer(each_arrays, one_layer(g)), frame_camera(), images, no_cutoff(), everything()
     )
     assert np.isfinite(frame.numpy()).all()
     if np.isnan(value):
         others = g.select(torch.arange(60) != 7)
-        without = ForestRenderer(each_arrays, one_layer(others)).render(
-            frame_camera(), images, no_cutoff(), everything()
+        without = drawn(
+            ForestRenderer(each_arrays, one_layer(others)), frame_camera(), images, no_cutoff(), everything()
         )
         np.testing.assert_array_equal(frame.numpy(), without.numpy())
 
@@ -231,9 +234,9 @@ def test_one_bad_node_spoils_no_frame(each_arrays, value):
 def test_a_forest_is_drawn_in_parts(each_arrays, got, monkeypatch):
     images = [LayerImage(3, 0, ramp(0, 1)), LayerImage(2, 1, ramp(1, 0))]
     draw = lambda: (  # noqa: E731
-        ForestRenderer(each_arrays, small_forest())
-        .render(frame_camera(), images, no_cutoff(), everything())
-        .numpy()
+        drawn(
+            ForestRenderer(each_arrays, small_forest()), frame_camera(), images, no_cutoff(), everything()
+        ).numpy()
     )
     whole = draw()
     monkeypatch.setattr(parts, "PAIRS_AT_ONCE", 200)

@@ -11,10 +11,10 @@ import torch
 from splat.lod.footprints import LayerChanges
 from splat.lod.forest_renderer import ForestRenderer
 from splat.lod.layer_images import LayerImage
-from splat.model.dynamic_light import LightCourse, in_light, seen_from_behind
+from splat.model.dynamic_light import LightCourse, factors_at, in_light, seen_from_behind
 from splat.model.forest import Forest
 from splat.model.motion import posed
-from tests.splat.lod.views import CORNERS, everything, frame_camera, no_cutoff, small_forest
+from tests.splat.lod.views import CORNERS, drawn, everything, frame_camera, no_cutoff, small_forest
 from tests.splat.model.test_motion import COUNT, random_motion
 
 
@@ -59,12 +59,12 @@ def test_layers_that_are_composited_move_as_well(arrays):
     weight = np.full(CORNERS, 0.5, dtype=np.float32)
     images = [LayerImage(2, 1, weight), LayerImage(3, 0, weight)]
     renderer = ForestRenderer(arrays, forest)
-    renderer.render(camera, images, no_cutoff(), everything())
+    drawn(renderer, camera, images, no_cutoff(), everything())
     renderer.set_time(0.6)
-    found = renderer.render(camera, images, no_cutoff(), everything()).numpy()
+    found = drawn(renderer, camera, images, no_cutoff(), everything()).numpy()
     still = ForestRenderer(arrays, as_posed(forest, 0.6))
     np.testing.assert_allclose(
-        found, still.render(camera, images, no_cutoff(), everything()).numpy(), atol=1e-5
+        found, drawn(still, camera, images, no_cutoff(), everything()).numpy(), atol=1e-5
     )
 
 
@@ -104,7 +104,7 @@ def test_nodes_have_the_light_of_the_time(arrays, some):
     renderer = ForestRenderer(arrays, lit)
     for time in (0.0, 0.7, 0.2):
         renderer.set_time(time)
-        now = in_light(forest.nodes.gaussians, nodes, lit.light.at(time))
+        now = in_light(forest.nodes.gaussians, nodes, factors_at(lit.light.factors, time))
         shown = replace(forest, nodes=replace(forest.nodes, gaussians=now))
         expected = ForestRenderer(arrays, as_posed(shown, time)).render_layer(camera, 3).numpy()
         np.testing.assert_allclose(renderer.render_layer(camera, 3).numpy(), expected, atol=1e-4)
@@ -129,7 +129,9 @@ def test_sided_nodes_have_the_light_of_the_side_that_is_seen(arrays):
         own = as_posed(forest, time).nodes.gaussians
         rest = forest.nodes.gaussians
         behind = seen_from_behind(light.normals, rest.rotations, own.rotations, own.means, eye)
-        now = in_light(rest, nodes, torch.where(behind, light.behind_at(time), light.at(time)))
+        now = in_light(
+            rest, nodes, torch.where(behind, factors_at(light.behind, time), factors_at(light.factors, time))
+        )
         shown = replace(forest, nodes=replace(forest.nodes, gaussians=now))
         expected = ForestRenderer(arrays, as_posed(shown, time)).render_layer(camera, 3).numpy()
         found = renderer.render_layer(camera, 3).numpy()

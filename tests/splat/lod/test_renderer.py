@@ -21,6 +21,7 @@ from tests.splat.lod.views import (
     CORNERS,
     HEIGHT,
     WIDTH,
+    drawn,
     everything,
     frame_camera,
     no_cutoff,
@@ -89,7 +90,7 @@ CASES = {
 def test_a_composited_frame_equals_its_twin(arrays, forest, camera, case, cutoff):
     images = [LayerImage(layer, rate, ramp(*ends)) for layer, rate, ends in CASES[case]]
     lattice = np.full(CORNERS, cutoff, dtype=np.float32)
-    frame = ForestRenderer(arrays, forest).render(camera, images, lattice, everything())
+    frame = drawn(ForestRenderer(arrays, forest), camera, images, lattice, everything())
     expected = twin(forest, camera, images, filters(forest, camera, images, cutoff))
     np.testing.assert_allclose(frame.numpy(), expected, atol=1e-3)
     assert frame.nodes > 0
@@ -101,11 +102,11 @@ def test_cells_of_a_single_image_at_full_rate_are_drawn_in_place(arrays, forest,
     images = [LayerImage(3, 0, fine), LayerImage(2, 1, 1 - fine)]
     expected = twin(forest, camera, images, filters(forest, camera, images, 0.5))
     renderer = ForestRenderer(arrays, forest)
-    frame = renderer.render(camera, images, no_cutoff(), everything())
+    frame = drawn(renderer, camera, images, no_cutoff(), everything())
     np.testing.assert_allclose(frame.numpy(), expected, atol=1e-3)
     wanted = everything()
     wanted[:2] = False
-    part = renderer.render(camera, images, no_cutoff(), wanted).numpy()
+    part = drawn(renderer, camera, images, no_cutoff(), wanted).numpy()
     assert (part[: 2 * TILE] == 0).all()
     np.testing.assert_allclose(part[2 * TILE :], expected[2 * TILE :], atol=1e-3)
 
@@ -114,7 +115,7 @@ def test_three_images_at_two_rates_meet_in_a_cell(arrays, forest, camera):
     """Cells are grouped by rates, whichever layers they show: left 1 and 2, right 3 and 2."""
     left, right = np.maximum(ramp(1, -1), 0), np.maximum(ramp(-1, 1), 0)
     images = [LayerImage(1, 1, left), LayerImage(3, 1, right), LayerImage(2, 3, 1 - left - right)]
-    frame = ForestRenderer(arrays, forest).render(camera, images, no_cutoff(), everything())
+    frame = drawn(ForestRenderer(arrays, forest), camera, images, no_cutoff(), everything())
     expected = twin(forest, camera, images, filters(forest, camera, images, 0.5))
     np.testing.assert_allclose(frame.numpy(), expected, atol=1e-3)
 
@@ -122,8 +123,8 @@ def test_three_images_at_two_rates_meet_in_a_cell(arrays, forest, camera):
 def test_the_cutoff_is_interpolated_at_each_gaussian(arrays, forest, camera):
     """The filter follows from the cut-off at a Gaussian's centre, clamped to the frame."""
     lattice = ramp(0.02, 0.5) * np.linspace(1, 0.4, CORNERS[0], dtype=np.float32)[:, None]
-    frame = ForestRenderer(arrays, forest).render(
-        camera, [LayerImage(3, 0, ramp(1, 1))], lattice, everything()
+    frame = drawn(
+        ForestRenderer(arrays, forest), camera, [LayerImage(3, 0, ramp(1, 1))], lattice, everything()
     )
     centre, _ = camera.project(forest.finest.means.T.double().numpy())
     cutoff = lattice_at(lattice, centre[:, 0], centre[:, 1])
@@ -145,7 +146,7 @@ def test_images_do_not_depend_on_each_other(arrays, camera):
     forest = forest_of([static_layer(g)], 120.0, "", "")
     rise = ramp(0, 1)
     render = lambda *images: (  # noqa: E731
-        ForestRenderer(arrays, forest).render(camera, list(images), no_cutoff(), everything()).numpy()
+        drawn(ForestRenderer(arrays, forest), camera, list(images), no_cutoff(), everything()).numpy()
     )
     fine, coarse = render(LayerImage(1, 0, ramp(1, 1))), render(LayerImage(1, 4, ramp(1, 1)))
     both = render(LayerImage(1, 0, 1 - rise), LayerImage(1, 4, rise))
@@ -179,10 +180,10 @@ def test_a_wider_filter_than_before_reaches_nodes_outside_the_frame(arrays, fore
     """Cached footprints serve filters up to some width; a wider one needs more of them."""
     renderer = ForestRenderer(arrays, forest)
     image = LayerImage(3, 0, ramp(1, 1))
-    renderer.render(camera, [image], no_cutoff(), everything())
+    drawn(renderer, camera, [image], no_cutoff(), everything())
     wide = np.full(CORNERS, 0.01, np.float32)
-    kept = renderer.render(camera, [image], wide, everything())
-    fresh = ForestRenderer(arrays, forest).render(camera, [image], wide, everything())
+    kept = drawn(renderer, camera, [image], wide, everything())
+    fresh = drawn(ForestRenderer(arrays, forest), camera, [image], wide, everything())
     assert kept.nodes == fresh.nodes
     assert np.array_equal(kept.numpy(), fresh.numpy())
 
@@ -195,7 +196,7 @@ def test_one_layer_is_the_rasterizers_image(arrays, forest, camera):
 
 def test_at_the_displays_nyquist_frequency_the_filter_is_the_pixels_own(arrays, forest, camera):
     renderer = ForestRenderer(arrays, forest)
-    at_nyquist = renderer.render(camera, [LayerImage(3, 0, ramp(1, 1))], no_cutoff(), everything())
+    at_nyquist = drawn(renderer, camera, [LayerImage(3, 0, ramp(1, 1))], no_cutoff(), everything())
     assert np.array_equal(at_nyquist.numpy(), renderer.render_layer(camera, 3).numpy())
 
 
@@ -206,8 +207,8 @@ def test_wanted_cells_do_not_depend_on_the_others(arrays, camera, rate, cutoff):
     images, lattice = [LayerImage(1, rate, ramp(1, 1))], np.full(CORNERS, cutoff, dtype=np.float32)
     wanted = np.zeros(CELLS, dtype=bool)
     wanted[2:4, 3:6] = True
-    whole = renderer.render(camera, images, lattice, everything())
-    part = renderer.render(camera, images, lattice, wanted)
+    whole = drawn(renderer, camera, images, lattice, everything())
+    part = drawn(renderer, camera, images, lattice, wanted)
     # Up to rounding: the image lies elsewhere in its atlas.
     np.testing.assert_allclose(part.numpy()[32:64, 48:96], whole.numpy()[32:64, 48:96], atol=1e-5)
     assert 0 < part.nodes <= whole.nodes
@@ -218,21 +219,25 @@ def test_unwanted_cells_are_black_and_cost_nothing(arrays, forest, camera):
     wanted = everything()
     wanted[:, 4:] = False
     images = [LayerImage(3, 0, ramp(0.5, 0.5)), LayerImage(2, 0, ramp(0.5, 0.5))]
-    all_of_it = renderer.render(camera, images, no_cutoff(), everything())
-    part = renderer.render(camera, images, no_cutoff(), wanted)
+    all_of_it = drawn(renderer, camera, images, no_cutoff(), everything())
+    part = drawn(renderer, camera, images, no_cutoff(), wanted)
     np.testing.assert_array_equal(part.numpy()[:, :64], all_of_it.numpy()[:, :64])
     assert (part.numpy()[:, 64:] == 0).all()
     assert part.nodes < all_of_it.nodes
-    nothing = renderer.render(camera, images, no_cutoff(), np.zeros(CELLS, dtype=bool))
+    nothing = drawn(renderer, camera, images, no_cutoff(), np.zeros(CELLS, dtype=bool))
     assert nothing.nodes == 0
     assert (nothing.numpy() == 0).all()
 
 
 def test_an_image_without_a_weight_is_not_drawn(arrays, forest, camera):
     renderer = ForestRenderer(arrays, forest)
-    alone = renderer.render(camera, [LayerImage(3, 0, ramp(1, 1))], no_cutoff(), everything())
-    beside = renderer.render(
-        camera, [LayerImage(3, 0, ramp(1, 1)), LayerImage(1, 1, ramp(0, 0))], no_cutoff(), everything()
+    alone = drawn(renderer, camera, [LayerImage(3, 0, ramp(1, 1))], no_cutoff(), everything())
+    beside = drawn(
+        renderer,
+        camera,
+        [LayerImage(3, 0, ramp(1, 1)), LayerImage(1, 1, ramp(0, 0))],
+        no_cutoff(),
+        everything(),
     )
     assert alone.nodes == beside.nodes
     assert np.array_equal(alone.numpy(), beside.numpy())
@@ -253,14 +258,14 @@ def test_extremes_stay_finite(arrays, camera, extreme):
     images = [LayerImage(1, 0, ramp(0, 1)), LayerImage(1, 2, ramp(1, 0))]
     lattice = np.full(CORNERS, 1e-4, dtype=np.float32)
     assert np.isfinite(
-        ForestRenderer(arrays, forest).render(camera, images, lattice, everything()).numpy()
+        drawn(ForestRenderer(arrays, forest), camera, images, lattice, everything()).numpy()
     ).all()
 
 
 def test_the_same_frame_has_the_same_bits(arrays, forest, camera):
     images = [LayerImage(3, 0, ramp(0, 1)), LayerImage(2, 1, ramp(1, 0))]
     renderer = ForestRenderer(arrays, forest)
-    first, second = (renderer.render(camera, images, no_cutoff(), everything()) for _ in range(2))
+    first, second = (drawn(renderer, camera, images, no_cutoff(), everything()) for _ in range(2))
     assert np.array_equal(first.numpy(), second.numpy())
 
 
@@ -269,7 +274,7 @@ def test_nodes_are_counted_in_each_image(arrays, forest, camera):
     renderer = ForestRenderer(arrays, forest)
     alone = [renderer.render_layer(camera, layer).nodes for layer in (3, 1)]
     images = [LayerImage(3, 0, ramp(0.5, 0.5)), LayerImage(1, 0, ramp(0.5, 0.5))]
-    assert renderer.render(camera, images, no_cutoff(), everything()).nodes == sum(alone)
+    assert drawn(renderer, camera, images, no_cutoff(), everything()).nodes == sum(alone)
     assert 0 < alone[1] < alone[0] <= len(forest.finest)
 
 
@@ -287,15 +292,15 @@ def test_what_lies_under_a_frame_is_the_layer_alone(arrays, forest, camera):
     )
     lattice, wanted, cells = np.full(CORNERS, 0.1, np.float32), everything(), np.zeros(CELLS, dtype=bool)
     cells[1:3, 1:3] = True
-    frame, under = renderer.render_with(camera, images, lattice, wanted, Under(3, cells))
+    frame, under = renderer.render(camera, images, lattice, wanted, Under(3, cells))
     # Where an image lies among the others decides how positions are rounded.
     alike = lambda found, expected: np.testing.assert_allclose(found, expected, atol=1e-5)  # noqa: E731
-    alike(frame.numpy(), renderer.render(camera, images, lattice, wanted).numpy())
+    alike(frame.numpy(), drawn(renderer, camera, images, lattice, wanted).numpy())
     pixels = cells.repeat(TILE, axis=0).repeat(TILE, axis=1)[: camera.height, : camera.width]
     found, whole = under.numpy(), renderer.render_layer(camera, 3).numpy()
     alike(found[pixels], whole[pixels])
     assert (found[~pixels] == 0).all()
     for layer, covered in ((3, np.zeros_like(cells)), (3, cells)):
-        nothing = renderer.render_with(camera, [], lattice, np.zeros_like(cells), Under(layer, covered))
+        nothing = renderer.render(camera, [], lattice, np.zeros_like(cells), Under(layer, covered))
         assert (nothing[0].numpy() == 0).all()
         alike(nothing[1].numpy(), found if covered.any() else 0)

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from compose.camera.camera import Camera, camera_from_pose
+from splat.lod.forest_renderer import ForestRenderer
+from splat.lod.layer_images import SplatImage
 from splat.model.forest import Forest, forest_of
 from splat.model.layer import static_layer
 from splat.model.trees import build_forest
@@ -61,3 +63,8 @@ def sampled(forest: Forest, camera: Camera, layer: int, rate: int, variance) -> 
     g = reference.double(forest.layers[layer - 1].gaussians)
     splats = reference.project(g, small, variance / size**2)
     return reference.blend(splats, -(-camera.width // size), -(-camera.height // size)).numpy()
+
+
+def drawn(renderer: ForestRenderer, *given) -> SplatImage:
+    """The frame of `render` without the image that lies under it."""
+    return renderer.render(*given)[0]

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from splat.model.layer import Layer, check_forest, static_layer
-from splat.model.trees import build_forest, layer_of_size, longest_axis
+from splat.model.trees import build_forest, layer_of_size
 from tests.splat.samples import equal, spheres
 
 
@@ -32,7 +32,7 @@ def test_layer_intervals():
 def test_the_size_is_the_longest_axis():
     g = spheres([0.0, 1.0], [2.0, 3.0])
     g.log_scales[1, 1] = np.log(7.0)
-    np.testing.assert_allclose(longest_axis(g), [2, 7], rtol=1e-6)
+    np.testing.assert_allclose(g.longest, [2, 7], rtol=1e-6)
 
 
 def test_algorithm_1_on_a_dozen_gaussians():
@@ -85,14 +85,14 @@ def test_new_parents_get_parents_of_their_own():
     """
     layers = build_forest(static_layer(spheres([0.0, 100.0, 101.0, 102.0, 103.0], [9.0, 1, 1, 1, 1])), 1.0, 3)
     assert [layer.parent.tolist() for layer in layers] == [[-1, -1], [0, 0, 1], [0, 0, 1, 1, 2]]
-    np.testing.assert_allclose(longest_axis(layers[1].gaussians), [9, 1.25**0.5, 2], rtol=1e-5)
-    np.testing.assert_allclose(longest_axis(layers[0].gaussians), [9, 4], rtol=1e-5)
+    np.testing.assert_allclose(layers[1].gaussians.longest, [9, 1.25**0.5, 2], rtol=1e-5)
+    np.testing.assert_allclose(layers[0].gaussians.longest, [9, 4], rtol=1e-5)
 
 
 def test_large_gaussians_are_in_all_finer_layers():
     """A Gaussian of class l is a node of layers l to L, its own only ancestor there."""
     given = scattered(200)
-    level = layer_of_size(longest_axis(given.gaussians), 1.0, 4)
+    level = layer_of_size(given.gaussians.longest.numpy(), 1.0, 4)
     forest = build_forest(given, 1.0, 4)
     for k in np.flatnonzero(level <= 2)[:20]:
         node, mean = k, given.gaussians.means[:, k]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from splat.model.dynamic_light import LightCourse, in_light
+from splat.model.dynamic_light import LightCourse, factors_at, in_light
 from splat.model.gaussians import SH_DC, Gaussians, perceptual_from_radiance, radiance_from_perceptual
 from tests.splat.samples import gaussians
 
@@ -39,7 +39,7 @@ def test_factors_are_linear_between_their_times():
         (0.9, [1.6, 1.3]),
         (1.0, [2, 1.5]),
     ):
-        found = course().at(time)
+        found = factors_at(course().factors, time)
         torch.testing.assert_close(found, torch.tensor(expected).float().repeat(3, 1), rtol=1e-3, atol=0)
 
 
@@ -118,8 +118,8 @@ def test_sides_are_checked(sided, behind, normals, said):
 def test_both_sides_have_factors_of_their_own():
     behind = white([[2.0], [4.0], [0.0]])
     both = LightCourse(torch.tensor([2, 5]), course().factors, torch.tensor([1]), behind, torch.ones(3, 1))
-    torch.testing.assert_close(both.at(0.25), course().at(0.25))
-    torch.testing.assert_close(both.behind_at(0.25), torch.full((3, 1), 3.0))
+    torch.testing.assert_close(factors_at(both.factors, 0.25), factors_at(course().factors, 0.25))
+    torch.testing.assert_close(factors_at(both.behind, 0.25), torch.full((3, 1), 3.0))
 
 
 def test_a_part_of_the_nodes_keeps_its_factors():

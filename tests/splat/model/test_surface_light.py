@@ -56,8 +56,8 @@ def test_nodes_have_the_light_of_the_nearest_point():
     near = light.near(torch.from_numpy(means).float(), torch.full((50,), -1, dtype=torch.int32))
     distance = np.linalg.norm(means[:, :, None] - light.means.double().numpy()[:, None], axis=0)
     expected = np.where(light.changes.numpy()[distance.argmin(axis=1)], distance.argmin(axis=1), -1)
-    np.testing.assert_array_equal(near.front, expected)
-    np.testing.assert_array_equal(near.back, expected)
+    np.testing.assert_array_equal(near[0], expected)
+    np.testing.assert_array_equal(near[1], expected)
 
 
 @pytest.mark.parametrize("unit", [1e-4, 1.0, 1e5])
@@ -71,14 +71,14 @@ def test_instances_have_light_of_their_own():
     """Points of the other one are nearer."""
     light = joined(floor(0, 0.3), floor(1, 0.0, seed=2))
     near = light.near(*_at([[0.5, 0.1, 0.02], [0.5, 0.1, 0.02]], [0, 1]))
-    assert (near.front < 400).tolist() == [True, False]
+    assert (near[0] < 400).tolist() == [True, False]
     unknown = light.near(*_at([[0.5, 0.1, 0.02]], [7]))
-    assert unknown.front.tolist() == [-1]
+    assert unknown[0].tolist() == [-1]
 
 
 def test_what_is_far_from_all_points_has_no_light():
     near = floor().near(*_at([[0.5, 0.0, 0.1], [0.5, 0.0, 3.0], [60.0, 0.0, 0.0]], [-1] * 3))
-    assert (near.front >= 0).tolist() == [True, False, False]
+    assert (near[0] >= 0).tolist() == [True, False, False]
 
 
 def test_something_thin_has_two_sides():
@@ -86,12 +86,12 @@ def test_something_thin_has_two_sides():
     above, below = floor(0, 0.001), floor(0, -0.001, up=-1.0, seed=4)
     both = joined(above, below)
     near = both.near(*_at([[0.5, 0.2, 0.0005]], [0]))
-    for index in (near.front, near.back):
+    for index in near:
         assert float((both.means[:2, index[0]] - torch.tensor([0.5, 0.2])).norm()) < 0.3
-    assert float(both.normals[2, near.front[0]]) == -float(both.normals[2, near.back[0]])
+    assert float(both.normals[2, near[0][0]]) == -float(both.normals[2, near[1][0]])
     for one in (above, joined(above, floor(0, -1.5, up=-1.0))):
         alone = one.near(*_at([[0.5, 0.2, 0.0]], [0]))
-        assert alone.front.tolist() == alone.back.tolist() != [-1]
+        assert alone[0].tolist() == alone[1].tolist() != [-1]
 
 
 def test_the_course_of_nodes():
@@ -117,7 +117,7 @@ def test_a_single_point_is_enough():
     chosen = torch.nonzero(light.changes)[:1, 0]
     one = SurfaceLight(*(getattr(light, name)[..., chosen] for name in SurfaceLight.__dataclass_fields__))
     near = one.near(one.means, one.instance)
-    assert near.front.tolist() == near.back.tolist() == [0]
+    assert near[0].tolist() == near[1].tolist() == [0]
 
 
 def _at(means: list[list[float]], instance: list[int]) -> tuple[torch.Tensor, torch.Tensor]:

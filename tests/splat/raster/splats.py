@@ -6,6 +6,8 @@ import drjit as dr
 import numpy as np
 import torch
 
+from splat.raster.binning import Bins, Candidates
+from splat.raster.blending import added_sums, gradients_from_sums, no_sums
 from splat.raster.projection import Splats
 from tests.splat.raster import reference
 
@@ -71,3 +73,16 @@ def blended(leaves: dict[str, torch.Tensor], width: int, height: int) -> torch.T
         "depth": leaves["depth"],
     }
     return reference.blend(splats, width, height)
+
+
+def bin_splats(*given, **settings) -> Bins:
+    """The lists of all tiles at once, from what `Candidates` takes."""
+    candidates = Candidates(*given, **settings)
+    return candidates.bins(candidates.runs(candidates.whole))
+
+
+def rasterize_backward(arrays, splats: Splats, bins: Bins, image, gradient) -> list:
+    """Gradients by the splats from the lists of all tiles at once."""
+    return gradients_from_sums(
+        splats, added_sums(arrays, splats, bins, image, gradient, no_sums(arrays, splats))
+    )

@@ -6,9 +6,9 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from splat.raster.binning import MINIMUM_ALPHA, Bins, TileBounds, bin_splats, depth_order
+from splat.raster.binning import MINIMUM_ALPHA, Bins, TileBounds, depth_order
 from splat.raster.tiles import TileGrid
-from tests.splat.raster.splats import doubles, exponent, of_inverse, random_splats, round_splats
+from tests.splat.raster.splats import bin_splats, doubles, exponent, of_inverse, random_splats, round_splats
 
 GRID = TileGrid(90, 70)
 

@@ -9,11 +9,10 @@ import pytest
 import torch
 
 from splat.raster import blending
-from splat.raster.binning import bin_splats
 from splat.raster.blending import MAXIMUM_ALPHA, rasterize
 from splat.raster.blocks import CHANNELS
 from splat.raster.tiles import TileGrid
-from tests.splat.raster.splats import blended, doubles, random_splats, round_splats
+from tests.splat.raster.splats import bin_splats, blended, doubles, random_splats, round_splats
 
 GRID = TileGrid(90, 70)
 

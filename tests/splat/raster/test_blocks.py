@@ -6,7 +6,7 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from splat.raster.binning import MINIMUM_ALPHA, bin_splats
+from splat.raster.binning import MINIMUM_ALPHA
 from splat.raster.blocks import (
     CHANNELS,
     MINIMUM_TRANSMITTANCE,
@@ -18,7 +18,7 @@ from splat.raster.blocks import (
     exp2,
 )
 from splat.raster.tiles import TileGrid
-from tests.splat.raster.splats import doubles, exponent, random_splats
+from tests.splat.raster.splats import bin_splats, doubles, exponent, random_splats
 
 
 def blocks_of(arrays, side: int, wanted: np.ndarray | None = None):

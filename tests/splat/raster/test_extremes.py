@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from compose.camera.camera import Camera
 from splat.model.gaussians import SH_DC, Gaussians, concatenated
-from splat.raster.binning import bin_splats
 from splat.raster.differentiable import parameters_from, render_differentiable
 from splat.raster.harmonics import LARGEST_RADIANCE
 from splat.raster.projection import project
 from splat.raster.tiles import TileGrid
 from tests.extremes import extreme
 from tests.splat.raster import reference
+from tests.splat.raster.splats import bin_splats
 from tests.splat.samples import leaves_of
 
 # (w, x, y, z): 45 degrees about the view axis, and askew to all axes.

@@ -9,11 +9,19 @@ import numpy as np
 import pytest
 import torch
 
-from splat.raster.binning import bin_splats
-from splat.raster.blending import rasterize, rasterize_backward
+from splat.raster.blending import rasterize
 from splat.raster.blocks import CHANNELS
 from splat.raster.tiles import TileGrid
-from tests.splat.raster.splats import NAMES, blended, doubles, random_splats, round_splats, uploaded
+from tests.splat.raster.splats import (
+    NAMES,
+    bin_splats,
+    blended,
+    doubles,
+    random_splats,
+    rasterize_backward,
+    round_splats,
+    uploaded,
+)
 
 WIDTH, HEIGHT = 60, 50
 DIFFERENTIABLE = NAMES[:-1]

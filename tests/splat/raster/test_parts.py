@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from splat.raster import parts as parts_module
-from splat.raster.binning import Candidates, TileBounds, bin_splats
-from splat.raster.blending import rasterize, rasterize_backward
+from splat.raster.binning import Candidates, TileBounds
+from splat.raster.blending import rasterize
 from splat.raster.parts import Parts, rasterize_parts, rasterize_parts_backward
 from splat.raster.tiles import TileGrid
 from tests.extremes import extreme
-from tests.splat.raster.splats import random_splats, round_splats
+from tests.splat.raster.splats import bin_splats, random_splats, rasterize_backward, round_splats
 
 GRID = TileGrid(90, 70)
 

@@ -9,13 +9,22 @@ import torch
 
 from compose.camera.camera import Camera
 from splat.raster.differentiable import parameters_from
-from splat.raster.projection import NEAR, footprints, project, view_position
+from splat.raster.projection import NEAR, Splats, footprints, project, view_position
 from tests.splat.raster import reference
 from tests.splat.samples import KINDS, camera, gaussians, white_dot
 
 
 def numbers(splats, name: str) -> np.ndarray:
-    return dr.detach(getattr(splats, name), preserve_type=False).numpy()
+    """By name; of splats also the entries xx, xy, yy of the inverse of the 2D covariance."""
+    xy = lambda: splats.x_precision * splats.shear  # noqa: E731
+    inverse = {
+        "xx": lambda: splats.x_precision,
+        "xy": xy,
+        "yy": lambda: dr.fma(xy(), splats.shear, splats.y_precision),
+    }
+    derived = isinstance(splats, Splats) and name in inverse
+    values = inverse[name]() if derived else getattr(splats, name)
+    return dr.detach(values, preserve_type=False).numpy()
 
 
 def test_a_round_gaussian_on_the_axis_has_the_closed_form(arrays):

@@ -8,12 +8,13 @@ import numpy as np
 import torch
 
 from splat.training.moving_nodes import Attachment
-from tests.splat.training.test_nodes import CAMERA, SIZE, View, row_of_nodes, view
+from splat.training.training_view import TrainingView
+from tests.splat.training.test_nodes import CAMERA, SIZE, row_of_nodes, view
 
 CARD = view(0.0)
 
 
-def attached(xs: list[float], z: float, seen: View = CARD) -> Attachment:
+def attached(xs: list[float], z: float, seen: TrainingView = CARD) -> Attachment:
     return Attachment(row_of_nodes(xs, z), seen, seen.instance)
 
 

@@ -7,16 +7,15 @@ import pytest
 import torch
 
 from splat.model.gaussians import Gaussians
+from splat.raster.projection import PIXEL_FILTER
 from splat.raster.visibility import contributions
 from tests.splat.raster import reference
 from tests.splat.samples import KINDS, camera, gaussians
 
-LOW_PASS = 0.1
-
 
 def twin(g: Gaussians, cam, weights: np.ndarray) -> torch.Tensor:
     """(N, C) float64: every pixel against every Gaussian, as Eq. 1 reads."""
-    splats = reference.project(reference.double(g), cam, LOW_PASS)
+    splats = reference.project(reference.double(g), cam, PIXEL_FILTER)
     x, y = np.meshgrid(np.arange(cam.width) + 0.5, np.arange(cam.height) + 0.5)
     pixels = torch.tensor(np.stack([x, y]))
     transmittance = torch.ones(cam.height, cam.width, dtype=torch.float64)
@@ -38,7 +37,7 @@ def twin(g: Gaussians, cam, weights: np.ndarray) -> torch.Tensor:
 def test_contributions_equal_the_twin(arrays, kind, channels):
     g, cam = gaussians(kind), camera()
     weights = np.random.default_rng(0).random((cam.height, cam.width, channels), dtype=np.float32)
-    found = contributions(arrays, g, cam, weights, LOW_PASS).double()
+    found = contributions(arrays, g, cam, weights).double()
     expected = twin(g, cam, weights)
     assert found.shape == (len(g), channels)
     assert expected.max() > 1
@@ -50,8 +49,8 @@ def test_contributions_to_a_pixel_sum_to_one(arrays):
     """Every pixel that shows something is divided among those that it shows."""
     g, cam = gaussians("overlap"), camera()
     weights = np.ones((cam.height, cam.width, 1), dtype=np.float32)
-    total = float(contributions(arrays, g, cam, weights, LOW_PASS).sum())
-    image = reference.render(reference.double(g), cam, LOW_PASS)
+    total = float(contributions(arrays, g, cam, weights).sum())
+    image = reference.render(reference.double(g), cam, PIXEL_FILTER)
     assert total == pytest.approx(float((image.sum(dim=-1) > 0).sum()), rel=0.05)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from splat.model.dynamic_light import NodeLight, SurfaceLight, in_light, seen_from_behind
+from splat.model.dynamic_light import NodeLight, SurfaceLight, factors_at, in_light, seen_from_behind
 from splat.raster.differentiable import render_differentiable
 from splat.training.initialization import seed_at
 from splat.training.trainer import Trainer, TrainingSettings
@@ -66,7 +66,7 @@ def test_known_light_is_learnt_out_of_the_frames(arrays):
         gaussians = layer.gaussians
         if known:
             course = trainer.light.course(layer)
-            gaussians = in_light(gaussians, course.nodes, course.at(1.0))
+            gaussians = in_light(gaussians, course.nodes, factors_at(course.factors, 1.0))
         view = shaded(0.1, 1.0)
         image = render_differentiable(arrays, gaussians, trainer.place.camera(view.camera)).numpy()
         dark = view.points(np.arange(SIZE**2))[:, 0].reshape(SIZE, SIZE) > 0.1

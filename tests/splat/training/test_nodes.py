@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
 
-from compose.camera.camera import Camera, camera_from_pose
+from compose.camera.camera import camera_from_pose
 from splat.model.gaussians import Gaussians
 from splat.model.layer import BACKGROUND, concatenated_layers, static_layer
 from splat.model.motion import Motion
 from splat.training.moving_nodes import evidence_of, separated
+from splat.training.training_view import TrainingView
 
 SIZE, WAY = 32, 0.8
 POSE = np.eye(4)
@@ -27,16 +28,6 @@ MOTION = Motion(
 )
 
 
-@dataclass(frozen=True)
-class View:
-    camera: Camera
-    time: float
-    instance: np.ndarray
-    distance: np.ndarray
-    normal: np.ndarray
-    guessed: bool = False
-
-
 def row_of_nodes(xs: list[float], z: float) -> Gaussians:
     """Round nodes side by side that hide what is behind them."""
     n = len(xs)
@@ -45,7 +36,7 @@ def row_of_nodes(xs: list[float], z: float) -> Gaussians:
     return Gaussians(means, torch.full((3, n), -2.5), rotations, torch.full((n,), 4.0), torch.zeros(1, 3, n))
 
 
-def view(time: float) -> View:
+def view(time: float) -> TrainingView:
     """What is left of the middle and before it moves to the right."""
     labels = np.full((SIZE, SIZE), BACKGROUND, dtype=np.int32)
     x = np.arange(SIZE) + 0.5
@@ -55,7 +46,7 @@ def view(time: float) -> View:
     cosine = CAMERA.rays(CAMERA.pixel_centres())[:, 2]
     distance = (depth / cosine).reshape(SIZE, SIZE).astype(np.float32)
     normal = np.tile(np.float32([0, 0, -1]), (SIZE, SIZE, 1))
-    return View(CAMERA, time, labels, distance, normal)
+    return TrainingView(CAMERA, np.zeros_like(normal), distance, normal, time=time, instance=labels)
 
 
 STILL = np.linspace(-1.2, 1.2, 25).round(3).tolist()

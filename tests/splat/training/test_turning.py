@@ -49,12 +49,12 @@ def test_mean_and_deviation_are_over_what_views_show(arrays):
     """Both are in all views, by as much, from the directions of the eyes."""
     g = two(0.1).turning(torch.tensor([True, True]))
     views = [wall(x) for x in EYES]
-    found = turning_of(arrays, g, views, lambda time: g)
+    mean, deviation = turning_of(arrays, g, views, lambda time: g)
     offset = g.means[:1, 0].numpy() - EYES
     along = 0.1 * offset / np.hypot(offset, 3)
-    torch.testing.assert_close(found.mean[:, 0], torch.full((3,), float(along.mean())), rtol=0.05, atol=1e-3)
-    assert float(found.deviation[0]) == pytest.approx(along.std(), rel=0.05)
-    assert float(found.deviation[1]) == 0
+    torch.testing.assert_close(mean[:, 0], torch.full((3,), float(along.mean())), rtol=0.05, atol=1e-3)
+    assert float(deviation[0]) == pytest.approx(along.std(), rel=0.05)
+    assert float(deviation[1]) == 0
 
 
 @pytest.mark.parametrize(("slope", "kept"), [(0.1, [0]), (0.002, [])])
