@@ -71,6 +71,12 @@ class Camera:
         """Vertical field of view in degrees."""
         return float(np.degrees(np.arctan(self.cy / self.fy) + np.arctan((self.height - self.cy) / self.fy)))
 
+    def at(self, camera_to_world: Array) -> Camera:
+        """The same camera at another pose (4, 4); ValueError if that is not rigid."""
+        # Before it is inverted, which would turn a reflection or a scale into another matrix.
+        check_rigid(camera_to_world)
+        return replace(self, world_to_camera=_rigid_inverse(camera_to_world))
+
     def moved_right(self, distance: float) -> Camera:
         """The camera moved to its right, by a distance in its coordinates."""
         pose = self.world_to_camera.copy()

@@ -50,6 +50,10 @@ class Place:
         """World positions (N, 3) of points (N, 3) of these coordinates."""
         return np.asarray(points, dtype=np.float64) * self.unit + np.array(self.origin)
 
+    def from_world(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Points (..., 3) of these coordinates from world positions."""
+        return (np.asarray(points, dtype=np.float64) - np.array(self.origin)) / self.unit
+
 
 # Coordinates that are those of the world.
 WORLD = Place()

@@ -95,13 +95,7 @@ class CacheArrays:
 
 
 def look_up(
-    arrays: tuple[Any, ...],
-    position: Any,
-    normal: Any,
-    area: Any,
-    segments: Any,
-    jitter: Any,
-    active: Any,
+    arrays: tuple[Any, ...], position: Any, normal: Any, area: Any, segments: Any, jitter: Any, active: Any
 ) -> tuple[Any, Any]:
     """Irradiance at surface points, from the smallest cells that are known.
 
@@ -164,9 +158,8 @@ def sampled_share(flags: Any, wi: Any, sample: Any) -> Any:
 
 
 def shows_lights(flags: Any) -> Any:
-    """Whether surfaces have lobes that show what is in some directions: the others reflect irradiance only.
+    """Whether surfaces, by their BSDF flags, have lobes that show what is in some directions.
 
-    Args:
-        flags: N sets of Mitsuba BSDF flags.
+    The others reflect irradiance only.
     """
     return (flags & (mi.BSDFFlags.All & ~mi.BSDFFlags.Diffuse)) != 0

@@ -28,9 +28,7 @@ from pathtrace.dataset.captured_frames import (
     render_estimates,
     render_frame,
     render_with_halves,
-    write_estimate,
     write_frame,
-    write_radiance,
 )
 from pathtrace.dataset.frame_set import FORMAT_VERSION, CaptureSettings, FrameSet, read_frame_set
 from pathtrace.region.neighbourhood import ViewSet, choose_views, monocular_views
@@ -39,6 +37,8 @@ from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.integrator import Integrator
 from pathtrace.trace.tracer import Tracer
 
+# Keeps the seeds of different captures apart: far more than one capture has frames.
+_CAPTURE_SEED_STEP = 100_003
 # Samples per pixel of the estimates stored with some held-out views: what a fovea may be traced with.
 _ESTIMATE_SPP = (1, 2, 4, 16, 64)
 
@@ -48,9 +48,7 @@ def describe_capture(
 ) -> dict[str, Any]:
     """The content of transforms.json.
 
-    Args:
-        scene, views, settings: what is captured.
-        integrator: of training frames and estimates; held-out frames are always unbiased.
+    The integrator is that of training frames and estimates; held-out frames are always unbiased.
 
     Raises:
         UserError: more views are held out than may be.
@@ -99,9 +97,8 @@ def described_scene(scene: Scene) -> dict[str, Any]:
 
 def described_motion(scene: Scene) -> dict[str, Any]:
     """What moves rigidly, in transforms.json; nothing of a scene that stands still."""
-    return (
-        {} if scene.moving is None else {"courses": [course.as_json() for course in scene.moving.courses()]}
-    )
+    moving = scene.moving
+    return {} if moving is None else {"courses": [course.as_json() for course in moving.courses()]}
 
 
 def write_description(folder: Path, document: dict[str, Any]) -> None:
@@ -140,10 +137,7 @@ def _held_out(views: ViewSet, count: int) -> set[int]:
 
 def _described_settings(settings: CaptureSettings) -> dict[str, Any]:
     """The settings; of free views as captures had them when there were no others."""
-    found = {**asdict(settings), "close_ups": list(settings.close_ups)}
-    if not settings.monocular:
-        del found["monocular"]
-    return found
+    return {name: v for name, v in asdict(settings).items() if name != "monocular" or settings.monocular}
 
 
 def _entry(
@@ -187,10 +181,6 @@ def _intrinsics(camera: Camera) -> dict[str, Any]:
     return {name: value for name, value in camera_to_json(camera).items() if name != "transform_matrix"}
 
 
-# Keeps the seeds of different captures apart: far more than one capture has frames.
-_CAPTURE_SEED_STEP = 100_003
-
-
 def capture(
     scene: Scene,
     folder: Path,
@@ -214,7 +204,7 @@ def capture(
 
     Args:
         scene: the scene, loaded for the selected Mitsuba variant.
-        folder: the folder of the frame set; created if it does not exist.
+        folder: of the frame set; created if it does not exist.
         settings: number, size and sample counts of the frames, and the seed.
         progress: called after each frame with the number of samples done and their total.
         cache: irradiance of the scene in which the paths of training frames, estimates and close-ups end;
@@ -272,7 +262,7 @@ def _write_estimates(tracer: Tracer, folder: Path, entry: dict[str, Any], camera
     lacking = {spp: file for spp, file in files.items() if not is_intact(read_estimate, file, camera)}
     estimates = render_estimates(tracer, camera, tuple(files), seed, lacking)
     for file, estimate in zip(lacking.values(), estimates, strict=True):
-        write_estimate(file, estimate)
+        write_frame(file, estimate)
 
 
 def _write_frame(tracer: Tracer, folder: Path, entry: dict[str, Any], camera: Camera, seed: int) -> None:
@@ -286,7 +276,7 @@ def _write_frame(tracer: Tracer, folder: Path, entry: dict[str, Any], camera: Ca
         frame, radiances = render_with_halves(tracer, camera, entry["samples"], seed)
         for half, radiance in zip(halves, radiances, strict=True):
             if half in lacking:
-                write_radiance(half, radiance)
+                write_frame(half, radiance)
     else:
         frame = render_frame(tracer, camera, entry["samples"], seed)
     if not has_frame:

@@ -58,7 +58,6 @@ def select_backend(choice: str = "auto") -> Backend:
 
 
 def _select(choice: str) -> Backend:
-    """Sets the variant of a valid choice."""
     if isinstance(LLVM, UserError) and (choice == "llvm" or not ctypes.util.find_library("cuda")):
         raise LLVM
     import drjit as dr

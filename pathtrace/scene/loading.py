@@ -9,11 +9,10 @@ its picture is 62, 49, 38 and 26 dB from the unscaled one, moved by 10, 100, 1e3
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mitsuba as mi
@@ -101,14 +100,12 @@ def _relocate_emitter(properties: Any, place: Place) -> None:
     if place.unit != 1:
         _scale_intensity(properties, place.unit**-2)
     if "position" in properties:
-        moved = (np.array(properties["position"], dtype=np.float64) - place.origin) / place.unit
-        properties["position"] = moved.tolist()
+        properties["position"] = place.from_world(np.array(properties["position"])).tolist()
     else:
         _relocate_to_world(properties, place)
 
 
 def _scale_intensity(properties: Any, factor: float) -> None:
-    """Scales the intensity of a point light."""
     if "intensity" not in properties:
         properties["intensity"] = factor
         return
@@ -145,13 +142,16 @@ def _to_world(properties: Any) -> Array:
 def _references(properties: Any) -> list[int]:
     """Indices of the nodes that a node holds."""
     kind = mi.Properties.Type.ResolvedReference
-    return [properties[name].index() for name in properties.keys() if properties.type(name) == kind]  # noqa: SIM118
+    return [properties[name].index() for name in _of_type(properties, kind)]
 
 
 def _holds_objects(properties: Any) -> bool:
     """Whether a node holds an object that is loaded already, as dictionaries may."""
-    kind = mi.Properties.Type.Object
-    return any(properties.type(name) == kind for name in properties.keys())  # noqa: SIM118
+    return bool(_of_type(properties, mi.Properties.Type.Object))
+
+
+def _of_type(properties: Any, kind: Any) -> list[str]:
+    return [name for name in properties.keys() if properties.type(name) == kind]  # noqa: SIM118
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def load_mitsuba_in_place(
     Args:
         source: of the scene.
         unit: of length, in world space.
-        apart: ids of shapes that are not to be merged with others.
+        apart: as in `load_mitsuba`.
 
     Returns:
         The scene, its place, and the step of float32 at vertices that a mesh file holds far from the origin.
@@ -185,12 +185,13 @@ def load_mitsuba_in_place(
     Raises:
         UserError: Mitsuba refuses the scene, or it has a part that cannot be moved or scaled.
     """
-    found: list[tuple[Place, float]] = []
+    place, step = WORLD, 0.0
 
     def moved(state: Any) -> None:
+        nonlocal place, step
         x, y, z = camera_position(state).tolist()
-        found.append((Place((x, y, z), unit), coarsest_step(state)))
-        relocate(state, found[0][0])
+        place, step = Place((x, y, z), unit), coarsest_step(state)
+        relocate(state, place)
 
     try:
         scene = _parsed(source, apart, moved)
@@ -202,7 +203,7 @@ def load_mitsuba_in_place(
                 "unit of length in which it is 1 to 1000 large"
             ) from error
         raise
-    return scene, *found[0]
+    return scene, place, step
 
 
 def load_mitsuba(source: Source, apart: Collection[str] = ()) -> Any:
@@ -218,9 +219,8 @@ def load_mitsuba(source: Source, apart: Collection[str] = ()) -> Any:
     if apart:
         return _parsed(source, apart, lambda state: None)
     # As this loads in parallel.
-    is_dictionary = isinstance(source.content, dict)
-    load = partial(mi.load_dict if is_dictionary else mi.load_string, source.content)
-    return _checked(source.name, load if source.folder is None else lambda: _in(source.folder, load))
+    load = mi.load_dict if isinstance(source.content, dict) else mi.load_string
+    return _checked(source, lambda: load(source.content))
 
 
 def _parsed(source: Source, apart: Collection[str], changed: Callable[[Any], None]) -> Any:
@@ -239,7 +239,7 @@ def _parsed(source: Source, apart: Collection[str], changed: Callable[[Any], Non
         loaded = mi.parser.instantiate(configuration, state)
         return loaded[0] if isinstance(loaded, list) and len(loaded) == 1 else loaded
 
-    return _checked(source.name, load if source.folder is None else lambda: _in(source.folder, load))
+    return _checked(source, load)
 
 
 def _simplify(configuration: Any, state: Any, apart: Collection[str]) -> None:
@@ -253,11 +253,8 @@ def _simplify(configuration: Any, state: Any, apart: Collection[str]) -> None:
     mi.parser.transform_merge_equivalent(configuration, state)
     root = state.root.props
     # Mitsuba merges what hangs on the scene.
-    nodes = {
-        key: state.nodes[root[key].index()]
-        for key in root.keys()  # noqa: SIM118 - not a dictionary
-        if root.type(key) == mi.Properties.Type.ResolvedReference
-    }
+    keys = _of_type(root, mi.Properties.Type.ResolvedReference)
+    nodes = {key: state.nodes[root[key].index()] for key in keys}
     held = {key: root[key] for key, node in nodes.items() if node.props.id() in apart}
     # Mitsuba 3.9.1 crashes where there is no shape to merge.
     if any(node.type == mi.ObjectType.Shape for key, node in nodes.items() if key not in held):
@@ -269,19 +266,21 @@ def _simplify(configuration: Any, state: Any, apart: Collection[str]) -> None:
     mi.parser.transform_reorder(configuration, state)
 
 
-def _checked(source: str, load: Callable[[], Any]) -> Any:
+def _checked(source: Source, load: Callable[[], Any]) -> Any:
     try:
-        loaded = load()
+        loaded = load() if source.folder is None else _in(source.folder, load)
     except Exception as error:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         # Mitsuba's first lines name a position in its own code; the last one says what is wrong.
-        raise UserError(f"{source}: Mitsuba refuses the scene: {lines[-1] if lines else error}") from error
+        raise UserError(
+            f"{source.name}: Mitsuba refuses the scene: {lines[-1] if lines else error}"
+        ) from error
     if isinstance(loaded, list) or not isinstance(loaded, mi.Scene):
-        raise UserError(f"{source}: not a complete scene; the top element must be <scene>")
+        raise UserError(f"{source.name}: not a complete scene; the top element must be <scene>")
     return loaded
 
 
-def _in(folder: Path | None, load: Callable[[], Any]) -> Any:
+def _in(folder: Path, load: Callable[[], Any]) -> Any:
     """Loads a scene whose files are relative to a folder."""
     resolver = mi.file_resolver()
     before = [resolver[i] for i in range(len(resolver))]
@@ -331,10 +330,8 @@ def in_good_coordinates(
     """A scene in coordinates in which Mitsuba can trace it, with its camera and its place.
 
     Args:
-        source: what it was loaded from.
-        loaded: the Mitsuba scene in the coordinates of its file.
-        camera: its own.
-        apart: ids of shapes that are not to be merged with others.
+        source, apart: as in `load_mitsuba`.
+        loaded, camera: the Mitsuba scene in the coordinates of its file, and its camera.
 
     Raises:
         UserError: the scene cannot be moved or scaled as far as it would have to be.
@@ -362,13 +359,6 @@ def in_good_coordinates(
         unit = float(2.0 ** np.round(np.log2(distance / TYPICAL_DISTANCE)))
 
 
-def fingerprint_in(place: Place, fingerprint: str) -> str:
-    """Hash of a scene in the coordinates of a place: forests and frames of others do not fit to it."""
-    if place == WORLD:
-        return fingerprint
-    return hashlib.sha256(f"{fingerprint} at {place.origin} in {place.unit}".encode()).hexdigest()
-
-
 def _is_ordinary(loaded: Any, camera: Camera) -> bool:
     """Whether rays start near enough to surfaces in the coordinates of the file."""
     far = float(np.linalg.norm(camera.position))
@@ -383,9 +373,4 @@ def _is_ordinary(loaded: Any, camera: Camera) -> bool:
 
 
 def _distance(loaded: Any, camera: Camera) -> float:
-    return Surfaces(_Loaded(loaded)).median_distance(camera)
-
-
-@dataclass(frozen=True)
-class _Loaded:
-    mitsuba: Any
+    return Surfaces(SimpleNamespace(mitsuba=loaded)).median_distance(camera)

@@ -98,12 +98,7 @@ class Frozen:
 
 
 class _Scene:
-    """A scene as an argument of a recording: told apart by identity, with its arrays beside it.
-
-    Attributes:
-        scene: the scene.
-        flat: what it is flattened to.
-    """
+    """A scene as an argument of a recording: told apart by identity, with its arrays beside it."""
 
     def __init__(self, scene: Any):
         self.scene = scene
