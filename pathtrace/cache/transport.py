@@ -40,7 +40,7 @@ class Patches:
 
     @staticmethod
     def of(cells: NDArray[np.int64], count: int) -> tuple[Patches, NDArray[np.int32]]:
-        """The patches of points in cells (levels, N), -1 for none, and the index (N,) of each point's patch."""
+        """The patches of points in cells (levels, N), -1 for none, and the (N,) index of each one's patch."""
         # Single numbers are sorted several times faster than columns.
         sizes = (count + 1,) * len(cells)
         names, patch = np.unique(np.ravel_multi_index(tuple(cells + 1), sizes), return_inverse=True)

@@ -63,6 +63,9 @@ class GrowingFrames:
         integrator: name of the integrator of that tracer.
         seed: same seed and same calls, same frames.
 
+    Attributes:
+        scene: that the frames show.
+
     Raises:
         UserError: the folder holds other frames, or a damaged description.
     """
@@ -166,11 +169,9 @@ class GrowingFrames:
             known = had / (had + added)
             pairs = zip(self._halves(before, earlier), halves, strict=True)
             halves = [old.mixed(new, known) for old, new in pairs]
-        geometry = (
-            (earlier.depth, earlier.unfolded, earlier.shape)
-            if earlier
-            else geometry_of(self._tracer, view.camera)
-        )
+            geometry = earlier.depth, earlier.unfolded, earlier.shape
+        else:
+            geometry = geometry_of(self._tracer, view.camera)
         frame = framed(halves[0].mixed(halves[1], 0.5), *geometry)
         for file, half in zip(entry["halves"], halves, strict=True):
             write_frame(self.folder / file, half.radiance)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.errors import UserError
-from compose.camera.camera import Array, Camera
+from compose.camera.camera import Array, Camera, unit
 from pathtrace.region.looks import Looks, turned_about, upright, widened
 from pathtrace.region.view_selection import DrawnRegion
 from pathtrace.scene.scene import Scene
@@ -213,12 +213,12 @@ class FreeSpace:
         """Whether tubes between points (N, 3) and (N, 3) hold no surface."""
         ways = ends - starts
         # Any two axes across; the step from the camera to where it stands has none.
-        is_along_x = np.abs(_unit(ways)[:, :1]) > 0.6
+        is_along_x = np.abs(unit(ways)[:, :1]) > 0.6
         aside = np.cross(ways, np.where(is_along_x, [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]))
         above = np.cross(ways, aside)
         passable = self._surfaces.are_joined(starts, ends)
         for turn in np.arange(_TUBE) * 2 * np.pi / _TUBE:
-            shift = radius * (np.cos(turn) * _unit(aside) + np.sin(turn) * _unit(above))
+            shift = radius * (np.cos(turn) * unit(aside) + np.sin(turn) * unit(above))
             passable[passable] = self._surfaces.are_joined(
                 starts[passable] + shift[passable], ends[passable] + shift[passable]
             )
@@ -226,11 +226,6 @@ class FreeSpace:
 
     def _position(self, nodes: _Nodes) -> Array:
         return self._home + nodes * self.spacing
-
-
-def _unit(vectors: Array) -> Array:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors / np.where(length > 0, length, 1)
 
 
 def _key(nodes: _Nodes) -> _Nodes:

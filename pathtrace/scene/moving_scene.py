@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from compose.base.errors import UserError, one_line
 from compose.base.traced_samples import UNSTEADY, Moment
-from compose.camera.camera import Array, between_steps
+from compose.camera.camera import Array, between_steps, unit
 from compose.camera.coordinate_systems import Place
 from pathtrace.scene.courses import (
     Course,
@@ -328,8 +328,7 @@ def _vertex_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
     sums = np.zeros_like(vertices)
     for corner in range(3):
         np.add.at(sums, faces[:, corner], of_faces)
-    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
-    return np.where(lengths > 0, sums / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0])
+    return unit(sums, [0.0, 0.0, 1.0])
 
 
 def _like(old: Any, value: Array) -> Any:

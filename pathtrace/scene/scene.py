@@ -13,12 +13,7 @@ import numpy as np
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.camera.coordinate_systems import WORLD, Place
-from pathtrace.scene.loading import (
-    Source,
-    camera_of_sensor,
-    in_good_coordinates,
-    load_mitsuba,
-)
+from pathtrace.scene.loading import Source, camera_of_sensor, in_good_coordinates, load_mitsuba
 from pathtrace.scene.motion_file import read_motion
 from pathtrace.scene.moving_scene import MovingScene
 from pathtrace.scene.panes import with_thin_glass
