@@ -171,21 +171,18 @@ class Transport:
         return known
 
     def irradiance(self, sent: NDArray[np.float32], most: int) -> NDArray[np.float32]:
-        """Irradiance by the number of segments from a light at most.
+        """(K, C, 3) irradiance by the number of segments from a light at most, as in `IrradianceCache`.
 
         Args:
             sent: (S, C, 3) irradiance that comes from lights without other cells between; [n] is that of at
                 most n + 1 segments, the last that of all.
             most: number of segments at most, at least 1; below 0 for no bound.
-
-        Returns:
-            (K, C, 3) as of `IrradianceCache`.
         """
         return told_apart(self.every(sent, most))
 
 
 def told_apart(known: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-    """(K, C, 3) as of `IrradianceCache`, of irradiance (C, 3) of at most 1, 2, ... segments."""
+    """(K, C, 3) as in `IrradianceCache`, of irradiance (C, 3) of at most 1, 2, ... segments."""
     return np.stack([*known[: _MOST_STEPS - 1], known[-1]] if len(known) > _MOST_STEPS else known)
 
 
@@ -316,5 +313,5 @@ class Transfer:
         return np.stack([self._averaging @ row.astype(np.float32) for row in rows])
 
     def irradiance(self, most: int) -> NDArray[np.float32]:
-        """(K, C, 3) irradiance of cells, as of `IrradianceCache`; `most` as for `Transport.irradiance`."""
+        """(K, C, 3) irradiance of cells, as in `IrradianceCache`; `most` as in `Transport.irradiance`."""
         return self.transport.irradiance(self.of_cells(self.direct, self.reflected), most)

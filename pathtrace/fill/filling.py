@@ -50,8 +50,7 @@ def fill_cache(
     """A cache of the irradiance that paths from some views will ask for.
 
     Args:
-        scene: the scene.
-        cameras: the views; at least one.
+        scene, cameras: the scene and the views, at least one.
         seed: same seed, same cache on the same machine.
         progress: called with steps done and steps in all.
         points: number of points of each generation.

@@ -295,7 +295,7 @@ def irradiance_over_time(
     at time 0. All times have the same random numbers, so that their ratios have less noise than they.
 
     Args:
-        scene: a scene that moves; afterwards it shows the last time.
+        scene: moves; afterwards it shows the last time.
         cache: of its irradiance at time 0.
         points: where the N points are at a time.
         moving: (M,) which of them move.

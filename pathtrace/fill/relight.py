@@ -39,10 +39,8 @@ PARTS = 12
 class Renewal:
     """Sums over A places, before and after a change of the light.
 
-    Args:
-        sums: (A, 3) sums of the light of all samples of each place before the change.
-        numbers: (A,) number of these samples.
-        regions: (A,) number of the region that each place lies in, from 0 on.
+    Before, there are sums (A, 3) of the light of all samples of each place, and their numbers (A,). Places
+    lie in regions (A,), numbered from 0 on.
     """
 
     def __init__(self, sums: NDArray[Any], numbers: NDArray[np.int64], regions: NDArray[np.int64]):
@@ -119,8 +117,7 @@ class Part:
     """New samples at n of the points of a `Transfer`, and of m of its rays; computed when they are read.
 
     Attributes:
-        points: which points, in their order.
-        rays: which rays.
+        points, rays: which of them.
         sampled: Dr.Jit arrays: of the points' irradiance, of that of each sample, and of its light.
         shown: Dr.Jit arrays of the irradiance by rays.
         numbers: index of each light by the number by which kernels know it.

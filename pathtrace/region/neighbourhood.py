@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -50,8 +51,7 @@ class Neighbourhood:
     """The space around the scene's own camera, at the scale of what it sees.
 
     Attributes:
-        scene_name: for error messages.
-        surfaces: the scene's surfaces.
+        scene_name, surfaces: of the scene.
         home: the scene's own camera at the size of the frames.
         scale: median distance to what it sees.
         share: of the reach and the turns that views have in a field of view of ordinary width, at most 1.
@@ -100,8 +100,7 @@ class Neighbourhood:
         rng = np.random.default_rng([seed, len(BORDER)])
         views = []
         for x, y in BORDER:
-            for _ in range(_OUTER_TRIES):
-                direction = rng.normal(size=3)
+            for direction in (rng.normal(size=3) for _ in range(_OUTER_TRIES)):
                 offset = direction / np.linalg.norm(direction) * self.radius
                 view = _moved(self.home, offset, x * self.share, y * self.share)
                 if self._is_usable(view):
@@ -114,16 +113,12 @@ class Neighbourhood:
         # Takes a second to import, which frames that need no views should not wait for.
         from scipy.stats import qmc
 
-        found: list[Camera] = []
         sequence = qmc.Halton(5, seed=seed)
-        for _ in range(count * _TRIES_PER_VIEW):
-            if len(found) == count:
-                break
-            u = sequence.random(1)[0]
-            offset = _in_ball(u[:3]) * self.radius
-            candidate = _moved(self.home, offset, *((2 * u[3:] - 1) * self.share))
-            if self._is_usable(candidate):
-                found.append(candidate)
+        points = (sequence.random(1)[0] for _ in range(count * _TRIES_PER_VIEW))
+        views = (
+            _moved(self.home, _in_ball(u[:3]) * self.radius, *((2 * u[3:] - 1) * self.share)) for u in points
+        )
+        found = list(islice(filter(self._is_usable, views), count))
         if len(found) < count:
             raise UserError(
                 f"{self.scene_name}: only {len(found)} of {count} further views fit into the free space "
@@ -151,12 +146,11 @@ class Neighbourhood:
 
     def _is_usable(self, candidate: Camera) -> bool:
         """Whether a view is reachable from the scene's own camera and not too near to surfaces."""
-        if not self.surfaces.sees(self.home.position, candidate.position):
-            return False
-        if self.surfaces.clearance(candidate.position) < _CLEARANCE * self.scale:
-            return False
-        distance = self.surfaces.probe(candidate)
-        return float(np.mean(distance < _NEAR * self.scale)) <= _NEAR_SHARE
+        return (
+            self.surfaces.sees(self.home.position, candidate.position)
+            and self.surfaces.clearance(candidate.position) >= _CLEARANCE * self.scale
+            and float(np.mean(self.surfaces.probe(candidate) < _NEAR * self.scale)) <= _NEAR_SHARE
+        )
 
 
 @dataclass(frozen=True)

@@ -120,13 +120,9 @@ class DrawnRegion(ABC):
 
 
 class Selection:
-    """Chooses views of a region.
+    """Chooses views of a region, for viewers and the camera that they have.
 
-    Args:
-        surfaces: the scene's.
-        patch: side of a patch in units of the scene.
-        origin: (3,) point amid the scene.
-        viewers: where viewers may be, and the camera they have.
+    The patches have a side in units of the scene; the origin (3,) is a point amid it.
     """
 
     def __init__(self, surfaces: Surfaces, patch: float, origin: Array, viewers: tuple[Looks, Camera]):

@@ -31,6 +31,12 @@ _POINTS = ("point", "spot")
 _ENDLESS = ("constant", "envmap", "directional", "sunsky", "sun", "sky", BALANCED_SUNSKY)
 # Where float32 has this many steps to a power of two.
 _STEPS = 2.0**23
+# Mitsuba's RayEpsilon in float32.
+_RAY_OFFSET = 1500 * 2.0**-24
+# Largest offset, and largest step of float32 at a vertex, as shares of how far away surfaces are.
+_TOLERANCE = 1e-3
+# A scene of at least this size whose camera is no farther from the origin is good as it is.
+_ORDINARY_SIZE, _ORDINARY_DISTANCE = 1.0, 20.0
 
 
 class ImmovableError(ValueError):
@@ -46,23 +52,18 @@ def camera_position(state: Any) -> Array:
 
 
 def relocate(state: Any, place: Place) -> None:
-    """Puts a parsed scene into the coordinates of a place.
+    """Puts a parsed scene into the coordinates of a place; ImmovableError if a part of it cannot be.
 
     Light stays as it is: that of area lights does not depend on the unit of length, and the intensity of
     point lights is divided by its square.
-
-    Raises:
-        ImmovableError: of a part of the scene.
     """
-    inside = {
-        index
-        for node in state.nodes
-        if node.props.plugin_name() == "shapegroup"
-        for index in _references(node.props)
-    }
+    groups = (node.props for node in state.nodes if node.props.plugin_name() == "shapegroup")
+    inside = {index for group in groups for index in _references(group)}
     for index, node in enumerate(state.nodes):
         kind, plugin = node.type, node.props.plugin_name()
-        if kind in (mi.ObjectType.Medium, mi.ObjectType.Volume) or _holds_objects(node.props):
+        # Dictionaries may hold objects that are loaded already.
+        holds_objects = bool(_of_type(node.props, mi.Properties.Type.Object))
+        if kind in (mi.ObjectType.Medium, mi.ObjectType.Volume) or holds_objects:
             raise ImmovableError(f"a {plugin or 'loaded object'}")
         if kind == mi.ObjectType.BSDF and plugin == "bumpmap" and place.unit != 1:
             raise ImmovableError("a bumpmap")
@@ -84,9 +85,8 @@ def coarsest_step(state: Any) -> float:
     """
     camera = camera_position(state)
     far = float(np.linalg.norm(camera))
-    files = (
-        node.props for node in state.nodes if node.type == mi.ObjectType.Shape and "filename" in node.props
-    )
+    shapes = (node.props for node in state.nodes if node.type == mi.ObjectType.Shape)
+    files = (shape for shape in shapes if "filename" in shape)
     unmoved = any(np.linalg.norm(_to_world(file)[:3, 3] - camera) > 0.5 * far for file in files)
     return far / _STEPS if unmoved else 0.0
 
@@ -145,11 +145,6 @@ def _references(properties: Any) -> list[int]:
     return [properties[name].index() for name in _of_type(properties, kind)]
 
 
-def _holds_objects(properties: Any) -> bool:
-    """Whether a node holds an object that is loaded already, as dictionaries may."""
-    return bool(_of_type(properties, mi.Properties.Type.Object))
-
-
 def _of_type(properties: Any, kind: Any) -> list[str]:
     return [name for name in properties.keys() if properties.type(name) == kind]  # noqa: SIM118
 
@@ -172,15 +167,10 @@ class Source:
 def load_mitsuba_in_place(
     source: Source, unit: float, apart: Collection[str] = ()
 ) -> tuple[Any, Place, float]:
-    """A Mitsuba scene in coordinates of its own, whose origin is the first camera.
+    """A Mitsuba scene in coordinates of its own: its origin is the first camera, its unit that of length.
 
-    Args:
-        source: of the scene.
-        unit: of length, in world space.
-        apart: as in `load_mitsuba`.
-
-    Returns:
-        The scene, its place, and the step of float32 at vertices that a mesh file holds far from the origin.
+    Also returns its place, and the step of float32 at vertices that a mesh file holds far from the origin;
+    `apart` is as in `load_mitsuba`.
 
     Raises:
         UserError: Mitsuba refuses the scene, or it has a part that cannot be moved or scaled.
@@ -194,7 +184,7 @@ def load_mitsuba_in_place(
         relocate(state, place)
 
     try:
-        scene = _parsed(source, apart, moved)
+        return _parsed(source, apart, moved), place, step
     except UserError as error:
         if isinstance(error.__cause__, ImmovableError):
             raise UserError(
@@ -203,15 +193,12 @@ def load_mitsuba_in_place(
                 "unit of length in which it is 1 to 1000 large"
             ) from error
         raise
-    return scene, place, step
 
 
 def load_mitsuba(source: Source, apart: Collection[str] = ()) -> Any:
     """A Mitsuba scene, whose meshes Mitsuba merges, by which tracing is twice as fast.
 
-    Args:
-        source: of the scene.
-        apart: ids of shapes that are not to be merged with others; these keep their ids.
+    Shapes whose ids are to stay `apart` are not merged with others, and keep their ids.
 
     Raises:
         UserError: Mitsuba refuses it, or it is not a scene.
@@ -316,22 +303,12 @@ def camera_of_sensor(sensor: Any, source: str) -> Camera:
         raise UserError(f"{source}: the camera's to_world: {error}") from error
 
 
-# Mitsuba's RayEpsilon in float32.
-_RAY_OFFSET = 1500 * 2.0**-24
-# Largest offset, and largest step of float32 at a vertex, as shares of how far away surfaces are.
-_TOLERANCE = 1e-3
-# A scene of at least this size whose camera is no farther from the origin is good as it is.
-_ORDINARY_SIZE, _ORDINARY_DISTANCE = 1.0, 20.0
-
-
 def in_good_coordinates(
     source: Source, loaded: Any, camera: Camera, apart: Collection[str] = ()
 ) -> tuple[Any, Camera, Place]:
     """A scene in coordinates in which Mitsuba can trace it, with its camera and its place.
 
-    Args:
-        source, apart: as in `load_mitsuba`.
-        loaded, camera: the Mitsuba scene in the coordinates of its file, and its camera.
+    It is given in the coordinates of its file, with its camera; the rest is as in `load_mitsuba`.
 
     Raises:
         UserError: the scene cannot be moved or scaled as far as it would have to be.

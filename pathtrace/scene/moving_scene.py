@@ -50,7 +50,7 @@ class MovingScene:
         source: name of the scene, for error messages.
 
     Attributes:
-        motion: as given.
+        motion: the tracks.
         time: what the scene shows, from 0 to 1.
 
     Raises:

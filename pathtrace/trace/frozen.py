@@ -80,11 +80,6 @@ class Frozen:
                 result = self._recorded(_flattened(given))
         return _rebuilt(result)
 
-    @property
-    def n_recordings(self) -> int:
-        """Number of times that the function was recorded."""
-        return int(self._recorded.n_recordings)
-
     def _known(self, scene: Any) -> _Scene:
         """A scene with its arrays as they are now."""
         # What is kept holds the scene, so that no other one gets its address.

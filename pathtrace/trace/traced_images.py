@@ -52,9 +52,8 @@ def trace_image(
     """Radiance with `spp` samples per pixel, and auxiliary features with as many as go with that.
 
     Args:
-        tracer: traces the scene.
-        camera: the view; its film coordinates are those of `positions`.
-        positions: H * W film positions, row by row from the top.
+        tracer, camera: the view and what traces it.
+        positions: H * W film positions in the camera's coordinates, row by row from the top.
         columns: W, the width of the image.
         spp: samples per pixel.
         seed: same seed, same image.

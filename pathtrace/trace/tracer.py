@@ -91,10 +91,7 @@ def auxiliary_spp(spp: int) -> int:
 
 
 def features_along(spp: int) -> bool:
-    """Whether radiance of `spp` samples per pixel is traced with the auxiliary features of each.
-
-    Of more samples than features require, some are traced apart.
-    """
+    """Whether radiance is traced with the auxiliary features of each of `spp` samples, and not apart."""
     return spp <= _MAX_AUXILIARY_SPP
 
 
@@ -160,8 +157,7 @@ class Tracer:
         """Mean radiance at each position over samples spread evenly over its box.
 
         Args:
-            camera: the view; its film coordinates are those of `positions`.
-            positions: N film positions.
+            camera, positions: the view, and N film positions in its coordinates.
             spp: samples per position, one number for all, at least 1, or N; those without any are black.
             seed: same seed, same result.
             offset: samples already drawn from each position's sequence, one number for all or N; with the
@@ -185,10 +181,7 @@ class Tracer:
     def trace_with_features(
         self, camera: Camera, positions: FilmPositions, spp: int, seed: int, least: int = 0
     ) -> tuple[Traced, AuxiliaryFeatures]:
-        """As `trace`, and auxiliary features over as many sample positions as go with `spp` samples.
-
-        Features have at least `least` samples, if that is more.
-        """
+        """`trace`, and auxiliary features over as many samples as go with `spp`, or `least` if that is more."""
         wanted = max(auxiliary_spp(spp), least)
         traced = self.trace(camera, positions, spp, seed, features=features_along(spp))
         if traced.features is None:
@@ -204,11 +197,7 @@ class Tracer:
         """Auxiliary features at each position.
 
         Albedo and normal are means over the same sample positions as `trace` uses, so that they match its
-        radiance; position and gloss are those of the first sample.
-
-        Args:
-            camera, positions, pattern, offset: as in `trace`.
-            spp: samples per position.
+        radiance; position and gloss are those of the first sample. Arguments are as in `trace`.
         """
         batch = Batch.of(camera, positions, spp, offset, pattern)
         # All samples of a position at once, if they fit: their sum is the same however many parts there are.
