@@ -68,6 +68,10 @@ def describe_capture(
         )
         for index, camera in enumerate(cameras)
     ]
+    described = {**asdict(settings), "close_ups": list(settings.close_ups)}
+    if not settings.monocular:
+        # As captures had them when there were no other views.
+        del described["monocular"]
     rng = np.random.default_rng(settings.seed)
     close_ups = [
         _close_up(cameras[index], index, factor, settings.held_out_spp, views.times[index], rng)
@@ -79,7 +83,7 @@ def describe_capture(
         **_intrinsics(cameras[0]),
         "format_version": FORMAT_VERSION,
         "scene": described_scene(scene),
-        "settings": _described_settings(settings),
+        "settings": described,
         "integrator": integrator.value,
         **described_motion(scene),
         "frames": frames,
@@ -133,11 +137,6 @@ def _held_out(views: ViewSet, count: int) -> set[int]:
         )
     step = len(views.spread) / max(1, count)
     return {len(views.fixed) + round((i + 1) * step) - 1 for i in range(count)}
-
-
-def _described_settings(settings: CaptureSettings) -> dict[str, Any]:
-    """The settings; of free views as captures had them when there were no others."""
-    return {name: v for name, v in asdict(settings).items() if name != "monocular" or settings.monocular}
 
 
 def _entry(
@@ -237,7 +236,10 @@ def capture(
     unbiased, quick = Tracer(scene), Tracer(scene, cache=cache)
     entries = document["frames"] + document["close_ups"]
     cameras = [camera_from_json({**document, **entry}) for entry in entries]
-    samples = [_samples(entry, camera) for entry, camera in zip(entries, cameras, strict=True)]
+    samples = [
+        (entry["samples"] + sum(e["samples"] for e in entry["estimates"])) * camera.width * camera.height
+        for entry, camera in zip(entries, cameras, strict=True)
+    ]
     tracers = [unbiased if entry["held_out"] else quick for entry in document["frames"]]
     tracers += [quick] * len(document["close_ups"])
     for index, (entry, camera) in enumerate(zip(entries, cameras, strict=True)):
@@ -248,12 +250,6 @@ def capture(
         _write_frame(tracers[index], folder, entry, camera, seed)
         progress(sum(samples[: index + 1]), sum(samples))
     return read_frame_set(folder)
-
-
-def _samples(entry: dict[str, Any], camera: Camera) -> int:
-    """Samples of a view's frame and of its estimates."""
-    per_pixel = entry["samples"] + sum(estimate["samples"] for estimate in entry["estimates"])
-    return int(per_pixel * camera.width * camera.height)
 
 
 def _write_estimates(tracer: Tracer, folder: Path, entry: dict[str, Any], camera: Camera, seed: int) -> None:

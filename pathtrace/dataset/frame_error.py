@@ -121,11 +121,6 @@ def mean_frame_error(errors: Sequence[FrameError]) -> FrameError:
     return FrameError(variance, change, product, deviation)
 
 
-def frame_error_db(errors: Sequence[FrameError]) -> float:
-    """PSNR in dB of the mean squared error of several frames; at most 120."""
-    return mean_frame_error(errors).psnr_db
-
-
 def _squared_distance(one: Image, other: Image) -> float:
     """Mean squared difference of two images' sRGB values."""
     difference = srgb_from_radiance(one) - srgb_from_radiance(other)

@@ -155,7 +155,11 @@ class GrowingFrames:
             "estimates": [],
             "halves": [f"{name}-half{half}.exr" for half in (1, 2)],
         }
-        if self._is_complete(entry, view.camera):
+        files = [self.folder / half for half in entry["halves"]]
+        # An interrupted pass came as far as this view if its frame, written last, is intact.
+        if is_intact(read_frame, self.folder / entry["file_path"], view.camera) and all(
+            is_intact(read_radiance, file, view.camera) for file in files
+        ):
             return entry
         self.scene.show(view.time)
         seed = self._seed * _VIEW_SEED_STEP * _HALF_SEED_STEP + index * _VIEW_SEED_STEP
@@ -173,16 +177,11 @@ class GrowingFrames:
         else:
             geometry = geometry_of(self._tracer, view.camera)
         frame = framed(halves[0].mixed(halves[1], 0.5), *geometry)
-        for file, half in zip(entry["halves"], halves, strict=True):
-            write_frame(self.folder / file, half.radiance)
+        for file, half in zip(files, halves, strict=True):
+            write_frame(file, half.radiance)
         # Last: a frame that is there has its halves.
         write_frame(self.folder / entry["file_path"], frame)
         return entry
-
-    def _is_complete(self, entry: dict[str, Any], camera: Camera) -> bool:
-        """Whether an interrupted pass came as far as this view: then its frame, written last, is intact."""
-        halves = (is_intact(read_radiance, self.folder / half, camera) for half in entry["halves"])
-        return is_intact(read_frame, self.folder / entry["file_path"], camera) and all(halves)
 
     def _keep(self, entries: list[dict[str, Any]]) -> None:
         """Writes the description of a complete pass; files of earlier passes go."""

@@ -156,16 +156,12 @@ def _image(folder: Path, frame: dict[str, Any], angle: float, held_out: bool) ->
     file = file_inside(folder, frame["file_path"])
     if file.suffix.lower() != ".png":
         file = file.with_name(file.name + ".png")
-    camera = _synthetic_camera(frame["transform_matrix"], angle, *read_size(file))
-    return PosedImage(camera, None, file, None, time_of(frame), held_out)
-
-
-def _synthetic_camera(matrix: Any, angle: float, width: int, height: int) -> Camera:
-    pose = np.asarray(matrix, dtype=np.float64)
+    (width, height), pose = read_size(file), np.asarray(frame["transform_matrix"], dtype=np.float64)
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise ValueError("transform_matrix must be 4 x 4 finite numbers")
     focal = width / 2 / math.tan(angle / 2)
-    return camera_from_pose(opencv_from_opengl(pose), width, height, focal, focal, width / 2, height / 2)
+    camera = camera_from_pose(opencv_from_opengl(pose), width, height, focal, focal, width / 2, height / 2)
+    return PosedImage(camera, None, file, None, time_of(frame), held_out)
 
 
 def read_nerfies(
@@ -176,8 +172,12 @@ def read_nerfies(
     Raises:
         UserError: a file is missing or damaged, labels are of another size, or values make no view.
     """
-    training, held_out = _ids(folder / DATASET)
-    ids = [*training, *held_out]
+    content = document(folder / DATASET)
+    with described_by(folder / DATASET):
+        held_out = [str(name) for name in content.get("val_ids", [])]
+        training = [str(name) for name in content["train_ids"]]
+    # What is both is held out.
+    ids = [*(name for name in training if name not in held_out), *held_out]
     times = _times(folder / "metadata.json", ids)
     centre, scale, bounds = _scene(folder / "scene.json")
     level = _level(folder, ids)
@@ -193,15 +193,6 @@ def read_nerfies(
         images.append(PosedImage(camera, lens, file, label, time, name in held_out))
     points = _points(folder / _POINTS) if (folder / _POINTS).is_file() else None
     return images, None if points is None else (points - centre) * scale, bounds
-
-
-def _ids(path: Path) -> tuple[list[str], list[str]]:
-    """Names of the training and of the held-out images; what is both is held out."""
-    content = document(path)
-    with described_by(path):
-        held_out = [str(name) for name in content.get("val_ids", [])]
-        training = [str(name) for name in content["train_ids"]]
-    return [name for name in training if name not in set(held_out)], held_out
 
 
 def _times(path: Path, ids: list[str]) -> list[float]:
@@ -309,6 +300,5 @@ def _points(path: Path) -> NDArray[np.float64]:
 
 
 def _file(folder: Path, name: str, suffix: str) -> Path:
-    """A file named by an id."""
     with described_by(folder):
         return file_inside(folder, name + suffix)

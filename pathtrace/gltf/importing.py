@@ -136,7 +136,7 @@ class _Import:
         root = ET.Element("scene", {"version": "3.0.0"})
         root.append(plugin("integrator", "path", value("integer", "max_depth", str(_DEPTH))))
         root.append(camera(self._document, self._nodes, self._to_world, bounds, self._remarks))
-        root.extend(self._materials.bsdfs)
+        root.extend(self._materials.bsdfs.values())
         root.extend(shapes)
         root.extend(self._lights(bounds))
         ET.indent(root, "\t")

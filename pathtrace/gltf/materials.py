@@ -119,25 +119,24 @@ def linear(srgb: Array) -> Array:
 
 
 class Materials:
-    """The materials of a file, as Mitsuba's elements; lines for the user are added to the remarks."""
+    """The materials of a file, as Mitsuba's elements; lines for the user are added to the remarks.
+
+    Attributes:
+        bsdfs: all that shapes refer to, by the number of their material and whether vertices have colours.
+    """
 
     def __init__(self, document: Document, textures: Textures, remarks: list[str]):
         self._document, self._textures, self._remarks = document, textures, remarks
-        self._bsdfs: dict[tuple[int | None, bool], ET.Element] = {}
-
-    @property
-    def bsdfs(self) -> list[ET.Element]:
-        """All that shapes refer to."""
-        return list(self._bsdfs.values())
+        self.bsdfs: dict[tuple[int | None, bool], ET.Element] = {}
 
     def reference(self, material: int | None, coloured: bool, user: str) -> ET.Element:
         """What a shape refers to its material by; `coloured` if its vertices have colours."""
         key = (material, coloured)
-        if key not in self._bsdfs:
+        if key not in self.bsdfs:
             number = "default" if material is None else str(material)
             name = f"material-{number}{'-coloured' if coloured else ''}"
-            self._bsdfs[key] = self._bsdf(self.item(material, user), name, coloured)
-        return ET.Element("ref", {"id": self._bsdfs[key].attrib["id"]})
+            self.bsdfs[key] = self._bsdf(self.item(material, user), name, coloured)
+        return ET.Element("ref", {"id": self.bsdfs[key].attrib["id"]})
 
     def item(self, material: int | None, user: str) -> dict[str, Any]:
         """A material of the file; of a primitive without one, all that is default."""

@@ -74,7 +74,8 @@ def read_path(file: Path, up: Array) -> CameraPath:
     if len(frames) > MOST_POSES:
         raise UserError(f"{file}: {len(frames):,} frames; must be at most {MOST_POSES:,}")
     radius = document.get("radius")
-    if radius is not None and not _is_positive(radius):
+    is_number = isinstance(radius, int | float) and not isinstance(radius, bool)
+    if radius is not None and not (is_number and 0 < radius < np.inf):
         raise UserError(f"{file}: radius is {one_line(repr(radius))}; must be a positive number")
     poses = []
     for index, frame in enumerate(frames):
@@ -87,10 +88,6 @@ def read_path(file: Path, up: Array) -> CameraPath:
                 "and look_at"
             ) from error
     return CameraPath(poses, radius)
-
-
-def _is_positive(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < np.inf
 
 
 def _pose(frame: Any, up: Array) -> Array:

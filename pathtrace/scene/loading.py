@@ -58,7 +58,8 @@ def relocate(state: Any, place: Place) -> None:
     point lights is divided by its square.
     """
     groups = (node.props for node in state.nodes if node.props.plugin_name() == "shapegroup")
-    inside = {index for group in groups for index in _references(group)}
+    reference = mi.Properties.Type.ResolvedReference
+    inside = {group[name].index() for group in groups for name in _of_type(group, reference)}
     for index, node in enumerate(state.nodes):
         kind, plugin = node.type, node.props.plugin_name()
         # Dictionaries may hold objects that are loaded already.
@@ -137,12 +138,6 @@ def _to_world(properties: Any) -> Array:
     if "to_world" not in properties:
         return np.eye(4)
     return np.array(properties["to_world"].matrix, dtype=np.float64).reshape(4, 4)
-
-
-def _references(properties: Any) -> list[int]:
-    """Indices of the nodes that a node holds."""
-    kind = mi.Properties.Type.ResolvedReference
-    return [properties[name].index() for name in _of_type(properties, kind)]
 
 
 def _of_type(properties: Any, kind: Any) -> list[str]:
@@ -240,8 +235,9 @@ def _simplify(configuration: Any, state: Any, apart: Collection[str]) -> None:
     mi.parser.transform_merge_equivalent(configuration, state)
     root = state.root.props
     # Mitsuba merges what hangs on the scene.
-    keys = _of_type(root, mi.Properties.Type.ResolvedReference)
-    nodes = {key: state.nodes[root[key].index()] for key in keys}
+    nodes = {
+        key: state.nodes[root[key].index()] for key in _of_type(root, mi.Properties.Type.ResolvedReference)
+    }
     held = {key: root[key] for key, node in nodes.items() if node.props.id() in apart}
     # Mitsuba 3.9.1 crashes where there is no shape to merge.
     if any(node.type == mi.ObjectType.Shape for key, node in nodes.items() if key not in held):
@@ -338,8 +334,7 @@ def in_good_coordinates(
 
 def _is_ordinary(loaded: Any, camera: Camera) -> bool:
     """Whether rays start near enough to surfaces in the coordinates of the file."""
-    far = float(np.linalg.norm(camera.position))
-    box = loaded.bbox()
+    far, box = float(np.linalg.norm(camera.position)), loaded.bbox()
     size = float(np.max(np.array(box.max) - np.array(box.min)))
     if size >= _ORDINARY_SIZE and far <= _ORDINARY_DISTANCE:
         return True

@@ -25,7 +25,6 @@ from compose.base.files import read_json
 from pathtrace.scene.tracks import (
     Brightness,
     Formula,
-    FormulaTrack,
     Keyframe,
     LightTrack,
     MeshTrack,
@@ -94,7 +93,7 @@ def _shape_track(track: dict[str, Any], folder: Path) -> ShapeTrack:
         raise ValueError("must have one of keyframes, formula and meshes")
     _require_known(track, {"keyframes", "axis", "about"} if kinds == ["keyframes"] else set(kinds))
     if "formula" in track:
-        return FormulaTrack(_formula(track["formula"]))
+        return _formula(track["formula"])
     if "meshes" in track:
         return MeshTrack(_meshes(track["meshes"], folder))
     axis = np.array(_point(track, "axis", [0, 0, 1]))

@@ -22,7 +22,7 @@ from pathtrace.scene.courses import (
     is_unchanged,
     spread_over_faces,
 )
-from pathtrace.scene.tracks import FormulaTrack, LightTrack, MeshTrack, Motion, RigidTrack, ShapeTrack
+from pathtrace.scene.tracks import Formula, LightTrack, MeshTrack, Motion, RigidTrack, ShapeTrack
 
 # Parameters by name that have a value of their own at a time.
 _Part: TypeAlias = Callable[[float], dict[str, Any]]
@@ -118,7 +118,8 @@ class MovingScene:
                     plain, self._tracked.faces_of(name), centre, poses[:, :3, :3]
                 ):
                     # Its highlights stay where they are while it turns.
-                    poses = _without_turns(poses, centre)
+                    poses[:, :3, 3] = poses[:, :3, :3] @ centre + poses[:, :3, 3] - centre
+                    poses[:, :3, :3] = np.eye(3)
                 found.append(course_of_poses(name, number, poses, centre))
             elif rest is not None:
                 at = self._tracked.deforming(name, rest, track)
@@ -236,14 +237,14 @@ class _Tracked:
         matrix = np.array(rest.matrix, dtype=np.float64).reshape(4, 4)
         return lambda time: {key: self.pose(track, time) @ matrix}
 
-    def deforming(self, name: str, rest: Array, track: FormulaTrack | MeshTrack) -> Callable[[float], Array]:
+    def deforming(self, name: str, rest: Array, track: Formula | MeshTrack) -> Callable[[float], Array]:
         """Positions (N, 3) of a shape's vertices in the scene's coordinates, as a function of time."""
-        if isinstance(track, FormulaTrack):
+        if isinstance(track, Formula):
             in_file = self.place.in_world(rest)
 
             def by_formula(time: float) -> Array:
                 try:
-                    return self.place.from_world(track.formula.positions(in_file, time))
+                    return self.place.from_world(track.positions(in_file, time))
                 except ValueError as error:
                     raise self._refused(name, str(error)) from error
 
@@ -312,13 +313,6 @@ def _with_points(rest: Array, moved: Array, faces: NDArray[np.int64]) -> tuple[A
     between = np.einsum("nc,tnci->tni", shares, moved[:, corners])
     rest_between = np.einsum("nc,nci->ni", shares, rest[corners])
     return np.concatenate([rest, rest_between]), np.concatenate([moved, between], axis=1)
-
-
-def _without_turns(poses: Array, centre: Array) -> Array:
-    """Poses (T, 4, 4) that bring a point where the given ones bring it, and turn nothing."""
-    found = np.tile(np.eye(4), (len(poses), 1, 1))
-    found[:, :3, 3] = poses[:, :3, :3] @ centre + poses[:, :3, 3] - centre
-    return found
 
 
 def _vertex_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:

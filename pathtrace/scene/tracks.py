@@ -44,7 +44,9 @@ _MOST_CHARACTERS = 1000
 
 @dataclass(frozen=True)
 class Formula:
-    """Three expressions of a vertex' rest position x, y, z and the time t.
+    """Vertices that move by three expressions of their rest position x, y, z and the time t.
+
+    All are in the coordinates of the scene's file.
 
     Attributes:
         texts: of the new x, y and z, in Python's notation: numbers, + - * / **, parentheses, pi, and sin,
@@ -190,13 +192,6 @@ class RigidTrack:
 
 
 @dataclass(frozen=True)
-class FormulaTrack:
-    """Vertices that move by a formula, in the coordinates of the scene's file."""
-
-    formula: Formula
-
-
-@dataclass(frozen=True)
 class MeshTrack:
     """Vertices that go from mesh to mesh, linearly, in equal times from 0 to 1.
 
@@ -208,7 +203,7 @@ class MeshTrack:
     files: tuple[Path, ...]
 
 
-ShapeTrack = RigidTrack | FormulaTrack | MeshTrack
+ShapeTrack = RigidTrack | Formula | MeshTrack
 
 
 @dataclass(frozen=True)

@@ -181,7 +181,7 @@ class Tracer:
     def trace_with_features(
         self, camera: Camera, positions: FilmPositions, spp: int, seed: int, least: int = 0
     ) -> tuple[Traced, AuxiliaryFeatures]:
-        """`trace`, and auxiliary features over as many samples as go with `spp`, or `least` if that is more."""
+        """`trace`, and auxiliary features of as many samples as go with `spp`, or `least` if that is more."""
         wanted = max(auxiliary_spp(spp), least)
         traced = self.trace(camera, positions, spp, seed, features=features_along(spp))
         if traced.features is None:

@@ -12,7 +12,6 @@ from compose.image.colour import srgb_from_radiance
 from pathtrace.dataset.frame_error import (
     FrameError,
     frame_error,
-    frame_error_db,
     mean_frame_error,
 )
 from pathtrace.trace.traced_images import TracedImage
@@ -53,7 +52,7 @@ def test_the_error_stated_is_the_error_made(wall, spread):
         denoised = halves[0].mixed(halves[1], 0.5).denoised()
         errors.append(frame_error(*halves, denoised))
         truths.append(10 ** (-psnr_db(denoised, wall.radiance) / 10))
-    assert frame_error_db(errors) == pytest.approx(-10 * np.log10(np.mean(truths)), abs=1.5)
+    assert mean_frame_error(errors).psnr_db == pytest.approx(-10 * np.log10(np.mean(truths)), abs=1.5)
 
 
 def denoised_to(monkeypatch, images: list[np.ndarray]) -> None:
