@@ -7,6 +7,7 @@ forward) with intrinsics in pixels. Pixel centres lie at +0.5, rows count from t
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,6 +72,12 @@ class Camera:
     def vertical_fov(self) -> float:
         """Vertical field of view in degrees."""
         return float(np.degrees(np.arctan(self.cy / self.fy) + np.arctan((self.height - self.cy) / self.fy)))
+
+    def at(self, camera_to_world: Array) -> Camera:
+        """The same camera at another pose (4, 4); ValueError if that is not rigid."""
+        # Before it is inverted, which would turn a reflection or a scale into another matrix.
+        check_rigid(camera_to_world)
+        return replace(self, world_to_camera=_rigid_inverse(camera_to_world))
 
     def moved_right(self, distance: float) -> Camera:
         """The camera moved to its right, by a distance in the units of its coordinates."""
@@ -162,6 +169,12 @@ def camera_from_pose(
     # Before it is inverted, which would turn a reflection or a scale into another matrix.
     check_rigid(camera_to_world)
     return Camera(_rigid_inverse(camera_to_world), width, height, float(fx), float(fy), float(cx), float(cy))
+
+
+def unit(vectors: Array, instead: float | Sequence[float] = 0.0) -> Array:
+    """Vectors (N, C) at unit length, and `instead` of those that have none."""
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.where(lengths > 0, vectors / np.where(lengths > 0, lengths, 1), instead)
 
 
 def look_at(position: Array, target: Array, up: Array) -> Array:

@@ -51,7 +51,7 @@ class Place:
         return np.asarray(points, dtype=np.float64) * self.unit + np.array(self.origin)
 
     def from_world(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Points (N, 3) of the world in these coordinates."""
+        """Points (..., 3) of these coordinates from world positions."""
         return (np.asarray(points, dtype=np.float64) - np.array(self.origin)) / self.unit
 
 

@@ -155,7 +155,7 @@ def render(
 
     Of a folder of frames of others (D-NeRF, Nerfies, HyperNeRF, NeRF-DS), which has no scene: splats alone.
     """
-    from pathtrace.dataset.posed_folder import is_posed_folder
+    from pathtrace.dataset.posed_layouts import is_posed_folder
 
     is_folder = is_posed_folder(Path(scene))
     is_path = is_folder and output.suffix.lower() == ".mp4"

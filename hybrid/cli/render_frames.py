@@ -83,7 +83,7 @@ def refuse_tracing(context: typer.Context, folder: Path) -> None:
 def render_frames(folder: Path, request: FramesRequest, settings: FrameSettings) -> dict[str, Any]:
     """Renders a frame or a video of a folder; returns what was measured."""
     from hybrid.render.splat_renderer import SplatRenderer
-    from pathtrace.dataset.posed_folder import read_posed_folder
+    from pathtrace.dataset.posed_layouts import read_posed_folder
 
     found = read_posed_folder(folder)
     renderer = SplatRenderer(_forest_of(found, request.forest))

@@ -35,7 +35,7 @@ from hybrid.render.irradiance import cache_for
 from pathtrace.dataset.capture import capture
 from pathtrace.dataset.frame_set import CaptureSettings, FrameSet, read_frame_set
 from pathtrace.dataset.growing import GrowingFrames
-from pathtrace.region.neighbourhood import unseen_time
+from pathtrace.region.neighbourhood import view_time
 from pathtrace.region.viewing_regions import Region, region_of
 from pathtrace.scene.difficulties import light_difficulties
 from pathtrace.scene.scene import Scene
@@ -170,7 +170,7 @@ class _Job:
         count, size, seed = self._settings.held_out, self._settings.size, self._settings.seed
         with self._clock.stopped(), self._bars("held-out views") as bar:
             cameras = self._region.unseen_views(count, *size, seed) if count else []
-            times = [unseen_time(self._scene, number) for number in range(count)]
+            times = [view_time(self._scene, number + 0.5) for number in range(count)]
             return Judges(self._folder / "held-out", tracer, cameras, times, bar)
 
     def _staged(self, frames: GrowingFrames, before: Forest | None) -> Forest:

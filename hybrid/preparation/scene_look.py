@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from compose.camera.camera import Camera, View
 from compose.image.colour import Image
-from pathtrace.dataset.frame_error import joined
-from pathtrace.region.neighbourhood import view_times
+from pathtrace.region.neighbourhood import view_time
 from pathtrace.region.viewing_regions import Region
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.film import frame_positions, interleaved
-from pathtrace.trace.traced_images import TracedImage, trace_image
+from pathtrace.trace.traced_images import TracedImage, trace_frame
 from pathtrace.trace.tracer import Tracer
 
 # Views, the side of their frames in pixels, and samples per pixel.
@@ -56,7 +55,7 @@ class Look:
     @cached_property
     def denoised(self) -> list[Image]:
         """(H, W, 3) radiance of the larger frames, denoised from all of their samples."""
-        return [joined(*halves).denoised() for halves in self.halves]
+        return [one.mixed(other, 0.5).denoised() for one, other in self.halves]
 
     @property
     def is_one_point(self) -> bool:
@@ -77,7 +76,7 @@ def look_at_scene(scene: Scene, surfaces: Surfaces, region: Region, seed: int) -
         UserError: there is no free space in the region.
     """
     cameras = region.views(_VIEWS, _SIDE, _SIDE, seed)
-    views = [View(*one) for one in zip(cameras, view_times(scene, len(cameras)), strict=True)]
+    views = [View(camera, view_time(scene, number)) for number, camera in enumerate(cameras)]
     tracer = Tracer(scene)
     radiance, gloss, reflected, halves = [], [], [], []
     for number, view in enumerate(views):
@@ -98,12 +97,8 @@ def look_at_scene(scene: Scene, surfaces: Surfaces, region: Region, seed: int) -
 
 def traced_halves(tracer: Tracer, camera: Camera, seed: int) -> tuple[TracedImage, TracedImage]:
     """Two independent halves of the samples of a frame."""
-    positions = frame_positions(camera)
-    one, other = (
-        trace_image(tracer, camera, positions, camera.width, HALF_SPP, int(half))
-        for half in np.random.SeedSequence(seed).generate_state(2)
-    )
-    return one, other
+    one, other = np.random.SeedSequence(seed).generate_state(2)
+    return trace_frame(tracer, camera, HALF_SPP, int(one)), trace_frame(tracer, camera, HALF_SPP, int(other))
 
 
 def _parallax(surfaces: Surfaces, cameras: Sequence[Camera]) -> float:

@@ -16,7 +16,7 @@ from hybrid.preparation.decisions import CONVERGED_DB
 from hybrid.preparation.stages import Stage
 from pathtrace.dataset.frame_error import frame_error, mean_frame_error
 from pathtrace.dataset.growing import GrowingFrames, Wanted
-from pathtrace.region.neighbourhood import time_of
+from pathtrace.region.neighbourhood import view_time
 from pathtrace.region.viewing_regions import Region
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer
@@ -63,7 +63,7 @@ def wanted_of(
         stage: the stage.
         forest: as it is; None if there is none yet.
     """
-    had, moves = frames.samples, frames.moves
+    had = frames.samples
     aimed = [stage.spp_at(scale) for _, scale in views]
     if forest is not None and had:
         renderer, share = ForestRenderer(device_arrays(), forest), _share_left(frames)
@@ -71,7 +71,7 @@ def wanted_of(
             if samples < aimed[number] and not _is_worthwhile(frames, number, renderer, share):
                 aimed[number] = samples
     return [
-        Wanted(camera, max(spp, *had[number : number + 1], 2), time_of(number) if moves else 0.0)
+        Wanted(camera, max(spp, *had[number : number + 1], 2), view_time(frames.scene, number))
         for number, ((camera, _), spp) in enumerate(zip(views, aimed, strict=True))
     ]
 

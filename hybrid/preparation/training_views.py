@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from compose.base.errors import UserError
 from pathtrace.dataset.captured_frames import read_frame
 from pathtrace.dataset.frame_set import FrameEntry, FrameSet, read_frame_set
-from pathtrace.dataset.posed_folder import is_posed_folder, read_posed_folder
 from pathtrace.dataset.posed_images import PosedFolder, PosedImage, read_pixels
+from pathtrace.dataset.posed_layouts import is_posed_folder, read_posed_folder
 from pathtrace.scene.courses import Course
 from splat.model.choices import Labels, MotionModel
 from splat.training.depth_estimates import with_guesses

@@ -28,6 +28,11 @@ _FACTORS = (
 )
 
 
+# Of a hash table: places that are searched for a cell, from the one that its first name selects on, and
+# places for each cell, at least.
+_PROBES, _ROOM = 4, 3
+
+
 @dataclass(frozen=True)
 class Points:
     """N points on surfaces.
@@ -43,7 +48,8 @@ class Points:
     @staticmethod
     def none() -> Points:
         """No points."""
-        return Points(np.zeros((0, 3), dtype=np.float32), np.zeros((0, 3), dtype=np.float32))
+        nothing = np.zeros((0, 3), dtype=np.float32)
+        return Points(nothing, nothing)
 
     def __len__(self) -> int:
         return len(self.position)
@@ -55,9 +61,8 @@ class Points:
 
 def joined_points(parts: Sequence[Points]) -> Points:
     """The points of all parts, one part after the other."""
-    return Points(
-        np.concatenate([part.position for part in parts]), np.concatenate([part.normal for part in parts])
-    )
+    position, normal = (np.concatenate([getattr(p, n) for p in parts]) for n in ("position", "normal"))
+    return Points(position, normal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,15 +111,10 @@ class Cells:
 
     @staticmethod
     def of(points: Points, grid: Grid, joined: Joined) -> Cells:
-        """The cells in which points lie.
+        """The cells in which points on the scene's surfaces lie.
 
         A cell that something divides, a thin wall for example, is left out: its mean would carry light from
         one side to the other.
-
-        Args:
-            points: of the scene's surfaces.
-            grid: where the cells lie.
-            joined: tells whether nothing lies between two points of a cell.
         """
         keys, counts = [], []
         for level, side in enumerate(SIDES):
@@ -131,8 +131,7 @@ class Cells:
     @cached_property
     def known(self) -> NDArray[np.bool_]:
         """(C,) whether enough points lie in each cell to show its mean."""
-        enough = [count >= fewest for count, fewest in zip(self.counts, _FEWEST, strict=True)]
-        return np.concatenate(enough)
+        return np.concatenate([n >= fewest for n, fewest in zip(self.counts, _FEWEST, strict=True)])
 
     def smallest(self, points: Points) -> NDArray[np.int64]:
         """(N,) index of the smallest cell that each point lies in, whether enough is known of it or not.
@@ -148,9 +147,8 @@ class Cells:
     def only_known(self) -> Cells:
         """The cells that are known."""
         ends = np.cumsum([len(keys) for keys in self.keys])[:-1]
-        chosen = np.split(self.known, ends)
-        keys = tuple(values[kept] for values, kept in zip(self.keys, chosen, strict=True))
-        counts = tuple(values[kept] for values, kept in zip(self.counts, chosen, strict=True))
+        parts = zip(self.keys, self.counts, np.split(self.known, ends), strict=True)
+        keys, counts = zip(*((keys[kept], counts[kept]) for keys, counts, kept in parts), strict=True)
         return Cells(self.grid, keys, counts)
 
     def __len__(self) -> int:
@@ -214,12 +212,6 @@ def _mixed(x: Any, y: Any, z: Any, kind: Any, factors: tuple[int, ...], integer:
     bits = (bits ^ (bits >> integer(16))) * integer(0x85EBCA6B)
     bits = (bits ^ (bits >> integer(13))) * integer(0xC2B2AE35)
     return bits ^ (bits >> integer(16))
-
-
-# Places that are searched for a cell, from the one that its first name selects on.
-_PROBES = 4
-# Places for each cell, at least.
-_ROOM = 3
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,9 @@ from pathtrace.cache.cells import SIDES, Cells, Grid, Points, Table, cell_names_
 from pathtrace.cache.light_selection import LightChoice, LightSamples
 from pathtrace.cache.transport import Transfer
 
+# Density below which directions are not sampled.
+_SMALLEST = 1e-20
+
 
 @dataclass(frozen=True, eq=False)
 class IrradianceCache:
@@ -95,15 +98,9 @@ class CacheArrays:
 
 
 def look_up(
-    arrays: tuple[Any, ...],
-    position: Any,
-    normal: Any,
-    area: Any,
-    segments: Any,
-    jitter: Any,
-    active: Any,
+    arrays: tuple[Any, ...], position: Any, normal: Any, area: Any, segments: Any, jitter: Any, active: Any
 ) -> tuple[Any, Any]:
-    """Irradiance at surface points, from the smallest cells that are known.
+    """Mask of the paths that get an answer, and irradiance (Color3f), from the smallest cells that are known.
 
     Args:
         arrays: of an `IrradianceCache`.
@@ -113,9 +110,6 @@ def look_up(
         jitter: N random points in 0..1: neighbouring cells are chosen by chance near their borders, so that
             the grid does not show.
         active: (N,) mask of the paths that ask.
-
-    Returns:
-        Mask of the paths that got an answer, and their irradiance (Color3f, 0 elsewhere).
     """
     (origin, scale), table, steps, cells, *channels = arrays
     frame = mi.Frame3f(normal)
@@ -132,10 +126,6 @@ def look_up(
             known |= found
     cell += (dr.minimum(segments, steps) - 1) * cells
     return known, mi.Color3f(*(dr.gather(mi.Float, channel, cell, known) for channel in channels))
-
-
-# Density below which directions are not sampled.
-_SMALLEST = 1e-20
 
 
 def irradiance_share(flags: Any, wi: Any, wo: Any, pdf: Any) -> Any:
@@ -164,9 +154,8 @@ def sampled_share(flags: Any, wi: Any, sample: Any) -> Any:
 
 
 def shows_lights(flags: Any) -> Any:
-    """Whether surfaces have lobes that show what is in some directions: the others reflect irradiance only.
+    """Whether surfaces, by their BSDF flags, have lobes that show what is in some directions.
 
-    Args:
-        flags: N sets of Mitsuba BSDF flags.
+    The others reflect irradiance only.
     """
     return (flags & (mi.BSDFFlags.All & ~mi.BSDFFlags.Diffuse)) != 0

@@ -18,19 +18,19 @@ from pathtrace.cache.cells import Grid, Points, Table, cell_names_jit, find, nam
 
 # Surfaces that a shadow ray passes at most.
 _MOST = 32
+# Level of the cells that have chances of their own, and samples of each light that such a cell has at least.
+_LEVEL = 2
+_FEWEST = 64
+# Share of all choices that is made with equal chances: no light may be missed.
+_EVEN = 0.2
 
 
 @dr.syntax
 def transmittance(scene: Any, hit: Any, point: Any, active: Any) -> Any:
-    """Share of light (Color3f) that comes to N places from points, through what lets it pass.
+    """Share of light (Color3f) that comes to N interactions from points, through what lets it pass.
 
-    Surfaces pass what their BSDF's null component does: thin glass, and the holes of masks.
-
-    Args:
-        scene: a Mitsuba scene.
-        hit: N Mitsuba interactions.
-        point: N points that light comes from.
-        active: (N,) mask; 0 elsewhere.
+    Surfaces pass what their BSDF's null component does: thin glass, and the holes of masks. The share is 0
+    where the lane is not active.
     """
     share = dr.select(active, mi.Color3f(1), 0)
     going, passed, ray = mi.Bool(active), mi.UInt32(0), hit.spawn_ray_to(point)
@@ -44,13 +44,6 @@ def transmittance(scene: Any, hit: Any, point: Any, active: Any) -> Any:
         ray = dr.select(going, between.spawn_ray_to(point), ray)
         passed += 1
     return share
-
-
-# Level of the cells that have chances of their own, and samples of each light that such a cell has at least.
-_LEVEL = 2
-_FEWEST = 64
-# Share of all choices that is made with equal chances: no light may be missed.
-_EVEN = 0.2
 
 
 @dataclass(frozen=True)
@@ -68,12 +61,9 @@ class LightSamples:
     irradiance: NDArray[np.float32]
 
     def sums(self, places: NDArray[np.int64], count: int, lights: int) -> tuple[NDArray[Any], NDArray[Any]]:
-        """For each of R = `count` places: sums of squares by light (R, E), and numbers of samples (R,).
+        """Sums of squares by light (R, E), and numbers of samples (R,), at R = `count` places.
 
-        Args:
-            places: (M,) index of each sample's place.
-            count: number of places.
-            lights: E, number of lights.
+        The samples lie in the places (M,), and there are E lights.
         """
         weights = self.irradiance.astype(float) ** 2
         squares = np.bincount(places * lights + self.light, weights=weights, minlength=count * lights)
@@ -96,14 +86,7 @@ class LightChoice:
 
     @staticmethod
     def of(samples: LightSamples, points: Points, grid: Grid, lights: int) -> LightChoice:
-        """Chances by the samples in each cell.
-
-        Args:
-            samples: of direct light.
-            points: that these belong to.
-            grid: of the cells.
-            lights: E, number of lights.
-        """
+        """Chances of E lights by samples of points in each cell of a grid."""
         key, cell = np.unique(grid.keys(points, _LEVEL), return_inverse=True)
         place = cell[samples.point]
         squares, numbers = samples.sums(place, len(key), lights)
@@ -118,15 +101,10 @@ class LightChoice:
         known = np.append(self.keys, np.uint64(0))[row] == key
         return np.where(known, row, len(self.keys))
 
-    def learning(self) -> LightLearning:
-        """What new samples, of changed lights, will make of the choice."""
-        return LightLearning(self)
-
     def arrays(self, scene: Any) -> tuple[Any, ...]:
-        """The choice as Dr.Jit arrays for `Lights`: grid, table, rows, light numbers, chances, running sums.
+        """The choice of a Mitsuba scene's lights as Dr.Jit arrays for `Lights`.
 
-        Args:
-            scene: the Mitsuba scene whose lights these are.
+        These are grid, table, rows, light numbers, chances, and running sums.
         """
         table = Table.of(*names_of(self.keys))
         rows = mi.UInt32(len(self.keys))
@@ -142,11 +120,7 @@ class LightChoice:
 
 
 class LightLearning:
-    """A choice that new samples replace little by little.
-
-    Args:
-        before: the choice before the lights changed.
-    """
+    """What new samples make, little by little, of the choice before the lights changed."""
 
     def __init__(self, before: LightChoice):
         self._before = before
@@ -188,13 +162,7 @@ def light_numbers(scene: Any) -> NDArray[np.uint32]:
 
 
 class Lights:
-    """The lights of a scene inside a kernel, chosen by a `LightChoice`.
-
-    Args:
-        scene: a Mitsuba scene.
-        arrays: of the choice.
-        thin_glass: whether shadow rays pass panes of it.
-    """
+    """The lights of a Mitsuba scene inside a kernel, chosen by a `LightChoice`, given as its arrays."""
 
     def __init__(self, scene: Any, arrays: tuple[Any, ...], thin_glass: bool = False):
         self._scene, self._thin_glass = scene, thin_glass

@@ -19,6 +19,11 @@ from scipy import sparse
 
 from pathtrace.cache.cells import Points
 
+# Numbers of segments whose light is told apart; more count as any number.
+_MOST_STEPS = 8
+# Bounces after which the light of an unbounded number of segments no longer changes visibly.
+_UNBOUNDED = 32
+
 
 @dataclass(frozen=True, eq=False)
 class Patches:
@@ -35,12 +40,7 @@ class Patches:
 
     @staticmethod
     def of(cells: NDArray[np.int64], count: int) -> tuple[Patches, NDArray[np.int32]]:
-        """The patches of points, and the index (N,) of that of each point.
-
-        Args:
-            cells: (levels, N) cells of each point, -1 for none.
-            count: C, the number of cells.
-        """
+        """The patches of points in cells (levels, N), -1 for none, and the (N,) index of each one's patch."""
         # Single numbers are sorted several times faster than columns.
         sizes = (count + 1,) * len(cells)
         names, patch = np.unique(np.ravel_multi_index(tuple(cells + 1), sizes), return_inverse=True)
@@ -65,15 +65,13 @@ class Patches:
         return sparse.csr_array((shares, (cell, patch)), (self.count, len(self)))
 
 
+def _bytes(*arrays: NDArray[Any]) -> int:
+    return sum(array.nbytes for array in arrays)
+
+
 def sums_by(place: NDArray[Any], values: NDArray[Any], count: int) -> NDArray[np.float64]:
     """(count, 3) sums of values (N, 3) over the places (N,) that they belong to."""
     return np.stack([np.bincount(place, channel, count) for channel in values.T], axis=1)
-
-
-# Numbers of segments whose light is told apart; more count as any number.
-_MOST_STEPS = 8
-# Bounces after which the light of an unbounded number of segments no longer changes visibly.
-_UNBOUNDED = 32
 
 
 @dataclass(frozen=True)
@@ -114,12 +112,9 @@ class Transport:
 
     @staticmethod
     def of(links: Links, patches: Patches, patch: NDArray[np.int32]) -> Transport:
-        """The transport of links.
+        """The transport of links from N points, with their patches, and the patch (N,) of each.
 
-        Args:
-            links: rays whose hits are known, and rays that left the scene.
-            patches: of the points.
-            patch: (N,) that each point lies in.
+        Links are rays whose hits are known, and rays that left the scene.
         """
         start = patch[links.point]
         rays = np.bincount(start, minlength=len(patches)).astype(np.int32)
@@ -133,19 +128,10 @@ class Transport:
         cells = (linked % patches.count).astype(np.int32)
         return Transport(patches, rays, starts, cells, np.ascontiguousarray(sums.T, dtype=np.float32))
 
-    @staticmethod
-    def none() -> Transport:
-        """The transport between no cells."""
-        nothing = np.zeros(0, dtype=np.int32)
-        patches = Patches(np.zeros((1, 0), dtype=np.int32), 0)
-        no_links = np.zeros((3, 0), dtype=np.float32)
-        return Transport(patches, nothing, np.zeros(1, dtype=np.int32), nothing, no_links)
-
     @property
     def bytes(self) -> int:
         """Memory that it takes."""
-        arrays = self.patches.cells, self.rays, self.starts, self.cells, self.reflectance
-        return sum(array.nbytes for array in arrays)
+        return _bytes(self.patches.cells, self.rays, self.starts, self.cells, self.reflectance)
 
     @cached_property
     def _matrices(self) -> tuple[tuple[sparse.csr_array, ...], ...]:
@@ -166,10 +152,9 @@ class Transport:
         return self.patches.averaging(self.rays)
 
     def received(self, known: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-        """(C, 3) irradiance that comes from lights by way of other cells.
+        """(C, 3) irradiance that comes by way of other cells.
 
-        Args:
-            known: irradiance (C, 3) of at most 1, 2, ... segments.
+        What is known is their own (C, 3), of at most 1, 2, ... segments.
         """
         sums = np.zeros((len(self.patches), 3), dtype=np.float32)
         for channels, light in zip(self._matrices, reversed(known), strict=False):
@@ -186,21 +171,18 @@ class Transport:
         return known
 
     def irradiance(self, sent: NDArray[np.float32], most: int) -> NDArray[np.float32]:
-        """Irradiance by the number of segments from a light at most.
+        """(K, C, 3) irradiance by the number of segments from a light at most, as in `IrradianceCache`.
 
         Args:
             sent: (S, C, 3) irradiance that comes from lights without other cells between; [n] is that of at
                 most n + 1 segments, the last that of all.
             most: number of segments at most, at least 1; below 0 for no bound.
-
-        Returns:
-            (K, C, 3) as of `IrradianceCache`.
         """
         return told_apart(self.every(sent, most))
 
 
 def told_apart(known: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-    """(K, C, 3) as of `IrradianceCache`, of irradiance (C, 3) of at most 1, 2, ... segments."""
+    """(K, C, 3) as in `IrradianceCache`, of irradiance (C, 3) of at most 1, 2, ... segments."""
     return np.stack([*known[: _MOST_STEPS - 1], known[-1]] if len(known) > _MOST_STEPS else known)
 
 
@@ -217,12 +199,6 @@ class Rays:
     point: NDArray[np.int32]
     square: NDArray[np.float32]
     weight: NDArray[np.float32]
-
-    @staticmethod
-    def none() -> Rays:
-        """No rays."""
-        nothing = np.zeros(0, dtype=np.float32)
-        return Rays(nothing.astype(np.int32), np.zeros((0, 2), dtype=np.float32), nothing)
 
     def __len__(self) -> int:
         return len(self.point)
@@ -256,20 +232,18 @@ class Transfer:
     @staticmethod
     def none() -> Transfer:
         """That of a cache without cells."""
-        dark, transport = np.zeros((0, 3), dtype=np.float32), Transport.none()
-        nothing = np.zeros(0, dtype=np.int32), np.zeros(0, dtype=bool)
-        passed = np.ones((1, 0), dtype=np.float32)
-        return Transfer(Points.none(), nothing[0], Rays.none(), dark, dark, passed, transport, nothing[1])
+        points, whole = Points.none(), np.zeros(0, dtype=np.int32)
+        dark, numbers = points.position, np.zeros(0, dtype=np.float32)
+        patches = Patches(np.zeros((1, 0), dtype=np.int32), 0)
+        transport = Transport(patches, whole, np.zeros(1, dtype=np.int32), whole, dark.T)
+        rays, passed = Rays(whole, dark[:, :2], numbers), np.ones((1, 0), dtype=np.float32)
+        return Transfer(points, whole, rays, dark, dark, passed, transport, np.zeros(0, dtype=bool))
 
     @property
     def bytes(self) -> int:
         """Memory that it takes."""
-        arrays = (
-            *(self.points.position, self.points.normal, self.patch),
-            *(self.rays.point, self.rays.square, self.rays.weight),
-            *(self.direct, self.reflected, self.passed, self.known),
-        )
-        return self.transport.bytes + sum(array.nbytes for array in arrays)
+        parts = *vars(self.points).values(), *vars(self.rays).values(), self.patch, self.direct
+        return self.transport.bytes + _bytes(*parts, self.reflected, self.passed, self.known)
 
     def check(self) -> None:
         """Raises a ValueError if the sizes or indices of the parts do not match each other."""
@@ -318,10 +292,8 @@ class Transfer:
     def _shares(self) -> NDArray[np.float64]:
         """(P, 1) share of the points of its region that each patch has."""
         regions = self.transport.patches.regions
-        shares: NDArray[np.float64] = (
-            self.numbers / np.maximum(np.bincount(regions, self.numbers), 1)[regions]
-        )
-        return shares[:, None]
+        of_regions = np.maximum(np.bincount(regions, self.numbers), 1)
+        return np.asarray(self.numbers / of_regions[regions])[:, None]
 
     @cached_property
     def _averaging(self) -> Any:
@@ -341,5 +313,5 @@ class Transfer:
         return np.stack([self._averaging @ row.astype(np.float32) for row in rows])
 
     def irradiance(self, most: int) -> NDArray[np.float32]:
-        """(K, C, 3) irradiance of cells, as of `IrradianceCache`; `most` as for `Transport.irradiance`."""
+        """(K, C, 3) irradiance of cells, as in `IrradianceCache`; `most` as in `Transport.irradiance`."""
         return self.transport.irradiance(self.of_cells(self.direct, self.reflected), most)

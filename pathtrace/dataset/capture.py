@@ -28,9 +28,7 @@ from pathtrace.dataset.captured_frames import (
     render_estimates,
     render_frame,
     render_with_halves,
-    write_estimate,
     write_frame,
-    write_radiance,
 )
 from pathtrace.dataset.frame_set import FORMAT_VERSION, CaptureSettings, FrameSet, read_frame_set
 from pathtrace.region.neighbourhood import ViewSet, choose_views, monocular_views
@@ -39,6 +37,8 @@ from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.integrator import Integrator
 from pathtrace.trace.tracer import Tracer
 
+# Keeps the seeds of different captures apart: far more than one capture has frames.
+_CAPTURE_SEED_STEP = 100_003
 # Samples per pixel of the estimates stored with some held-out views: what a fovea may be traced with.
 _ESTIMATE_SPP = (1, 2, 4, 16, 64)
 
@@ -48,9 +48,7 @@ def describe_capture(
 ) -> dict[str, Any]:
     """The content of transforms.json.
 
-    Args:
-        scene, views, settings: what is captured.
-        integrator: of training frames and estimates; held-out frames are always unbiased.
+    The integrator is that of training frames and estimates; held-out frames are always unbiased.
 
     Raises:
         UserError: more views are held out than may be.
@@ -70,6 +68,10 @@ def describe_capture(
         )
         for index, camera in enumerate(cameras)
     ]
+    described = {**asdict(settings), "close_ups": list(settings.close_ups)}
+    if not settings.monocular:
+        # As captures had them when there were no other views.
+        del described["monocular"]
     rng = np.random.default_rng(settings.seed)
     close_ups = [
         _close_up(cameras[index], index, factor, settings.held_out_spp, views.times[index], rng)
@@ -81,7 +83,7 @@ def describe_capture(
         **_intrinsics(cameras[0]),
         "format_version": FORMAT_VERSION,
         "scene": described_scene(scene),
-        "settings": _described_settings(settings),
+        "settings": described,
         "integrator": integrator.value,
         **described_motion(scene),
         "frames": frames,
@@ -99,9 +101,8 @@ def described_scene(scene: Scene) -> dict[str, Any]:
 
 def described_motion(scene: Scene) -> dict[str, Any]:
     """What moves rigidly, in transforms.json; nothing of a scene that stands still."""
-    return (
-        {} if scene.moving is None else {"courses": [course.as_json() for course in scene.moving.courses()]}
-    )
+    moving = scene.moving
+    return {} if moving is None else {"courses": [course.as_json() for course in moving.courses()]}
 
 
 def write_description(folder: Path, document: dict[str, Any]) -> None:
@@ -136,14 +137,6 @@ def _held_out(views: ViewSet, count: int) -> set[int]:
         )
     step = len(views.spread) / max(1, count)
     return {len(views.fixed) + round((i + 1) * step) - 1 for i in range(count)}
-
-
-def _described_settings(settings: CaptureSettings) -> dict[str, Any]:
-    """The settings; of free views as captures had them when there were no others."""
-    found = {**asdict(settings), "close_ups": list(settings.close_ups)}
-    if not settings.monocular:
-        del found["monocular"]
-    return found
 
 
 def _entry(
@@ -187,10 +180,6 @@ def _intrinsics(camera: Camera) -> dict[str, Any]:
     return {name: value for name, value in camera_to_json(camera).items() if name != "transform_matrix"}
 
 
-# Keeps the seeds of different captures apart: far more than one capture has frames.
-_CAPTURE_SEED_STEP = 100_003
-
-
 def capture(
     scene: Scene,
     folder: Path,
@@ -214,7 +203,7 @@ def capture(
 
     Args:
         scene: the scene, loaded for the selected Mitsuba variant.
-        folder: the folder of the frame set; created if it does not exist.
+        folder: of the frame set; created if it does not exist.
         settings: number, size and sample counts of the frames, and the seed.
         progress: called after each frame with the number of samples done and their total.
         cache: irradiance of the scene in which the paths of training frames, estimates and close-ups end;
@@ -247,7 +236,10 @@ def capture(
     unbiased, quick = Tracer(scene), Tracer(scene, cache=cache)
     entries = document["frames"] + document["close_ups"]
     cameras = [camera_from_json({**document, **entry}) for entry in entries]
-    samples = [_samples(entry, camera) for entry, camera in zip(entries, cameras, strict=True)]
+    samples = [
+        (entry["samples"] + sum(e["samples"] for e in entry["estimates"])) * camera.width * camera.height
+        for entry, camera in zip(entries, cameras, strict=True)
+    ]
     tracers = [unbiased if entry["held_out"] else quick for entry in document["frames"]]
     tracers += [quick] * len(document["close_ups"])
     for index, (entry, camera) in enumerate(zip(entries, cameras, strict=True)):
@@ -260,19 +252,13 @@ def capture(
     return read_frame_set(folder)
 
 
-def _samples(entry: dict[str, Any], camera: Camera) -> int:
-    """Samples of a view's frame and of its estimates."""
-    per_pixel = entry["samples"] + sum(estimate["samples"] for estimate in entry["estimates"])
-    return int(per_pixel * camera.width * camera.height)
-
-
 def _write_estimates(tracer: Tracer, folder: Path, entry: dict[str, Any], camera: Camera, seed: int) -> None:
     """Renders and writes those estimates of one view that are not there, or damaged."""
     files = {e["samples"]: folder / e["file_path"] for e in entry["estimates"]}
     lacking = {spp: file for spp, file in files.items() if not is_intact(read_estimate, file, camera)}
     estimates = render_estimates(tracer, camera, tuple(files), seed, lacking)
     for file, estimate in zip(lacking.values(), estimates, strict=True):
-        write_estimate(file, estimate)
+        write_frame(file, estimate)
 
 
 def _write_frame(tracer: Tracer, folder: Path, entry: dict[str, Any], camera: Camera, seed: int) -> None:
@@ -286,7 +272,7 @@ def _write_frame(tracer: Tracer, folder: Path, entry: dict[str, Any], camera: Ca
         frame, radiances = render_with_halves(tracer, camera, entry["samples"], seed)
         for half, radiance in zip(halves, radiances, strict=True):
             if half in lacking:
-                write_radiance(half, radiance)
+                write_frame(half, radiance)
     else:
         frame = render_frame(tracer, camera, entry["samples"], seed)
     if not has_frame:

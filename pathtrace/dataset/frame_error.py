@@ -18,7 +18,7 @@ is from the mean that the same integrator finds with many more samples.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,6 @@ _LARGEST_RESIDUAL = 16.0
 _BLOCK = 16
 # Smaller errors count as this one, so that frames without noise have 120 dB.
 _LEAST_ERROR = 1e-12
-_DB_PER_SHARE = 10 / np.log(10)
 
 
 @dataclass(frozen=True)
@@ -70,21 +69,12 @@ class FrameError:
         """Peak signal-to-noise ratio in dB of the frame denoised from all samples; at most 120."""
         return float(-10 * np.log10(max(self.mse, _LEAST_ERROR)))
 
-    @property
-    def deviation_db(self) -> float:
-        """Standard deviation of `psnr_db` in dB, as far as the frame's own samples tell."""
-        prior = _PRIOR_DEVIATION * _BIAS_PER_CHANGE * self.change
-        spread = prior * np.sqrt(1 - self._trust())
-        return float(_DB_PER_SHARE * _JOINT_SHARE * spread / max(self.mse, _LEAST_ERROR))
-
-    def _trust(self) -> float:
-        """Weight, 0 to 1, of the product against what the change tells of the bias."""
-        prior = _PRIOR_DEVIATION * _BIAS_PER_CHANGE * self.change
-        return float(prior**2 / (prior**2 + self.deviation**2)) if prior > 0 else 0.0
-
     def _bias(self) -> float:
         """Squared bias of the denoised halves."""
-        told, trust = _BIAS_PER_CHANGE * self.change, self._trust()
+        told = _BIAS_PER_CHANGE * self.change
+        prior = _PRIOR_DEVIATION * told
+        # Weight, 0 to 1, of the product against what the change tells.
+        trust = float(prior**2 / (prior**2 + self.deviation**2)) if prior > 0 else 0.0
         found = trust * self.product + (1 - trust) * told
         return max(found, _LEAST_SHARE * told)
 
@@ -96,7 +86,7 @@ def frame_error(one: TracedImage, other: TracedImage, denoised: Image | None = N
 
     Args:
         one, other: images of the same view and as many samples, from different seeds.
-        denoised: (H, W, 3) `joined(one, other).denoised()`, if it is there already.
+        denoised: (H, W, 3) `one.mixed(other, 0.5).denoised()`, if it is there already.
 
     Raises:
         ValueError: the images differ in size.
@@ -104,7 +94,7 @@ def frame_error(one: TracedImage, other: TracedImage, denoised: Image | None = N
     if one.radiance.shape != other.radiance.shape:
         raise ValueError(f"halves of {one.radiance.shape} and {other.radiance.shape}; must be of one size")
     halves = one.denoised(), other.denoised()
-    both = joined(one, other).denoised() if denoised is None else denoised
+    both = one.mixed(other, 0.5).denoised() if denoised is None else denoised
     mean = np.float32(0.5) * (halves[0] + halves[1])
     slope = _slope(mean)
     first, second = (
@@ -125,25 +115,10 @@ def mean_frame_error(errors: Sequence[FrameError]) -> FrameError:
     """
     if not errors:
         raise ValueError("no frames to have an error")
-    names = [field.name for field in fields(FrameError) if field.name != "deviation"]
-    means = {name: float(np.mean([getattr(error, name) for error in errors])) for name in names}
-    deviation = float(np.sqrt(np.sum(np.square([error.deviation for error in errors]))) / len(errors))
-    return FrameError(**means, deviation=deviation)
-
-
-def frame_error_db(errors: Sequence[FrameError]) -> float:
-    """PSNR in dB of the mean squared error of several frames; at most 120."""
-    return mean_frame_error(errors).psnr_db
-
-
-def joined(one: TracedImage, other: TracedImage) -> TracedImage:
-    """The image of all samples of two images with as many samples each."""
-    half = np.float32(0.5)
-    return TracedImage(
-        half * (one.radiance + other.radiance),
-        half * (one.albedo + other.albedo),
-        half * (one.normal + other.normal),
-    )
+    columns = list(zip(*map(astuple, errors), strict=True))
+    variance, change, product = (float(np.mean(column)) for column in columns[:3])
+    deviation = float(np.sqrt(np.sum(np.square(columns[3]))) / len(errors))
+    return FrameError(variance, change, product, deviation)
 
 
 def _squared_distance(one: Image, other: Image) -> float:

@@ -106,26 +106,22 @@ def read_frame_set(folder: Path) -> FrameSet:
             [_entry(folder, {**document, **frame}) for frame in document[name]]
             for name in ("frames", "close_ups")
         )
-        scene = claimed_scene(document["scene"]["name"], document["scene"]["hash"])
-        integrator = str(document["integrator"])
+        described = document["scene"]
+        scene = claimed_scene(described["name"], described["hash"])
+        integrator, plan = str(document["integrator"]), dict(described.get("plan", {}))
         courses = tuple(course_from_json(course) for course in document.get("courses", ()))
-        plan = dict(document["scene"].get("plan", {}))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UserError(f"{path}: not the description of a frame set ({one_line(repr(error))})") from error
-    _check_files(folder, entries + close_ups)
     digest = hashlib.sha256(text.encode()).hexdigest()
-    return FrameSet(folder, digest, *scene, entries, close_ups, integrator, courses, plan)
-
-
-def _check_files(folder: Path, entries: list[FrameEntry]) -> None:
-    """Raises UserError if a file of the entries is missing."""
-    files = [file for entry in entries for file in (entry.file, *entry.estimates.values(), *entry.halves)]
+    found = FrameSet(folder, digest, *scene, entries, close_ups, integrator, courses, plan)
+    files = [file for one in entries + close_ups for file in (one.file, *one.estimates.values(), *one.halves)]
     missing = [file.name for file in files if not file.is_file()]
     if missing:
         raise UserError(
             f"{folder}: {len(missing)} of {len(files)} files are missing ({missing[0]} first); "
             "run hybrid capture again with the same settings to resume it"
         )
+    return found
 
 
 def _entry(folder: Path, frame: dict[str, Any]) -> FrameEntry:
@@ -137,12 +133,12 @@ def _entry(folder: Path, frame: dict[str, Any]) -> FrameEntry:
         bool(frame["held_out"]),
         {_samples(e): file_inside(folder, e["file_path"]) for e in frame["estimates"]},
         tuple(file_inside(folder, half) for half in frame["halves"]),
-        _time(frame),
+        time_of(frame),
     )
 
 
-def _time(frame: dict[str, Any]) -> float:
-    """The time that a frame shows; ValueError if it is not from 0 to 1."""
+def time_of(frame: dict[str, Any]) -> float:
+    """The time that a frame shows, 0 by default; ValueError if it is not from 0 to 1."""
     time = float(frame.get("time", 0.0))
     if not 0 <= time <= 1:
         raise ValueError(f"time {time:g}: must be from 0 to 1")

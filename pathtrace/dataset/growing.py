@@ -18,17 +18,15 @@ from compose.image.colour import Image
 from pathtrace.dataset.capture import described_motion, described_scene
 from pathtrace.dataset.captured_frames import (
     CapturedFrame,
+    framed,
     geometry_of,
     is_intact,
     read_frame,
     read_radiance,
     write_frame,
-    write_radiance,
 )
-from pathtrace.dataset.frame_error import joined
 from pathtrace.dataset.frame_set import FORMAT_VERSION
-from pathtrace.trace.film import frame_positions
-from pathtrace.trace.traced_images import TracedImage, trace_image
+from pathtrace.trace.traced_images import TracedImage, trace_frame
 from pathtrace.trace.tracer import Tracer
 
 # Between the seeds of views, of passes over one view, and of the two halves of a pass.
@@ -65,12 +63,16 @@ class GrowingFrames:
         integrator: name of the integrator of that tracer.
         seed: same seed and same calls, same frames.
 
+    Attributes:
+        scene: that the frames show.
+
     Raises:
         UserError: the folder holds other frames, or a damaged description.
     """
 
     def __init__(self, folder: Path, tracer: Tracer, integrator: str, seed: int):
-        self.folder, self._tracer, self._seed = folder, tracer, seed
+        self.folder, self.scene, self._tracer, self._seed = folder, tracer.scene, tracer, seed
+        self._path = folder / "transforms.json"
         self._facts = {
             "camera_model": "OPENCV",
             "format_version": FORMAT_VERSION,
@@ -80,11 +82,6 @@ class GrowingFrames:
             **described_motion(tracer.scene),
         }
         self._entries: list[dict[str, Any]] = self._stored()
-
-    @property
-    def moves(self) -> bool:
-        """Whether the scene moves."""
-        return self._tracer.scene.moving is not None
 
     @property
     def samples(self) -> list[int]:
@@ -128,7 +125,8 @@ class GrowingFrames:
             UserError: a file cannot be written, or one that is required is damaged.
         """
         self._require_same(wanted)
-        lacking = [view.spp - have for view, have in zip(wanted, self._had(len(wanted)), strict=True)]
+        had = [*self.samples, *[0] * (len(wanted) - len(self._entries))]
+        lacking = [view.spp - have for view, have in zip(wanted, had, strict=True)]
         sizes = [view.camera.width * view.camera.height for view in wanted]
         costs = [max(0, spp) * size for spp, size in zip(lacking, sizes, strict=True)]
         entries, done = [], 0
@@ -139,10 +137,6 @@ class GrowingFrames:
             if costs[index]:
                 progress(done, sum(costs))
         self._keep([entry for entry in entries if entry is not None])
-
-    def _had(self, count: int) -> list[int]:
-        """Samples per pixel of views before a pass; 0 for new ones."""
-        return [*self.samples, *[0] * (count - len(self._entries))]
 
     def _grown(self, index: int, view: Wanted, before: dict[str, Any] | None) -> dict[str, Any]:
         """Traces and writes what a view lacks; files of this pass that are there already are kept."""
@@ -161,44 +155,33 @@ class GrowingFrames:
             "estimates": [],
             "halves": [f"{name}-half{half}.exr" for half in (1, 2)],
         }
-        if self._is_complete(entry, view.camera):
+        files = [self.folder / half for half in entry["halves"]]
+        # An interrupted pass came as far as this view if its frame, written last, is intact.
+        if is_intact(read_frame, self.folder / entry["file_path"], view.camera) and all(
+            is_intact(read_radiance, file, view.camera) for file in files
+        ):
             return entry
-        self._tracer.scene.show(view.time)
+        self.scene.show(view.time)
         seed = self._seed * _VIEW_SEED_STEP * _HALF_SEED_STEP + index * _VIEW_SEED_STEP
-        halves = self._traced(view.camera, added, (seed + number * _PASS_SEED_STEP) % 2**32)
+        seed += number * _PASS_SEED_STEP
+        halves = [
+            trace_frame(self._tracer, view.camera, added // 2, (seed + half) % 2**32)
+            for half in (0, _HALF_SEED_STEP)
+        ]
         earlier = self._stored_frame(before) if before else None
         if before and earlier:
-            known = np.float32(had / (had + added))
+            known = had / (had + added)
             pairs = zip(self._halves(before, earlier), halves, strict=True)
-            one, other = (_mixed(old, new, known) for old, new in pairs)
-            halves = one, other
-        frame = self._frame(view.camera, joined(*halves), earlier)
-        for file, half in zip(entry["halves"], halves, strict=True):
-            write_radiance(self.folder / file, half.radiance)
+            halves = [old.mixed(new, known) for old, new in pairs]
+            geometry = earlier.depth, earlier.unfolded, earlier.shape
+        else:
+            geometry = geometry_of(self._tracer, view.camera)
+        frame = framed(halves[0].mixed(halves[1], 0.5), *geometry)
+        for file, half in zip(files, halves, strict=True):
+            write_frame(file, half.radiance)
         # Last: a frame that is there has its halves.
         write_frame(self.folder / entry["file_path"], frame)
         return entry
-
-    def _traced(self, camera: Camera, spp: int, seed: int) -> tuple[TracedImage, TracedImage]:
-        """Two independent halves of new samples."""
-        positions = frame_positions(camera)
-        one, other = (
-            trace_image(self._tracer, camera, positions, camera.width, spp // 2, (seed + half) % 2**32)
-            for half in (0, _HALF_SEED_STEP)
-        )
-        return one, other
-
-    def _frame(self, camera: Camera, traced: TracedImage, earlier: CapturedFrame | None) -> CapturedFrame:
-        """The denoised frame, with the geometry that an earlier pass found or its own."""
-        shading = traced.denoised(), traced.albedo, traced.normal
-        if earlier is None:
-            return CapturedFrame(*shading, *geometry_of(self._tracer, camera))
-        return CapturedFrame(*shading, earlier.depth, earlier.unfolded, earlier.shape)
-
-    def _is_complete(self, entry: dict[str, Any], camera: Camera) -> bool:
-        """Whether an interrupted pass came as far as this view: then its frame, written last, is intact."""
-        halves = (is_intact(read_radiance, self.folder / half, camera) for half in entry["halves"])
-        return is_intact(read_frame, self.folder / entry["file_path"], camera) and all(halves)
 
     def _keep(self, entries: list[dict[str, Any]]) -> None:
         """Writes the description of a complete pass; files of earlier passes go."""
@@ -209,10 +192,6 @@ class GrowingFrames:
         for name in before - needed:
             (self.folder / name).unlink(missing_ok=True)
 
-    @property
-    def _path(self) -> Path:
-        return self.folder / "transforms.json"
-
     def _stored(self) -> list[dict[str, Any]]:
         """The frames of complete passes, as they are described."""
         if not self._path.is_file():
@@ -222,12 +201,8 @@ class GrowingFrames:
             document = read_json(self._path)
             entries = document.pop("frames")
             for entry in entries:
-                (
-                    camera_from_json(entry),
-                    entry["samples"] + entry["passes"],
-                    entry["halves"],
-                    entry["file_path"],
-                )
+                # What cannot be read, or is not there, is an error.
+                _ = camera_from_json(entry), entry["samples"] + entry["passes"], _files([entry])
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise UserError(f"{self._path}: is damaged ({error!r}); delete the folder") from error
         if {name: document.get(name) for name in self._facts} != json.loads(json.dumps(self._facts)):
@@ -253,12 +228,6 @@ def _is_same(stored: Camera, camera: Camera) -> bool:
     tolerance[:3, 3] *= max(1.0, float(np.linalg.norm(camera.world_to_camera[:3, 3])))
     off = np.abs(stored.world_to_camera - camera.world_to_camera)
     return numbers[0] == numbers[1] and bool((off <= tolerance).all())
-
-
-def _mixed(old: TracedImage, new: TracedImage, known: np.float32) -> TracedImage:
-    """Earlier samples, with their share of all, and new ones."""
-    names = ("radiance", "albedo", "normal")
-    return TracedImage(*(known * getattr(old, name) + (1 - known) * getattr(new, name) for name in names))
 
 
 def _files(entries: list[dict[str, Any]]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Images of other people with known cameras and times: their folder, their lens, and their pixels without it.
+"""Third-party images with known cameras and times: their folder, their lens, and their pixels without it.
 
 The model of the lens is that of Nerfies' cameras, and of OpenCV: three radial and two tangential
 coefficients, and skew.
@@ -16,14 +16,16 @@ from PIL import Image as PillowImage
 from scipy.ndimage import map_coordinates
 
 from compose.base.errors import MOST_PIXELS, UserError, one_line
-from compose.camera.camera import Camera
+from compose.camera.camera import Array, Camera
 from compose.image.colour import Image, radiance_from_srgb
 
-Array = NDArray[np.float64]
 # Share of a frame's pixels that must be left once what the lens did not show is cut off.
 _LEAST_LEFT = 0.5
 # Pixels beyond the border that are taken for the border itself.
 _TOLERANCE = 0.5
+# In labels that are masks of COLMAP, named ID.png.png, what is dark moves; in others, what is not zero does.
+_COLMAP_SUFFIX = ".png.png"
+_MODES = {"1", "L", "LA", "P", "RGB", "RGBA"}
 
 
 @dataclass(frozen=True)
@@ -39,11 +41,6 @@ class Lens:
     radial: tuple[float, float, float] = (0.0, 0.0, 0.0)
     tangential: tuple[float, float] = (0.0, 0.0)
     skew: float = 0.0
-
-    @property
-    def distorts(self) -> bool:
-        """Whether it does anything at all."""
-        return any((*self.radial, *self.tangential, self.skew))
 
     def distorted(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Where points of the image plane at depth 1 appear on it."""
@@ -99,11 +96,12 @@ def _sources(camera: Camera, lens: Lens) -> tuple[Array, Array]:
 
 def _valid_rectangle(camera: Camera, x: Array, y: Array) -> tuple[slice, slice]:
     """Rows and columns left when sides that the image does not show are cut off, the worst one first."""
-    shown = (np.abs(2 * x - (camera.width - 1)) <= camera.width - 1 + 2 * _TOLERANCE) & (
-        np.abs(2 * y - (camera.height - 1)) <= camera.height - 1 + 2 * _TOLERANCE
+    across, down = (
+        np.abs(2 * at - (size - 1)) <= size - 1 + 2 * _TOLERANCE
+        for at, size in ((x, camera.width), (y, camera.height))
     )
     # What is not a number is not shown, either.
-    missed = ~shown
+    missed = ~(across & down)
     top, bottom, left, right = 0, camera.height, 0, camera.width
     while top < bottom and left < right and missed[top:bottom, left:right].any():
         inner = missed[top:bottom, left:right]
@@ -187,11 +185,6 @@ class PosedFolder:
         return len({image.time for image in self.training}) > 1
 
 
-# In labels that are masks of COLMAP, named ID.png.png, what is dark moves; in others, what is not zero does.
-_COLMAP_SUFFIX = ".png.png"
-_MODES = {"1", "L", "LA", "P", "RGB", "RGBA"}
-
-
 @dataclass(frozen=True)
 class PosedPixels:
     """What a posed image shows, without the distortion of its lens.
@@ -210,11 +203,7 @@ class PosedPixels:
 
 
 def read_size(path: Path) -> tuple[int, int]:
-    """Width and height of an image, from its header.
-
-    Raises:
-        UserError: it is missing, no image, or too large.
-    """
+    """Width and height of an image, from its header; UserError if it is missing, no image, or too large."""
     return _opened(path).size
 
 

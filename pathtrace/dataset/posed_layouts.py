@@ -1,4 +1,4 @@
-"""Layouts of folders of posed images: NeRF's synthetic scenes and D-NeRF; Nerfies, HyperNeRF and NeRF-DS.
+"""Reads folders of posed images in several layouts, which it recognizes.
 
 That of NeRF's synthetic scenes, and of D-NeRF: transforms_train.json and transforms_test.json. Frames are
 `file_path` (without .png), `transform_matrix` (camera to world in OpenGL axes) and, of scenes that move,
@@ -18,6 +18,7 @@ points.npy       some points that the images show
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -27,11 +28,79 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.errors import UserError, file_inside, one_line
+from compose.base.errors import UserError, claimed_scene, file_inside, one_line
 from compose.base.files import read_json, require_size_below
 from compose.camera.camera import Camera, camera_from_pose
 from compose.camera.coordinate_systems import opencv_from_opengl
-from pathtrace.dataset.posed_images import Lens, PosedImage, read_size
+from pathtrace.dataset.frame_set import time_of
+from pathtrace.dataset.posed_images import Lens, PosedFolder, PosedImage, read_size
+
+# Name of a scene whose folder has one that no scene can have.
+_UNNAMED = "frames"
+SYNTHETIC = "NeRF-synthetic or D-NeRF"
+TRAINING = "transforms_train.json"
+# Held out are test images; of a folder without any, those for validation.
+_HELD_OUT = "transforms_test.json", "transforms_val.json"
+NERFIES = "Nerfies, HyperNeRF or NeRF-DS"
+DATASET = "dataset.json"
+_SCALES = (1, 2, 4, 8, 16)
+# Of several sizes, the largest images are read that have at most so many pixels each, as those have that
+# HyperNeRF's figures are of, and so many in all: a training keeps them in memory.
+_MOST_PIXELS, _MOST_IN_ALL = 1 << 20, 1 << 26
+_LABEL_FOLDERS = "mask", "resized_mask"
+_POINTS = "points.npy"
+_MOST_BYTES = 1 << 30
+# By how many pixels images may differ from the size that their camera says: folders round differently.
+_ROUNDING = 2
+
+
+def is_posed_folder(folder: Path) -> bool:
+    """Whether a folder has one of the layouts that can be read."""
+    return (folder / TRAINING).is_file() or (folder / DATASET).is_file()
+
+
+def read_posed_folder(folder: Path) -> PosedFolder:
+    """Reads a folder of posed images, except for the pixels, and checks that all files are there.
+
+    Raises:
+        UserError: the layout is unknown, there is no training image, a file is missing or damaged, or values
+            make no view.
+    """
+    points = bounds = None
+    if (folder / TRAINING).is_file():
+        layout, images = SYNTHETIC, read_synthetic(folder)
+    elif (folder / DATASET).is_file():
+        layout = NERFIES
+        images, points, bounds = read_nerfies(folder)
+    else:
+        raise UserError(
+            f"{folder}: unknown layout; must be that of {SYNTHETIC} ({TRAINING}) or of {NERFIES} ({DATASET})"
+        )
+    if all(image.held_out for image in images):
+        raise UserError(f"{folder}: holds no frames to train on")
+    return PosedFolder(folder, layout, _name(folder), _hash(images), images, points, bounds)
+
+
+def _name(folder: Path) -> str:
+    """The folder's name, as far as it can be that of a scene."""
+    try:
+        return claimed_scene(folder.resolve().name.lstrip(".") or _UNNAMED, "")[0]
+    except ValueError:
+        return _UNNAMED
+
+
+def _hash(images: list[PosedImage]) -> str:
+    """SHA-256 of all images, their labels, cameras and times."""
+    state = hashlib.sha256()
+    for image in images:
+        state.update(repr((image.camera.key, image.lens, image.time, image.held_out)).encode())
+        for file in (image.file, image.labels):
+            if file is not None:
+                try:
+                    state.update(hashlib.sha256(file.read_bytes()).digest())
+                except OSError as error:
+                    raise UserError(f"{file}: cannot be read ({one_line(error)})") from error
+    return state.hexdigest()
 
 
 def document(path: Path) -> Any:
@@ -59,26 +128,8 @@ def described_by(path: Path, what: str = "") -> Iterator[None]:
         raise UserError(f"{path}: {what + ': ' if what else ''}{one_line(error)}") from error
 
 
-def time_of(value: Any) -> float:
-    """A time; ValueError if it is not from 0 to 1."""
-    time = float(value)
-    if not 0 <= time <= 1:
-        raise ValueError(f"time {time:g}: must be from 0 to 1")
-    return time
-
-
-SYNTHETIC = "NeRF-synthetic or D-NeRF"
-TRAINING = "transforms_train.json"
-# Held out are test images; of a folder without any, those for validation.
-_HELD_OUT = "transforms_test.json", "transforms_val.json"
-
-
 def read_synthetic(folder: Path) -> list[PosedImage]:
-    """The images of a folder, training ones first.
-
-    Raises:
-        UserError: a file is missing or damaged, or a frame has values that make no view.
-    """
+    """The images of a folder, training ones first; UserError if a file is damaged or values make no view."""
     images = _frames(folder, TRAINING, False)
     for name in _HELD_OUT:
         if (folder / name).is_file():
@@ -105,29 +156,12 @@ def _image(folder: Path, frame: dict[str, Any], angle: float, held_out: bool) ->
     file = file_inside(folder, frame["file_path"])
     if file.suffix.lower() != ".png":
         file = file.with_name(file.name + ".png")
-    camera = _synthetic_camera(frame["transform_matrix"], angle, *read_size(file))
-    return PosedImage(camera, None, file, None, time_of(frame.get("time", 0.0)), held_out)
-
-
-def _synthetic_camera(matrix: Any, angle: float, width: int, height: int) -> Camera:
-    pose = np.asarray(matrix, dtype=np.float64)
+    (width, height), pose = read_size(file), np.asarray(frame["transform_matrix"], dtype=np.float64)
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise ValueError("transform_matrix must be 4 x 4 finite numbers")
     focal = width / 2 / math.tan(angle / 2)
-    return camera_from_pose(opencv_from_opengl(pose), width, height, focal, focal, width / 2, height / 2)
-
-
-NERFIES = "Nerfies, HyperNeRF or NeRF-DS"
-DATASET = "dataset.json"
-_SCALES = (1, 2, 4, 8, 16)
-# Of several sizes, the largest images are read that have at most so many pixels each, as those have that
-# HyperNeRF's figures are of, and so many in all: a training keeps them in memory.
-_MOST_PIXELS, _MOST_IN_ALL = 1 << 20, 1 << 26
-_LABEL_FOLDERS = "mask", "resized_mask"
-_POINTS = "points.npy"
-_MOST_BYTES = 1 << 30
-# By how many pixels images may differ from the size that their camera says: folders round differently.
-_ROUNDING = 2
+    camera = camera_from_pose(opencv_from_opengl(pose), width, height, focal, focal, width / 2, height / 2)
+    return PosedImage(camera, None, file, None, time_of(frame), held_out)
 
 
 def read_nerfies(
@@ -138,8 +172,12 @@ def read_nerfies(
     Raises:
         UserError: a file is missing or damaged, labels are of another size, or values make no view.
     """
-    training, held_out = _ids(folder / DATASET)
-    ids = [*training, *held_out]
+    content = document(folder / DATASET)
+    with described_by(folder / DATASET):
+        held_out = [str(name) for name in content.get("val_ids", [])]
+        training = [str(name) for name in content["train_ids"]]
+    # What is both is held out.
+    ids = [*(name for name in training if name not in held_out), *held_out]
     times = _times(folder / "metadata.json", ids)
     centre, scale, bounds = _scene(folder / "scene.json")
     level = _level(folder, ids)
@@ -157,15 +195,6 @@ def read_nerfies(
     return images, None if points is None else (points - centre) * scale, bounds
 
 
-def _ids(path: Path) -> tuple[list[str], list[str]]:
-    """Names of the training and of the held-out images; what is both is held out."""
-    content = document(path)
-    with described_by(path):
-        held_out = [str(name) for name in content.get("val_ids", [])]
-        training = [str(name) for name in content["train_ids"]]
-    return [name for name in training if name not in set(held_out)], held_out
-
-
 def _times(path: Path, ids: list[str]) -> list[float]:
     """The time of each image: its number over the largest one."""
     content = document(path)
@@ -176,7 +205,7 @@ def _times(path: Path, ids: list[str]) -> list[float]:
             numbers.append(float(entry["time_id"] if "time_id" in entry else entry["warp_id"]))
     last = max(numbers, default=0.0)
     with described_by(path):
-        return [time_of(number / last if last else number) for number in numbers]
+        return [time_of({"time": number / last if last else number}) for number in numbers]
 
 
 def _scene(path: Path) -> tuple[NDArray[np.float64], float, tuple[float, float] | None]:
@@ -251,7 +280,7 @@ def _nerfies_camera(
     lens = Lens((k1, k2, k3), (p1, p2), float(content.get("skew", 0.0)) * across)
     if not np.isfinite([k1, k2, k3, p1, p2, lens.skew]).all():
         raise ValueError("distortion has a number that is not finite")
-    return camera, lens if lens.distorts else None
+    return camera, None if lens == Lens() else lens
 
 
 def _points(path: Path) -> NDArray[np.float64]:
@@ -271,6 +300,5 @@ def _points(path: Path) -> NDArray[np.float64]:
 
 
 def _file(folder: Path, name: str, suffix: str) -> Path:
-    """A file named by an id."""
     with described_by(folder):
         return file_inside(folder, name + suffix)

@@ -22,15 +22,6 @@ from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.film import opaque_camera, ray_through
 from pathtrace.trace.first_hit import first_hits
 
-
-def segments_beyond_cache(scene: Scene) -> int:
-    """Segments that a path may take beyond the cache, at least 1; -1 for no bound.
-
-    One of a path's segments leads to the first surface, and one from there to the cache.
-    """
-    return max(1, scene.max_depth - 2) if scene.max_depth >= 0 else -1
-
-
 # Points of each generation.
 POINTS = 1 << 17
 # Rays from each point in even directions, and as many that are guided by what these bring.
@@ -39,6 +30,14 @@ _RAYS = 2
 _HEIGHT = 0.1
 # Points where paths of the views end, points seen from those, and so on.
 _GENERATIONS = 3
+
+
+def segments_beyond_cache(scene: Scene) -> int:
+    """Segments that a path may take beyond the cache, at least 1; -1 for no bound.
+
+    One of a path's segments leads to the first surface, and one from there to the cache.
+    """
+    return max(1, scene.max_depth - 2) if scene.max_depth >= 0 else -1
 
 
 def fill_cache(
@@ -51,8 +50,7 @@ def fill_cache(
     """A cache of the irradiance that paths from some views will ask for.
 
     Args:
-        scene: the scene.
-        cameras: the views; at least one.
+        scene, cameras: the scene and the views, at least one.
         seed: same seed, same cache on the same machine.
         progress: called with steps done and steps in all.
         points: number of points of each generation.
@@ -94,13 +92,7 @@ def _seen_evenly(scene: Any, points: Points, random: np.random.Generator) -> See
     return gather_seen(scene, points, np.repeat(np.arange(len(points)), _RAYS), square, _state(random))
 
 
-def _unknown(
-    seen: Seen,
-    known: Points,
-    grid: Grid,
-    count: int,
-    random: np.random.Generator,
-) -> Points:
+def _unknown(seen: Seen, known: Points, grid: Grid, count: int, random: np.random.Generator) -> Points:
     """Points that rays hit, first of all where none is known yet."""
     hits = seen.hits.take(random.permutation(np.flatnonzero(seen.valid)))
     # The largest cells contain the others.
@@ -110,7 +102,6 @@ def _unknown(
 
 
 def _state(random: np.random.Generator) -> int:
-    """A seed for kernels."""
     return int(random.integers(1 << 32))
 
 

@@ -32,22 +32,22 @@ _STRATA = 2
 SAMPLES = _STRATA**2
 # Mirrors and glass surfaces that a ray passes at most.
 _MOST_BOUNCES = 6
+# Over time: how often the lights are sampled at each point and time, a few samples each; rays from each point
+# for the light that comes over other surfaces; and times at which these are followed from what moves: light
+# from all sides changes slowly.
+_ROUNDS, _RAYS, _INDIRECT = 4, 16, 17
+# Any cell will do for these rays.
+_ANY_AREA = 1e9
 
 
 @dataclass(frozen=True)
 class Followed:
-    """What M rays found that were followed through mirrors, glossy surfaces and glass.
+    """What M rays found that were followed through mirrors, glossy surfaces and glass, as Dr.Jit arrays.
 
     Attributes:
-        radiance: of the lights on the way, but for one that was hit first.
-        passed: number of surfaces on the way to these lights; of several ways one by chance, more likely the
-            one that brought more.
+        radiance, passed, valid, shiny, bounces, reflectance: as in `Seen`.
         hit: the last surface.
         side: normal of its lit side.
-        valid: whether it reflects irradiance.
-        shiny: whether the first surface may show lights.
-        bounces: number of surfaces before the last one.
-        reflectance: that of the last one times theirs; 0 where it is not valid.
     """
 
     radiance: Any
@@ -198,13 +198,16 @@ class Seen:
     Attributes:
         point: (M,) index of the point that each started at.
         square: (M, 2) where its direction lies, in 0..1, cosine-weighted around the normal.
-        radiance: (M, 3) of the lights that it met in mirrors, glossy surfaces and glass.
-        passed: (M,) number of such surfaces on the way to the lights, at least 1.
-        hits: the M points that they hit.
-        valid: (M,) whether a ray hit a surface that scatters light.
+        radiance: (M, 3) of the lights that it met in mirrors, glossy surfaces and glass, but for one that was
+            hit first.
+        passed: (M,) number of such surfaces on the way to these lights, at least 1; of several ways one by
+            chance, more likely the one that brought more.
+        hits: the M points that they hit last.
+        valid: (M,) whether a ray hit a surface that reflects irradiance.
         shiny: (M,) whether the surface that it hit first may show lights.
         bounces: (M,) mirrors, glossy and glass surfaces on the way.
-        reflectance: (M, 3) share of the irradiance of what was hit that arrives at the point.
+        reflectance: (M, 3) share of the irradiance of what was hit that arrives at the point; 0 where it is
+            not valid.
     """
 
     point: NDArray[np.int64]
@@ -229,13 +232,7 @@ class Seen:
 
 
 def gather_direct(scene: Any, points: Points, seed: int) -> Direct:
-    """Samples the lights from points.
-
-    Args:
-        scene: a Mitsuba scene.
-        points: where light arrives.
-        seed: same seed, same samples.
-    """
+    """Samples the lights of a Mitsuba scene from points; same seed, same samples."""
     lanes = len(points) * SAMPLES
     lane = dr.arange(mi.UInt32, lanes)
     sampler = mi.load_dict({"type": "independent"})
@@ -253,14 +250,9 @@ def gather_direct(scene: Any, points: Points, seed: int) -> Direct:
 def gather_seen(
     scene: Any, points: Points, point: NDArray[np.int64], square: NDArray[np.float32], seed: int
 ) -> Seen:
-    """Follows rays from points.
+    """Follows M rays from points of a Mitsuba scene; `point` and `square` are those of `Seen`.
 
-    Args:
-        scene: a Mitsuba scene.
-        points: where they start.
-        point: (M,) index of the point that each starts at.
-        square: (M, 2) where its direction lies, in 0..1, cosine-weighted around the normal.
-        seed: same seed, same ways through mirrors and glass.
+    With the same seed, ways through mirrors and glass are the same.
     """
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(dr.opaque(mi.UInt32, seed), len(point))
@@ -288,16 +280,6 @@ def _surfaces(points: Points, index: Any) -> Any:
     return surface_at(dr.gather(mi.Point3f, position, index), dr.gather(mi.Normal3f, normal, index))
 
 
-# Times that the lights are sampled at each point and time, a few samples each.
-_ROUNDS = 4
-# Rays from each point for the light that comes over other surfaces.
-_RAYS = 16
-# Times at which these are followed from what moves; light from all sides changes slowly.
-_INDIRECT = 17
-# Any cell will do for these.
-_ANY_AREA = 1e9
-
-
 def irradiance_over_time(
     scene: Scene,
     cache: IrradianceCache,
@@ -313,7 +295,7 @@ def irradiance_over_time(
     at time 0. All times have the same random numbers, so that their ratios have less noise than they.
 
     Args:
-        scene: a scene that moves; afterwards it shows the last time.
+        scene: moves; afterwards it shows the last time.
         cache: of its irradiance at time 0.
         points: where the N points are at a time.
         moving: (M,) which of them move.
@@ -346,10 +328,8 @@ def _indirect(scene: Scene, cache: IrradianceCache, points: Points, seed: int) -
     start = np.repeat(np.arange(len(points)), _RAYS)
     seen = gather_seen(scene.mitsuba, points, start, rng.random((len(start), 2), dtype=np.float32), seed)
     position, normal = mi.Point3f(seen.hits.position.T), mi.Vector3f(seen.hits.normal.T)
-    middle = mi.Point2f(0.5)
-    most = mi.UInt32(len(cache.irradiance))
-    arrays = cache.arrays(scene.mitsuba).irradiance
-    _, irradiance = look_up(arrays, position, normal, mi.Float(_ANY_AREA), most, middle, mi.Bool(seen.valid))
+    how = mi.Float(_ANY_AREA), mi.UInt32(len(cache.irradiance)), mi.Point2f(0.5), mi.Bool(seen.valid)
+    _, irradiance = look_up(cache.arrays(scene.mitsuba).irradiance, position, normal, *how)
     dr.eval(irradiance)
     # Of the radiance that arrives, irradiance is pi times the mean over cosine-weighted directions.
     arriving = seen.reflectance * irradiance.numpy().T * seen.valid[:, None] + np.pi * seen.radiance

@@ -23,6 +23,10 @@ _SIDE = 8
 _BINS = _SIDE**2
 # Share of the guided rays that is sent in even directions: nothing may be missed.
 _EVEN = 0.5
+# Points that are looked at to find a near one, at most.
+_CANDIDATES = 1 << 16
+# Distance, in units of the cells' scale, that counts as much as an angle of 60 degrees between normals.
+_TURNED = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,12 +44,9 @@ class Guide:
 
     @staticmethod
     def of(region: NDArray[np.int64], square: NDArray[np.float32], brought: NDArray[np.float32]) -> Guide:
-        """The guide by what rays brought.
+        """The guide by what M rays brought, in any unit, at least 0.
 
-        Args:
-            region: (M,) in which each ray starts, from 0 on.
-            square: (M, 2) where its direction lies, in 0..1, cosine-weighted around the normal.
-            brought: (M,) light, in any unit, at least 0.
+        They start in regions, counted from 0, and their directions lie at squares as in `Seen`.
         """
         regions = int(region.max(initial=-1)) + 1
         sums = np.bincount(region * _BINS + _bins(square), brought, regions * _BINS)
@@ -61,12 +62,7 @@ class Guide:
         return _EVEN + (1 - _EVEN) * _BINS * share
 
     def squares(self, region: NDArray[np.int64], random: np.random.Generator) -> NDArray[np.float32]:
-        """Where the directions (M, 2) of guided rays lie.
-
-        Args:
-            region: (M,) in which each starts.
-            random: source of randomness.
-        """
+        """Where the directions (M, 2) of guided rays lie, which start in regions (M,)."""
         density = self._density(self.light, np.broadcast_to(self._total[:, None], self.light.shape))
         running = np.cumsum(density, axis=1)
         running /= running[:, -1:]
@@ -87,10 +83,7 @@ class Guide:
     ) -> NDArray[np.float32]:
         """(M,) weights of rays of a mean over as many even as guided ones.
 
-        Args:
-            region: (M,) in which each starts.
-            square: (M, 2) where its direction lies.
-            brought: (M,) what each brought, for those that the guide was learnt from.
+        For rays that the guide was learnt from, `brought` (M,) is what each brought.
         """
         own = np.zeros(len(region)) if brought is None else brought.astype(np.float64)
         light, total = self.light[region, _bins(square)] - own, self._total[region] - own
@@ -114,23 +107,13 @@ def _bins(square: NDArray[np.float32]) -> NDArray[np.int64]:
     return row * _SIDE + column
 
 
-# Points that are looked at to find a near one, at most.
-_CANDIDATES = 1 << 16
-# Distance, in units of the cells' scale, that counts as much as an angle of 60 degrees between normals.
-_TURNED = 0.1
-
-
 def cells_hit(seen: Seen, points: Points, cells: Cells) -> NDArray[np.int64]:
     """(M,) cell that each ray hit; -1 where it left the scene, or if there is no cell.
 
     Where a ray hit no cell, since nothing is known there or something divides the cell, the cell of the
     nearest point that faces the same way stands for it. Without these rays the mean of the others would
-    stand for them, although they often hit what is darker: corners, and what lies behind things.
-
-    Args:
-        seen: what the rays found.
-        points: that lie in the cells.
-        cells: known by these points.
+    stand for them, although they often hit what is darker: corners, and what lies behind things. The cells
+    are known by the points.
     """
     hit = np.where(seen.valid, cells.smallest(seen.hits), -1)
     lost = np.flatnonzero(seen.valid & (hit < 0))
@@ -149,13 +132,7 @@ def cells_hit(seen: Seen, points: Points, cells: Cells) -> NDArray[np.int64]:
 
 
 def links_of(seen: Seen, cell: NDArray[np.int64], weight: NDArray[np.float32]) -> Links:
-    """The links of rays.
-
-    Args:
-        seen: what the rays found.
-        cell: (M,) that each hit, of `cells_hit`.
-        weight: (M,) of each ray in the mean of those of its point.
-    """
+    """The links of rays, by the cells (M,) that they hit and their weights (M,) in the means of points."""
     # Without any cell, nothing can be said of the rays that hit something.
     kept = np.flatnonzero(~seen.valid | (cell >= 0))
     reflectance = weight[kept, None] * seen.reflectance[kept]
@@ -213,12 +190,7 @@ def guided_transfer(
 ) -> Transfer:
     """The transfer by rays in even directions, and by as many that follow where these found light.
 
-    Args:
-        scene: a Mitsuba scene.
-        places: where the rays start.
-        even: what was seen in even directions, by the same number of rays from each point.
-        most: number of segments that count, as for `Transport.irradiance`.
-        random: source of randomness.
+    `even` was seen by the same number of rays from each point; `most` is as in `Transport.irradiance`.
     """
     points, cells = places.points, places.cells
     hit = cells_hit(even, points, cells)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from pathtrace.cache.irradiance_cache import IrradianceCache
-from pathtrace.cache.light_selection import LightSamples, light_numbers
+from pathtrace.cache.light_selection import LightLearning, LightSamples, light_numbers
 from pathtrace.cache.transport import Transfer, Transport, sums_by, told_apart
 from pathtrace.fill.filling import segments_beyond_cache
 from pathtrace.fill.gather import SAMPLES, followed, lit, stratified, surface_at
@@ -30,15 +30,17 @@ _LEAST = 1e-3
 _TRUST = 8
 # Keeps the light of places that never had any above 0.
 _DARK = 1e-12
+# Steps at most in which new light has passed all segments.
+_STEPS = 8
+# Updates in which all points and rays are sampled anew.
+PARTS = 12
 
 
 class Renewal:
     """Sums over A places, before and after a change of the light.
 
-    Args:
-        sums: (A, 3) sums of the light of all samples of each place before the change.
-        numbers: (A,) number of these samples.
-        regions: (A,) number of the region that each place lies in, from 0 on.
+    Before, there are sums (A, 3) of the light of all samples of each place, and their numbers (A,). Places
+    lie in regions (A,), numbered from 0 on.
     """
 
     def __init__(self, sums: NDArray[Any], numbers: NDArray[np.int64], regions: NDArray[np.int64]):
@@ -73,17 +75,10 @@ class Renewal:
         return Renewal(self.sums(), self._numbers, self._regions)
 
 
-# Steps at most in which new light has passed all segments.
-_STEPS = 8
-
-
 class Spreading:
     """Irradiance of cells that follows the light which falls on them directly.
 
-    Args:
-        transport: between the cells.
-        sent: (S, C, 3) irradiance that comes from lights, as for `Transport.irradiance`.
-        most: number of segments that count, as for `Transport.irradiance`.
+    What is sent (S, C, 3), and the number of segments that count at most, are as in `Transport.irradiance`.
     """
 
     def __init__(self, transport: Transport, sent: NDArray[np.float32], most: int):
@@ -113,7 +108,7 @@ class Spreading:
         self._sent, self._known[0] = sent, sent[0]
 
     def irradiance(self, cells: NDArray[np.int64]) -> NDArray[np.float32]:
-        """(K, c, 3) of cells given by their indices, as of `IrradianceCache`."""
+        """(K, c, 3) of cells given by their indices, as in `IrradianceCache`."""
         return told_apart([np.take(light, cells, axis=0) for light in self._known])
 
 
@@ -122,8 +117,7 @@ class Part:
     """New samples at n of the points of a `Transfer`, and of m of its rays; computed when they are read.
 
     Attributes:
-        points: which points, in their order.
-        rays: which rays.
+        points, rays: which of them.
         sampled: Dr.Jit arrays: of the points' irradiance, of that of each sample, and of its light.
         shown: Dr.Jit arrays of the irradiance by rays.
         numbers: index of each light by the number by which kernels know it.
@@ -151,14 +145,7 @@ class Part:
 
 
 class Resampling:
-    """Samples the lights of a scene in a number of parts, round after round.
-
-    Args:
-        scene: a Mitsuba scene.
-        transfer: its points and rays.
-        parts: number of parts.
-        seed: same seed, same samples.
-    """
+    """Samples the lights of a Mitsuba scene from the points and rays of a transfer, part by part."""
 
     def __init__(self, scene: Any, transfer: Transfer, parts: int, seed: int):
         self._scene, self._numbers = scene, light_numbers(scene)
@@ -183,15 +170,15 @@ class Resampling:
             for size, count in zip(self._sizes, self._counts, strict=True)
         )
         self._next = (self._next + 1) % self._parts
-        sampled = self._light(self._scene, self._state(), dr.opaque(mi.UInt32, points.start), *self._points)
+        sampled = self._light(self._scene, *self._from(points), *self._points)
         shown: tuple[Any, ...] = ()
         if self._sizes[1]:
-            first = dr.opaque(mi.UInt32, rays.start)
-            shown = self._show(self._scene, self._state(), first, *self._points, *self._rays)
+            shown = self._show(self._scene, *self._from(rays), *self._points, *self._rays)
         return Part(points, rays, sampled, shown, self._numbers)
 
-    def _state(self) -> Any:
-        return dr.opaque(mi.UInt32, int(self._random.integers(1 << 32)))
+    def _from(self, part: slice) -> tuple[Any, Any]:
+        """Seed and first index of a part, for kernels."""
+        return tuple(dr.opaque(mi.UInt32, n) for n in (int(self._random.integers(1 << 32)), part.start))
 
     def _of_points(self, scene: Any, state: Any, first: Any, position: Any, normal: Any) -> tuple[Any, ...]:
         """Direct light at points, its samples and their lights; frozen."""
@@ -238,17 +225,11 @@ def _rows(channels: tuple[Any, ...], part: slice) -> NDArray[np.float32]:
     return np.stack([channel.numpy()[: part.stop - part.start] for channel in channels], axis=1)
 
 
-# Updates in which all points and rays are sampled anew.
-PARTS = 12
-
-
 class Relighting:
     """The light of a cache, kept up to date with the lights of its scene, which have just changed.
 
-    Args:
-        scene: that the cache was filled for.
-        cache: all of whose light is known, with at least one cell.
-        seed: same seed, same light on the same machine.
+    The cache, which was filled for that scene, has at least one cell, and all of its light is known. With the
+    same seed, light is the same on the same machine.
     """
 
     def __init__(self, scene: Scene, cache: IrradianceCache, seed: int = 0):
@@ -270,7 +251,7 @@ class Relighting:
         self._begin()
 
     def _begin(self) -> None:
-        self._learning = self._cache.lights.learning()
+        self._learning = LightLearning(self._cache.lights)
         self._spreading: Spreading | None = None
         self._done = 0
 

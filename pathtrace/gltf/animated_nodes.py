@@ -6,13 +6,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from compose.base.errors import UserError
+from compose.camera.camera import Array, unit
 from pathtrace.gltf.document import Document, read_array
 
-_SamplerArray = NDArray[np.float64]
+_COLUMNS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 1}
+_PATHS = ("translation", "rotation", "scale")
+# Of the whole time, between what is before a step and what is after it.
+_STEP = 1e-6
 
 
 @dataclass(frozen=True)
@@ -30,8 +33,8 @@ class Sampler:
             no length.
     """
 
-    times: _SamplerArray
-    values: _SamplerArray
+    times: Array
+    values: Array
     interpolation: str
     is_rotation: bool
 
@@ -44,11 +47,11 @@ class Sampler:
             raise ValueError("has a quaternion without length")
 
     @property
-    def _keys(self) -> _SamplerArray:
+    def _keys(self) -> Array:
         """(K, C) values at keyframes."""
         return self.values[:, 1] if self.interpolation == "CUBICSPLINE" else self.values
 
-    def at(self, times: _SamplerArray) -> _SamplerArray:
+    def at(self, times: Array) -> Array:
         """(T, C) values at times (T,) in seconds."""
         inside = np.clip(times, self.times[0], self.times[-1])
         if self.interpolation == "STEP" or len(self.times) == 1:
@@ -58,11 +61,10 @@ class Sampler:
         elif self.is_rotation:
             return Slerp(self.times, Rotation.from_quat(self.values))(inside).as_quat()
         else:
-            columns = [np.interp(inside, self.times, column) for column in self.values.T]
-            found = np.stack(columns, axis=1)
-        return _unit(found) if self.is_rotation else found
+            found = np.stack([np.interp(inside, self.times, column) for column in self.values.T], axis=1)
+        return unit(found, [0.0, 0.0, 0.0, 1.0]) if self.is_rotation else found
 
-    def _cubic(self, times: _SamplerArray) -> _SamplerArray:
+    def _cubic(self, times: Array) -> Array:
         """Cubic Hermite splines, whose tangents are per second (C.5)."""
         first = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
         span = np.diff(self.times)[first, None]
@@ -76,18 +78,6 @@ class Sampler:
         )
 
 
-def _unit(quaternions: _SamplerArray) -> _SamplerArray:
-    lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
-    return np.where(lengths > 0, quaternions / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 0.0, 1.0])
-
-
-_AnimationArray = NDArray[np.float64]
-
-_COLUMNS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 1}
-# Of the whole time, between what is before a step and what is after it.
-_STEP = 1e-6
-
-
 @dataclass(frozen=True)
 class Animation:
     """What moves, by the number of the node and its property (translation, rotation, scale, weights)."""
@@ -99,11 +89,11 @@ class Animation:
         """When its last keyframe is; 0 if nothing moves."""
         return max((float(sampler.times[-1]) for sampler in self.channels.values()), default=0.0)
 
-    def even_times(self, fps: float) -> _AnimationArray:
+    def even_times(self, fps: float) -> Array:
         """(T,) equal steps of time in seconds, from 0 to the end, at least so many a second."""
         return np.linspace(0, self.seconds, max(int(np.ceil(self.seconds * fps - 1e-6)), 1) + 1)
 
-    def all_times(self, fps: float) -> _AnimationArray:
+    def all_times(self, fps: float) -> Array:
         """(T,) these, all keyframes, and moments before steps, in seconds, ascending."""
         found = [self.even_times(fps)]
         for sampler in self.channels.values():
@@ -116,12 +106,9 @@ class Animation:
 
 
 def chosen_animation(document: Document, name: str | None, remarks: list[str]) -> Animation:
-    """The animation of a name; without one, all of a file that move different things, else the first one.
+    """The animation of a name or number; by default all that move different things, else the first one.
 
-    Args:
-        document: the file.
-        name: of an animation, or its number.
-        remarks: lines for the user are added to them.
+    Lines for the user are added to the remarks.
 
     Raises:
         UserError: there is none of that name, or it moves what does not exist.
@@ -166,19 +153,15 @@ def _sampler(document: Document, sampler: dict[str, Any], path: str, user: str) 
     times = read_array(document, sampler["input"], 1, user)[:, 0]
     values = read_array(document, sampler["output"], _COLUMNS[path], user)
     parts = 3 if kind == "CUBICSPLINE" else 1
+    columns, left = divmod(values.size, len(times) * parts)
     # Of each keyframe there are as many weights as morph targets, each in a row of its own.
-    if values.size % (len(times) * parts):
+    if left or (path != "weights" and columns != _COLUMNS[path]):
         raise document.refused(f"{user} has {len(values)} values for {len(times)} keyframes")
-    rows = values.reshape(len(times), parts, -1)
-    if path != "weights" and rows.shape[2] != _COLUMNS[path]:
-        raise document.refused(f"{user} has {len(values)} values for {len(times)} keyframes")
+    rows = values.reshape(len(times), parts, columns)
     try:
         return Sampler(times, rows if parts == 3 else rows[:, 0], kind, path == "rotation")
     except ValueError as error:
         raise document.refused(f"{user} {error}") from error
-
-
-Array = NDArray[np.float64]
 
 
 class Nodes:
@@ -186,7 +169,7 @@ class Nodes:
 
     Attributes:
         shown: numbers of the nodes of the scene that is shown, parents first.
-        animation: as given.
+        animation: that plays.
 
     Raises:
         UserError: a node has two parents, is its own ancestor, or does not exist.
@@ -197,7 +180,9 @@ class Nodes:
         self._items = document.section("nodes")
         self._parents = _parents(document, self._items)
         self._order = _parents_first(document, self._parents)
-        self.shown = self._below(set(_roots(document, self._parents)))
+        shown = set(_roots(document, self._parents))
+        shown.update(node for node in self._order if self._parents[node] in shown)
+        self.shown = [node for node in self._order if node in shown]
 
     def __len__(self) -> int:
         return len(self._items)
@@ -226,11 +211,6 @@ class Nodes:
             return sampler.at(times)
         return np.atleast_2d(np.asarray(self._items[node].get("weights", default), dtype=np.float64))
 
-    def _below(self, roots: set[int]) -> list[int]:
-        found = set(roots)
-        found.update(node for node in self._order if self._parents[node] in found)
-        return [node for node in self._order if node in found]
-
     def _local(self, node: int, times: Array) -> Array:
         """(T, 4, 4) or (1, 4, 4): translation, rotation and scale, or a matrix."""
         item = self._items[node]
@@ -247,9 +227,6 @@ class Nodes:
         if path == "rotation" and not found.any(axis=1).all():
             return np.array([[0.0, 0.0, 0.0, 1.0]])
         return found
-
-
-_PATHS = ("translation", "rotation", "scale")
 
 
 def _parents(document: Document, items: list[dict[str, Any]]) -> list[int | None]:

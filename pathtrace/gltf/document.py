@@ -21,11 +21,17 @@ from trimesh.exchange.gltf import get_schema
 
 from compose.base.errors import UserError, one_line
 from compose.base.files import parse_json, require_size_below
+from compose.camera.camera import Array
 
 # Integers as positions need no more than what accessors say.
 EXTENSIONS = ("KHR_lights_punctual", "KHR_materials_emissive_strength", "KHR_mesh_quantization")
 _MOST_BYTES = 1 << 31
 _MAGIC, _JSON, _BINARY = b"glTF", 0x4E4F534A, 0x004E4942
+# Of accessors.
+_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+# An accessor that is all zeros can be declared without any data.
+_MOST_NUMBERS = 1 << 28
 
 
 @dataclass(frozen=True)
@@ -68,8 +74,16 @@ class Document:
         Raises:
             UserError: there is none, or it is elsewhere.
         """
+        folder = self.file.parent
         try:
-            return _resource(self.file.parent, uri)
+            if uri.startswith("data:"):
+                with urlopen(uri) as data:
+                    return bytes(data.read())
+            file = (folder / unquote(uri)).resolve()
+            if not file.is_relative_to(folder.resolve()):
+                raise ValueError("lies outside of the folder")
+            require_size_below(file, _MOST_BYTES)
+            return file.read_bytes()
         except (OSError, ValueError) as error:
             raise self.refused(f"{user}: {uri[:80]!r} cannot be read ({one_line(error)})") from error
 
@@ -87,13 +101,19 @@ def read_document(file: Path) -> Document:
         tree = parse_json(text.decode("utf-8-sig"))
     except (OSError, ValueError, struct.error) as error:
         raise UserError(f"{file}: cannot be read as glTF ({one_line(error)})") from error
-    _require_version(file, tree)
+    asset = tree.get("asset") if isinstance(tree, dict) else None
+    version = asset.get("version") if isinstance(asset, dict) else None
+    if not isinstance(version, str) or version.split(".")[0] != "2":
+        raise UserError(f"{file}: is no glTF 2.0; its asset.version is {one_line(repr(version))}")
     unknown = [name for name in tree.get("extensionsRequired", []) if name not in EXTENSIONS]
     if unknown:
         raise UserError(
             f"{file}: requires the extension {one_line(str(unknown[0]))}, which is not known here"
         )
-    document = Document(file, _valid(file, _without_empty_lists(tree)), [])
+    try:
+        document = Document(file, _schema()(_without_empty_lists(tree)), [])
+    except fastjsonschema.JsonSchemaException as error:
+        raise UserError(f"{file}: is no glTF 2.0; {one_line(error)}") from error
     for number, buffer in enumerate(document.section("buffers")):
         document.buffers.append(_buffer(document, number, buffer, binary))
     return document
@@ -119,13 +139,6 @@ def _parts(content: bytes) -> tuple[bytes, bytes | None]:
     return chunks[_JSON], chunks.get(_BINARY)
 
 
-def _require_version(file: Path, tree: Any) -> None:
-    asset = tree.get("asset") if isinstance(tree, dict) else None
-    version = asset.get("version") if isinstance(asset, dict) else None
-    if not isinstance(version, str) or version.split(".")[0] != "2":
-        raise UserError(f"{file}: is no glTF 2.0; its asset.version is {one_line(repr(version))}")
-
-
 def _without_empty_lists(tree: Any) -> Any:
     """What the specification forbids and exporters write nevertheless."""
     if isinstance(tree, dict):
@@ -135,16 +148,9 @@ def _without_empty_lists(tree: Any) -> Any:
     return tree
 
 
-def _valid(file: Path, tree: Any) -> dict[str, Any]:
-    """A tree that follows the schema of the specification, with its defaults."""
-    try:
-        return _schema()(tree)
-    except fastjsonschema.JsonSchemaException as error:
-        raise UserError(f"{file}: is no glTF 2.0; {one_line(error)}") from error
-
-
 @functools.cache
 def _schema() -> Callable[[Any], dict[str, Any]]:
+    """Checks a tree against the schema of the specification, and adds its defaults."""
     # A schema is compiled to Python; the specification's own comes with trimesh.
     return fastjsonschema.compile(get_schema())
 
@@ -162,33 +168,10 @@ def _buffer(document: Document, number: int, buffer: dict[str, Any], binary: byt
     return content
 
 
-def _resource(folder: Path, uri: str) -> bytes:
-    if uri.startswith("data:"):
-        with urlopen(uri) as data:
-            return bytes(data.read())
-    file = (folder / unquote(uri)).resolve()
-    if not file.is_relative_to(folder.resolve()):
-        raise ValueError("lies outside of the folder")
-    require_size_below(file, _MOST_BYTES)
-    return file.read_bytes()
-
-
-Array = NDArray[np.float64]
-
-_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-# One that is all zeros can be declared without any data.
-_MOST_NUMBERS = 1 << 28
-
-
 def read_array(document: Document, index: int, columns: int | tuple[int, ...], user: str) -> Array:
     """The (N, columns) numbers of an accessor; integers that stand for fractions are these fractions.
 
-    Args:
-        document: the file.
-        index: of the accessor.
-        columns: that it must have, or may have.
-        user: what refers to it, in error messages.
+    Columns are those that it must have, or may have; the user, in error messages, is what refers to it.
 
     Raises:
         UserError: there is none, it has other columns, lies outside of its buffer, or holds NaN or infinity.
@@ -208,10 +191,13 @@ def read_array(document: Document, index: int, columns: int | tuple[int, ...], u
     if "sparse" in accessor:
         values = values.copy()
         _replace(document, accessor["sparse"], values, name)
-    fractions = _fractions(values) if accessor.get("normalized") else values.astype(np.float64)
-    if not np.isfinite(fractions).all():
+    numbers = values.astype(np.float64)
+    if accessor.get("normalized") and values.dtype.kind != "f":
+        # Integers as fractions of the largest one (3.6.2.2).
+        numbers = np.maximum(numbers / float(np.iinfo(values.dtype).max), -1.0)
+    if not np.isfinite(numbers).all():
         raise document.refused(f"{name} holds numbers that are not finite")
-    return fractions
+    return numbers
 
 
 def read_view(document: Document, index: int, user: str) -> tuple[bytes, int | None]:
@@ -245,10 +231,3 @@ def _replace(document: Document, sparse: dict[str, Any], values: NDArray[Any], u
     if where.min() < 0 or where.max() >= len(values):
         raise document.refused(f"{user} replaces elements that it does not have")
     values[where] = _viewed(document, sparse["values"], values.dtype.str, (count, values.shape[1]), user)
-
-
-def _fractions(values: NDArray[Any]) -> Array:
-    """Integers as fractions of the largest one (3.6.2.2); floats as they are."""
-    if values.dtype.kind == "f":
-        return values.astype(np.float64)
-    return np.maximum(values / float(np.iinfo(values.dtype).max), -1.0)

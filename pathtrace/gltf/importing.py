@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from compose.base.errors import UserError, one_line
 from compose.base.files import PART_PREFIX, write_whole
+from compose.camera.camera import Array, unit
 from pathtrace.gltf.animated_nodes import Nodes, chosen_animation
 from pathtrace.gltf.document import EXTENSIONS, Document, read_document
 from pathtrace.gltf.lights import Light, brightness, camera, constant_light, read_lights
@@ -32,8 +33,6 @@ from pathtrace.gltf.movement import (
     times_of,
     without_scale,
 )
-
-Array = NDArray[np.float64]
 
 # Steps of time a second in which what deforms is written, as films have them.
 DEFAULT_FPS = 24.0
@@ -84,7 +83,7 @@ def import_gltf(file: Path, folder: Path, fps: float = DEFAULT_FPS, animation: s
         part = folder.with_name(f"{PART_PREFIX}{secrets.token_hex(8)}")
         part.mkdir()
         try:
-            found = _Import(read_document(file), part, fps, animation).run()
+            found = _Import(read_document(file), part, fps, animation).run(folder / _SCENE)
         except (TypeError, ValueError, KeyError, IndexError, AttributeError, OverflowError) as error:
             # The schema leaves extensions alone, and much that refers to something.
             raise UserError(f"{file}: is damaged ({type(error).__name__}: {one_line(error)})") from error
@@ -94,7 +93,7 @@ def import_gltf(file: Path, folder: Path, fps: float = DEFAULT_FPS, animation: s
     finally:
         if part is not None:
             shutil.rmtree(part, ignore_errors=True)
-    return Imported(folder / _SCENE, *found)
+    return found
 
 
 class _Import:
@@ -110,8 +109,8 @@ class _Import:
         self._names = {"camera", "surroundings"}
         self._tracks: dict[str, Any] = {}
 
-    def run(self) -> tuple[int, int, int, float, list[str]]:
-        """Writes everything; what `Imported` says of it."""
+    def run(self, scene: Path) -> Imported:
+        """Writes everything; the scene will then lie at that path."""
         primitives = read_primitives(self._document, self._nodes, self._remarks)
         if not primitives:
             raise self._document.refused("shows no triangles")
@@ -121,8 +120,7 @@ class _Import:
             movement = movement_of(primitive, self._nodes, self._times, self._to_world)
             shapes.append(self._shape(primitive, movement))
             bounds.append(movement.bounds)
-        lowest, highest = np.min(bounds, axis=0)[0], np.max(bounds, axis=0)[1]
-        self._write_scene(shapes, np.stack([lowest, highest]))
+        self._write_scene(shapes, np.stack([np.min(bounds, axis=0)[0], np.max(bounds, axis=0)[1]]))
         deforming = sum("meshes" in track for track in self._tracks.values())
         seconds = self._nodes.animation.seconds if self._tracks else 0.0
         if self._tracks:
@@ -131,14 +129,14 @@ class _Import:
         left_out = sorted(set(self._document.tree.get("extensionsUsed", [])) - set(EXTENSIONS))
         self._remarks += [f"the extension {name} is left out" for name in left_out]
         triangles = sum(len(primitive.faces) for primitive in primitives)
-        return triangles, len(self._tracks) - deforming, deforming, seconds, self._remarks
+        rigid = len(self._tracks) - deforming
+        return Imported(scene, triangles, rigid, deforming, seconds, self._remarks)
 
     def _write_scene(self, shapes: Sequence[ET.Element], bounds: Array) -> None:
         root = ET.Element("scene", {"version": "3.0.0"})
-        depth = ET.Element("integer", {"name": "max_depth", "value": str(_DEPTH)})
-        root.append(plugin("integrator", "path", depth))
+        root.append(plugin("integrator", "path", value("integer", "max_depth", str(_DEPTH))))
         root.append(camera(self._document, self._nodes, self._to_world, bounds, self._remarks))
-        root.extend(self._materials.bsdfs)
+        root.extend(self._materials.bsdfs.values())
         root.extend(shapes)
         root.extend(self._lights(bounds))
         ET.indent(root, "\t")
@@ -184,9 +182,7 @@ class _Import:
             return None
         matrix = self._to_world[primitive.node][0, :3, :3]
         # Of what is flat in a direction, no inverse exists.
-        turned = primitive.normals @ np.linalg.pinv(matrix)
-        lengths = np.linalg.norm(turned, axis=1, keepdims=True)
-        return np.where(lengths > 0, turned / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0])
+        return unit(primitive.normals @ np.linalg.pinv(matrix), [0.0, 0.0, 1.0])
 
     def _sequence(self, name: str, primitive: Primitive, movement: Movement) -> list[str]:
         """Names of the mesh files of what deforms."""

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from compose.camera.camera import Array
 from compose.camera.coordinate_systems import mitsuba_from_opencv, opencv_from_opengl
 from pathtrace.gltf.animated_nodes import Nodes
 from pathtrace.gltf.document import Document
 from pathtrace.gltf.materials import plugin, to_world, value
 from pathtrace.gltf.movement import without_scale
-
-Array = NDArray[np.float64]
 
 _EXTENSION = "KHR_lights_punctual"
 # Irradiance by which a white wall is white in a picture, and how much more counts as too bright.
@@ -52,15 +50,8 @@ class Light:
         if self.kind == "directional":
             return plugin("emitter", "directional", placed, value("rgb", "irradiance", colour), id=name)
         inner, outer = self.cone
-        return plugin(
-            "emitter",
-            "spot",
-            placed,
-            value("rgb", "intensity", colour),
-            value("float", "cutoff_angle", outer),
-            value("float", "beam_width", inner),
-            id=name,
-        )
+        cone = value("float", "cutoff_angle", outer), value("float", "beam_width", inner)
+        return plugin("emitter", "spot", placed, value("rgb", "intensity", colour), *cone, id=name)
 
     def irradiance(self, pose: Array, bounds: Array) -> float:
         """What it gives, at most, in the middle of what is within bounds (2, 3)."""
@@ -107,12 +98,7 @@ def brightness(lights: list[Light], to_world_of: list[Array], bounds: Array) -> 
     """Factor on all lights, so that their light can be shown.
 
     Units are photometric, and files differ in what they take for white: where lights give far more than
-    white in the middle of the scene, they are dimmed together.
-
-    Args:
-        lights: all of them.
-        to_world_of: (T, 4, 4) of each node, the first being at time 0.
-        bounds: (2, 3) lowest and highest corner of what is seen at any time.
+    white in the middle of the scene, they are dimmed together. Arguments are as in `camera`.
     """
     given = sum(light.irradiance(to_world_of[light.node][0], bounds) for light in lights)
     return _WHITE / given if given > _TOO_BRIGHT * _WHITE else 1.0
@@ -129,8 +115,7 @@ def camera(
     """The first perspective camera of a file, else one that sees everything from the front.
 
     Args:
-        document: the file.
-        nodes: its nodes.
+        document, nodes: the file and its nodes.
         to_world_of: (T, 4, 4) of each node, the first being at time 0.
         bounds: (2, 3) lowest and highest corner of what is seen at any time.
         remarks: lines for the user are added to them.
@@ -157,13 +142,8 @@ def _sensor(pose: Array, lens: dict[str, Any], bounds: Array) -> ET.Element:
     away = float(np.linalg.norm(bounds - pose[:3, 3], axis=1).max())
     near, far = min(float(lens.get("znear", np.inf)), 1e-3 * away), 100 * away
     width = round(_HEIGHT * np.clip(lens.get("aspectRatio", 4 / 3), 1 / _MOST_ASPECT, _MOST_ASPECT))
-    film = plugin(
-        "film",
-        "hdrfilm",
-        ET.Element("integer", {"name": "width", "value": str(width)}),
-        ET.Element("integer", {"name": "height", "value": str(_HEIGHT)}),
-        plugin("rfilter", "box"),
-    )
+    size = value("integer", "width", str(width)), value("integer", "height", str(_HEIGHT))
+    film = plugin("film", "hdrfilm", *size, plugin("rfilter", "box"))
     return plugin(
         "sensor",
         "perspective",

@@ -16,9 +16,15 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from compose.base.files import write_whole
+from compose.camera.camera import Array
 from compose.image.colour import bytes_from_radiance
 from compose.image.exr import write_channels
 from pathtrace.gltf.document import Document, read_view
+
+_FOLDER = "textures"
+# Mitsuba's names of OpenGL's; both directions wrap alike.
+_WRAP = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
+_STRENGTH = "KHR_materials_emissive_strength"
 
 
 def plugin(kind: str, plugin_type: str, *children: ET.Element, **attributes: str) -> ET.Element:
@@ -35,7 +41,7 @@ def value(kind: str, name: str, content: str | float | Iterable[float]) -> ET.El
     )
 
 
-def to_world(matrix: NDArray[np.float64]) -> ET.Element:
+def to_world(matrix: Array) -> ET.Element:
     """A transform from a (4, 4) matrix."""
     element = ET.Element("transform", {"name": "to_world"})
     ET.SubElement(element, "matrix", {"value": numbers(matrix.ravel())})
@@ -47,26 +53,14 @@ def numbers(values: float | Iterable[float]) -> str:
     return ", ".join(f"{float(v):.9g}" for v in (values if isinstance(values, Iterable) else (values,)))
 
 
-_Array = NDArray[np.float64]
-
-_FOLDER = "textures"
-# Mitsuba's names of OpenGL's; both directions wrap alike.
-_WRAP = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
-
-
 class Textures:
-    """The images of a file, as textures in the folder of a scene.
-
-    Args:
-        document: the file.
-        folder: of the scene.
-    """
+    """The images of a file, as textures in the folder of a scene."""
 
     def __init__(self, document: Document, folder: Path):
         self._document, self._folder = document, folder
         self._written = 0
 
-    def pixels(self, info: dict[str, Any], user: str) -> _Array:
+    def pixels(self, info: dict[str, Any], user: str) -> Array:
         """(H, W, 4) red, green, blue and alpha of a texture, 0 to 1, as its file has them.
 
         Raises:
@@ -87,15 +81,15 @@ class Textures:
         except (OSError, ValueError, PillowImage.DecompressionBombError) as error:
             raise self._document.refused(f"{name} cannot be read as an image ({error})") from error
 
-    def colour(self, name: str, info: dict[str, Any], radiance: _Array) -> ET.Element:
+    def colour(self, name: str, info: dict[str, Any], radiance: Array) -> ET.Element:
         """A texture of colours in an sRGB file, from linear ones (H, W, 3), 0 to 1."""
         return self._png(name, info, bytes_from_radiance(radiance.astype(np.float32)), raw=False)
 
-    def amount(self, name: str, info: dict[str, Any], amounts: _Array) -> ET.Element:
+    def amount(self, name: str, info: dict[str, Any], amounts: Array) -> ET.Element:
         """A texture of numbers (H, W), 0 to 1."""
         return self._png(name, info, np.round(np.clip(amounts, 0, 1) * 255).astype(np.uint8), raw=True)
 
-    def radiance(self, name: str, info: dict[str, Any], radiance: _Array) -> ET.Element:
+    def radiance(self, name: str, info: dict[str, Any], radiance: Array) -> ET.Element:
         """A texture of linear radiance (H, W, 3), without a bound."""
         channels = {channel: radiance[..., i].astype(np.float32) for i, channel in enumerate("RGB")}
         file = self._new_file("exr")
@@ -112,56 +106,37 @@ class Textures:
         return f"{_FOLDER}/{self._written}.{extension}"
 
     def _element(self, name: str, info: dict[str, Any], file: str, raw: bool) -> ET.Element:
-        texture = self._document.section("textures")[int(info["index"])]
-        sampler = (
-            self._document.item("samplers", texture["sampler"], "texture") if "sampler" in texture else {}
-        )
-        return plugin(
-            "texture",
-            "bitmap",
-            value("string", "filename", file),
-            value("boolean", "raw", str(raw).lower()),
-            value("string", "wrap_mode", _WRAP.get(sampler.get("wrapS", 10497), "repeat")),
-            name=name,
-        )
+        number = self._document.section("textures")[int(info["index"])].get("sampler")
+        sampler = {} if number is None else self._document.item("samplers", number, "texture")
+        wrap = value("string", "wrap_mode", _WRAP.get(sampler.get("wrapS", 10497), "repeat"))
+        is_raw = value("boolean", "raw", str(raw).lower())
+        return plugin("texture", "bitmap", value("string", "filename", file), is_raw, wrap, name=name)
 
 
-def linear(srgb: _Array) -> _Array:
+def linear(srgb: Array) -> Array:
     """Linear colour from the sRGB curve (IEC 61966-2-1)."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
-Array = NDArray[np.float64]
-
-_STRENGTH = "KHR_materials_emissive_strength"
-
-
 class Materials:
-    """The materials of a file, as Mitsuba's elements.
+    """The materials of a file, as Mitsuba's elements; lines for the user are added to the remarks.
 
-    Args:
-        document: the file.
-        textures: for their images.
-        remarks: lines for the user are added to them.
+    Attributes:
+        bsdfs: all that shapes refer to, by the number of their material and whether vertices have colours.
     """
 
     def __init__(self, document: Document, textures: Textures, remarks: list[str]):
         self._document, self._textures, self._remarks = document, textures, remarks
-        self._bsdfs: dict[tuple[int | None, bool], ET.Element] = {}
-
-    @property
-    def bsdfs(self) -> list[ET.Element]:
-        """All that shapes refer to."""
-        return list(self._bsdfs.values())
+        self.bsdfs: dict[tuple[int | None, bool], ET.Element] = {}
 
     def reference(self, material: int | None, coloured: bool, user: str) -> ET.Element:
         """What a shape refers to its material by; `coloured` if its vertices have colours."""
         key = (material, coloured)
-        if key not in self._bsdfs:
+        if key not in self.bsdfs:
             number = "default" if material is None else str(material)
             name = f"material-{number}{'-coloured' if coloured else ''}"
-            self._bsdfs[key] = self._bsdf(self.item(material, user), name, coloured)
-        return ET.Element("ref", {"id": self._bsdfs[key].attrib["id"]})
+            self.bsdfs[key] = self._bsdf(self.item(material, user), name, coloured)
+        return ET.Element("ref", {"id": self.bsdfs[key].attrib["id"]})
 
     def item(self, material: int | None, user: str) -> dict[str, Any]:
         """A material of the file; of a primitive without one, all that is default."""
@@ -171,11 +146,8 @@ class Materials:
         """The set of texture coordinates that its textures have."""
         item = self.item(material, user)
         pbr = item.get("pbrMetallicRoughness", {})
-        infos = [
-            pbr.get("baseColorTexture"),
-            pbr.get("metallicRoughnessTexture"),
-            item.get("emissiveTexture"),
-        ]
+        infos = [pbr.get("baseColorTexture"), pbr.get("metallicRoughnessTexture")]
+        infos.append(item.get("emissiveTexture"))
         sets = [int(info["texCoord"]) for info in infos if info is not None]
         if len(set(sets)) > 1:
             self._remark(f"{user}: textures share the coordinates of the first one")
@@ -212,8 +184,7 @@ class Materials:
         if "normalTexture" in item:
             self._remark("normal maps are left out")
         # The back of a surface would be black; what a viewer culls, a path tracer must show.
-        inner = plugin("bsdf", "principled", colour, *self._surface(pbr, name))
-        both = plugin("bsdf", "twosided", inner)
+        both = plugin("bsdf", "twosided", plugin("bsdf", "principled", colour, *self._surface(pbr, name)))
         bsdf = self._masked(item, info, alpha, both)
         bsdf.set("id", name)
         return bsdf

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.files import write_whole
+from compose.camera.camera import Array
 from pathtrace.gltf.animated_nodes import Nodes
 from pathtrace.gltf.document import Document, read_array
 
-Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -98,12 +98,7 @@ def _row(values: Array, time: int) -> int:
 
 
 def read_primitives(document: Document, nodes: Nodes, remarks: list[str]) -> list[Primitive]:
-    """All triangles that are shown.
-
-    Args:
-        document: the file.
-        nodes: its nodes.
-        remarks: lines for the user are added to them.
+    """All triangles that are shown; lines for the user are added to the remarks.
 
     Raises:
         UserError: an attribute is missing, or damaged, or a mesh is degenerate.
@@ -216,16 +211,13 @@ def _skin(document: Document, node: int, attributes: dict[str, Any], of_vertices
     return Skin(joints, to_joints, which, shares / shares.sum(axis=1, keepdims=True))
 
 
-_Array = NDArray[np.float64]
-
-
 def write_mesh(
     file: Path,
-    faces: NDArray[np.int64],
-    positions: _Array,
-    normals: _Array | None = None,
-    uvs: _Array | None = None,
-    colours: _Array | None = None,
+    faces: Faces,
+    positions: Array,
+    normals: Array | None = None,
+    uvs: Array | None = None,
+    colours: Array | None = None,
 ) -> None:
     """Writes a mesh; the order of its vertices is kept.
 
@@ -233,17 +225,12 @@ def write_mesh(
         file: a .ply file.
         faces: (F, 3) indices of vertices.
         positions: (V, 3).
-        normals: (V, 3), unit; none are written if left out.
+        normals: (V, 3), unit; by default none are written.
         uvs: (V, 2), v from the top of the image, as Mitsuba has it; likewise.
         colours: (V, 3), linear, which Mitsuba calls `vertex_color`; likewise.
     """
-    mesh = mi.Mesh(
-        file.stem,
-        len(positions),
-        len(faces),
-        has_vertex_normals=normals is not None,
-        has_vertex_texcoords=uvs is not None,
-    )
+    has = {"has_vertex_normals": normals is not None, "has_vertex_texcoords": uvs is not None}
+    mesh = mi.Mesh(file.stem, len(positions), len(faces), **has)
     parameters = mi.traverse(mesh)
     parameters["faces"] = faces.astype(np.uint32).ravel()
     values = {"vertex_positions": positions, "vertex_normals": normals, "vertex_texcoords": uvs}

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from compose.base.errors import UserError
+from compose.camera.camera import Array
 from pathtrace.gltf.animated_nodes import Nodes
 from pathtrace.gltf.meshes import Primitive
 from pathtrace.scene.courses import nearest_rotations
 from pathtrace.scene.tracks import Keyframe, RigidTrack
-
-_Array = NDArray[np.float64]
 
 # How far a matrix may be from a rotation: that of float32 along a chain of some nodes.
 _RIGID = 1e-4
@@ -23,77 +22,6 @@ _RIGID = 1e-4
 _TOLERANCE = 3e-4
 # Between keyframes, radians: half a turn has two shortest ways.
 _MOST_TURN = 2.5
-
-
-def is_rigid(poses: _Array) -> bool:
-    """Whether (T, 4, 4) transforms keep lengths and mirror nothing."""
-    linear = poses[:, :3, :3]
-    lengths = np.abs(linear.transpose(0, 2, 1) @ linear - np.eye(3)).max()
-    return bool(lengths < _RIGID and (np.linalg.det(linear) > 0).all())
-
-
-def without_scale(poses: _Array) -> _Array:
-    """(T, 4, 4) rigid transforms that are nearest to given ones: what lights and cameras follow."""
-    found = np.tile(np.eye(4), (len(poses), 1, 1))
-    found[:, :3, :3], found[:, :3, 3] = nearest_rotations(poses[:, :3, :3]), poses[:, :3, 3]
-    return found
-
-
-def keyframes_of(times: _Array, poses: _Array, about: _Array, corners: _Array) -> list[Keyframe]:
-    """The fewest keyframes, found greedily, that bring a shape where poses bring it.
-
-    Of a part of the motion that its ends do not explain, the worst moment becomes a keyframe as well
-    (Ramer 1972, Douglas and Peucker 1973).
-
-    Args:
-        times: (T,) from 0 to 1, ascending.
-        poses: (T, 4, 4) rigid transforms from rest.
-        about: (3,) the point that the shape turns around.
-        corners: (N, 3) points of the shape at rest, which judge.
-    """
-    keys = [_keyframe(time, pose, about) for time, pose in zip(times, poses, strict=True)]
-    wanted = np.einsum("tij,nj->tni", poses[:, :3, :3], corners) + poses[:, None, :3, 3]
-    most = _TOLERANCE * float(np.linalg.norm(np.ptp(corners, axis=0)))
-    kept, parts = {0, len(keys) - 1}, [(0, len(keys) - 1)]
-    while parts:
-        first, last = parts.pop()
-        if last - first < 2:
-            continue
-        track = RigidTrack((keys[first], keys[last]), about=(about[0], about[1], about[2]))
-        inner = np.stack([track.pose(times[t]) for t in range(first + 1, last)])
-        found = np.einsum("tij,nj->tni", inner[:, :3, :3], corners) + inner[:, None, :3, 3]
-        away = np.linalg.norm(found - wanted[first + 1 : last], axis=2).max(axis=1)
-        turn = Rotation.from_matrix(poses[last, :3, :3] @ poses[first, :3, :3].T).magnitude()
-        if away.max() > most or turn > _MOST_TURN:
-            worst = first + 1 + int(np.argmax(away)) if away.max() > most else (first + last) // 2
-            kept.add(worst)
-            parts += [(first, worst), (worst, last)]
-    return [keys[index] for index in sorted(kept)]
-
-
-def _keyframe(time: float, pose: _Array, about: _Array) -> Keyframe:
-    x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()
-    shift = pose[:3, :3] @ about + pose[:3, 3] - about
-    return Keyframe(float(time), (shift[0], shift[1], shift[2]), rotation=(w, x, y, z))
-
-
-def as_json(keyframes: list[Keyframe], about: _Array) -> dict[str, Any]:
-    """A track as motion files have it."""
-    return {
-        "about": about.tolist(),
-        "keyframes": [
-            {
-                "t": key.time,
-                "translate": [float(v) for v in key.translate],
-                "rotation": list(key.rotation or ()),
-            }
-            for key in keyframes
-        ],
-    }
-
-
-Array = NDArray[np.float64]
-
 # Of a shape's diagonal: less is rounding.
 _STILL = 1e-6
 # Of all mesh files together; that many take some gigabytes.
@@ -104,6 +32,71 @@ _MOST_POSES = 5_000_000
 _LARGEST = 1e18
 # Determinant of what has no volume.
 _FLAT = 1e-12
+
+
+def is_rigid(poses: Array) -> bool:
+    """Whether (T, 4, 4) transforms keep lengths and mirror nothing."""
+    linear = poses[:, :3, :3]
+    lengths = np.abs(linear.transpose(0, 2, 1) @ linear - np.eye(3)).max()
+    return bool(lengths < _RIGID and (np.linalg.det(linear) > 0).all())
+
+
+def without_scale(poses: Array) -> Array:
+    """(T, 4, 4) rigid transforms that are nearest to given ones: what lights and cameras follow."""
+    found = np.tile(np.eye(4), (len(poses), 1, 1))
+    found[:, :3, :3], found[:, :3, 3] = nearest_rotations(poses[:, :3, :3]), poses[:, :3, 3]
+    return found
+
+
+def keyframes_of(times: Array, poses: Array, about: Array, corners: Array) -> list[Keyframe]:
+    """The fewest keyframes, found greedily, that bring a shape where poses bring it.
+
+    Of a part of the motion that its ends do not explain, the worst moment becomes a keyframe as well
+    (Ramer 1972, Douglas and Peucker 1973).
+
+    Args:
+        times: (T,) from 0 to 1, ascending.
+        poses: (T, 4, 4) rigid transforms from rest.
+        about: (3,) the point that the shape turns around.
+        corners: (N, 3) points of the shape at rest, whose ways are compared.
+    """
+    keys = [_keyframe(time, pose, about) for time, pose in zip(times, poses, strict=True)]
+    wanted = _moved(poses, corners)
+    most = _TOLERANCE * float(np.linalg.norm(np.ptp(corners, axis=0)))
+    kept, parts = {0, len(keys) - 1}, [(0, len(keys) - 1)]
+    while parts:
+        first, last = parts.pop()
+        if last - first < 2:
+            continue
+        track = RigidTrack((keys[first], keys[last]), about=(about[0], about[1], about[2]))
+        inner = np.stack([track.pose(times[t]) for t in range(first + 1, last)])
+        away = np.linalg.norm(_moved(inner, corners) - wanted[first + 1 : last], axis=2).max(axis=1)
+        turn = Rotation.from_matrix(poses[last, :3, :3] @ poses[first, :3, :3].T).magnitude()
+        if away.max() > most or turn > _MOST_TURN:
+            worst = first + 1 + int(np.argmax(away)) if away.max() > most else (first + last) // 2
+            kept.add(worst)
+            parts += [(first, worst), (worst, last)]
+    return [keys[index] for index in sorted(kept)]
+
+
+def _moved(poses: Array, points: Array) -> Array:
+    """(T, N, 3) where poses (T, 4, 4) bring points (N, 3)."""
+    return np.asarray(np.einsum("tij,nj->tni", poses[:, :3, :3], points) + poses[:, None, :3, 3])
+
+
+def _keyframe(time: float, pose: Array, about: Array) -> Keyframe:
+    x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()
+    shift = pose[:3, :3] @ about + pose[:3, 3] - about
+    return Keyframe(float(time), (shift[0], shift[1], shift[2]), rotation=(w, x, y, z))
+
+
+def as_json(keyframes: list[Keyframe], about: Array) -> dict[str, Any]:
+    """A track as motion files have it."""
+    keys = [
+        {"t": key.time, "translate": [*map(float, key.translate)], "rotation": list(key.rotation or ())}
+        for key in keyframes
+    ]
+    return {"about": about.tolist(), "keyframes": keys}
 
 
 @dataclass(frozen=True)
@@ -158,14 +151,7 @@ def times_of(nodes: Nodes, fps: float) -> Times:
 
 
 def movement_of(primitive: Primitive, nodes: Nodes, times: Times, to_world: list[Array]) -> Movement:
-    """How a primitive moves.
-
-    Args:
-        primitive: it.
-        nodes: of its file.
-        times: to look at.
-        to_world: (T, 4, 4) or (1, 4, 4) of each node, at the dense times.
-    """
+    """How a primitive moves; `to_world` is (T, 4, 4) or (1, 4, 4) of each node, at the dense times."""
     (rest,) = primitive.vertices(nodes, times.dense[:1])
     poses = to_world[primitive.node]
     about, none = poses[0, :3, 3], np.zeros((0, *rest.shape))
@@ -177,19 +163,19 @@ def movement_of(primitive: Primitive, nodes: Nodes, times: Times, to_world: list
         return Movement(rest, _bounds(meshes.reshape(-1, 3)), about, [], meshes)
     if len(poses) == 1:
         return still
-    corners, from_rest = _corners(_bounds(rest)), poses @ np.linalg.inv(poses[0])
-    moved = np.einsum("tij,nj->tni", from_rest[:, :3, :3], corners) + from_rest[:, None, :3, 3]
+    corners, from_rest = np.array(list(product(*still.bounds.T))), poses @ np.linalg.inv(poses[0])
+    moved = _moved(from_rest, corners)
     if _is_still(moved, corners):
         return still
     # What turns around one of them turns in fewer keyframes, and elsewhere goes along arcs.
     centres = [to_world[node][0, :3, 3] for node in nodes.ancestors(primitive.node)]
     ways = [keyframes_of(times.shares, from_rest, centre, corners) for centre in centres]
-    best = min(range(len(ways)), key=lambda way: len(ways[way]))
-    return Movement(rest, _bounds(moved.reshape(-1, 3)), centres[best], ways[best], none)
+    centre, best = min(zip(centres, ways, strict=True), key=lambda found: len(found[1]))
+    return Movement(rest, _bounds(moved.reshape(-1, 3)), centre, best, none)
 
 
 def deforms(primitive: Primitive, nodes: Nodes, to_world: list[Array]) -> bool:
-    """Whether a primitive moves by more than turns and shifts; `to_world` as of `movement_of`."""
+    """Whether a primitive moves by more than turns and shifts; `to_world` as in `movement_of`."""
     if primitive.skin is not None or (primitive.node, "weights") in nodes.animation.channels:
         return True
     poses = to_world[primitive.node]
@@ -223,8 +209,3 @@ def _bounds(points: Array) -> Array:
     if not np.abs(points).max() < _LARGEST:
         raise ValueError("vertices are too far from the origin")
     return np.stack([points.min(axis=0), points.max(axis=0)])
-
-
-def _corners(bounds: Array) -> Array:
-    """(8, 3) of a box."""
-    return np.stack([bounds[[x, y, z], [0, 1, 2]] for x in (0, 1) for y in (0, 1) for z in (0, 1)])

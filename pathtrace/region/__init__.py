@@ -1,1 +1,1 @@
-"""Where a viewer may be: regions of free space, the views to train on and to judge by, what views cover."""
+"""Where a viewer may be: regions of free space, views to train on and for validation, what views cover."""

@@ -22,18 +22,27 @@ from numpy.typing import NDArray
 
 from compose.base.errors import UserError, one_line
 from compose.base.files import read_json
-from compose.camera.camera import Array, Camera, camera_from_pose, look_at, turned
+from compose.camera.camera import Array, Camera, look_at, turned
 from compose.camera.coordinate_systems import camera_from_json, opengl_from_opencv
-from pathtrace.region.looks import JUDGING, TRAINING, VIEWING, Looks, drawn, generator, looks_of
-from pathtrace.region.view_selection import Selection
+from pathtrace.region.looks import Looks, looks_of
+from pathtrace.region.view_selection import DrawnRegion
 from pathtrace.scene.scene import Scene
-from pathtrace.scene.triangles import Surfaces, sphere_directions
+from pathtrace.scene.triangles import Surfaces
 
 _MOST_BYTES = 1 << 24
 # The path is part of what is trained, and goes into its files.
 MOST_POSES = 1000
 # Cameras as JSON need some.
 _ANY_INTRINSICS = {"w": 1, "h": 1, "fl_x": 1.0, "fl_y": 1.0, "cx": 0.5, "cy": 0.5}
+# Lengths in units of the median distance to what the cameras of the path see.
+_RADIUS = 0.12
+_CLEARANCE = 0.01
+_NEAR = 0.05
+_PATCH = 0.04
+# Largest turns away from the path's own looks, yaw and pitch in degrees: of viewers, and to train on.
+_TURNS, _TRAINING_TURNS = (20.0, 10.0), (32.0, 16.0)
+# Tries for a free point in the surroundings of each point that is drawn on the path.
+_BALL_TRIES = 8
 
 
 @dataclass(frozen=True)
@@ -50,32 +59,24 @@ class CameraPath:
 
 
 def read_path(file: Path, up: Array) -> CameraPath:
-    """The path that a file holds.
-
-    Args:
-        file: the file.
-        up: (3,) what is up where a pose does not say so.
+    """The path that a file holds; `up` (3,) is what is up where a pose does not say so.
 
     Raises:
-        UserError: the file cannot be read, or is no path.
+        UserError: the file cannot be read, or is not a path.
     """
     try:
         document = read_json(file, _MOST_BYTES)
     except (OSError, ValueError) as error:
         raise UserError(f"{file}: cannot be read ({one_line(error)})") from error
-    return path_from_json(document, up, str(file))
-
-
-def path_from_json(document: Any, up: Array, name: str) -> CameraPath:
-    """The path of such a file's content; `name` is for error messages, the rest as of `read_path`."""
     frames = document.get("frames") if isinstance(document, dict) else None
     if not isinstance(frames, list) or not frames:
-        raise UserError(f"{name}: is no camera path; must be JSON with a list of poses under frames")
+        raise UserError(f"{file}: is not a camera path; must be JSON with a list of poses under frames")
     if len(frames) > MOST_POSES:
-        raise UserError(f"{name}: {len(frames):,} frames; must be at most {MOST_POSES:,}")
+        raise UserError(f"{file}: {len(frames):,} frames; must be at most {MOST_POSES:,}")
     radius = document.get("radius")
-    if radius is not None and not _is_positive(radius):
-        raise UserError(f"{name}: radius is {one_line(repr(radius))}; must be a positive number")
+    is_number = isinstance(radius, int | float) and not isinstance(radius, bool)
+    if radius is not None and not (is_number and 0 < radius < np.inf):
+        raise UserError(f"{file}: radius is {one_line(repr(radius))}; must be a positive number")
     poses = []
     for index, frame in enumerate(frames):
         try:
@@ -83,14 +84,10 @@ def path_from_json(document: Any, up: Array, name: str) -> CameraPath:
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             what = f"has no {error.args[0]}" if isinstance(error, KeyError) else one_line(error)
             raise UserError(
-                f"{name}: frames[{index}] is no pose ({what}); must have transform_matrix, or position and "
-                "look_at"
+                f"{file}: frames[{index}] is not a pose ({what}); must have transform_matrix, or position "
+                "and look_at"
             ) from error
     return CameraPath(poses, radius)
-
-
-def _is_positive(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < np.inf
 
 
 def _pose(frame: Any, up: Array) -> Array:
@@ -111,24 +108,11 @@ def _point(frame: dict[str, Any], name: str) -> Array:
     return value
 
 
-# Lengths in units of the median distance to what the cameras of the path see.
-_RADIUS = 0.12
-_CLEARANCE = 0.01
-_NEAR = 0.05
-_PATCH = 0.04
-# Largest turns away from the path's own looks: yaw and pitch in degrees, to judge by and to train on.
-_TURNS, _TRAINING_TURNS = (20.0, 10.0), (32.0, 16.0)
-_DIRECTIONS = 96
-# Points of a path whose surroundings are drawn from, and tries for each.
-_BALL_TRIES = 8
-
-
-class PathRegion:
+class PathRegion(DrawnRegion):
     """The space around a camera's path.
 
     Args:
-        scene: the scene.
-        surfaces: its surfaces.
+        scene, surfaces: the scene and its surfaces.
         path: the poses, in the coordinates of the scene's file, and the radius of what belongs to the region
             around them: without one, an eighth of the distance to what the cameras see.
         name: of the file.
@@ -138,16 +122,18 @@ class PathRegion:
             sees no surface.
     """
 
+    _views = "along the path"
+    _nothing = "no view along the path sees more than surfaces right before it"
+
     def __init__(self, scene: Scene, surfaces: Surfaces, path: CameraPath, name: str):
         self._scene, self._surfaces, self._path, self.name = scene, surfaces, path, name
-        home, place = scene.camera, scene.place
-        intrinsics = home.width, home.height, home.fx, home.fy, home.cx, home.cy
-        poses = [place.camera(camera_from_pose(pose, *intrinsics)) for pose in path.poses]
-        self._looks = looks_of(poses)
+        place = scene.place
+        self._looks = looks_of([place.camera(scene.camera.at(pose)) for pose in path.poses])
         distance = self._looks.probe(surfaces, scene.camera, 12)
         if not np.isfinite(distance).any():
             raise UserError(f"{name}: no frame of the path sees a surface")
         self._scale = float(np.median(distance[np.isfinite(distance)]))
+        self._patch, self._near = _PATCH * self._scale, _NEAR * self._scale
         self.radius = _RADIUS * self._scale if path.radius is None else path.radius / place.unit
         self._least = min(_CLEARANCE * self._scale, 0.5 * self.radius)
         self._check_free()
@@ -170,46 +156,26 @@ class PathRegion:
         radius = self.radius * self._scene.place.unit
         return {"kind": "path", "radius": radius, "frames": [{"transform_matrix": m} for m in matrices]}
 
-    def views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
-        """Views to train on: the path's first, then those that show most of what is new."""
-        like = self._scene.camera.resized(width, height)
-        first = self._looks.camera(0, like)
-        viewers = self._draw(Selection.viewers(), like, _TURNS, generator(0, VIEWING))
-        patch, origin = _PATCH * self._scale, first.position
-        selection = Selection(self._surfaces, patch, origin, (viewers, like))
+    @property
+    def _source(self) -> str:
+        return self.name
 
-        def candidates(number: int, round_index: int) -> Looks:
-            return self._draw(number, like, _TRAINING_TURNS, generator(seed, TRAINING, round_index))
+    def _first(self, home: Camera) -> Camera:
+        return self._looks.camera(0, home)
 
-        return selection.chosen(count, [first], like, candidates)
-
-    def unseen_views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
-        """Views to judge by: anywhere along the path, turned away from its looks by up to 20 degrees."""
-        like = self._scene.camera.resized(width, height)
-        looks = self._draw(count, like, _TURNS, generator(seed, JUDGING))
-        if len(looks) < count:
-            raise UserError(f"{self.name}: only {len(looks)} of {count} views along the path show surfaces")
-        return [looks.camera(index, like) for index in range(count)]
-
-    def _draw(self, count: int, like: Camera, turns: tuple[float, float], rng: np.random.Generator) -> Looks:
-        def propose(number: int) -> Looks:
-            places, index = self._along(rng.random(number))
-            ball = rng.normal(size=(_BALL_TRIES, number, 3))
-            ball /= np.linalg.norm(ball, axis=2, keepdims=True)
-            ball *= self.radius * rng.random((_BALL_TRIES, number, 1)) ** (1 / 3)
-            positions = places.copy()
-            for offset in ball[::-1]:
-                free = self._is_free(places, places + offset)
-                positions[free] = (places + offset)[free]
-            yaw, pitch = (limit * (2 * rng.random(number) - 1) for limit in turns)
-            rotations = self._looks.rotations[index]
-            turned_ = [turned(r, y, p) for r, y, p in zip(rotations, yaw, pitch, strict=True)]
-            return Looks(positions, np.array(turned_))
-
-        found = drawn(count, propose, self._surfaces, like, _NEAR * self._scale)
-        if not len(found):
-            raise UserError(f"{self.name}: no view along the path sees more than surfaces right before it")
-        return found
+    def _propose(self, number: int, for_training: bool, rng: np.random.Generator) -> Looks:
+        places, index = self._along(rng.random(number))
+        ball = rng.normal(size=(_BALL_TRIES, number, 3))
+        ball /= np.linalg.norm(ball, axis=2, keepdims=True)
+        ball *= self.radius * rng.random((_BALL_TRIES, number, 1)) ** (1 / 3)
+        positions = places.copy()
+        for offset in ball[::-1]:
+            free = self._is_free(places, places + offset)
+            positions[free] = (places + offset)[free]
+        limits = _TRAINING_TURNS if for_training else _TURNS
+        turns = [limit * (2 * rng.random(number) - 1) for limit in limits]
+        rotations = [turned(*one) for one in zip(self._looks.rotations[index], *turns, strict=True)]
+        return Looks(positions, np.array(rotations))
 
     def _along(self, share: Array) -> tuple[Array, NDArray[np.int64]]:
         """Points (N, 3) at shares of the path's length, and the poses nearest to each along it."""
@@ -239,13 +205,12 @@ class PathRegion:
 
     def _is_free(self, places: Array, points: Array) -> NDArray[np.bool_]:
         """Whether points (N, 3) are seen from places (N, 3) and not on a surface."""
-        clearance = self._surfaces.clearances(points, sphere_directions(_DIRECTIONS))
+        clearance = self._surfaces.clearances(points)
         return self._surfaces.are_joined(places, points) & (clearance >= self._least)
 
     def _check_free(self) -> None:
         stops = self._looks.positions
-        clearance = self._surfaces.clearances(stops, sphere_directions(_DIRECTIONS))
-        tight = np.flatnonzero(clearance < 0.1 * self._least)
+        tight = np.flatnonzero(self._surfaces.clearances(stops) < 0.1 * self._least)
         blocked = 1 + np.flatnonzero(~self._surfaces.are_joined(stops[:-1], stops[1:]))
         if len(tight) and not (len(blocked) and blocked[0] < tight[0]):
             raise UserError(f"{self.name}: frames[{tight[0]}] lies on a surface; must be in free space")

@@ -7,15 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.errors import UserError
-from compose.camera.camera import Array, Camera, View, camera_from_pose, turned
+from compose.camera.camera import Array, Camera, View, turned
 from pathtrace.scene.scene import Scene
-from pathtrace.scene.triangles import Surfaces, sphere_directions
+from pathtrace.scene.triangles import Surfaces
 
 # All lengths are in units of the median distance to what the scene's own camera sees, so that scenes in
 # millimetres and in metres get the same views.
@@ -31,8 +32,6 @@ _TRIES_PER_VIEW = 200
 # Sizes of a camera's path that are tried, in units of the reach, and the share of the largest yaw by which it
 # looks back to the middle from either end.
 _SWAYS, _LOOKS_BACK = (0.7, 0.4, 0.2, 0.1, 0.05), 0.4
-# In which the nearest surface to a point is looked for.
-_DIRECTIONS = 96
 # Unlikely to be the seed of a training.
 UNSEEN_SEED = 7919
 # Views between the scene's own camera and those at the border, which few views can do without.
@@ -40,6 +39,8 @@ _BEFORE_BORDER = 7
 # The same, before such from elsewhere than the scene's own camera.
 _BEFORE_OUTER = 15
 _OUTER_TRIES = 20
+# Multiples of the golden ratio, modulo 1, are evenly spread however many they are.
+_GOLDEN = (5**0.5 - 1) / 2
 # Views turned further than all others, in units of the largest yaw and pitch: without them, hardly any frame
 # would show what lies at the edge of every other view.
 BORDER = tuple((x, y) for x in (-1.6, 0.0, 1.6) for y in (-1.6, 0.0, 1.6) if (x, y) != (0.0, 0.0))
@@ -50,8 +51,7 @@ class Neighbourhood:
     """The space around the scene's own camera, at the scale of what it sees.
 
     Attributes:
-        scene_name: for error messages.
-        surfaces: the scene's surfaces.
+        scene_name, surfaces: of the scene.
         home: the scene's own camera at the size of the frames.
         scale: median distance to what it sees.
         share: of the reach and the turns that views have in a field of view of ordinary width, at most 1.
@@ -85,7 +85,7 @@ class Neighbourhood:
         found = np.linalg.norm(points - self.home.position, axis=1) <= self.radius * (1 + 1e-6)
         inside = points[found]
         joined = self.surfaces.are_joined(np.tile(self.home.position, (len(inside), 1)), inside)
-        clear = self.surfaces.clearances(inside, sphere_directions(_DIRECTIONS)) >= _CLEARANCE * self.scale
+        clear = self.surfaces.clearances(inside) >= _CLEARANCE * self.scale
         is_home = np.linalg.norm(inside - self.home.position, axis=1) <= 1e-6 * self.scale
         found[found] = (joined & clear) | is_home
         return found
@@ -100,8 +100,7 @@ class Neighbourhood:
         rng = np.random.default_rng([seed, len(BORDER)])
         views = []
         for x, y in BORDER:
-            for _ in range(_OUTER_TRIES):
-                direction = rng.normal(size=3)
+            for direction in (rng.normal(size=3) for _ in range(_OUTER_TRIES)):
                 offset = direction / np.linalg.norm(direction) * self.radius
                 view = _moved(self.home, offset, x * self.share, y * self.share)
                 if self._is_usable(view):
@@ -114,16 +113,12 @@ class Neighbourhood:
         # Takes a second to import, which frames that need no views should not wait for.
         from scipy.stats import qmc
 
-        found: list[Camera] = []
         sequence = qmc.Halton(5, seed=seed)
-        for _ in range(count * _TRIES_PER_VIEW):
-            if len(found) == count:
-                break
-            u = sequence.random(1)[0]
-            offset = _in_ball(u[:3]) * self.radius
-            candidate = _moved(self.home, offset, *((2 * u[3:] - 1) * self.share))
-            if self._is_usable(candidate):
-                found.append(candidate)
+        points = (sequence.random(1)[0] for _ in range(count * _TRIES_PER_VIEW))
+        views = (
+            _moved(self.home, _in_ball(u[:3]) * self.radius, *((2 * u[3:] - 1) * self.share)) for u in points
+        )
+        found = list(islice(filter(self._is_usable, views), count))
         if len(found) < count:
             raise UserError(
                 f"{self.scene_name}: only {len(found)} of {count} further views fit into the free space "
@@ -151,22 +146,16 @@ class Neighbourhood:
 
     def _is_usable(self, candidate: Camera) -> bool:
         """Whether a view is reachable from the scene's own camera and not too near to surfaces."""
-        if not self.surfaces.sees(self.home.position, candidate.position):
-            return False
-        if self.surfaces.clearance(candidate.position) < _CLEARANCE * self.scale:
-            return False
-        distance = self.surfaces.probe(candidate)
-        return float(np.mean(distance < _NEAR * self.scale)) <= _NEAR_SHARE
+        return (
+            self.surfaces.sees(self.home.position, candidate.position)
+            and self.surfaces.clearance(candidate.position) >= _CLEARANCE * self.scale
+            and float(np.mean(self.surfaces.probe(candidate) < _NEAR * self.scale)) <= _NEAR_SHARE
+        )
 
 
 @dataclass(frozen=True)
 class NearRegion:
-    """The neighbourhood of the scene's own camera as a region.
-
-    Attributes:
-        scene: the scene.
-        surfaces: its surfaces.
-    """
+    """The neighbourhood of the scene's own camera as a region."""
 
     scene: Scene
     surfaces: Surfaces
@@ -188,12 +177,11 @@ class NearRegion:
         first, second = _BEFORE_BORDER, _BEFORE_OUTER
         outer = around.outer(seed)[: max(0, count - 1 - second - len(border))]
         spread = around.spread(max(0, count - 1 - len(border) - len(outer)), seed)
-        return [around.home, *spread[:first], *border, *spread[first:second], *outer, *spread[second:]][
-            :count
-        ]
+        views = [around.home, *spread[:first], *border, *spread[first:second], *outer, *spread[second:]]
+        return views[:count]
 
     def unseen_views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
-        """Views to judge by."""
+        """Held-out validation views."""
         around = Neighbourhood.of(self.scene, self.surfaces, width, height)
         return around.spread(count, UNSEEN_SEED + seed)
 
@@ -211,11 +199,7 @@ def _moved(home: Camera, offset: Array, yaw_share: float, pitch_share: float) ->
     moved = np.eye(4)
     moved[:3, :3] = turned(pose[:3, :3], yaw_share * _YAW, pitch_share * _PITCH)
     moved[:3, 3] = pose[:3, 3] + offset
-    return camera_from_pose(moved, home.width, home.height, home.fx, home.fy, home.cx, home.cy)
-
-
-# Multiples of the golden ratio, modulo 1, are evenly spread however many they are.
-_GOLDEN = (5**0.5 - 1) / 2
+    return home.at(moved)
 
 
 @dataclass(frozen=True)
@@ -237,21 +221,19 @@ class ViewSet:
 def unseen_views(scene: Scene, count: int, width: int, height: int) -> list[View]:
     """Views around the scene's own camera to measure on, which differ from those of any training.
 
-    Of a scene that moves, they show times half a step from those of training views.
-
-    Args and raises as of `choose_views`.
+    Of a scene that moves, they show times half a step from those of training views. Args and raises as in
+    `choose_views`.
     """
     neighbourhood = Neighbourhood.of(scene, Surfaces(scene), width, height)
     cameras = neighbourhood.spread(count, UNSEEN_SEED)
-    return [View(camera, unseen_time(scene, number)) for number, camera in enumerate(cameras)]
+    return [View(camera, view_time(scene, number + 0.5)) for number, camera in enumerate(cameras)]
 
 
 def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, height: int, seed: int) -> ViewSet:
     """Views around the scene's own camera.
 
     Args:
-        scene: the scene.
-        surfaces: its surfaces.
+        scene, surfaces: the scene and its surfaces.
         count: number of views in all; with 16 or fewer, only the scene's own camera is fixed.
         width, height: frame size in pixels.
         seed: same seed, same views.
@@ -263,34 +245,24 @@ def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, heigh
     fixed = [neighbourhood.home]
     if count > 2 * len(BORDER):
         fixed += neighbourhood.border()
-    times = view_times(scene, count)
+    times = [view_time(scene, number) for number in range(count)]
     return ViewSet(fixed, neighbourhood.spread(count - len(fixed), seed), times)
 
 
 def monocular_views(scene: Scene, surfaces: Surfaces, count: int, width: int, height: int) -> ViewSet:
-    """Views of one camera that sways around the scene's own, one instant after the other, as of a video.
+    """Views of one camera that sways around the scene's own, one instant after the other, as in a video.
 
-    Args and raises as of `choose_views`.
+    Args and raises as in `choose_views`.
     """
     shares = np.linspace(0, 1, count)
     cameras = Neighbourhood.of(scene, surfaces, width, height).path(shares.tolist())
     return ViewSet([], cameras, [0.0 if scene.moving is None else float(share) for share in shares])
 
 
-def time_of(number: float) -> float:
-    """The time from 0 to 1 that a view shows of a scene that moves; views have all times alike."""
-    return (0.5 + number * _GOLDEN) % 1
+def view_time(scene: Scene, number: float) -> float:
+    """The time from 0 to 1 that a view shows, by its number; 0 if nothing moves.
 
-
-def unseen_time(scene: Scene, number: int) -> float:
-    """The time that a view to measure on shows: half a step from those of training; 0 if nothing moves."""
-    return _time(scene, number + 0.5)
-
-
-def view_times(scene: Scene, count: int) -> list[float]:
-    """The times that views to train on show; 0 if nothing moves."""
-    return [_time(scene, number) for number in range(count)]
-
-
-def _time(scene: Scene, number: float) -> float:
-    return 0.0 if scene.moving is None else time_of(number)
+    Those of numbers 0, 1, 2 ..., which views to train on have, are evenly spread over all times; validation
+    views have numbers between, 0.5, 1.5 and so on.
+    """
+    return 0.0 if scene.moving is None else (0.5 + number * _GOLDEN) % 1

@@ -8,6 +8,7 @@ geometry does; where there is sky, the space ends as well.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,19 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.errors import UserError
-from compose.camera.camera import Array, Camera
-from pathtrace.region.looks import (
-    JUDGING,
-    TRAINING,
-    VIEWING,
-    Looks,
-    drawn,
-    generator,
-    turned_about,
-    upright,
-    widened,
-)
-from pathtrace.region.view_selection import Selection
+from compose.camera.camera import Array, Camera, unit
+from pathtrace.region.looks import Looks, turned_about, upright, widened
+from pathtrace.region.view_selection import DrawnRegion
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.triangles import Surfaces, sphere_directions
 
@@ -56,9 +47,19 @@ _TUBE = 8
 # Nodes to which the camera may step at first: up to so many along each axis.
 _FIRST_STEPS = 2
 _STEPS = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
-_CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.int64)
+_CORNERS = np.array(list(itertools.product((0, 1), repeat=3)), dtype=np.int64)
 # Nodes along each axis to either side that a key can tell apart.
 _HALF = 1 << 20
+# Steepest looks in degrees: of viewers, and of views to train on, which may show floor and ceiling as well.
+_PITCH, _TRAINING_PITCH = 30.0, 45.0
+# Least field of view of the views to train on, in degrees. Wider views than those of viewers show a little
+# more, and all of it coarser: 100 views of 36, 60 and 75 degrees cover 74, 69 and 68 % of what viewers with
+# 36 degrees see at half of their resolution.
+_FIELD_OF_VIEW = 40.0
+# Surfaces nearer than this many radii of a viewer are too near to look at.
+_NEAR = 2.0
+# Side of a patch of surface whose views are counted, in units of the space's size.
+_PATCH = 0.12
 
 
 @dataclass(frozen=True)
@@ -106,19 +107,13 @@ class Measures:
 
 
 class FreeSpace:
-    """The space that can be reached from a camera.
-
-    Args:
-        surfaces: the scene's surfaces.
-        home: the camera.
-        measures: of the space around it.
+    """The space that can be reached from a camera, given the measures of the space around it.
 
     Attributes:
         nodes: (N, 3) centres of the lattice's cells that can be reached; the camera's own is not among them
             if surfaces are too near.
         spacing: of the lattice.
         radius: of the viewer.
-        is_whole: whether the flood ended at surfaces, rather than at the largest number of nodes.
     """
 
     def __init__(self, surfaces: Surfaces, home: Camera, measures: Measures):
@@ -126,7 +121,6 @@ class FreeSpace:
         self.spacing, self.radius = _SPACING * measures.size, _RADIUS * measures.size
         self._home_clearance = surfaces.clearance(home.position)
         self._directions = sphere_directions(_DIRECTIONS)
-        self.is_whole = True
         reached = self._flooded()
         self._reached = np.sort(_key(reached))
         self.nodes = self._position(reached)
@@ -144,7 +138,7 @@ class FreeSpace:
         usable = np.isin(_key(corners.reshape(-1, 3)), self._reached).reshape(-1, len(_CORNERS))
         kept = usable.any(axis=1) | is_near
         index, is_near, corners, usable = index[kept], is_near[kept], corners[kept], usable[kept]
-        clearance = self._surfaces.clearances(points[index], sphere_directions(_POINT_DIRECTIONS))
+        clearance = self._surfaces.clearances(points[index], _POINT_DIRECTIONS)
         least = np.full(len(index), _POINT_RADIUS * self.radius)
         # Around the camera itself, which may stand nearer to a wall than others.
         least[is_near] = min(_POINT_RADIUS * self.radius, 0.5 * self._home_clearance)
@@ -183,7 +177,6 @@ class FreeSpace:
             end = end[self._are_passable(self._position(start), self._position(end), self.radius)]
             front = np.unique(end, axis=0)
             if total + len(front) > _MOST_NODES:
-                self.is_whole = False
                 break
             reached.append(front)
             total += len(front)
@@ -191,8 +184,8 @@ class FreeSpace:
 
     def _first(self) -> _Nodes:
         """(N, 3) nodes around the camera to which it can step."""
-        axis = np.arange(-_FIRST_STEPS, _FIRST_STEPS + 1)
-        nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+        axis = range(-_FIRST_STEPS, _FIRST_STEPS + 1)
+        nodes = np.array(list(itertools.product(axis, repeat=3)), dtype=np.int64)
         nodes = nodes[self._is_within(nodes)]
         nodes = nodes[self._is_free(nodes)]
         ends = self._position(nodes)
@@ -220,12 +213,12 @@ class FreeSpace:
         """Whether tubes between points (N, 3) and (N, 3) hold no surface."""
         ways = ends - starts
         # Any two axes across; the step from the camera to where it stands has none.
-        is_along_x = np.abs(_unit(ways)[:, :1]) > 0.6
+        is_along_x = np.abs(unit(ways)[:, :1]) > 0.6
         aside = np.cross(ways, np.where(is_along_x, [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]))
         above = np.cross(ways, aside)
         passable = self._surfaces.are_joined(starts, ends)
         for turn in np.arange(_TUBE) * 2 * np.pi / _TUBE:
-            shift = radius * (np.cos(turn) * _unit(aside) + np.sin(turn) * _unit(above))
+            shift = radius * (np.cos(turn) * unit(aside) + np.sin(turn) * unit(above))
             passable[passable] = self._surfaces.are_joined(
                 starts[passable] + shift[passable], ends[passable] + shift[passable]
             )
@@ -235,35 +228,14 @@ class FreeSpace:
         return self._home + nodes * self.spacing
 
 
-def _unit(vectors: Array) -> Array:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors / np.where(length > 0, length, 1)
-
-
 def _key(nodes: _Nodes) -> _Nodes:
     """(N,) one number for each node (N, 3)."""
     shifted = nodes + _HALF
     return (shifted[:, 0] * (2 * _HALF) + shifted[:, 1]) * (2 * _HALF) + shifted[:, 2]
 
 
-# Steepest looks in degrees: of viewers, and of views to train on, which may show floor and ceiling as well.
-_PITCH, _TRAINING_PITCH = 30.0, 45.0
-# Least field of view of the views to train on, in degrees. Wider views than those of viewers show a little
-# more, and all of it coarser: 100 views of 36, 60 and 75 degrees cover 74, 69 and 68 % of what viewers with
-# 36 degrees see at half of their resolution.
-_FIELD_OF_VIEW = 40.0
-# Surfaces nearer than this many radii of a viewer are too near to look at.
-_NEAR = 2.0
-# Side of a patch of surface whose views are counted, in units of the space's size.
-_PATCH = 0.12
-
-
-class ReachableRegion:
-    """The reachable space of a scene.
-
-    Args:
-        scene: the scene.
-        surfaces: its surfaces.
+class ReachableRegion(DrawnRegion):
+    """The reachable space of a scene, with its surfaces.
 
     Attributes:
         name: "reachable".
@@ -274,14 +246,16 @@ class ReachableRegion:
     """
 
     name = "reachable"
+    _views = "of it"
+    _nothing = "nothing can be seen from the space around the scene's own camera"
 
     def __init__(self, scene: Scene, surfaces: Surfaces):
         self._scene, self._surfaces = scene, surfaces
         measures = Measures.of(surfaces, scene.camera)
         if measures is None:
             raise UserError(f"{scene.name}: the scene's own camera sees no surface")
-        self._measures = measures
         self.space = FreeSpace(surfaces, scene.camera, measures)
+        self._patch, self._near = _PATCH * measures.size, _NEAR * self.space.radius
         if not len(self.space.nodes):
             unit = scene.place.unit
             raise UserError(
@@ -299,36 +273,11 @@ class ReachableRegion:
         """What tells it from other regions of the same scene."""
         return {"kind": "reachable"}
 
-    def views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
-        """Views to train on: the scene's own camera, then those that show most of what is new."""
-        home = self._scene.camera.resized(width, height)
-        wide = widened(home, _FIELD_OF_VIEW)
-        viewers = self._draw(Selection.viewers(), home, _PITCH, generator(0, VIEWING))
-        patch = _PATCH * self._measures.size
-        selection = Selection(self._surfaces, patch, home.position, (viewers, home))
+    def _trained(self, home: Camera) -> Camera:
+        return widened(home, _FIELD_OF_VIEW)
 
-        def candidates(number: int, round_index: int) -> Looks:
-            return self._draw(number, wide, _TRAINING_PITCH, generator(seed, TRAINING, round_index))
-
-        return selection.chosen(count, [home], wide, candidates)
-
-    def unseen_views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
-        """Views to judge by: anywhere in the space, level on average."""
-        home = self._scene.camera.resized(width, height)
-        looks = self._draw(count, home, _PITCH, generator(seed, JUDGING))
-        if len(looks) < count:
-            raise UserError(f"{self._scene.name}: only {len(looks)} of {count} views of it show surfaces")
-        return [looks.camera(index, home) for index in range(count)]
-
-    def _draw(self, count: int, like: Camera, pitch: float, rng: np.random.Generator) -> Looks:
-        def propose(number: int) -> Looks:
-            positions = self.space.sample(number, rng)
-            yaw, up = 360 * rng.random(number), pitch * (2 * rng.random(number) - 1)
-            return Looks(positions, turned_about(self._up, yaw, up))
-
-        found = drawn(count, propose, self._surfaces, like, _NEAR * self.space.radius)
-        if not len(found):
-            raise UserError(
-                f"{self._scene.name}: nothing can be seen from the space around the scene's own camera"
-            )
-        return found
+    def _propose(self, number: int, for_training: bool, rng: np.random.Generator) -> Looks:
+        positions = self.space.sample(number, rng)
+        steepest = _TRAINING_PITCH if for_training else _PITCH
+        yaw, pitch = 360 * rng.random(number), steepest * (2 * rng.random(number) - 1)
+        return Looks(positions, turned_about(self._up, yaw, pitch))

@@ -35,22 +35,16 @@ class Coverage:
 
     def __init__(self, surfaces: Surfaces, cameras: list[Camera]):
         self._surfaces = surfaces
-        self._transforms, self._positions = np.zeros((0, 3, 4)), np.zeros((0, 3))
-        self._intrinsics = np.zeros((0, 6))
+        self._cameras: list[Camera] = []
         self.add(cameras)
 
     def add(self, cameras: list[Camera]) -> None:
         """Adds views."""
-        if not cameras:
-            return
-        transforms = np.array([camera.world_to_camera[:3] for camera in cameras])
-        self._transforms = np.concatenate([self._transforms, transforms])
-        positions = np.array([camera.position for camera in cameras])
-        self._positions = np.concatenate([self._positions, positions])
-        intrinsics = np.array(
-            [(c.width, c.height, c.fx, c.fy, c.cx, c.cy) for c in cameras], dtype=np.float64
-        )
-        self._intrinsics = np.concatenate([self._intrinsics, intrinsics])
+        self._cameras += cameras
+        self._transforms = np.array([c.world_to_camera[:3] for c in self._cameras]).reshape(-1, 3, 4)
+        self._positions = np.array([c.position for c in self._cameras]).reshape(-1, 3)
+        numbers = [(c.width, c.height, c.fx, c.fy, c.cx, c.cy) for c in self._cameras]
+        self._intrinsics = np.array(numbers, dtype=np.float64).reshape(-1, 6)
 
     def map(self, camera: Camera) -> Array:
         """(h, w) how well a camera's frame is covered, from 0 (unseen) to 1 (seen as finely or finer).
@@ -117,12 +111,7 @@ def _resolution(
     """(N,) frame heights per unit of length along surfaces with unit normals (N, 3).
 
     Seen at a slant, a surface keeps its resolution along one axis and loses it along the other: this is the
-    geometric mean. A surface seen from behind has none.
-
-    Args:
-        fx, fy, height: of the frames, in pixels.
-        ways: (N, 3) from the surfaces to the views.
-        normal: (N, 3) of the surfaces.
+    geometric mean. A surface seen from behind has none. Ways (N, 3) lead from the surfaces to the views.
     """
     length = np.linalg.norm(ways, axis=1)
     cosine = np.sum(ways * normal, axis=1) / length

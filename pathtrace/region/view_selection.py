@@ -1,4 +1,4 @@
-"""Chooses the views to train on: each shows most of what those before it did not show as well.
+"""Draws views of a region at random, and chooses those to train on: each shows most of what is new.
 
 Surfaces are divided into patches. Viewers, spread over the region, say how much each patch matters, and how
 finely it must be shown: each of their pixels asks for its patch at its own resolution. A view answers those
@@ -9,17 +9,27 @@ best set (Nemhauser, Wolsey, Fisher 1978).
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.errors import UserError
 from compose.camera.camera import Array, Camera
 from pathtrace.region.looks import Looks, looks_of
+from pathtrace.scene.scene import Scene
 from pathtrace.scene.triangles import Surfaces
 
 _Numbers = NDArray[np.int64]
 
+# Side of the coarse frames that say what a view shows, in pixels.
+_COARSE_SIDE = 12
+# Largest share of a frame with surfaces that are too near, and smallest with any surface at all.
+_NEAR_SHARE, _SEEN_SHARE = 0.1, 0.3
+_TRIES = 24
+# Streams of random numbers: validation views must not be among those that are trained on.
+_TRAINING, _JUDGING, _VIEWING = 0, 1, 2
 # Viewers, candidates for a round of views, and the views that a round gives.
 _VIEWERS, _CANDIDATES, _ROUND = 768, 768, 192
 # Side of the coarse frames in which patches are counted, in pixels.
@@ -34,14 +44,85 @@ _LOWEST, _LEVELS = -64, 128
 _CELLS = 1 << 16
 
 
-class Selection:
-    """Chooses views of a region.
+class DrawnRegion(ABC):
+    """A region whose views are drawn at random; of many, those are trained on that show most of what is new.
 
-    Args:
-        surfaces: the scene's.
-        patch: side of a patch in units of the scene.
-        origin: (3,) point amid the scene.
-        viewers: where viewers may be, and the camera they have.
+    Attributes:
+        name: what users call it.
+    """
+
+    name: str
+    _scene: Scene
+    _surfaces: Surfaces
+    # Side of a patch of surface, and distance of surfaces that are too near to look at.
+    _patch: float
+    _near: float
+    # What error messages say of all views, and if none shows anything.
+    _views: str
+    _nothing: str
+
+    @abstractmethod
+    def _propose(self, number: int, for_training: bool, rng: np.random.Generator) -> Looks:
+        """Views that may show nothing; those to train on may look further aside than viewers."""
+
+    def _first(self, home: Camera) -> Camera:
+        """The first view to train on; `home` is the scene's own camera at the size of the frames."""
+        return home
+
+    def _trained(self, home: Camera) -> Camera:
+        """A camera with the intrinsics of the other views to train on."""
+        return home
+
+    def views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
+        """Views to train on: a fixed one, then those that show most of what is new."""
+        home = self._scene.camera.resized(width, height)
+        first, like = self._first(home), self._trained(home)
+        viewers = self._drawn(_VIEWERS, home, False, [0, _VIEWING, 0])
+        selection = Selection(self._surfaces, self._patch, first.position, (viewers, home))
+
+        def candidates(number: int, round_index: int) -> Looks:
+            return self._drawn(number, like, True, [seed, _TRAINING, round_index])
+
+        return selection.chosen(count, [first], like, candidates)
+
+    def unseen_views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
+        """Held-out validation views: what viewers may see anywhere in the region."""
+        home = self._scene.camera.resized(width, height)
+        looks = self._drawn(count, home, False, [seed, _JUDGING, 0])
+        if len(looks) < count:
+            raise UserError(f"{self._source}: only {len(looks)} of {count} views {self._views} show surfaces")
+        return [looks.camera(index, home) for index in range(count)]
+
+    @property
+    def _source(self) -> str:
+        """What error messages begin with."""
+        return self._scene.name
+
+    def _drawn(self, count: int, like: Camera, for_training: bool, seeds: list[int]) -> Looks:
+        """Up to `count` views that show something, and not only from too near; UserError if there are none.
+
+        They are fewer where hardly one in 24 shows anything.
+        """
+        rng, positions, rotations, total = np.random.default_rng(seeds), [], [], 0
+        for _ in range(_TRIES):
+            looks = self._propose(count, for_training, rng)
+            distance = looks.probe(self._surfaces, like, _COARSE_SIDE)
+            is_far = np.mean(distance < self._near, axis=1) <= _NEAR_SHARE
+            looks = looks[is_far & (np.mean(np.isfinite(distance), axis=1) >= _SEEN_SHARE)]
+            positions.append(looks.positions)
+            rotations.append(looks.rotations)
+            total += len(looks)
+            if total >= count:
+                break
+        if not total:
+            raise UserError(f"{self._source}: {self._nothing}")
+        return Looks(np.concatenate(positions)[:count], np.concatenate(rotations)[:count])
+
+
+class Selection:
+    """Chooses views of a region, for viewers and the camera that they have.
+
+    The patches have a side in units of the scene; the origin (3,) is a point amid it.
     """
 
     def __init__(self, surfaces: Surfaces, patch: float, origin: Array, viewers: tuple[Looks, Camera]):
@@ -50,11 +131,6 @@ class Selection:
         # Ordered by patch, then by level: what a view answers of a patch is a range.
         self._asked, pixels = np.unique(patches * _LEVELS + level, return_counts=True)
         self._weight = pixels / max(pixels.sum(), 1)
-
-    @staticmethod
-    def viewers() -> int:
-        """How many viewers a selection needs."""
-        return _VIEWERS
 
     def chosen(
         self, count: int, first: list[Camera], like: Camera, draw: Callable[[int, int], Looks]

@@ -1,4 +1,4 @@
-"""Regions: where a viewer may be, which views to train on there, and which to judge by."""
+"""Regions: where a viewer may be, which views to train on there, and which to validate with."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from compose.base.errors import UserError
 from compose.camera.camera import Array, Camera
-from pathtrace.region.camera_path import PathRegion, path_from_json, read_path
+from pathtrace.region.camera_path import PathRegion, read_path
 from pathtrace.region.looks import upright
 from pathtrace.region.neighbourhood import NearRegion
 from pathtrace.region.reachable import ReachableRegion
@@ -31,7 +31,7 @@ class Region(Protocol):
         """(N,) whether a viewer can be at points (N, 3)."""
 
     def identity(self) -> dict[str, Any]:
-        """What tells it from other regions of the same scene, as JSON; `region_from_identity` reads it."""
+        """What tells it from other regions of the same scene, as JSON."""
 
     def views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
         """Views to train on; the first of them are the same whatever their number.
@@ -46,15 +46,14 @@ class Region(Protocol):
         """
 
     def unseen_views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
-        """Views to judge by, drawn otherwise than those to train on; args and raises as of `views`."""
+        """Held-out validation views, drawn apart from those to train on; args and raises as in `views`."""
 
 
 def region_of(scene: Scene, surfaces: Surfaces, given: str) -> Region:
     """The region that a user asks for.
 
     Args:
-        scene: the scene.
-        surfaces: its surfaces.
+        scene, surfaces: the scene and its surfaces.
         given: "near" for a ball around the scene's own camera, "reachable" for all that a viewer can reach
             from there, or the name of a file with a camera's path (pathtrace.region.camera_path).
 
@@ -70,19 +69,3 @@ def region_of(scene: Scene, surfaces: Surfaces, given: str) -> Region:
     if not file.suffix and not file.exists():
         raise UserError(f"region {given!r}: must be {NEAR}, {REACHABLE} or the file of a camera's path")
     return PathRegion(scene, surfaces, read_path(file, upright(scene.camera)), str(file))
-
-
-def region_from_identity(scene: Scene, surfaces: Surfaces, identity: dict[str, Any]) -> Region:
-    """The region that a forest was trained for, from what `identity` gave.
-
-    Raises:
-        UserError: there is no such region.
-    """
-    kind = identity.get("kind")
-    if kind == "path":
-        name = "the region's path"
-        path = path_from_json(identity, upright(scene.camera), name)
-        return PathRegion(scene, surfaces, path, name)
-    if kind not in (NEAR, REACHABLE):
-        raise UserError(f"region of the kind {kind!r}; must be {NEAR}, {REACHABLE} or path")
-    return region_of(scene, surfaces, kind)

@@ -37,10 +37,7 @@ _selected: Backend | None = None
 
 
 def select_backend(choice: str = "auto") -> Backend:
-    """Sets the Mitsuba variant, once per process: CUDA if available, else LLVM.
-
-    Args:
-        choice: "auto", "cuda" or "llvm".
+    """Sets the Mitsuba variant, once per process: "cuda", "llvm", or "auto" for CUDA if it is available.
 
     Raises:
         UserError: the choice is unknown or not available, or another backend is already in use.
@@ -58,7 +55,6 @@ def select_backend(choice: str = "auto") -> Backend:
 
 
 def _select(choice: str) -> Backend:
-    """Sets the variant of a valid choice."""
     if isinstance(LLVM, UserError) and (choice == "llvm" or not ctypes.util.find_library("cuda")):
         raise LLVM
     import drjit as dr

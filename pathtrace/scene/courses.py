@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +10,21 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-Array = NDArray[np.float64]
+from compose.camera.camera import Array
+
+# How far a turned vertex may be from the shape at rest, as a share of its diagonal, and points on its faces
+# from which that is found: they are closer to each other than that, and so are faces and the ball they make.
+_SYMMETRY_TOLERANCE = 0.02
+_SYMMETRY_POINTS = 20_000
+# Turns that are tried, at most.
+_TURNS = 33
+# Numbers of pieces that are tried.
+_COUNTS = 1, 16, 32, 64, 128, 256
+# How far vertices may be from where their piece brings them, as a share of the shape's diagonal: so many
+# pieces are used that they are not, as a root mean square over all vertices and times.
+_PIECE_TOLERANCE = 3e-3
+# Vertices around a piece's centre from which its turn is found.
+_NEIGHBOURS = 16
 
 
 @dataclass(frozen=True)
@@ -34,13 +47,8 @@ class Course:
 
     def as_json(self) -> dict[str, Any]:
         """In types that JSON has."""
-        return {
-            "name": self.name,
-            "shape": self.shape,
-            "centre": self.centre.tolist(),
-            "rotations": self.rotations.tolist(),
-            "shifts": self.shifts.tolist(),
-        }
+        arrays = {name: getattr(self, name).tolist() for name in ("centre", "rotations", "shifts")}
+        return {"name": self.name, "shape": self.shape, **arrays}
 
 
 def course_of_poses(name: str, shape: int, poses: Array, centre: Array) -> Course:
@@ -79,15 +87,11 @@ def nearest_rotations(linear: Array) -> Array:
 def spread_over_faces(
     vertices: Array, faces: NDArray[np.int64], count: int
 ) -> tuple[NDArray[np.int64], Array]:
-    """Points that are evenly spread over the faces of a mesh, always the same ones.
-
-    Args:
-        vertices: (V, 3).
-        faces: (F, 3) indices of vertices.
-        count: number of points; there are none on faces without an area.
+    """Points that are evenly spread over the faces (F, 3) of a mesh (V, 3), always the same ones.
 
     Returns:
-        (N, 3) indices of the vertices around each point, and (N, 3) its shares of them, whose sum is 1.
+        (N, 3) indices of the vertices around each point, and (N, 3) its shares of them, whose sum is 1; N is
+        `count`, or 0 if no face has an area.
     """
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
@@ -100,25 +104,14 @@ def spread_over_faces(
     return faces[chosen], np.stack([1 - root, root * (1 - v), root * v], axis=1)
 
 
-# How far a turned vertex may be from the shape at rest, as a share of its diagonal, and points on its faces
-# from which that is found: they are closer to each other than that, and so are faces and the ball they make.
-_SYMMETRY_TOLERANCE = 0.02
-_SYMMETRY_POINTS = 20_000
-# Turns that are tried, at most.
-_TURNS = 33
-
-
 def is_unchanged(vertices: Array, faces: NDArray[np.int64], centre: Array, rotations: Array) -> bool:
-    """Whether a mesh looks the same after turns around a point.
+    """Whether a mesh looks the same after turns (T, 3, 3) around a point (3,).
 
-    Args:
-        vertices: (V, 3) at rest.
-        faces: (F, 3) indices of vertices.
-        centre: (3,) that is turned around.
-        rotations: (T, 3, 3).
+    Its vertices (V, 3) are those at rest; faces (F, 3) are their indices.
     """
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
-    tree = cKDTree(np.concatenate([vertices, _on_faces(vertices, faces)]))
+    corners, shares = spread_over_faces(vertices, faces, _SYMMETRY_POINTS)
+    tree = cKDTree(np.concatenate([vertices, np.einsum("nc,nci->ni", shares, vertices[corners])]))
     for rotation in rotations[:: max(1, len(rotations) // _TURNS)]:
         turned = (vertices - centre) @ rotation.T + centre
         if tree.query(turned)[0].max() > _SYMMETRY_TOLERANCE * diagonal:
@@ -126,28 +119,10 @@ def is_unchanged(vertices: Array, faces: NDArray[np.int64], centre: Array, rotat
     return True
 
 
-def _on_faces(vertices: Array, faces: NDArray[np.int64]) -> Array:
-    """(N, 3) points that are evenly spread over the faces."""
-    corners, shares = spread_over_faces(vertices, faces, _SYMMETRY_POINTS)
-    return np.einsum("nc,nci->ni", shares, vertices[corners])
-
-
-# Numbers of pieces that are tried.
-_COUNTS = 1, 16, 32, 64, 128, 256
-# How far vertices may be from where their piece brings them, as a share of the shape's diagonal: so many
-# pieces are used that they are not, as a root mean square over all vertices and times.
-_PIECE_TOLERANCE = 3e-3
-# Vertices around a piece's centre from which its turn is found.
-_NEIGHBOURS = 16
-
-
 def courses_of_pieces(name: str, shape: int, rest: Array, moved: Array) -> list[Course]:
     """The courses of as many pieces as a deforming shape requires.
 
-    Args:
-        name, shape: as of `Course`.
-        rest: (V, 3) vertices at rest.
-        moved: (T, V, 3) the same at T equal steps of time from 0 to 1.
+    Its vertices are (V, 3) at rest, and moved (T, V, 3) at T equal steps of time from 0 to 1.
     """
     diagonal = float(np.linalg.norm(np.ptp(rest, axis=0)))
     for count in _COUNTS:
@@ -195,12 +170,9 @@ def _piece(rest: Array, moved: Array, centre: Array, centre_moved: Array) -> Arr
 def _error(rest: Array, moved: Array, centres: NDArray[np.int64], poses: Array) -> float:
     """Root mean square distance of vertices from where the piece with the nearest centre brings them."""
     _, own = cKDTree(rest[centres]).query(rest)
-    squares = [np.mean(part) for part in _squares(rest, moved, own, poses)]
-    return float(np.sqrt(np.mean(squares)))
-
-
-def _squares(rest: Array, moved: Array, own: NDArray[np.int64], poses: Array) -> Iterator[Array]:
-    """(V,) squared distances at each time."""
+    squares = []
     for time, vertices in enumerate(moved):
         pose = poses[own, time]
-        yield ((np.einsum("vij,vj->vi", pose[:, :3, :3], rest) + pose[:, :3, 3] - vertices) ** 2).sum(axis=1)
+        away = np.einsum("vij,vj->vi", pose[:, :3, :3], rest) + pose[:, :3, 3] - vertices
+        squares.append(np.mean((away**2).sum(axis=1)))
+    return float(np.sqrt(np.mean(squares)))

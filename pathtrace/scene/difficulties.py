@@ -43,19 +43,15 @@ def light_difficulties(scene: Scene) -> list[Difficulty]:
     """Causes by which light of a scene converges slowly, found from its description alone, without tracing.
 
     They are causes, not a measurement: whether a view shows them, and how much, is not known.
-
-    Args:
-        scene: the scene.
     """
     found = []
     panes = [] if scene.thin_glass else pane_shapes(scene.mitsuba)
     if panes:
         remedy = "no shadow ray passes panes of glass; --thin-glass lets them pass"
         found.append(Difficulty("panes", _names(panes), remedy))
-    small = _sends_narrow_light(scene.mitsuba)
     shapes = [shape for shape in scene.mitsuba.shapes() if not shape.is_emitter() and shape not in panes]
     smooth = [shape for shape in shapes if _focuses(shape)]
-    if small and smooth:
+    if smooth and _sends_narrow_light(scene.mitsuba):
         remedy = (
             "smooth surfaces focus light of a small source, which is found by chance; more samples show it, "
             "--clamp-indirect of `hybrid prepare` bounds it"
@@ -106,5 +102,4 @@ def _radiance(emitter: Any) -> float:
 
 def _names(shapes: list[Any]) -> tuple[str, ...]:
     """Names of the BSDFs of shapes: meshes of one BSDF are merged, and lose theirs."""
-    names = {shape.bsdf().id() or shape.bsdf().class_name() for shape in shapes}
-    return tuple(sorted(names))
+    return tuple(sorted({shape.bsdf().id() or shape.bsdf().class_name() for shape in shapes}))

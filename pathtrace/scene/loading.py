@@ -9,11 +9,10 @@ its picture is 62, 49, 38 and 26 dB from the unscaled one, moved by 10, 100, 1e3
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mitsuba as mi
@@ -32,6 +31,12 @@ _POINTS = ("point", "spot")
 _ENDLESS = ("constant", "envmap", "directional", "sunsky", "sun", "sky", BALANCED_SUNSKY)
 # Where float32 has this many steps to a power of two.
 _STEPS = 2.0**23
+# Mitsuba's RayEpsilon in float32.
+_RAY_OFFSET = 1500 * 2.0**-24
+# Largest offset, and largest step of float32 at a vertex, as shares of how far away surfaces are.
+_TOLERANCE = 1e-3
+# A scene of at least this size whose camera is no farther from the origin is good as it is.
+_ORDINARY_SIZE, _ORDINARY_DISTANCE = 1.0, 20.0
 
 
 class ImmovableError(ValueError):
@@ -47,23 +52,19 @@ def camera_position(state: Any) -> Array:
 
 
 def relocate(state: Any, place: Place) -> None:
-    """Puts a parsed scene into the coordinates of a place.
+    """Puts a parsed scene into the coordinates of a place; ImmovableError if a part of it cannot be.
 
     Light stays as it is: that of area lights does not depend on the unit of length, and the intensity of
     point lights is divided by its square.
-
-    Raises:
-        ImmovableError: of a part of the scene.
     """
-    inside = {
-        index
-        for node in state.nodes
-        if node.props.plugin_name() == "shapegroup"
-        for index in _references(node.props)
-    }
+    groups = (node.props for node in state.nodes if node.props.plugin_name() == "shapegroup")
+    reference = mi.Properties.Type.ResolvedReference
+    inside = {group[name].index() for group in groups for name in _of_type(group, reference)}
     for index, node in enumerate(state.nodes):
         kind, plugin = node.type, node.props.plugin_name()
-        if kind in (mi.ObjectType.Medium, mi.ObjectType.Volume) or _holds_objects(node.props):
+        # Dictionaries may hold objects that are loaded already.
+        holds_objects = bool(_of_type(node.props, mi.Properties.Type.Object))
+        if kind in (mi.ObjectType.Medium, mi.ObjectType.Volume) or holds_objects:
             raise ImmovableError(f"a {plugin or 'loaded object'}")
         if kind == mi.ObjectType.BSDF and plugin == "bumpmap" and place.unit != 1:
             raise ImmovableError("a bumpmap")
@@ -85,9 +86,8 @@ def coarsest_step(state: Any) -> float:
     """
     camera = camera_position(state)
     far = float(np.linalg.norm(camera))
-    files = (
-        node.props for node in state.nodes if node.type == mi.ObjectType.Shape and "filename" in node.props
-    )
+    shapes = (node.props for node in state.nodes if node.type == mi.ObjectType.Shape)
+    files = (shape for shape in shapes if "filename" in shape)
     unmoved = any(np.linalg.norm(_to_world(file)[:3, 3] - camera) > 0.5 * far for file in files)
     return far / _STEPS if unmoved else 0.0
 
@@ -101,14 +101,12 @@ def _relocate_emitter(properties: Any, place: Place) -> None:
     if place.unit != 1:
         _scale_intensity(properties, place.unit**-2)
     if "position" in properties:
-        moved = (np.array(properties["position"], dtype=np.float64) - place.origin) / place.unit
-        properties["position"] = moved.tolist()
+        properties["position"] = place.from_world(np.array(properties["position"])).tolist()
     else:
         _relocate_to_world(properties, place)
 
 
 def _scale_intensity(properties: Any, factor: float) -> None:
-    """Scales the intensity of a point light."""
     if "intensity" not in properties:
         properties["intensity"] = factor
         return
@@ -142,16 +140,8 @@ def _to_world(properties: Any) -> Array:
     return np.array(properties["to_world"].matrix, dtype=np.float64).reshape(4, 4)
 
 
-def _references(properties: Any) -> list[int]:
-    """Indices of the nodes that a node holds."""
-    kind = mi.Properties.Type.ResolvedReference
-    return [properties[name].index() for name in properties.keys() if properties.type(name) == kind]  # noqa: SIM118
-
-
-def _holds_objects(properties: Any) -> bool:
-    """Whether a node holds an object that is loaded already, as dictionaries may."""
-    kind = mi.Properties.Type.Object
-    return any(properties.type(name) == kind for name in properties.keys())  # noqa: SIM118
+def _of_type(properties: Any, kind: Any) -> list[str]:
+    return [name for name in properties.keys() if properties.type(name) == kind]  # noqa: SIM118
 
 
 @dataclass(frozen=True)
@@ -172,28 +162,24 @@ class Source:
 def load_mitsuba_in_place(
     source: Source, unit: float, apart: Collection[str] = ()
 ) -> tuple[Any, Place, float]:
-    """A Mitsuba scene in coordinates of its own, whose origin is the first camera.
+    """A Mitsuba scene in coordinates of its own: its origin is the first camera, its unit that of length.
 
-    Args:
-        source: of the scene.
-        unit: of length, in world space.
-        apart: ids of shapes that are not to be merged with others.
-
-    Returns:
-        The scene, its place, and the step of float32 at vertices that a mesh file holds far from the origin.
+    Also returns its place, and the step of float32 at vertices that a mesh file holds far from the origin;
+    `apart` is as in `load_mitsuba`.
 
     Raises:
         UserError: Mitsuba refuses the scene, or it has a part that cannot be moved or scaled.
     """
-    found: list[tuple[Place, float]] = []
+    place, step = WORLD, 0.0
 
     def moved(state: Any) -> None:
+        nonlocal place, step
         x, y, z = camera_position(state).tolist()
-        found.append((Place((x, y, z), unit), coarsest_step(state)))
-        relocate(state, found[0][0])
+        place, step = Place((x, y, z), unit), coarsest_step(state)
+        relocate(state, place)
 
     try:
-        scene = _parsed(source, apart, moved)
+        return _parsed(source, apart, moved), place, step
     except UserError as error:
         if isinstance(error.__cause__, ImmovableError):
             raise UserError(
@@ -202,15 +188,12 @@ def load_mitsuba_in_place(
                 "unit of length in which it is 1 to 1000 large"
             ) from error
         raise
-    return scene, *found[0]
 
 
 def load_mitsuba(source: Source, apart: Collection[str] = ()) -> Any:
     """A Mitsuba scene, whose meshes Mitsuba merges, by which tracing is twice as fast.
 
-    Args:
-        source: of the scene.
-        apart: ids of shapes that are not to be merged with others; these keep their ids.
+    Shapes whose ids are to stay `apart` are not merged with others, and keep their ids.
 
     Raises:
         UserError: Mitsuba refuses it, or it is not a scene.
@@ -218,9 +201,8 @@ def load_mitsuba(source: Source, apart: Collection[str] = ()) -> Any:
     if apart:
         return _parsed(source, apart, lambda state: None)
     # As this loads in parallel.
-    is_dictionary = isinstance(source.content, dict)
-    load = partial(mi.load_dict if is_dictionary else mi.load_string, source.content)
-    return _checked(source.name, load if source.folder is None else lambda: _in(source.folder, load))
+    load = mi.load_dict if isinstance(source.content, dict) else mi.load_string
+    return _checked(source, lambda: load(source.content))
 
 
 def _parsed(source: Source, apart: Collection[str], changed: Callable[[Any], None]) -> Any:
@@ -239,7 +221,7 @@ def _parsed(source: Source, apart: Collection[str], changed: Callable[[Any], Non
         loaded = mi.parser.instantiate(configuration, state)
         return loaded[0] if isinstance(loaded, list) and len(loaded) == 1 else loaded
 
-    return _checked(source.name, load if source.folder is None else lambda: _in(source.folder, load))
+    return _checked(source, load)
 
 
 def _simplify(configuration: Any, state: Any, apart: Collection[str]) -> None:
@@ -254,9 +236,7 @@ def _simplify(configuration: Any, state: Any, apart: Collection[str]) -> None:
     root = state.root.props
     # Mitsuba merges what hangs on the scene.
     nodes = {
-        key: state.nodes[root[key].index()]
-        for key in root.keys()  # noqa: SIM118 - not a dictionary
-        if root.type(key) == mi.Properties.Type.ResolvedReference
+        key: state.nodes[root[key].index()] for key in _of_type(root, mi.Properties.Type.ResolvedReference)
     }
     held = {key: root[key] for key, node in nodes.items() if node.props.id() in apart}
     # Mitsuba 3.9.1 crashes where there is no shape to merge.
@@ -269,19 +249,21 @@ def _simplify(configuration: Any, state: Any, apart: Collection[str]) -> None:
     mi.parser.transform_reorder(configuration, state)
 
 
-def _checked(source: str, load: Callable[[], Any]) -> Any:
+def _checked(source: Source, load: Callable[[], Any]) -> Any:
     try:
-        loaded = load()
+        loaded = load() if source.folder is None else _in(source.folder, load)
     except Exception as error:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         # Mitsuba's first lines name a position in its own code; the last one says what is wrong.
-        raise UserError(f"{source}: Mitsuba refuses the scene: {lines[-1] if lines else error}") from error
+        raise UserError(
+            f"{source.name}: Mitsuba refuses the scene: {lines[-1] if lines else error}"
+        ) from error
     if isinstance(loaded, list) or not isinstance(loaded, mi.Scene):
-        raise UserError(f"{source}: not a complete scene; the top element must be <scene>")
+        raise UserError(f"{source.name}: not a complete scene; the top element must be <scene>")
     return loaded
 
 
-def _in(folder: Path | None, load: Callable[[], Any]) -> Any:
+def _in(folder: Path, load: Callable[[], Any]) -> Any:
     """Loads a scene whose files are relative to a folder."""
     resolver = mi.file_resolver()
     before = [resolver[i] for i in range(len(resolver))]
@@ -317,24 +299,12 @@ def camera_of_sensor(sensor: Any, source: str) -> Camera:
         raise UserError(f"{source}: the camera's to_world: {error}") from error
 
 
-# Mitsuba's RayEpsilon in float32.
-_RAY_OFFSET = 1500 * 2.0**-24
-# Largest offset, and largest step of float32 at a vertex, as shares of how far away surfaces are.
-_TOLERANCE = 1e-3
-# A scene of at least this size whose camera is no farther from the origin is good as it is.
-_ORDINARY_SIZE, _ORDINARY_DISTANCE = 1.0, 20.0
-
-
 def in_good_coordinates(
     source: Source, loaded: Any, camera: Camera, apart: Collection[str] = ()
 ) -> tuple[Any, Camera, Place]:
     """A scene in coordinates in which Mitsuba can trace it, with its camera and its place.
 
-    Args:
-        source: what it was loaded from.
-        loaded: the Mitsuba scene in the coordinates of its file.
-        camera: its own.
-        apart: ids of shapes that are not to be merged with others.
+    It is given in the coordinates of its file, with its camera; the rest is as in `load_mitsuba`.
 
     Raises:
         UserError: the scene cannot be moved or scaled as far as it would have to be.
@@ -362,17 +332,9 @@ def in_good_coordinates(
         unit = float(2.0 ** np.round(np.log2(distance / TYPICAL_DISTANCE)))
 
 
-def fingerprint_in(place: Place, fingerprint: str) -> str:
-    """Hash of a scene in the coordinates of a place: forests and frames of others do not fit to it."""
-    if place == WORLD:
-        return fingerprint
-    return hashlib.sha256(f"{fingerprint} at {place.origin} in {place.unit}".encode()).hexdigest()
-
-
 def _is_ordinary(loaded: Any, camera: Camera) -> bool:
     """Whether rays start near enough to surfaces in the coordinates of the file."""
-    far = float(np.linalg.norm(camera.position))
-    box = loaded.bbox()
+    far, box = float(np.linalg.norm(camera.position)), loaded.bbox()
     size = float(np.max(np.array(box.max) - np.array(box.min)))
     if size >= _ORDINARY_SIZE and far <= _ORDINARY_DISTANCE:
         return True
@@ -383,9 +345,4 @@ def _is_ordinary(loaded: Any, camera: Camera) -> bool:
 
 
 def _distance(loaded: Any, camera: Camera) -> float:
-    return Surfaces(_Loaded(loaded)).median_distance(camera)
-
-
-@dataclass(frozen=True)
-class _Loaded:
-    mitsuba: Any
+    return Surfaces(SimpleNamespace(mitsuba=loaded)).median_distance(camera)

@@ -25,7 +25,6 @@ from compose.base.files import read_json
 from pathtrace.scene.tracks import (
     Brightness,
     Formula,
-    FormulaTrack,
     Keyframe,
     LightTrack,
     MeshTrack,
@@ -47,7 +46,7 @@ def read_motion(file: Path) -> Motion:
     """
     try:
         document = read_json(file, _MOST_BYTES)
-        content = file.read_bytes()
+        digest = hashlib.sha256(file.read_bytes())
     except (OSError, ValueError) as error:
         raise UserError(f"{file}: cannot be read ({one_line(error)})") from error
     shapes, lights = _section(file, document, "shapes"), _section(file, document, "lights")
@@ -58,7 +57,13 @@ def read_motion(file: Path) -> Motion:
         raise UserError(f"{file}: seconds is {one_line(repr(seconds))}; must be a positive number")
     moved = _tracks(file, "shapes", shapes, lambda track: _shape_track(track, file.parent))
     shining = _tracks(file, "lights", lights, _light_track)
-    return Motion(float(seconds), moved, shining, _fingerprint(file, content, moved))
+    for track in moved.values():
+        for mesh in track.files if isinstance(track, MeshTrack) else ():
+            try:
+                digest.update(mesh.read_bytes())
+            except OSError as error:
+                raise UserError(f"{file}: {mesh}: cannot be read ({one_line(error)})") from error
+    return Motion(float(seconds), moved, shining, digest.hexdigest())
 
 
 def _section(file: Path, document: Any, name: str) -> dict[str, Any]:
@@ -88,7 +93,7 @@ def _shape_track(track: dict[str, Any], folder: Path) -> ShapeTrack:
         raise ValueError("must have one of keyframes, formula and meshes")
     _require_known(track, {"keyframes", "axis", "about"} if kinds == ["keyframes"] else set(kinds))
     if "formula" in track:
-        return FormulaTrack(_formula(track["formula"]))
+        return _formula(track["formula"])
     if "meshes" in track:
         return MeshTrack(_meshes(track["meshes"], folder))
     axis = np.array(_point(track, "axis", [0, 0, 1]))
@@ -114,7 +119,7 @@ def _keyframe(key: dict[str, Any]) -> Keyframe:
 
 
 def _quaternion(value: Any) -> tuple[float, float, float, float]:
-    if not isinstance(value, list) or len(value) != 4 or not all(_is_number(part) for part in value):
+    if not _is_numbers(value, 4):
         raise ValueError(f"rotation is {value!r}; must be four numbers, w, x, y and z")
     length = float(np.linalg.norm(value))
     if not 0.99 < length < 1.01:
@@ -142,9 +147,9 @@ def _meshes(names: Any, folder: Path) -> tuple[Path, ...]:
     if not isinstance(names, list) or len(names) < 2 or not all(isinstance(name, str) for name in names):
         raise ValueError("meshes must be two files or more")
     files = tuple(folder / name for name in names)
-    missing = [file for file in files if not file.is_file()]
-    if missing:
-        raise ValueError(f"{missing[0]} does not exist")
+    for file in files:
+        if not file.is_file():
+            raise ValueError(f"{file} does not exist")
     return files
 
 
@@ -170,21 +175,14 @@ def _number(found: dict[str, Any], name: str, default: float | None = None) -> f
 
 def _point(found: dict[str, Any], name: str, default: list[float]) -> tuple[float, float, float]:
     value = found.get(name, default)
-    if not isinstance(value, list) or len(value) != 3 or not all(_is_number(part) for part in value):
+    if not _is_numbers(value, 3):
         raise ValueError(f"{name} is {value!r}; must be three numbers")
     return (float(value[0]), float(value[1]), float(value[2]))
 
 
+def _is_numbers(value: Any, count: int) -> bool:
+    return isinstance(value, list) and len(value) == count and all(map(_is_number, value))
+
+
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
-
-
-def _fingerprint(file: Path, content: bytes, shapes: dict[str, ShapeTrack]) -> str:
-    digest = hashlib.sha256(content)
-    for track in shapes.values():
-        for mesh in track.files if isinstance(track, MeshTrack) else ():
-            try:
-                digest.update(mesh.read_bytes())
-            except OSError as error:
-                raise UserError(f"{file}: {mesh}: cannot be read ({one_line(error)})") from error
-    return digest.hexdigest()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from itertools import product
 from typing import Any, TypeAlias
 
 import mitsuba as mi
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from compose.base.errors import UserError, one_line
 from compose.base.traced_samples import UNSTEADY, Moment
-from compose.camera.camera import between_steps
+from compose.camera.camera import Array, between_steps, unit
 from compose.camera.coordinate_systems import Place
 from pathtrace.scene.courses import (
     Course,
@@ -21,9 +22,8 @@ from pathtrace.scene.courses import (
     is_unchanged,
     spread_over_faces,
 )
-from pathtrace.scene.tracks import FormulaTrack, LightTrack, MeshTrack, Motion, RigidTrack, ShapeTrack
+from pathtrace.scene.tracks import Formula, LightTrack, MeshTrack, Motion, RigidTrack, ShapeTrack
 
-Array = NDArray[np.float64]
 # Parameters by name that have a value of their own at a time.
 _Part: TypeAlias = Callable[[float], dict[str, Any]]
 
@@ -50,7 +50,7 @@ class MovingScene:
         source: name of the scene, for error messages.
 
     Attributes:
-        motion: as given.
+        motion: the tracks.
         time: what the scene shows, from 0 to 1.
 
     Raises:
@@ -109,17 +109,19 @@ class MovingScene:
             if self._names[name] not in shapes:
                 continue
             number, shape = shapes[self._names[name]]
+            rest = self._rest.get(name)
             if isinstance(track, RigidTrack):
                 poses = np.stack([self._tracked.pose(track, time) for time in times])
-                centre = self._tracked.place_of(track.about)
-                rest = self._rest.get(name)
+                centre = self._tracked.place.from_world(np.array(track.about))
                 plain = None if _is_textured(shape) else rest
-                if plain is not None and self._tracked.is_round(name, plain, centre, poses):
+                if plain is not None and is_unchanged(
+                    plain, self._tracked.faces_of(name), centre, poses[:, :3, :3]
+                ):
                     # Its highlights stay where they are while it turns.
-                    poses = _without_turns(poses, centre)
+                    poses[:, :3, 3] = poses[:, :3, :3] @ centre + poses[:, :3, 3] - centre
+                    poses[:, :3, :3] = np.eye(3)
                 found.append(course_of_poses(name, number, poses, centre))
-            else:
-                rest = self._rest[name]
+            elif rest is not None:
                 at = self._tracked.deforming(name, rest, track)
                 moved = np.stack([at(time) for time in times])
                 if len(rest) < _COARSE:
@@ -153,42 +155,24 @@ class _Tracked:
 
     These functions hold it, and it holds none of them: whatever holds a Mitsuba scene must be freed at once,
     and not by the garbage collector, which may come while Dr.Jit goes through all scenes.
-
-    Args:
-        parameters, names, place, source: as of `MovingScene`.
     """
 
     def __init__(self, parameters: Any, names: dict[str, str], place: Place, source: str):
-        self._parameters, self._names, self._place, self._source = parameters, names, place, source
+        self.place, self._parameters, self._names, self._source = place, parameters, names, source
 
     def parts(self, motion: Motion, rest: Mapping[str, Array]) -> list[_Part]:
-        """What each track makes of the parameters; `rest` as of `vertices_of`."""
-        shapes = [
-            self._moving(name, self._key(name, "shape or light"), track, rest.get(name))
-            for name, track in motion.shapes.items()
-        ]
-        lights = [
-            self._shining(name, self._key(name, "light"), track) for name, track in motion.lights.items()
-        ]
-        return shapes + lights
+        """What each track makes of the parameters; `rest` is what `vertices_of` gave."""
+        shapes = [self._moving(name, track, rest.get(name)) for name, track in motion.shapes.items()]
+        return shapes + [self._shining(name, track) for name, track in motion.lights.items()]
 
     def vertices_of(self, motion: Motion) -> dict[str, Array]:
         """Vertices (N, 3) of each mesh with a track as they are now, by its name in the scene's file."""
         keys = {name: f"{self._key(name, 'shape or light')}.{_POSITIONS}" for name in motion.shapes}
-        return {name: self._rows(key) for name, key in keys.items() if self._has(key)}
-
-    def is_round(self, name: str, rest: Array, centre: Array, poses: Array) -> bool:
-        """Whether a mesh, with vertices (N, 3) at rest, looks the same however poses (T, 4, 4) turn it."""
-        return is_unchanged(rest, self.faces_of(name), centre, poses[:, :3, :3])
+        return {name: _rows(self._parameters[key]) for name, key in keys.items() if self._has(key)}
 
     def faces_of(self, name: str) -> NDArray[np.int64]:
         """(F, 3) indices of the vertices of a mesh."""
-        faces = np.reshape(self._parameters[f"{self._names[name]}.faces"].numpy(), (-1, 3))
-        return faces.astype(np.int64)
-
-    def place_of(self, point: Sequence[float]) -> Array:
-        """A point (3,) of the scene's file in the scene's coordinates."""
-        return (np.array(point) - np.array(self._place.origin)) / self._place.unit
+        return _rows(self._parameters[f"{self._names[name]}.faces"], np.int64)
 
     def _key(self, name: str, what: str) -> str:
         if name not in self._names:
@@ -201,12 +185,13 @@ class _Tracked:
     def _has(self, key: str) -> bool:
         return key in self._parameters.properties
 
-    def _moving(self, name: str, key: str, track: ShapeTrack, rest: Array | None) -> _Part:
+    def _moving(self, name: str, track: ShapeTrack, rest: Array | None) -> _Part:
         """What a track makes of a shape's, or light's, parameters; `rest` are the vertices of a mesh."""
+        key = self._key(name, "shape or light")
         if rest is not None:
             if isinstance(track, RigidTrack):
                 return self._rigid_mesh(key, rest, track)
-            return self._deforming_mesh(key, self.deforming(name, rest, track))
+            return self._deforming_mesh(name, key, self.deforming(name, rest, track))
         if not isinstance(track, RigidTrack):
             raise self._refused(name, "it has no vertices; must have keyframes")
         for kind in (_TO_WORLD, _POSITION):
@@ -214,11 +199,11 @@ class _Tracked:
                 return self._rigid(f"{key}.{kind}", track)
         raise self._refused(name, "it has no place that could change")
 
-    def _deforming_mesh(self, key: str, at: Callable[[float], Array]) -> _Part:
+    def _deforming_mesh(self, name: str, key: str, at: Callable[[float], Array]) -> _Part:
         positions, normals = f"{key}.{_POSITIONS}", f"{key}.{_NORMALS}"
         if not self._has_normals(key):
             return lambda time: {positions: at(time).ravel()}
-        faces = np.reshape(self._parameters[f"{key}.faces"].numpy(), (-1, 3)).astype(np.int64)
+        faces = self.faces_of(name)
 
         def moved(time: float) -> dict[str, Any]:
             vertices = at(time)
@@ -227,16 +212,12 @@ class _Tracked:
 
         return moved
 
-    def _rows(self, key: str) -> Array:
-        """(N, 3) what a parameter is now: a copy, since its memory is written to at each time."""
-        return np.reshape(self._parameters[key].numpy(), (-1, 3)).astype(np.float64)
-
     def _has_normals(self, key: str) -> bool:
         return self._has(f"{key}.{_NORMALS}") and len(self._parameters[f"{key}.{_NORMALS}"]) > 0
 
     def _rigid_mesh(self, key: str, rest: Array, track: RigidTrack) -> _Part:
         positions, normals = f"{key}.{_POSITIONS}", f"{key}.{_NORMALS}"
-        upright = self._rows(normals) if self._has_normals(key) else None
+        upright = _rows(self._parameters[normals]) if self._has_normals(key) else None
 
         def at(time: float) -> dict[str, Any]:
             pose = self.pose(track, time)
@@ -256,20 +237,19 @@ class _Tracked:
         matrix = np.array(rest.matrix, dtype=np.float64).reshape(4, 4)
         return lambda time: {key: self.pose(track, time) @ matrix}
 
-    def deforming(self, name: str, rest: Array, track: FormulaTrack | MeshTrack) -> Callable[[float], Array]:
+    def deforming(self, name: str, rest: Array, track: Formula | MeshTrack) -> Callable[[float], Array]:
         """Positions (N, 3) of a shape's vertices in the scene's coordinates, as a function of time."""
-        origin, unit = np.array(self._place.origin), self._place.unit
-        if isinstance(track, FormulaTrack):
-            in_file = self._place.in_world(rest)
+        if isinstance(track, Formula):
+            in_file = self.place.in_world(rest)
 
             def by_formula(time: float) -> Array:
                 try:
-                    return (track.formula.positions(in_file, time) - origin) / unit
+                    return self.place.from_world(track.positions(in_file, time))
                 except ValueError as error:
                     raise self._refused(name, str(error)) from error
 
             return by_formula
-        meshes = [(self._mesh(name, file, len(rest)) - origin) / unit for file in track.files]
+        meshes = [self.place.from_world(self._mesh(name, file, len(rest))) for file in track.files]
 
         def between_meshes(time: float) -> Array:
             first, share = between_steps(time, len(meshes))
@@ -286,7 +266,7 @@ class _Tracked:
             loaded = mi.load_dict({"type": kind, "filename": str(file)})
         except Exception as error:
             raise self._refused(name, f"{file}: cannot be read ({one_line(error)})") from error
-        vertices = np.reshape(mi.traverse(loaded)[_POSITIONS].numpy(), (-1, 3)).astype(np.float64)
+        vertices = _rows(mi.traverse(loaded)[_POSITIONS])
         if len(vertices) != count:
             raise self._refused(name, f"{file}: has {len(vertices):,} vertices; the shape has {count:,}")
         return vertices
@@ -294,20 +274,14 @@ class _Tracked:
     def pose(self, track: RigidTrack, time: float) -> Array:
         """(4, 4) from rest to a time in the scene's coordinates."""
         pose = track.pose(time)
-        origin = np.array(self._place.origin)
-        pose[:3, 3] = (pose[:3, :3] @ origin + pose[:3, 3] - origin) / self._place.unit
+        pose[:3, 3] = self.place.from_world(pose[:3, :3] @ np.array(self.place.origin) + pose[:3, 3])
         return pose
 
-    def _shining(self, name: str, key: str, track: LightTrack) -> _Part:
-        """What a track makes of a light's brightness; `key` may be that of the shape that shines."""
-        prefixes = (key, f"{key}.emitter")
-        found = [
-            f"{prefix}.{kind}{value}"
-            for prefix in prefixes
-            for kind in _BRIGHTNESS
-            for value in (".value", "")
-            if self._has(f"{prefix}.{kind}{value}")
-        ]
+    def _shining(self, name: str, track: LightTrack) -> _Part:
+        """What a track makes of the brightness of a light, or of a shape that shines."""
+        key = self._key(name, "light")
+        parts = product((key, f"{key}.emitter"), _BRIGHTNESS, (".value", ""))
+        found = [full for owner, kind, value in parts if self._has(full := f"{owner}.{kind}{value}")]
         if not found:
             raise self._refused(name, "it has no radiance that could change")
         rest = np.ravel(self._parameters[found[0]]).astype(np.float64)
@@ -319,6 +293,11 @@ class _Tracked:
             return {found[0]: rest * (factor if len(rest) == 3 else factor[0])}
 
         return at
+
+
+def _rows(values: Any, dtype: Any = np.float64) -> NDArray[Any]:
+    """(N, 3) what a parameter is now: a copy, since its memory is written to at each time."""
+    return np.reshape(values.numpy(), (-1, 3)).astype(dtype)
 
 
 def _is_textured(shape: Any) -> bool:
@@ -336,13 +315,6 @@ def _with_points(rest: Array, moved: Array, faces: NDArray[np.int64]) -> tuple[A
     return np.concatenate([rest, rest_between]), np.concatenate([moved, between], axis=1)
 
 
-def _without_turns(poses: Array, centre: Array) -> Array:
-    """Poses (T, 4, 4) that bring a point where the given ones bring it, and turn nothing."""
-    found = np.tile(np.eye(4), (len(poses), 1, 1))
-    found[:, :3, 3] = poses[:, :3, :3] @ centre + poses[:, :3, 3] - centre
-    return found
-
-
 def _vertex_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
     """(N, 3) normals of vertices (N, 3): those of their faces (F, 3), weighed by area."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
@@ -350,8 +322,7 @@ def _vertex_normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
     sums = np.zeros_like(vertices)
     for corner in range(3):
         np.add.at(sums, faces[:, corner], of_faces)
-    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
-    return np.where(lengths > 0, sums / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0])
+    return unit(sums, [0.0, 0.0, 1.0])
 
 
 def _like(old: Any, value: Array) -> Any:

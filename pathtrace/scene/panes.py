@@ -11,13 +11,11 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from compose.camera.camera import Array
 from pathtrace.scene.triangles import triangles_of
-
-Array = NDArray[np.float64]
 
 # Thickness of a pane at most, as a share of its smaller side, and of its size for a single sheet.
 _THIN, _FLAT = 0.1, 1e-4
@@ -59,11 +57,7 @@ def _can_be_thin(shape: Any) -> bool:
 
 
 def pane_faces(triangles: Array) -> int:
-    """How many faces each connected part of a shape has, if all of them are panes: 2, 1 for sheets, else 0.
-
-    Args:
-        triangles: (M, 3, 3) corners.
-    """
+    """Faces of each connected part of triangles (M, 3, 3), if all are panes: 2, 1 for sheets, else 0."""
     if not len(triangles):
         return 0
     faces = {_part_faces(part) for part in _parts(triangles)}
@@ -105,20 +99,16 @@ def _part_faces(triangles: Array) -> int:
     corners = triangles.reshape(-1, 3)
     flat = corners - np.outer(corners @ normal, normal)
     middle = flat - flat.mean(axis=0)
-    sides = np.linalg.svd(middle, compute_uv=False, full_matrices=False)[:2]
-    axes = np.linalg.svd(middle, full_matrices=False)[2][:2]
-    smaller = min(np.ptp(middle @ axis) for axis in axes) if sides.min() > 0 else 0.0
+    _, sides, axes = np.linalg.svd(middle, full_matrices=False)
+    smaller = min(np.ptp(middle @ axis) for axis in axes[:2]) if sides[:2].min() > 0 else 0.0
     thickness = np.ptp(corners @ normal)
     if thickness <= _FLAT * smaller:
         return 1
     height = (triangles[parallel] @ normal).mean(axis=1) - (corners @ normal).min()
     outer = np.minimum(height, thickness - height) <= 0.01 * thickness
-    front = height > thickness / 2
-    whole = (
-        0.99 * area[parallel][front].sum()
-        <= area[parallel][~front].sum()
-        <= 1.01 * area[parallel][front].sum()
-    )
+    is_front = height > thickness / 2
+    front, back = (area[parallel][side].sum() for side in (is_front, ~is_front))
+    whole = 0.99 * front <= back <= 1.01 * front
     return 2 if thickness <= _THIN * smaller and outer.all() and whole else 0
 
 
@@ -128,15 +118,10 @@ def _thin(glass: Any, faces: int) -> Any:
     given = {name for name in _COLOURS if any(key.startswith(name) for key in parameters.keys())}  # noqa: SIM118
     if any(f"{name}.value" not in parameters for name in given):
         return None
-    colours = {
-        name: {"type": "rgb", "value": np.ravel(np.array(parameters[f"{name}.value"])).tolist()}
-        for name in given
-    }
-    colours = {name: {**one, "value": (one["value"] * 3)[:3]} for name, one in colours.items()}
-    ratio = float(np.ravel(parameters["eta"])[0])
-    return mi.load_dict(
-        {"type": "thindielectric", "int_ior": _index(ratio, faces), "ext_ior": 1.0, **colours}
-    )
+    values = {name: np.ravel(np.array(parameters[f"{name}.value"])).tolist() for name in given}
+    colours = {name: {"type": "rgb", "value": (value * 3)[:3]} for name, value in values.items()}
+    index = _index(float(np.ravel(parameters["eta"])[0]), faces)
+    return mi.load_dict({"type": "thindielectric", "int_ior": index, "ext_ior": 1.0, **colours})
 
 
 def _index(ratio: float, faces: int) -> float:

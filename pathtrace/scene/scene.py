@@ -13,28 +13,16 @@ import numpy as np
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.camera.coordinate_systems import WORLD, Place
-from pathtrace.scene.loading import (
-    Source,
-    camera_of_sensor,
-    fingerprint_in,
-    in_good_coordinates,
-    load_mitsuba,
-)
+from pathtrace.scene.loading import Source, camera_of_sensor, in_good_coordinates, load_mitsuba
 from pathtrace.scene.motion_file import read_motion
 from pathtrace.scene.moving_scene import MovingScene
 from pathtrace.scene.panes import with_thin_glass
-from pathtrace.scene.scene_xml import (
-    DEFAULT_MAX_DEPTH,
-    dictionary_fingerprint,
-    fingerprint_at_depth,
-    fingerprint_in_motion,
-    fingerprint_with_thin_glass,
-    read_description,
-)
+from pathtrace.scene.scene_xml import DEFAULT_MAX_DEPTH, read_description, text_fingerprint
 from pathtrace.scene.sunsky import balanced_dictionary
 
 _REPOSITORY_SCENES = Path(__file__).resolve().parents[2] / "scenes"
 _INSTALLED_SCENES = Path(__file__).resolve().parents[1] / "scenes"
+RUSSIAN_ROULETTE_DEPTH = 5
 
 
 def bundled_scenes() -> dict[str, Path]:
@@ -44,10 +32,7 @@ def bundled_scenes() -> dict[str, Path]:
 
 
 def scene_file(source: str | Path) -> Path:
-    """The XML file of a scene.
-
-    Args:
-        source: a bundled scene's name, the path of an XML file, or of a folder with a scene.xml.
+    """The XML file of a bundled scene by name, or of the path of an XML file or of a folder with a scene.xml.
 
     Raises:
         UserError: there is no such scene.
@@ -66,8 +51,7 @@ def scene_file(source: str | Path) -> Path:
 def with_ordered_shapes(scene: Any) -> tuple[Any, dict[str, str]]:
     """The same Mitsuba scene with its shapes sorted by bounding box and number of primitives.
 
-    Returns:
-        The scene, and the ids that its shapes, and lights that are none, have in it by those that they had.
+    Also returns the new ids of its shapes, and of lights that are not shapes, by their old ones.
 
     Where Mitsuba merges meshes, the order of the merged meshes, and of the lights among them, differs each
     time a scene is loaded: the same random number would choose another light, and the same seed give other
@@ -90,9 +74,6 @@ def _sort_key(shape: Any) -> tuple[float, ...]:
     """Bounding box (minimum, maximum) and number of primitives of a shape."""
     box = shape.bbox()
     return (*np.ravel(box.min).tolist(), *np.ravel(box.max).tolist(), float(shape.primitive_count()))
-
-
-RUSSIAN_ROULETTE_DEPTH = 5
 
 
 @dataclass(frozen=True)
@@ -135,8 +116,8 @@ class Scene:
 
     def at_depth(self, depth: int) -> Scene:
         """The scene with another path depth, 1 or more, or -1 for no bound; it shares all else."""
-        changed = depth != self.own_depth
-        fingerprint = fingerprint_at_depth(self.own_hash, depth) if changed else self.own_hash
+        own = depth == self.own_depth
+        fingerprint = self.own_hash if own else text_fingerprint(f"{self.own_hash} at depth {depth}")
         return replace(self, max_depth=depth, hash=fingerprint)
 
     def set_time(self, time: float) -> None:
@@ -185,7 +166,7 @@ def load_scene(
     if isinstance(source, dict):
         name, depth = "dictionary", DEFAULT_MAX_DEPTH
         content = Source(name, balanced_dictionary(source))
-        fingerprint = dictionary_fingerprint(source)
+        fingerprint = text_fingerprint(repr(source))
     else:
         path = scene_file(source)
         name = path.parent.name if path.stem == "scene" else path.stem
@@ -203,15 +184,17 @@ def load_scene(
         raise UserError(f"{content.name}: the scene has no light; add an <emitter>")
     camera = camera_of_sensor(loaded.sensors()[0], content.name)
     loaded, camera, place = in_good_coordinates(content, loaded, camera, apart)
-    fingerprint = fingerprint_in(place, fingerprint)
+    if place != WORLD:
+        # Forests and frames of the same scene in other coordinates do not fit it.
+        fingerprint = text_fingerprint(f"{fingerprint} at {place.origin} in {place.unit}")
     if thin_glass:
         if not with_thin_glass(loaded):
             raise UserError(f"{content.name}: thin glass: the scene has no panes of glass; leave it out")
-        fingerprint = fingerprint_with_thin_glass(fingerprint)
+        fingerprint = text_fingerprint(f"{fingerprint} with thin glass")
     ordered, names = with_ordered_shapes(loaded)
     moving = None
     if moves is not None:
         moving = MovingScene(ordered, moves, names, place, name)
-        fingerprint = fingerprint_in_motion(fingerprint, moves.fingerprint)
+        fingerprint = text_fingerprint(f"{fingerprint} moving by {moves.fingerprint}")
     scene = Scene(name, fingerprint, ordered, camera, depth, depth, fingerprint, place, thin_glass, moving)
     return scene if max_depth is None else scene.at_depth(max_depth)

@@ -11,7 +11,6 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import mitsuba as mi
 
@@ -22,6 +21,15 @@ from pathtrace.scene.sunsky import balance_xml
 # Scenes with thousands of shapes have some megabytes of XML, nested ten deep.
 _MOST_BYTES = 1 << 28
 _DEEPEST = 100
+# Mitsuba's limit, below which a loop of includes ends.
+_DEEPEST_INCLUDE = 15
+# Files that include each other twice are 2^15 by then.
+_MOST_INCLUDES = 1000
+# Of an attribute once its parameters are replaced: parameters of parameters grow exponentially.
+_LONGEST = 1 << 16
+_MOST_HASHED_BYTES = 1 << 36
+# Beyond this path depth, hardly any energy is left in a closed room.
+DEFAULT_MAX_DEPTH = 8
 
 
 def parse_xml(path: Path) -> ET.Element:
@@ -43,24 +51,12 @@ def parse_xml(path: Path) -> ET.Element:
         root = ET.fromstring(content)
     except (ET.ParseError, ValueError, LookupError) as error:
         raise UserError(f"{path}: not well-formed XML: {one_line(error)}") from error
-    _check_depth(path, root)
-    return root
-
-
-def _check_depth(path: Path, root: ET.Element) -> None:
     level, depth = [root], 1
     while level:
         if depth > _DEEPEST:
             raise UserError(f"{path}: elements are nested more than {_DEEPEST} deep")
         level, depth = [child for element in level for child in element], depth + 1
-
-
-# Mitsuba's limit, below which a loop of includes ends.
-_DEEPEST_INCLUDE = 15
-# Files that include each other twice are 2^15 by then.
-_MOST_INCLUDES = 1000
-# Of an attribute once its parameters are replaced: parameters of parameters grow exponentially.
-_LONGEST = 1 << 16
+    return root
 
 
 @dataclass
@@ -83,11 +79,7 @@ class References:
 
     @staticmethod
     def of(source: Path, root: ET.Element) -> References:
-        """The references of a scene.
-
-        Args:
-            source: its XML file.
-            root: its elements.
+        """The references of a scene, from its XML file and the elements of that.
 
         Raises:
             UserError: an included file is not well-formed, includes form a loop or are too many, or
@@ -158,15 +150,11 @@ def mitsuba_folder() -> Path:
 
 
 def require_own_plugins(source: Path, types: Iterable[str], folders: Iterable[Path]) -> None:
-    """Checks that no plugin of a scene would be loaded from its own files.
-
-    Args:
-        source: the scene's XML file, for the message.
-        types: of its elements.
-        folders: in which Mitsuba looks for files.
+    """Checks that no plugin of a scene, whose elements have such types, would be loaded from its own files.
 
     Raises:
-        UserError: a type is a path or unknown, or a file of that name lies in one of the folders.
+        UserError: a type is a path, or unknown and a file of that name lies in one of the folders in which
+            Mitsuba looks for files.
     """
     own = {path.stem for path in (mitsuba_folder() / "plugins").iterdir()}
     searched = [folder / "plugins" for folder in (*folders, Path())]
@@ -178,34 +166,23 @@ def require_own_plugins(source: Path, types: Iterable[str], folders: Iterable[Pa
             )
 
 
-_MOST_HASHED_BYTES = 1 << 36
-
-
 def file_fingerprint(path: Path, root: ET.Element, references: References | None = None) -> str:
-    """Hash of an XML file and of every file that Mitsuba loads because of it.
+    """Hash (64 hexadecimal digits) of an XML file and of every file that Mitsuba loads because of it.
 
     Scenes that name all their files directly, relative to their folder, have the same hash as ever. Files
-    that only includes, search folders or parameters lead to are added, with their sizes.
+    that only includes, search folders or parameters lead to are added, with their sizes. Those that do not
+    exist are skipped: Mitsuba reports them when it loads the scene.
 
     Args:
-        path: the XML file.
-        root: its elements.
-        references: what they refer to, if it is known already. Files that do not exist are skipped: Mitsuba
-            reports them when it loads the scene.
-
-    Returns:
-        64 hexadecimal digits.
+        path, root: the XML file and its elements.
+        references: what they refer to, if it is known already.
 
     Raises:
         UserError: an included file is damaged, or a file cannot be read.
     """
     digest = hashlib.sha256(path.read_bytes())
-    direct = [
-        path.parent / (element.get("value") or "")
-        for element in root.iter("string")
-        if element.get("name") == "filename"
-    ]
-    direct = [file for file in direct if is_file(file)]
+    named = (e for e in root.iter("string") if e.get("name") == "filename")
+    direct = [file for e in named if is_file(file := path.parent / (e.get("value") or ""))]
     for file in direct:
         _add(digest, file)
     references = references or References.of(path, root)
@@ -218,7 +195,7 @@ def file_fingerprint(path: Path, root: ET.Element, references: References | None
 
 
 def _add(digest: hashlib._Hash, file: Path) -> None:
-    """Adds the content of a file, block by block."""
+
     try:
         left = require_size_below(file, _MOST_HASHED_BYTES)
         with file.open("rb") as opened:
@@ -230,28 +207,9 @@ def _add(digest: hashlib._Hash, file: Path) -> None:
         raise UserError(f"{file}: cannot be read ({one_line(error)})") from error
 
 
-def dictionary_fingerprint(description: dict[str, Any]) -> str:
-    """Hash of a scene dictionary's printed form: 64 hexadecimal digits."""
-    return hashlib.sha256(repr(description).encode()).hexdigest()
-
-
-def fingerprint_with_thin_glass(fingerprint: str) -> str:
-    """Hash of a scene whose panes let shadow rays pass: images of it show slightly other light."""
-    return hashlib.sha256(f"{fingerprint} with thin glass".encode()).hexdigest()
-
-
-def fingerprint_in_motion(fingerprint: str, motion: str) -> str:
-    """Hash of a scene that moves, with the hash of its motion: it looks alike at no time for sure."""
-    return hashlib.sha256(f"{fingerprint} moving by {motion}".encode()).hexdigest()
-
-
-def fingerprint_at_depth(fingerprint: str, depth: int) -> str:
-    """Hash of a scene whose path depth is not its own: images at another depth show other light."""
-    return hashlib.sha256(f"{fingerprint} at depth {depth}".encode()).hexdigest()
-
-
-# Beyond this path depth, hardly any energy is left in a closed room.
-DEFAULT_MAX_DEPTH = 8
+def text_fingerprint(text: str) -> str:
+    """Hash of a text: a scene dictionary's printed form, or a fingerprint and what it does not cover."""
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -281,11 +239,8 @@ def read_description(path: Path) -> SceneDescription:
     """
     root = parse_xml(path)
     depth = _max_depth(root)
-    for integrator in root.findall("integrator"):
-        root.remove(integrator)
-    for default in root.findall("default"):
-        if default.get("name") == "integrator":
-            root.remove(default)
+    for element in [*root.findall("integrator"), *root.findall("default[@name='integrator']")]:
+        root.remove(element)
     references = References.of(path, root)
     require_own_plugins(path, references.plugins, [path.parent, *references.folders])
     fingerprint = file_fingerprint(path, root, references)
@@ -298,8 +253,8 @@ def _max_depth(root: ET.Element) -> int:
     defaults = {element.get("name"): element.get("value") for element in root.iter("default")}
     depth = DEFAULT_MAX_DEPTH
     for integrator in root.findall("integrator"):
-        values = (e.get("value") for e in integrator.iter("integer") if e.get("name") == "max_depth")
-        value = next(values, None)
+        found = integrator.find(".//integer[@name='max_depth']")
+        value = None if found is None else found.get("value")
         if value and value.startswith("$"):
             value = defaults.get(value[1:])
         # Longer numbers are beyond the limit as well.

@@ -120,8 +120,7 @@ def _flux(emitter: Any) -> float:
     sampler.seed(0, _PROBES)
     at = dr.zeros(mi.SurfaceInteraction3f, _PROBES)
     _, weight = emitter.sample_direction(at, sampler.next_2d(), True)
-    mean = float(dr.mean(mi.luminance(weight))[0])
-    return max(mean, 0.0)
+    return max(float(dr.mean(mi.luminance(weight))[0]), 0.0)
 
 
 def _towards(direction: Any) -> Any:

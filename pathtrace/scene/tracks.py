@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-_Array = NDArray[np.float64]
+from compose.camera.camera import Array
 
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
     "sin": np.sin,
@@ -45,7 +44,9 @@ _MOST_CHARACTERS = 1000
 
 @dataclass(frozen=True)
 class Formula:
-    """Three expressions of a vertex' rest position x, y, z and the time t.
+    """Vertices that move by three expressions of their rest position x, y, z and the time t.
+
+    All are in the coordinates of the scene's file.
 
     Attributes:
         texts: of the new x, y and z, in Python's notation: numbers, + - * / **, parentheses, pi, and sin,
@@ -61,7 +62,7 @@ class Formula:
         for text in self.texts:
             _require_closed(_parsed(text))
 
-    def positions(self, rest: _Array, time: float) -> _Array:
+    def positions(self, rest: Array, time: float) -> Array:
         """Positions (N, 3) at a time of vertices whose rest positions are (N, 3).
 
         Raises:
@@ -126,9 +127,6 @@ def _value(node: ast.expr, values: dict[str, Any]) -> Any:
     raise AssertionError("not checked")
 
 
-Array = NDArray[np.float64]
-
-
 @dataclass(frozen=True)
 class Keyframe:
     """A rigid pose at a time, as the way there from where the scene's file has the shape.
@@ -172,12 +170,11 @@ class RigidTrack:
 
     def pose(self, time: float) -> Array:
         """(4, 4) rigid transform from rest to a time, in the coordinates of the scene's file."""
-        times = [key.time for key in self.keyframes]
+        times, about = [key.time for key in self.keyframes], np.array(self.about)
         shift = between(time, times, [key.translate for key in self.keyframes])
-        rotation = self._rotation(time, times)
         pose = np.eye(4)
-        pose[:3, :3] = rotation
-        pose[:3, 3] = np.array(self.about) - rotation @ np.array(self.about) + shift
+        pose[:3, :3] = rotation = self._rotation(time, times)
+        pose[:3, 3] = about - rotation @ about + shift
         return pose
 
     def _rotation(self, time: float, times: Sequence[float]) -> Array:
@@ -195,13 +192,6 @@ class RigidTrack:
 
 
 @dataclass(frozen=True)
-class FormulaTrack:
-    """Vertices that move by a formula, in the coordinates of the scene's file."""
-
-    formula: Formula
-
-
-@dataclass(frozen=True)
 class MeshTrack:
     """Vertices that go from mesh to mesh, linearly, in equal times from 0 to 1.
 
@@ -213,7 +203,7 @@ class MeshTrack:
     files: tuple[Path, ...]
 
 
-ShapeTrack = RigidTrack | FormulaTrack | MeshTrack
+ShapeTrack = RigidTrack | Formula | MeshTrack
 
 
 @dataclass(frozen=True)
@@ -273,8 +263,8 @@ def require_ordered(times: Sequence[float]) -> None:
     """ValueError unless there are times, from 0 to 1, in ascending order."""
     if not times:
         raise ValueError("no keyframes")
-    outside = [time for time in times if not 0 <= time <= 1]
-    if outside:
-        raise ValueError(f"a keyframe has t = {outside[0]:g}; must be from 0 to 1")
+    for time in times:
+        if not 0 <= time <= 1:
+            raise ValueError(f"a keyframe has t = {time:g}; must be from 0 to 1")
     if any(later <= earlier for earlier, later in pairwise(times)):
         raise ValueError("keyframes are out of order; t must ascend")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -10,15 +10,17 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
-from compose.camera.camera import Camera
-
-_Array = NDArray[np.float64]
+from compose.camera.camera import Array, Camera
 
 _SPHERE_RINGS = 24
 _CIRCLE_STEPS = 48
+# Side of the coarse frame, in pixels, whose rays probe what a camera sees.
+_PROBE = 24
+# Directions in which the nearest surface to a point is looked for: to a single one, and to many.
+_CLEARANCE_DIRECTIONS, _DIRECTIONS = 256, 96
 
 
-def triangles_of(shape: Any) -> _Array | None:
+def triangles_of(shape: Any) -> Array | None:
     """(M, 3, 3) corners of a Mitsuba shape's triangles in world space; None if unsupported."""
     parameters = mi.traverse(shape)
     if "vertex_positions" in parameters:
@@ -33,7 +35,7 @@ def triangles_of(shape: Any) -> _Array | None:
     return vertices[unit[1]]
 
 
-def _unit_shape(kind: str) -> tuple[_Array, NDArray[np.int32]] | None:
+def _unit_shape(kind: str) -> tuple[Array, NDArray[np.int32]] | None:
     """Vertices (V, 3) and triangles (M, 3) of an analytic shape in its own coordinates."""
     turn = np.linspace(0, 2 * np.pi, _CIRCLE_STEPS + 1)
     circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
@@ -62,87 +64,49 @@ def _grid_triangles(rows: int, columns: int) -> NDArray[np.int32]:
     return np.concatenate([lower, upper]).astype(np.int32)
 
 
-Array = NDArray[np.float64]
-
-# Side of the coarse frame, in pixels, whose rays probe what a camera sees.
-_PROBE = 24
-_CLEARANCE_DIRECTIONS = 256
-
-
-class Loaded(Protocol):
-    """Whatever holds a Mitsuba scene, such as `pathtrace.scene.scene.Scene`."""
-
-    @property
-    def mitsuba(self) -> Any:
-        """The Mitsuba scene."""
-
-
 class Surfaces:
     """All surfaces of a scene in one Embree tree.
 
     Args:
-        scene: the scene; analytic shapes are tessellated.
+        scene: holds a Mitsuba scene, as `pathtrace.scene.scene.Scene` does. Analytic shapes are tessellated;
+            those of a kind that cannot be are missing here.
 
     Attributes:
-        untessellated: class names of shapes that could not be turned into triangles and are missing here.
         bounds: (3,) lowest and (3,) highest corner of all triangles; inf and -inf if there are none.
     """
 
-    def __init__(self, scene: Loaded):
+    def __init__(self, scene: Any):
         self._embree = EmbreeScene()
-        self.untessellated: list[str] = []
-        parts = []
-        for shape in scene.mitsuba.shapes():
-            triangles = triangles_of(shape)
-            if triangles is None:
-                self.untessellated.append(shape.class_name())
-            else:
-                parts.append(triangles)
-        corners = np.concatenate(parts) if parts else np.zeros((0, 3, 3))
+        parts = [triangles_of(shape) for shape in scene.mitsuba.shapes()]
+        corners = np.concatenate([np.zeros((0, 3, 3)), *(part for part in parts if part is not None)])
         points = corners.reshape(-1, 3)
         self.bounds = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
         if len(corners):
             TriangleMesh(self._embree, np.ascontiguousarray(corners, dtype=np.float32))
 
     def distance(self, origins: Array, directions: Array) -> Array:
-        """(N,) distance to the first surface along N rays; inf where there is none.
+        """(N,) distance to the first surface along rays from points (N, 3) in unit directions (N, 3).
 
-        Args:
-            origins: (N, 3) points.
-            directions: (N, 3) unit vectors.
+        It is inf where there is none.
         """
-        found = self._embree.run(
-            np.ascontiguousarray(origins, dtype=np.float32),
-            np.ascontiguousarray(directions, dtype=np.float32),
-            query="DISTANCE",
-        )
-        return _infinite_where_missed(found)
+        return _infinite_where_missed(self._run(origins, directions, query="DISTANCE"))
 
     def hits(self, origins: Array, directions: Array) -> tuple[Array, Array]:
-        """Distance (N,) to the first surface along N rays, and its unit normal (N, 3), which faces the ray.
-
-        Args:
-            origins: (N, 3) points.
-            directions: (N, 3) unit vectors.
-
-        Returns:
-            inf and zeros where there is no surface.
-        """
-        found = self._embree.run(
-            np.ascontiguousarray(origins, dtype=np.float32),
-            np.ascontiguousarray(directions, dtype=np.float32),
-            query="INTERSECT",
-            output=True,
-        )
+        """`distance`, and the surfaces' unit normals (N, 3), which face the rays; 0 where there is none."""
+        found = self._run(origins, directions, query="INTERSECT", output=True)
         distance = _infinite_where_missed(found["tfar"])
         normal = np.asarray(found["Ng"], dtype=np.float64)
         length = np.linalg.norm(normal, axis=1)
         facing = -np.sign(np.sum(normal * directions, axis=1)) / np.where(length > 0, length, 1)
         return distance, np.where(np.isfinite(distance), facing, 0)[:, None] * normal
 
-    def clearances(self, points: Array, directions: Array) -> Array:
-        """(N,) distance from N points (N, 3) to the nearest surface along any of the directions (M, 3)."""
-        return self.around(points, directions).min(axis=1, initial=np.inf)
+    def _run(self, origins: Array, directions: Array, **how: Any) -> Any:
+        rays = (np.ascontiguousarray(part, dtype=np.float32) for part in (origins, directions))
+        return self._embree.run(*rays, **how)
+
+    def clearances(self, points: Array, count: int = _DIRECTIONS) -> Array:
+        """(N,) distance from points (N, 3) to the nearest surface in any of `count` fixed directions."""
+        return self.around(points, sphere_directions(count)).min(axis=1, initial=np.inf)
 
     def around(self, points: Array, directions: Array) -> Array:
         """(N, M) distance from each of N points (N, 3) along each of M directions (M, 3)."""
@@ -159,8 +123,8 @@ class Surfaces:
         return (lengths == 0) | (distance > lengths)
 
     def clearance(self, point: Array) -> float:
-        """Distance from a point (3,) to the nearest surface, over a fixed set of directions."""
-        return float(self.clearances(point[None], sphere_directions(_CLEARANCE_DIRECTIONS))[0])
+        """Distance from a point (3,) to the nearest surface in any of 256 fixed directions."""
+        return float(self.clearances(point[None], _CLEARANCE_DIRECTIONS)[0])
 
     def sees(self, start: Array, end: Array) -> bool:
         """Whether no surface lies on the straight line between two points (3,)."""

@@ -7,7 +7,7 @@ of its direct light, and one scattered ray. The surface which that one hits refl
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -48,14 +48,21 @@ class PathSettings:
     most_indirect: float | None = None
 
 
-class Tally(Protocol):
-    """Takes what paths add to radiance, and what they cost."""
+class Bins:
+    """Adds up luminance by the number of segments of paths, and counts segments."""
 
-    def add(self, radiance: Any, segments: Any) -> None:
-        """Takes N colours, and (N,) how many segments their paths have."""
+    def __init__(self, most: int) -> None:
+        self.sums = dr.zeros(mi.Float, most)
+        self.segments = dr.zeros(mi.UInt32, 1)
+        self._most = most
 
-    def follow(self, active: Any) -> None:
-        """Takes (N,) which paths have another segment."""
+    def add(self, active: Any, *added: tuple[Any, Any]) -> None:
+        """Takes which of N paths have another segment, and colours with their paths' number of segments."""
+        dr.scatter_add(self.segments, mi.UInt32(1), mi.UInt32(0), active)
+        for radiance, segments in added:
+            luminance = mi.luminance(radiance)
+            index = dr.minimum(segments, self._most) - 1
+            dr.scatter_add(self.sums, luminance, index, dr.isfinite(luminance) & (luminance > 0))
 
 
 @dr.syntax
@@ -68,19 +75,18 @@ def path_radiance(
     settings: PathSettings,
     sequences: Sequences,
     cache: CacheArrays,
-    tally: Tally | None = None,
+    bins: Bins | None = None,
 ) -> Any:
     """N linear colours: radiance along rays, as multiple importance sampling estimates it.
 
     Args:
-        scene: a Mitsuba scene.
-        sampler: random numbers.
+        scene, sampler: of Mitsuba.
         ray, surface: N Mitsuba rays, and interactions with what they hit first.
         active: (N,) mask.
         settings: how paths are traced.
         sequences: where the first surface's samples of lights and directions come from.
         cache: in which paths end; with one that knows no cell, the result is unbiased.
-        tally: adds up what paths of each number of segments bring.
+        bins: adds up what paths of each number of segments bring.
     """
     depths = settings.max_depth if settings.max_depth >= 0 else _UNBOUNDED
     radiance, throughput, ray, active = mi.Color3f(0), mi.Color3f(1), mi.Ray3f(ray), mi.Bool(active)
@@ -92,7 +98,7 @@ def path_radiance(
     depth, scattered, spread = mi.UInt32(0), mi.Bool(False), mi.Float(0)
     # Whether what is hit sheds indirect light on the first surface that scatters.
     indirect = mi.Bool(False)
-    while dr.hint(active, exclude=[settings, sequences, cache, lights, tally]):
+    while dr.hint(active, exclude=[settings, sequences, cache, lights, bins]):
         emitted = _emitted(scene, lights, hit, before, row, pdf / light_samples, specular, active)
         shone = _bounded(settings, throughput * emitted, indirect)
         radiance += shone
@@ -119,7 +125,7 @@ def path_radiance(
         direct = _direct(lights, sampler, sequences, hit, here, first, count, known, lit)
         found = _bounded(settings, throughput * direct, scattered)
         radiance += found
-        _told(tally, active, (shone, depth + 1), (found, depth + 2))
+        _tell(bins, active, (shone, depth + 1), (found, depth + 2))
         active &= sampler.next_1d(active) >= share
         throughput = dr.select(active, throughput * reflected, throughput)
         delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
@@ -138,12 +144,9 @@ def path_radiance(
     return radiance
 
 
-def _told(tally: Tally | None, active: Any, *added: tuple[Any, Any]) -> None:
-    """Tells a tally which paths scatter, and what is added by paths of how many segments."""
-    if tally is not None:
-        tally.follow(active)
-        for radiance, segments in added:
-            tally.add(radiance, segments)
+def _tell(bins: Bins | None, active: Any, *added: tuple[Any, Any]) -> None:
+    if bins is not None:
+        bins.add(active, *added)
 
 
 def _bounded(settings: PathSettings, added: Any, indirect: Any) -> Any:
@@ -166,13 +169,9 @@ def _emitted(
 ) -> Any:
     """Light that a surface or the sky emits, weighed against that which shadow rays found.
 
-    Args:
-        scene, lights: the scene and the choice of its lights.
-        hit, before: Mitsuba interactions, here and at the vertex before.
-        row: of the choice of lights at the vertex before.
-        pdf: density with which scattering chose the direction, over the number of shadow rays.
-        specular: (N,) mask of the paths for which no shadow ray could have found it.
-        active: (N,) mask.
+    `before` and `row` are the vertex before and its row of the choice of lights, `pdf` the density with which
+    scattering chose the direction, over the number of shadow rays. No shadow ray could have found the light
+    of paths that are `specular`.
     """
     emitter = hit.emitter(scene)
     found = mi.DirectionSample3f(scene, hit, before)

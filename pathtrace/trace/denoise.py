@@ -23,16 +23,13 @@ Picture = TypeVar("Picture")
 
 
 def denoise(radiance: Picture, albedo: Picture, normal: Picture, quick: bool = False) -> Picture:
-    """Removes Monte Carlo noise.
+    """(H, W, 3) radiance without Monte Carlo noise, of the same kind as what is given.
 
     Args:
         radiance: (H, W, 3) linear, unbounded; pixels must be box-filtered and uncorrelated.
         albedo: (H, W, 3), clipped to 0..1.
         normal: (H, W, 3), components in -1..1.
         quick: uses the quicker network, for frames shown in real time.
-
-    Returns:
-        (H, W, 3) denoised radiance, of the same kind as what is given.
     """
     if isinstance(radiance, np.ndarray):
         # Scaled here, since kernels take the least floats for 0.
@@ -68,10 +65,7 @@ def _exponent(peak: float) -> int:
 
 
 def denoise_coarsely(radiance: Any, albedo: Any, normal: Any) -> Any:
-    """Denoises tensors at half the resolution and restores the albedo's detail, in less than half the time.
-
-    Args and result as of `denoise`.
-    """
+    """`denoise` of tensors at half the resolution, which restores the albedo's detail, in half the time."""
     coarse = _halved([radiance, albedo, normal])
     # Radiance over albedo varies slowly: it loses little at half the resolution.
     light = _denoised(coarse[0], coarse[1], coarse[2], True) / (coarse[1] + _ALBEDO_OFFSET)
@@ -109,14 +103,9 @@ def _doubled(image: Any, shape: tuple[int, ...]) -> Any:
 
 
 class _Values:
-    """The values of an image of a shape (H, W, 3), one lane each, and where they are in another one.
+    """The values of an image of a shape (H, W, 3), one lane each, and where they are in a source image.
 
-    Args:
-        source: the other image.
-        shape: of the image.
-
-    Attributes:
-        row, column: signed integers.
+    Their rows and columns are signed integers.
     """
 
     def __init__(self, source: Any, shape: tuple[int, ...]):

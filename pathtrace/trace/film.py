@@ -44,12 +44,7 @@ class FilmPositions:
 
 
 def pixel_positions(indices: Any, width: int) -> FilmPositions:
-    """Film positions of pixels.
-
-    Args:
-        indices: (N,) Dr.Jit unsigned integers, row-major pixel indices.
-        width: frame width in pixels.
-    """
+    """Film positions of pixels of a frame of some width, from their row-major indices (N,), mi.UInt32."""
     # Opaque, like everything that may change from frame to frame: a literal would be compiled in.
     columns = constant(mi.UInt32, width)
     row = indices // columns
@@ -81,8 +76,7 @@ def opaque_camera(camera: Camera) -> tuple[Any, ...]:
     vectors' values only, so that frozen functions are not recorded again.
     """
     pose = camera.camera_to_world
-    ax = pose[:3, 0] / camera.fx
-    ay = pose[:3, 1] / camera.fy
+    ax, ay = pose[:3, 0] / camera.fx, pose[:3, 1] / camera.fy
     az = pose[:3, 2] - camera.cx * ax - camera.cy * ay
     return (uploaded(mi.Float, np.array([pose[:3, 3], ax, ay, az], dtype=np.float32)),)
 

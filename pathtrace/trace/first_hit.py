@@ -81,14 +81,7 @@ def has_clear_surfaces(scene: Any) -> bool:
 
 
 def first_hits(scene: Any, ray: Any, active: Any, bounces: int = _MAX_BOUNCES) -> FirstHits:
-    """Follows rays through mirrors and clear glass to the first other surface.
-
-    Args:
-        scene: a Mitsuba scene.
-        ray: N Mitsuba rays.
-        active: (N,) mask of the rays to follow.
-        bounces: mirrors and glass surfaces to follow at most.
-    """
+    """Follows N Mitsuba rays through mirrors and clear glass, at most so many, to the first other surface."""
     flags = mi.RayFlags.All | mi.RayFlags.dNSdUV if bounces else mi.RayFlags.All
     # Coherent rays: Embree follows those of neighbouring pixels together, four times as fast.
     surface = scene.ray_intersect(ray, flags, True, active)
@@ -122,12 +115,7 @@ def _followed(scene: Any, surface: Any, alive: Any, flags: int, bounces: int) ->
 
 
 def auxiliary_hits(scene: Any, ray: Any, active: Any, clear: bool) -> FirstHits:
-    """First hits as far as `auxiliary_features` requires them.
-
-    Args:
-        scene, ray, active: as of `first_hits`.
-        clear: whether the scene has mirrors or clear glass.
-    """
+    """First hits as `auxiliary_features` requires them; `clear` if there are mirrors or clear glass."""
     return first_hits(scene, ray, active, _AUXILIARY_BOUNCES if clear else 0)
 
 
@@ -137,12 +125,7 @@ def auxiliary_features(
     """Auxiliary features of what rays see, without antialiasing.
 
     Behind mirrors and clear glass, albedo and normal are those of what they show: denoising needs them there.
-
-    Args:
-        hits: of these rays.
-        ray: N Mitsuba rays.
-        active: (N,) mask of the rays that were followed.
-        movers: what moves: the numbers by which kernels know a shape, and which samples of it have.
+    Movers are the numbers by which kernels know a shape that moves, and those that samples of it have.
     """
     hit, last = active & hits.surface.is_valid(), hits.last
     shown = active & last.is_valid()
@@ -159,13 +142,7 @@ def auxiliary_features(
 
 
 def _mover(hits: FirstHits, hit: Any, shown: Any, movers: Sequence[tuple[int, int]]) -> Any:
-    """What is seen among what moves; None if nothing does.
-
-    Args:
-        hits: of N rays.
-        hit, shown: (N,) whether a ray hit anything, and whether it ended on a surface.
-        movers: as of `auxiliary_features`.
-    """
+    """What is seen among what moves, where rays hit anything, and end on a surface; None if nothing moves."""
     if not movers:
         return None
     shape, number = dr.reinterpret_array(mi.UInt32, hits.surface.shape), mi.Float(STILL)

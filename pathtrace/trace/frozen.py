@@ -80,11 +80,6 @@ class Frozen:
                 result = self._recorded(_flattened(given))
         return _rebuilt(result)
 
-    @property
-    def n_recordings(self) -> int:
-        """Number of times that the function was recorded."""
-        return int(self._recorded.n_recordings)
-
     def _known(self, scene: Any) -> _Scene:
         """A scene with its arrays as they are now."""
         # What is kept holds the scene, so that no other one gets its address.
@@ -98,12 +93,7 @@ class Frozen:
 
 
 class _Scene:
-    """A scene as an argument of a recording: told apart by identity, with its arrays beside it.
-
-    Attributes:
-        scene: the scene.
-        flat: what it is flattened to.
-    """
+    """A scene as an argument of a recording: told apart by identity, with its arrays beside it."""
 
     def __init__(self, scene: Any):
         self.scene = scene

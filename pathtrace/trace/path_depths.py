@@ -15,7 +15,7 @@ from compose.camera.camera import Camera
 from pathtrace.cache.cells import Grid
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.scene.scene import Scene
-from pathtrace.trace.cached_paths import PathSettings, path_radiance
+from pathtrace.trace.cached_paths import Bins, PathSettings, path_radiance
 from pathtrace.trace.film import opaque_camera, ray_through
 from pathtrace.trace.sampling import Sequences, sobol_tables
 
@@ -88,30 +88,10 @@ class PathCosts:
     variance: float
 
 
-class _Bins:
-    """Adds up luminance by the number of segments, and counts segments."""
-
-    def __init__(self) -> None:
-        self.sums = dr.zeros(mi.Float, MOST_SEGMENTS)
-        self.segments = dr.zeros(mi.UInt32, 1)
-
-    def add(self, radiance: Any, segments: Any) -> None:
-        luminance = mi.luminance(radiance)
-        index = dr.minimum(segments, MOST_SEGMENTS) - 1
-        dr.scatter_add(self.sums, luminance, index, dr.isfinite(luminance) & (luminance > 0))
-
-    def follow(self, active: Any) -> None:
-        dr.scatter_add(self.segments, mi.UInt32(1), mi.UInt32(0), active)
-
-
 def depth_shares(scene: Scene, cameras: Sequence[Camera], samples: int, seed: int) -> DepthShares:
     """How much paths of each length bring to what cameras see; unbiased, without a bound on their length.
 
-    Args:
-        scene: the scene.
-        cameras: views.
-        samples: paths of each view, spread over the frame.
-        seed: same seed, same result on the same machine.
+    Each view has a number of samples, which are spread over its frame.
     """
     count = -(-samples // _PARTS)
     means = np.zeros((_PARTS, MOST_SEGMENTS))
@@ -125,10 +105,7 @@ def depth_shares(scene: Scene, cameras: Sequence[Camera], samples: int, seed: in
 def path_costs(
     scene: Scene, cameras: Sequence[Camera], samples: int, depths: tuple[int, int], seed: int
 ) -> PathCosts:
-    """What paths cost that are no longer than a depth, below 0 for any, and play roulette from another one.
-
-    Other args as of `depth_shares`.
-    """
+    """What paths cost that are no longer than a depth (below 0: any), and play roulette from another."""
     segments, variances = 0.0, []
     for number, camera in enumerate(cameras):
         radiance, bins = _traced(scene, camera, samples, depths, [seed, number])
@@ -141,7 +118,7 @@ def path_costs(
 
 def _traced(
     scene: Scene, camera: Camera, count: int, depths: tuple[int, int], seed: list[int]
-) -> tuple[Any, _Bins]:
+) -> tuple[Any, Bins]:
     """Radiance of paths spread over the frame, and what they bring and cost by their segments."""
     state = int(np.random.SeedSequence(seed).generate_state(1)[0])
     sampler = mi.load_dict({"type": "independent"})
@@ -151,7 +128,7 @@ def _traced(
     sequences = Sequences(sobol_tables(), lane % _ROW, (lane // _ROW, dr.opaque(mi.UInt32, state)))
     settings = PathSettings(*depths, 1, scene.thin_glass)
     empty = IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), len(scene.mitsuba.emitters()))
-    bins, surface, active = _Bins(), scene.mitsuba.ray_intersect(ray), mi.Bool(True)
+    bins, surface, active = Bins(MOST_SEGMENTS), scene.mitsuba.ray_intersect(ray), mi.Bool(True)
     known = empty.arrays(scene.mitsuba)
     radiance = path_radiance(scene.mitsuba, sampler, ray, surface, active, settings, sequences, known, bins)
     dr.eval(radiance, bins.sums, bins.segments)

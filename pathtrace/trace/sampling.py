@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import atexit
 import math
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
 from typing import Any
 
 import drjit as dr
@@ -14,9 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from compose.base.arrays import constant
+from compose.base.arrays import constant, uploaded
 from compose.base.traced_samples import Counts
-from pathtrace.trace.film import FilmPositions
+from compose.camera.camera import Camera
+from pathtrace.trace.film import FilmPositions, opaque_camera
+
+# Samples of N film positions: one number for all, or one of each.
+SampleCounts = int | NDArray[np.int64] | Counts
 
 # After so many points a sequence restarts, scrambled otherwise.
 _LOG2_LENGTH = 12
@@ -27,24 +32,21 @@ _PAIRS = 3
 _PAIR_STEP = 0x9E3779B9
 # Of the hash that scrambles each pair. Four leave a pattern where neighbouring positions differ in one word.
 _ROUNDS = (4, 8, 8)
-
-
-@cache
-def _bits() -> NDArray[np.uint32]:
-    """(2 * _PAIRS, 4096) coordinates of the Sobol points as 32-bit fixed-point fractions."""
-    points = qmc.Sobol(2 * _PAIRS, scramble=False, bits=32).random_base2(_LOG2_LENGTH)
-    return np.ascontiguousarray((points.T * 2.0**32).astype(np.uint32))
+# Lanes are padded to a multiple of this with masked ones: a frozen function is recorded again when the
+# divisibility of its width changes, and masked lanes at the end cost next to nothing.
+_LANE_MULTIPLE = 4096
 
 
 def sobol_tables() -> list[Any]:
-    """The Sobol points as Dr.Jit arrays, one for each dimension."""
+    """The Sobol points as Dr.Jit arrays of 32-bit fixed-point fractions, one for each dimension."""
     return _tables(mi.variant())
 
 
 @cache
 def _tables(variant: str) -> list[Any]:
     """The Sobol points on the device of the variant that is set; uploaded once."""
-    return [mi.UInt32(bits) for bits in _bits()]
+    points = qmc.Sobol(2 * _PAIRS, scramble=False, bits=32).random_base2(_LOG2_LENGTH)
+    return [mi.UInt32(column) for column in np.ascontiguousarray((points.T * 2.0**32).astype(np.uint32))]
 
 
 # Dr.Jit complains of arrays that outlive it.
@@ -80,11 +82,6 @@ class Sequences:
             for table, shift in zip(self.tables[2 * pair : 2 * pair + 2], shifts, strict=True)
         )
         return x, y
-
-
-# Lanes are padded to a multiple of this with masked ones: a frozen function is recorded again when the
-# divisibility of its width changes, and masked lanes at the end cost next to nothing.
-_LANE_MULTIPLE = 4096
 
 
 @dataclass(frozen=True)
@@ -133,10 +130,8 @@ class Lanes:
     def sequences(self, positions: FilmPositions, offset: Any, pattern: Any) -> Sequences:
         """The Sobol sequences of the lanes' samples, one for each position.
 
-        Args:
-            positions: the boxes of all samples.
-            offset: samples drawn from each position's sequence before, Dr.Jit integers: one for all, or (N,).
-            pattern: Dr.Jit integer that selects the scrambling.
+        Dr.Jit integers say how many samples were drawn from each position's sequence before, the same number
+        for all or (N,), and select the scrambling (the pattern).
         """
         x, y = (dr.reinterpret_array(mi.UInt32, self._gathered(side)) for side in (positions.x, positions.y))
         if dr.width(offset) > 1:
@@ -147,10 +142,8 @@ class Lanes:
         """Film coordinates (x, y) of each lane's sample in its box."""
         unit = sequences.point(FILM, sequences.number)
         corner = self._gathered(positions.x), self._gathered(positions.y)
-        sizes = (
-            self._gathered(side) if dr.width(side) > 1 else side
-            for side in (positions.width, positions.height)
-        )
+        sides = positions.width, positions.height
+        sizes = (self._gathered(side) if dr.width(side) > 1 else side for side in sides)
         x, y = (start + size * share for start, size, share in zip(corner, sizes, unit, strict=True))
         return x, y
 
@@ -186,16 +179,117 @@ def _runs_summed(channels: list[Any], first: Any, end: Any) -> list[Any]:
     return [mi.Float(total) for total in sums]
 
 
+@dataclass(frozen=True)
+class Batch:
+    """Samples that are traced at once.
+
+    Attributes:
+        camera: the view; its film coordinates are those of the positions.
+        positions: N film positions.
+        spp: samples per position, one number for all or N.
+        offset: samples already drawn from each position's sequence, mi.UInt32 of width 1 or N.
+        pattern: seed of the sample positions.
+    """
+
+    camera: Camera
+    positions: FilmPositions
+    spp: int | Counts
+    offset: Any
+    pattern: int
+
+    @staticmethod
+    def of(camera: Camera, positions: FilmPositions, spp: SampleCounts, offset: Any, pattern: int) -> Batch:
+        """A batch by numbers of samples as callers have them, in Python, NumPy or Dr.Jit."""
+        if isinstance(offset, np.ndarray):
+            offset = mi.UInt32(offset.astype(np.uint32))
+        offset = constant(mi.UInt32, offset) if isinstance(offset, int) else mi.UInt32(offset)
+        if not isinstance(spp, Counts):
+            each = np.asarray(spp)
+            spp = (
+                Counts(mi.UInt32(each.astype(np.uint32)), int(each.sum()), int(each.max(initial=0)))
+                if each.ndim
+                else int(each)
+            )
+        return Batch(camera, positions, spp, offset, pattern)
+
+    def parts(self, most: int) -> Iterator[Batch]:
+        """The same samples in batches of up to `most` positions."""
+        count = self.positions.count
+        if count <= most:
+            yield self
+            return
+        for start in range(0, count, most):
+            stop = min(start + most, count)
+            index = dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, stop - start)
+            spp, offset = self.spp, self.offset
+            if isinstance(spp, Counts):
+                spp = Counts.of(dr.gather(mi.UInt32, mi.UInt32(spp.each), index), spp.most)
+            if dr.width(offset) > 1:
+                offset = dr.gather(mi.UInt32, offset, index)
+            yield replace(self, positions=self.positions.part(start, stop), spp=spp, offset=offset)
+
+    def passes(self, most_lanes: int) -> Iterator[Batch]:
+        """The same samples in batches of about so many lanes that have some of each position."""
+        most, lanes = (
+            (self.spp.most, self.spp.total)
+            if isinstance(self.spp, Counts)
+            else (self.spp, self.positions.count * self.spp)
+        )
+        passes = max(1, min(most, -(-lanes // most_lanes)))
+        if passes == 1:
+            yield self
+            return
+        done: Any = 0
+        for number in range(passes):
+            # Shares as even as whole numbers can be; in the first pass, every position has a sample.
+            if isinstance(self.spp, int):
+                share: Any = (self.spp * (number + 1) + passes - 1) // passes - done
+                yield replace(self, spp=share, offset=self.offset + done)
+            else:
+                each = mi.UInt64(self.spp.each)
+                share = mi.UInt32((each * (number + 1) + passes - 1) // passes) - done
+                yield replace(self, spp=Counts.of(share, -(-most // passes) + 1), offset=self.offset + done)
+            done = done + share
+
+    @cached_property
+    def lanes(self) -> Lanes:
+        """The lanes that trace these samples."""
+        return Lanes.of(self.positions.count, self.spp)
+
+    @cached_property
+    def sequences(self) -> Sequences:
+        """Where the samples of these lanes come from."""
+        return self.lanes.sequences(self.positions, self.offset, mixed_seeds(self.pattern))
+
+    def rays(self, *others: Any) -> tuple[Any, ...]:
+        """Film coordinates x and y, mask and camera of all lanes, as the frozen functions take them.
+
+        Computed in one kernel with `others`.
+        """
+        x, y = self.lanes.sample_positions(self.positions, self.sequences)
+        active = self.lanes.active
+        dr.eval(x, y, active, others)
+        return x, y, active, *opaque_camera(self.camera)
+
+
+def joined_channels(parts: list[list[Any]]) -> list[Any]:
+    """Channels of all positions from those of parts."""
+    if len(parts) == 1:
+        return parts[0]
+    channels = [dr.concat(of_parts) for of_parts in zip(*parts, strict=True)]
+    dr.eval(channels)
+    return channels
+
+
+def mixed_seeds(entropy: int | list[int]) -> Any:
+    """mi.UInt32 of width 1, opaque: 32 bits in which neighbouring seeds have nothing in common."""
+    return uploaded(mi.UInt32, np.random.SeedSequence(entropy).generate_state(1))
+
+
 def fractional_counts(spp: float, positions: int, seed: int) -> int | NDArray[np.int64]:
-    """Samples of each position, with mean `spp`: the whole numbers below and above it, shuffled.
+    """Samples of each of N positions, with mean `spp`: the whole numbers below and above it, shuffled.
 
-    Args:
-        spp: samples per position on average, at least 1.
-        positions: N, the number of positions.
-        seed: same seed, same counts.
-
-    Returns:
-        `spp` itself if it is a whole number, else (N,) counts; their sum is spp N, rounded.
+    Returns `spp` itself, at least 1, if it is a whole number, else (N,) counts; their sum is spp N, rounded.
     """
     whole = math.floor(spp)
     if spp == whole:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from compose.camera.camera import Camera
 from compose.image.colour import Image
 from pathtrace.trace.denoise import denoise
-from pathtrace.trace.film import FilmPositions, interleaved
+from pathtrace.trace.film import FilmPositions, frame_positions, interleaved
 from pathtrace.trace.tracer import Tracer
 
 
@@ -33,6 +33,12 @@ class TracedImage:
         """(H, W, 3) radiance denoised with albedo and normal, by the quicker network if `quick`."""
         return denoise(self.radiance, self.albedo, self.normal, quick)
 
+    def mixed(self, other: TracedImage, share: float) -> TracedImage:
+        """The image of these samples, which have a share of all, and of those of another image."""
+        own = np.float32(share)
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return TracedImage(*(own * one + (1 - own) * another for one, another in pairs))
+
 
 def trace_image(
     tracer: Tracer,
@@ -46,9 +52,8 @@ def trace_image(
     """Radiance with `spp` samples per pixel, and auxiliary features with as many as go with that.
 
     Args:
-        tracer: traces the scene.
-        camera: the view; its film coordinates are those of `positions`.
-        positions: H * W film positions, row by row from the top.
+        tracer, camera: the view and what traces it.
+        positions: H * W film positions in the camera's coordinates, row by row from the top.
         columns: W, the width of the image.
         spp: samples per pixel.
         seed: same seed, same image.
@@ -59,6 +64,11 @@ def trace_image(
     return TracedImage(*(_image(image, columns) for image in channels))
 
 
+def trace_frame(tracer: Tracer, camera: Camera, spp: int, seed: int) -> TracedImage:
+    """`trace_image` of all pixels of a camera's frame."""
+    return trace_image(tracer, camera, frame_positions(camera), camera.width, spp, seed)
+
+
 def radiance_image(
     tracer: Tracer,
     camera: Camera,
@@ -67,19 +77,16 @@ def radiance_image(
     spp: int | NDArray[np.int64],
     seed: int,
 ) -> Image:
-    """(H, W, 3) linear radiance; arguments as of `trace_image`, but `spp` may be (H * W,) counts."""
+    """(H, W, 3) linear radiance; arguments as in `trace_image`, but `spp` may be (H * W,) counts."""
     return _image(tracer.trace(camera, positions, spp, seed).radiance, columns)
 
 
 def auxiliary_images(
     tracer: Tracer, camera: Camera, positions: FilmPositions, columns: int, spp: int, pattern: int
 ) -> tuple[Image, Image]:
-    """Albedo and normal, (H, W, 3) each.
+    """Albedo and normal, (H, W, 3) each, with `spp` samples per pixel; arguments as in `trace_image`.
 
-    Args:
-        tracer, camera, positions, columns: as of `trace_image`.
-        spp: samples per pixel of the features.
-        pattern: seed of the sample positions; that of the radiance, so that both have the same edges.
+    The pattern is the seed of the radiance, so that both have the same sample positions and edges.
     """
     features = tracer.auxiliary(camera, positions, spp, pattern)
     return _image(features.albedo, columns), _image(features.normal, columns)

@@ -6,9 +6,7 @@ evaluated array, so that a moving gaze or camera neither traces Python again nor
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -16,8 +14,6 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.arrays import constant, uploaded
-from compose.base.traced_samples import Counts
 from compose.camera.camera import Camera
 from pathtrace.cache.cells import Grid
 from pathtrace.cache.irradiance_cache import CacheArrays, IrradianceCache
@@ -34,7 +30,7 @@ from pathtrace.trace.first_hit import (
     registered,
 )
 from pathtrace.trace.frozen import Frozen
-from pathtrace.trace.sampling import Lanes, Sequences
+from pathtrace.trace.sampling import Batch, SampleCounts, Sequences, joined_channels, mixed_seeds
 
 # Lanes traced at once: bounds the memory that many samples of a large frame take. Samples of a position are
 # traced in several passes, and positions in several parts where they alone are more than that.
@@ -50,8 +46,6 @@ _ANY_GRID = Grid(np.zeros(3, dtype=np.float32), 1.0)
 # With fewer samples, the noise of the auxiliary features shows in what they guide; each costs a twentieth of
 # a path.
 _MIN_AUXILIARY_SPP, _MAX_AUXILIARY_SPP = 4, 16
-# Samples of N film positions: one number for all, or one of each.
-SampleCounts = int | NDArray[np.int64] | Counts
 
 
 @dataclass(frozen=True)
@@ -97,10 +91,7 @@ def auxiliary_spp(spp: int) -> int:
 
 
 def features_along(spp: int) -> bool:
-    """Whether radiance of `spp` samples per pixel is traced with the auxiliary features of each.
-
-    Of more samples than features require, some are traced apart.
-    """
+    """Whether radiance is traced with the auxiliary features of each of `spp` samples, and not apart."""
     return spp <= _MAX_AUXILIARY_SPP
 
 
@@ -132,7 +123,9 @@ class Tracer:
         depth, roulette = max_depth or scene.max_depth, roulette_depth or scene.roulette_depth
         self._path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": roulette})
         self._clear = has_clear_surfaces(scene.mitsuba)
-        self._movers = _movers(scene)
+        # What moves: the numbers by which kernels know a shape, and which samples of it have.
+        moving = [] if scene.moving is None else scene.moving.movers()
+        self._movers = [(registered(shape), number) for shape, number in moving]
         # Frozen per tracer: the scene is part of the recording.
         # In a cache without cells, no path could end.
         known = cache if cache is not None and len(cache.cells) else None
@@ -164,8 +157,7 @@ class Tracer:
         """Mean radiance at each position over samples spread evenly over its box.
 
         Args:
-            camera: the view; its film coordinates are those of `positions`.
-            positions: N film positions.
+            camera, positions: the view, and N film positions in its coordinates.
             spp: samples per position, one number for all, at least 1, or N; those without any are black.
             seed: same seed, same result.
             offset: samples already drawn from each position's sequence, one number for all or N; with the
@@ -178,25 +170,18 @@ class Tracer:
             ValueError: no samples are asked for.
         """
         pattern = seed if pattern is None else pattern
-        batch = _Batch(camera, positions, _counts(spp), _offset(offset), pattern)
+        batch = Batch.of(camera, positions, spp, offset, pattern)
         if isinstance(batch.spp, int) and batch.spp < 1:
             raise ValueError(f"spp is {spp}, must be at least 1")
-        parts = [
-            self._traced(part, [seed, number], features)
-            for number, part in enumerate(batch.parts(_MAX_LANES))
-        ]
-        means = _joined([of_part for of_part, _ in parts])
-        first = _joined([of_part for _, of_part in parts])
+        parts = [self._traced(part, [seed, n], features) for n, part in enumerate(batch.parts(_MAX_LANES))]
+        means, first = (joined_channels(list(of_parts)) for of_parts in zip(*parts, strict=True))
         found = AuxiliaryFeatures(means[6:9], means[9:], first[:3], *first[3:]) if features else None
         return Traced(means[:3], means[3:6], found)
 
     def trace_with_features(
         self, camera: Camera, positions: FilmPositions, spp: int, seed: int, least: int = 0
     ) -> tuple[Traced, AuxiliaryFeatures]:
-        """As `trace`, and auxiliary features over as many sample positions as go with `spp` samples.
-
-        Features have at least `least` samples, if that is more.
-        """
+        """`trace`, and auxiliary features of as many samples as go with `spp`, or `least` if that is more."""
         wanted = max(auxiliary_spp(spp), least)
         traced = self.trace(camera, positions, spp, seed, features=features_along(spp))
         if traced.features is None:
@@ -207,33 +192,22 @@ class Tracer:
         return traced, traced.features.averaged(more, (wanted - spp) / wanted)
 
     def auxiliary(
-        self,
-        camera: Camera,
-        positions: FilmPositions,
-        spp: int,
-        pattern: int,
-        offset: Any = 0,
+        self, camera: Camera, positions: FilmPositions, spp: int, pattern: int, offset: Any = 0
     ) -> AuxiliaryFeatures:
         """Auxiliary features at each position.
 
         Albedo and normal are means over the same sample positions as `trace` uses, so that they match its
-        radiance; position and gloss are those of the first sample.
-
-        Args:
-            camera: the view; its film coordinates are those of `positions`.
-            positions: N film positions.
-            spp: samples per position.
-            pattern, offset: as in `trace`.
+        radiance; position and gloss are those of the first sample. Arguments are as in `trace`.
         """
-        batch = _Batch(camera, positions, _counts(spp), _offset(offset), pattern)
+        batch = Batch.of(camera, positions, spp, offset, pattern)
         # All samples of a position at once, if they fit: their sum is the same however many parts there are.
-        parts = [self._features(part) for part in batch.parts(max(1, _MAX_LANES // int(spp)))]
-        found = _joined(parts)
+        most = max(1, _MAX_LANES // int(spp))
+        found = joined_channels([self._features(part) for part in batch.parts(most)])
         return AuxiliaryFeatures(found[:3], found[3:6], found[6:9], *found[9:])
 
     def hits(self, camera: Camera, positions: FilmPositions) -> Hits:
         """First hits of the rays through the centre of each position."""
-        whole = _Batch(camera, positions, 1, _offset(0), 0)
+        whole = Batch.of(camera, positions, 1, 0, 0)
         found = [self._hits(camera, part.positions) for part in whole.parts(_MAX_LANES)]
         return Hits(*(np.concatenate([getattr(hits, f.name) for hits in found]) for f in fields(Hits)))
 
@@ -259,24 +233,17 @@ class Tracer:
         index = np.array([registry.get(int(pointer), -1) for pointer in pointers], dtype=np.int32)
         return Hits(distance.numpy(), unfolded.numpy(), index[inverse])
 
-    def _traced(self, batch: _Batch, seeds: list[int], features: bool) -> tuple[list[Any], list[Any]]:
-        """Means over the samples of a batch, and what the first of each position shows, as `_sums` does.
+    def _traced(self, batch: Batch, seeds: list[int], features: bool) -> tuple[list[Any], list[Any]]:
+        """Means over the samples of a batch, and what the first of each position shows, as in `_sums`.
 
-        Args:
-            batch: what to trace.
-            seeds: of the frame, and number of the part of it.
-            features: whether to return auxiliary features as well.
+        The seeds are that of the frame, and the number of the part of it.
         """
         seed, part = seeds
-        sums: list[Any] = []
-        first: list[Any] = []
-        for number, share in enumerate(batch.passes()):
+        sums, first = list[Any](), list[Any]()
+        for number, share in enumerate(batch.passes(_MAX_LANES)):
             # The first part has the random numbers of a frame that is traced at once.
             channels, seen = self._sums(share, [seed, number, part] if part else [seed, number], features)
-            if sums:
-                channels = [a + b for a, b in zip(sums, channels, strict=True)]
-                dr.eval(channels)
-            sums, first = channels, first or seen
+            sums, first = _added(sums, channels), first or seen
         samples = (
             batch.spp if isinstance(batch.spp, int) else mi.Float(dr.maximum(mi.UInt32(batch.spp.each), 1))
         )
@@ -286,18 +253,13 @@ class Tracer:
             dr.eval(means, first)
         return means, first
 
-    def _features(self, batch: _Batch) -> list[Any]:
+    def _features(self, batch: Batch) -> list[Any]:
         """Albedo, normal, position, gloss and, where something moves, mover of a batch."""
-        sums: list[Any] = []
-        first: list[Any] = []
-        for share in batch.passes():
+        sums, first = list[Any](), list[Any]()
+        for share in batch.passes(_MAX_LANES):
             features = self._trace_auxiliary(self.scene.mitsuba, *share.rays())
             dr.eval(features)
-            channels = share.lanes.sums([*features.albedo, *features.normal])
-            if sums:
-                channels = [a + b for a, b in zip(sums, channels, strict=True)]
-                dr.eval(channels, first)
-            sums = channels
+            sums = _added(sums, share.lanes.sums([*features.albedo, *features.normal]), first)
             first = first or [
                 dr.gather(mi.Float, channel, share.lanes.first) for channel in features.of_first
             ]
@@ -305,20 +267,14 @@ class Tracer:
         dr.eval(found)
         return found
 
-    def _sums(self, batch: _Batch, seeds: list[int], features: bool) -> tuple[list[Any], list[Any]]:
-        """What each position's samples of a pass add up to, and what the first of them shows.
+    def _sums(self, batch: Batch, seeds: list[int], features: bool) -> tuple[list[Any], list[Any]]:
+        """What each position's samples of a pass add up to, and what the first of them shows, (N,) each.
 
-        Args:
-            batch: the samples.
-            seeds: of the frame, of the pass and so on.
-            features: whether to return auxiliary features as well.
-
-        Returns:
-            (N,) arrays each: sums of radiance and of its squares, and with `features` of albedo and normal;
-            with `features`, position, gloss and, where something moves, mover.
+        Sums of radiance and of its squares, and with `features` of albedo and normal; with `features`,
+        position, gloss and, where something moves, mover.
         """
         # Seeds of different frames and passes must not overlap; numpy's seed sequence mixes them.
-        state = _mixed(seeds)
+        state = mixed_seeds(seeds)
         if self._known is None:
             channels = self._trace_radiance(features, self.scene.mitsuba, state, *batch.rays())
         else:
@@ -331,9 +287,9 @@ class Tracer:
         if batch.spp == 1:
             # A sample is its own sum, which is squared in the kernel that comes next.
             radiance, means = (lanes.sums(of) for of in (radiance, means))
-            sums = [*radiance, *(dr.square(channel) for channel in radiance), *means]
-        else:
-            sums = lanes.sums([*radiance, *(dr.square(channel) for channel in radiance), *means])
+        sums = [*radiance, *(dr.square(channel) for channel in radiance), *means]
+        if batch.spp != 1:
+            sums = lanes.sums(sums)
         return sums, [dr.gather(mi.Float, channel, lanes.first) for channel in first]
 
     def _radiance(
@@ -382,7 +338,7 @@ class Tracer:
         radiance = dr.select(dr.all(dr.isfinite(radiance)), radiance, 0)
         # Without this evaluation, every later step would trace its own paths: three to four times the work.
         sampler.schedule_state()
-        channels = [radiance.x, radiance.y, radiance.z]
+        channels = list(radiance)
         if seen is not None:
             features = self._seen(seen, ray, active)
             channels += [*features.albedo, *features.normal, *features.of_first]
@@ -399,113 +355,10 @@ class Tracer:
         return replace(found, albedo=albedo, normal=normal)
 
 
-@dataclass(frozen=True)
-class _Batch:
-    """Samples that are traced at once.
-
-    Attributes:
-        camera: the view.
-        positions: N film positions.
-        spp: samples per position, one number for all or N.
-        offset: samples already drawn from each position's sequence, mi.UInt32 of width 1 or N.
-        pattern: seed of the sample positions.
-    """
-
-    camera: Camera
-    positions: FilmPositions
-    spp: int | Counts
-    offset: Any
-    pattern: int
-
-    def parts(self, most: int) -> Iterator[_Batch]:
-        """The same samples in batches of up to `most` positions."""
-        count = self.positions.count
-        if count <= most:
-            yield self
-            return
-        for start in range(0, count, most):
-            stop = min(start + most, count)
-            index = dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, stop - start)
-            spp, offset = self.spp, self.offset
-            if isinstance(spp, Counts):
-                spp = Counts.of(dr.gather(mi.UInt32, mi.UInt32(spp.each), index), spp.most)
-            if dr.width(offset) > 1:
-                offset = dr.gather(mi.UInt32, offset, index)
-            yield replace(self, positions=self.positions.part(start, stop), spp=spp, offset=offset)
-
-    def passes(self) -> Iterator[_Batch]:
-        """The same samples in batches that have some of each position."""
-        most = self.spp.most if isinstance(self.spp, Counts) else self.spp
-        lanes = self.spp.total if isinstance(self.spp, Counts) else self.positions.count * self.spp
-        passes = max(1, min(most, -(-lanes // _MAX_LANES)))
-        if passes == 1:
-            yield self
-            return
-        done: Any = 0
-        for number in range(passes):
-            # Shares as even as whole numbers can be; in the first pass, every position has a sample.
-            if isinstance(self.spp, int):
-                share: Any = (self.spp * (number + 1) + passes - 1) // passes - done
-                yield replace(self, spp=share, offset=self.offset + done)
-            else:
-                each = mi.UInt64(self.spp.each)
-                share = mi.UInt32((each * (number + 1) + passes - 1) // passes) - done
-                yield replace(self, spp=Counts.of(share, -(-most // passes) + 1), offset=self.offset + done)
-            done = done + share
-
-    @cached_property
-    def lanes(self) -> Lanes:
-        """The lanes that trace these samples."""
-        return Lanes.of(self.positions.count, self.spp)
-
-    @cached_property
-    def sequences(self) -> Sequences:
-        """Where the samples of these lanes come from."""
-        return self.lanes.sequences(self.positions, self.offset, _mixed(self.pattern))
-
-    def rays(self, *others: Any) -> tuple[Any, ...]:
-        """Film coordinates x and y, mask and camera of all lanes, as the frozen functions take them.
-
-        Computed in one kernel with `others`.
-        """
-        x, y = self.lanes.sample_positions(self.positions, self.sequences)
-        active = self.lanes.active
-        dr.eval(x, y, active, others)
-        return x, y, active, *opaque_camera(self.camera)
-
-
-def _counts(given: SampleCounts) -> int | Counts:
-    """A number of samples as Python's integer, or the numbers of N positions."""
-    if isinstance(given, Counts):
-        return given
-    if np.ndim(given) == 0:
-        return int(given)
-    each = np.asarray(given)
-    return Counts(mi.UInt32(each.astype(np.uint32)), int(each.sum()), int(each.max(initial=0)))
-
-
-def _offset(given: Any) -> Any:
-    """Numbers of samples as mi.UInt32, opaque, of width 1 or N."""
-    if isinstance(given, np.ndarray):
-        return mi.UInt32(given.astype(np.uint32))
-    return constant(mi.UInt32, given) if isinstance(given, int) else mi.UInt32(given)
-
-
-def _joined(parts: list[list[Any]]) -> list[Any]:
-    """Channels of all positions from those of parts."""
-    if len(parts) == 1:
-        return parts[0]
-    channels = [dr.concat(of_parts) for of_parts in zip(*parts, strict=True)]
-    dr.eval(channels)
-    return channels
-
-
-def _mixed(entropy: int | list[int]) -> Any:
-    """mi.UInt32 of width 1, opaque: 32 bits in which neighbouring seeds have nothing in common."""
-    return uploaded(mi.UInt32, np.random.SeedSequence(entropy).generate_state(1))
-
-
-def _movers(scene: Scene) -> list[tuple[int, int]]:
-    """What moves: the numbers by which kernels know a shape, and which samples of it have."""
-    moving = scene.moving
-    return [] if moving is None else [(registered(shape), number) for shape, number in moving.movers()]
+def _added(sums: list[Any], channels: list[Any], *others: Any) -> list[Any]:
+    """Channels added to sums, if there are any, in one kernel with others."""
+    if not sums:
+        return channels
+    added = [a + b for a, b in zip(sums, channels, strict=True)]
+    dr.eval(added, others)
+    return added

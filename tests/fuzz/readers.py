@@ -22,8 +22,8 @@ from hybrid.base.journal import Journal
 from hybrid.render.image_files import read_exr
 from pathtrace.dataset.captured_frames import CapturedFrame, read_frame, write_frame
 from pathtrace.dataset.frame_set import FORMAT_VERSION, read_frame_set
-from pathtrace.dataset.posed_folder import read_posed_folder
 from pathtrace.dataset.posed_images import read_pixels
+from pathtrace.dataset.posed_layouts import read_posed_folder
 from pathtrace.gltf.importing import import_gltf
 from pathtrace.region.camera_path import read_path
 from pathtrace.scene.scene_xml import read_description

@@ -13,7 +13,7 @@ from hybrid.evaluation.methods import HybridMethod, Method, SplatsAlone
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.periphery import Periphery
-from pathtrace.region.neighbourhood import time_of, unseen_views
+from pathtrace.region.neighbourhood import unseen_views, view_time
 from pathtrace.scene.scene import Scene, load_scene
 from splat.model.forest import Forest
 from tests import small
@@ -59,8 +59,8 @@ def test_each_method_shows_the_time_of_its_view(scene, forest, name):
 
 def test_views_to_measure_on_have_times_between_those_of_training(scene):
     views = unseen_views(scene, 5, 32, 32)
-    assert [view.time for view in views] == [time_of(number + 0.5) for number in range(5)]
-    trained = [time_of(number) for number in range(200)]
+    assert [view.time for view in views] == [view_time(scene, number + 0.5) for number in range(5)]
+    trained = [view_time(scene, number) for number in range(200)]
     assert min(abs(view.time - time) for view in views for time in trained) > 1e-4
     still = load_scene(small.corner())
     assert [view.time for view in unseen_views(still, 3, 32, 32)] == [0, 0, 0]

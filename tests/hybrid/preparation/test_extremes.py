@@ -15,7 +15,7 @@ from hybrid.preparation import fusion_training as fusion
 from hybrid.preparation.forest_training import LeftOut, say_left_out, train
 from hybrid.preparation.held_out import held_out_quality
 from pathtrace.dataset.capture import capture
-from pathtrace.dataset.captured_frames import read_estimate, read_frame, write_estimate, write_frame
+from pathtrace.dataset.captured_frames import read_estimate, read_frame, write_frame
 from pathtrace.dataset.frame_set import CaptureSettings, FrameSet, read_frame_set
 from pathtrace.scene.scene import load_scene
 from splat.io.forest_file import load_forest
@@ -128,7 +128,7 @@ def test_the_fusion_is_never_fitted_to_what_is_not_finite(tmp_path, backend, mon
     )
     least = min(second.estimates)
     broken = read_estimate(second.estimates[least])
-    write_estimate(second.estimates[least], replace(broken, albedo=np.full_like(broken.albedo, np.inf)))
+    write_frame(second.estimates[least], replace(broken, albedo=np.full_like(broken.albedo, np.inf)))
     kept: list[Example] = []
 
     def noting(examples, *arguments) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pathtrace.cache.cells import Grid, Points
-from pathtrace.cache.light_selection import LightChoice, Lights, LightSamples, light_numbers
+from pathtrace.cache.light_selection import LightChoice, LightLearning, Lights, LightSamples, light_numbers
 from tests import small
 
 pytestmark = pytest.mark.usefixtures("backend")
@@ -63,7 +63,7 @@ def test_rows_are_those_of_the_cells_and_the_last_elsewhere():
 
 def test_new_samples_replace_a_choice_little_by_little():
     before = choice()
-    learning = before.learning()
+    learning = LightLearning(before)
     np.testing.assert_array_equal(learning.choice().chances, before.chances)
     seen = []
     for _ in range(4):

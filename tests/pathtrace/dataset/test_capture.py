@@ -128,11 +128,11 @@ def test_a_frame_without_its_estimates_is_rendered_again(scene, whole, tmp_path)
 
     def stop(path: Path, frame) -> None:
         written.append(path)
-        raise InterruptError
+        if path.name.endswith("spp.exr"):
+            raise InterruptError
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pathtrace.dataset.capture.write_frame", lambda path, frame: written.append(path))
-        patch.setattr("pathtrace.dataset.capture.write_estimate", stop)
+        patch.setattr("pathtrace.dataset.capture.write_frame", stop)
         with pytest.raises(InterruptError):
             capture(scene, tmp_path, SETTINGS, lambda done, total: None)
     estimate = written.pop()

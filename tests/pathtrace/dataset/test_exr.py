@@ -11,7 +11,6 @@ from pathtrace.dataset.captured_frames import (
     CapturedFrame,
     read_estimate,
     read_frame,
-    write_estimate,
     write_frame,
 )
 from pathtrace.trace.traced_images import TracedImage
@@ -65,7 +64,7 @@ def test_channels_of_a_frame(tmp_path, frame):
 
 def test_an_estimate_has_no_geometry(tmp_path, frame):
     estimate = TracedImage(frame.radiance, frame.albedo, frame.normal)
-    write_estimate(tmp_path / "e.exr", estimate)
+    write_frame(tmp_path / "e.exr", estimate)
     assert len(channels(tmp_path / "e.exr")) == 9
     back = read_estimate(tmp_path / "e.exr")
     for name in ("radiance", "albedo", "normal"):

@@ -10,8 +10,8 @@ from PIL import Image
 
 from compose.base.errors import UserError
 from compose.image.colour import bytes_from_radiance, radiance_from_srgb, srgb_from_radiance
-from pathtrace.dataset.posed_folder import read_posed_folder
 from pathtrace.dataset.posed_images import Lens, read_pixels
+from pathtrace.dataset.posed_layouts import read_posed_folder
 from tests import posed
 
 

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from compose.base.errors import UserError
-from pathtrace.dataset.posed_folder import is_posed_folder, read_posed_folder
+from pathtrace.dataset.posed_layouts import is_posed_folder, read_posed_folder
 from tests import posed
 from tests.extremes import extreme
 

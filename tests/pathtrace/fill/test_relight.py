@@ -176,13 +176,13 @@ def test_new_light_is_traced_without_recording_anything_again(corner):
     scene, cache = corner
     tracer, positions = Tracer(scene, cache=cache), frame_positions(scene.camera)
     tracer.trace(scene.camera, positions)
-    recordings = tracer._trace_radiance.n_recordings
+    recordings = tracer._trace_radiance._recorded.n_recordings
     relighting = Relighting(scene, cache)
     for number in range(4):
         emit(scene, 12.0 / (number + 1))
         relighting.change()
         tracer.relight(relighting.update())
         tracer.trace(scene.camera, positions, seed=number)
-    assert tracer._trace_radiance.n_recordings == recordings
+    assert tracer._trace_radiance._recorded.n_recordings == recordings
     resampling = relighting._resampling
-    assert max(resampling._light.n_recordings, resampling._show.n_recordings) == 1
+    assert max(resampling._light._recorded.n_recordings, resampling._show._recorded.n_recordings) == 1

@@ -23,7 +23,7 @@ LIGHTS = {"near": ([0.5, 1.0, 0.0], 1.0), "far": ([-1.0, 3.0, 0.5], 20.0)}
 
 def transfer_of(points: Points, rays: Rays | None = None) -> Transfer:
     """Points and rays, without the transport of light, which is not asked for."""
-    return replace(Transfer.none(), points=points, rays=Rays.none() if rays is None else rays)
+    return replace(Transfer.none(), points=points, rays=rays or Transfer.none().rays)
 
 
 def floor(count: int, seed: int = 0) -> Points:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 
-from pathtrace.scene.scene_xml import dictionary_fingerprint, file_fingerprint, fingerprint_at_depth
+from pathtrace.scene.scene_xml import file_fingerprint, text_fingerprint
 
 NAMING = '<scene><string name="{}" value="{}"/></scene>'
 
@@ -41,14 +41,8 @@ def test_nested_elements_name_files_too(tmp_path):
     assert of_file(tmp_path, nested) != of_file(tmp_path, "<scene/>")
 
 
-def test_dictionaries_are_told_apart_by_content():
-    """The value is that of sha256sum for {'type': 'scene'}."""
-    assert dictionary_fingerprint({"type": "scene"}).startswith("69b9b69a57a9adcfd18f189a1baae136")
-    assert dictionary_fingerprint({"a": 1}) == dictionary_fingerprint({"a": 1})
-    assert dictionary_fingerprint({"a": 1}) != dictionary_fingerprint({"a": 2})
-
-
-def test_another_depth_is_another_fingerprint():
-    """The value is that of sha256sum for "abc at depth 3"."""
-    assert fingerprint_at_depth("abc", 3).startswith("7fe8440dce63784d94856a6e4a3030d4")
-    assert len({fingerprint_at_depth(name, depth) for name in ("abc", "abd") for depth in (3, 4)}) == 4
+def test_texts_are_told_apart_by_content():
+    """The values are those of sha256sum."""
+    assert text_fingerprint(repr({"type": "scene"})).startswith("69b9b69a57a9adcfd18f189a1baae136")
+    assert text_fingerprint("abc at depth 3").startswith("7fe8440dce63784d94856a6e4a3030d4")
+    assert len({text_fingerprint(f"{name} at depth {d}") for name in ("abc", "abd") for d in (3, 4)}) == 4

@@ -10,7 +10,7 @@ import pytest
 
 from compose.base.errors import UserError
 from pathtrace.scene.motion_file import read_motion
-from pathtrace.scene.tracks import FormulaTrack, MeshTrack, RigidTrack
+from pathtrace.scene.tracks import Formula, MeshTrack, RigidTrack
 
 RIGID = {"axis": [0, 0, 2], "about": [1, 2, 3], "keyframes": [{"t": 0}, {"t": 1, "degrees": 90}]}
 WHOLE: dict[str, Any] = {
@@ -38,8 +38,8 @@ def test_a_motion_file_has_tracks_of_every_kind(tmp_path):
     door, flag, cloth = (motion.shapes[name] for name in ("door", "flag", "cloth"))
     assert isinstance(door, RigidTrack)
     assert (door.axis, door.about, door.keyframes[1].degrees) == ((0, 0, 1), (1, 2, 3), 90)
-    assert isinstance(flag, FormulaTrack)
-    assert flag.formula.texts == ("x", "y + t", "z")
+    assert isinstance(flag, Formula)
+    assert flag.texts == ("x", "y + t", "z")
     assert isinstance(cloth, MeshTrack)
     assert cloth.files == (tmp_path / "a.ply", tmp_path / "b.ply")
     assert motion.lights["lamp"].factor(1.0).tolist() == [1, 0.5, 0]

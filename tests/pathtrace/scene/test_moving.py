@@ -204,7 +204,7 @@ def test_nothing_is_recorded_again_when_time_passes(tmp_path, motion):
         seen.append(np.stack([channel.numpy() for channel in traced.radiance]))
         fresh = Tracer(scene).trace(scene.camera, frame_positions(scene.camera), 4)
         np.testing.assert_array_equal(seen[-1], np.stack([channel.numpy() for channel in fresh.radiance]))
-    assert tracer._trace_radiance.n_recordings <= 2
+    assert tracer._trace_radiance._recorded.n_recordings <= 2
     assert all(np.abs(seen[0] - later).max() > 0.02 for later in seen[1:])
 
 

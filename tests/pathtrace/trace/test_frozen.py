@@ -70,7 +70,7 @@ def test_a_frozen_function_gives_what_the_function_gives():
     for width in (100, 50):
         given = *arguments(width), 5
         assert_alike(frozen(*given), mixed(*given))
-    assert frozen.n_recordings == 1
+    assert frozen._recorded.n_recordings == 1
 
 
 def test_results_are_told_apart_by_types_and_values():
@@ -81,10 +81,10 @@ def test_results_are_told_apart_by_types_and_values():
     for _ in range(2):
         for value in values:
             assert_alike(frozen(value), [type(value), value])
-    assert frozen.n_recordings == len(values)
+    assert frozen._recorded.n_recordings == len(values)
     for number in (1, 2, 1, 2):
         assert frozen(Pair(number, array))[1].one == number
-    assert frozen.n_recordings == len(values) + 2
+    assert frozen._recorded.n_recordings == len(values) + 2
 
 
 def test_scenes_and_interactions_pass_as_they_are():
@@ -104,7 +104,7 @@ def test_scenes_and_interactions_pass_as_they_are():
         assert_alike(found.one.p, expected.one.p)
         assert_alike(found.other, expected.other)
     # The first time, Dr.Jit takes what it can for constants.
-    assert frozen.n_recordings == drjits_own.n_recordings == 2
+    assert frozen._recorded.n_recordings == drjits_own.n_recordings == 2
 
 
 def distance_in(scene: Any, x: Any) -> Any:
@@ -121,13 +121,13 @@ def test_other_scenes_in_memory_change_nothing():
     expected = frozen(scene, x)
     other = mi.load_dict(small.corner())
     assert_alike(frozen(scene, x), expected)
-    assert frozen.n_recordings == 1
+    assert frozen._recorded.n_recordings == 1
     # Recorded with another scene in memory, whose methods are in the kernel then.
     late = Frozen(distance_in)
     assert_alike(late(scene, x), expected)
     del other
     assert_alike(late(scene, x), expected)
-    assert late.n_recordings == 1
+    assert late._recorded.n_recordings == 1
     # And recorded once more, for another kind of argument, when there are others.
     later = [mi.load_dict(small.corner()) for _ in range(2)]
     assert_alike(late(scene, mi.Float(0.1)), distance_in(scene, mi.Float(0.1)))
@@ -148,7 +148,7 @@ def test_a_function_follows_its_scene():
             parameters[key] = type(parameters[key])(level)
         parameters.update()
         assert_alike(frozen(scene, x), distance_in(scene, x))
-    assert frozen.n_recordings <= 2
+    assert frozen._recorded.n_recordings <= 2
 
 
 def test_scenes_are_told_apart():
@@ -229,7 +229,7 @@ for _ in range(500):
     result = frozen(pairs)
 over.set()
 other.join()
-print(result[0].other, frozen.n_recordings)
+print(result[0].other, frozen._recorded.n_recordings)
 """
     process = ended(script)
     assert process.returncode == 0, process.stderr

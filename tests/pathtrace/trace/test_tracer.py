@@ -313,8 +313,8 @@ def test_a_moving_gaze_or_camera_records_nothing_again(cached):
 
     for step in range(12):
         frame(step)
-    assert tracer._trace_radiance.n_recordings == 1
-    assert tracer._trace_auxiliary.n_recordings == 1
+    assert tracer._trace_radiance._recorded.n_recordings == 1
+    assert tracer._trace_auxiliary._recorded.n_recordings == 1
 
 
 def test_a_moving_gaze_or_camera_compiles_nothing_again():
