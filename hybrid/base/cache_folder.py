@@ -47,11 +47,11 @@ def store_forest(forest: Forest, name: str) -> None:
     """Stores a copy of a forest in the cache, as the newest one of its scene.
 
     Args:
-        forest: trained on frames of that scene.
+        forest: trained on frames of its scene.
         name: of the file, without extension.
 
     Raises:
-        UserError: the cache folder cannot be written, or the forest says of no scene that it is of it.
+        UserError: the cache folder cannot be written, or the forest names no scene.
     """
     if len(forest.scene_hash) != _HASH_DIGITS:
         raise UserError(f"scene hash {forest.scene_hash!r}: only forests of a scene are stored")
@@ -60,12 +60,12 @@ def store_forest(forest: Forest, name: str) -> None:
 
 
 def newest_forest(scene: Scene) -> Path | None:
-    """File of the forest that was stored last for a scene; None if none was stored."""
+    """As `newest_forest_of` the scene's name and hash."""
     return newest_forest_of(scene.name, scene.hash)
 
 
 def newest_forest_of(name: str, digest: str) -> Path | None:
-    """File of the forest that was stored last for what has a name and a hash; None if none was stored.
+    """File of the forest that was stored last for a scene with that name and hash; None if none was stored.
 
     Files whose header is damaged or names another scene are skipped: the folder's name has only the first
     digits of the hash.
@@ -80,7 +80,6 @@ def newest_forest_of(name: str, digest: str) -> Path | None:
 
 
 def _is_of(path: Path, name: str, digest: str) -> bool:
-    """Whether a file is a forest that says it is of what has a name and a hash."""
     try:
         return scene_of_forest(path) == (name, digest)
     except UserError:
@@ -103,14 +102,10 @@ def has_receipt(frames: FrameSet) -> bool:
 
 
 def _receipt(frames: FrameSet) -> Path:
-    return scene_folder(frames.scene_name, frames.scene_hash) / "receipts" / f"{_digest(frames)}.txt"
-
-
-def _digest(frames: FrameSet) -> str:
-    """Hash of a frame set's description and of all its files."""
+    """The file that is named by a hash of a frame set's description and of all its files."""
     state = hashlib.sha256(frames.digest.encode())
     for entry in [*frames.entries, *frames.close_ups]:
         for file in (entry.file, *entry.estimates.values(), *entry.halves):
             # The description names the files, in this order.
             state.update(hashlib.sha256(file.read_bytes()).digest())
-    return state.hexdigest()
+    return scene_folder(frames.scene_name, frames.scene_hash) / "receipts" / f"{state.hexdigest()}.txt"

