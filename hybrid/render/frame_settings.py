@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -177,43 +177,31 @@ class FrameSettings:
         return replace(self, fov_a=fov_a, fov_b=share * fov_a)
 
     def resolved(self, default: Camera) -> tuple[Camera, FrameSettings]:
-        """The camera that is rendered, and the settings with that camera and a scale of 1.
+        """The camera that is rendered, their own or the default, and the settings with it at a scale of 1.
 
         At a scale below 1, camera and display have fewer pixels across the same angles.
-
-        Args:
-            default: the camera to use if the settings have none.
         """
-        camera = self.camera or default
-        if self.scale == 1:
-            return camera, replace(self, camera=camera)
-        camera = camera.resized(*_scaled(self.scale, camera.width, camera.height))
-        width, height = _scaled(self.scale, self.display.width, self.display.height)
-        display = replace(self.display, width=width, height=height)
+        camera, display = self.camera or default, self.display
+        if self.scale != 1:
+            camera = camera.resized(self._scaled(camera.width), self._scaled(camera.height))
+            size = {"width": self._scaled(display.width), "height": self._scaled(display.height)}
+            display = replace(display, **size)
         return camera, replace(self, camera=camera, display=display, scale=1.0)
+
+    def _scaled(self, side: int) -> int:
+        return max(1, round(self.scale * side))
 
     def as_json(self) -> dict[str, Any]:
         """All settings of the picture, in types that JSON has; equal for equal settings only."""
-        return {
+        plain = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "aovs"}
+        return plain | {
             "gaze": [self.gaze.x, self.gaze.y],
-            "fov_a": self.fov_a,
-            "fov_b": self.fov_b,
-            "spp": self.spp,
             "fovea": self.fovea.value,
-            "acuity_model": self.acuity_model,
             "layers": None if self.layers is None else list(self.layers),
-            "rate": self.rate,
-            "scale": self.scale,
             "display": asdict(self.display),
             "camera": None if self.camera is None else self.camera.key.hex(),
             "integrator": self.used_integrator.value,
-            "fill": self.fill,
-            "time": self.time,
         }
-
-
-def _scaled(scale: float, *sides: int) -> tuple[int, ...]:
-    return tuple(max(1, round(scale * side)) for side in sides)
 
 
 # The defaults of single frames and, below, of other uses.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,16 +25,8 @@ _LANDMARKS = 512
 _SHARE = 0.9
 
 
-@dataclass(frozen=True)
-class _Kept:
-    """Saliency of a view.
-
-    Attributes:
-        camera: the view.
-        saliency: (rows + 1, columns + 1).
-        landmarks: (K, 3) points that are visible in it.
-        pixels: (K, 2) where.
-    """
+class _Kept(NamedTuple):
+    """Saliency (rows + 1, columns + 1) of a view, and points (K, 3) that are visible at pixels (K, 2)."""
 
     camera: Camera
     saliency: NDArray[np.float32]
@@ -43,12 +35,7 @@ class _Kept:
 
 
 class ViewSaliency:
-    """Computes the saliency of views from a forest's coarsest layer.
-
-    Args:
-        renderer: of the forest.
-        forest: the forest.
-    """
+    """Computes the saliency of views from a forest's coarsest layer."""
 
     def __init__(self, renderer: ForestRenderer, forest: Forest):
         self._renderer = renderer
@@ -99,10 +86,6 @@ class Periphery:
     """Draws the periphery of frames with one forest.
 
     Results that depend on the camera alone are kept until it changes.
-
-    Args:
-        arrays: the rasterizer's array types.
-        forest: what to draw.
     """
 
     def __init__(self, arrays: Arrays, forest: Forest):
@@ -121,20 +104,13 @@ class Periphery:
             self._saliency.forget()
 
     def layers_of(self, settings: FrameSettings) -> tuple[int, int]:
-        """Coarsest and finest layer that may be drawn with these settings.
-
-        Raises:
-            UserError: the forest does not have those layers.
-        """
+        """Coarsest and finest layer that may be drawn; UserError if the forest does not have them."""
         return settings.layers_of(len(self.forest.counts))
 
     def detail(self, camera: Camera, settings: FrameSettings, moving: bool = False) -> DetailMap:
         """The detail that the viewer resolves in each part of a frame.
 
-        Args:
-            camera: the view.
-            settings: of the frame.
-            moving: whether the saliency of an earlier view will do that shows nearly the same.
+        While the camera is moving, the saliency of an earlier view will do that shows nearly the same.
 
         Raises:
             UserError: the forest does not have the layers that the settings ask for.
@@ -171,7 +147,7 @@ class Periphery:
     def draw_with_disc(
         self, camera: Camera, settings: FrameSettings, detail: DetailMap, region: FoveaRegion
     ) -> tuple[SplatImage, SplatImage]:
-        """As `draw`, and as `under_disc`, in little more time than the first of them takes."""
+        """What `draw` and `under_disc` draw, in little more time than the first of them takes."""
         return self._drawn(camera, detail, region, self._under(settings, region))
 
     def _drawn(

@@ -19,9 +19,6 @@ from splat.model.forest import Forest
 class SplatRenderer:
     """Renders frames of a forest without its scene.
 
-    Args:
-        forest: what to draw.
-
     Example:
         >>> frames = hybrid.load_frames("lego")
         >>> renderer = hybrid.SplatRenderer(hybrid.load_forest("lego.forest"))
@@ -60,7 +57,6 @@ class SplatRenderer:
             detail=detail,
             nodes_drawn=image.nodes,
             fovea=FoveaImage.none(Disc.in_region(self._arrays, region)),
-            underlay=None,
             region=region,
             milliseconds=clock.milliseconds(),
             more={"splat": self._periphery.whole(camera, settings).numpy()} if settings.aovs else {},
@@ -70,7 +66,7 @@ class SplatRenderer:
         """(H, W, 3) the finest allowed layer over the whole frame at full rate.
 
         Raises:
-            UserError: as of `frame`.
+            UserError: as in `frame`.
         """
         return self._periphery.whole(*self._begun(settings)).numpy()
 

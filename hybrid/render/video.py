@@ -25,7 +25,6 @@ from hybrid.render.frame_renderer import Renderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.image_files import write_mp4, write_srgb
 from hybrid.render.splat_renderer import SplatRenderer
-from pathtrace.scene.scene import Scene
 from splat.io.tensors import load_tensors, save_tensors
 
 # Frames of a video at most: their files are numbered by six digits.
@@ -82,12 +81,9 @@ class VideoFrames:
     def add(
         self, image: NDArray[np.uint8], milliseconds: dict[str, float], history: Callable[[], State]
     ) -> None:
-        """Stores the next frame, (H, W, 3) in sRGB, and the history once in a while.
+        """Stores the next frame, (H, W, 3) in sRGB, with its milliseconds per pass.
 
-        Args:
-            image: the frame.
-            milliseconds: per pass.
-            history: called for the fovea's history if it is to be stored.
+        Once in a while, `history` is called for the fovea's history, which is then stored as well.
         """
         write_srgb(self._file(len(self.milliseconds)), image)
         self.milliseconds.append(milliseconds)
@@ -162,6 +158,7 @@ def render_video(
     count = frame_count(trace.duration, fps)
     camera, _ = settings.resolved(renderer.scene.camera)
     disc = renderer.fovea_of(settings).disc
+    moving = renderer.scene.moving
     frames = VideoFrames(path.with_name(path.name + ".frames"), identity)
     disc.restore_history(camera, frames.history())
     with interrupts_between_steps() as interrupted:
@@ -169,7 +166,9 @@ def render_video(
             for number in range(len(frames.milliseconds), count):
                 progress(number, count)
                 seconds = number / fps
-                time = _time_after(seconds, renderer.scene, settings.time)
+                time = settings.time
+                if moving is not None:
+                    time = (time + seconds / moving.motion.seconds) % 1
                 shown = replace(settings, gaze=trace.at(seconds), time=time)
                 frame = renderer.frame(shown, seed + number & MOST_SEED)
                 frames.add(bytes_from_radiance(frame.composite), frame.milliseconds, disc.history_state)
@@ -185,16 +184,10 @@ def render_video(
     return frames.milliseconds
 
 
-def _time_after(seconds: float, scene: Scene, start: float) -> float:
-    """The time, 0 to 1, that a scene shows some seconds after a start."""
-    return start if scene.moving is None else (start + seconds / scene.moving.motion.seconds) % 1
-
-
 class ViewPath:
-    """A way through views at equal steps, straight and evenly turning between them.
+    """A way through one or more views at equal steps, straight and evenly turning between them.
 
-    Args:
-        views: at least one; all frames have the size of the first.
+    All frames have the size of the first view.
     """
 
     def __init__(self, views: Sequence[View]):
