@@ -20,9 +20,6 @@ from pathtrace.scene.scene import Scene
 from splat.io.forest_file import save_forest, scene_of_forest
 from splat.model.forest import Forest
 
-# Of a complete SHA-256.
-_HASH_DIGITS = 64
-
 
 def home() -> Path:
     """The cache folder; it may not exist yet."""
@@ -44,16 +41,13 @@ def scene_folder(name: str, digest: str) -> Path:
 
 
 def store_forest(forest: Forest, name: str) -> None:
-    """Stores a copy of a forest in the cache, as the newest one of its scene.
-
-    Args:
-        forest: trained on frames of its scene.
-        name: of the file, without extension.
+    """Stores a copy of a forest in the cache, as NAME.safetensors, the newest one of its scene.
 
     Raises:
         UserError: the cache folder cannot be written, or the forest names no scene.
     """
-    if len(forest.scene_hash) != _HASH_DIGITS:
+    # The digits of a complete SHA-256.
+    if len(forest.scene_hash) != 64:
         raise UserError(f"scene hash {forest.scene_hash!r}: only forests of a scene are stored")
     folder = scene_folder(forest.scene_name, forest.scene_hash) / "forests"
     save_forest(folder / f"{name}.safetensors", forest)
@@ -75,7 +69,7 @@ def newest_forest_of(name: str, digest: str) -> Path | None:
     for path in (scene_folder(name, digest) / "forests").glob("[!.]*.safetensors"):
         with contextlib.suppress(FileNotFoundError):
             found[path] = path.stat().st_mtime
-    newest_first = sorted(found, key=lambda path: found[path], reverse=True)
+    newest_first = sorted(found, key=found.__getitem__, reverse=True)
     return next((path for path in newest_first if _is_of(path, name, digest)), None)
 
 

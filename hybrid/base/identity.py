@@ -62,9 +62,7 @@ def _first_value(file: Path, name: str) -> str | None:
 def measured_identity(scene: Scene, forest: Forest, **settings: Any) -> dict[str, Any]:
     """Everything that measured times and quality depend on: what was measured, the code and the machine.
 
-    Args:
-        scene, forest: what is rendered.
-        settings: everything else that the results depend on, in types that JSON has.
+    The settings are everything else that the results depend on, in types that JSON has.
     """
     paths = {"max_depth": scene.max_depth, "roulette_depth": scene.roulette_depth}
     rendered = {"scene": scene.hash, **paths, "forest": forest.digest()}
@@ -118,10 +116,7 @@ def require_same(found: dict[str, Any], expected: dict[str, Any], what: str, adv
 def require_scene(item: Forest | FrameSet, scene_name: str, scene_hash: str, source: object) -> None:
     """Checks that a forest or frame set belongs to a scene; an imported forest fits any scene.
 
-    Args:
-        item: the forest or frame set.
-        scene_name, scene_hash: of the scene.
-        source: where the item comes from, for the message.
+    The message names the source, that is where the item comes from.
 
     Raises:
         UserError: the item belongs to another scene, or to the same scene at another path depth.

@@ -53,10 +53,9 @@ def medians_by_view(milliseconds: Sequence[float], views: int) -> list[float]:
 
 
 def ratio_interval(of_full: Sequence[float], ours: Sequence[float]) -> tuple[float, float]:
-    """Interval that contains the ratio of the two medians with 95 % confidence (bootstrap over pairs).
+    """Interval that contains the ratio of two medians with 95 % confidence (bootstrap over pairs).
 
-    Args:
-        of_full, ours: milliseconds of frames that were rendered in turns, in pairs.
+    The times are those of frames that were rendered in turns, in pairs.
     """
     pairs = np.array([of_full, ours])
     picks = np.random.default_rng(0).integers(pairs.shape[1], size=(_RESAMPLINGS, pairs.shape[1]))
@@ -66,13 +65,10 @@ def ratio_interval(of_full: Sequence[float], ours: Sequence[float]) -> tuple[flo
 
 
 def gaze_path(count: int, reach: tuple[float, float] = REACH) -> list[Gaze]:
-    """A closed curve around the centre of the frame.
+    """Points on a closed curve around the centre, which reaches that far in fractions of width and height.
 
-    Args:
-        count: points on it.
-        reach: how far it extends from the centre, in fractions of the frame's width and height. With the
-            default, a disc with a radius of up to 35 % of the height stays inside frames that are at least as
-            wide as high.
+    With the default, a disc with a radius of up to 35 % of the height stays inside frames that are at least
+    as wide as high.
     """
     turns = (2 * math.pi * i / count for i in range(count))
     return [Gaze(0.5 + reach[0] * math.sin(t), 0.5 + reach[1] * math.sin(2 * t + 0.5)) for t in turns]

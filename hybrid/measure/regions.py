@@ -39,11 +39,7 @@ class Region:
 
     @staticmethod
     def of(name: str, mask: NDArray[np.bool_]) -> Region:
-        """The region of a mask (H, W).
-
-        Raises:
-            UserError: the mask is empty.
-        """
+        """The region of a mask (H, W); UserError if that is empty."""
         rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
         if not len(rows):
             raise UserError(f"the {name} region of this frame is empty: nothing can be measured there")
@@ -81,12 +77,8 @@ def plain_regions(
 ) -> dict[str, Region]:
     """The regions that depend on foveation alone, by name.
 
-    The seam is left out if it has no width, and so are seam and periphery if the disc covers the frame.
-
-    Args:
-        foveation: gaze and radii.
-        size: height and width of the frame.
-        wanted: any but salient.
+    The seam is left out if it has no width, and so are seam and periphery if the disc covers the frame. The
+    size is height and width.
 
     Raises:
         UserError: the gaze lies outside the frame, or a wanted region is empty.

@@ -26,7 +26,6 @@ class Underlay:
     """The splats rendered under the disc, one of the images from which a fused fovea is made.
 
     Attributes:
-        camera: the view.
         radiance: linear, of the whole frame; only the rectangle around the disc is used.
         enlargement: side of the pixels that the splats were trained on, in pixels of this image.
 
@@ -49,11 +48,7 @@ class Underlay:
 def parents_of(disc: Disc, samples: Samples, underlay: Underlay, quick: bool = False) -> Parents:
     """The images that are fused, cropped to the rectangle around the disc.
 
-    Args:
-        disc: the disc.
-        samples: of its pixels.
-        underlay: of the same view.
-        quick: whether to use the quicker denoiser.
+    `quick` is for the quicker denoiser.
     """
     assert disc.box is not None, "a disc without pixels has no images"
     splats = underlay.radiance.of_box(disc.box)
@@ -71,7 +66,6 @@ class DiscImages:
     """Samples and their auxiliary features as images of the rectangle around a disc, Floats (h * w,).
 
     Attributes:
-        disc: the disc.
         radiance: three channels, linear, mean of the samples.
         albedo, normal: three channels each.
         count: samples per pixel.
@@ -162,7 +156,7 @@ def _torch(tensor: Any) -> torch.Tensor:
 
 
 def _usable(surroundings: list[Any], samples: list[Any]) -> list[Any]:
-    """Three Floats (h * w,), black where they cannot be radiance beside samples, three Floats (D,)."""
+    """Surroundings, three Floats (h * w,), black where they cannot be radiance beside samples (D,)."""
     brightest: Any = 1.0
     for channel in samples:
         brightest = dr.maximum(brightest, dr.select(dr.isfinite(channel), channel, 0))

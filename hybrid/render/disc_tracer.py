@@ -37,14 +37,9 @@ _WINDOW = 5
 
 @dataclass(frozen=True)
 class DiscRequest:
-    """The samples that a frame requires.
+    """The samples that a frame requires, `spp` per pixel on average over the disc.
 
-    Attributes:
-        camera: the view.
-        disc: the disc.
-        spp: samples per pixel, on average over the disc.
-        seed: same seed, same samples.
-        auxiliary: whether albedo and normal are required.
+    The same seed yields the same samples. Albedo and normal are required if `auxiliary`.
     """
 
     camera: Camera
@@ -55,24 +50,14 @@ class DiscRequest:
 
 
 class _Sequence(NamedTuple):
-    """Where the next samples lie in their pixels.
+    """Where the next samples lie in their pixels."""
 
-    Attributes:
-        taken: samples already drawn, UInt (D,) or one number for all pixels.
-        pattern: seed of the sampling pattern.
-    """
-
-    taken: Any
-    pattern: int
+    taken: Any  # samples already drawn, UInt (D,) or one number for all pixels
+    pattern: int  # seed of the sampling pattern
 
 
 class DiscTracer:
-    """Traces the discs of one scene.
-
-    Args:
-        tracer: of the scene.
-        history: whether samples of earlier frames are reused.
-    """
+    """Traces the discs of one scene; with a history, samples of earlier frames are reused."""
 
     def __init__(self, tracer: Tracer, history: bool):
         self._tracer = tracer
@@ -107,7 +92,6 @@ class DiscTracer:
         """Samples of the disc's pixels, merged with what is known of them.
 
         Args:
-            request: which samples.
             underlay: the splats under the disc; with them, samples go where they help most. Without them, and
                 at low sample counts, all pixels get the same number.
             quick: whether all pixels get the same number in any case, and auxiliary features are those of

@@ -50,10 +50,8 @@ class FoveaImage:
 class Fovea:
     """Traces and reconstructs the foveas of one scene.
 
-    Args:
-        tracer: of the scene.
-        fusion: fitted to the scene and its splats; None fuses by statistics alone.
-        history: whether samples of earlier frames are reused.
+    Without a network that was fitted to the scene, they are fused by statistics alone. With a history,
+    samples of earlier frames are reused.
     """
 
     def __init__(self, tracer: Tracer, fusion: Fusion | None = None, history: bool = False):

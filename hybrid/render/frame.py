@@ -31,7 +31,6 @@ class Frame:
     Attributes:
         image: linear radiance, the frame itself; its `tensor` is for kernels, NumPy and torch.
         settings: how it was made, as resolved for its camera.
-        camera: the view.
         splats: the periphery, and what was filled; black in tiles that the fovea hides.
         detail: the detail that the viewer resolves in each part of the frame.
         nodes_drawn: Gaussians drawn in the periphery, counted once per layer image.

@@ -62,12 +62,7 @@ class Renderer:
     _effort, _still = STILL, False
 
     def __init__(
-        self,
-        scene: Scene,
-        forest: Forest,
-        *,
-        history: bool = False,
-        roulette_depth: int | None = None,
+        self, scene: Scene, forest: Forest, *, history: bool = False, roulette_depth: int | None = None
     ):
         require_scene(forest, scene.name, scene.hash, "this forest")
         self.scene, self._arrays = scene, device_arrays()

@@ -20,12 +20,7 @@ Kept = TypeVar("Kept")
 
 
 class Converted(Generic[Given, Kept]):
-    """A dataclass field that converts what the constructor is given.
-
-    Args:
-        convert: called with the given value; raises for values that cannot be converted.
-        default: of the field.
-    """
+    """A dataclass field with a default that converts what the constructor is given, or raises."""
 
     def __init__(self, convert: Callable[[Given], Kept], default: Kept):
         self._convert, self._default = convert, default
@@ -161,11 +156,7 @@ class FrameSettings:
         return Foveation(self.gaze, self.fov_a, self.fov_b)
 
     def layers_of(self, count: int) -> tuple[int, int]:
-        """Coarsest and finest layer that may be drawn of a forest with a number of layers.
-
-        Raises:
-            UserError: the forest does not have those layers.
-        """
+        """Coarsest and finest of `count` layers that may be drawn; UserError if there are no such layers."""
         low, high = self.layers or (1, count)
         if not 1 <= low <= high <= count:
             raise UserError(f"layers {low} {high}: this forest has layers 1 to {count}")

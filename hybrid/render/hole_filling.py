@@ -156,10 +156,8 @@ _STREAM = 0x3F110000
 class Effort:
     """How well a fill is traced.
 
-    Attributes:
-        light_spp: samples per pixel of 4 x 4 pixels of the frame.
-        albedo_spp: samples per pixel of the frame of what is seen there.
-        quick: whether the quicker denoiser is used.
+    Radiance has `light_spp` samples per 4 x 4 pixels of the frame, albedo `albedo_spp` per pixel; `quick` is
+    for the quicker denoiser.
     """
 
     light_spp: int
@@ -219,11 +217,8 @@ class Filler:
         """What is filled of a camera's frame; None if the forest knows all of it.
 
         Args:
-            camera: the view.
             probe: traces rays to surfaces.
             light: makes what traces radiance; called only if some is needed.
-            effort: how well.
-            seed: same seed, same fill.
             key: unless None, the fill is traced once until the camera or the key changes.
         """
         if key is None:
@@ -318,10 +313,8 @@ def _light(
 ) -> tuple[Any, Disc]:
     """Denoised radiance over albedo in some cells, in pixels of 4 x 4 pixels of the frame.
 
-    Cells, (rows, columns), have a side in pixels of the frame.
-
-    Returns:
-        (h, w, 3) tensor of the rectangle around the cells; and the pixels in these.
+    Of cells with a side in pixels of the frame, (rows, columns) says which. Returns a tensor (h, w, 3) of the
+    rectangle around them, and the pixels in them.
     """
     known = _known(arrays, camera, cells, side // _SIDE)
     corner = pixel_positions(mi.UInt32(known.pixels), known.width)

@@ -31,11 +31,7 @@ def check_writable(path: Path) -> None:
 
 
 def write_png(path: Path, radiance: Image) -> None:
-    """Writes (H, W, 3) linear radiance as an sRGB PNG file.
-
-    Raises:
-        UserError: the file cannot be written.
-    """
+    """Writes (H, W, 3) linear radiance as an sRGB PNG file; errors are those of `write_srgb`."""
     write_srgb(path, bytes_from_radiance(radiance))
 
 
@@ -100,13 +96,9 @@ def check_video(width: int, height: int) -> None:
 
 
 def write_mp4(path: Path, images: Iterator[NDArray[np.uint8]], size: tuple[int, int], fps: int) -> None:
-    """Writes a video; the file appears complete or not at all.
+    """Writes a video of images (H, W, 3) in sRGB; the file appears complete or not at all.
 
-    Args:
-        path: of the file.
-        images: (H, W, 3) in sRGB, one per frame.
-        size: width and height in pixels, both even.
-        fps: frames per second.
+    Width and height, the size, must be even.
 
     Raises:
         UserError: the file cannot be written.

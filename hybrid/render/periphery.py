@@ -50,10 +50,8 @@ class ViewSaliency:
     def of(self, camera: Camera, nearly: bool = False) -> NDArray[np.float32]:
         """(rows + 1, columns + 1) saliency in 0..1 at the corners of the detail map's cells.
 
-        Args:
-            camera: the view.
-            nearly: whether the saliency of an earlier view will do from which most of what it shows has moved
-                by less than a cell.
+        If `nearly`, that of an earlier view will do from which most of what it shows has moved by less than a
+        cell.
         """
         kept = self._kept
         if kept is None or not (kept.camera == camera or (nearly and self._hardly_moved(kept, camera))):
@@ -104,7 +102,7 @@ class Periphery:
             self._saliency.forget()
 
     def layers_of(self, settings: FrameSettings) -> tuple[int, int]:
-        """Coarsest and finest layer that may be drawn; UserError if the forest does not have them."""
+        """Coarsest and finest layer that may be drawn; UserError if the forest does not have those."""
         return settings.layers_of(len(self.forest.counts))
 
     def detail(self, camera: Camera, settings: FrameSettings, moving: bool = False) -> DetailMap:

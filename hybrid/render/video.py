@@ -44,9 +44,8 @@ def frame_count(seconds: float, fps: int) -> int:
 class VideoFrames:
     """The rendered frames of a video, in a folder, and the fovea's history after the last of them.
 
-    Args:
-        folder: for frames and history; created with the first frame.
-        identity: everything that the frames depend on, in types that JSON has.
+    The folder is created with the first frame. The identity is everything that the frames depend on, in types
+    that JSON has.
 
     Attributes:
         milliseconds: per pass, of each rendered frame.
@@ -139,11 +138,11 @@ def render_video(
 
     Args:
         path: MP4 file to write.
-        renderer: of the frames; one with a history shows what the window shows.
+        renderer: with a history, frames are those that the window shows.
         settings: of the frames, except for the gaze; `time` is that of the first frame.
         trace: where the viewer looks.
         fps: frames per second.
-        seed: of the first frame; each further frame has the next one, and after MOST_SEED comes 0.
+        seed: of the first frame; each further one has the next seed, and after MOST_SEED comes 0.
         identity: everything that the frames depend on, in types that JSON has.
         progress: called with frames done and frames in total.
 
@@ -224,10 +223,8 @@ def render_splat_video(
 
     Args:
         path: MP4 file to write.
-        renderer: of the forest.
         settings: of the frames, except for camera and time.
-        views: the way.
-        seconds: that it takes.
+        seconds: that the way through the views takes.
         fps: frames per second.
         progress: called with frames done and frames in total.
         trace: where the viewer looks; None for the gaze of the settings.

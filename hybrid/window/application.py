@@ -40,10 +40,9 @@ while time.monotonic() < end:
 
 
 class WindowBench(QObject):
-    """Moves the mouse over a window for some seconds, then closes it.
+    """Moves the mouse over a window, which is not open yet, for some seconds, then closes it.
 
     Args:
-        window: not opened yet.
         seconds: for which it is measured, after four seconds of warm-up.
         moves: whether to move the mouse; not if a gaze trace is replayed.
         load: seconds in the middle for which another process keeps one core busy.
@@ -81,7 +80,7 @@ class WindowBench(QObject):
             move_mouse(self._window, Gaze(0.5 + 0.3 * math.sin(turn), 0.5 + 0.3 * math.sin(2 * turn)))
 
     def _keep_busy(self, since: float) -> None:
-        """Runs the other process for its time; `since` it should begin, seconds have passed (or negative)."""
+        """Runs the other process for its time; it should begin when the seconds `since` then reach 0."""
         if self._busy is None and self._load and since >= 0:
             self._busy = subprocess.Popen([sys.executable, "-c", _BUSY, str(self._load)])
             self._load_times.append(time.perf_counter())

@@ -33,10 +33,7 @@ _QUICK_FOR = 1.0
 
 
 class FrameLoop:
-    """Renders frame after frame.
-
-    Args:
-        ladder: measures the settings to choose from for frames like a requested one.
+    """Renders frame after frame; `ladder` measures the settings to choose from for frames like a request.
 
     Attributes:
         due: time.perf_counter before which the next frame should not begin.

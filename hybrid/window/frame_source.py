@@ -60,11 +60,10 @@ class FrameSource:
     def ready(self) -> Ready:
         """What the window needs to know."""
         scene = self.renderer.scene
-        distance = Surfaces(scene).median_distance(self.camera)
+        distance = Surfaces(scene).median_distance(scene.camera)
+        distance = distance if np.isfinite(distance) else 1.0
         seconds = None if scene.moving is None else scene.moving.motion.seconds
-        return Ready(
-            scene.name, self.camera, distance if np.isfinite(distance) else 1.0, self.layers, seconds
-        )
+        return Ready(scene.name, scene.camera, distance, self.layers, seconds)
 
     def show(self, request: Request, quick: bool) -> Shown:
         """The requested image; the same request again yields a slightly better one each time.
@@ -72,7 +71,10 @@ class FrameSource:
         If `quick`, the frame must not take longer for more samples.
         """
         self._seed += 1
-        self._release_memory()
+        # What frames of another size or kind needed.
+        if time.monotonic() - self._released > _RELEASE_EVERY:
+            release_memory()
+            self._released = time.monotonic()
         last = self._last if request.same_frame(self._last.request if self._last else None) else None
         frame, paths = self._rendered(request, last.frame if last else None, quick)
         # A frame that is only shown again has taken no time.
@@ -113,12 +115,6 @@ class FrameSource:
         if self._last is not None:
             write_srgb(png, self._last.image)
             self.renderer.with_aovs(self._last.frame).save(png.with_suffix(".exr"))
-
-    def _release_memory(self) -> None:
-        """Every two seconds, releases what frames of another size or kind needed."""
-        if time.monotonic() - self._released > _RELEASE_EVERY:
-            release_memory()
-            self._released = time.monotonic()
 
     def _rendered(self, request: Request, frame: Frame | None, quick: bool) -> tuple[Frame, int]:
         """The hybrid frame of a request, from the frame so far if any, and how many paths it took now."""

@@ -50,18 +50,15 @@ class GazeInput:
         """The newest gaze that is known at a time."""
         known = now - self._latency
         if self._trace is not None:
-            self.last = TimedGaze(self._replayed(self._trace, now, known), known)
+            # A trace begins when it is first asked for.
+            self._began = now if self._began is None else self._began
+            seconds = known - self._began
+            # Not modulo zero: a trace of one gaze has no duration.
+            place = seconds % max(self._trace.duration, 1e-3) if seconds > 0 else 0.0
+            self.last = TimedGaze(self._trace.at(place), known)
         while self._moves and self._moves[0].time <= known:
             self.last = self._moves.popleft()
         return self.last
-
-    def _replayed(self, trace: GazeTrace, now: float, known: float) -> Gaze:
-        """The gaze of a trace that begins when it is first asked for."""
-        if self._began is None:
-            self._began = now
-        seconds = known - self._began
-        # Not zero: a trace of one gaze has no duration.
-        return trace.at(seconds % max(trace.duration, 1e-3) if seconds > 0 else 0.0)
 
 
 def unused_file(folder: Path, name: str, suffix: str) -> Path:

@@ -24,8 +24,7 @@ class Ready:
     """What the window needs to know before it asks for frames.
 
     Attributes:
-        name: of the scene.
-        camera: the scene's own.
+        name, camera: the scene's own.
         distance: median distance to what that camera sees, in units of the scene; 1 if it sees nothing.
         layers: of the forest.
         seconds: that the scene's motion takes; None if it stands still.

@@ -25,12 +25,7 @@ class Timed(NamedTuple):
 
 
 class Meter:
-    """Collects the times of shown frames.
-
-    All times are of time.perf_counter.
-
-    Args:
-        keeps_all: whether to keep every frame, or only the last hundred.
+    """Collects the times, of time.perf_counter, of all shown frames or of the last hundred.
 
     Attributes:
         intervals: from each frame to the next one.
@@ -97,11 +92,7 @@ _RECOVERY = 2.0
 
 
 def figures(meter: Meter, size: tuple[int, int], start: float) -> dict[str, Any]:
-    """Frame times, latencies and passes of a window.
-
-    Args:
-        size: width and height of the frame in pixels.
-        start: time.perf_counter from which on frames count.
+    """Frame times, latencies and passes of a window of that width and height, since a time.perf_counter.
 
     Returns:
         `width`, `height`; `fps` and `ms`, median and percentiles of the frame times; `latency_ms`,

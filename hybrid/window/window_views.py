@@ -123,7 +123,7 @@ def image_of(view: View, frame: Frame, path_traced: ConvergingFrame | None) -> N
 
 
 def _srgb_bytes(radiance: Image) -> NDArray[np.uint8]:
-    """compose.image.colour.bytes_from_radiance as a kernel, which takes a tenth of the time."""
+    """As compose.image.colour.bytes_from_radiance, in a kernel, which takes a tenth of the time."""
     return _bytes_of(mi.Float(np.ascontiguousarray(radiance).ravel()), radiance.shape)
 
 
