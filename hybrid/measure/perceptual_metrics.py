@@ -119,10 +119,10 @@ def jod_of_video(
     if _is_flat(shown) and _is_flat(expected) and not np.array_equal(shown, expected):
         return None
     try:
-        metric = _metric(width, height, display)
+        _pyfvvdp()
     except ImportError:
         return None
-    score, _ = metric.predict(
+    score, _ = _metric(width, height, display).predict(
         shown,
         expected,
         dim_order="FHWC",

@@ -95,9 +95,10 @@ class Frame:
         coverage = np.ones((self.camera.height, self.camera.width), dtype=np.float32)
         if self.fill is not None:
             coverage -= self.fill.disc.frame_image([self.fill.disc.weights])[..., 0]
+        composite = self.composite
         return {
-            "": self.composite,
-            "composite": self.composite,
+            "": composite,
+            "composite": composite,
             **(self._aovs_of_disc() if self.fovea.disc.count else {}),
             "eccentricity": eccentricity(viewer, self.settings.gaze),
             "level": detail.per_pixel(detail.drawn_level),

@@ -323,10 +323,8 @@ class LiveRenderer(Renderer):
             return super()._drawn(camera, settings, region, clock)
         detail = self.periphery.detail(camera, settings)
         clock.lap("detail")
-        drawn = self.periphery.draw_still(camera, settings, detail, region)
-        if settings.fovea is not FoveaMode.FUSED:
-            return detail, drawn, None
-        return detail, drawn, self.periphery.whole_still(camera, settings, detail)
+        drawn, whole = self.periphery.draw_still(camera, settings, detail, region)
+        return detail, drawn, whole if settings.fovea is FoveaMode.FUSED else None
 
     def refined(self, frame: Frame, spp: int, seed: int, quick: bool) -> Frame:
         """The last frame of this renderer with `spp` further samples per pixel in its disc.

@@ -160,30 +160,21 @@ class Periphery:
 
     def draw_still(
         self, camera: Camera, settings: FrameSettings, detail: DetailMap, region: FoveaRegion
-    ) -> SplatImage:
-        """Like `draw`, from layers that are drawn once per camera and joined again for each gaze.
+    ) -> tuple[SplatImage, SplatImage]:
+        """Like `draw` and `whole`, from layers that are drawn once per camera and joined again for each gaze.
 
         All layers and rates that any gaze may require are drawn over the whole frame, which takes little
         longer than `draw` takes for one frame; joining takes a quarter of that. Within a step the cut-off
         does not follow the gaze, so the frame has slightly more detail than required.
         """
-        shares = [detail.weight(number) for number in range(len(detail.steps))]
-        kept, _ = self._kept_layers(camera, settings, detail)
-        return kept.composite(shares, region.peripheral_tiles(TILE))
-
-    def whole_still(self, camera: Camera, settings: FrameSettings, detail: DetailMap) -> SplatImage:
-        """Like `whole`, drawn once per camera."""
-        return self._kept_layers(camera, settings, detail)[1]
-
-    def _kept_layers(
-        self, camera: Camera, settings: FrameSettings, detail: DetailMap
-    ) -> tuple[CachedLayerImages, SplatImage]:
         steps = [(step.layer, step.rate) for step in detail.steps]
         drawn_for = camera, self.layers_of(settings), steps
         if self._kept is None or self._kept[0] != drawn_for:
             layers = CachedLayerImages(self._renderer, camera, steps)
             self._kept = drawn_for, layers, self.whole(camera, settings)
-        return self._kept[1:]
+        _, layers, whole = self._kept
+        shares = [detail.weight(number) for number in range(len(steps))]
+        return layers.composite(shares, region.peripheral_tiles(TILE)), whole
 
     def under_disc(self, camera: Camera, settings: FrameSettings, region: FoveaRegion) -> SplatImage:
         """The finest allowed layer at full rate, over the rectangle around the disc."""
