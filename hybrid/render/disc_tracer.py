@@ -273,7 +273,7 @@ def _first_spp(spp: int) -> int:
 
 
 def _second_counts(request: DiscRequest, known: Samples, have: Any, underlay: Underlay) -> int | Counts:
-    """The samples that go where what is known disagrees with the splats; Float (D,) are around each pixel."""
+    """The samples that go where what is known disagrees with the splats; `have` (D,) surround each pixel."""
     disc = request.disc
     # Where samples go needs no fine detail: the quicker denoiser takes a fifth of the time.
     parents = parents_of(disc, known, underlay, quick=True)

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer
+from PySide6.QtCore import QCoreApplication, QEvent, QObject, QPointF, Qt, QTimer
 from PySide6.QtGui import QMouseEvent
 from PySide6.QtWidgets import QApplication
 
@@ -80,7 +80,7 @@ class WindowBench(QObject):
             move_mouse(self._window, Gaze(0.5 + 0.3 * math.sin(turn), 0.5 + 0.3 * math.sin(2 * turn)))
 
     def _keep_busy(self, since: float) -> None:
-        """Runs the other process for its time; it should begin when the seconds `since` then reach 0."""
+        """Runs the other process for its time, `since` seconds after it should begin (negative: before)."""
         if self._busy is None and self._load and since >= 0:
             self._busy = subprocess.Popen([sys.executable, "-c", _BUSY, str(self._load)])
             self._load_times.append(time.perf_counter())
@@ -109,7 +109,7 @@ def move_mouse(window: Window, gaze: Gaze) -> None:
     event = QMouseEvent(
         QEvent.Type.MouseMove, point, canvas.mapToGlobal(point), none, none, Qt.KeyboardModifier.NoModifier
     )
-    QApplication.sendEvent(canvas, event)
+    QCoreApplication.sendEvent(canvas, event)
 
 
 def run_window(
