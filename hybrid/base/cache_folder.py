@@ -20,9 +20,6 @@ from pathtrace.scene.scene import Scene
 from splat.io.forest_file import save_forest, scene_of_forest
 from splat.model.forest import Forest
 
-# Of a complete SHA-256.
-_HASH_DIGITS = 64
-
 
 def home() -> Path:
     """The cache folder; it may not exist yet."""
@@ -44,28 +41,25 @@ def scene_folder(name: str, digest: str) -> Path:
 
 
 def store_forest(forest: Forest, name: str) -> None:
-    """Stores a copy of a forest in the cache, as the newest one of its scene.
-
-    Args:
-        forest: trained on frames of that scene.
-        name: of the file, without extension.
+    """Stores a copy of a forest in the cache, as NAME.safetensors, the newest one of its scene.
 
     Raises:
-        UserError: the cache folder cannot be written, or the forest says of no scene that it is of it.
+        UserError: the cache folder cannot be written, or the forest names no scene.
     """
-    if len(forest.scene_hash) != _HASH_DIGITS:
+    # The digits of a complete SHA-256.
+    if len(forest.scene_hash) != 64:
         raise UserError(f"scene hash {forest.scene_hash!r}: only forests of a scene are stored")
     folder = scene_folder(forest.scene_name, forest.scene_hash) / "forests"
     save_forest(folder / f"{name}.safetensors", forest)
 
 
 def newest_forest(scene: Scene) -> Path | None:
-    """File of the forest that was stored last for a scene; None if none was stored."""
+    """As `newest_forest_of` the scene's name and hash."""
     return newest_forest_of(scene.name, scene.hash)
 
 
 def newest_forest_of(name: str, digest: str) -> Path | None:
-    """File of the forest that was stored last for what has a name and a hash; None if none was stored.
+    """File of the forest that was stored last for a scene with that name and hash; None if none was stored.
 
     Files whose header is damaged or names another scene are skipped: the folder's name has only the first
     digits of the hash.
@@ -75,12 +69,11 @@ def newest_forest_of(name: str, digest: str) -> Path | None:
     for path in (scene_folder(name, digest) / "forests").glob("[!.]*.safetensors"):
         with contextlib.suppress(FileNotFoundError):
             found[path] = path.stat().st_mtime
-    newest_first = sorted(found, key=lambda path: found[path], reverse=True)
+    newest_first = sorted(found, key=found.__getitem__, reverse=True)
     return next((path for path in newest_first if _is_of(path, name, digest)), None)
 
 
 def _is_of(path: Path, name: str, digest: str) -> bool:
-    """Whether a file is a forest that says it is of what has a name and a hash."""
     try:
         return scene_of_forest(path) == (name, digest)
     except UserError:
@@ -103,14 +96,10 @@ def has_receipt(frames: FrameSet) -> bool:
 
 
 def _receipt(frames: FrameSet) -> Path:
-    return scene_folder(frames.scene_name, frames.scene_hash) / "receipts" / f"{_digest(frames)}.txt"
-
-
-def _digest(frames: FrameSet) -> str:
-    """Hash of a frame set's description and of all its files."""
+    """The file that is named by a hash of a frame set's description and of all its files."""
     state = hashlib.sha256(frames.digest.encode())
     for entry in [*frames.entries, *frames.close_ups]:
         for file in (entry.file, *entry.estimates.values(), *entry.halves):
             # The description names the files, in this order.
             state.update(hashlib.sha256(file.read_bytes()).digest())
-    return state.hexdigest()
+    return scene_folder(frames.scene_name, frames.scene_hash) / "receipts" / f"{state.hexdigest()}.txt"

@@ -22,34 +22,31 @@ if TYPE_CHECKING:
 
 
 _LIBRARIES = ("mitsuba", "drjit", "torch", "numpy")
-_DISTRIBUTION = "foveated-hybrid-renderer"
+# The packages of this project, and the library whose version `machine` does not have.
+_PACKAGES, _DENOISER = ("compose", "pathtrace", "splat", "hybrid"), "mitsuba-oidn"
 
 
 def machine() -> dict[str, Any]:
     """Everything that measured times depend on: hardware, backend and software versions.
 
     Returns:
-        cpu, cores, gpu (None on the CPU backend), backend (Mitsuba's variant), python, version (of this
-        project), packages (name to version).
+        cpu, cores, gpu (None on the CPU backend, or if the driver does not report it), backend (Mitsuba's
+        variant), python, version (of this project), packages (name to version).
     """
     backend = mi.variant()
+    cards = sorted(Path("/proc/driver/nvidia/gpus").glob("*/information"))
+    on_card = str(backend).startswith("cuda") and cards
     return {
         "cpu": _first_value(Path("/proc/cpuinfo"), "model name")
         or platform.processor()
         or platform.machine(),
         "cores": len(os.sched_getaffinity(0)),
-        "gpu": _gpu() if str(backend).startswith("cuda") else None,
+        "gpu": _first_value(cards[0], "Model") if on_card else None,
         "backend": backend,
         "python": platform.python_version(),
-        "version": version(_DISTRIBUTION),
+        "version": version("foveated-hybrid-renderer"),
         "packages": {name: version(name) for name in _LIBRARIES},
     }
-
-
-def _gpu() -> str | None:
-    """Name of the first NVIDIA GPU; None if the driver does not report it."""
-    cards = sorted(Path("/proc/driver/nvidia/gpus").glob("*/information"))
-    return _first_value(cards[0], "Model") if cards else None
 
 
 def _first_value(file: Path, name: str) -> str | None:
@@ -62,16 +59,10 @@ def _first_value(file: Path, name: str) -> str | None:
     return next((value.strip() for key, value in pairs if key.strip() == name), None)
 
 
-# The packages of this project, and the one whose version `machine` does not have.
-_PACKAGES, _DENOISER = ("compose", "pathtrace", "splat", "hybrid"), "mitsuba-oidn"
-
-
 def measured_identity(scene: Scene, forest: Forest, **settings: Any) -> dict[str, Any]:
     """Everything that measured times and quality depend on: what was measured, the code and the machine.
 
-    Args:
-        scene, forest: what is rendered.
-        settings: everything else that the results depend on, in types that JSON has.
+    The settings are everything else that the results depend on, in types that JSON has.
     """
     paths = {"max_depth": scene.max_depth, "roulette_depth": scene.roulette_depth}
     rendered = {"scene": scene.hash, **paths, "forest": forest.digest()}
@@ -87,11 +78,15 @@ def code() -> dict[str, str | None]:
     root, digest = Path(__file__).parents[2], hashlib.sha256()
     for file in sorted(file for package in _PACKAGES for file in (root / package).rglob("*.py")):
         digest.update(f"{file.relative_to(root).as_posix()}\0".encode() + file.read_bytes() + b"\0")
+    return {"source": digest.hexdigest()[:16], _DENOISER: installed_version(_DENOISER)}
+
+
+def installed_version(package: str) -> str | None:
+    """Version of a package; None if it is not installed."""
     try:
-        denoiser = version(_DENOISER)
+        return version(package)
     except PackageNotFoundError:
-        denoiser = None
-    return {"source": digest.hexdigest()[:16], _DENOISER: denoiser}
+        return None
 
 
 def short_hash(identity: dict[str, Any]) -> str:
@@ -121,10 +116,7 @@ def require_same(found: dict[str, Any], expected: dict[str, Any], what: str, adv
 def require_scene(item: Forest | FrameSet, scene_name: str, scene_hash: str, source: object) -> None:
     """Checks that a forest or frame set belongs to a scene; an imported forest fits any scene.
 
-    Args:
-        item: the forest or frame set.
-        scene_name, scene_hash: name and hash of the scene.
-        source: where the item comes from, for the message.
+    The message names the source, that is where the item comes from.
 
     Raises:
         UserError: the item belongs to another scene, or to the same scene at another path depth.

@@ -55,9 +55,9 @@ class Journal:
         self._path.unlink(missing_ok=True)
 
     def write(self) -> None:
-        """Saves all results; required only after a result was changed in place.
+        """Saves all results, beside those that another process saved meanwhile.
 
-        Results that another process saved meanwhile are kept.
+        Needed only after a result was changed in place.
 
         Raises:
             UserError: the file cannot be written, is damaged, or belongs to another identity by now.
@@ -74,11 +74,7 @@ class Journal:
             raise UserError(f"{self._path}: cannot be written ({error.strerror})") from error
 
     def _stored(self) -> dict[str, Any]:
-        """The results in the file; empty if there is none.
-
-        Raises:
-            UserError: the file is damaged, or belongs to another identity.
-        """
+        """The results in the file; empty if there is none."""
         try:
             # Python writes infinities, such as the PSNR of equal images.
             found = read_json(self._path, _MOST_BYTES, finite=False)

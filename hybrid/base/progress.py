@@ -30,24 +30,20 @@ class Bar(Protocol):
         """Shows that `done` of `total` steps are complete and, optionally, which kind of step comes next."""
 
 
-def no_progress(done: int, total: int) -> None:
-    """Ignores progress."""
-
-
-# Where no bar can be drawn: called with the current activity, steps done and steps in total.
-Report: TypeAlias = Callable[[str, int, int], None]
 # Makes a bar for a job with the given title.
 Bars: TypeAlias = Callable[[str], AbstractContextManager[Bar]]
+# Seconds between two lines where no bar can be drawn.
+_LINE_EVERY = 15.0
+
+
+def no_progress(done: int, total: int, step: str = "") -> None:
+    """Ignores progress."""
 
 
 @contextmanager
 def no_bars(title: str) -> Iterator[Bar]:
     """Shows nothing."""
-    yield lambda done, total, step="": None
-
-
-# Between two lines where no bar can be drawn, in seconds.
-_LINE_EVERY = 15.0
+    yield no_progress
 
 
 @contextmanager

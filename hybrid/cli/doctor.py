@@ -1,18 +1,58 @@
-"""`hybrid doctor`: checks the installation."""
+"""`hybrid doctor`: checks the installation and says what to install if something is missing."""
 
 from __future__ import annotations
+
+import os
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
 from compose.base.errors import UserError
 from hybrid.cli.options import Backend, Json, write_json
 
+_PACKAGES = ("mitsuba", "drjit", "mitsuba-oidn", "embreex", "torch", "numpy", "OpenEXR", "safetensors")
+
 
 def doctor(backend: Backend = "auto", json_file: Json = None) -> None:
     """Say which backend runs, why, and what to install if something is missing."""
-    from hybrid.base.installation import examine
+    facts, problem = examine(backend)
+    for name, value in facts.items():
+        print(f"{name}: {value}")
+    write_json(json_file, facts)
+    if problem:
+        raise UserError(problem)
 
-    report = examine(backend)
-    for line in report.lines():
-        print(line)
-    write_json(json_file, report.facts)
-    if report.problem:
-        raise UserError(report.problem)
+
+def examine(choice: str) -> tuple[dict[str, Any], str | None]:
+    """Lists the versions of the installed packages, selects the backend and runs a kernel on it.
+
+    Args:
+        choice: "auto", "cuda" or "llvm".
+
+    Returns:
+        Versions, backend and hardware by name; and what is wrong and how to fix it, None if everything works.
+    """
+    facts: dict[str, Any] = {}
+    for package in _PACKAGES:
+        try:
+            facts[package] = version(package)
+        except PackageNotFoundError:
+            facts[package] = "missing"
+    facts |= {"python": platform.python_version(), "cores": len(os.sched_getaffinity(0))}
+    missing = [package for package in _PACKAGES if facts[package] == "missing"]
+    if missing:
+        return facts, f"missing packages; run: pip install {' '.join(missing)}"
+    from pathtrace.scene.backend import select_backend
+
+    try:
+        backend = select_backend(choice)
+    except UserError as error:
+        return facts, str(error)
+    import drjit as dr
+    import mitsuba as mi
+
+    facts |= {"backend": backend.variant, "why": backend.reason, "threads": dr.thread_count()}
+    if backend.llvm is not None:
+        facts["llvm"] = f"{'.'.join(map(str, dr.detail.llvm_version()))} ({backend.llvm.path})"
+    facts["kernel"] = "runs" if float(dr.sum(dr.arange(mi.Float, 4) + 1)[0]) == 10 else "wrong result"
+    return facts, None

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,11 @@ from compose.eye.acuity import geisler_perry
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze, eccentricity
 from compose.image.colour import Image
+from hybrid.base.identity import installed_version
 from hybrid.measure.image_metrics import SSIM_WINDOW, checked_pair, has_valid, psnr, ssim_map, valid_mean
 from hybrid.measure.perceptual_metrics import INSTALL as FOVVIDEOVDP
 from hybrid.measure.perceptual_metrics import flip_map, flip_reach, hdr_flip_map, jod, lpips
-from hybrid.measure.regions import Region
+from hybrid.measure.regions import REGIONS, Region
 
 Map = NDArray[np.float32]
 # Whether higher values are better, in the order of all tables.
@@ -29,6 +30,8 @@ METRICS = {
     "lpips": False,
     "jod": True,
 }
+# Regions in which a metric is computed, if not in all.
+_ONLY_IN = {"fssim": ("whole",), "hdr-flip": ("foveal",), "lpips": ("whole", "foveal")}
 
 
 @dataclass(frozen=True)
@@ -68,26 +71,11 @@ def metric_rows(
         UserError: the two images cannot be compared.
     """
     checked_pair(image, reference, name)
-    rows: list[dict[str, float | str]] = []
-    for region in regions.values():
-        values = _values(image, reference, region, viewer, whole_flip)
-        rows += [
-            {"region": region.name, "metric": metric, "value": float(values[metric])}
-            for metric in METRICS
-            if metric in values
-        ]
-    return rows
-
-
-def foveal_metrics(image: Image, reference: Image, region: Region, viewer: Viewer) -> dict[str, float]:
-    """JOD and FLIP of the foveal region, if installed; arguments as of `metric_rows`."""
-    alone = region.alone(image, reference)
-    return _known(
-        {
-            "jod": _jod(alone, reference, region, viewer),
-            "flip": _flip(alone, reference, region, viewer, flip_map),
-        }
-    )
+    return [
+        {"region": region.name, "metric": metric, "value": float(value)}
+        for region in regions.values()
+        for metric, value in region_metrics(image, reference, region, viewer, whole_flip=whole_flip).items()
+    ]
 
 
 def tie_metrics(
@@ -95,18 +83,60 @@ def tie_metrics(
 ) -> list[dict[str, float | str]]:
     """Rows of region, metric and value against half of a reference's samples, from which ties are told.
 
-    These are the metrics that methods are compared by: `foveal_metrics` of the fovea, PSNR and SSIM if
-    neither is installed, and SSIM of the whole frame. Arguments as of `metric_rows`.
+    These are the metrics that methods are compared by: JOD and FLIP of the fovea, PSNR and SSIM if neither is
+    installed, and SSIM of the whole frame. Arguments are those of `metric_rows`.
     """
     fovea = regions["foveal"]
-    found = foveal_metrics(image, half, fovea, viewer)
-    fallback = ("psnr", "ssim") if not found else ()
     whole = Region.of("whole", np.ones_like(fovea.mask))
-    values = {(fovea.name, name): value for name, value in found.items()}
-    for region, names in ((fovea, fallback), (whole, ("ssim",))):
-        plain = plain_metrics(image, half, region)
-        values |= {(region.name, name): plain[name] for name in names if name in plain}
-    return [{"region": region, "metric": name, "value": value} for (region, name), value in values.items()]
+    perceptual = region_metrics(image, half, fovea, viewer, ("jod", "flip"))
+    of_fovea = perceptual or region_metrics(image, half, fovea, viewer, ("psnr", "ssim"))
+    found = {fovea.name: of_fovea, whole.name: region_metrics(image, half, whole, viewer, ("ssim",))}
+    return [
+        {"region": region, "metric": name, "value": value}
+        for region, values in found.items()
+        for name, value in values.items()
+    ]
+
+
+def region_metrics(
+    image: Image,
+    reference: Image,
+    region: Region,
+    viewer: Viewer,
+    wanted: Iterable[str] = METRICS,
+    whole_flip: Map | None = None,
+) -> dict[str, float]:
+    """The wanted metrics of one region, in that order, as far as they are installed and have a value there.
+
+    Arguments are those of `metric_rows`.
+    """
+    alone, density = region.alone(image, reference), viewer.display.pixels_per_degree
+    cropped = region.name == "foveal"
+    box = region.box if cropped else np.s_[:, :]
+    gaze = region.gaze_within(viewer.gaze) if cropped else viewer.gaze
+    map_of_ssim = cache(lambda: ssim_map(alone, reference))
+
+    def mean_ssim(weight: Map) -> float | None:
+        if min(alone.shape[:2]) < SSIM_WINDOW or not has_valid(weight):
+            return None
+        return valid_mean(map_of_ssim(), weight)
+
+    def flip() -> float | None:
+        if region.name == "whole" and whole_flip is not None:
+            return float(whole_flip.mean())
+        return _mean_in_region(flip_map, alone, reference, region, density)
+
+    metrics: dict[str, Callable[[], float | None]] = {
+        "psnr": lambda: psnr(image, reference, region.mask),
+        "ssim": lambda: mean_ssim(region.mask.astype(np.float32)),
+        "fssim": lambda: mean_ssim(acuity_weight(viewer, image.shape[:2])),
+        "flip": flip,
+        "hdr-flip": lambda: _mean_in_region(hdr_flip_map, alone, reference, region, density),
+        "lpips": lambda: lpips(alone[box], reference[box]),
+        "jod": lambda: jod(alone[box], reference[box], viewer.display, gaze),
+    }
+    found = {name: metrics[name]() for name in wanted if region.name in _ONLY_IN.get(name, REGIONS)}
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def acuity_weight(viewer: Viewer, size: tuple[int, int]) -> NDArray[np.float32]:
@@ -115,76 +145,18 @@ def acuity_weight(viewer: Viewer, size: tuple[int, int]) -> NDArray[np.float32]:
     return (geisler_perry(angles) / geisler_perry(np.zeros(1))[0]).astype(np.float32)
 
 
-def plain_metrics(image: Image, reference: Image, region: Region) -> dict[str, float]:
-    """PSNR and SSIM of a region, as far as they have a value there."""
-    similarity = _map(region.alone(image, reference), reference)
-    weight = region.mask.astype(np.float32)
-    return _known({"psnr": psnr(image, reference, region.mask), "ssim": _similarity(similarity, weight)})
-
-
-def _map(alone: Image, reference: Image) -> Map | None:
-    """SSIM's map; None of images that are smaller than its window."""
-    return None if min(alone.shape[:2]) < SSIM_WINDOW else ssim_map(alone, reference)
-
-
-def _values(
-    image: Image, reference: Image, region: Region, viewer: Viewer, whole_flip: Map | None
-) -> dict[str, float]:
-    """The region's metrics, as far as they are installed."""
-    alone = region.alone(image, reference)
-    similarity = _map(alone, reference)
-    found: dict[str, float | None] = {
-        "psnr": psnr(image, reference, region.mask),
-        "ssim": _similarity(similarity, region.mask.astype(np.float32)),
-        "jod": _jod(alone, reference, region, viewer),
-    }
-    if region.name in ("whole", "foveal"):
-        found["lpips"] = lpips(*_seen(alone, reference, region))
-    if region.name == "whole" and whole_flip is not None:
-        found["flip"] = float(whole_flip.mean())
-    else:
-        found["flip"] = _flip(alone, reference, region, viewer, flip_map)
-    if region.name == "whole":
-        found["fssim"] = _similarity(similarity, acuity_weight(viewer, image.shape[:2]))
-    if region.name == "foveal":
-        found["hdr-flip"] = _flip(alone, reference, region, viewer, hdr_flip_map)
-    return _known(found)
-
-
-def _known(found: dict[str, float | None]) -> dict[str, float]:
-    """The metrics that have a value."""
-    return {metric: value for metric, value in found.items() if value is not None}
-
-
-def _similarity(similarity: Map | None, weight: Map) -> float | None:
-    """Mean of an SSIM map, weighted; None if no pixel that counts has a valid value."""
-    return None if similarity is None or not has_valid(weight) else valid_mean(similarity, weight)
-
-
-def _flip(
+def _mean_in_region(
+    metric: Callable[[Image, Image, float], Map | None],
     alone: Image,
     reference: Image,
     region: Region,
-    viewer: Viewer,
-    metric: Callable[[Image, Image, float], Map | None],
+    density: float,
 ) -> float | None:
     """Mean of a FLIP map over the region, computed no further than FLIP's filters reach."""
-    density = viewer.display.pixels_per_degree
     reach = flip_reach(density)
     box = tuple(slice(max(0, side.start - reach), side.stop + reach) for side in region.box)
     error = metric(alone[box], reference[box], density)
     return None if error is None else float(error[region.mask[box]].mean())
-
-
-def _seen(alone: Image, reference: Image, region: Region) -> tuple[Image, Image]:
-    """Image and reference as given to metrics that yield one number per image."""
-    box = region.box if region.name == "foveal" else np.s_[:, :]
-    return alone[box], reference[box]
-
-
-def _jod(alone: Image, reference: Image, region: Region, viewer: Viewer) -> float | None:
-    gaze = region.gaze_within(viewer.gaze) if region.name == "foveal" else viewer.gaze
-    return jod(*_seen(alone, reference, region), viewer.display, gaze)
 
 
 # Packages of the optional metrics, and how to install them.
@@ -197,16 +169,10 @@ _OPTIONAL = {
 
 def missing() -> list[str]:
     """A line for each optional metric that is not installed, with the command that installs it."""
-    return [line for package, line in _OPTIONAL.items() if _version(package) is None]
+    return [line for package, line in _OPTIONAL.items() if installed_version(package) is None]
 
 
 def installed() -> list[str]:
     """Packages of the optional metrics that are installed, with their versions."""
-    return [f"{package} {_version(package)}" for package in _OPTIONAL if _version(package) is not None]
-
-
-def _version(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
+    versions = {package: installed_version(package) for package in _OPTIONAL}
+    return [f"{package} {version}" for package, version in versions.items() if version is not None]

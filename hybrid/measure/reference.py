@@ -43,11 +43,7 @@ class Reference:
         For samples a and b, independent of a denoised image d and of each other, the mean of (a - d)(b - d)
         is the squared error of d, because their noise cancels. Each half is compared with the samples of the
         other one. Averaging the halves removes half of their variance, which is a quarter of their squared
-        difference.
-
-        Args:
-            halves: (H, W, 3) radiance each.
-            parts: of each half, two independent noisy estimates (H, W, 3) from its samples.
+        difference. The parts are two independent noisy estimates (H, W, 3) from each half's samples.
         """
         radiance = 0.5 * (halves[0] + halves[1])
         slope = (srgb_from_radiance(radiance + _STEP) - srgb_from_radiance(radiance)) / _STEP
@@ -60,11 +56,7 @@ class Reference:
         return Reference(radiance, halves, error.astype(np.float32))
 
     def squared_error(self, where: NDArray[np.bool_] | None = None) -> float:
-        """Mean squared error in sRGB, at the upper end of its confidence interval.
-
-        Args:
-            where: (H, W) pixels that count; all of them if None.
-        """
+        """Mean squared error in sRGB of the pixels (H, W) that count, at the upper end of its interval."""
         errors = self.errors[where] if where is not None else self.errors.ravel()
         upper = errors.mean(dtype=np.float64) + 2 * errors.std(dtype=np.float64) / np.sqrt(errors.size)
         # The estimate may be too low, even negative; the variance between the halves is a lower bound.
@@ -78,32 +70,21 @@ class Reference:
 
 
 def reference(tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed: int) -> Reference:
-    """Traces a reference.
-
-    Args:
-        tracer: of the scene.
-        camera: the view.
-        spp: samples per pixel in total, at least 4; one number, or (H * W,).
-        seed: same seed, same reference.
+    """Traces a reference of a view with `spp` samples per pixel in total, one number or (H * W,).
 
     Raises:
-        ValueError: there are fewer samples than independent parts.
+        ValueError: there are fewer than 4 samples, one per independent part.
     """
     if np.min(spp) < _PARTS:
         raise ValueError(f"a reference needs at least {_PARTS} samples per pixel")
-    first, second = (_half(tracer, camera, spp, seed, number) for number in range(2))
-    return Reference.of_halves((first.denoised, second.denoised), [first.parts, second.parts])
+    (first, its_parts), (second, others) = (_half(tracer, camera, spp, seed, n) for n in range(2))
+    return Reference.of_halves((first, second), [its_parts, others])
 
 
-@dataclass(frozen=True)
-class _Half:
+def _half(
+    tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed: int, number: int
+) -> tuple[Image, list[Image]]:
     """Half of a reference's samples: denoised (H, W, 3), and as two noisy parts (H, W, 3)."""
-
-    denoised: Image
-    parts: list[Image]
-
-
-def _half(tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed: int, number: int) -> _Half:
     positions, size = frame_positions(camera), (camera.height, camera.width)
     # A quarter of the samples each; where they do not divide evenly, counts differ by one.
     first, middle, last = (spp * (2 * number + part) // _PARTS for part in range(3))
@@ -117,4 +98,4 @@ def _half(tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed: in
     )
     share = np.broadcast_to((last - middle) / (last - first), size[0] * size[1])
     mean = parts[0] + (parts[1] - parts[0]) * share.reshape(*size, 1).astype(np.float32)
-    return _Half(TracedImage(mean, *auxiliary).denoised(), parts)
+    return TracedImage(mean, *auxiliary).denoised(), parts

@@ -39,11 +39,7 @@ class Region:
 
     @staticmethod
     def of(name: str, mask: NDArray[np.bool_]) -> Region:
-        """The region of a mask (H, W).
-
-        Raises:
-            UserError: the mask is empty.
-        """
+        """The region of a mask (H, W); UserError if that is empty."""
         rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
         if not len(rows):
             raise UserError(f"the {name} region of this frame is empty: nothing can be measured there")
@@ -64,14 +60,10 @@ class Region:
 
 
 def regions(foveation: Foveation, reference: Image) -> dict[str, Region]:
-    """All regions of a frame, by name.
+    """All regions of a frame with a reference (H, W, 3), by name.
 
     These are the whole frame; the foveal disc inside fov-a, band included; the seam, which is the band from
     fov-b to fov-a; the periphery outside fov-a; and the salient fifth of the reference.
-
-    Args:
-        foveation: gaze and radii.
-        reference: (H, W, 3) converged radiance.
 
     Raises:
         UserError: the gaze lies outside the frame, or a region is empty.
@@ -85,12 +77,8 @@ def plain_regions(
 ) -> dict[str, Region]:
     """The regions that depend on foveation alone, by name.
 
-    The seam is left out if it has no width, and so are seam and periphery if the disc covers the frame.
-
-    Args:
-        foveation: gaze and radii.
-        size: height and width of the frame.
-        wanted: names, any but salient.
+    The seam is left out if it has no width, and so are seam and periphery if the disc covers the frame. The
+    size is height and width.
 
     Raises:
         UserError: the gaze lies outside the frame, or a wanted region is empty.
@@ -107,7 +95,7 @@ def plain_regions(
         "seam": (radius >= inner) & (radius < outer),
         "peripheral": radius >= outer,
     }
-    # Settings that ask for such a frame are no mistake, unlike a disc without a pixel.
+    # Settings that ask for such a frame are not mistaken, unlike a disc without a pixel.
     left_out = {"seam"} if outer == inner else set()
     if masks["foveal"].all():
         left_out |= {"peripheral", "seam"}

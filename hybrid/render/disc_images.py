@@ -26,7 +26,6 @@ class Underlay:
     """The splats rendered under the disc, one of the images from which a fused fovea is made.
 
     Attributes:
-        camera: the view.
         radiance: linear, of the whole frame; only the rectangle around the disc is used.
         enlargement: side of the pixels that the splats were trained on, in pixels of this image.
 
@@ -46,37 +45,19 @@ class Underlay:
             )
 
 
-def underlay_of(camera: Camera, underlay: Underlay | None) -> Underlay:
-    """The underlay, after checking that it shows the camera's view.
-
-    Raises:
-        ValueError: it is missing, or belongs to another camera.
-    """
-    if underlay is None:
-        raise ValueError("a fused fovea requires the splats under the disc")
-    if underlay.camera != camera:
-        raise ValueError("the underlay belongs to another camera")
-    return underlay
-
-
 def parents_of(disc: Disc, samples: Samples, underlay: Underlay, quick: bool = False) -> Parents:
     """The images that are fused, cropped to the rectangle around the disc.
 
-    Args:
-        disc: the disc.
-        samples: of its pixels.
-        underlay: of the same view.
-        quick: whether to use the quicker denoiser.
+    `quick` is for the quicker denoiser.
     """
     assert disc.box is not None, "a disc without pixels has no images"
     splats = underlay.radiance.of_box(disc.box)
     images = DiscImages.of(disc, samples, splats)
     variance = disc.images(samples.variance(), [dr.inf] * 3)
-    planes = _planes(disc, [*images.channels, *splats, *variance])
-    traced, albedo, normal, count, splat, unknown = torch.split(planes, [3, 3, 3, 1, 3, 3])
-    denoised = _torch(denoised_for_fusion(images.tensors(), quick)).permute(2, 0, 1)
-    shown = (traced, unknown, denoised, splat, albedo, normal, count)
-    traced, unknown, denoised, splat, albedo, normal, count = (image.permute(1, 2, 0) for image in shown)
+    shown = [*images.radiance, *images.albedo, *images.normal, images.count, *splats, *variance]
+    planes = _planes(disc, shown).permute(1, 2, 0)
+    traced, albedo, normal, count, splat, unknown = torch.split(planes, [3, 3, 3, 1, 3, 3], dim=2)
+    denoised = _torch(denoised_for_fusion(images.tensors(), quick))
     return Parents(traced, unknown, denoised, splat, albedo, normal, count, underlay.enlargement, quick)
 
 
@@ -85,7 +66,6 @@ class DiscImages:
     """Samples and their auxiliary features as images of the rectangle around a disc, Floats (h * w,).
 
     Attributes:
-        disc: the disc.
         radiance: three channels, linear, mean of the samples.
         albedo, normal: three channels each.
         count: samples per pixel.
@@ -99,13 +79,10 @@ class DiscImages:
 
     @staticmethod
     def of(disc: Disc, samples: Samples, surroundings: list[Any]) -> DiscImages:
-        """The samples of a disc, in the rectangle around it.
+        """The samples of a disc's D pixels, in the rectangle around it.
 
-        Args:
-            disc: the disc.
-            samples: of its D pixels.
-            surroundings: three Floats (h * w,), radiance of the rectangle's pixels outside the disc; those
-                that are not finite, or out of proportion to all samples, count as black.
+        Surroundings are three Floats (h * w,), radiance of the rectangle's pixels outside the disc; those
+        that are not finite, or out of proportion to all samples, count as black.
         """
         surroundings = _usable(surroundings, samples.radiance)
         # No albedo is traced outside the disc; the image is the best substitute.
@@ -116,11 +93,6 @@ class DiscImages:
         )
         dr.eval(channels)
         return DiscImages(disc, channels[:3], channels[3:6], channels[6:9], channels[9])
-
-    @property
-    def channels(self) -> list[Any]:
-        """All ten channels, in the order of the attributes."""
-        return [*self.radiance, *self.albedo, *self.normal, self.count]
 
     def tensors(self) -> list[Any]:
         """Radiance, albedo and normal as tensors (h, w, 3)."""
@@ -140,11 +112,9 @@ class DiscImages:
 
 
 def denoised_for_fusion(tensors: list[Any], quick: bool) -> Any:
-    """(h, w, 3) tensor of denoised radiance, as one parent of several; at half the resolution if `quick`.
+    """(h, w, 3) tensor of denoised radiance, as one parent of several, from radiance, albedo and normal.
 
-    Args:
-        tensors: radiance, albedo and normal (h, w, 3).
-        quick: whether to use the quicker denoiser.
+    If `quick`, it is denoised at half the resolution.
     """
     radiance, albedo, normal = tensors
     if not all_plain([radiance.array]):
@@ -163,7 +133,7 @@ def channels_of(arrays: Arrays, image: Image | torch.Tensor) -> list[Any]:
 
 
 def _planes(disc: Disc, channels: list[Any]) -> torch.Tensor:
-    """(C, h, w) channels of the rectangle as one tensor of torch."""
+    """(C, h, w) tensor of torch, channels of the rectangle."""
     plain, (height, width) = disc.arrays.plain, disc.shape
     size = height * width
     buffer = dr.empty(plain.Float, size * len(channels))
@@ -186,7 +156,7 @@ def _torch(tensor: Any) -> torch.Tensor:
 
 
 def _usable(surroundings: list[Any], samples: list[Any]) -> list[Any]:
-    """Three Floats (h * w,), black where they cannot be radiance beside samples, three Floats (D,)."""
+    """Surroundings, three Floats (h * w,), black where they cannot be radiance beside samples (D,)."""
     brightest: Any = 1.0
     for channel in samples:
         brightest = dr.maximum(brightest, dr.select(dr.isfinite(channel), channel, 0))

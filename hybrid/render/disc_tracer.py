@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -18,7 +18,7 @@ from compose.fovea.disc import Disc
 from compose.fovea.history import History
 from compose.fovea.samples import Samples, averaged_features, merged, put, taken
 from hybrid.base.compute_device import device_arrays
-from hybrid.render.disc_images import Underlay, channels_of, parents_of, underlay_of
+from hybrid.render.disc_images import Underlay, channels_of, parents_of
 from pathtrace.trace.film import pixel_positions
 from pathtrace.trace.first_hit import AuxiliaryFeatures
 from pathtrace.trace.tracer import Traced, Tracer, auxiliary_spp, features_along
@@ -37,14 +37,9 @@ _WINDOW = 5
 
 @dataclass(frozen=True)
 class DiscRequest:
-    """The samples that a frame requires.
+    """The samples that a frame requires, `spp` per pixel on average over the disc.
 
-    Attributes:
-        camera: the view.
-        disc: the disc.
-        spp: samples per pixel, on average over the disc.
-        seed: same seed, same samples.
-        auxiliary: whether albedo and normal are required.
+    The same seed yields the same samples. Albedo and normal are required if `auxiliary`.
     """
 
     camera: Camera
@@ -54,13 +49,15 @@ class DiscRequest:
     auxiliary: bool = True
 
 
-class DiscTracer:
-    """Traces the discs of one scene.
+class _Sequence(NamedTuple):
+    """Where the next samples lie in their pixels."""
 
-    Args:
-        tracer: of the scene.
-        history: whether samples of earlier frames are reused.
-    """
+    taken: Any  # samples already drawn, UInt (D,) or one number for all pixels
+    pattern: int  # seed of the sampling pattern
+
+
+class DiscTracer:
+    """Traces the discs of one scene; with a history, samples of earlier frames are reused."""
 
     def __init__(self, tracer: Tracer, history: bool):
         self._tracer = tracer
@@ -95,7 +92,6 @@ class DiscTracer:
         """Samples of the disc's pixels, merged with what is known of them.
 
         Args:
-            request: which samples.
             underlay: the splats under the disc; with them, samples go where they help most. Without them, and
                 at low sample counts, all pixels get the same number.
             quick: whether all pixels get the same number in any case, and auxiliary features are those of
@@ -109,19 +105,20 @@ class DiscTracer:
             return Samples.none(self._arrays, request.disc.pixels)
         if quick or request.spp < _ADAPTIVE_FROM:
             underlay = None
-        checked = None if underlay is None else underlay_of(request.camera, underlay)
+        if underlay is not None and underlay.camera != request.camera:
+            raise ValueError("the underlay belongs to another camera")
         if self._history is None:
-            return self._alone(request, checked)
+            return self._alone(request, underlay)
         if quick and features_along(request.spp):
             return self._quickly(request, self._history)
         known = self.known(request)
         sequence = self._sequence(request.camera, request.disc.pixels, request.seed)
-        if checked is not None:
-            new = self._adaptive(request, known, sequence, checked)
+        if underlay is not None:
+            new = self._adaptive(request, known, sequence, underlay)
         elif quick:
-            new = self._traced(request.camera, _without_light(known), request.spp, request.seed, sequence)
+            new = self._added(request.camera, _without_light(known), request.spp, request.seed, sequence)
         else:
-            new = self._filled(request, known, sequence)
+            new = self._even(request, known, request.spp, self._have(request.disc, known), sequence)
         self._history.remember(new)
         return merged(known, new)
 
@@ -129,14 +126,13 @@ class DiscTracer:
         """Samples of UInt (D,) pixels, at least 1 in each; earlier frames are ignored."""
         if not dr.width(pixels):
             return Samples.none(self._arrays, pixels)
-        return self._sampled(pixels, counts, self._shot(camera, pixels, counts, seed))
+        return self._traced(camera, pixels, counts, seed, _Sequence(0, seed))
 
     def known(self, request: DiscRequest) -> Samples:
         """What is known of the disc before any radiance is traced: auxiliary features and the history."""
-        camera, pixels, seed = request.camera, request.disc.pixels, request.seed
-        spp = auxiliary_spp(request.spp)
+        camera, pixels, spp = request.camera, request.disc.pixels, auxiliary_spp(request.spp)
         if self._history is None:
-            return self._seen(camera, pixels, spp, self._sequence(camera, pixels, seed))
+            return self._seen(camera, pixels, spp, request.seed)
         spp = max(spp, _AUXILIARY_SPP_WITH_HISTORY)
         self._see(request, spp, spp, self._history)
         return self._history.recall(pixels)
@@ -147,9 +143,8 @@ class DiscTracer:
         After a saccade and where something appears, a few sample positions more than those are seen at once.
         """
         camera, pixels, spp, seed = request.camera, request.disc.pixels, request.spp, request.seed
-        sequence = _Sequence(*history.sampled(camera, pixels, seed))
-        traced = self._shot(camera, pixels, spp, seed, sequence, features=True)
-        new = self._sampled(pixels, spp, traced)
+        sequence = self._sequence(camera, pixels, seed)
+        new = self._traced(camera, pixels, spp, seed, sequence, features=True)
         history.see(camera, new, spp, seed, request.disc)
         history.remember(new)
         self._see(request, auxiliary_spp(spp), max(auxiliary_spp(spp) - spp, 1), history)
@@ -157,18 +152,17 @@ class DiscTracer:
 
     def _see(self, request: DiscRequest, wanted: int, spp: int, history: History) -> None:
         """Adds auxiliary features where they are means over fewer than `wanted` sample positions."""
-        camera, seed = request.camera, request.seed
-        unseen = history.unseen(camera, request.disc.pixels, wanted)
+        unseen = history.unseen(request.camera, request.disc.pixels, wanted)
         if dr.width(unseen):
-            seen = self._seen(camera, unseen, spp, self._sequence(camera, unseen, seed))
-            history.see(camera, seen, spp, seed, request.disc)
+            seen = self._seen(request.camera, unseen, spp, request.seed)
+            history.see(request.camera, seen, spp, request.seed, request.disc)
 
     def _alone(self, request: DiscRequest, underlay: Underlay | None) -> Samples:
         """Samples without a history; with the splats under the disc, they go where they help most."""
         if not request.auxiliary:
             return self.trace_each(request.camera, request.disc.pixels, request.spp, request.seed)
         if underlay is None:
-            return self._with_features(request)
+            return self._with_features(request, request.spp)
         if features_along(request.spp):
             return self._adaptive_with_features(request, underlay)
         known = self.known(request)
@@ -178,74 +172,73 @@ class DiscTracer:
         self, request: DiscRequest, known: Samples, sequence: _Sequence, underlay: Underlay
     ) -> Samples:
         """New samples: a few everywhere, the others where these disagree with the splats."""
-        have, total = self._have(request.disc, known), _first_spp(request.spp) * request.disc.count
-        counts = allotted(dr.full(type(have), 1, known.size), have, total, request.seed)
-        new = self._traced(request.camera, _without_light(known), counts, request.seed, sequence)
+        have = self._have(request.disc, known)
+        new = self._even(request, known, _first_spp(request.spp), have, sequence)
         counts = _second_counts(request, merged(known, new), have + new.count, underlay)
-        return self._traced(request.camera, new, counts, request.seed + _SECOND_STREAM, sequence)
+        return self._added(request.camera, new, counts, request.seed + _SECOND_STREAM, sequence)
 
     def _adaptive_with_features(self, request: DiscRequest, underlay: Underlay) -> Samples:
-        """As `_adaptive`, without a history; auxiliary features are those of the samples."""
+        """Like `_adaptive`, without a history; auxiliary features are those of the samples."""
         camera, pixels, seed = request.camera, request.disc.pixels, request.seed
         spp = _first_spp(request.spp)
         first = self._with_features(request, spp)
         counts = _second_counts(request, first, first.count, underlay)
         chosen, counts = _chosen(self._arrays, counts, first.size)
         some, sequence = dr.gather(type(pixels), pixels, chosen), _Sequence(spp, seed)
-        traced = self._shot(camera, some, counts, seed + _SECOND_STREAM, sequence, features=True)
-        second = self._sampled(some, counts, traced)
+        second = self._traced(camera, some, counts, seed + _SECOND_STREAM, sequence, features=True)
         share = second.count / (auxiliary_spp(spp) + second.count)
         part = averaged_features(taken(first, chosen), second, share)
         return put(first, chosen, merged(part, second))
 
-    def _with_features(self, request: DiscRequest, spp: int | None = None) -> Samples:
-        """Samples with their auxiliary features, `spp` instead of the request's in each pixel."""
-        pixels, camera, spp = request.disc.pixels, request.camera, spp or request.spp
+    def _with_features(self, request: DiscRequest, spp: int) -> Samples:
+        """Samples with their auxiliary features, `spp` in each pixel."""
+        pixels, camera = request.disc.pixels, request.camera
         positions = pixel_positions(mi.UInt32(pixels), camera.width)
         traced, features = self._tracer.trace_with_features(camera, positions, spp, request.seed)
         return self._sampled(pixels, spp, replace(traced, features=features))
 
-    def _filled(self, request: DiscRequest, known: Samples, sequence: _Sequence) -> Samples:
-        """New samples, more of them where fewer are known."""
-        have = self._have(request.disc, known)
+    def _even(
+        self, request: DiscRequest, known: Samples, spp: int, have: Any, sequence: _Sequence
+    ) -> Samples:
+        """New samples, `spp` per pixel on average, more of them where there are fewer, Float (D,), so far."""
         even = dr.full(type(have), 1, known.size)
-        counts = allotted(even, have, request.spp * known.size, request.seed)
-        return self._traced(request.camera, _without_light(known), counts, request.seed, sequence)
+        counts = allotted(even, have, spp * known.size, request.seed)
+        return self._added(request.camera, _without_light(known), counts, request.seed, sequence)
 
     def _sequence(self, camera: Camera, pixels: Any, seed: int) -> _Sequence:
         if self._history is None:
             return _Sequence(0, seed)
         return _Sequence(*self._history.sampled(camera, pixels, seed))
 
-    def _seen(self, camera: Camera, pixels: Any, spp: int, sequence: _Sequence) -> Samples:
+    def _seen(self, camera: Camera, pixels: Any, spp: int, seed: int) -> Samples:
         """Pixels, at least one, with auxiliary features but without radiance."""
+        sequence = self._sequence(camera, pixels, seed)
         positions = pixel_positions(mi.UInt32(pixels), camera.width)
         seen = self._tracer.auxiliary(camera, positions, spp, sequence.pattern, sequence.taken)
         return _showing(Samples.none(self._arrays, pixels), seen)
 
-    def _traced(
+    def _added(
         self, camera: Camera, known: Samples, counts: int | Counts, seed: int, sequence: _Sequence
     ) -> Samples:
         """The pixels with `counts` further samples each, placed in the gaps between earlier ones."""
-        plain = self._arrays.plain
-        drawn = _Sequence(sequence.taken + plain.UInt(known.count), sequence.pattern)
-        traced = self._shot(camera, known.pixels, counts, seed, drawn)
-        added = self._sampled(known.pixels, counts, traced)
-        return merged(known, added)
+        drawn = _Sequence(sequence.taken + self._arrays.plain.UInt(known.count), sequence.pattern)
+        return merged(known, self._traced(camera, known.pixels, counts, seed, drawn))
 
-    def _shot(
+    def _traced(
         self,
         camera: Camera,
         pixels: Any,
         counts: int | Counts,
         seed: int,
-        sequence: _Sequence | None = None,
+        sequence: _Sequence,
         features: bool = False,
-    ) -> Traced:
-        """Traces pixels."""
-        sequence = sequence or _Sequence(0, seed)
+    ) -> Samples:
+        """`counts` samples in each pixel, with their auxiliary features if those are wanted."""
         positions = pixel_positions(mi.UInt32(pixels), camera.width)
-        return self._tracer.trace(camera, positions, counts, seed, sequence.taken, sequence.pattern, features)
+        traced = self._tracer.trace(
+            camera, positions, counts, seed, sequence.taken, sequence.pattern, features
+        )
+        return self._sampled(pixels, counts, traced)
 
     def _have(self, disc: Disc, known: Samples) -> Any:
         """Float (D,), samples per pixel in the neighbourhood of each pixel.
@@ -263,29 +256,15 @@ class DiscTracer:
 
     def _sampled(self, pixels: Any, counts: int | Counts, traced: Traced) -> Samples:
         """What was traced of (D,) pixels, `counts` samples in each."""
-        plain = self._arrays.plain
-        count = (
-            dr.full(plain.Float, counts, dr.width(pixels))
-            if isinstance(counts, int)
-            else plain.Float(counts.each)
+        Float = self._arrays.plain.Float
+        each = dr.full(Float, counts, dr.width(pixels)) if isinstance(counts, int) else Float(counts.each)
+        found = replace(
+            Samples.none(self._arrays, pixels),
+            count=each,
+            radiance=_plain(traced.radiance),
+            squares=_plain(traced.squares),
         )
-        light = (_plain(channels) for channels in (traced.radiance, traced.squares))
-        names = zip(("radiance", "squares"), light, strict=True)
-        found = replace(Samples.none(self._arrays, pixels), count=count, **dict(names))
         return found if traced.features is None else _showing(found, traced.features)
-
-
-@dataclass(frozen=True)
-class _Sequence:
-    """Where the next samples lie in their pixels.
-
-    Attributes:
-        taken: samples already drawn, UInt (D,) or one number for all pixels.
-        pattern: seed of the sampling pattern.
-    """
-
-    taken: Any
-    pattern: int
 
 
 def _first_spp(spp: int) -> int:
@@ -294,14 +273,7 @@ def _first_spp(spp: int) -> int:
 
 
 def _second_counts(request: DiscRequest, known: Samples, have: Any, underlay: Underlay) -> int | Counts:
-    """The samples that go where what is known disagrees with the splats.
-
-    Args:
-        request: of all samples.
-        known: of the disc's pixels.
-        have: Float (D,), samples around each pixel.
-        underlay: the splats.
-    """
+    """The samples that go where what is known disagrees with the splats; `have` (D,) surround each pixel."""
     disc = request.disc
     # Where samples go needs no fine detail: the quicker denoiser takes a fifth of the time.
     parents = parents_of(disc, known, underlay, quick=True)
@@ -334,12 +306,11 @@ def _plain(channels: list[Any]) -> list[Any]:
 
 def _showing(samples: Samples, seen: AuxiliaryFeatures) -> Samples:
     """The samples with auxiliary features of the same pixels."""
-    gloss, *mover = _plain([seen.gloss] if seen.mover is None else [seen.gloss, seen.mover])
     return replace(
         samples,
         albedo=_plain(seen.albedo),
         normal=_plain(seen.normal),
         position=_plain(seen.position),
-        gloss=gloss,
-        mover=mover[0] if mover else samples.mover,
+        gloss=_plain([seen.gloss])[0],
+        mover=samples.mover if seen.mover is None else _plain([seen.mover])[0],
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as Pillow
@@ -27,14 +29,9 @@ def detail_picture(frame: Image, detail: DetailMap, region: FoveaRegion) -> NDAr
 def levels_picture(frame: Image, detail: DetailMap, region: FoveaRegion) -> NDArray[np.uint8]:
     """(H, W, 3) sRGB: the frame in grey, tinted by level, with lines between rates and rings of angle.
 
-    Below the full rate, the frame is shown in blocks as large as its samples. White rings mark every 10
-    degrees of eccentricity, black lines separate sampling rates. Pixels that show the path tracer alone keep
-    their colours.
-
-    Args:
-        frame: (H, W, 3) linear radiance.
-        detail: of the frame.
-        region: the disc's pixels and the weights of the blend.
+    Below the full rate, the frame, linear radiance (H, W, 3), is shown in blocks as large as its samples.
+    White rings mark every 10 degrees of eccentricity, black lines separate sampling rates. Pixels that show
+    the path tracer alone keep their colours.
     """
     picture = bytes_from_radiance(frame).astype(np.float64)
     rate = _rates(detail)
@@ -45,18 +42,18 @@ def levels_picture(frame: Image, detail: DetailMap, region: FoveaRegion) -> NDAr
     grey = picture.mean(axis=2, keepdims=True)
     tinted = (1 - _TINT) * grey + _TINT * tint * (0.4 + 0.6 * grey / 255)
     picture = np.where((region.weight_image() >= 1)[..., None], picture, tinted)
-    angle = detail.per_pixel(detail.eccentricity)
-    ring = np.floor(angle / _RING)
-    edge = np.zeros(ring.shape, dtype=bool)
-    edge[:, 1:] |= ring[:, 1:] != ring[:, :-1]
-    edge[1:] |= ring[1:] != ring[:-1]
-    picture[edge] = 255
+    picture[_borders(np.floor(detail.per_pixel(detail.eccentricity) / _RING))] = 255
     for step in range(1, COARSEST_RATE + 1):
-        border = np.zeros(rate.shape, dtype=bool)
-        border[:, 1:] |= (rate[:, 1:] >= step) != (rate[:, :-1] >= step)
-        border[1:] |= (rate[1:] >= step) != (rate[:-1] >= step)
-        picture[border] = 0
+        picture[_borders(rate >= step)] = 0
     return picture.astype(np.uint8)
+
+
+def _borders(values: NDArray[Any]) -> NDArray[np.bool_]:
+    """(H, W) where values differ from those to the left or above."""
+    found = np.zeros(values.shape, dtype=bool)
+    found[:, 1:] |= values[:, 1:] != values[:, :-1]
+    found[1:] |= values[1:] != values[:-1]
+    return found
 
 
 def _rates(detail: DetailMap) -> NDArray[np.int64]:

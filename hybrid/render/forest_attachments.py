@@ -14,13 +14,16 @@ from compose.camera.camera import Camera
 from compose.fusion.network import Fusion
 from splat.model.forest import Forest
 
-_PREFIX = "fusion."
+# Names of what is attached: a prefix for the network's state, and the table of views.
+_FUSION, _VIEWS = "fusion.", "views.cameras"
+# Of each view width, height, focal lengths and principal point, then the world-to-camera transform.
+_NUMBERS = 6 + 16
 
 
 def attach_fusion(forest: Forest, fusion: Fusion) -> Forest:
     """The forest with a fitted network attached, which its file then contains."""
-    state = {_PREFIX + name: tensor.clone() for name, tensor in fusion.state_dict().items()}
-    return replace(forest, attached={**forest.attached, **state})
+    state = {_FUSION + name: tensor.clone() for name, tensor in fusion.state_dict().items()}
+    return replace(forest, attached=forest.attached | state)
 
 
 def fusion_of(forest: Forest) -> Fusion | None:
@@ -29,7 +32,7 @@ def fusion_of(forest: Forest) -> Fusion | None:
     Raises:
         UserError: the network is damaged or of another version.
     """
-    state = under(_PREFIX, forest.attached)
+    state = under(_FUSION, forest.attached)
     if not state:
         return None
     fusion = Fusion()
@@ -46,16 +49,11 @@ def fusion_of(forest: Forest) -> Fusion | None:
     return fusion.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
-_NAME = "views.cameras"
-# Width, height, focal lengths and principal point, then the world-to-camera transform.
-_NUMBERS = 6 + 16
-
-
 def attach_views(forest: Forest, cameras: Sequence[Camera]) -> Forest:
     """The forest with the views that it was trained on attached, in the coordinates of its frame set."""
     rows = [np.frombuffer(camera.key, dtype=np.float64) for camera in cameras]
     table = torch.from_numpy(np.array(rows).reshape(-1, _NUMBERS))
-    return replace(forest, attached={**forest.attached, _NAME: table})
+    return replace(forest, attached=forest.attached | {_VIEWS: table})
 
 
 def views_of(forest: Forest) -> list[Camera]:
@@ -64,19 +62,17 @@ def views_of(forest: Forest) -> list[Camera]:
     Raises:
         UserError: the views are damaged.
     """
-    table = forest.attached.get(_NAME)
+    table = forest.attached.get(_VIEWS)
     if table is None:
         return []
     try:
         if table.dtype != torch.float64 or table.shape[1:] != (_NUMBERS,):
             raise ValueError(f"{table.dtype} of shape {tuple(table.shape)}")
-        return [_camera(row) for row in table.numpy()]
+        return [
+            Camera(row[6:].reshape(4, 4).copy(), int(row[0]), int(row[1]), *row[2:6].tolist())
+            for row in table.numpy()
+        ]
     except (ValueError, OverflowError) as error:
         raise UserError(
             f"the forest's training views are damaged ({error}); train the forest again"
         ) from error
-
-
-def _camera(row: np.ndarray) -> Camera:
-    width, height, fx, fy, cx, cy = row[:6].tolist()
-    return Camera(row[6:].reshape(4, 4).copy(), int(width), int(height), fx, fy, cx, cy)

@@ -42,7 +42,7 @@ class FoveaImage:
 
     @staticmethod
     def none(disc: Disc) -> FoveaImage:
-        """Of a disc of which nothing was traced."""
+        """That of a disc of which nothing was traced."""
         samples = Samples.none(disc.arrays, disc.pixels)
         return FoveaImage(disc, samples.radiance, samples)
 
@@ -50,10 +50,8 @@ class FoveaImage:
 class Fovea:
     """Traces and reconstructs the foveas of one scene.
 
-    Args:
-        tracer: of the scene.
-        fusion: fitted to the scene and its splats; None fuses by statistics alone.
-        history: whether samples of earlier frames are reused.
+    Without a network that was fitted to the scene, they are fused by statistics alone. With a history,
+    samples of earlier frames are reused.
     """
 
     def __init__(self, tracer: Tracer, fusion: Fusion | None = None, history: bool = False):
@@ -80,13 +78,9 @@ class Fovea:
         underlay: Underlay | None = None,
         quick: bool = False,
     ) -> tuple[Disc, Samples]:
-        """Traces the disc.
+        """Traces the disc with `spp` samples per pixel, for a fovea that will be made in a mode.
 
         Args:
-            mode: how the fovea will be made.
-            camera, disc: the view and the disc.
-            spp: samples per pixel.
-            seed: same seed, same samples.
             underlay: the splats under the disc, for a fused fovea.
             quick: whether samples are distributed evenly, which takes less time.
 
@@ -108,16 +102,12 @@ class Fovea:
         underlay: Underlay | None = None,
         quick: bool = False,
     ) -> FoveaImage:
-        """Makes the fovea from its samples.
+        """Makes the fovea from the samples of the disc's pixels, with the quicker denoiser if `quick`.
 
         Args:
-            mode: how to make it.
-            disc: the disc.
-            samples: of its pixels.
             surroundings: radiance that fills the corners of the rectangle around the disc; required for a
                 denoised fovea only.
             underlay: the splats under the disc, in the same view; required for a fused fovea only.
-            quick: whether the quicker denoiser is used.
 
         Raises:
             ValueError: what the mode requires is missing.

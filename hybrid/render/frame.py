@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.eye.detail import DetailMap
 from compose.eye.gaze import eccentricity
@@ -20,46 +21,7 @@ from hybrid.render.disc_images import Underlay
 from hybrid.render.fovea import FoveaImage
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.hole_filling import Fill
-from hybrid.render.image_files import save_frame
-
-
-def aovs_of(
-    composite: Image, settings: FrameSettings, detail: DetailMap, fovea: FoveaImage
-) -> dict[str, NDArray[np.float32]]:
-    """The AOVs that follow from the parts of a frame, (H, W, 3) or (H, W) each.
-
-    Returns:
-        composite (also without a name); fovea as it was blended; path-traced, the mean of the samples, and
-        variance, of that mean (inf where there is only one sample); denoised, unless raw; if fused, the share
-        of each parent (fusion.traced, fusion.denoised, fusion.splat); weight of the fovea; eccentricity in
-        degrees on the display; level (1 to L); rate (log2 of pixels per sample along each axis).
-    """
-    viewer = settings.display.viewer(fovea.disc.width, fovea.disc.height)
-    return {
-        "": composite,
-        "composite": composite,
-        **(_of_disc(fovea) if fovea.disc.count else {}),
-        "eccentricity": eccentricity(viewer, settings.gaze),
-        "level": detail.per_pixel(detail.drawn_level),
-        "rate": detail.per_pixel(detail.drawn_rate),
-    }
-
-
-def _of_disc(fovea: FoveaImage) -> dict[str, NDArray[np.float32]]:
-    """The AOVs of a frame of which any pixel is path-traced."""
-    image_of = fovea.disc.frame_image
-    found = {
-        "fovea": image_of(fovea.radiance),
-        "path-traced": image_of(fovea.samples.radiance),
-        "variance": image_of(fovea.samples.variance()),
-        "weight": image_of([fovea.disc.weights])[..., 0],
-    }
-    if fovea.denoised is not None:
-        found["denoised"] = image_of(fovea.denoised)
-    if fovea.weights is not None:
-        shares = image_of(fovea.weights)
-        found |= {f"fusion.{name}": shares[..., i] for i, name in enumerate(PARENTS)}
-    return found
+from hybrid.render.image_files import write_exr, write_png
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,15 +31,14 @@ class Frame:
     Attributes:
         image: linear radiance, the frame itself; its `tensor` is for kernels, NumPy and torch.
         settings: how it was made, as resolved for its camera.
-        camera: the view.
         splats: the periphery, and what was filled; black in tiles that the fovea hides.
         detail: the detail that the viewer resolves in each part of the frame.
         nodes_drawn: Gaussians drawn in the periphery, counted once per layer image.
         fovea: the disc and what it was made from; its `disc` has the weights of the blend and, of a raw
             fovea, the pixels with samples only.
-        underlay: the splats under the disc, if fused.
         region: the disc.
         milliseconds: per pass (region, detail, splat, fill, trace, fovea, blend), and in total.
+        underlay: the splats under the disc, if fused.
         fill: what was path-traced because the forest does not know it; None if it knows all of the frame.
         more: by name the AOVs that the settings ask for, (H, W, 3) or (H, W): splat, the finest layer over
             the whole frame, and depth, of the first hit along the view axis, inf where nothing is hit.
@@ -90,9 +51,9 @@ class Frame:
     detail: DetailMap
     nodes_drawn: int
     fovea: FoveaImage
-    underlay: Underlay | None
     region: FoveaRegion
     milliseconds: dict[str, float]
+    underlay: Underlay | None = None
     fill: Fill | None = None
     more: dict[str, NDArray[np.float32]] = field(default_factory=dict)
 
@@ -120,16 +81,46 @@ class Frame:
         return self.of_disc([self.fovea.disc.weights])[..., 0]
 
     def aovs(self) -> dict[str, NDArray[np.float32]]:
-        """The images that the frame consists of, by name: the layers of its EXR file.
+        """The images that the frame consists of, (H, W, 3) or (H, W) by name: the layers of its EXR file.
 
-        Beside the AOVs of `aovs_of` and those that the settings ask for, this is coverage, (H, W) what the
-        forest knows: 1 where nothing was filled.
+        Returns:
+            composite (also without a name); unless the disc is empty, fovea as it was blended, path-traced,
+            the mean of the samples, variance, of that mean (inf where there is only one sample), weight of
+            the fovea, denoised, unless raw, and, if fused, the share of each parent (fusion.traced,
+            fusion.denoised, fusion.splat); eccentricity in degrees on the display; level (1 to L); rate (log2
+            of pixels per sample along each axis); coverage, what the forest knows: 1 where nothing was
+            filled; and those that the settings ask for.
         """
+        detail, viewer = self.detail, self.settings.display.viewer(self.camera.width, self.camera.height)
         coverage = np.ones((self.camera.height, self.camera.width), dtype=np.float32)
         if self.fill is not None:
             coverage -= self.fill.disc.frame_image([self.fill.disc.weights])[..., 0]
-        found = aovs_of(self.composite, self.settings, self.detail, self.fovea)
-        return {**found, **self.more, "coverage": coverage}
+        composite = self.composite
+        return {
+            "": composite,
+            "composite": composite,
+            **(self._aovs_of_disc() if self.fovea.disc.count else {}),
+            "eccentricity": eccentricity(viewer, self.settings.gaze),
+            "level": detail.per_pixel(detail.drawn_level),
+            "rate": detail.per_pixel(detail.drawn_rate),
+            **self.more,
+            "coverage": coverage,
+        }
+
+    def _aovs_of_disc(self) -> dict[str, NDArray[np.float32]]:
+        fovea = self.fovea
+        found = {
+            "fovea": self.of_disc(fovea.radiance),
+            "path-traced": self.of_disc(fovea.samples.radiance),
+            "variance": self.of_disc(fovea.samples.variance()),
+            "weight": self.weight_image(),
+        }
+        if fovea.denoised is not None:
+            found["denoised"] = self.of_disc(fovea.denoised)
+        if fovea.weights is not None:
+            shares = self.of_disc(fovea.weights)
+            found |= {f"fusion.{name}": shares[..., i] for i, name in enumerate(PARENTS)}
+        return found
 
     def save(self, path: Path | str) -> None:
         """Writes the frame: .exr with its AOVs in linear radiance, or .png with the composite in sRGB.
@@ -140,8 +131,14 @@ class Frame:
         Raises:
             UserError: the file has another extension, or cannot be written.
         """
-        facts = {}
-        if self.fovea.disc.count:
-            facts["integrator"] = self.settings.used_integrator.value
-            facts["unbiased"] = str(self.settings.is_unbiased)
-        save_frame(path, self.composite, self.aovs, facts)
+        path = Path(path)
+        if path.suffix.lower() == ".exr":
+            facts = {}
+            if self.fovea.disc.count:
+                facts["integrator"] = self.settings.used_integrator.value
+                facts["unbiased"] = str(self.settings.is_unbiased)
+            write_exr(path, self.aovs(), facts)
+        elif path.suffix.lower() == ".png":
+            write_png(path, self.composite)
+        else:
+            raise UserError(f"{path}: must end in .exr or .png")

@@ -29,7 +29,6 @@ from hybrid.render.frame_settings import DEFAULTS, EXTRA_AOVS, INTERACTIVE, Fram
 from hybrid.render.hole_filling import MOVING, STILL, Fill, Filler
 from hybrid.render.irradiance import CachedTracer, cache_for, filled_cache
 from hybrid.render.periphery import Periphery
-from pathtrace.scene.moving_scene import MovingScene
 from pathtrace.scene.scene import Scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.integrator import Integrator
@@ -59,16 +58,11 @@ class Renderer:
 
     # Whether samples are distributed evenly and, in a new frame, made an image by the quicker denoiser.
     _is_quick = False
-    # How well what the forest does not know is traced.
-    _effort = STILL
+    # How well what the forest does not know is traced, and whether the frame shows what the last one showed.
+    _effort, _still = STILL, False
 
     def __init__(
-        self,
-        scene: Scene,
-        forest: Forest,
-        *,
-        history: bool = False,
-        roulette_depth: int | None = None,
+        self, scene: Scene, forest: Forest, *, history: bool = False, roulette_depth: int | None = None
     ):
         require_scene(forest, scene.name, scene.hash, "this forest")
         self.scene, self._arrays = scene, device_arrays()
@@ -159,7 +153,7 @@ class Renderer:
         self._relight(settings)
         fill = self._fill(camera, settings, seed)
         periphery = drawn if fill is None else fill.over(drawn)
-        underlay = None if under is None else self._underlay(camera, settings, under, fill)
+        underlay = self.underlay(camera, settings, region, fill, under)
         clock.lap("fill")
         fovea = self._fovea(settings, camera, disc, seed, periphery, underlay, clock, self._is_quick)
         composite = blend(periphery, fovea.radiance, fovea.disc)
@@ -208,15 +202,8 @@ class Renderer:
             return detail, *self.periphery.draw_with_disc(camera, settings, detail, region)
         return detail, self.periphery.draw(camera, detail, region), None
 
-    def _underlay(
-        self, camera: Camera, settings: FrameSettings, under: SplatImage, fill: Fill | None
-    ) -> Underlay:
-        """The splats under the disc, with what is filled."""
-        radiance = under if fill is None else fill.over(under)
-        return Underlay(camera, radiance, self.periphery.enlargement(camera, settings))
-
     def _framed(self, settings: FrameSettings) -> tuple[Camera, FrameSettings, FoveaRegion]:
-        """As `_begun`, and the disc of the frame."""
+        """What `_begun` returns, and the disc of the frame."""
         # First: a cache that is filled for it leaves the scene at another time.
         self.fovea_of(settings)
         camera, settings = self._begun(settings)
@@ -225,38 +212,46 @@ class Renderer:
     def _begun(self, settings: FrameSettings) -> tuple[Camera, FrameSettings]:
         """The camera and the settings of a frame; scene and forest show its time from now on."""
         camera, settings = settings.resolved(self.scene.camera)
-        moving = self.scene.moving
+        moving, time = self.scene.moving, settings.time
         if moving is not None:
-            self._follow(moving, settings.time)
-        elif settings.time:
-            raise UserError(f"time {settings.time:g}: nothing moves in {self.scene.name}")
-        self.periphery.set_time(settings.time)
+            moving.set_time(time)
+            if self._time != time:
+                self._time = time
+                self._filler.forget()
+            # What is known from earlier frames follows.
+            moment = moving.moment()
+            for fovea in self._foveas.values():
+                fovea.disc.show(moment)
+        elif time:
+            raise UserError(f"time {time:g}: nothing moves in {self.scene.name}")
+        self.periphery.set_time(time)
         return camera, settings
-
-    def _follow(self, moving: MovingScene, time: float) -> None:
-        """Shows the scene at a time, and lets what is known from earlier frames follow it."""
-        moving.set_time(time)
-        if self._time != time:
-            self._time = time
-            self._filler.forget()
-        moment = moving.moment()
-        for fovea in self._foveas.values():
-            fovea.disc.show(moment)
 
     def _fill(self, camera: Camera, settings: FrameSettings, seed: int) -> Fill | None:
         """What is path-traced where the forest does not know the view; None if it knows all of it."""
         if not settings.fill:
             return None
         integrator = settings.used_integrator
-        return self._filler.fill(camera, self.tracer, lambda: self.tracer_of(integrator), self._effort, seed)
+        # While lights are being renewed, what was traced before is old.
+        key = integrator if self._still and self.light_renewed == 1 else None
+        effort = self._effort if key is None else STILL
+        return self._filler.fill(camera, self.tracer, lambda: self.tracer_of(integrator), effort, seed, key)
 
     def underlay(
-        self, camera: Camera, settings: FrameSettings, region: FoveaRegion, fill: Fill | None = None
+        self,
+        camera: Camera,
+        settings: FrameSettings,
+        region: FoveaRegion,
+        fill: Fill | None = None,
+        under: SplatImage | None = None,
     ) -> Underlay | None:
-        """The splats under the disc, with what is filled; None unless the settings fuse them with it."""
+        """The splats under the disc, drawn now unless given, with what is filled; None unless fused."""
         if settings.fovea is not FoveaMode.FUSED:
             return None
-        return self._underlay(camera, settings, self.periphery.under_disc(camera, settings, region), fill)
+        if under is None:
+            under = self.periphery.under_disc(camera, settings, region)
+        radiance = under if fill is None else fill.over(under)
+        return Underlay(camera, radiance, self.periphery.enlargement(camera, settings))
 
     def disc_alone(self, settings: FrameSettings, seed: int) -> FoveaImage:
         """A frame's disc, without rendering a periphery."""
@@ -302,9 +297,7 @@ _ROULETTE_DEPTH = 1
 class LiveRenderer(Renderer):
     """Renders frames in sequence, with a fovea that reuses the samples of earlier frames.
 
-    Args:
-        scene: what is path-traced.
-        forest: its Gaussians.
+    While the camera moves, what is filled is traced quickly; when it stands still, once.
 
     Raises:
         UserError: the forest belongs to another scene.
@@ -314,12 +307,11 @@ class LiveRenderer(Renderer):
 
     def __init__(self, scene: Scene, forest: Forest):
         super().__init__(scene, forest, history=True, roulette_depth=_ROULETTE_DEPTH)
-        # Camera and time; and whether the frame that is made shows what the last one showed.
+        # Camera and time.
         self._last_view: tuple[Camera, float] | None = None
-        self._still = False
 
     def frame(self, settings: FrameSettings = INTERACTIVE, seed: int = 0) -> Frame:
-        """One frame, as from `Renderer.frame`; what depends on the camera alone is kept until it moves."""
+        """Renders one frame; what depends on the camera alone is kept until it moves."""
         return super().frame(settings, seed)
 
     def _drawn(
@@ -331,29 +323,13 @@ class LiveRenderer(Renderer):
             return super()._drawn(camera, settings, region, clock)
         detail = self.periphery.detail(camera, settings)
         clock.lap("detail")
-        drawn = self.periphery.draw_still(camera, settings, detail, region)
-        if settings.fovea is not FoveaMode.FUSED:
-            return detail, drawn, None
-        return detail, drawn, self.periphery.whole_still(camera, settings, detail)
-
-    def _fill(self, camera: Camera, settings: FrameSettings, seed: int) -> Fill | None:
-        """As of `Renderer`: quickly while the camera moves, and once when it stands still."""
-        integrator = settings.used_integrator
-        # Until all light is renewed, what was traced before is old.
-        if settings.fill and self._still and self.light_renewed == 1:
-            return self._filler.kept(
-                camera, self.tracer, lambda: self.tracer_of(integrator), integrator, seed
-            )
-        return super()._fill(camera, settings, seed)
+        drawn, whole = self.periphery.draw_still(camera, settings, detail, region)
+        return detail, drawn, whole if settings.fovea is FoveaMode.FUSED else None
 
     def refined(self, frame: Frame, spp: int, seed: int, quick: bool) -> Frame:
-        """A frame with further samples in its disc.
+        """The last frame of this renderer with `spp` further samples per pixel in its disc.
 
-        Args:
-            frame: the last one of this renderer.
-            spp: samples per pixel to add.
-            seed: of these samples.
-            quick: whether the fovea is made with the quicker denoiser.
+        The fovea is made with the quicker denoiser if `quick`.
         """
         clock, settings = Clock(), replace(frame.settings, spp=spp)
         self._relight(settings)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -20,12 +20,7 @@ Kept = TypeVar("Kept")
 
 
 class Converted(Generic[Given, Kept]):
-    """A dataclass field that converts what the constructor is given.
-
-    Args:
-        convert: called with the given value; raises for values that cannot be converted.
-        default: of the field.
-    """
+    """A dataclass field with a default that converts what the constructor is given, or raises."""
 
     def __init__(self, convert: Callable[[Given], Kept], default: Kept):
         self._convert, self._default = convert, default
@@ -161,11 +156,7 @@ class FrameSettings:
         return Foveation(self.gaze, self.fov_a, self.fov_b)
 
     def layers_of(self, count: int) -> tuple[int, int]:
-        """Coarsest and finest layer that may be drawn of a forest with a number of layers.
-
-        Raises:
-            UserError: the forest does not have those layers.
-        """
+        """Coarsest and finest of `count` layers that may be drawn; UserError if there are no such layers."""
         low, high = self.layers or (1, count)
         if not 1 <= low <= high <= count:
             raise UserError(f"layers {low} {high}: this forest has layers 1 to {count}")
@@ -177,43 +168,31 @@ class FrameSettings:
         return replace(self, fov_a=fov_a, fov_b=share * fov_a)
 
     def resolved(self, default: Camera) -> tuple[Camera, FrameSettings]:
-        """The camera that is rendered, and the settings with that camera and a scale of 1.
+        """The camera that is rendered, their own or the default, and the settings with it at a scale of 1.
 
         At a scale below 1, camera and display have fewer pixels across the same angles.
-
-        Args:
-            default: the camera to use if the settings have none.
         """
-        camera = self.camera or default
-        if self.scale == 1:
-            return camera, replace(self, camera=camera)
-        camera = camera.resized(*_scaled(self.scale, camera.width, camera.height))
-        width, height = _scaled(self.scale, self.display.width, self.display.height)
-        display = replace(self.display, width=width, height=height)
+        camera, display = self.camera or default, self.display
+        if self.scale != 1:
+            camera = camera.resized(self._scaled(camera.width), self._scaled(camera.height))
+            size = {"width": self._scaled(display.width), "height": self._scaled(display.height)}
+            display = replace(display, **size)
         return camera, replace(self, camera=camera, display=display, scale=1.0)
+
+    def _scaled(self, side: int) -> int:
+        return max(1, round(self.scale * side))
 
     def as_json(self) -> dict[str, Any]:
         """All settings of the picture, in types that JSON has; equal for equal settings only."""
-        return {
+        plain = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "aovs"}
+        return plain | {
             "gaze": [self.gaze.x, self.gaze.y],
-            "fov_a": self.fov_a,
-            "fov_b": self.fov_b,
-            "spp": self.spp,
             "fovea": self.fovea.value,
-            "acuity_model": self.acuity_model,
             "layers": None if self.layers is None else list(self.layers),
-            "rate": self.rate,
-            "scale": self.scale,
             "display": asdict(self.display),
             "camera": None if self.camera is None else self.camera.key.hex(),
             "integrator": self.used_integrator.value,
-            "fill": self.fill,
-            "time": self.time,
         }
-
-
-def _scaled(scale: float, *sides: int) -> tuple[int, ...]:
-    return tuple(max(1, round(scale * side)) for side in sides)
 
 
 # The defaults of single frames and, below, of other uses.

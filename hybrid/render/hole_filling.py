@@ -8,6 +8,7 @@ pixel, it is as good as radiance traced at half of it, at a third of the time.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -52,9 +53,7 @@ _TILE_RATE = int(np.log2(TILE))
 class Coverage:
     """Tells what a forest knows of its scene.
 
-    Args:
-        arrays: the backend's array types.
-        forest: the forest; of its training views where it says which they were, else of what is opaque.
+    It knows what its training views saw, where it says which they were, else what is opaque.
     """
 
     def __init__(self, arrays: Arrays, forest: Forest):
@@ -65,7 +64,7 @@ class Coverage:
     def cell(self, camera: Camera) -> int:
         """Side in pixels of the cells in which a frame is tried."""
         side = TILE
-        while -(-camera.width // side) * -(-camera.height // side) > _MOST_RAYS:
+        while math.prod(_grid(camera, side)) > _MOST_RAYS:
             side *= 2
         return side
 
@@ -74,25 +73,23 @@ class Coverage:
 
         Up to two cells beside one that is not known count as that one, since few views showed what is there,
         and Gaussians smear. A single cell that differs from those around it counts as these do.
-
-        Args:
-            camera: the view.
-            tracer: of the scene.
         """
         side = self.cell(camera)
         points = _points(tracer, camera, side)
         known = self._of_points(points, camera, tracer) if self._views else self._opaque(camera, side)
-        known = known.reshape(-(-camera.height // side), -(-camera.width // side))
+        known = known.reshape(_grid(camera, side))
         if tracer.scene.mitsuba.environment() is None:
-            # Darkness, which splats show as well as paths do.
-            known[_is_sky(points, camera).reshape(known.shape)] = 1
+            # Beyond the scene is darkness, which splats show as well as paths do.
+            beyond = np.abs(points - camera.position).max(axis=1) > SKY_DISTANCE / 4
+            known[beyond.reshape(known.shape)] = 1
         plain = median_filter(known, 3, mode="nearest")
         return minimum_filter(plain, 2 * _BORDER + 1, mode="nearest")
 
     def _of_points(self, points: NDArray[np.float32], camera: Camera, tracer: Tracer) -> NDArray[np.float32]:
         """(N,) how well the training views saw points (N, 3) of a view."""
         if self._seen is None:
-            self._seen = self._seen_by_training(tracer)
+            depths = np.stack([_depths(tracer, view) for view in self._views])
+            self._seen = SeenSurfaces(self._arrays, self._views, depths)
         pixel = self._seen.finest(points)
         depth = points @ camera.world_to_camera[2, :3].astype(np.float32) + np.float32(
             camera.world_to_camera[2, 3]
@@ -100,18 +97,11 @@ class Coverage:
         ratio = pixel * self._forest.trained_focal / np.maximum(depth, np.finfo(np.float32).tiny)
         return np.clip((_FAR - ratio) / (_FAR - _NEAR), 0, 1).astype(np.float32)
 
-    def _seen_by_training(self, tracer: Tracer) -> SeenSurfaces:
-        depths = []
-        for camera in self._views:
-            rows, columns = (min(_MAP, side) for side in (camera.height, camera.width))
-            depths.append(_depths(tracer, camera, rows, columns))
-        return SeenSurfaces(self._arrays, self._views, np.stack(depths))
-
     def _opaque(self, camera: Camera, side: int) -> NDArray[np.float32]:
         """(rows, columns) the share of full opacity that the coarsest layer has in each cell."""
         image = self._coarse.render_layer(camera, 1, _TILE_RATE)
         if not image.nodes:
-            return np.zeros((-(-camera.height // side), -(-camera.width // side)), dtype=np.float32)
+            return np.zeros(_grid(camera, side), dtype=np.float32)
         samples = image.values.numpy().reshape(-1, image.stride, image.channels)
         opacity = samples[: image.height : side // TILE, : image.width : side // TILE, -1]
         return np.clip((opacity - _EMPTY) / (_FULL - _EMPTY), 0, 1).astype(np.float32)
@@ -123,6 +113,11 @@ class Coverage:
         focal = forest.focal_of(1)
         alone = Forest(layer, (len(layer),), focal, forest.scene_name, forest.scene_hash, {}, forest.place)
         return ForestRenderer(self._arrays, alone)
+
+
+def _grid(camera: Camera, side: int) -> tuple[int, int]:
+    """Rows and columns of cells of that side in pixels, which cover a frame."""
+    return -(-camera.height // side), -(-camera.width // side)
 
 
 def _points(tracer: Tracer, camera: Camera, side: int) -> NDArray[np.float32]:
@@ -137,8 +132,9 @@ def _points(tracer: Tracer, camera: Camera, side: int) -> NDArray[np.float32]:
     return interleaved(found.position)
 
 
-def _depths(tracer: Tracer, camera: Camera, rows: int, columns: int) -> NDArray[np.float32]:
-    """(rows, columns) depth along the view axis of what a view's cells show."""
+def _depths(tracer: Tracer, camera: Camera) -> NDArray[np.float32]:
+    """(rows, columns) depth along the view axis of what the cells of a training view show."""
+    rows, columns = (min(_MAP, side) for side in (camera.height, camera.width))
     tall, wide = camera.height / rows, camera.width / columns
     y, x = (axis.ravel() for axis in np.mgrid[0:rows, 0:columns])
     size = np.full(len(x), tall), np.full(len(x), wide)
@@ -146,11 +142,6 @@ def _depths(tracer: Tracer, camera: Camera, rows: int, columns: int) -> NDArray[
     points = interleaved(found.position)
     depth = points @ camera.world_to_camera[2, :3] + camera.world_to_camera[2, 3]
     return depth.astype(np.float32).reshape(rows, columns)
-
-
-def _is_sky(points: NDArray[np.float32], camera: Camera) -> NDArray[np.bool_]:
-    """(N,) whether points (N, 3) are beyond the scene."""
-    return np.asarray(np.abs(points - camera.position).max(axis=1) > SKY_DISTANCE / 4)
 
 
 # Side in pixels of the frame of those in which light is traced.
@@ -165,10 +156,8 @@ _STREAM = 0x3F110000
 class Effort:
     """How well a fill is traced.
 
-    Attributes:
-        light_spp: samples per pixel of 4 x 4 pixels of the frame.
-        albedo_spp: samples per pixel of the frame of what is seen there.
-        quick: whether the quicker denoiser is used.
+    Radiance has `light_spp` samples per 4 x 4 pixels of the frame, albedo `albedo_spp` per pixel; `quick` is
+    for the quicker denoiser.
     """
 
     light_spp: int
@@ -203,12 +192,7 @@ class Fill:
 
 
 class Filler:
-    """Finds out what a forest does not know of a view, and traces that.
-
-    Args:
-        arrays: the backend's array types.
-        forest: the forest.
-    """
+    """Finds out what a forest does not know of a view, and traces that."""
 
     def __init__(self, arrays: Arrays, forest: Forest):
         self._arrays = arrays
@@ -222,17 +206,33 @@ class Filler:
         self._kept = None
 
     def fill(
-        self, camera: Camera, probe: Tracer, light: Callable[[], Tracer], effort: Effort, seed: int
+        self,
+        camera: Camera,
+        probe: Tracer,
+        light: Callable[[], Tracer],
+        effort: Effort,
+        seed: int,
+        key: object = None,
     ) -> Fill | None:
         """What is filled of a camera's frame; None if the forest knows all of it.
 
         Args:
-            camera: the view.
             probe: traces rays to surfaces.
             light: makes what traces radiance; called only if some is needed.
-            effort: how well.
-            seed: same seed, same fill.
+            key: unless None, the fill is traced once until the camera or the key changes.
         """
+        if key is None:
+            return self._filled(camera, probe, light, effort, seed)
+        if self._kept is None or self._kept[0] != (camera, key):
+            made = self._filled(camera, probe, light, effort, seed)
+            if made is None:
+                return None
+            self._kept = (camera, key), made
+        return self._kept[1]
+
+    def _filled(
+        self, camera: Camera, probe: Tracer, light: Callable[[], Tracer], effort: Effort, seed: int
+    ) -> Fill | None:
         if self._known is None or self._known[0] != camera:
             self._known = camera, self._coverage.of(camera, probe)
         unknown = np.float32(1) - self._known[1]
@@ -248,25 +248,10 @@ class Filler:
         ).albedo
         return Fill(disc, self._lit(disc, albedo, traced, known))
 
-    def kept(
-        self, camera: Camera, probe: Tracer, light: Callable[[], Tracer], key: object, seed: int
-    ) -> Fill | None:
-        """As `fill` with the effort of a still camera, traced once until the camera or the key changes."""
-        if self._kept is None or self._kept[0] != (camera, key):
-            made = self.fill(camera, probe, light, STILL, seed)
-            if made is None:
-                return None
-            self._kept = (camera, key), made
-        return self._kept[1]
-
     def _lit(self, disc: Disc, albedo: list[Any], light: Any, known: Disc) -> list[Any]:
-        """Radiance of pixels with an albedo in a light that is linear between its pixels.
+        """Radiance of the D pixels with an albedo in a light that is linear between its pixels.
 
-        Args:
-            disc: the D pixels.
-            albedo: three Floats (D,).
-            light: (h, w, 3) tensor of the rectangle around the pixels of the light that are known.
-            known: those; 0 outside their rectangle.
+        Of the light the tensor (h, w, 3) has the rectangle around its known pixels; outside that, it is 0.
         """
         arrays, plain, pixel = self._arrays, self._arrays.plain, disc.pixels
         assert known.box is not None, "some light is known wherever something is filled"
@@ -328,17 +313,8 @@ def _light(
 ) -> tuple[Any, Disc]:
     """Denoised radiance over albedo in some cells, in pixels of 4 x 4 pixels of the frame.
 
-    Args:
-        arrays: the backend's array types.
-        tracer: of the radiance.
-        camera: the view.
-        cells: (rows, columns) bool.
-        side: of a cell in pixels of the frame.
-        effort: how well.
-        seed: same seed, same light.
-
-    Returns:
-        (h, w, 3) tensor of the rectangle around the cells; and the pixels in these.
+    Of cells with a side in pixels of the frame, (rows, columns) says which. Returns a tensor (h, w, 3) of the
+    rectangle around them, and the pixels in them.
     """
     known = _known(arrays, camera, cells, side // _SIDE)
     corner = pixel_positions(mi.UInt32(known.pixels), known.width)
@@ -360,7 +336,7 @@ def _light(
 
 def _known(arrays: Arrays, camera: Camera, cells: NDArray[np.bool_], times: int) -> Disc:
     """The light's pixels in some cells, of which each has `times` along a side."""
-    plain, (height, width) = arrays.plain, (-(-size // _SIDE) for size in (camera.height, camera.width))
+    plain, (height, width) = arrays.plain, _grid(camera, _SIDE)
     pixel, across = dr.arange(plain.UInt, height * width), arrays.constant(width)
     row = pixel // across
     cell = row // times * arrays.constant(cells.shape[1]) + (pixel - row * across) // times

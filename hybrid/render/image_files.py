@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -31,11 +31,7 @@ def check_writable(path: Path) -> None:
 
 
 def write_png(path: Path, radiance: Image) -> None:
-    """Writes (H, W, 3) linear radiance as an sRGB PNG file.
-
-    Raises:
-        UserError: the file cannot be written.
-    """
+    """Writes (H, W, 3) linear radiance as an sRGB PNG file; errors are those of `write_srgb`."""
     write_srgb(path, bytes_from_radiance(radiance))
 
 
@@ -51,14 +47,10 @@ def write_srgb(path: Path, image: NDArray[np.uint8]) -> None:
 def write_exr(
     path: Path, aovs: dict[str, NDArray[np.float32]], attributes: dict[str, str] | None = None
 ) -> None:
-    """Writes AOVs to one EXR file: channels name.R, .G and .B for (H, W, 3), name.V for (H, W).
+    """Writes AOVs, all of one size, to one EXR file, with further entries of its header.
 
-    Viewers that ignore layer names show the AOV whose name is empty.
-
-    Args:
-        path: of the file.
-        aovs: images by name, all of the same size.
-        attributes: further entries of the file's header.
+    Channels are name.R, .G and .B for (H, W, 3), name.V for (H, W). Viewers that ignore layer names show the
+    AOV whose name is empty.
 
     Raises:
         UserError: the file cannot be written.
@@ -72,41 +64,11 @@ def write_exr(
     write_channels(path, channels, attributes)
 
 
-def save_frame(
-    path: Path | str,
-    image: Image,
-    aovs: Callable[[], dict[str, NDArray[np.float32]]],
-    attributes: dict[str, str] | None = None,
-) -> None:
-    """Writes a frame: .exr with all AOVs in linear radiance, or .png with the image in sRGB.
-
-    Args:
-        path: of the file.
-        image: (H, W, 3) linear radiance.
-        aovs: makes what an EXR file contains.
-        attributes: further entries of its header.
-
-    Raises:
-        UserError: the file has another extension, or cannot be written.
-    """
-    path = Path(path)
-    if path.suffix.lower() == ".exr":
-        write_exr(path, aovs(), attributes)
-    elif path.suffix.lower() == ".png":
-        write_png(path, image)
-    else:
-        raise UserError(f"{path}: must end in .exr or .png")
-
-
 def read_exr(path: Path, size: tuple[int, int] | None = None) -> dict[str, NDArray[np.float32]]:
     """All channels of an EXR file by their full names, such as composite.R; (H, W) each.
 
-    Args:
-        path: of the file.
-        size: width and height that the image must have.
-
     Raises:
-        UserError: the file is missing, damaged or of another size.
+        UserError: the file is missing, damaged or not of the size (width, height) that is asked for.
     """
     try:
         return read_channels(path, size)
@@ -134,27 +96,22 @@ def check_video(width: int, height: int) -> None:
 
 
 def write_mp4(path: Path, images: Iterator[NDArray[np.uint8]], size: tuple[int, int], fps: int) -> None:
-    """Writes a video; the file appears complete or not at all.
+    """Writes a video of images (H, W, 3) in sRGB; the file appears complete or not at all.
 
-    Args:
-        path: of the file.
-        images: (H, W, 3) in sRGB, one per frame.
-        size: width and height in pixels, both even.
-        fps: frames per second.
+    Width and height, the size, must be even.
 
     Raises:
         UserError: the file cannot be written.
     """
-    write_whole(path, lambda part: _encode(part, images, size, fps))
-
-
-def _encode(path: Path, images: Iterator[NDArray[np.uint8]], size: tuple[int, int], fps: int) -> None:
     import av
 
-    with av.open(str(path), "w", format="mp4") as video:
-        stream = video.add_stream("h264", rate=fps, options={"crf": _QUALITY})
-        stream.width, stream.height = size
-        stream.pix_fmt = "yuv420p"
-        for image in images:
-            video.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
-        video.mux(stream.encode(None))
+    def encode(part: Path) -> None:
+        with av.open(str(part), "w", format="mp4") as video:
+            stream = video.add_stream("h264", rate=fps, options={"crf": _QUALITY})
+            stream.width, stream.height = size
+            stream.pix_fmt = "yuv420p"
+            for image in images:
+                video.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+            video.mux(stream.encode(None))
+
+    write_whole(path, encode)

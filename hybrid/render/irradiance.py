@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -31,15 +31,16 @@ _CHECKSUM = "crc32"
 def stored_cache(path: Path, fill: Callable[[], IrradianceCache]) -> IrradianceCache:
     """The cache in a file; if there is none or it is damaged, one that is filled and stored now.
 
-    Args:
-        path: the file.
-        fill: fills a cache.
-
     Raises:
         UserError: the file cannot be written.
     """
     try:
-        return _cache(_stored(path))
+        with safe_open(path, framework="np") as file:
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            expected = (file.metadata() or {}).get(_CHECKSUM)
+        if expected not in (None, checksum(arrays)):
+            raise ValueError("the checksum differs")
+        return _cache(arrays)
     except (OSError, SafetensorError, LookupError, ValueError, TypeError, OverflowError):
         cache = fill()
         arrays = _arrays(cache)
@@ -47,20 +48,6 @@ def stored_cache(path: Path, fill: Callable[[], IrradianceCache]) -> IrradianceC
         content = save(arrays, {_CHECKSUM: checksum(arrays)})
         write_whole(path, lambda part: part.write_bytes(content))
         return cache
-
-
-def _stored(path: Path) -> dict[str, NDArray[np.generic]]:
-    """The arrays in a file.
-
-    Raises:
-        OSError, SafetensorError, ValueError: it cannot be read, or is damaged.
-    """
-    with safe_open(path, framework="np") as file:
-        arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        expected = (file.metadata() or {}).get(_CHECKSUM)
-    if expected not in (None, checksum(arrays)):
-        raise ValueError("the checksum differs")
-    return arrays
 
 
 def _arrays(cache: IrradianceCache) -> dict[str, NDArray[np.generic]]:
@@ -95,11 +82,7 @@ def _arrays(cache: IrradianceCache) -> dict[str, NDArray[np.generic]]:
 
 
 def _cache(arrays: dict[str, NDArray[np.generic]]) -> IrradianceCache:
-    """The cache of `_arrays`.
-
-    Raises:
-        KeyError, ValueError: something is missing, or sizes do not match.
-    """
+    """The cache of `_arrays`; KeyError or ValueError if something is missing, or sizes do not match."""
     grid = Grid(arrays["origin"].astype(np.float32), float(arrays["scale"][0]))
     levels = range(len(SIDES))
     keys = tuple(arrays[f"keys.{level}"].astype(np.uint64) for level in levels)
@@ -114,28 +97,23 @@ def _cache(arrays: dict[str, NDArray[np.generic]]) -> IrradianceCache:
 
 
 def _transfer(arrays: dict[str, NDArray[np.generic]]) -> Transfer:
-    """The transfer of `_arrays`.
+    """The transfer of `_arrays`; errors are those of `_cache`."""
 
-    Raises:
-        KeyError, ValueError: something is missing, or sizes do not match.
-    """
-    single = lambda name: arrays[name].astype(np.float32)  # noqa: E731
-    whole = lambda name: arrays[name].astype(np.int32)  # noqa: E731
+    def single(*names: str) -> Iterator[NDArray[np.float32]]:
+        return (arrays[name].astype(np.float32) for name in names)
+
+    def whole(*names: str) -> Iterator[NDArray[np.int32]]:
+        return (arrays[name].astype(np.int32) for name in names)
+
     known = arrays["known"].astype(bool)
-    patches = Patches(whole("patches.cells"), len(known))
-    links = whole("links.cells"), single("links.reflectance")
-    transport = Transport(patches, whole("patches.rays"), whole("links.starts"), *links)
-    points, rays = Points(single("points.position"), single("points.normal")), whole("rays.point")
-    transfer = Transfer(
-        points,
-        whole("points.patch"),
-        Rays(rays, single("rays.square"), single("rays.weight")),
-        single("direct"),
-        single("reflected"),
-        single("passed"),
-        transport,
-        known,
-    )
+    patches, patch, point = whole("patches.cells", "points.patch", "rays.point")
+    rays, starts, cells = whole("patches.rays", "links.starts", "links.cells")
+    (reflectance,) = single("links.reflectance")
+    transport = Transport(Patches(patches, len(known)), rays, starts, cells, reflectance)
+    points = Points(*single("points.position", "points.normal"))
+    of_points = Rays(point, *single("rays.square", "rays.weight"))
+    direct, reflected, passed = single("direct", "reflected", "passed")
+    transfer = Transfer(points, patch, of_points, direct, reflected, passed, transport, known)
     transfer.check()
     return transfer
 
@@ -146,10 +124,6 @@ _VIEWS = 8
 
 def cache_for(scene: Scene, bars: Bars = no_bars) -> IrradianceCache:
     """The stored cache of a scene; if there is none, it is filled in seconds and stored.
-
-    Args:
-        scene: the scene.
-        bars: show the progress of filling it.
 
     Raises:
         UserError: the cache folder cannot be written.
@@ -168,10 +142,7 @@ def filled_cache(
 ) -> IrradianceCache:
     """A cache filled for views around the scene's own camera; of a scene that moves, at time 0.
 
-    Args:
-        scene: the scene.
-        progress: called with steps done and steps in total.
-        seed: same seed, same cache on the same machine.
+    The same seed yields the same cache on the same machine.
     """
     scene.show(0.0)
     camera = scene.camera
@@ -185,12 +156,9 @@ def filled_cache(
 
 
 class CachedTracer:
-    """Traces a scene by paths that end in a cache, whose light follows the lights of the scene.
+    """Traces a scene by paths that end in its cache, whose light follows the lights of the scene.
 
-    Args:
-        scene: the scene.
-        cache: of it.
-        roulette_depth: path depth from which Russian roulette ends paths; that of the scene if None.
+    Russian roulette ends paths from a path depth on, by default that of the scene.
 
     Attributes:
         tracer: traces, with what is known of the light now.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,16 +25,8 @@ _LANDMARKS = 512
 _SHARE = 0.9
 
 
-@dataclass(frozen=True)
-class _Kept:
-    """Saliency of a view.
-
-    Attributes:
-        camera: the view.
-        saliency: (rows + 1, columns + 1).
-        landmarks: (K, 3) points that are visible in it.
-        pixels: (K, 2) where.
-    """
+class _Kept(NamedTuple):
+    """Saliency (rows + 1, columns + 1) of a view, and points (K, 3) that are visible at pixels (K, 2)."""
 
     camera: Camera
     saliency: NDArray[np.float32]
@@ -43,12 +35,7 @@ class _Kept:
 
 
 class ViewSaliency:
-    """Computes the saliency of views from a forest's coarsest layer.
-
-    Args:
-        renderer: of the forest.
-        forest: the forest.
-    """
+    """Computes the saliency of views from a forest's coarsest layer."""
 
     def __init__(self, renderer: ForestRenderer, forest: Forest):
         self._renderer = renderer
@@ -63,10 +50,8 @@ class ViewSaliency:
     def of(self, camera: Camera, nearly: bool = False) -> NDArray[np.float32]:
         """(rows + 1, columns + 1) saliency in 0..1 at the corners of the detail map's cells.
 
-        Args:
-            camera: the view.
-            nearly: whether the saliency of an earlier view will do from which most of what it shows has moved
-                by less than a cell.
+        If `nearly`, that of an earlier view will do from which most of what it shows has moved by less than a
+        cell.
         """
         kept = self._kept
         if kept is None or not (kept.camera == camera or (nearly and self._hardly_moved(kept, camera))):
@@ -99,10 +84,6 @@ class Periphery:
     """Draws the periphery of frames with one forest.
 
     Results that depend on the camera alone are kept until it changes.
-
-    Args:
-        arrays: the rasterizer's array types.
-        forest: what to draw.
     """
 
     def __init__(self, arrays: Arrays, forest: Forest):
@@ -121,20 +102,13 @@ class Periphery:
             self._saliency.forget()
 
     def layers_of(self, settings: FrameSettings) -> tuple[int, int]:
-        """Coarsest and finest layer that may be drawn with these settings.
-
-        Raises:
-            UserError: the forest does not have those layers.
-        """
+        """Coarsest and finest layer that may be drawn; UserError if the forest does not have those."""
         return settings.layers_of(len(self.forest.counts))
 
     def detail(self, camera: Camera, settings: FrameSettings, moving: bool = False) -> DetailMap:
         """The detail that the viewer resolves in each part of a frame.
 
-        Args:
-            camera: the view.
-            settings: of the frame.
-            moving: whether the saliency of an earlier view will do that shows nearly the same.
+        While the camera is moving, the saliency of an earlier view will do that shows nearly the same.
 
         Raises:
             UserError: the forest does not have the layers that the settings ask for.
@@ -171,7 +145,7 @@ class Periphery:
     def draw_with_disc(
         self, camera: Camera, settings: FrameSettings, detail: DetailMap, region: FoveaRegion
     ) -> tuple[SplatImage, SplatImage]:
-        """As `draw`, and as `under_disc`, in little more time than the first of them takes."""
+        """What `draw` and `under_disc` draw, in little more time than the first of them takes."""
         return self._drawn(camera, detail, region, self._under(settings, region))
 
     def _drawn(
@@ -186,30 +160,21 @@ class Periphery:
 
     def draw_still(
         self, camera: Camera, settings: FrameSettings, detail: DetailMap, region: FoveaRegion
-    ) -> SplatImage:
-        """Like `draw`, from layers that are drawn once per camera and joined again for each gaze.
+    ) -> tuple[SplatImage, SplatImage]:
+        """Like `draw` and `whole`, from layers that are drawn once per camera and joined again for each gaze.
 
         All layers and rates that any gaze may require are drawn over the whole frame, which takes little
         longer than `draw` takes for one frame; joining takes a quarter of that. Within a step the cut-off
         does not follow the gaze, so the frame has slightly more detail than required.
         """
-        shares = [detail.weight(number) for number in range(len(detail.steps))]
-        kept, _ = self._kept_layers(camera, settings, detail)
-        return kept.composite(shares, region.peripheral_tiles(TILE))
-
-    def whole_still(self, camera: Camera, settings: FrameSettings, detail: DetailMap) -> SplatImage:
-        """Like `whole`, drawn once per camera."""
-        return self._kept_layers(camera, settings, detail)[1]
-
-    def _kept_layers(
-        self, camera: Camera, settings: FrameSettings, detail: DetailMap
-    ) -> tuple[CachedLayerImages, SplatImage]:
         steps = [(step.layer, step.rate) for step in detail.steps]
         drawn_for = camera, self.layers_of(settings), steps
         if self._kept is None or self._kept[0] != drawn_for:
             layers = CachedLayerImages(self._renderer, camera, steps)
             self._kept = drawn_for, layers, self.whole(camera, settings)
-        return self._kept[1:]
+        _, layers, whole = self._kept
+        shares = [detail.weight(number) for number in range(len(steps))]
+        return layers.composite(shares, region.peripheral_tiles(TILE)), whole
 
     def under_disc(self, camera: Camera, settings: FrameSettings, region: FoveaRegion) -> SplatImage:
         """The finest allowed layer at full rate, over the rectangle around the disc."""

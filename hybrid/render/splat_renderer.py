@@ -60,7 +60,6 @@ class SplatRenderer:
             detail=detail,
             nodes_drawn=image.nodes,
             fovea=FoveaImage.none(Disc.in_region(self._arrays, region)),
-            underlay=None,
             region=region,
             milliseconds=clock.milliseconds(),
             more={"splat": self._periphery.whole(camera, settings).numpy()} if settings.aovs else {},
@@ -70,7 +69,7 @@ class SplatRenderer:
         """(H, W, 3) the finest allowed layer over the whole frame at full rate.
 
         Raises:
-            UserError: as of `frame`.
+            UserError: as in `frame`.
         """
         return self._periphery.whole(*self._begun(settings)).numpy()
 

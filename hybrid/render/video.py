@@ -25,7 +25,6 @@ from hybrid.render.frame_renderer import Renderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.image_files import write_mp4, write_srgb
 from hybrid.render.splat_renderer import SplatRenderer
-from pathtrace.scene.scene import Scene
 from splat.io.tensors import load_tensors, save_tensors
 
 # Frames of a video at most: their files are numbered by six digits.
@@ -45,9 +44,8 @@ def frame_count(seconds: float, fps: int) -> int:
 class VideoFrames:
     """The rendered frames of a video, in a folder, and the fovea's history after the last of them.
 
-    Args:
-        folder: for frames and history; created with the first frame.
-        identity: everything that the frames depend on, in types that JSON has.
+    The folder is created with the first frame. The identity is everything that the frames depend on, in types
+    that JSON has.
 
     Attributes:
         milliseconds: per pass, of each rendered frame.
@@ -82,12 +80,9 @@ class VideoFrames:
     def add(
         self, image: NDArray[np.uint8], milliseconds: dict[str, float], history: Callable[[], State]
     ) -> None:
-        """Stores the next frame, (H, W, 3) in sRGB, and the history once in a while.
+        """Stores the next frame, (H, W, 3) in sRGB, with its milliseconds per pass.
 
-        Args:
-            image: the frame.
-            milliseconds: per pass.
-            history: called for the fovea's history if it is to be stored.
+        Once in a while, `history` is called for the fovea's history, which is then stored as well.
         """
         write_srgb(self._file(len(self.milliseconds)), image)
         self.milliseconds.append(milliseconds)
@@ -143,11 +138,11 @@ def render_video(
 
     Args:
         path: MP4 file to write.
-        renderer: of the frames; one with a history shows what the window shows.
+        renderer: with a history, frames are those that the window shows.
         settings: of the frames, except for the gaze; `time` is that of the first frame.
         trace: where the viewer looks.
         fps: frames per second.
-        seed: of the first frame; each further frame has the next one, and after MOST_SEED comes 0.
+        seed: of the first frame; each further one has the next seed, and after MOST_SEED comes 0.
         identity: everything that the frames depend on, in types that JSON has.
         progress: called with frames done and frames in total.
 
@@ -162,6 +157,7 @@ def render_video(
     count = frame_count(trace.duration, fps)
     camera, _ = settings.resolved(renderer.scene.camera)
     disc = renderer.fovea_of(settings).disc
+    moving = renderer.scene.moving
     frames = VideoFrames(path.with_name(path.name + ".frames"), identity)
     disc.restore_history(camera, frames.history())
     with interrupts_between_steps() as interrupted:
@@ -169,7 +165,9 @@ def render_video(
             for number in range(len(frames.milliseconds), count):
                 progress(number, count)
                 seconds = number / fps
-                time = _time_after(seconds, renderer.scene, settings.time)
+                time = settings.time
+                if moving is not None:
+                    time = (time + seconds / moving.motion.seconds) % 1
                 shown = replace(settings, gaze=trace.at(seconds), time=time)
                 frame = renderer.frame(shown, seed + number & MOST_SEED)
                 frames.add(bytes_from_radiance(frame.composite), frame.milliseconds, disc.history_state)
@@ -185,16 +183,10 @@ def render_video(
     return frames.milliseconds
 
 
-def _time_after(seconds: float, scene: Scene, start: float) -> float:
-    """The time, 0 to 1, that a scene shows some seconds after a start."""
-    return start if scene.moving is None else (start + seconds / scene.moving.motion.seconds) % 1
-
-
 class ViewPath:
-    """A way through views at equal steps, straight and evenly turning between them.
+    """A way through one or more views at equal steps, straight and evenly turning between them.
 
-    Args:
-        views: at least one; all frames have the size of the first.
+    All frames have the size of the first view.
     """
 
     def __init__(self, views: Sequence[View]):
@@ -231,10 +223,8 @@ def render_splat_video(
 
     Args:
         path: MP4 file to write.
-        renderer: of the forest.
         settings: of the frames, except for camera and time.
-        views: the way.
-        seconds: that it takes.
+        seconds: that the way through the views takes.
         fps: frames per second.
         progress: called with frames done and frames in total.
         trace: where the viewer looks; None for the gaze of the settings.

@@ -1,0 +1,1 @@
+"""The window: the mouse is the gaze, and the path-traced disc follows it; the loop knows nothing of Qt."""

@@ -7,12 +7,11 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer
+from PySide6.QtCore import QCoreApplication, QEvent, QObject, QPointF, Qt, QTimer
 from PySide6.QtGui import QMouseEvent
 from PySide6.QtWidgets import QApplication
 
@@ -20,7 +19,7 @@ from compose.eye.gaze import Gaze, GazeTrace
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.window.frame_source import prepared
 from hybrid.window.gaze_input import GazeInput
-from hybrid.window.main_window import Window
+from hybrid.window.main_window import Window, WindowOptions
 from hybrid.window.messages import Shown
 from hybrid.window.meter import figures, steadiness, summary
 from hybrid.window.render_thread import RenderThread
@@ -41,10 +40,9 @@ while time.monotonic() < end:
 
 
 class WindowBench(QObject):
-    """Moves the mouse over a window for some seconds, then closes it.
+    """Moves the mouse over a window, which is not open yet, for some seconds, then closes it.
 
     Args:
-        window: not opened yet.
         seconds: for which it is measured, after four seconds of warm-up.
         moves: whether to move the mouse; not if a gaze trace is replayed.
         load: seconds in the middle for which another process keeps one core busy.
@@ -82,11 +80,7 @@ class WindowBench(QObject):
             move_mouse(self._window, Gaze(0.5 + 0.3 * math.sin(turn), 0.5 + 0.3 * math.sin(2 * turn)))
 
     def _keep_busy(self, since: float) -> None:
-        """Runs the other process for its time.
-
-        Args:
-            since: seconds since it should begin; negative before that.
-        """
+        """Runs the other process for its time, `since` seconds after it should begin (negative: before)."""
         if self._busy is None and self._load and since >= 0:
             self._busy = subprocess.Popen([sys.executable, "-c", _BUSY, str(self._load)])
             self._load_times.append(time.perf_counter())
@@ -115,30 +109,7 @@ def move_mouse(window: Window, gaze: Gaze) -> None:
     event = QMouseEvent(
         QEvent.Type.MouseMove, point, canvas.mapToGlobal(point), none, none, Qt.KeyboardModifier.NoModifier
     )
-    QApplication.sendEvent(canvas, event)
-
-
-@dataclass(frozen=True)
-class WindowOptions:
-    """How the window runs.
-
-    Attributes:
-        size: width and height of the frame in pixels.
-        latency: delay of the gaze in seconds.
-        folder: for screenshots and gaze traces.
-        target_fps: frames per second to keep; None for no target.
-        bench: seconds after which the window closes, with the mouse moving until then; None leaves it open.
-        load: seconds of the bench for which another process keeps one core busy.
-        plays: whether a scene that moves plays from the start.
-    """
-
-    size: tuple[int, int]
-    latency: float
-    folder: Path
-    target_fps: float | None = None
-    bench: float | None = None
-    load: float = 0.0
-    plays: bool = False
+    QCoreApplication.sendEvent(canvas, event)
 
 
 def run_window(
@@ -168,14 +139,10 @@ def run_window(
         UserError: the scene or the forest cannot be used.
     """
     application = QApplication(sys.argv[:1])
-    measures = options.bench is not None
     # Training would take minutes of a measurement that is expected to take seconds.
-    source = partial(prepared, scene, forest, backend, not measures, settings, thin_glass=thin_glass)
-    thread = RenderThread(source)
-    gaze = GazeInput(options.latency, trace)
-    window = Window(
-        thread, settings, options.target_fps, options.size, gaze, options.folder, measures, options.plays
-    )
+    trains = options.bench is None
+    thread = RenderThread(partial(prepared, scene, forest, backend, trains, settings, thin_glass=thin_glass))
+    window = Window(thread, settings, GazeInput(options.latency, trace), options)
     bench = None
     if options.bench is not None:
         bench = WindowBench(window, options.bench, trace is None, options.load)

@@ -14,11 +14,7 @@ _MARGIN = 8
 
 
 class Canvas(QWidget):
-    """Shows frames in their own proportions, as large as they fit, with lines of text over them.
-
-    Args:
-        size: preferred size in pixels.
-    """
+    """Shows frames in their own proportions, as large as they fit, with lines of text over them."""
 
     # Gaze: the mouse has moved there.
     gazed = Signal(object)
@@ -135,8 +131,7 @@ class Canvas(QWidget):
         metrics = painter.fontMetrics()
         width = max(metrics.horizontalAdvance(line) for line in lines) + 2 * _MARGIN
         height = len(lines) * metrics.height() + 2 * _MARGIN
-        left = (self.width() - width) / 2 if centred else 0.0
-        top = (self.height() - height) / 2 if centred else 0.0
+        left, top = ((self.width() - width) / 2, (self.height() - height) / 2) if centred else (0.0, 0.0)
         painter.fillRect(QRectF(left, top, width, height), _SHADE)
         painter.setPen(Qt.GlobalColor.white)
         for number, line in enumerate(lines):

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from PIL import Image as Pillow
@@ -16,8 +17,6 @@ from PIL import Image as Pillow
 from compose.camera.camera import Camera, View
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image
-from hybrid.base.progress import Report
-from hybrid.evaluation.frame_time_controller import FrameTimeController, applied
 from hybrid.evaluation.measured_settings import MeasuredSettings, MeasuredStore, front_of
 from hybrid.measure.frame_times import gaze_path
 from hybrid.measure.image_metrics import ssim
@@ -25,7 +24,8 @@ from hybrid.measure.perceptual_metrics import jod
 from hybrid.measure.reference import REFERENCE_SEED, reference
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.window.frame_source import FrameSource
-from hybrid.window.messages import Request, Shown
+from hybrid.window.frame_time_controller import FrameTimeController, applied
+from hybrid.window.messages import Report, Request, Shown
 from pathtrace.region.neighbourhood import unseen_views
 
 # Seconds without a change after which frames may take longer, for more samples each.
@@ -33,11 +33,7 @@ _QUICK_FOR = 1.0
 
 
 class FrameLoop:
-    """Renders frame after frame.
-
-    Args:
-        source: of the frames.
-        ladder: measures the settings to choose from for frames like a requested one.
+    """Renders frame after frame; `ladder` measures the settings to choose from for frames like a request.
 
     Attributes:
         due: time.perf_counter before which the next frame should not begin.
@@ -95,9 +91,8 @@ class FrameLoop:
         return applied(self._controller.choice(), settings)
 
 
-_REFERENCE_SPP = 16
-# Views on which quality is judged; training has seen none of them.
-_VIEWS = 3
+# Held-out views on which quality is measured, and samples per pixel of their references.
+_VIEWS, _REFERENCE_SPP = 3, 16
 # Timed frames, and frames before them that are not timed.
 _TIMED, _WARM_UP = 5, 2
 _RADII = (5.0, 8.0, 11.0, 15.0, 20.0, 25.0, 30.0)
@@ -107,10 +102,7 @@ _ACTIVITY = "measuring settings"
 def ladder_for(source: FrameSource, like: Request, report: Report) -> list[MeasuredSettings]:
     """The Pareto-optimal settings of the window, each slower and better than the one before it.
 
-    Args:
-        source: of frames.
-        like: a request with the window's size, acuity model and display.
-        report: called with the activity, steps done and steps in total.
+    The request has the window's size, acuity model and display.
 
     Raises:
         UserError: the cache folder cannot be written, or a file in it is damaged.
@@ -129,24 +121,20 @@ def ladder_for(source: FrameSource, like: Request, report: Report) -> list[Measu
 
 
 def candidates(base: FrameSettings, layers: int) -> list[FrameSettings]:
-    """Settings from very coarse to very fine.
+    """Settings from very coarse to very fine, for a forest with a number of layers.
 
-    Args:
-        base: acuity model, display, and the share of the radius that the band takes.
-        layers: of the forest.
+    Acuity model, display, and the share of the radius that the band takes are those of the base.
     """
+    plain = replace(base, spp=1, layers=(1, layers), rate=0, scale=1.0)
 
-    def made(
-        fov_a: float, spp: int = 1, finest: int = layers, rate: int = 0, scale: float = 1.0
-    ) -> FrameSettings:
-        sized = base.with_radius(fov_a)
-        return replace(sized, spp=spp, layers=(1, finest), rate=rate, scale=scale)
+    def made(fov_a: float, **other: Any) -> FrameSettings:
+        return replace(plain.with_radius(fov_a), **other)
 
     coarse = [made(radius, scale=scale) for scale in (0.5, 0.75) for radius in (8.0, 15.0)]
     coarse += [made(radius, rate=1) for radius in (8.0, 15.0)]
-    coarse += [made(8.0, finest=max(layers - 1, 1))]
+    coarse += [made(8.0, layers=(1, max(layers - 1, 1)))]
     fine = [made(radius) for radius in _RADII]
-    fine += [made(radius, spp) for spp in (2, 4) for radius in (15.0, 20.0, 30.0)]
+    fine += [made(radius, spp=spp) for spp in (2, 4) for radius in (15.0, 20.0, 30.0)]
     return list(dict.fromkeys(coarse + fine))
 
 
@@ -156,12 +144,12 @@ def _measured(
     """All candidates with their time and quality."""
     wanted = candidates(base, source.layers)
     report(_ACTIVITY, 0, len(wanted) + 1)
-    judged = _judged_views(source, camera)
+    views = _held_out(source, camera)
     measured = []
     for number, settings in enumerate(wanted):
         report(_ACTIVITY, number + 1, len(wanted) + 1)
         milliseconds = _median_time(source, settings)
-        quality = float(np.mean([_quality(source, settings, view) for view in judged]))
+        quality = float(np.mean([_quality(source, settings, *view) for view in views]))
         measured.append(MeasuredSettings(settings, milliseconds, quality))
     report(_ACTIVITY, len(wanted) + 1, len(wanted) + 1)
     source.forget()
@@ -178,34 +166,26 @@ def _median_time(source: FrameSource, settings: FrameSettings) -> float:
     return float(np.median(times[_WARM_UP:]))
 
 
-@dataclass(frozen=True)
-class _JudgedView:
-    """A view at the window's resolution, and its radiance (H, W, 3)."""
-
-    shown: View
-    truth: Image
-
-
-def _judged_views(source: FrameSource, camera: Camera) -> list[_JudgedView]:
-    """Views that training has not seen, with their references."""
+def _held_out(source: FrameSource, camera: Camera) -> list[tuple[View, Image]]:
+    """Views that training has not seen, at the window's resolution, with their radiance (H, W, 3)."""
     renderer, found = source.renderer, []
     for number, view in enumerate(unseen_views(renderer.scene, _VIEWS, camera.width, camera.height)):
         renderer.scene.show(view.time)
         truth = reference(renderer.tracer, view.camera, _REFERENCE_SPP, REFERENCE_SEED + number)
-        found.append(_JudgedView(view, truth.radiance))
+        found.append((view, truth.radiance))
     return found
 
 
-def _quality(source: FrameSource, settings: FrameSettings, view: _JudgedView) -> float:
+def _quality(source: FrameSource, settings: FrameSettings, view: View, truth: Image) -> float:
     """Quality of a view's first frame, without any history, to a viewer who looks at the settings' gaze.
 
     In JOD, or SSIM where FovVideoVDP is not installed.
     """
     source.forget()
-    own = replace(settings, camera=view.shown.camera, time=view.shown.time)
-    composite = _enlarged(source.show(Request(own), quick=True).frame.composite, view.shown.camera)
-    found = jod(composite, view.truth, settings.display, settings.gaze)
-    return ssim(composite, view.truth) if found is None else found
+    own = replace(settings, camera=view.camera, time=view.time)
+    composite = _enlarged(source.show(Request(own), quick=True).frame.composite, view.camera)
+    found = jod(composite, truth, settings.display, settings.gaze)
+    return ssim(composite, truth) if found is None else found
 
 
 def _enlarged(image: Image, camera: Camera) -> Image:

@@ -13,7 +13,7 @@ from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from hybrid.base.cache_folder import newest_forest
 from hybrid.base.compute_device import Clock, release_memory
-from hybrid.base.progress import Bar, Report
+from hybrid.base.progress import Bar
 from hybrid.preparation.preparation import forest_for
 from hybrid.preparation.scene_plan import planned_scene
 from hybrid.render.frame import Frame
@@ -21,7 +21,7 @@ from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.image_files import write_srgb
 from hybrid.render.irradiance import cache_for
-from hybrid.window.messages import Request, Shown, View
+from hybrid.window.messages import Ready, Report, Request, Shown, View
 from hybrid.window.window_views import ConvergingFrame, image_of
 from pathtrace.scene.backend import select_backend
 from pathtrace.scene.triangles import Surfaces
@@ -38,11 +38,7 @@ _RELEASE_EVERY = 2.0
 
 
 class FrameSource:
-    """Frames of one scene.
-
-    Args:
-        renderer: of the scene.
-    """
+    """Frames of one scene."""
 
     def __init__(self, renderer: LiveRenderer):
         self.renderer = renderer
@@ -50,11 +46,6 @@ class FrameSource:
         self._converging: ConvergingFrame | None = None
         self._seed = 0
         self._released = time.monotonic()
-
-    @property
-    def name(self) -> str:
-        """The scene's name."""
-        return self.renderer.scene.name
 
     @property
     def camera(self) -> Camera:
@@ -66,26 +57,24 @@ class FrameSource:
         """Number of layers of the forest."""
         return len(self.renderer.periphery.forest.counts)
 
-    @property
-    def seconds(self) -> float | None:
-        """What the scene's motion takes; None if it stands still."""
-        moving = self.renderer.scene.moving
-        return None if moving is None else moving.motion.seconds
-
-    def distance(self) -> float:
-        """Median distance to what the scene's own camera sees, in scene units; 1 if it sees nothing."""
-        distance = Surfaces(self.renderer.scene).median_distance(self.camera)
-        return distance if np.isfinite(distance) else 1.0
+    def ready(self) -> Ready:
+        """What the window needs to know."""
+        scene = self.renderer.scene
+        distance = Surfaces(scene).median_distance(scene.camera)
+        distance = distance if np.isfinite(distance) else 1.0
+        seconds = None if scene.moving is None else scene.moving.motion.seconds
+        return Ready(scene.name, scene.camera, distance, self.layers, seconds)
 
     def show(self, request: Request, quick: bool) -> Shown:
         """The requested image; the same request again yields a slightly better one each time.
 
-        Args:
-            request: what to show.
-            quick: whether the frame must not take longer for more samples.
+        If `quick`, the frame must not take longer for more samples.
         """
         self._seed += 1
-        self._release_memory()
+        # What frames of another size or kind needed.
+        if time.monotonic() - self._released > _RELEASE_EVERY:
+            release_memory()
+            self._released = time.monotonic()
         last = self._last if request.same_frame(self._last.request if self._last else None) else None
         frame, paths = self._rendered(request, last.frame if last else None, quick)
         # A frame that is only shown again has taken no time.
@@ -127,25 +116,14 @@ class FrameSource:
             write_srgb(png, self._last.image)
             self.renderer.with_aovs(self._last.frame).save(png.with_suffix(".exr"))
 
-    def _release_memory(self) -> None:
-        """Every two seconds, releases what frames of another size or kind needed."""
-        if time.monotonic() - self._released > _RELEASE_EVERY:
-            release_memory()
-            self._released = time.monotonic()
-
     def _rendered(self, request: Request, frame: Frame | None, quick: bool) -> tuple[Frame, int]:
-        """The hybrid frame of a request, and how many paths were traced for it now.
-
-        Args:
-            request: what to show.
-            frame: the frame so far, None if the request is a new one.
-            quick: whether it must not take longer for more samples.
-        """
+        """The hybrid frame of a request, from the frame so far if any, and how many paths it took now."""
         spp = request.settings.spp
         if frame is None:
             frame = self.renderer.frame(request.settings, self._seed)
             return frame, spp * frame.fovea.disc.count
-        if request.view is View.PATH_TRACED or _is_finished(frame):
+        samples = frame.fovea.samples
+        if request.view is View.PATH_TRACED or not samples.size or samples.mean_count() >= _ENOUGH:
             return frame, 0
         spp = spp if quick else max(_PATIENT_SPP, spp)
         return self.renderer.refined(frame, spp, self._seed, quick), spp * frame.fovea.disc.count
@@ -160,12 +138,6 @@ class FrameSource:
         return converging, sum(converging.refine() for _ in range(steps))
 
 
-def _is_finished(frame: Frame) -> bool:
-    """Whether further samples would make no visible difference."""
-    samples = frame.fovea.samples
-    return not samples.size or samples.mean_count() >= _ENOUGH
-
-
 def prepared(
     scene: str,
     forest: Path | None,
@@ -175,16 +147,11 @@ def prepared(
     report: Report,
     thin_glass: bool = False,
 ) -> FrameSource:
-    """The source of a scene's frames.
+    """The source of a scene's frames; see `run_window` for the arguments.
 
     Args:
-        scene: name of a bundled scene, or a Mitsuba XML file.
-        forest: forest file; None for the newest one of the scene.
-        backend: auto, cuda or llvm.
         trains: whether to train a forest if there is none.
         settings: of the first frame.
-        report: called with the activity, steps done and steps in total.
-        thin_glass: whether panes of glass let shadow rays pass.
 
     Raises:
         UserError: the scene or the forest is missing, or they do not belong together.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,12 +13,7 @@ from compose.eye.gaze import Gaze, GazeTrace
 
 @dataclass(frozen=True)
 class TimedGaze:
-    """A gaze and when the viewer looked there.
-
-    Attributes:
-        gaze: in fractions of the frame.
-        time: seconds, on the clock of the caller; of the mouse, when it moved there.
-    """
+    """A gaze, and the time in seconds when the viewer looked or the mouse moved there."""
 
     gaze: Gaze
     time: float
@@ -54,18 +50,15 @@ class GazeInput:
         """The newest gaze that is known at a time."""
         known = now - self._latency
         if self._trace is not None:
-            self.last = TimedGaze(self._replayed(self._trace, now, known), known)
+            # A trace begins when it is first asked for.
+            self._began = now if self._began is None else self._began
+            seconds = known - self._began
+            # Not modulo zero: a trace of one gaze has no duration.
+            place = seconds % max(self._trace.duration, 1e-3) if seconds > 0 else 0.0
+            self.last = TimedGaze(self._trace.at(place), known)
         while self._moves and self._moves[0].time <= known:
             self.last = self._moves.popleft()
         return self.last
-
-    def _replayed(self, trace: GazeTrace, now: float, known: float) -> Gaze:
-        """The gaze of a trace that begins when it is first asked for."""
-        if self._began is None:
-            self._began = now
-        seconds = known - self._began
-        # Not zero: a trace of one gaze has no duration.
-        return trace.at(seconds % max(trace.duration, 1e-3) if seconds > 0 else 0.0)
 
 
 def unused_file(folder: Path, name: str, suffix: str) -> Path:
@@ -74,33 +67,26 @@ def unused_file(folder: Path, name: str, suffix: str) -> Path:
     Raises:
         UserError: the folder cannot be read.
     """
-    number = 1
+    files = (folder / f"{name}-{number:03d}{suffix}" for number in itertools.count(1))
     try:
-        while (folder / f"{name}-{number:03d}{suffix}").exists():
-            number += 1
+        return next(file for file in files if not file.exists())
     except OSError as error:
         raise UserError(f"{folder}: cannot be read ({error.strerror})") from error
-    return folder / f"{name}-{number:03d}{suffix}"
 
 
 class GazeRecording:
-    """A recording of the gaze that is started and stopped with one key.
-
-    Args:
-        folder: where the files go.
-    """
+    """A recording of the gaze that is started and stopped with one key, and its file in a folder."""
 
     def __init__(self, folder: Path):
         self._folder = folder
-        self._running = False
-        self._seconds: list[float] = []
-        self._gazes: list[Gaze] = []
+        # None while nothing is recorded.
+        self._recorded: list[TimedGaze] | None = None
 
     def add(self, now: float, gaze: Gaze) -> None:
         """Adds the gaze at a time in seconds; ignored if nothing is recorded, or if it has not changed."""
-        if self._running and (not self._gazes or gaze != self._gazes[-1]):
-            self._seconds.append(now)
-            self._gazes.append(gaze)
+        recorded = self._recorded
+        if recorded is not None and (not recorded or gaze != recorded[-1].gaze):
+            recorded.append(TimedGaze(gaze, now))
 
     def toggle(self, name: str) -> str:
         """Starts recording, or writes what was recorded to NAME-gaze-001.csv or the next free number.
@@ -110,22 +96,18 @@ class GazeRecording:
         Returns:
             A message for the user.
         """
-        if not self._running:
-            self._running = True
+        recorded = self._recorded
+        if recorded is None:
+            self._recorded = []
             return "recording the gaze"
-        try:
-            message = self._write(f"{name}-gaze")
-        except UserError as error:
-            return str(error)
-        self._running = False
-        self._seconds.clear()
-        self._gazes.clear()
+        message = "no gaze was recorded"
+        if recorded:
+            seconds = tuple(one.time - recorded[0].time for one in recorded)
+            try:
+                file = unused_file(self._folder, f"{name}-gaze", ".csv")
+                GazeTrace(seconds, tuple(one.gaze for one in recorded)).save(file)
+            except UserError as error:
+                return str(error)
+            message = str(file)
+        self._recorded = None
         return message
-
-    def _write(self, name: str) -> str:
-        if not self._gazes:
-            return "no gaze was recorded"
-        file = unused_file(self._folder, name, ".csv")
-        start = self._seconds[0]
-        GazeTrace(tuple(second - start for second in self._seconds), tuple(self._gazes)).save(file)
-        return str(file)

@@ -72,11 +72,7 @@ HELP = [f"{keys:<14}{effect}" for keys, effect in _HELP.items()]
 
 
 class HeldKeys:
-    """Keys that walk or look around for as long as they are held.
-
-    Args:
-        now: seconds, on the clock of all methods.
-    """
+    """Keys that walk or look around for as long as they are held; times are seconds on one clock."""
 
     def __init__(self, now: float):
         self._held: set[int] = set()
@@ -109,12 +105,9 @@ class HeldKeys:
         return seconds
 
     def move(self, walker: Walker, distance: float, seconds: float) -> None:
-        """Walks and looks around as far as the held keys do.
+        """Walks and looks around as far as the keys do that were held for some seconds.
 
-        Args:
-            walker: moves.
-            distance: median distance to what is visible, in units of the scene.
-            seconds: for which the keys were held.
+        The distance is the median one to what is visible, in units of the scene.
         """
         for key in self._held:
             if key in _WALK:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -18,11 +18,11 @@ from hybrid.render.frame_settings import FrameSettings
 from hybrid.window.canvas import Canvas
 from hybrid.window.gaze_input import GazeInput, GazeRecording, unused_file
 from hybrid.window.key_bindings import COMMANDS, HELP, Command, HeldKeys
-from hybrid.window.messages import Request, Shown, View
+from hybrid.window.messages import Ready, Request, Shown, View
 from hybrid.window.meter import Meter, lines_of
 from hybrid.window.navigation import Playback, Walker
 from hybrid.window.panel import Panel, controls_dock
-from hybrid.window.render_thread import Ready, RenderThread
+from hybrid.window.render_thread import RenderThread
 
 # Milliseconds between two ticks: while keys or the gaze may change without an event, more often than any
 # frame comes; otherwise rarely, since all the time that the window takes is lost to the renderer.
@@ -34,18 +34,37 @@ _SETTLE = 200
 _MESSAGE = 5000
 
 
+@dataclass(frozen=True)
+class WindowOptions:
+    """How the window runs.
+
+    Attributes:
+        size: width and height of the frame in pixels.
+        latency: delay of the gaze in seconds.
+        folder: for screenshots and gaze traces.
+        target_fps: frames per second to keep; None for no target.
+        bench: seconds after which the window closes, with the mouse moving until then; None leaves it open.
+        load: seconds of the bench for which another process keeps one core busy.
+        plays: whether a scene that moves plays from the start.
+    """
+
+    size: tuple[int, int]
+    latency: float
+    folder: Path
+    target_fps: float | None = None
+    bench: float | None = None
+    load: float = 0.0
+    plays: bool = False
+
+
 class Window(QMainWindow):
     """Shows one scene.
 
     Args:
         thread: renders; not started yet.
         settings: initial settings; gaze and camera are the window's.
-        target_fps: initial target, None for none.
-        size: of the frame, in pixels.
         gaze: where it comes from.
-        folder: for screenshots and gaze traces.
-        keeps_all: whether to keep the times of all frames.
-        plays: whether a scene that moves plays from the start.
+        options: how the window runs; a bench keeps the times of all frames.
 
     Attributes:
         canvas: shows the frame.
@@ -57,21 +76,12 @@ class Window(QMainWindow):
     """
 
     def __init__(
-        self,
-        thread: RenderThread,
-        settings: FrameSettings,
-        target_fps: float | None,
-        size: tuple[int, int],
-        gaze: GazeInput,
-        folder: Path,
-        keeps_all: bool = False,
-        plays: bool = False,
+        self, thread: RenderThread, settings: FrameSettings, gaze: GazeInput, options: WindowOptions
     ):
         super().__init__()
-        self._plays = plays
-        self._thread, self._settings, self._target_fps = thread, settings, target_fps
-        self._size, self._gaze, self._folder = size, gaze, folder
-        self.canvas, self.meter = Canvas(QSize(*size)), Meter(keeps_all)
+        self._thread, self._settings, self._gaze, self._options = thread, settings, gaze, options
+        self._size = options.size
+        self.canvas, self.meter = Canvas(QSize(*options.size)), Meter(keeps_all=options.bench is not None)
         self.panel: Panel | None = None
         self.walker: Walker | None = None
         self.request: Request | None = None
@@ -81,7 +91,7 @@ class Window(QMainWindow):
         self._playback: Playback | None = None
         self._held_gaze: Gaze | None = None
         self._held_keys = HeldKeys(time.perf_counter())
-        self._recording = GazeRecording(folder)
+        self._recording = GazeRecording(options.folder)
         self._texts = {Command.HUD}
         self._actions: dict[Command | View, Callable[[], object]] = {
             Command.HOLD: self._toggle_hold,
@@ -93,22 +103,17 @@ class Window(QMainWindow):
         }
         self.setWindowTitle("hybrid")
         self.setCentralWidget(self.canvas)
-        self._bar = self._progress_bar()
-        self._settling = QTimer(self, interval=_SETTLE, singleShot=True)
-        self._timer = QTimer(self, interval=_REST)
-        self._connect()
-        self._timer.start()
-        thread.start()
-
-    def _progress_bar(self) -> QProgressBar:
-        """Adds a bar to the status bar."""
-        bar = QProgressBar()
+        self._bar = bar = QProgressBar()
         bar.setFormat("loading the scene")
         bar.setMaximum(0)
         self.statusBar().addPermanentWidget(bar, 1)
         # Hiding the bar must not change the size of the frame.
         self.statusBar().setFixedHeight(bar.sizeHint().height())
-        return bar
+        self._settling = QTimer(self, interval=_SETTLE, singleShot=True)
+        self._timer = QTimer(self, interval=_REST)
+        self._connect()
+        self._timer.start()
+        thread.start()
 
     def _connect(self) -> None:
         thread, canvas = self._thread, self.canvas
@@ -185,7 +190,7 @@ class Window(QMainWindow):
         self.setWindowTitle(f"{ready.name} - hybrid")
         self.walker = Walker(ready.camera)
         self._playback = None if ready.seconds is None else Playback(ready.seconds)
-        self.panel = panel = Panel(self._settings, self._target_fps, ready.layers, self._playback)
+        self.panel = panel = Panel(self._settings, self._options.target_fps, ready.layers, self._playback)
         panel.changed.connect(self.tick)
         dock = controls_dock(panel)
         self.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, dock)
@@ -197,18 +202,15 @@ class Window(QMainWindow):
         }
         if panel.play is not None:
             self._actions[Command.PLAY] = panel.play.toggle
-            panel.play.setChecked(self._plays)
+            panel.play.setChecked(self._options.plays)
         self._actions |= {view: partial(panel.views.setCurrentIndex, n) for n, view in enumerate(View)}
         self._bar.hide()
-        # After Qt has laid out the controls.
-        QTimer.singleShot(0, self._fit)
+        # As large as the frame needs it beside the controls, once Qt has laid those out.
+        hint = self.canvas.sizeHint()
+        QTimer.singleShot(0, lambda: self.resize(self.size() + hint - self.canvas.size()))
         self.canvas.setFocus()
         self._say("F1: help")
         self.tick()
-
-    def _fit(self) -> None:
-        """Makes the window as large as the frame needs it beside the controls."""
-        self.resize(self.size() + self.canvas.sizeHint() - self.canvas.size())
 
     def _on_settled(self) -> None:
         self._size = self.canvas.width(), self.canvas.height()
@@ -247,7 +249,7 @@ class Window(QMainWindow):
 
     def _save(self, name: str) -> None:
         try:
-            self._thread.save(unused_file(self._folder, name, ".png"))
+            self._thread.save(unused_file(self._options.folder, name, ".png"))
         except UserError as error:
             self._say(str(error))
 

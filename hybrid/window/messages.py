@@ -1,17 +1,40 @@
-"""What window and renderer hand to each other: requests, what is shown for them, always the newest."""
+"""What window and renderer hand to each other: what there is to show, requests, frames, always the newest."""
 
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Generic, TypeVar
+from typing import Generic, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compose.camera.camera import Camera
 from hybrid.render.frame import Frame
 from hybrid.render.frame_settings import FrameSettings
+
+# Called with the current activity, steps done and steps in total.
+Report: TypeAlias = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Ready:
+    """What the window needs to know before it asks for frames.
+
+    Attributes:
+        name, camera: the scene's own.
+        distance: median distance to what that camera sees, in units of the scene; 1 if it sees nothing.
+        layers: of the forest.
+        seconds: that the scene's motion takes; None if it stands still.
+    """
+
+    name: str
+    camera: Camera
+    distance: float
+    layers: int
+    seconds: float | None = None
 
 
 class View(Enum):
@@ -50,11 +73,7 @@ class Request:
 
     def same_frame(self, other: Request | None) -> bool:
         """Whether another request asks for the same frame, possibly at another time."""
-        return other is not None and (self.settings, self.view, self.target_fps) == (
-            other.settings,
-            other.view,
-            other.target_fps,
-        )
+        return other is not None and replace(self, gaze_time=other.gaze_time) == other
 
 
 @dataclass(frozen=True)

@@ -18,24 +18,14 @@ _RECENT = 100
 
 
 class Timed(NamedTuple):
-    """A duration that ended when a frame was shown.
-
-    Attributes:
-        at: time.perf_counter of that frame.
-        seconds: the duration.
-    """
+    """A duration in seconds that ended when a frame was shown, at a time.perf_counter."""
 
     at: float
     seconds: float
 
 
 class Meter:
-    """Collects the times of shown frames.
-
-    All times are of time.perf_counter.
-
-    Args:
-        keeps_all: whether to keep every frame, or only the last hundred.
+    """Collects the times, of time.perf_counter, of all shown frames or of the last hundred.
 
     Attributes:
         intervals: from each frame to the next one.
@@ -72,10 +62,6 @@ class Meter:
 
 def lines_of(shown: Shown, meter: Meter) -> list[str]:
     """Lines that tell how long frames take, what was drawn, and with which settings."""
-    return [*_times(shown, meter), *_counts(shown), *_settings(shown)]
-
-
-def _times(shown: Shown, meter: Meter) -> list[str]:
     lines = []
     if meter.intervals:
         p50, p95 = np.percentile([1000 * interval.seconds for interval in meter.intervals], [50, 95])
@@ -84,30 +70,18 @@ def _times(shown: Shown, meter: Meter) -> list[str]:
         latency = np.median([1000 * latency.seconds for latency in meter.latencies])
         lines.append(f"mouse to screen {latency:.0f} ms")
     passes = " ".join(f"{name} {milliseconds:.0f}" for name, milliseconds in shown.milliseconds.items())
-    return [*lines, f"{passes} ms"]
-
-
-def _counts(shown: Shown) -> list[str]:
-    lines = [
-        f"{shown.paths:,} paths, {shown.frame.nodes_drawn:,} Gaussians",
-        f"{shown.spp:.1f} samples per pixel in the disc",
-    ]
+    lines.append(f"{passes} ms")
+    lines.append(f"{shown.paths:,} paths, {shown.frame.nodes_drawn:,} Gaussians")
+    lines.append(f"{shown.spp:.1f} samples per pixel in the disc")
     if shown.request.view.needs_path_traced:
         lines.append(f"{shown.path_traced_spp} samples per pixel in the path-traced frame")
-    return lines
-
-
-def _settings(shown: Shown) -> list[str]:
     settings, camera = shown.request.settings, shown.frame.camera
     line = f"fov-a {settings.fov_a:.1f} %, fov-b {settings.fov_b:.1f} %, {settings.spp} spp, "
-    lines = [line + f"{camera.width} x {camera.height}, {settings.acuity_model}"]
-    target_fps = shown.request.target_fps
-    if target_fps is not None:
+    lines.append(line + f"{camera.width} x {camera.height}, {settings.acuity_model}")
+    if shown.request.target_fps is not None:
         finest = settings.layers[1] if settings.layers else shown.frame.detail.layers
-        side = 1 << settings.rate
-        lines.append(
-            f"chosen for {target_fps:g} FPS: finest layer {finest}, at most 1 sample per {side} x {side} px"
-        )
+        rate = f"at most 1 sample per {1 << settings.rate} x {1 << settings.rate} px"
+        lines.append(f"chosen for {shown.request.target_fps:g} FPS: finest layer {finest}, {rate}")
     return lines
 
 
@@ -118,12 +92,7 @@ _RECOVERY = 2.0
 
 
 def figures(meter: Meter, size: tuple[int, int], start: float) -> dict[str, Any]:
-    """Frame times, latencies and passes of a window.
-
-    Args:
-        meter: what was measured.
-        size: width and height of the frame in pixels.
-        start: time.perf_counter from which on frames count.
+    """Frame times, latencies and passes of a window of that width and height, since a time.perf_counter.
 
     Returns:
         `width`, `height`; `fps` and `ms`, median and percentiles of the frame times; `latency_ms`,

@@ -13,11 +13,7 @@ _MOST_PITCH = 85.0
 
 
 class Walker:
-    """A viewer who starts at a camera.
-
-    Args:
-        home: where the walk begins; its upward axis stays upward.
-    """
+    """A viewer who starts at a home camera, whose upward axis stays upward."""
 
     def __init__(self, home: Camera):
         self._home = home
@@ -62,10 +58,7 @@ class Walker:
 
 
 class Playback:
-    """Time of a scene, from 0 to 1, over the clock.
-
-    Args:
-        seconds: that the time from 0 to 1 takes at speed 1.
+    """Time of a scene, which goes from 0 to 1 in the given seconds if its speed is 1.
 
     Attributes:
         playing: whether time passes.

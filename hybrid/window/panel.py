@@ -42,18 +42,13 @@ class Panel(QWidget):
     Args:
         settings: initial settings; what no control changes stays as it is.
         target_fps: initial target, None for none.
-        layers: of the forest.
         playback: of a scene that moves; None for one that stands still, which has no controls of time.
     """
 
     changed = Signal()
 
     def __init__(
-        self,
-        settings: FrameSettings,
-        target_fps: float | None,
-        layers: int,
-        playback: Playback | None = None,
+        self, settings: FrameSettings, target_fps: float | None, layers: int, playback: Playback | None = None
     ):
         super().__init__()
         self._form = QFormLayout(self)
@@ -111,14 +106,9 @@ class Panel(QWidget):
 
     def _connect(self) -> None:
         """Makes ends of ranges push each other, and reports changes of the target."""
-        self.fov_a.valueChanged.connect(lambda value: self.fov_b.setValue(min(self.fov_b.value(), value)))
-        self.fov_b.valueChanged.connect(lambda value: self.fov_a.setValue(max(self.fov_a.value(), value)))
-        self.coarsest.valueChanged.connect(
-            lambda value: self.finest.setValue(max(self.finest.value(), value))
-        )
-        self.finest.valueChanged.connect(
-            lambda value: self.coarsest.setValue(min(self.coarsest.value(), value))
-        )
+        for low, high in ((self.fov_b, self.fov_a), (self.coarsest, self.finest)):
+            low.valueChanged.connect(lambda value, end=high: end.setValue(max(end.value(), value)))
+            high.valueChanged.connect(lambda value, end=low: end.setValue(min(end.value(), value)))
         self.controlled.toggled.connect(self._enable_manual)
         self.controlled.toggled.connect(self.changed)
         self.target.valueChanged.connect(self.changed)
@@ -126,7 +116,17 @@ class Panel(QWidget):
     def settings(self) -> FrameSettings:
         """The chosen settings; the same object until one of them changes."""
         if self._chosen is None:
-            self._chosen = self._read()
+            self._chosen = replace(
+                self._initial,
+                fov_a=float(self.fov_a.value()),
+                # While one slider moves, the one that it pushes has not moved yet.
+                fov_b=float(min(self.fov_b.value(), self.fov_a.value())),
+                spp=self.spp.value(),
+                acuity_model=self.acuity_model.currentText(),
+                layers=(min(self.coarsest.value(), self.finest.value()), self.finest.value()),
+                rate=self.rate.value(),
+                scale=self.scale.value() / 100,
+            )
         return self._chosen
 
     @property
@@ -143,20 +143,6 @@ class Panel(QWidget):
 
     def _forget(self) -> None:
         self._touched, self._chosen = True, None
-
-    def _read(self) -> FrameSettings:
-        """The settings that the controls show."""
-        return replace(
-            self._initial,
-            fov_a=float(self.fov_a.value()),
-            # While one slider moves, the one that it pushes has not moved yet.
-            fov_b=float(min(self.fov_b.value(), self.fov_a.value())),
-            spp=self.spp.value(),
-            acuity_model=self.acuity_model.currentText(),
-            layers=(min(self.coarsest.value(), self.finest.value()), self.finest.value()),
-            rate=self.rate.value(),
-            scale=self.scale.value() / 100,
-        )
 
     def _enable_manual(self, controlled: bool) -> None:
         """Disables what the controller chooses, or enables it again."""

@@ -5,40 +5,18 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from PySide6.QtCore import QThread, Signal
 
 from compose.base.errors import UserError
-from compose.camera.camera import Camera
-from hybrid.base.progress import Report
 from hybrid.window.frame_loop import FrameLoop, ladder_for
 from hybrid.window.frame_source import FrameSource
-from hybrid.window.messages import Newest, Request, Shown
+from hybrid.window.messages import Newest, Report, Request, Shown
 
 # Seconds between two checks of an idle thread whether it is to end.
 _POLL = 0.1
-
-
-@dataclass(frozen=True)
-class Ready:
-    """What the window needs to know before it asks for frames.
-
-    Attributes:
-        name: of the scene.
-        camera: the scene's own.
-        distance: median distance to what that camera sees, in units of the scene.
-        layers: of the forest.
-        seconds: that the scene's motion takes; None if it stands still.
-    """
-
-    name: str
-    camera: Camera
-    distance: float
-    layers: int
-    seconds: float | None = None
 
 
 class RenderThread(QThread):
@@ -83,9 +61,7 @@ class RenderThread(QThread):
         """Prepares and renders; Qt calls this on the new thread."""
         try:
             source = self._prepare(self._report)
-            self.ready.emit(
-                Ready(source.name, source.camera, source.distance(), source.layers, source.seconds)
-            )
+            self.ready.emit(source.ready())
             self._serve(source, FrameLoop(source, partial(ladder_for, source, report=self._report)))
         except KeyboardInterrupt:
             pass  # the window was closed during preparation
@@ -107,17 +83,16 @@ class RenderThread(QThread):
             newer = self.requests.take(_POLL if loop.idle else 0.0)
             png = self._screenshots.take()
             if png is not None:
-                self.saved.emit(_saved(source, png))
+                self._save(source, png)
             request = newer or request
             if request is not None and (newer is not None or not loop.idle):
                 self.frames.put(loop.make(request))
                 self.arrived.emit()
 
-
-def _saved(source: FrameSource, png: Path) -> str:
-    """Writes the files of a screenshot; a message for the user."""
-    try:
-        source.save(png)
-    except UserError as error:
-        return str(error)
-    return f"{png} and .exr"
+    def _save(self, source: FrameSource, png: Path) -> None:
+        try:
+            source.save(png)
+        except UserError as error:
+            self.saved.emit(str(error))
+        else:
+            self.saved.emit(f"{png} and .exr")

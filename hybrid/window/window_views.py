@@ -32,13 +32,7 @@ _MOST_SAMPLES = 1024
 class ConvergingFrame:
     """Path-traced radiance of one view, which gets better with every step.
 
-    Args:
-        tracer: of the scene.
-        camera: the view.
-        stand_in: (H, W, 3) radiance for pixels that have no sample yet.
-
-    Attributes:
-        camera: the view.
+    Pixels that have no sample yet show a stand-in, radiance (H, W, 3).
     """
 
     def __init__(self, tracer: Tracer, camera: Camera, stand_in: Image):
@@ -60,14 +54,13 @@ class ConvergingFrame:
         return self.samples >= _MOST_SAMPLES
 
     def refine(self) -> int:
-        """Adds one sample to a sixteenth of the pixels.
-
-        Returns:
-            Number of paths traced.
-        """
+        """Adds one sample to a sixteenth of the pixels, and returns how many paths those took."""
         # The pixels of this step have `samples` samples so far.
         samples, in_block = self.samples, _ORDER[self._steps % len(_ORDER)]
-        pixels = _one_per_block(self.camera, in_block // _SIDE, in_block % _SIDE)
+        # One of each block, row-major.
+        rows = np.arange(in_block // _SIDE, self.camera.height, _SIDE, dtype=np.uint32)
+        columns = np.arange(in_block % _SIDE, self.camera.width, _SIDE, dtype=np.uint32)
+        pixels = (rows[:, None] * np.uint32(self.camera.width) + columns).ravel()
         self._steps += 1
         if not len(pixels):
             return 0
@@ -98,51 +91,39 @@ class ConvergingFrame:
         )
 
 
-def _one_per_block(camera: Camera, row: int, column: int) -> NDArray[np.uint32]:
-    """(N,) row-major indices of the pixels at a row and column, 0 to 3, of their 4 x 4 block."""
-    rows = np.arange(row, camera.height, _SIDE, dtype=np.uint32)
-    columns = np.arange(column, camera.width, _SIDE, dtype=np.uint32)
-    return (rows[:, None] * np.uint32(camera.width) + columns).ravel()
-
-
 # Differences of this much in sRGB, or more, are white in the heat map.
 _STRONGEST = 0.25
 
 
 def image_of(view: View, frame: Frame, path_traced: ConvergingFrame | None) -> NDArray[np.uint8]:
-    """(H, W, 3) sRGB image of a view.
-
-    Args:
-        view: what to show.
-        frame: the hybrid frame.
-        path_traced: the whole frame, path-traced, for views that need it.
+    """(H, W, 3) sRGB image of a view of a hybrid frame, with the path-traced frame for views that need it.
 
     Raises:
         ValueError: the view needs the path-traced frame, and there is none.
     """
     if view is View.LEVELS:
         return levels_picture(frame.composite, frame.detail, frame.region)
+    if view is View.FOVEA:
+        return _srgb_bytes(frame.of_disc([c * frame.fovea.disc.weights for c in frame.fovea.radiance]))
     if not view.needs_path_traced:
-        return _of_frame(view, frame)
+        shown = frame.splats if view is View.PERIPHERY else frame.image
+        return _bytes_of(shown.tensor().array, (shown.height, shown.width, 3))
     if path_traced is None:
         raise ValueError(f"{view} needs the path-traced frame")
     if view is View.DIFFERENCE:
         return _heat_map(frame.composite, path_traced.denoised())
-    if view is View.SPLIT:
-        return _split(frame.composite, path_traced.image())
-    return _srgb_bytes(path_traced.image())
-
-
-def _of_frame(view: View, frame: Frame) -> NDArray[np.uint8]:
-    """(H, W, 3) sRGB image of a part of the frame, or of all of it."""
-    if view is View.FOVEA:
-        return _srgb_bytes(frame.of_disc([c * frame.fovea.disc.weights for c in frame.fovea.radiance]))
-    shown = frame.splats if view is View.PERIPHERY else frame.image
-    return _bytes_of(shown.tensor().array, (shown.height, shown.width, 3))
+    image = path_traced.image()
+    if view is View.PATH_TRACED:
+        return _srgb_bytes(image)
+    middle = image.shape[1] // 2
+    split = _srgb_bytes(np.concatenate([frame.composite[:, :middle], image[:, middle:]], axis=1))
+    # A white line between the two.
+    split[:, middle] = 255
+    return split
 
 
 def _srgb_bytes(radiance: Image) -> NDArray[np.uint8]:
-    """compose.image.colour.bytes_from_radiance as a kernel, which takes a tenth of the time."""
+    """As compose.image.colour.bytes_from_radiance, in a kernel, which takes a tenth of the time."""
     return _bytes_of(mi.Float(np.ascontiguousarray(radiance).ravel()), radiance.shape)
 
 
@@ -150,14 +131,6 @@ def _bytes_of(flat: Any, shape: tuple[int, ...]) -> NDArray[np.uint8]:
     """sRGB bytes of linear radiance that is on the device: all that leaves it of a frame."""
     value = dr.fma(srgb_curve(dr.fmin(dr.fmax(flat, 0), 1)), 255, 0.5)
     return np.asarray(dr.uint8_array_t(type(value))(value)).reshape(shape)
-
-
-def _split(left: Image, right: Image) -> NDArray[np.uint8]:
-    """Two images on either side of a white line."""
-    middle = left.shape[1] // 2
-    image = _srgb_bytes(np.concatenate([left[:, :middle], right[:, middle:]], axis=1))
-    image[:, middle] = 255
-    return image
 
 
 def _heat_map(image: Image, reference: Image) -> NDArray[np.uint8]:

@@ -7,7 +7,6 @@ import os
 
 import pytest
 
-from hybrid.base import installation as examination
 from hybrid.cli.doctor import doctor
 from hybrid.cli.scenes import scenes
 from tests.hybrid.command import run
@@ -51,8 +50,8 @@ def test_the_doctor_says_what_runs(monkeypatch, capsys, tmp_path):
 
 
 def test_the_doctor_lists_the_facts_before_the_problem(monkeypatch, capsys, tmp_path):
-    ill = examination.Report({"torch": "missing"}, "missing packages; run: pip install torch")
-    monkeypatch.setattr(examination, "examine", lambda choice: ill)
+    ill = {"torch": "missing"}, "missing packages; run: pip install torch"
+    monkeypatch.setattr("hybrid.cli.doctor.examine", lambda choice: ill)
     assert run(monkeypatch, "doctor", "--json", tmp_path / "d.json") == 2
     shown = capsys.readouterr()
     assert shown.out == "torch: missing\n"

@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from compose.camera.coordinate_systems import WORLD, Place
-from hybrid.measure.motion_truth import Triangles, nodes_that_move
 from splat.model.gaussians import Gaussians
 from splat.model.layer import static_layer
 from splat.model.motion import Motion
+from tests.hybrid.measure.motion_truth import Triangles, nodes_that_move
 from tests.moving import WAY, moving_corner
 
 

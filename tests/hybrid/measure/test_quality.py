@@ -16,8 +16,8 @@ from hybrid.measure.frame_quality import (
     Viewer,
     acuity_weight,
     checked_pair,
-    foveal_metrics,
     metric_rows,
+    region_metrics,
 )
 from hybrid.measure.image_metrics import psnr, ssim
 from hybrid.measure.perceptual_metrics import flip_map
@@ -151,7 +151,8 @@ def test_the_foveal_crop_keeps_the_gaze_where_it_is(scene, monkeypatch):
 
 def test_foveal_metrics_are_those_of_the_foveal_region(scene, of_noise):
     found = of_noise
-    alone = foveal_metrics(noisy(scene, 0.3), scene, regions(FOVEATION, scene)["foveal"], VIEWER)
+    fovea = regions(FOVEATION, scene)["foveal"]
+    alone = region_metrics(noisy(scene, 0.3), scene, fovea, VIEWER, ("jod", "flip"))
     assert set(alone) == {metric for region, metric in found if region == "foveal"} & {"jod", "flip"}
     for metric, value in alone.items():
         assert value == pytest.approx(found["foveal", metric])
@@ -163,7 +164,8 @@ def test_what_is_not_installed_is_left_out(scene, monkeypatch):
     for name in ("flip_map", "hdr_flip_map"):
         monkeypatch.setattr(quality, name, lambda *_: None)
     assert {metric for _, metric in table(scene, scene)} == {"psnr", "ssim", "fssim"}
-    assert foveal_metrics(scene, scene, regions(FOVEATION, scene)["foveal"], VIEWER) == {}
+    fovea = regions(FOVEATION, scene)["foveal"]
+    assert region_metrics(scene, scene, fovea, VIEWER, ("jod", "flip")) == {}
 
 
 def test_what_the_eye_resolves_weighs_most_at_the_gaze(scene):

@@ -8,23 +8,20 @@ import numpy as np
 import pytest
 
 from compose.fovea.foveation import FoveaMode
-from hybrid.render.frame import Frame, aovs_of
+from hybrid.render.frame import Frame
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.frame_settings import FrameSettings
 from tests.compose.arrays_of import host
 
 SETTINGS = FrameSettings(gaze=(0.3, 0.7), fov_a=40, fov_b=20, spp=2)
 COMMON = {
-    "", "composite", "fovea", "path-traced", "variance", "weight", "eccentricity", "level", "rate",
+    "", "composite", "fovea", "path-traced", "variance", "weight",
+    "eccentricity", "level", "rate", "coverage",
 }  # fmt: skip
 
 
 def frame_of(renderer: Renderer, settings: FrameSettings) -> Frame:
     return renderer.frame(replace(settings, camera=renderer.scene.camera.resized(40, 30)))
-
-
-def named(frame: Frame) -> dict[str, np.ndarray]:
-    return aovs_of(frame.composite, frame.settings, frame.detail, frame.fovea)
 
 
 @pytest.mark.parametrize(
@@ -36,16 +33,17 @@ def named(frame: Frame) -> dict[str, np.ndarray]:
     ],
 )
 def test_each_mode_has_the_images_that_it_was_made_from(renderer, mode, further):
-    found = named(frame_of(renderer, replace(SETTINGS, fovea=mode)))
+    found = frame_of(renderer, replace(SETTINGS, fovea=mode)).aovs()
     assert {*found} == COMMON | further
-    single = {"weight", "eccentricity", "level", "rate", "fusion.traced", "fusion.denoised", "fusion.splat"}
+    single = {"weight", "eccentricity", "level", "rate", "coverage"}
+    single |= {"fusion.traced", "fusion.denoised", "fusion.splat"}
     for name, image in found.items():
         assert image.shape == ((30, 40) if name in single else (30, 40, 3))
 
 
 def test_the_images_are_those_of_the_frame(renderer):
     frame = frame_of(renderer, SETTINGS)
-    found = named(frame)
+    found = frame.aovs()
     pixels = frame.region.pixels
     assert found[""] is found["composite"]
     np.testing.assert_array_equal(found[""], frame.composite)
@@ -69,7 +67,7 @@ def test_the_images_are_those_of_the_frame(renderer):
 
 def test_eccentricity_is_the_angle_from_the_gaze_on_the_display(renderer):
     frame = frame_of(renderer, SETTINGS)
-    angle = named(frame)["eccentricity"]
+    angle = frame.aovs()["eccentricity"]
     row, column = np.unravel_index(angle.argmin(), (30, 40))
     assert max(abs(row + 0.5 - 21), abs(column + 0.5 - 12)) <= 0.5
     # The desktop shows 1920 pixels across 55 degrees; near its centre a pixel is 0.0311 degrees wide.
@@ -77,9 +75,9 @@ def test_eccentricity_is_the_angle_from_the_gaze_on_the_display(renderer):
 
 
 def test_level_and_rate_are_what_is_drawn(renderer):
-    only = named(frame_of(renderer, replace(SETTINGS, layers=(2, 2), rate=1)))
+    only = frame_of(renderer, replace(SETTINGS, layers=(2, 2), rate=1)).aovs()
     assert (only["level"] == 2).all()
     assert only["rate"].min() >= 1
     coarse = replace(SETTINGS, acuity_model="fov-gs", display="hmd", fov_a=20.0, fov_b=10.0)
-    found = named(renderer.frame(replace(coarse, camera=renderer.scene.camera.resized(320, 240))))
+    found = renderer.frame(replace(coarse, camera=renderer.scene.camera.resized(320, 240))).aovs()
     assert found["level"].min() < found["level"].max() <= 3

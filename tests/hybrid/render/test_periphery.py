@@ -154,12 +154,9 @@ def test_for_a_still_camera_the_same_is_drawn_from_kept_layers(periphery, camera
     region = region_of(NONE)
     detail = periphery.detail(camera, NONE)
     expected = np.array(periphery.draw(camera, detail, region).numpy())
-    np.testing.assert_allclose(
-        periphery.draw_still(camera, NONE, detail, region).numpy(), expected, atol=1e-6
-    )
-    np.testing.assert_array_equal(
-        periphery.whole_still(camera, NONE, detail).numpy(), periphery.whole(camera, NONE).numpy()
-    )
+    still, whole = periphery.draw_still(camera, NONE, detail, region)
+    np.testing.assert_allclose(still.numpy(), expected, atol=1e-6)
+    np.testing.assert_array_equal(whole.numpy(), periphery.whole(camera, NONE).numpy())
 
 
 @pytest.mark.parametrize("gaze", [(0.1, 0.2), (0.9, 0.5)])
@@ -168,7 +165,7 @@ def test_kept_layers_follow_the_gaze(periphery, camera, gaze):
     detail = periphery.detail(camera, settings)
     assert len(detail.steps) > 1
     drawn = np.array(periphery.draw(camera, detail, NOWHERE).numpy())
-    still = periphery.draw_still(camera, settings, detail, NOWHERE).numpy()
+    still = periphery.draw_still(camera, settings, detail, NOWHERE)[0].numpy()
     elsewhere = periphery.detail(camera, replace(settings, gaze=(1 - gaze[0], 1 - gaze[1])))
     other = np.array(periphery.draw(camera, elsewhere, NOWHERE).numpy())
     assert psnr(still, drawn) > 30
@@ -189,7 +186,6 @@ def test_layers_are_drawn_again_only_when_camera_or_layers_change(arrays, forest
     def draw(camera, settings) -> int:
         detail = periphery.detail(camera, settings)
         periphery.draw_still(camera, settings, detail, NOWHERE)
-        periphery.whole_still(camera, settings, detail)
         return len(drawn)
 
     assert draw(camera, NONE) == 1

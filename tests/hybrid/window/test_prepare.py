@@ -24,7 +24,7 @@ def silent(activity: str, done: int, total: int) -> None:
 
 def test_a_scene_and_its_forest_become_a_source(made):
     source = prepared("cornell", made / "box.forest", "auto", False, RAW, silent)
-    assert source.name == "cornell"
+    assert source.ready().name == "cornell"
     assert source.layers == 2
 
 

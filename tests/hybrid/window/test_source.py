@@ -27,17 +27,18 @@ def request(source: FrameSource, view: View = View.COMPOSITE, **settings: Any) -
 
 
 def test_a_source_knows_its_scene(source):
-    assert (source.name, source.layers) == ("cornell", 2)
-    assert source.camera is source.renderer.scene.camera
+    ready = source.ready()
+    assert (ready.name, ready.layers, ready.seconds) == ("cornell", 2, None)
+    assert ready.camera is source.renderer.scene.camera
     # What the renderer's own rays hit; the box is some units deep.
     small = source.camera.resized(24, 24)
     hits = source.renderer.tracer.hits(small, frame_positions(small)).distance
-    assert source.distance() == pytest.approx(np.median(hits[np.isfinite(hits)]), rel=0.02)
+    assert ready.distance == pytest.approx(np.median(hits[np.isfinite(hits)]), rel=0.02)
 
 
 def test_where_nothing_is_seen_the_distance_is_one(source, monkeypatch):
     monkeypatch.setattr(source_module.Surfaces, "median_distance", lambda self, camera: np.inf)
-    assert source.distance() == 1
+    assert source.ready().distance == 1
 
 
 def test_a_repeated_request_has_more_samples_and_any_other_has_not(source):

@@ -15,12 +15,12 @@ SIZE = 80
 DEFAULT = np.radians(3840)
 
 
-def flip(image, reference):
-    return module.flip(image, reference, DEFAULT)
-
-
 def flip_map(image, reference):
     return module.flip_map(image, reference, DEFAULT)
+
+
+def flip(image, reference):
+    return float(flip_map(image, reference).mean())
 
 
 def hdr_flip_map(image, reference):
@@ -64,7 +64,6 @@ class TestInstalled:
         # The filters reach 24 pixels.
         assert not error[14 + 24 :].any()
         assert not error[:, : 60 - 24].any()
-        assert flip(defect, noise) == pytest.approx(float(error.mean()))
 
     def test_the_mean_is_of_srgb_values(self):
         """Above 1 LDR-FLIP sees white; HDR-FLIP, which shows several exposures, sees a difference."""
@@ -84,6 +83,5 @@ class TestInstalled:
 
 def test_without_the_evaluator_there_is_no_value(monkeypatch, noise):
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
-    assert flip(noise, noise) is None
     assert flip_map(noise, noise) is None
     assert hdr_flip_map(noise, noise) is None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.metadata import PackageNotFoundError
-
 import pytest
 
 from hybrid.measure import frame_quality as module
@@ -13,12 +11,7 @@ from hybrid.measure.frame_quality import installed, missing
 def test_what_is_installed_is_named_with_its_version_and_the_rest_with_its_command(monkeypatch):
     versions = {"pyfvvdp": "1.2.2", "flip-evaluator": "1.7"}
 
-    def version(package: str) -> str:
-        if package not in versions:
-            raise PackageNotFoundError(package)
-        return versions[package]
-
-    monkeypatch.setattr(module, "version", version)
+    monkeypatch.setattr(module, "installed_version", versions.get)
     assert installed() == ["pyfvvdp 1.2.2", "flip-evaluator 1.7"]
     (line,) = missing()
     assert line.startswith("LPIPS needs")

@@ -20,7 +20,7 @@ from PySide6.QtWidgets import QApplication, QSlider
 from hybrid.render.frame_settings import INTERACTIVE
 from hybrid.window.frame_source import prepared
 from hybrid.window.gaze_input import GazeInput
-from hybrid.window.main_window import Window
+from hybrid.window.main_window import Window, WindowOptions
 from hybrid.window.messages import View
 from hybrid.window.render_thread import RenderThread
 from splat.io.forest_file import load_forest
@@ -41,7 +41,7 @@ def opened(forest: Path, folder: Path) -> Window:
 
 def window_of(scene: str, forest: Path | None, folder: Path) -> Window:
     thread = RenderThread(partial(prepared, scene, forest, "auto", True, INTERACTIVE))
-    return Window(thread, INTERACTIVE, None, SIZE, GazeInput(0.0, None), folder)
+    return Window(thread, INTERACTIVE, GazeInput(0.0, None), WindowOptions(SIZE, 0.0, folder))
 
 
 def wait(done: Callable[[], bool]) -> None:

@@ -14,7 +14,7 @@ from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
 from hybrid.render.frame_settings import INTERACTIVE
-from hybrid.window.messages import Request, Shown
+from hybrid.window.messages import Ready, Request, Shown
 
 CAMERA = Camera(np.eye(4), 320, 240, 250.0, 250.0, 160.0, 120.0)
 REQUEST = Request(replace(INTERACTIVE, camera=CAMERA, gaze=Gaze(0.5, 0.5), layers=(1, 3)))
@@ -44,15 +44,15 @@ def shown(request: Request = REQUEST, image: np.ndarray | None = None, **other: 
 class Source:
     """Grey frames at once; files without content."""
 
-    name, camera, layers, seconds = "box", CAMERA, 3, None
+    camera, layers = CAMERA, 3
 
     def __init__(self, finished: bool = True):
         self.finished = finished
         self.requests: list[Request] = []
         self.threads: set[int] = set()
 
-    def distance(self) -> float:
-        return 2.0
+    def ready(self) -> Ready:
+        return Ready("box", CAMERA, 2.0, 3)
 
     def show(self, request: Request, quick: bool) -> Shown:
         self.requests.append(request)

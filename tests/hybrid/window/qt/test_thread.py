@@ -15,8 +15,8 @@ pytest.importorskip("PySide6.QtCore", reason="the window needs Qt", exc_type=Imp
 from PySide6.QtCore import Qt
 
 from compose.eye.gaze import Gaze
-from hybrid.window.messages import Request
-from hybrid.window.render_thread import Ready, RenderThread
+from hybrid.window.messages import Ready, Request
+from hybrid.window.render_thread import RenderThread
 from tests.hybrid.window.qt.fakes import CAMERA, REQUEST, Source
 
 pytestmark = pytest.mark.usefixtures("application")

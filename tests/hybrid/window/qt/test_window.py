@@ -22,9 +22,8 @@ from compose.eye.gaze import Gaze, GazeTrace, load_gaze_trace
 from hybrid.render.frame_settings import INTERACTIVE
 from hybrid.window.application import move_mouse
 from hybrid.window.gaze_input import GazeInput
-from hybrid.window.main_window import Window
-from hybrid.window.messages import Newest, Request, View
-from hybrid.window.render_thread import Ready
+from hybrid.window.main_window import Window, WindowOptions
+from hybrid.window.messages import Newest, Ready, Request, View
 from tests.hybrid.window.qt.fakes import CAMERA, shown
 
 Key = Qt.Key
@@ -64,7 +63,8 @@ class Opened:
     def __init__(self, folder: Path, gaze: GazeInput, target_fps: float | None, clock: list[float]):
         self.thread, self.gaze, self.clock = Thread(), gaze, clock
         thread: Any = self.thread
-        self.window = Window(thread, INTERACTIVE, target_fps, (320, 240), gaze, folder)
+        options = WindowOptions((320, 240), 0.0, folder, target_fps)
+        self.window = Window(thread, INTERACTIVE, gaze, options)
         self.window.show()
 
     def load(self, seconds: float | None = None) -> None:

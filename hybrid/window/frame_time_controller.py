@@ -29,7 +29,6 @@ class FrameTimeController:
 
     Args:
         ladder: Pareto-optimal settings, each slower and better than the one before it.
-        target: milliseconds per frame.
 
     Attributes:
         target: milliseconds per frame.

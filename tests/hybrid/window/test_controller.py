@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hybrid.evaluation.frame_time_controller import FrameTimeController, applied
 from hybrid.evaluation.measured_settings import MeasuredSettings
 from hybrid.render.frame_settings import FrameSettings
+from hybrid.window.frame_time_controller import FrameTimeController, applied
 from tests import small
 
 
