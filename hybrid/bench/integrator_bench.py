@@ -151,11 +151,7 @@ _WARM_UP = 1
 
 
 def bench_integrator(
-    scene: Scene,
-    camera: Camera,
-    reference_spp: int,
-    repeats: int,
-    progress: Callable[[int, int], None],
+    scene: Scene, camera: Camera, reference_spp: int, repeats: int, progress: Callable[[int, int], None]
 ) -> dict[str, Any]:
     """Raw frames of both integrators, interleaved, against an unbiased reference.
 

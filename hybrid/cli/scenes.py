@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-from hybrid.cli.options import Backend, Json, select, write_json
+from hybrid.cli import options as o
 
 
-def scenes(backend: Backend = "auto", json_file: Json = None) -> None:
+def scenes(backend: o.Backend = "auto", json_file: o.Json = None) -> None:
     """List the bundled scenes and their facts."""
-    select(backend)
+    o.select(backend)
     from pathtrace.scene.scene import bundled_scenes
 
     rows = [_facts(name) for name in bundled_scenes()]
     for row in rows:
         print(_line(row))
-    write_json(json_file, rows)
+    o.write_json(json_file, rows)
 
 
 def _facts(name: str) -> dict[str, Any]:

@@ -196,10 +196,7 @@ def evaluated_views(
 
 
 def quality_rows(
-    entries: list[Entry],
-    views: list[EvaluatedView],
-    journal: Journal,
-    progress: Callable[[int, int], None],
+    entries: list[Entry], views: list[EvaluatedView], journal: Journal, progress: Callable[[int, int], None]
 ) -> list[dict[str, Any]]:
     """Rows of view, method, budget, region, metric and value; writes the images.
 
