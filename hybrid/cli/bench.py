@@ -45,7 +45,7 @@ def raster(
 
 def integrator(
     scene: o.SceneName,
-    size: o.Size = (256, 256),
+    size: o.FixedSize = (256, 256),
     reference_spp: o.ReferenceSpp = 1024,
     repeats: o.Repeats = 7,
     max_depth: o.MaxDepth = None,

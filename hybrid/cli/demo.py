@@ -31,7 +31,7 @@ def demo(
     target: Annotated[
         float | None,
         typer.Option(
-            help="Target frame rate per second: adapts radius, samples, layers, rate and scale.",
+            help="Target frame rate in frames per second: adapts radius, samples, layers, rate and scale.",
             min=1,
             max=1000,
             callback=o.finite,

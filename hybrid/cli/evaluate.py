@@ -95,20 +95,21 @@ def evaluate(
 def _print(found: dict[str, Any]) -> None:
     """Foveal and whole quality of each method, mean over the views, beside its time."""
     from hybrid.evaluation.result_keys import HALVES_KEY
-    from hybrid.evaluation.results import budget_label, keys_of, mean_of
+    from hybrid.evaluation.results import Results
 
-    times = {(row["method"], row["budget"]): row["ms"]["p50"] for row in found["time"]}
-    keys = [HALVES_KEY, *keys_of(found)]
+    results = Results(found)
+    keys = [HALVES_KEY, *results.keys]
     means = {
-        (region, metric): [mean_of(found, key, region, metric) for key in keys]
+        (region, metric): [results.mean(key, region, metric) for key in keys]
         for region in ("foveal", "whole")
         for metric in ("psnr", "ssim", "flip", "jod")
     }
     columns = {key: values for key, values in means.items() if None not in values}
     head = "".join(f"{region[:3] + ' ' + metric:>10}" for region, metric in columns)
-    labels = [budget_label(found, key) for key in keys]
+    labels = [results.budget_label(key) for key in keys]
     width = max(12, 2 + max(map(len, labels)))
     print(f"{'method':<34}{'budget':<{width}}{'ms':>6}{head}")
     for number, key in enumerate(keys):
         cells = "".join(f"{values[number]:>10.4g}" for values in columns.values())
-        print(f"{key[0]:<34}{labels[number]:<{width}}{round(times[key]) if key in times else '-':>6}{cells}")
+        milliseconds = round(results.times[key]) if key in results.times else "-"
+        print(f"{key[0]:<34}{labels[number]:<{width}}{milliseconds:>6}{cells}")

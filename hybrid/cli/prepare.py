@@ -37,8 +37,8 @@ def prepare(
     clamp_indirect: Annotated[
         float | None,
         o.inputs(
-            help="Upper limit on the indirect radiance that a path of a training frame gains at one vertex: "
-            "fewer fireflies, darker caustics."
+            help="Upper limit on the indirect radiance added to a path of a training frame at once: fewer "
+            "fireflies, darker caustics."
         ),
     ] = None,
     seed: o.Seed = 0,
