@@ -199,7 +199,6 @@ def bench_frame(
     """One row per size, fovea mode and renderer; all take turns, the gaze moving and the camera still.
 
     Args:
-        scene, forest: what is rendered.
         settings: of the frames, apart from gaze, mode and size.
         sizes: width and height of the frames, in pixels.
         repeats: timed frames per row. After them come a few that are looked into.
@@ -229,18 +228,13 @@ def bench_frame(
             if turn < warm_up:
                 case.frame(gaze, number)
             elif turn < warm_up + repeats:
-                timed[index].append(_timed(case, gaze, number))
+                start = time.perf_counter()
+                passes = case.frame(gaze, number)
+                timed[index].append({**passes, "wall": (time.perf_counter() - start) * 1000})
             else:
                 looked[index].append(_looked_into(case, gaze, number))
         progress(turn + 1, rounds)
     return [_row(*parts) for parts in zip(cases, timed, looked, strict=True)]
-
-
-def _timed(case: _Case, gaze: Gaze, seed: int) -> dict[str, float]:
-    """Milliseconds of the passes of a frame, and its wall clock ("wall")."""
-    start = time.perf_counter()
-    passes = case.frame(gaze, seed)
-    return {**passes, "wall": (time.perf_counter() - start) * 1000}
 
 
 def _looked_into(case: _Case, gaze: Gaze, seed: int) -> dict[str, float]:

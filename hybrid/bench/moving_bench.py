@@ -75,7 +75,6 @@ def bench_moving(
     """One row per method and region of a scene that plays, with the gaze on what moves most visibly.
 
     Args:
-        scene, forest: what is rendered; the scene moves.
         settings: of the frames, apart from gaze and time; with its camera.
         reference_spp: samples per pixel of the references.
         progress: called with clips done and clips in total.
@@ -160,20 +159,12 @@ class _Clip:
         }
 
 
-@dataclass(frozen=True)
-class _Shown:
-    """The frames of a clip, (H, W, 3) each, and milliseconds of those that are timed."""
-
-    images: Sequence[Image]
-    milliseconds: list[float]
+# The frames of a clip, (H, W, 3) each, and milliseconds of those that are timed.
+_Shown = tuple[Sequence[Image], list[float]]
 
 
 class _Found:
-    """What is found of one method, clip by clip.
-
-    Attributes:
-        milliseconds: of all timed frames.
-    """
+    """What is found of one method, clip by clip, and `milliseconds` of all its timed frames."""
 
     def __init__(self) -> None:
         self.milliseconds: list[float] = []
@@ -183,14 +174,17 @@ class _Found:
 
     def add(self, clip: _Clip, shown: _Shown, settings: FrameSettings) -> None:
         """Judges the last frame of a clip region by region, and all of them as a video."""
-        self.milliseconds += shown.milliseconds
-        squares, found = _squares(shown.images[-1], clip.truth), clip.regions(settings)
+        images, milliseconds = shown
+        self.milliseconds += milliseconds
+        errors = (srgb_from_radiance(images[-1]) - srgb_from_radiance(clip.truth)) ** 2
+        squares = np.asarray(errors.mean(axis=-1), dtype=np.float32)
+        found = clip.regions(settings)
         for name, region in found.items():
             self._errors.setdefault(name, []).append(squares[region.mask])
         for name in _AS_VIDEO:
-            score = _video_jod(clip, shown.images, found[name], settings.display)
+            score = _video_jod(clip, images, found[name], settings.display)
             self._jods.setdefault(name, []).append(score)
-        shift = registration_px(shown.images[-1], clip.truth, clip.moves)
+        shift = registration_px(images[-1], clip.truth, clip.moves)
         self._shifts += [] if shift is None else [shift]
 
     def rows(self) -> Iterator[dict[str, Any]]:
@@ -214,9 +208,7 @@ class _Methods:
     """Methods that show a clip.
 
     Args:
-        renderer: of the scene.
-        forests: of the same scene, drawn as splats alone, by their names; that of the renderer as SPLATS.
-        settings: of the frames.
+        forests: of the renderer's scene, drawn as splats alone, by their names; its own one as SPLATS.
     """
 
     def __init__(self, renderer: LiveRenderer, forests: Mapping[str, Forest], settings: FrameSettings):
@@ -253,7 +245,7 @@ class _Methods:
             start = time.perf_counter()
             images.append(method(settings, number))
             milliseconds.append((time.perf_counter() - start) * 1000)
-        return _Shown(images, milliseconds[_WARM_UP:])
+        return images, milliseconds[_WARM_UP:]
 
     def _selected(self, clip: _Clip, renderer: LastFrameRenderer) -> _Shown:
         """The clip with what each frame before has selected."""
@@ -358,12 +350,6 @@ def _gaze_on(moves: NDArray[np.bool_]) -> Gaze:
     nearest = int(np.argmin((rows - middle[0]) ** 2 + (columns - middle[1]) ** 2))
     height, width = moves.shape
     return Gaze((columns[nearest] + 0.5) / width, (rows[nearest] + 0.5) / height)
-
-
-def _squares(image: Image, truth: Image) -> NDArray[np.float32]:
-    """(H, W) mean squared errors of sRGB values."""
-    errors = (srgb_from_radiance(image) - srgb_from_radiance(truth)) ** 2
-    return np.asarray(errors.mean(axis=-1), dtype=np.float32)
 
 
 def _video_jod(clip: _Clip, images: Sequence[Image], region: Region, display: Display) -> float | None:

@@ -28,7 +28,6 @@ GAZES = (Gaze(0.5, 0.5), Gaze(0.2, 0.2))
 FULL = "none"
 # Units of the scene that the camera moves per pass: enough to make it another camera, too little to see.
 _STEP = 1e-4
-_INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
 # Milliseconds of each pass by acuity model.
 Times = dict[str, list[float]]
 
@@ -36,7 +35,7 @@ Times = dict[str, list[float]]
 def display_camera(scene_camera: Camera, display: Display) -> Camera:
     """The scene's own view on a display: its pose, with the display's size and field of view."""
     eye = display.viewer(display.width, display.height)
-    return Camera(scene_camera.world_to_camera, *(getattr(eye, n) for n in _INTRINSICS))
+    return replace(eye, world_to_camera=scene_camera.world_to_camera)
 
 
 def bench_periphery(
@@ -54,7 +53,6 @@ def bench_periphery(
     camera has that of an earlier view which showed nearly the same.
 
     Args:
-        forest, camera: what is drawn.
         settings: fov_b and display.
         repeats: measured passes per acuity model and gaze.
         warm_up: passes before that, which are not measured.
@@ -117,16 +115,17 @@ def _quality(
         frame, gaze = drawn[settings.acuity_model], settings.gaze
         fovea = settings.foveation.region(camera.width, camera.height).weight_image()[..., None]
         image = frame.numpy() * (1 - fovea) + full * fovea
-        row = {
-            "acuity_model": settings.acuity_model,
-            "gaze": [gaze.x, gaze.y],
-            "width": camera.width,
-            "height": camera.height,
-            "nodes_drawn": frame.nodes,
-            "jod": jod(image, full, settings.display, gaze),
-            "ssim": ssim(image, full),
-        }
-        rows.append(row)
+        rows.append(
+            {
+                "acuity_model": settings.acuity_model,
+                "gaze": [gaze.x, gaze.y],
+                "width": camera.width,
+                "height": camera.height,
+                "nodes_drawn": frame.nodes,
+                "jod": jod(image, full, settings.display, gaze),
+                "ssim": ssim(image, full),
+            }
+        )
     return rows
 
 
