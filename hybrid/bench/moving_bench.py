@@ -124,38 +124,22 @@ class _Clip:
         times: (T,) of the frames, from 0 to 1.
         gaze: on what moves.
         truths: T of (H, W, 3) reference radiance.
-        moves, uncovered, shadow, beside, reflected: (H, W) what moves; what stands still and was hidden by
-            what moves; what stands still, was not hidden, and has another luminance than a few frames before;
-            what is close to that, stands still and has not changed; and what has changed in mirrors, which
-            belongs to neither.
+        masks: (H, W) by the names of regions: what moves (MOVING); what stands still and was hidden by what
+            moves (uncovered); what stands still, was not hidden, and has another luminance than a few frames
+            before (shadow); what is close to that, stands still and has not changed (beside); and what has
+            changed in mirrors, which belongs to neither (reflected).
     """
 
     times: Sequence[float]
     gaze: Gaze
     truths: Sequence[Image]
-    moves: NDArray[np.bool_]
-    uncovered: NDArray[np.bool_]
-    shadow: NDArray[np.bool_]
-    beside: NDArray[np.bool_]
-    reflected: NDArray[np.bool_]
-
-    @property
-    def truth(self) -> Image:
-        """(H, W, 3) reference radiance of the last frame."""
-        return self.truths[-1]
+    masks: dict[str, NDArray[np.bool_]]
 
     def regions(self, settings: FrameSettings) -> dict[str, Region]:
         """Of the last frame, by name; those without a pixel are left out."""
-        found = regions(replace(settings, gaze=self.gaze).foveation, self.truth)
-        more = {
-            MOVING: self.moves,
-            "uncovered": self.uncovered,
-            "shadow": self.shadow,
-            "beside": self.beside,
-            "reflected": self.reflected,
-        }
+        found = regions(replace(settings, gaze=self.gaze).foveation, self.truths[-1])
         return {name: found[name] for name in (*_AS_VIDEO, "salient")} | {
-            name: Region.of(name, mask) for name, mask in more.items() if mask.any()
+            name: Region.of(name, mask) for name, mask in self.masks.items() if mask.any()
         }
 
 
@@ -176,7 +160,7 @@ class _Found:
         """Judges the last frame of a clip region by region, and all of them as a video."""
         images, milliseconds = shown
         self.milliseconds += milliseconds
-        errors = (srgb_from_radiance(images[-1]) - srgb_from_radiance(clip.truth)) ** 2
+        errors = (srgb_from_radiance(images[-1]) - srgb_from_radiance(clip.truths[-1])) ** 2
         squares = np.asarray(errors.mean(axis=-1), dtype=np.float32)
         found = clip.regions(settings)
         for name, region in found.items():
@@ -184,7 +168,7 @@ class _Found:
         for name in _AS_VIDEO:
             score = _video_jod(clip, images, found[name], settings.display)
             self._jods.setdefault(name, []).append(score)
-        shift = registration_px(images[-1], clip.truth, clip.moves)
+        shift = registration_px(images[-1], clip.truths[-1], clip.masks[MOVING])
         self._shifts += [] if shift is None else [shift]
 
     def rows(self) -> Iterator[dict[str, Any]]:
@@ -237,7 +221,7 @@ class _Methods:
     def _timed(
         self, clip: _Clip, method: _Frame, before: Callable[[FrameSettings], None] = lambda settings: None
     ) -> _Shown:
-        """The clip by a method; what is done before each frame is not timed."""
+        """The clip by a method; what is done `before` each frame is not timed."""
         milliseconds, images = [], []
         for number, at in enumerate(clip.times):
             settings = replace(self._settings, time=at, gaze=clip.gaze)
@@ -288,14 +272,11 @@ def _splats(name: str, forest: Forest) -> dict[str, _Frame]:
     """The finest layer of a forest over the whole frame; of one with layers, those by acuity as well."""
     renderer = SplatRenderer(forest)
 
-    def whole(settings: FrameSettings, seed: int) -> Image:
-        return renderer.splats(settings)
-
     def foveated(model: str, settings: FrameSettings, seed: int) -> Image:
         return renderer.frame(replace(settings, acuity_model=model)).composite
 
     models = _MODELS if len(forest.counts) > 1 else ()
-    found: dict[str, _Frame] = {name: whole}
+    found: dict[str, _Frame] = {name: lambda settings, seed: renderer.splats(settings)}
     return found | {f"{name}, {model}": partial(foveated, model) for model in models}
 
 
@@ -320,8 +301,14 @@ def _clip(tracer: Tracer, moving: MovingScene, camera: Camera, number: int, spp:
     still, mirrors = ~moves & ~hidden, _mirrors(tracer, camera)
     shadow = changed & still & ~mirrors
     beside = binary_dilation(shadow, iterations=_BESIDE) & still & ~mirrors & ~shadow
-    masks = moves, hidden & ~moves, shadow, beside, changed & still & mirrors
-    return _Clip(times, _gaze_on(moves), truths, *masks)
+    masks = {
+        MOVING: moves,
+        "uncovered": hidden & ~moves,
+        "shadow": shadow,
+        "beside": beside,
+        "reflected": changed & still & mirrors,
+    }
+    return _Clip(times, _gaze_on(moves), truths, masks)
 
 
 def _mirrors(tracer: Tracer, camera: Camera) -> NDArray[np.bool_]:

@@ -80,8 +80,7 @@ def bench_periphery(
                 progress(done, 2 * len(GAZES) * len(turns))
             kinds.append(times)
         common = {"fov_b": settings.fov_b, "repeats": repeats, "layers": list(forest.counts)}
-        quality = _quality(at_gaze, camera, drawn)
-        rows += [{**row, **_times(row["acuity_model"], *kinds), **common} for row in quality]
+        rows += [{**row, **common} for row in _rows(at_gaze, camera, drawn, *kinds)]
     return rows
 
 
@@ -105,41 +104,31 @@ def _passes(
     return drawn
 
 
-def _quality(
-    models: Sequence[FrameSettings], camera: Camera, drawn: dict[str, SplatImage]
+def _rows(
+    models: Sequence[FrameSettings], camera: Camera, drawn: dict[str, SplatImage], moving: Times, still: Times
 ) -> list[dict[str, Any]]:
-    """Rows that compare each periphery with that at full level and rate."""
+    """Compares each periphery with that at full level and rate: its quality, and the times of passes."""
     full = drawn[FULL].numpy().copy()
     rows = []
     for settings in models:
-        frame, gaze = drawn[settings.acuity_model], settings.gaze
+        name, gaze = settings.acuity_model, settings.gaze
         fovea = settings.foveation.region(camera.width, camera.height).weight_image()[..., None]
-        image = frame.numpy() * (1 - fovea) + full * fovea
+        image = drawn[name].numpy() * (1 - fovea) + full * fovea
         rows.append(
             {
-                "acuity_model": settings.acuity_model,
+                "acuity_model": name,
                 "gaze": [gaze.x, gaze.y],
                 "width": camera.width,
                 "height": camera.height,
-                "nodes_drawn": frame.nodes,
+                "nodes_drawn": drawn[name].nodes,
                 "jod": jod(image, full, settings.display, gaze),
                 "ssim": ssim(image, full),
+                "periphery_ms": percentiles(still[name]),
+                "full_ms": percentiles(still[FULL]),
+                "ratio": float(np.median(still[FULL]) / np.median(still[name])),
+                "moving_ms": percentiles(moving[name]),
+                "moving_full_ms": percentiles(moving[FULL]),
+                "moving_ratio": float(np.median(moving[FULL]) / np.median(moving[name])),
             }
         )
     return rows
-
-
-def _times(acuity_model: str, moving: Times, still: Times) -> dict[str, Any]:
-    """Percentiles of passes with a moving and with a still camera, and their ratios to full detail."""
-
-    def ratio(times: Times) -> float:
-        return float(np.median(times[FULL]) / np.median(times[acuity_model]))
-
-    return {
-        "periphery_ms": percentiles(still[acuity_model]),
-        "full_ms": percentiles(still[FULL]),
-        "ratio": ratio(still),
-        "moving_ms": percentiles(moving[acuity_model]),
-        "moving_full_ms": percentiles(moving[FULL]),
-        "moving_ratio": ratio(moving),
-    }

@@ -63,23 +63,18 @@ def import_file(
 ) -> None:
     """Read a PLY file of 3D Gaussian splatting as a forest, or a glTF file as a scene that moves."""
     if source.suffix.lower() in (".glb", ".gltf"):
-        import_scene(source, target, fps, animation)
+        o.select("auto")
+        from pathtrace.gltf.importing import DEFAULT_FPS, import_gltf
+
+        found = import_gltf(source, target, fps or DEFAULT_FPS, animation)
+        moving = f"{found.rigid} move rigidly, {found.deforming} deform, in {found.seconds:g} s"
+        print(f"{found.scene}: {found.triangles:,} triangles; {moving if found.seconds else 'nothing moves'}")
+        for remark in found.remarks:
+            print(remark)
         return
     if fps is not None or animation is not None:
         raise UserError(f"--fps, --animation: only of .glb and .gltf files; {source} is none")
     import_ply(source, target, precision)
-
-
-def import_scene(source: Path, folder: Path, fps: float | None, animation: str | None) -> None:
-    """Reads a glTF file; writes a folder with a Mitsuba scene, its meshes, textures and motion."""
-    o.select("auto")
-    from pathtrace.gltf.importing import DEFAULT_FPS, import_gltf
-
-    found = import_gltf(source, folder, fps or DEFAULT_FPS, animation)
-    moving = f"{found.rigid} move rigidly, {found.deforming} deform, in {found.seconds:g} s"
-    print(f"{found.scene}: {found.triangles:,} triangles; {moving if found.seconds else 'nothing moves'}")
-    for remark in found.remarks:
-        print(remark)
 
 
 def import_ply(source: Path, forest: Path, precision: Precision = Precision.COMPACT) -> None:

@@ -69,12 +69,10 @@ def _shown(evidence: dict[str, Any]) -> str:
     """Numbers behind a decision in one line; lists are left to the JSON file."""
     parts = []
     for name, value in evidence.items():
-        if isinstance(value, float):
-            parts.append(f"{name.replace('_', ' ')} {value:.3g}")
-        elif not isinstance(value, list | dict) or not value:
-            parts.append(f"{name.replace('_', ' ')} {value if value else 0}")
-        elif isinstance(value, dict):
+        if isinstance(value, dict) and value:
             parts.append(", ".join(f"{key} {_plain(of)}" for key, of in value.items()))
+        elif not isinstance(value, list) or not value:
+            parts.append(f"{name.replace('_', ' ')} {_plain(value or 0)}")
     return ", ".join(parts)
 
 

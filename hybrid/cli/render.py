@@ -134,7 +134,7 @@ def render(
         refuse_tracing(context, Path(scene))
     elif view is not None:
         raise UserError(
-            f"--view {view}: only of a folder of frames; a scene has a camera of its own, or --camera"
+            f"--view {view}: only for a folder of images; a scene has its own camera, or takes --camera"
         )
     settings = FrameSettings(
         gaze or DEFAULTS.gaze,
@@ -146,7 +146,7 @@ def render(
         layers,
         display=display,
         integrator=integrator,
-        time=DEFAULTS.time if time is None else time,
+        time=time or DEFAULTS.time,
     )
     _check_layers(layers)
     _check_outputs(output, detail, gaze_trace is not None or is_path)

@@ -95,7 +95,7 @@ def train(
         trained = run(found, forest, settings, bar, left_out.append, precision=precision)
     seconds = time.perf_counter() - start
     say_left_out(left_out[0])
-    # The hash of frames of others is that of the images, which were trained on here.
+    # The hash of third-party images is that of the very images that were trained on here.
     if not isinstance(found, PosedFolder) and settings.motion.field is not None:
         print(
             f"the motion was learned, for comparison with that of the scene: the forest does not become the "
@@ -121,7 +121,7 @@ def train(
 
 
 def _print_folder(folder: PosedFolder, motion: MotionModel) -> None:
-    """What frames of others are, and how what moves in them is modelled."""
+    """What a folder of third-party images holds, and how motion in it is modelled."""
     model = (
         "nothing moves" if motion.field is None else f"a learned field deforms the Gaussians ({motion.value})"
     )

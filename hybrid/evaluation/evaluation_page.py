@@ -154,17 +154,12 @@ def _row(results: Results, key: Key, cells: list[str]) -> dict[str, Any]:
 
 def _viewer(results: Results, folder: Path) -> dict[str, Any]:
     """The images, and the circles drawn over them in percent of the height."""
-    settings, keys = results.found["settings"], results.keys
-    labels = {key.label: results.label(key) for key in keys}
-
-    def labelled(urls: dict[str, str]) -> dict[str, str]:
-        return {labels.get(name, name): url for name, url in urls.items()}
-
+    settings, labels = results.found["settings"], {key: results.label(key) for key in results.keys}
     width, height = settings["width"], settings["height"]
     return {
         "views": results.views,
-        "images": [labelled(embedded_images(folder, view, keys)) for view in results.views],
-        "flips": [labelled(embedded_flips(folder, view, keys)) for view in results.views],
+        "images": [embedded_images(folder, view, labels) for view in results.views],
+        "flips": [embedded_flips(folder, view, labels) for view in results.views],
         "left": OURS_KEY.label,
         "right": "reference",
         "aspect": 100 * width / height,
@@ -175,17 +170,17 @@ def _viewer(results: Results, folder: Path) -> dict[str, Any]:
     }
 
 
-def embedded_images(folder: Path, view: int, keys: list[Key]) -> dict[str, str]:
-    """Data URLs of a view's frames by the method's label, the reference first."""
-    names = {"reference": image_name(view, None)}
-    names |= {key.label: image_name(view, key) for key in keys}
-    return {name: _data_url(folder / file) for name, file in names.items()}
+def embedded_images(folder: Path, view: int, labels: dict[Key, str]) -> dict[str, str]:
+    """Data URLs of a view's frames by their labels, the reference first."""
+    files = {"reference": image_name(view, None)}
+    files |= {label: image_name(view, key) for key, label in labels.items()}
+    return {label: _data_url(folder / file) for label, file in files.items()}
 
 
-def embedded_flips(folder: Path, view: int, keys: list[Key]) -> dict[str, str]:
-    """Data URLs of a view's FLIP maps by the method's label, as far as there are any."""
-    files = {key.label: folder / flip_name(view, key) for key in keys}
-    return {name: _data_url(file) for name, file in files.items() if file.exists()}
+def embedded_flips(folder: Path, view: int, labels: dict[Key, str]) -> dict[str, str]:
+    """Data URLs of a view's FLIP maps by their labels, as far as there are any."""
+    files = {label: folder / flip_name(view, key) for key, label in labels.items()}
+    return {label: _data_url(file) for label, file in files.items() if file.exists()}
 
 
 def _data_url(file: Path) -> str:

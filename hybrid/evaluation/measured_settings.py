@@ -31,7 +31,8 @@ def pareto_front(items: Iterable[T], cost_and_quality: Callable[[T], tuple[float
     """
     found = [(*cost_and_quality(item), item) for item in items]
     known = [row for row in found if not (math.isnan(row[0]) or math.isnan(row[1]))]
-    front, best = [], -math.inf
+    front: list[T] = []
+    best = -math.inf
     for _, quality, item in sorted(known, key=lambda row: (row[0], -row[1])):
         if not front or quality > best:
             front.append(item)

@@ -114,8 +114,8 @@ def samples_plot(results: Results, metric: str) -> str | None:
         None if the metric was not measured for all of them.
     """
     splats = results.mean(Key("splats alone", FIXED), "foveal", metric)
-    by_spp = results.fused_by_spp(metric)
-    if splats is None or None in by_spp.values():
+    by_spp = {spp: value for spp, value in results.fused_by_spp(metric).items() if value is not None}
+    if splats is None or len(by_spp) < len(results.fused_by_spp(metric)):
         return None
     axes = new_axes()
     counts = sorted(by_spp)

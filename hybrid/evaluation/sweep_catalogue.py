@@ -165,7 +165,9 @@ def _view(base: Setting, views: list[View]) -> list[Setting]:
 
 
 def _band(base: Setting, views: list[View]) -> list[Setting]:
-    radii = [{"fov_a": a, "fov_b": a * share} for a in _BAND_OUTER for share in _BAND_SHARES]
+    radii: list[dict[str, Any]] = [
+        {"fov_a": outer, "fov_b": outer * share} for outer in _BAND_OUTER for share in _BAND_SHARES
+    ]
     return [_with(base, both, **both) for both in radii]
 
 
@@ -186,7 +188,7 @@ def _trade(base: Setting, views: list[View]) -> list[Setting]:
     for frame in (base.frame.with_radius(outer) for outer in _TRADE_OUTER):
         for spp in _TRADE_SPP:
             for mode in (FoveaMode.DENOISED, FoveaMode.FUSED):
-                radii = {"fov_a": frame.fov_a, "fov_b": frame.fov_b}
+                radii: dict[str, Any] = {"fov_a": frame.fov_a, "fov_b": frame.fov_b}
                 varied = {"fovea": mode.value, "spp": spp, **radii}
                 rows.append(_with(base, varied, fovea=mode, spp=spp, **radii))
     return rows
