@@ -138,7 +138,7 @@ class Results:
         ]
 
 
-# By whether our frame is ahead; bad news come first.
+# By whether our frame is ahead; bad news first.
 _SENTENCES = {
     False: "{} is not ahead of {}.",
     None: "{} cannot be distinguished from {}: the difference is within the noise of the references.",
