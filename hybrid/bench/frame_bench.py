@@ -26,8 +26,8 @@ from splat.model.forest import Forest
 
 # Points of the gaze path: from one frame to the next, the gaze moves by about a hundredth of the width.
 _GAZES = 80
-# Frames per case that are looked into, after the timed ones: Dr.Jit's history slows frames down.
-_LOOKED_INTO = 5
+# Frames per case that are profiled, after the timed ones: Dr.Jit's history slows frames down.
+_PROFILED = 5
 # Places of two functions in the table of NumPy's C API, part of its ABI since NumPy 1.22 (NEP 49).
 _SET_HANDLER, _GET_HANDLER = 304, 305
 # Methods of Dr.Jit arrays that bring them to the host.
@@ -199,11 +199,10 @@ def bench_frame(
     """One row per size, fovea mode and renderer; all take turns, the gaze moving and the camera still.
 
     Args:
-        scene, forest: what is rendered.
         settings: of the frames, apart from gaze, mode and size.
         sizes: width and height of the frames, in pixels.
-        repeats: timed frames per row. After them come a few that are looked into.
-        warm_up: frames before that, which are not measured.
+        repeats: timed frames per row; a few more are profiled afterwards.
+        warm_up: frames before these, not measured.
         seed: of the first frame; each frame has the next one.
         progress: called with rounds done and rounds in total.
 
@@ -221,29 +220,24 @@ def bench_frame(
         for kind in (Renderer, LiveRenderer)
     ]
     timed: list[list[dict[str, float]]] = [[] for _ in cases]
-    looked: list[list[dict[str, float]]] = [[] for _ in cases]
-    path, rounds = gaze_path(_GAZES), warm_up + repeats + _LOOKED_INTO
+    profiled: list[list[dict[str, float]]] = [[] for _ in cases]
+    path, rounds = gaze_path(_GAZES), warm_up + repeats + _PROFILED
     for turn in range(rounds):
         gaze, number = path[turn % _GAZES], (seed + turn) % (MOST_SEED + 1)
         for index, case in enumerate(cases):
             if turn < warm_up:
                 case.frame(gaze, number)
             elif turn < warm_up + repeats:
-                timed[index].append(_timed(case, gaze, number))
+                start = time.perf_counter()
+                passes = case.frame(gaze, number)
+                timed[index].append({**passes, "wall": (time.perf_counter() - start) * 1000})
             else:
-                looked[index].append(_looked_into(case, gaze, number))
+                profiled[index].append(_profile(case, gaze, number))
         progress(turn + 1, rounds)
-    return [_row(*parts) for parts in zip(cases, timed, looked, strict=True)]
+    return [_row(*parts) for parts in zip(cases, timed, profiled, strict=True)]
 
 
-def _timed(case: _Case, gaze: Gaze, seed: int) -> dict[str, float]:
-    """Milliseconds of the passes of a frame, and its wall clock ("wall")."""
-    start = time.perf_counter()
-    passes = case.frame(gaze, seed)
-    return {**passes, "wall": (time.perf_counter() - start) * 1000}
-
-
-def _looked_into(case: _Case, gaze: Gaze, seed: int) -> dict[str, float]:
+def _profile(case: _Case, gaze: Gaze, seed: int) -> dict[str, float]:
     """Kernels, launches and bytes of a frame."""
     dr.sync_thread()
     dr.kernel_history_clear()
@@ -254,7 +248,7 @@ def _looked_into(case: _Case, gaze: Gaze, seed: int) -> dict[str, float]:
     return {"kernels_ms": milliseconds, "launches": len(history), "host_bytes": host.count}
 
 
-def _row(case: _Case, timed: list[dict[str, float]], looked: list[dict[str, float]]) -> dict[str, Any]:
+def _row(case: _Case, timed: list[dict[str, float]], profiled: list[dict[str, float]]) -> dict[str, Any]:
     camera = case.settings.camera or case.renderer.scene.camera
     times = {name: percentiles([frame[name] for frame in timed]) for name in timed[0]}
     return {
@@ -263,8 +257,8 @@ def _row(case: _Case, timed: list[dict[str, float]], looked: list[dict[str, floa
         "width": camera.width,
         "height": camera.height,
         "wall_ms": times.pop("wall"),
-        "kernels_ms": float(np.median([frame["kernels_ms"] for frame in looked])),
-        **{name: int(np.median([frame[name] for frame in looked])) for name in ("launches", "host_bytes")},
+        "kernels_ms": float(np.median([frame["kernels_ms"] for frame in profiled])),
+        **{name: int(np.median([frame[name] for frame in profiled])) for name in ("launches", "host_bytes")},
         "passes": times,
         "backend": device_arrays().backend,
     }

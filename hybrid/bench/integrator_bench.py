@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -25,65 +26,14 @@ from pathtrace.trace.integrator import Integrator
 from pathtrace.trace.traced_images import radiance_image
 from pathtrace.trace.tracer import Tracer
 
+# Samples per pixel at which frames are timed.
+_SPP = (1, 4)
+# Frames of which the first of each kind is not measured, for it compiles kernels.
+_WARM_UP = 1
 # Side in pixels of the blocks in which bias is looked for.
 BLOCK = 32
 # Samples per pixel in one pass of an image of many.
 PASS = 64
-
-
-def block_errors(image: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Relative errors of the blocks of an (H, W, 3) image that are not black; a single 0 if all are.
-
-    Blocks that are cut by the frame's border count as well.
-    """
-    found, expected = _block_sums(image), _block_sums(truth)
-    lit = expected > 0
-    return found[lit] / expected[lit] - 1 if lit.any() else np.zeros(1)
-
-
-def relative_errors(image: NDArray[np.float64], truth: NDArray[np.float64]) -> dict[str, float]:
-    """Relative errors of the mean of an (H, W, 3) image, and of its blocks: the worst and a high one."""
-    blocks = np.abs(block_errors(image, truth))
-    mean = float(image.mean() / truth.mean() - 1) if truth.mean() > 0 else 0.0
-    return {"mean": mean, "worst_block": float(blocks.max()), "p95_block": float(np.percentile(blocks, 95))}
-
-
-def _block_sums(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sums over blocks of BLOCK x BLOCK pixels."""
-    sums = image.sum(axis=2)
-    for axis in (0, 1):
-        sums = np.add.reduceat(sums, np.arange(0, image.shape[axis], BLOCK), axis=axis)
-    return sums
-
-
-def converged(
-    tracer: Tracer, camera: Camera, passes: int, seed: int, advance: Callable[[int], None]
-) -> NDArray[np.float64]:
-    """(H, W, 3) mean of many samples per pixel, in float64."""
-    total = np.zeros((camera.height, camera.width, 3))
-    for number in range(passes):
-        total += frame_of(tracer, camera, PASS, seed + number)
-        advance(PASS)
-    return total / passes
-
-
-def advancing(progress: Callable[[int, int], None], total: int) -> Callable[[int], None]:
-    """A function that is called with samples per pixel as they are done, and reports their sum and total."""
-    done = 0
-
-    def advance(samples: int) -> None:
-        nonlocal done
-        done += samples
-        progress(done, total)
-
-    return advance
-
-
-def frame_of(tracer: Tracer, camera: Camera, spp: int, seed: int) -> Image:
-    """(H, W, 3) a raw frame."""
-    return radiance_image(tracer, camera, frame_positions(camera), camera.width, spp, seed)
-
-
 # Look-ups at each point, for one alone is hidden by the start of the kernel.
 _LOOK_UPS = 32
 _REPEATS = 7
@@ -91,76 +41,12 @@ _REPEATS = 7
 _SEGMENTS = 99
 
 
-def look_up_ns(scene: Scene, camera: Camera, cache: IrradianceCache) -> float:
-    """Nanoseconds of a look-up at the surface points of a view, all threads of the machine at work.
-
-    It is the time of a kernel that looks up, less that of the same kernel without; cells of all sizes may
-    answer.
-    """
-    positions = frame_positions(camera)
-    ray = ray_through(opaque_camera(camera), positions.x + 0.5, positions.y + 0.5)
-    hit = first_hits(scene.mitsuba, ray, mi.Bool(True)).last
-    valid = hit.is_valid()
-    points = hit.p, mi.Normal3f(dr.select(hit.wi.z > 0, hit.n, -hit.n)), valid
-    dr.eval(points)
-    known = cache.arrays(scene.mitsuba).irradiance
-    kernels = {asks: Frozen(_kernel(asks)) for asks in (False, True)}
-    times: dict[bool, list[float]] = {asks: [] for asks in kernels}
-    for number in range(1 + _REPEATS):
-        for asks, kernel in kernels.items():
-            state = dr.opaque(mi.UInt32, number)
-            dr.sync_thread()
-            start = time.perf_counter()
-            kernel(state, known, *points)
-            dr.sync_thread()
-            times[asks].append(time.perf_counter() - start)
-    # The first of each kind compiles.
-    seconds = {asks: float(np.median(measured[1:])) for asks, measured in times.items()}
-    count = max(int(dr.count(valid)[0]), 1) * _LOOK_UPS
-    return 1e9 * max(seconds[True] - seconds[False], 0.0) / count
-
-
-def _kernel(asks: bool) -> Callable[..., Any]:
-    """A function that looks up at points many times, or does all the same but for that."""
-    return lambda *arrays: _repeated(asks, *arrays)
-
-
-@dr.syntax
-def _repeated(asks: bool, state: Any, known: Any, position: Any, normal: Any, valid: Any) -> Any:
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(state, dr.width(position))
-    total, number = dr.zeros(mi.Color3f, dr.width(position)), mi.UInt32(0)
-    while dr.hint(number < _LOOK_UPS, exclude=[asks, known, position, normal, valid]):
-        jitter = sampler.next_2d(valid)
-        total += jitter.x + jitter.y + _answer(asks, known, position, normal, jitter, valid)
-        number += 1
-    dr.eval(total)
-    return total
-
-
-def _answer(asks: bool, known: Any, position: Any, normal: Any, jitter: Any, valid: Any) -> Any:
-    if not asks:
-        return mi.Color3f(0)
-    return look_up(known, position, normal, mi.Float(dr.inf), mi.UInt32(_SEGMENTS), jitter, valid)[1]
-
-
-# Samples per pixel at which frames are timed.
-_SPP = (1, 4)
-# Frames of which the first of each kind is not measured, for it compiles kernels.
-_WARM_UP = 1
-
-
 def bench_integrator(
-    scene: Scene,
-    camera: Camera,
-    reference_spp: int,
-    repeats: int,
-    progress: Callable[[int, int], None],
+    scene: Scene, camera: Camera, reference_spp: int, repeats: int, progress: Callable[[int, int], None]
 ) -> dict[str, Any]:
     """Raw frames of both integrators, interleaved, against an unbiased reference.
 
     Args:
-        scene, camera: what is rendered.
         reference_spp: samples per pixel of the reference, and of the image that bias is measured in.
         repeats: measured frames per integrator and sample count.
         progress: called with samples per pixel done and in total.
@@ -172,8 +58,14 @@ def bench_integrator(
         blocks of 32 x 32 pixels, as fractions. That of `path` is due to noise alone, and so are the others'
         where they are no larger.
     """
-    passes = -(-reference_spp // PASS)
-    advance = advancing(progress, 3 * passes * PASS + 2 * sum(_SPP) * (repeats + _WARM_UP))
+    passes, done = -(-reference_spp // PASS), 0
+    total = 3 * passes * PASS + 2 * sum(_SPP) * (repeats + _WARM_UP)
+
+    def advance(samples: int) -> None:
+        nonlocal done
+        done += samples
+        progress(done, total)
+
     start = time.perf_counter()
     cache = filled_cache(scene)
     facts = {"seconds": time.perf_counter() - start, "cells": len(cache.cells), "bytes": cache.bytes}
@@ -219,3 +111,92 @@ def _rows(
         }
         for integrator in tracers
     ]
+
+
+def block_errors(image: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Relative errors of the blocks of an (H, W, 3) image that are not black; a single 0 if all are.
+
+    Blocks that are cut by the frame's border count as well.
+    """
+    found, expected = _block_sums(image), _block_sums(truth)
+    lit = expected > 0
+    return found[lit] / expected[lit] - 1 if lit.any() else np.zeros(1)
+
+
+def relative_errors(image: NDArray[np.float64], truth: NDArray[np.float64]) -> dict[str, float]:
+    """Relative errors of the mean of an (H, W, 3) image, and of its blocks: the worst and a high one."""
+    blocks = np.abs(block_errors(image, truth))
+    mean = float(image.mean() / truth.mean() - 1) if truth.mean() > 0 else 0.0
+    return {"mean": mean, "worst_block": float(blocks.max()), "p95_block": float(np.percentile(blocks, 95))}
+
+
+def _block_sums(image: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sums over blocks of BLOCK x BLOCK pixels."""
+    sums = image.sum(axis=2)
+    for axis in (0, 1):
+        sums = np.add.reduceat(sums, np.arange(0, image.shape[axis], BLOCK), axis=axis)
+    return sums
+
+
+def converged(
+    tracer: Tracer, camera: Camera, passes: int, seed: int, advance: Callable[[int], None]
+) -> NDArray[np.float64]:
+    """(H, W, 3) mean of many samples per pixel, in float64."""
+    total = np.zeros((camera.height, camera.width, 3))
+    for number in range(passes):
+        total += frame_of(tracer, camera, PASS, seed + number)
+        advance(PASS)
+    return total / passes
+
+
+def frame_of(tracer: Tracer, camera: Camera, spp: int, seed: int) -> Image:
+    """(H, W, 3) a raw frame."""
+    return radiance_image(tracer, camera, frame_positions(camera), camera.width, spp, seed)
+
+
+def look_up_ns(scene: Scene, camera: Camera, cache: IrradianceCache) -> float:
+    """Nanoseconds of a look-up at the surface points of a view, all threads of the machine at work.
+
+    It is the time of a kernel that looks up, less that of the same kernel without; cells of all sizes may
+    answer.
+    """
+    positions = frame_positions(camera)
+    ray = ray_through(opaque_camera(camera), positions.x + 0.5, positions.y + 0.5)
+    hit = first_hits(scene.mitsuba, ray, mi.Bool(True)).last
+    valid = hit.is_valid()
+    points = hit.p, mi.Normal3f(dr.select(hit.wi.z > 0, hit.n, -hit.n)), valid
+    dr.eval(points)
+    known = cache.arrays(scene.mitsuba).irradiance
+    kernels = {asks: Frozen(partial(_repeated, asks)) for asks in (False, True)}
+    times: dict[bool, list[float]] = {asks: [] for asks in kernels}
+    for number in range(1 + _REPEATS):
+        for asks, kernel in kernels.items():
+            state = dr.opaque(mi.UInt32, number)
+            dr.sync_thread()
+            start = time.perf_counter()
+            kernel(state, known, *points)
+            dr.sync_thread()
+            times[asks].append(time.perf_counter() - start)
+    # The first of each kind compiles.
+    seconds = {asks: float(np.median(measured[1:])) for asks, measured in times.items()}
+    count = max(int(dr.count(valid)[0]), 1) * _LOOK_UPS
+    return 1e9 * max(seconds[True] - seconds[False], 0.0) / count
+
+
+@dr.syntax
+def _repeated(asks: bool, state: Any, known: Any, position: Any, normal: Any, valid: Any) -> Any:
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(state, dr.width(position))
+    total, number = dr.zeros(mi.Color3f, dr.width(position)), mi.UInt32(0)
+    while dr.hint(number < _LOOK_UPS, exclude=[asks, known, position, normal, valid]):
+        jitter = sampler.next_2d(valid)
+        total += jitter.x + jitter.y + _answer(asks, known, position, normal, jitter, valid)
+        number += 1
+    dr.eval(total)
+    return total
+
+
+def _answer(asks: bool, known: Any, position: Any, normal: Any, jitter: Any, valid: Any) -> Any:
+    if not asks:
+        return mi.Color3f(0)
+    return look_up(known, position, normal, mi.Float(dr.inf), mi.UInt32(_SEGMENTS), jitter, valid)[1]

@@ -34,8 +34,7 @@ _HIDDEN = -20.0
 class LastFrameRenderer:
     """Renders frames one after the other, each with the nodes that the frame before has selected.
 
-    Args:
-        forest: with layers, some of whose nodes move.
+    The forest has layers, some of whose nodes move.
     """
 
     def __init__(self, forest: Forest):

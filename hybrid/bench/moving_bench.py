@@ -75,7 +75,6 @@ def bench_moving(
     """One row per method and region of a scene that plays, with the gaze on what moves most visibly.
 
     Args:
-        scene, forest: what is rendered; the scene moves.
         settings: of the frames, apart from gaze and time; with its camera.
         reference_spp: samples per pixel of the references.
         progress: called with clips done and clips in total.
@@ -125,55 +124,31 @@ class _Clip:
         times: (T,) of the frames, from 0 to 1.
         gaze: on what moves.
         truths: T of (H, W, 3) reference radiance.
-        moves, uncovered, shadow, beside, reflected: (H, W) what moves; what stands still and was hidden by
-            what moves; what stands still, was not hidden, and has another luminance than a few frames before;
-            what is close to that, stands still and has not changed; and what has changed in mirrors, which
-            belongs to neither.
+        masks: (H, W) by the names of regions: what moves (MOVING); what stands still and was hidden by what
+            moves (uncovered); what stands still, was not hidden, and has another luminance than a few frames
+            before (shadow); what is close to that, stands still and has not changed (beside); and what has
+            changed in mirrors, which belongs to neither (reflected).
     """
 
     times: Sequence[float]
     gaze: Gaze
     truths: Sequence[Image]
-    moves: NDArray[np.bool_]
-    uncovered: NDArray[np.bool_]
-    shadow: NDArray[np.bool_]
-    beside: NDArray[np.bool_]
-    reflected: NDArray[np.bool_]
-
-    @property
-    def truth(self) -> Image:
-        """(H, W, 3) reference radiance of the last frame."""
-        return self.truths[-1]
+    masks: dict[str, NDArray[np.bool_]]
 
     def regions(self, settings: FrameSettings) -> dict[str, Region]:
         """Of the last frame, by name; those without a pixel are left out."""
-        found = regions(replace(settings, gaze=self.gaze).foveation, self.truth)
-        more = {
-            MOVING: self.moves,
-            "uncovered": self.uncovered,
-            "shadow": self.shadow,
-            "beside": self.beside,
-            "reflected": self.reflected,
-        }
+        found = regions(replace(settings, gaze=self.gaze).foveation, self.truths[-1])
         return {name: found[name] for name in (*_AS_VIDEO, "salient")} | {
-            name: Region.of(name, mask) for name, mask in more.items() if mask.any()
+            name: Region.of(name, mask) for name, mask in self.masks.items() if mask.any()
         }
 
 
-@dataclass(frozen=True)
-class _Shown:
-    """The frames of a clip, (H, W, 3) each, and milliseconds of those that are timed."""
-
-    images: Sequence[Image]
-    milliseconds: list[float]
+# The frames of a clip, (H, W, 3) each, and milliseconds of those that are timed.
+_Shown = tuple[Sequence[Image], list[float]]
 
 
 class _Found:
-    """What is found of one method, clip by clip.
-
-    Attributes:
-        milliseconds: of all timed frames.
-    """
+    """What is found of one method, clip by clip, and `milliseconds` of all its timed frames."""
 
     def __init__(self) -> None:
         self.milliseconds: list[float] = []
@@ -183,14 +158,17 @@ class _Found:
 
     def add(self, clip: _Clip, shown: _Shown, settings: FrameSettings) -> None:
         """Judges the last frame of a clip region by region, and all of them as a video."""
-        self.milliseconds += shown.milliseconds
-        squares, found = _squares(shown.images[-1], clip.truth), clip.regions(settings)
+        images, milliseconds = shown
+        self.milliseconds += milliseconds
+        errors = (srgb_from_radiance(images[-1]) - srgb_from_radiance(clip.truths[-1])) ** 2
+        squares = np.asarray(errors.mean(axis=-1), dtype=np.float32)
+        found = clip.regions(settings)
         for name, region in found.items():
             self._errors.setdefault(name, []).append(squares[region.mask])
         for name in _AS_VIDEO:
-            score = _video_jod(clip, shown.images, found[name], settings.display)
+            score = _video_jod(clip, images, found[name], settings.display)
             self._jods.setdefault(name, []).append(score)
-        shift = registration_px(shown.images[-1], clip.truth, clip.moves)
+        shift = registration_px(images[-1], clip.truths[-1], clip.masks[MOVING])
         self._shifts += [] if shift is None else [shift]
 
     def rows(self) -> Iterator[dict[str, Any]]:
@@ -214,9 +192,7 @@ class _Methods:
     """Methods that show a clip.
 
     Args:
-        renderer: of the scene.
-        forests: of the same scene, drawn as splats alone, by their names; that of the renderer as SPLATS.
-        settings: of the frames.
+        forests: of the renderer's scene, drawn as splats alone, by their names; its own one as SPLATS.
     """
 
     def __init__(self, renderer: LiveRenderer, forests: Mapping[str, Forest], settings: FrameSettings):
@@ -245,7 +221,7 @@ class _Methods:
     def _timed(
         self, clip: _Clip, method: _Frame, before: Callable[[FrameSettings], None] = lambda settings: None
     ) -> _Shown:
-        """The clip by a method; what is done before each frame is not timed."""
+        """The clip by a method; what is done `before` each frame is not timed."""
         milliseconds, images = [], []
         for number, at in enumerate(clip.times):
             settings = replace(self._settings, time=at, gaze=clip.gaze)
@@ -253,7 +229,7 @@ class _Methods:
             start = time.perf_counter()
             images.append(method(settings, number))
             milliseconds.append((time.perf_counter() - start) * 1000)
-        return _Shown(images, milliseconds[_WARM_UP:])
+        return images, milliseconds[_WARM_UP:]
 
     def _selected(self, clip: _Clip, renderer: LastFrameRenderer) -> _Shown:
         """The clip with what each frame before has selected."""
@@ -296,14 +272,11 @@ def _splats(name: str, forest: Forest) -> dict[str, _Frame]:
     """The finest layer of a forest over the whole frame; of one with layers, those by acuity as well."""
     renderer = SplatRenderer(forest)
 
-    def whole(settings: FrameSettings, seed: int) -> Image:
-        return renderer.splats(settings)
-
     def foveated(model: str, settings: FrameSettings, seed: int) -> Image:
         return renderer.frame(replace(settings, acuity_model=model)).composite
 
     models = _MODELS if len(forest.counts) > 1 else ()
-    found: dict[str, _Frame] = {name: whole}
+    found: dict[str, _Frame] = {name: lambda settings, seed: renderer.splats(settings)}
     return found | {f"{name}, {model}": partial(foveated, model) for model in models}
 
 
@@ -328,8 +301,14 @@ def _clip(tracer: Tracer, moving: MovingScene, camera: Camera, number: int, spp:
     still, mirrors = ~moves & ~hidden, _mirrors(tracer, camera)
     shadow = changed & still & ~mirrors
     beside = binary_dilation(shadow, iterations=_BESIDE) & still & ~mirrors & ~shadow
-    masks = moves, hidden & ~moves, shadow, beside, changed & still & mirrors
-    return _Clip(times, _gaze_on(moves), truths, *masks)
+    masks = {
+        MOVING: moves,
+        "uncovered": hidden & ~moves,
+        "shadow": shadow,
+        "beside": beside,
+        "reflected": changed & still & mirrors,
+    }
+    return _Clip(times, _gaze_on(moves), truths, masks)
 
 
 def _mirrors(tracer: Tracer, camera: Camera) -> NDArray[np.bool_]:
@@ -358,12 +337,6 @@ def _gaze_on(moves: NDArray[np.bool_]) -> Gaze:
     nearest = int(np.argmin((rows - middle[0]) ** 2 + (columns - middle[1]) ** 2))
     height, width = moves.shape
     return Gaze((columns[nearest] + 0.5) / width, (rows[nearest] + 0.5) / height)
-
-
-def _squares(image: Image, truth: Image) -> NDArray[np.float32]:
-    """(H, W) mean squared errors of sRGB values."""
-    errors = (srgb_from_radiance(image) - srgb_from_radiance(truth)) ** 2
-    return np.asarray(errors.mean(axis=-1), dtype=np.float32)
 
 
 def _video_jod(clip: _Clip, images: Sequence[Image], region: Region, display: Display) -> float | None:

@@ -28,7 +28,6 @@ GAZES = (Gaze(0.5, 0.5), Gaze(0.2, 0.2))
 FULL = "none"
 # Units of the scene that the camera moves per pass: enough to make it another camera, too little to see.
 _STEP = 1e-4
-_INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
 # Milliseconds of each pass by acuity model.
 Times = dict[str, list[float]]
 
@@ -36,7 +35,7 @@ Times = dict[str, list[float]]
 def display_camera(scene_camera: Camera, display: Display) -> Camera:
     """The scene's own view on a display: its pose, with the display's size and field of view."""
     eye = display.viewer(display.width, display.height)
-    return Camera(scene_camera.world_to_camera, *(getattr(eye, n) for n in _INTRINSICS))
+    return replace(eye, world_to_camera=scene_camera.world_to_camera)
 
 
 def bench_periphery(
@@ -54,7 +53,6 @@ def bench_periphery(
     camera has that of an earlier view which showed nearly the same.
 
     Args:
-        forest, camera: what is drawn.
         settings: fov_b and display.
         repeats: measured passes per acuity model and gaze.
         warm_up: passes before that, which are not measured.
@@ -82,8 +80,7 @@ def bench_periphery(
                 progress(done, 2 * len(GAZES) * len(turns))
             kinds.append(times)
         common = {"fov_b": settings.fov_b, "repeats": repeats, "layers": list(forest.counts)}
-        quality = _quality(at_gaze, camera, drawn)
-        rows += [{**row, **_times(row["acuity_model"], *kinds), **common} for row in quality]
+        rows += [{**row, **common} for row in _rows(at_gaze, camera, drawn, *kinds)]
     return rows
 
 
@@ -107,40 +104,31 @@ def _passes(
     return drawn
 
 
-def _quality(
-    models: Sequence[FrameSettings], camera: Camera, drawn: dict[str, SplatImage]
+def _rows(
+    models: Sequence[FrameSettings], camera: Camera, drawn: dict[str, SplatImage], moving: Times, still: Times
 ) -> list[dict[str, Any]]:
-    """Rows that compare each periphery with that at full level and rate."""
+    """Compares each periphery with that at full level and rate: its quality, and the times of passes."""
     full = drawn[FULL].numpy().copy()
     rows = []
     for settings in models:
-        frame, gaze = drawn[settings.acuity_model], settings.gaze
+        name, gaze = settings.acuity_model, settings.gaze
         fovea = settings.foveation.region(camera.width, camera.height).weight_image()[..., None]
-        image = frame.numpy() * (1 - fovea) + full * fovea
-        row = {
-            "acuity_model": settings.acuity_model,
-            "gaze": [gaze.x, gaze.y],
-            "width": camera.width,
-            "height": camera.height,
-            "nodes_drawn": frame.nodes,
-            "jod": jod(image, full, settings.display, gaze),
-            "ssim": ssim(image, full),
-        }
-        rows.append(row)
+        image = drawn[name].numpy() * (1 - fovea) + full * fovea
+        rows.append(
+            {
+                "acuity_model": name,
+                "gaze": [gaze.x, gaze.y],
+                "width": camera.width,
+                "height": camera.height,
+                "nodes_drawn": drawn[name].nodes,
+                "jod": jod(image, full, settings.display, gaze),
+                "ssim": ssim(image, full),
+                "periphery_ms": percentiles(still[name]),
+                "full_ms": percentiles(still[FULL]),
+                "ratio": float(np.median(still[FULL]) / np.median(still[name])),
+                "moving_ms": percentiles(moving[name]),
+                "moving_full_ms": percentiles(moving[FULL]),
+                "moving_ratio": float(np.median(moving[FULL]) / np.median(moving[name])),
+            }
+        )
     return rows
-
-
-def _times(acuity_model: str, moving: Times, still: Times) -> dict[str, Any]:
-    """Percentiles of passes with a moving and with a still camera, and their ratios to full detail."""
-
-    def ratio(times: Times) -> float:
-        return float(np.median(times[FULL]) / np.median(times[acuity_model]))
-
-    return {
-        "periphery_ms": percentiles(still[acuity_model]),
-        "full_ms": percentiles(still[FULL]),
-        "ratio": ratio(still),
-        "moving_ms": percentiles(moving[acuity_model]),
-        "moving_full_ms": percentiles(moving[FULL]),
-        "moving_ratio": ratio(moving),
-    }

@@ -19,26 +19,6 @@ from splat.raster.projection import Splats
 from splat.raster.tiles import TileGrid
 
 
-def random_splats(arrays: Arrays, count: int, width: int, height: int, rng: np.random.Generator) -> Splats:
-    """Splats in random positions, of random sizes and colours.
-
-    Means are uniform over the frame, standard deviations 0.5 px + lognormal(0.7, 0.6), opacities uniform in
-    0.05..0.99, depths uniform in 1..10.
-    """
-    x, y = rng.uniform(0, width, count), rng.uniform(0, height, count)
-    sd = 0.5 + rng.lognormal(0.7, 0.6, (2, count))
-    turn = rng.uniform(0, np.pi, count)  # of the longer axis
-    opacity, colour = rng.uniform(0.05, 0.99, count), rng.uniform(0, 1, (3, count))
-    depth = rng.uniform(1, 10, count)
-    cosine, sine, (a, b) = np.cos(turn), np.sin(turn), 1 / sd**2
-    # Entries of the inverse covariance, whose determinant is a b.
-    xx, xy = cosine**2 * a + sine**2 * b, cosine * sine * (a - b)
-    values = (x, y, xx, xy / xx, a * b / xx, opacity, *colour, depth)
-    splats = Splats(*(arrays.plain.Float(v.astype(np.float32)) for v in values))
-    dr.eval(splats.__dict__)
-    return splats
-
-
 def bench_raster(
     gaussians: int,
     size: tuple[int, int],
@@ -49,13 +29,7 @@ def bench_raster(
 ) -> dict[str, Any]:
     """Times of binning and blending (forward) and of the gradient (backward), with all data on the device.
 
-    Args:
-        gaussians: number of splats.
-        size: width and height of the frame.
-        seed: same seed, same splats.
-        repeats: measured rounds.
-        warm_up: rounds before that, which are not measured.
-        progress: called with rounds done and rounds in total.
+    The same seed gives the same splats; `progress` is called with rounds done and rounds in total.
 
     Returns:
         The arguments, percentiles forward_ms and backward_ms, and pairs of splats and tiles.
@@ -63,7 +37,10 @@ def bench_raster(
     arrays, (width, height), rng = device_arrays(), size, np.random.default_rng(seed)
     splats = random_splats(arrays, gaussians, width, height, rng)
     grid = TileGrid(width, height)
-    gradient = _random_gradient(arrays, grid, rng)
+    # Of the loss by the padded image.
+    values = rng.normal(size=grid.padded_width * grid.padded_height * CHANNELS)
+    gradient = arrays.plain.Float(values.astype(np.float32))
+    dr.eval(gradient)
     forward, backward = [], []
     for step in range(-warm_up, repeats):
         start = time.perf_counter()
@@ -88,9 +65,21 @@ def bench_raster(
     }
 
 
-def _random_gradient(arrays: Arrays, grid: TileGrid, rng: np.random.Generator) -> Any:
-    """A gradient of the loss by the padded image, standard normal."""
-    count = grid.padded_width * grid.padded_height * CHANNELS
-    gradient = arrays.plain.Float(rng.normal(size=count).astype(np.float32))
-    dr.eval(gradient)
-    return gradient
+def random_splats(arrays: Arrays, count: int, width: int, height: int, rng: np.random.Generator) -> Splats:
+    """Splats in random positions, of random sizes and colours.
+
+    Means are uniform over the frame, standard deviations 0.5 px + lognormal(0.7, 0.6), opacities uniform in
+    0.05..0.99, depths uniform in 1..10.
+    """
+    x, y = rng.uniform(0, width, count), rng.uniform(0, height, count)
+    sd = 0.5 + rng.lognormal(0.7, 0.6, (2, count))
+    turn = rng.uniform(0, np.pi, count)  # of the longer axis
+    opacity, colour = rng.uniform(0.05, 0.99, count), rng.uniform(0, 1, (3, count))
+    depth = rng.uniform(1, 10, count)
+    cosine, sine, (a, b) = np.cos(turn), np.sin(turn), 1 / sd**2
+    # Entries of the inverse covariance, whose determinant is a b.
+    xx, xy = cosine**2 * a + sine**2 * b, cosine * sine * (a - b)
+    values = (x, y, xx, xy / xx, a * b / xx, opacity, *colour, depth)
+    splats = Splats(*(arrays.plain.Float(v.astype(np.float32)) for v in values))
+    dr.eval(splats.__dict__)
+    return splats

@@ -14,48 +14,23 @@ import typer
 
 from compose.base.errors import UserError
 from hybrid.base.progress import progress_bar
-from hybrid.cli.options import (
-    FRAME,
-    MOST_FRAMES,
-    MOST_GAUSSIANS,
-    Backend,
-    DisplayName,
-    FixedSize,
-    ForestFile,
-    FovA,
-    FovB,
-    Json,
-    MaxDepth,
-    ReferenceSpp,
-    Repeats,
-    SceneName,
-    Seed,
-    Size,
-    Spp,
-    ThinGlass,
-    WarmUp,
-    loaded_scene,
-    require_size,
-    select,
-    sized,
-    write_json,
-)
+from hybrid.cli import options as o
 from hybrid.render.frame_settings import DEFAULTS, INTERACTIVE, FrameSettings
 
 _WARM_UP = 5
 
 
 def raster(
-    gaussians: Annotated[int, typer.Option(min=1, max=MOST_GAUSSIANS)] = 50_000,
-    size: FixedSize = (512, 512),
-    seed: Seed = 0,
-    repeats: Annotated[int, typer.Option(help="Measured rounds.", min=3, max=MOST_FRAMES)] = 50,
-    backend: Backend = "auto",
-    json_file: Json = None,
+    gaussians: Annotated[int, typer.Option(min=1, max=o.MOST_GAUSSIANS)] = 50_000,
+    size: o.FixedSize = (512, 512),
+    seed: o.Seed = 0,
+    repeats: Annotated[int, typer.Option(help="Measured rounds.", min=3, max=o.MOST_FRAMES)] = 50,
+    backend: o.Backend = "auto",
+    json_file: o.Json = None,
 ) -> None:
     """Time the rasterizer and its gradient on random Gaussians that are already on the device."""
-    require_size(size)
-    select(backend)
+    o.require_size(size)
+    o.select(backend)
     from hybrid.base.identity import machine
     from hybrid.bench.raster_bench import bench_raster
 
@@ -65,27 +40,27 @@ def raster(
         times = row[f"{name}_ms"]
         print(f"{name}: median {times['p50']:.1f} ms, p95 {times['p95']:.1f} ms")
     print(f"pairs: {row['pairs']:,}")
-    write_json(json_file, {**row, "machine": machine()})
+    o.write_json(json_file, {**row, "machine": machine()})
 
 
 def integrator(
-    scene: SceneName,
-    size: Size = (256, 256),
-    reference_spp: ReferenceSpp = 1024,
-    repeats: Repeats = 7,
-    max_depth: MaxDepth = None,
-    thin_glass: ThinGlass = False,
-    backend: Backend = "auto",
-    json_file: Json = None,
+    scene: o.SceneName,
+    size: o.FixedSize = (256, 256),
+    reference_spp: o.ReferenceSpp = 1024,
+    repeats: o.Repeats = 7,
+    max_depth: o.MaxDepth = None,
+    thin_glass: o.ThinGlass = False,
+    backend: o.Backend = "auto",
+    json_file: o.Json = None,
 ) -> None:
     """Compare error, time and bias of both integrators on raw frames."""
-    select(backend)
+    o.select(backend)
     from hybrid.base.identity import machine
     from hybrid.bench.integrator_bench import bench_integrator
 
-    loaded = loaded_scene(scene, max_depth, thin_glass)
+    loaded = o.loaded_scene(scene, max_depth, thin_glass)
     with progress_bar("bench (samples)") as bar:
-        found = bench_integrator(loaded, sized(loaded.camera, size), reference_spp, repeats, bar)
+        found = bench_integrator(loaded, o.sized(loaded.camera, size), reference_spp, repeats, bar)
     cache = found["cache"]
     print(f"cache: {cache['cells']:,} cells, {cache['bytes'] / 2**20:.1f} MiB, {cache['seconds']:.1f} s")
     transfer = f"{cache['transfer_bytes'] / 2**20:.1f} MiB"
@@ -101,34 +76,34 @@ def integrator(
         print(
             f"{row['integrator']:<22}{row['mean']:>+9.2%}{row['worst_block']:>13.1%}{row['p95_block']:>22.1%}"
         )
-    write_json(json_file, {**found, "scene": loaded.name, "machine": machine()})
+    o.write_json(json_file, {**found, "scene": loaded.name, "machine": machine()})
 
 
 def periphery(
-    scene: SceneName,
-    forest: ForestFile = None,
-    display: DisplayName = "desktop",
-    fov_b: FovB = 20.0,
-    repeats: Repeats = 20,
-    warm_up: WarmUp = 5,
-    thin_glass: ThinGlass = False,
-    backend: Backend = "auto",
-    json_file: Json = None,
+    scene: o.SceneName,
+    forest: o.ForestFile = None,
+    display: o.DisplayName = "desktop",
+    fov_b: o.FovB = 20.0,
+    repeats: o.Repeats = 20,
+    warm_up: o.WarmUp = 5,
+    thin_glass: o.ThinGlass = False,
+    backend: o.Backend = "auto",
+    json_file: o.Json = None,
 ) -> None:
     """Time the periphery with each acuity model against full level and rate, and measure its quality."""
     settings = FrameSettings(fov_a=fov_b, fov_b=fov_b, display=display)
-    select(backend)
+    o.select(backend)
     from hybrid.base.identity import machine
     from hybrid.bench.periphery_bench import bench_periphery, display_camera
     from hybrid.preparation.preparation import forest_for
 
-    loaded = loaded_scene(scene, None, thin_glass)
+    loaded = o.loaded_scene(scene, None, thin_glass)
     found = forest_for(loaded, forest)
     camera = display_camera(loaded.camera, settings.display)
     with progress_bar("bench (rounds)") as bar:
         rows = bench_periphery(found, camera, settings, repeats, warm_up, bar)
     _print_periphery(rows)
-    write_json(json_file, [{**row, "scene": loaded.name, "machine": machine()} for row in rows])
+    o.write_json(json_file, [{**row, "scene": loaded.name, "machine": machine()} for row in rows])
 
 
 def _print_periphery(rows: list[dict[str, Any]]) -> None:
@@ -156,41 +131,37 @@ _HEADER = (
 
 
 def frame(
-    scene: SceneName,
-    forest: ForestFile = None,
+    scene: o.SceneName,
+    forest: o.ForestFile = None,
     size: Annotated[
         tuple[int, int] | None,
-        typer.Option(
-            metavar="W H",
-            help="Frame size; 640 480 and 1920 1080 if left out.",
-            rich_help_panel=FRAME,
-        ),
+        o.frame(metavar="W H", help="Frame size. Default: both 640 480 and 1920 1080."),
     ] = None,
-    fov_a: FovA = DEFAULTS.fov_a,
-    fov_b: FovB = DEFAULTS.fov_b,
-    spp: Spp = INTERACTIVE.spp,
-    repeats: Repeats = 15,
-    warm_up: WarmUp = 5,
-    thin_glass: ThinGlass = False,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    json_file: Json = None,
+    fov_a: o.FovA = DEFAULTS.fov_a,
+    fov_b: o.FovB = DEFAULTS.fov_b,
+    spp: o.Spp = INTERACTIVE.spp,
+    repeats: o.Repeats = 15,
+    warm_up: o.WarmUp = 5,
+    thin_glass: o.ThinGlass = False,
+    seed: o.Seed = 0,
+    backend: o.Backend = "auto",
+    json_file: o.Json = None,
 ) -> None:
-    """Time whole frames in each mode, still and live, while the gaze moves, and count what passes the host.
+    """Time whole frames in each mode, still and live, while the gaze moves, and count bytes on the host.
 
-    Without --backend, on all backends that are present, one after the other.
+    Without --backend, this is done on each available backend in turn.
     """
     sizes = _SIZES if size is None else (size,)
     for one in sizes:
-        require_size(one)
+        o.require_size(one)
     settings = FrameSettings(fov_a=fov_a, fov_b=fov_b, spp=spp)
-    select(backend)
+    o.select(backend)
     from compose import LLVM
     from hybrid.base.compute_device import device_arrays
     from hybrid.bench.frame_bench import bench_frame
     from hybrid.preparation.preparation import forest_for
 
-    loaded = loaded_scene(scene, None, thin_glass)
+    loaded = o.loaded_scene(scene, None, thin_glass)
     found = forest_for(loaded, forest)
     with progress_bar("bench (rounds)") as bar:
         rows = bench_frame(loaded, found, settings, sizes, repeats, warm_up, seed, bar)
@@ -199,7 +170,7 @@ def frame(
     print(_HEADER)
     for row in rows:
         print(_line(row))
-    write_json(json_file, rows)
+    o.write_json(json_file, rows)
 
 
 def on_llvm(arguments: list[str]) -> list[dict[str, Any]]:
@@ -234,38 +205,37 @@ def _line(row: dict[str, Any]) -> str:
 
 
 def moving(
-    scene: SceneName,
-    forest: ForestFile = None,
-    size: FixedSize = (320, 240),
-    spp: Spp = INTERACTIVE.spp,
-    reference_spp: ReferenceSpp = 128,
+    scene: o.SceneName,
+    forest: o.ForestFile = None,
+    size: o.FixedSize = (320, 240),
+    spp: o.Spp = INTERACTIVE.spp,
+    reference_spp: o.ReferenceSpp = 128,
     against: Annotated[
         list[Path] | None,
         typer.Option(
-            metavar="FOREST",
-            help="Forest to compare with, named by its file; drawn as splats alone. May be given repeatedly.",
+            metavar="FOREST", help="Forest file to compare with, drawn as splats alone. May be repeated."
         ),
     ] = None,
-    thin_glass: ThinGlass = False,
-    backend: Backend = "auto",
-    json_file: Json = None,
+    thin_glass: o.ThinGlass = False,
+    backend: o.Backend = "auto",
+    json_file: o.Json = None,
 ) -> None:
     """Play a scene that moves, as in the window, and compare its frames with other methods, by region."""
-    select(backend)
+    o.select(backend)
     from hybrid.base.identity import machine
     from hybrid.bench.moving_bench import bench_moving, require_moving
     from hybrid.preparation.preparation import forest_for
     from splat.io.forest_file import load_forest
 
-    loaded = loaded_scene(scene, None, thin_glass)
+    loaded = o.loaded_scene(scene, None, thin_glass)
     require_moving(loaded)
-    settings = replace(INTERACTIVE, spp=spp, camera=sized(loaded.camera, size))
+    settings = replace(INTERACTIVE, spp=spp, camera=o.sized(loaded.camera, size))
     found = forest_for(loaded, forest)
     others = {file.stem: load_forest(file) for file in against or ()}
     with progress_bar("bench (clips)") as bar:
         rows = bench_moving(loaded, found, settings, reference_spp, bar, others)
     _print_moving(rows)
-    write_json(
+    o.write_json(
         json_file, {"scene": loaded.name, "size": size, "spp": spp, "rows": rows, "machine": machine()}
     )
 

@@ -1,4 +1,4 @@
-"""`hybrid capture`: renders training frames."""
+"""`hybrid capture`."""
 
 from __future__ import annotations
 
@@ -7,26 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from hybrid.base.progress import progress_bar
-from hybrid.cli.options import (
-    FRAME,
-    MEASUREMENT,
-    Backend,
-    FixedSize,
-    FramesFolder,
-    Json,
-    MaxDepth,
-    SceneName,
-    Seed,
-    ThinGlass,
-    loaded_scene,
-    require_size,
-    select,
-    user_errors,
-    write_json,
-)
+from hybrid.cli import options as o
 from hybrid.render.frame_settings import MOST_SPP
 from pathtrace.trace.integrator import Integrator, integrator_named
 
@@ -34,68 +16,60 @@ _MOST_VIEWS = 100_000
 
 
 def capture(
-    scene: SceneName,
-    frames: FramesFolder,
-    views: Annotated[int, typer.Option(help="Training views.", max=_MOST_VIEWS, rich_help_panel=FRAME)] = 64,
+    scene: o.SceneName,
+    frames: o.FramesFolder,
+    views: Annotated[int, o.frame(help="Training views.", max=_MOST_VIEWS)] = 64,
     held_out: Annotated[
         int,
-        typer.Option(
-            help="Further views: splats are fitted to none, the fusion to two of three.",
+        o.measurement(
+            help="Held-out views: splats are fitted to none of them, the fusion to two of three.",
             max=_MOST_VIEWS,
-            rich_help_panel=MEASUREMENT,
         ),
     ] = 8,
-    size: FixedSize = (256, 256),
+    size: o.FixedSize = (256, 256),
     spp: Annotated[
         int | None,
-        typer.Option(
-            help="Samples per pixel of a training view; as planned for the scene if left out.",
+        o.frame(
+            help="Samples per pixel of a training view. Default: as planned for the scene.",
             min=1,
             max=MOST_SPP,
-            rich_help_panel=FRAME,
         ),
     ] = None,
     held_out_spp: Annotated[
-        int,
-        typer.Option(help="Samples per pixel of a held-out view.", max=MOST_SPP, rich_help_panel=MEASUREMENT),
+        int, o.measurement(help="Samples per pixel of a held-out view.", max=MOST_SPP)
     ] = 256,
     integrator: Annotated[
         str,
-        typer.Option(
-            help="Of training views: path, or cached (quicker). Held-out views are unbiased.",
-            rich_help_panel=FRAME,
-        ),
+        o.frame(help="Integrator of training views: path, or cached (faster). Held-out views are unbiased."),
     ] = Integrator.CACHED.value,
     monocular: Annotated[
         bool,
-        typer.Option(
-            "--monocular",
-            help="One camera that sways around the scene's own, one instant after the other, as in a video.",
-            rich_help_panel=FRAME,
+        o.frame(
+            "--monocular", help="A single camera that sways around the scene's own over time, as in a video."
         ),
     ] = False,
-    max_depth: MaxDepth = None,
-    thin_glass: ThinGlass = False,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    json_file: Json = None,
+    max_depth: o.MaxDepth = None,
+    thin_glass: o.ThinGlass = False,
+    seed: o.Seed = 0,
+    backend: o.Backend = "auto",
+    json_file: o.Json = None,
 ) -> None:
     """Render training frames; resumes if interrupted."""
-    select(backend)
+    o.select(backend)
     from hybrid.base.cache_folder import keep_receipt
     from hybrid.preparation.decisions import FIXED_SAMPLES, SAMPLES
     from hybrid.render.irradiance import cache_for
     from pathtrace.dataset.capture import capture as run
     from pathtrace.dataset.frame_set import CaptureSettings
 
-    with user_errors():
+    with o.user_errors():
         settings = CaptureSettings(
             views, held_out, *size, spp or FIXED_SAMPLES, held_out_spp, seed=seed, monocular=monocular
         )
-    require_size(size)
+    o.require_size(size)
     is_cached = integrator_named(integrator) is Integrator.CACHED
     start = time.perf_counter()
-    loaded = loaded_scene(scene, max_depth, thin_glass)
+    loaded = o.loaded_scene(scene, max_depth, thin_glass)
     settings = replace(settings, spp=spp or loaded.plan.get(SAMPLES, FIXED_SAMPLES))
     cache = cache_for(loaded, progress_bar) if is_cached else None
     with progress_bar("capture (samples)") as bar:
@@ -111,5 +85,5 @@ def capture(
         "integrator": found.integrator,
         "seconds": time.perf_counter() - start,
     }
-    write_json(json_file, row)
+    o.write_json(json_file, row)
     print(f"{row['views']} training views and {row['held_out']} held-out views in {frames}")

@@ -9,26 +9,7 @@ import typer
 
 from compose.base.errors import UserError
 from compose.eye.gaze import MOST_SECONDS
-from hybrid.cli.options import (
-    MEASUREMENT,
-    VIEWER,
-    AcuityModelName,
-    Backend,
-    DisplayName,
-    FixedSize,
-    ForestFile,
-    FovA,
-    FovB,
-    IntegratorName,
-    Json,
-    SceneName,
-    Seed,
-    Spp,
-    ThinGlass,
-    finite,
-    require_size,
-    write_json,
-)
+from hybrid.cli import options as o
 from hybrid.render.frame_settings import INTERACTIVE, FrameSettings
 
 if TYPE_CHECKING:
@@ -39,91 +20,68 @@ _SIMULATED = 60.0
 
 
 def demo(
-    scene: SceneName,
-    forest: ForestFile = None,
-    size: FixedSize = (640, 480),
-    fov_a: FovA = INTERACTIVE.fov_a,
-    fov_b: FovB = INTERACTIVE.fov_b,
-    spp: Spp = INTERACTIVE.spp,
-    acuity_model: AcuityModelName = INTERACTIVE.acuity_model,
-    integrator: IntegratorName = None,
+    scene: o.SceneName,
+    forest: o.ForestFile = None,
+    size: o.FixedSize = (640, 480),
+    fov_a: o.FovA = INTERACTIVE.fov_a,
+    fov_b: o.FovB = INTERACTIVE.fov_b,
+    spp: o.Spp = INTERACTIVE.spp,
+    acuity_model: o.AcuityModelName = INTERACTIVE.acuity_model,
+    integrator: o.IntegratorName = None,
     target: Annotated[
         float | None,
         typer.Option(
-            help="Frames per second to keep; chooses radius, samples, layers, rate and scale.",
+            help="Target frame rate in frames per second: adapts radius, samples, layers, rate and scale.",
             min=1,
             max=1000,
-            callback=finite,
+            callback=o.finite,
         ),
     ] = None,
     gaze_trace: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="CSV with seconds, x, y to replay instead of the mouse.",
-            rich_help_panel=VIEWER,
-        ),
+        o.viewer(metavar="FILE", help="CSV file with seconds, x, y to replay instead of the mouse."),
     ] = None,
-    simulate: Annotated[
-        bool, typer.Option("--simulate", help="A simulated viewer looks around.", rich_help_panel=VIEWER)
-    ] = False,
-    play: Annotated[
-        bool, typer.Option("--play", help="A scene that moves plays from the start.", rich_help_panel=VIEWER)
-    ] = False,
+    simulate: Annotated[bool, o.viewer("--simulate", help="Let a simulated viewer look around.")] = False,
+    play: Annotated[bool, o.viewer("--play", help="Play a moving scene from the start.")] = False,
     latency: Annotated[
-        float,
-        typer.Option(
-            help="Delay of the gaze in milliseconds.",
-            min=0,
-            max=60_000,
-            callback=finite,
-            rich_help_panel=VIEWER,
-        ),
+        float, o.viewer(help="Gaze latency in milliseconds.", min=0, max=60_000, callback=o.finite)
     ] = 0.0,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for screenshots and gaze traces.")] = Path(
         "."
     ),
     bench: Annotated[
         float | None,
-        typer.Option(
+        o.measurement(
             metavar="SECONDS",
-            help="Move the mouse for that long, print figures, and close.",
+            help="Move the mouse automatically for this long, print timings, and close.",
             min=1,
             max=MOST_SECONDS,
-            callback=finite,
-            rich_help_panel=MEASUREMENT,
+            callback=o.finite,
         ),
     ] = None,
     load: Annotated[
         float,
-        typer.Option(
+        o.measurement(
             metavar="SECONDS",
-            help="In the middle of --bench, another process keeps one core busy for that long.",
+            help="In the middle of --bench, keep one core busy for this long with another process.",
             min=0,
-            callback=finite,
-            rich_help_panel=MEASUREMENT,
+            callback=o.finite,
         ),
     ] = 0.0,
-    display: DisplayName = "desktop",
-    thin_glass: ThinGlass = False,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    json_file: Json = None,
+    display: o.DisplayName = "desktop",
+    thin_glass: o.ThinGlass = False,
+    seed: o.Seed = 0,
+    backend: o.Backend = "auto",
+    json_file: o.Json = None,
 ) -> None:
     """Look around in a window: the mouse is the gaze, and the path-traced disc follows it."""
     from hybrid.render.image_files import check_writable
 
-    require_size(size, least=64)
+    o.require_size(size, least=64)
     if load and (bench is None or load >= bench):
         raise UserError(f"--load {load}: must be shorter than --bench")
     settings = FrameSettings(
-        INTERACTIVE.gaze,
-        fov_a,
-        fov_b,
-        spp,
-        acuity_model=acuity_model,
-        display=display,
-        integrator=integrator,
+        INTERACTIVE.gaze, fov_a, fov_b, spp, acuity_model=acuity_model, display=display, integrator=integrator
     )
     check_writable(out / "picture.png")
     trace = _trace(gaze_trace, simulate, settings, size, seed)
@@ -134,7 +92,7 @@ def demo(
 
     options = WindowOptions(size, latency / 1000, out, target, bench, load, play)
     found, summary = run_window(scene, forest, backend, settings, trace, options, thin_glass)
-    write_json(json_file, found)
+    o.write_json(json_file, found)
     if bench is not None:
         print(summary)
 

@@ -8,17 +8,17 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from compose.base.errors import UserError
-from hybrid.cli.options import Backend, Json, write_json
+from hybrid.cli import options as o
 
 _PACKAGES = ("mitsuba", "drjit", "mitsuba-oidn", "embreex", "torch", "numpy", "OpenEXR", "safetensors")
 
 
-def doctor(backend: Backend = "auto", json_file: Json = None) -> None:
+def doctor(backend: o.Backend = "auto", json_file: o.Json = None) -> None:
     """Say which backend runs, why, and what to install if something is missing."""
     facts, problem = examine(backend)
     for name, value in facts.items():
         print(f"{name}: {value}")
-    write_json(json_file, facts)
+    o.write_json(json_file, facts)
     if problem:
         raise UserError(problem)
 

@@ -8,15 +8,16 @@ from typing import Annotated
 import typer
 
 from compose.base.errors import UserError
-from hybrid.cli.options import ForestArgument, NumberPrecision, finite, select
+from hybrid.cli import options as o
 from splat.model.choices import Precision
 
 
 def export_ply(
-    forest: ForestArgument,
+    forest: o.ForestArgument,
     output: Annotated[Path, typer.Argument(metavar="out.ply", help="PLY file to write.")],
     layer: Annotated[
-        int | None, typer.Option(help="1, the coarsest, to L; L if left out.", show_default=False)
+        int | None,
+        typer.Option(help="Layer to write, from 1, the coarsest. Default: the finest.", show_default=False),
     ] = None,
 ) -> None:
     """Write one layer of a forest as a PLY file that other viewers of 3D Gaussian splatting open."""
@@ -39,46 +40,41 @@ def import_file(
         Path, typer.Argument(metavar="FILE", help="PLY file of 3D Gaussian splatting, or .glb or .gltf file.")
     ],
     target: Annotated[
-        Path, typer.Argument(metavar="FOREST|FOLDER", help="Forest file to write; of glTF, a new folder.")
+        Path, typer.Argument(metavar="FOREST|FOLDER", help="Forest file to write; for glTF, a new folder.")
     ],
     fps: Annotated[
         float | None,
         typer.Option(
-            help="Of glTF: meshes a second of what deforms; 24 if left out.",
+            help="For glTF: meshes per second of deforming objects. Default: 24.",
             min=0.1,
             max=240,
-            callback=finite,
+            callback=o.finite,
         ),
     ] = None,
     animation: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Of glTF: the animation to play, by name or number; if left out, all that move different "
-            "things, else the first one.",
+            help="For glTF: the animation to play, by name or number. Default: all, if they move different "
+            "things, else the first.",
         ),
     ] = None,
-    precision: NumberPrecision = Precision.COMPACT,
+    precision: o.NumberPrecision = Precision.COMPACT,
 ) -> None:
     """Read a PLY file of 3D Gaussian splatting as a forest, or a glTF file as a scene that moves."""
     if source.suffix.lower() in (".glb", ".gltf"):
-        import_scene(source, target, fps, animation)
+        o.select("auto")
+        from pathtrace.gltf.importing import DEFAULT_FPS, import_gltf
+
+        found = import_gltf(source, target, fps or DEFAULT_FPS, animation)
+        moving = f"{found.rigid} move rigidly, {found.deforming} deform, in {found.seconds:g} s"
+        print(f"{found.scene}: {found.triangles:,} triangles; {moving if found.seconds else 'nothing moves'}")
+        for remark in found.remarks:
+            print(remark)
         return
     if fps is not None or animation is not None:
         raise UserError(f"--fps, --animation: only of .glb and .gltf files; {source} is none")
     import_ply(source, target, precision)
-
-
-def import_scene(source: Path, folder: Path, fps: float | None, animation: str | None) -> None:
-    """Reads a glTF file; writes a folder with a Mitsuba scene, its meshes, textures and motion."""
-    select("auto")
-    from pathtrace.gltf.importing import DEFAULT_FPS, import_gltf
-
-    found = import_gltf(source, folder, fps or DEFAULT_FPS, animation)
-    moving = f"{found.rigid} move rigidly, {found.deforming} deform, in {found.seconds:g} s"
-    print(f"{found.scene}: {found.triangles:,} triangles; {moving if found.seconds else 'nothing moves'}")
-    for remark in found.remarks:
-        print(remark)
 
 
 def import_ply(source: Path, forest: Path, precision: Precision = Precision.COMPACT) -> None:

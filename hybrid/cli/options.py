@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -31,8 +32,6 @@ MOST_FRAMES = 1_000_000
 MOST_DEPTH = 1_000_000
 MOST_GAUSSIANS = 100_000_000
 _MOST_SIDE = 16_384
-# Groups of options in the help.
-FRAME, VIEWER, INPUT, MEASUREMENT, RUN = "Frame", "Viewer", "Input", "Measurement", "Run"
 
 
 def _writable(path: Path | None) -> Path | None:
@@ -54,6 +53,12 @@ def finite(value: float | None) -> float | None:
     return value
 
 
+# Options in the groups of the help.
+frame, viewer, inputs, measurement, run = (
+    partial(typer.Option, rich_help_panel=group)
+    for group in ("Frame", "Viewer", "Input", "Measurement", "Run")
+)
+
 SceneName = Annotated[
     str, typer.Argument(metavar="SCENE", help="Name of a bundled scene, or a Mitsuba XML file.")
 ]
@@ -62,99 +67,58 @@ ForestArgument = Annotated[Path, typer.Argument(metavar="FOREST", help="Forest f
 
 Gaze = Annotated[
     tuple[float, float] | None,
-    typer.Option(
-        "--gaze", metavar="X Y", help="Fractions of the frame; its centre if left out.", rich_help_panel=FRAME
-    ),
+    frame("--gaze", metavar="X Y", help="Fractions of the frame's width and height. Default: its centre."),
 ]
-FovA = Annotated[
-    float,
-    typer.Option(
-        "--fov-a", help="Radius of the path-traced disc, percent of the height.", rich_help_panel=FRAME
-    ),
-]
+FovA = Annotated[float, frame("--fov-a", help="Radius of the path-traced disc, percent of the height.")]
 FovB = Annotated[
-    float,
-    typer.Option(
-        "--fov-b",
-        help="Radius inside of which no splats are visible, percent of the height.",
-        rich_help_panel=FRAME,
-    ),
+    float, frame("--fov-b", help="Radius inside which no splats are visible, percent of the height.")
 ]
-Spp = Annotated[
-    int,
-    typer.Option("--spp", help="Samples per pixel in the disc.", min=1, max=MOST_SPP, rich_help_panel=FRAME),
-]
+Spp = Annotated[int, frame("--spp", help="Samples per pixel in the disc.", min=1, max=MOST_SPP)]
 Fovea = Annotated[
     str | None,
-    typer.Option(
+    frame(
         help="raw: unbiased samples; denoised: by OIDN; fused: with the splats under the disc. Default: raw "
-        "where noise is planned to be negligible, else fused.",
-        rich_help_panel=FRAME,
+        "where the plan expects negligible noise, else fused."
     ),
 ]
 IntegratorName = Annotated[
     str | None,
-    typer.Option(
+    frame(
         "--integrator",
         help="path: unbiased; cached: paths end in known irradiance, with less noise but biased. "
         "Default: path for a raw fovea, else cached.",
-        rich_help_panel=FRAME,
     ),
 ]
 Size = Annotated[
-    tuple[int, int] | None,
-    typer.Option("--size", metavar="W H", help="Frame size; the scene's if left out.", rich_help_panel=FRAME),
+    tuple[int, int] | None, frame("--size", metavar="W H", help="Frame size. Default: the scene's.")
 ]
-FixedSize = Annotated[
-    tuple[int, int], typer.Option("--size", metavar="W H", help="Frame size.", rich_help_panel=FRAME)
-]
+FixedSize = Annotated[tuple[int, int], frame("--size", metavar="W H", help="Frame size.")]
 Layers = Annotated[
     tuple[int, int] | None,
-    typer.Option(
-        metavar="LOW HIGH",
-        help="Coarsest and finest layer to draw; 1 is the coarsest.",
-        rich_help_panel=FRAME,
-    ),
+    frame(metavar="LOW HIGH", help="Coarsest and finest layer to draw; 1 is the coarsest."),
 ]
 AcuityModelName = Annotated[
     str,
-    typer.Option(
+    viewer(
         "--acuity-model",
-        help="What the eye resolves: fovvideovdp, geisler-perry, stelacsf, fov-gs, or none for all.",
-        rich_help_panel=VIEWER,
+        help="What the eye resolves: fovvideovdp, geisler-perry, stelacsf, fov-gs, or none for full detail.",
     ),
 ]
 DisplayName = Annotated[
-    str,
-    typer.Option(
-        "--display",
-        metavar="NAME",
-        help="desktop, hmd, or a JSON file with width, height and fov.",
-        rich_help_panel=VIEWER,
-    ),
+    str, viewer("--display", metavar="NAME", help="desktop, hmd, or a JSON file with width, height and fov.")
 ]
 ForestFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--forest", metavar="FOREST", help="The newest one of the scene if left out.", rich_help_panel=INPUT
-    ),
+    Path | None, inputs("--forest", metavar="FOREST", help="Forest file. Default: the scene's newest forest.")
 ]
 MaxDepth = Annotated[
     int | None,
-    typer.Option(
-        "--max-depth",
-        help="Path depth; as planned for the scene if left out.",
-        min=1,
-        max=MOST_DEPTH,
-        rich_help_panel=INPUT,
-    ),
+    inputs("--max-depth", help="Path depth. Default: as planned for the scene.", min=1, max=MOST_DEPTH),
 ]
 ThinGlass = Annotated[
     bool,
-    typer.Option(
+    inputs(
         "--thin-glass",
         help="Panes of glass let shadow rays pass: far less noise where light comes through them.",
-        rich_help_panel=INPUT,
     ),
 ]
 RegionName = Annotated[
@@ -162,44 +126,34 @@ RegionName = Annotated[
     typer.Option(
         "--region",
         metavar="near|reachable|FILE",
-        help="Where viewers may be: around the scene's camera, in all free space, or along a path. As "
-        "planned, else near, if left out.",
+        help="Where viewers may be: around the scene's camera, in all free space, or along a path. "
+        "Default: as planned, else near.",
     ),
 ]
-Repeats = Annotated[
-    int, typer.Option(help="Measured frames per row.", min=3, max=MOST_FRAMES, rich_help_panel=MEASUREMENT)
-]
-WarmUp = Annotated[
-    int, typer.Option(help="Frames before them.", min=1, max=MOST_FRAMES, rich_help_panel=MEASUREMENT)
-]
+Repeats = Annotated[int, measurement(help="Measured frames per row.", min=3, max=MOST_FRAMES)]
+WarmUp = Annotated[int, measurement(help="Warm-up frames, not measured.", min=1, max=MOST_FRAMES)]
 ReferenceSpp = Annotated[
-    int,
-    typer.Option(
-        help="Samples per pixel of the references.",
-        min=4,
-        max=MOST_REFERENCE_SPP,
-        rich_help_panel=MEASUREMENT,
-    ),
+    int, measurement(help="Samples per pixel of the references.", min=4, max=MOST_REFERENCE_SPP)
 ]
-Backend = Annotated[str, typer.Option(help="auto, cuda or llvm.", rich_help_panel=RUN)]
-Seed = Annotated[
-    int,
-    typer.Option(
-        help="Same seed, same result on the same machine.", min=0, max=MOST_SEED, rich_help_panel=RUN
-    ),
-]
+Backend = Annotated[str, run(help="auto, cuda or llvm.")]
+Seed = Annotated[int, run(help="Same seed, same result on the same machine.", min=0, max=MOST_SEED)]
 NumberPrecision = Annotated[
     Precision,
     typer.Option(
-        help="Of the numbers in a forest file: rounded to what can be seen, a fifth of the size, or exact."
+        help="Numbers in the forest file: compact, rounded below what is visible, at a fifth of the size; or "
+        "float32, exact."
     ),
 ]
 Json = Annotated[
-    Path | None,
-    typer.Option(
-        "--json", metavar="FILE", help="Write what was measured.", callback=_writable, rich_help_panel=RUN
-    ),
+    Path | None, run("--json", metavar="FILE", help="Also write the results as JSON.", callback=_writable)
 ]
+
+
+def given(context: typer.Context, name: str) -> bool:
+    """Whether an option was given on the command line, not left at its default."""
+    found = context.get_parameter_source(name)
+    # By its name: some versions of Typer have a copy of Click, others the real one.
+    return found is not None and found.name == "COMMANDLINE"
 
 
 @contextmanager

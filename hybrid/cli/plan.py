@@ -8,46 +8,35 @@ from typing import Annotated, Any
 import typer
 
 from hybrid.base.progress import progress_bar
-from hybrid.cli.options import (
-    Backend,
-    DisplayName,
-    FixedSize,
-    Json,
-    RegionName,
-    SceneName,
-    Seed,
-    ThinGlass,
-    select,
-    write_json,
-)
+from hybrid.cli import options as o
 
 
 def plan(
-    scene: SceneName,
-    region: RegionName = None,
-    size: FixedSize = (1920, 1080),
-    display: DisplayName = "desktop",
+    scene: o.SceneName,
+    region: o.RegionName = None,
+    size: o.FixedSize = (1920, 1080),
+    display: o.DisplayName = "desktop",
     override: Annotated[
         list[str] | None,
         typer.Option(
             "--set",
             metavar="NAME=VALUE",
-            help="Decide an item yourself, such as degree=0 or 'path depth=12'. May be given repeatedly.",
+            help="Override a decision, such as degree=0 or 'path depth=12'. May be repeated.",
         ),
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also a PNG that shows what the scene was planned by.")
+        Path | None, typer.Option(metavar="FILE", help="Also write a PNG of what the plan is based on.")
     ] = None,
-    thin_glass: ThinGlass = False,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    json_file: Json = None,
+    thin_glass: o.ThinGlass = False,
+    seed: o.Seed = 0,
+    backend: o.Backend = "auto",
+    json_file: o.Json = None,
 ) -> None:
-    """Look at a scene for a few seconds, and decide what it requires of the renderers, and why.
+    """Analyse a scene for a few seconds, and decide what it requires of the renderers, and why.
 
-    All commands take the newest plan of a scene as their default; without one, they make it themselves.
+    All commands default to the newest plan of a scene; without one, they make it themselves.
     """
-    select(backend)
+    o.select(backend)
     from compose.eye.display import display_named
     from hybrid.base.identity import machine
     from hybrid.preparation.plan_picture import write_picture
@@ -71,7 +60,7 @@ def plan(
         print(f"{'':<16}{_shown(row['evidence'])}")
     if picture is not None:
         write_picture(picture, found, found.look)
-    write_json(
+    o.write_json(
         json_file, {"scene": loaded.name, "size": size, "decisions": found.rows(), "machine": machine()}
     )
 
@@ -80,12 +69,10 @@ def _shown(evidence: dict[str, Any]) -> str:
     """Numbers behind a decision in one line; lists are left to the JSON file."""
     parts = []
     for name, value in evidence.items():
-        if isinstance(value, float):
-            parts.append(f"{name.replace('_', ' ')} {value:.3g}")
-        elif not isinstance(value, list | dict) or not value:
-            parts.append(f"{name.replace('_', ' ')} {value if value else 0}")
-        elif isinstance(value, dict):
+        if isinstance(value, dict) and value:
             parts.append(", ".join(f"{key} {_plain(of)}" for key, of in value.items()))
+        elif not isinstance(value, list) or not value:
+            parts.append(f"{name.replace('_', ' ')} {_plain(value or 0)}")
     return ", ".join(parts)
 
 

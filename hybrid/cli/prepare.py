@@ -10,55 +10,40 @@ from typing import Annotated
 
 import typer
 
-from hybrid.cli.options import (
-    INPUT,
-    MEASUREMENT,
-    Backend,
-    FixedSize,
-    Json,
-    MaxDepth,
-    RegionName,
-    SceneName,
-    Seed,
-    ThinGlass,
-    loaded_scene,
-    require_size,
-    select,
-    write_json,
-)
+from hybrid.cli import options as o
 
 _MOST_VIEWS = 10_000
 
 
 def prepare(
-    scene: SceneName,
+    scene: o.SceneName,
     forest: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Also write the forest here.")
     ] = None,
-    quality: Annotated[str, typer.Option(help="draft, standard or high: how far to go.")] = "standard",
-    minutes: Annotated[float | None, typer.Option(help="Time to use instead.")] = None,
-    psnr: Annotated[float | None, typer.Option(help="dB on held-out views to reach instead.")] = None,
-    region: RegionName = None,
+    quality: Annotated[str, typer.Option(help="draft, standard or high.")] = "standard",
+    minutes: Annotated[
+        float | None, typer.Option(help="Time budget in minutes; overrides --quality.")
+    ] = None,
+    psnr: Annotated[
+        float | None, typer.Option(help="PSNR in dB to reach on held-out views; overrides --quality.")
+    ] = None,
+    region: o.RegionName = None,
     held_out: Annotated[
-        int,
-        typer.Option(
-            help="Views that judge; their time is not counted.", max=_MOST_VIEWS, rich_help_panel=MEASUREMENT
-        ),
+        int, o.measurement(help="Held-out validation views; their time is not counted.", max=_MOST_VIEWS)
     ] = 4,
-    size: FixedSize = (256, 256),
-    max_depth: MaxDepth = None,
-    thin_glass: ThinGlass = False,
+    size: o.FixedSize = (256, 256),
+    max_depth: o.MaxDepth = None,
+    thin_glass: o.ThinGlass = False,
     clamp_indirect: Annotated[
         float | None,
-        typer.Option(
-            help="Most radiance that indirect light adds to a path of a training frame at once: fewer "
-            "fireflies, darker caustics.",
-            rich_help_panel=INPUT,
+        o.inputs(
+            help="Upper limit on the indirect radiance added to a path of a training frame at once: fewer "
+            "fireflies, darker caustics."
         ),
     ] = None,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    json_file: Json = None,
+    seed: o.Seed = 0,
+    backend: o.Backend = "auto",
+    json_file: o.Json = None,
 ) -> None:
     """Capture and train in turns, from nothing to a forest; resumes if interrupted."""
     started = time.perf_counter()
@@ -67,22 +52,22 @@ def prepare(
     settings = PreparationSettings(
         region or "near", quality, minutes, psnr, held_out, size, clamp_indirect, seed
     )
-    require_size(size)
-    select(backend)
+    o.require_size(size)
+    o.select(backend)
     from hybrid.preparation.decisions import REGION
     from hybrid.preparation.preparation import prepare as run
     from hybrid.render.image_files import check_writable
 
     if forest is not None:
         check_writable(forest)
-    loaded = loaded_scene(scene, max_depth, thin_glass)
+    loaded = o.loaded_scene(scene, max_depth, thin_glass)
     settings = replace(settings, region=region or str(loaded.plan.get(REGION, settings.region)))
     prepared = run(loaded, settings, started=started)
     facts = prepared.facts
     if forest is not None:
         shutil.copyfile(facts["forest"], forest)
         facts = {**facts, "forest": str(forest)}
-    write_json(json_file, facts)
+    o.write_json(json_file, facts)
     print(
         f"{facts['gaussians']:,} Gaussians from {facts['views']} views, whose frames have "
         f"{facts['frame_error_db']:.1f} dB, in {facts['seconds']:.0f} s"

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from compose.base.errors import UserError
-from hybrid.cli.options import Backend, FovA, FovB, Json, Seed, ThinGlass, loaded_scene, select, write_json
+from hybrid.cli import options as o
 from hybrid.render.frame_settings import DEFAULTS, FrameSettings
 
 
@@ -17,16 +17,16 @@ def quickstart(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for images, page and numbers.")] = Path(
         "out"
     ),
-    fov_a: FovA = DEFAULTS.fov_a,
-    fov_b: FovB = DEFAULTS.fov_b,
-    thin_glass: ThinGlass = False,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    json_file: Json = None,
+    fov_a: o.FovA = DEFAULTS.fov_a,
+    fov_b: o.FovB = DEFAULTS.fov_b,
+    thin_glass: o.ThinGlass = False,
+    seed: o.Seed = 0,
+    backend: o.Backend = "auto",
+    json_file: o.Json = None,
 ) -> None:
     """Capture, train, render and measure: the main job, from nothing to images and numbers."""
     settings = FrameSettings(fov_a=fov_a, fov_b=fov_b)
-    select(backend)
+    o.select(backend)
     from hybrid.evaluation.quickstart_job import SIZE
     from hybrid.evaluation.quickstart_job import quickstart as run
     from hybrid.render.image_files import check_writable
@@ -34,9 +34,9 @@ def quickstart(
     if not settings.foveation.region(SIZE, SIZE).count:
         raise UserError(f"--fov-a {fov_a}: there is no fovea to show, it holds no pixel of {SIZE} x {SIZE}")
     check_writable(out / "result.json")
-    result = run(loaded_scene(scene, None, thin_glass), out, settings, seed)
-    write_json(out / "result.json", result)
-    write_json(json_file, result)
+    result = run(o.loaded_scene(scene, None, thin_glass), out, settings, seed)
+    o.write_json(out / "result.json", result)
+    o.write_json(json_file, result)
     print(
         f"hybrid {result['hybrid']['psnr']:.2f} dB, splats {result['splats_alone']['psnr']:.2f} dB, "
         f"{result['ratio']:.2f} x faster than full path tracing, {result['seconds']['total']:.0f} s in total"

@@ -10,33 +10,15 @@ import typer
 
 from compose.base.errors import UserError, one_line
 from hybrid.base.progress import progress_bar
-from hybrid.cli.options import (
-    FRAME,
-    VIEWER,
-    AcuityModelName,
-    Backend,
-    DisplayName,
-    ForestFile,
-    FovA,
-    FovB,
-    Fovea,
-    Gaze,
-    IntegratorName,
-    Json,
-    Layers,
-    MaxDepth,
-    Seed,
-    Size,
-    Spp,
-    ThinGlass,
-    fill_irradiance,
-    finite,
-    loaded_scene,
-    select,
-    sized,
-    write_json,
+from hybrid.cli import options as o
+from hybrid.cli.render_frames import (
+    refuse_tracing,
+    render_splats,
+    render_views,
+    splat_renderer,
+    view_of,
+    write_frames,
 )
-from hybrid.cli.render_frames import FramesRequest, refuse_tracing, render_frames
 from hybrid.cli.target import Target, measuring_command
 from hybrid.render.frame_settings import DEFAULTS, FrameSettings, aovs_of_file
 
@@ -47,13 +29,6 @@ if TYPE_CHECKING:
     from pathtrace.scene.scene import Scene
     from splat.model.forest import Forest
 
-SceneOrFrames = Annotated[
-    str,
-    typer.Argument(
-        metavar="SCENE",
-        help="Name of a bundled scene, a Mitsuba XML file, or a folder of frames of others (splats alone).",
-    ),
-]
 # Share of a view that the forest does not know, beyond which the user is told.
 _MUCH_FILLED = 0.25
 _FPS = 30
@@ -61,99 +36,95 @@ _FPS = 30
 
 def render(
     context: typer.Context,
-    scene: SceneOrFrames,
+    scene: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENE",
+            help="Name of a bundled scene, a Mitsuba XML file, or a folder of third-party posed images "
+            "(splats alone).",
+        ),
+    ],
     output: Annotated[
         Path,
         typer.Option(
             "-o",
             "--output",
             metavar="FILE",
-            help=".exr or .png; .mp4 with a gaze trace, or along the views of a folder.",
+            help=".exr or .png; .mp4 with a gaze trace, or along the views of a folder of images.",
         ),
     ],
-    forest: ForestFile = None,
+    forest: o.ForestFile = None,
     camera: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="JSON with the names of transforms.json.", rich_help_panel=FRAME),
+        Path | None, o.frame(metavar="FILE", help="JSON file with the keys of transforms.json.")
     ] = None,
     view: Annotated[
         int | None,
-        typer.Option(
-            help="Held-out view of a folder of frames, counted from 0; its camera and time.",
-            min=0,
-            rich_help_panel=FRAME,
-        ),
+        o.frame(help="Held-out view of a folder of images, counted from 0: its camera and time.", min=0),
     ] = None,
-    gaze: Gaze = None,
+    gaze: o.Gaze = None,
     gaze_trace: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="CSV with seconds, x, y: renders a video.", rich_help_panel=VIEWER),
+        Path | None, o.viewer(metavar="FILE", help="CSV file with seconds, x, y: renders a video.")
     ] = None,
     fps: Annotated[
-        int | None,
-        typer.Option(help=f"Frames per second of a video; {_FPS} if left out.", min=1, max=240),
+        int | None, typer.Option(help=f"Frames per second of a video. Default: {_FPS}.", min=1, max=240)
     ] = None,
-    fov_a: FovA = DEFAULTS.fov_a,
-    fov_b: FovB = DEFAULTS.fov_b,
-    spp: Spp = DEFAULTS.spp,
-    size: Size = None,
-    fovea: Fovea = None,
-    integrator: IntegratorName = None,
+    fov_a: o.FovA = DEFAULTS.fov_a,
+    fov_b: o.FovB = DEFAULTS.fov_b,
+    spp: o.Spp = DEFAULTS.spp,
+    size: o.Size = None,
+    fovea: o.Fovea = None,
+    integrator: o.IntegratorName = None,
     target_ms: Annotated[
         float | None,
-        typer.Option(
-            help="Choose fovea, radii and samples: the best settings measured to take no longer, with this "
-            "forest, acuity model, display and size (hybrid sweep --over trade).",
+        o.frame(
+            help="Time budget of the frame in milliseconds: chooses fovea, radii and samples, the best that "
+            "were measured with this forest, acuity model, display and size (hybrid sweep --over trade).",
             min=0,
-            callback=finite,
-            rich_help_panel=FRAME,
+            callback=o.finite,
         ),
     ] = None,
     target_jod: Annotated[
         float | None,
-        typer.Option(
-            help="Likewise the fastest measured to be that good.",
+        o.frame(
+            help="Likewise the least quality in JOD: chooses the fastest settings that reach it.",
             max=10,
-            callback=finite,
-            rich_help_panel=FRAME,
+            callback=o.finite,
         ),
     ] = None,
     time: Annotated[
         float | None,
-        typer.Option(
-            help="Time from 0 to 1 that is shown of a scene that moves; 0, or that of the view, if left out.",
+        o.frame(
+            help="Time of a moving scene, from 0 to 1. Default: 0, or that of the view.",
             min=0,
             max=1,
-            callback=finite,
-            rich_help_panel=FRAME,
+            callback=o.finite,
         ),
     ] = None,
     eyes: Annotated[
         float | None,
-        typer.Option(
+        o.viewer(
             metavar="DISTANCE",
-            help="Render both eyes, so far apart in units of the scene: writes NAME-left and NAME-right.",
+            help="Render both eyes, this far apart in scene units: writes NAME-left and NAME-right.",
             min=0,
-            callback=finite,
-            rich_help_panel=VIEWER,
+            callback=o.finite,
         ),
     ] = None,
-    acuity_model: AcuityModelName = DEFAULTS.acuity_model,
-    layers: Layers = None,
-    display: DisplayName = "desktop",
+    acuity_model: o.AcuityModelName = DEFAULTS.acuity_model,
+    layers: o.Layers = None,
+    display: o.DisplayName = "desktop",
     detail: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Also a PNG that shows level, rate and eccentricity."),
+        Path | None, typer.Option(metavar="FILE", help="Also write a PNG of level, rate and eccentricity.")
     ] = None,
-    max_depth: MaxDepth = None,
-    thin_glass: ThinGlass = False,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    json_file: Json = None,
+    max_depth: o.MaxDepth = None,
+    thin_glass: o.ThinGlass = False,
+    seed: o.Seed = 0,
+    backend: o.Backend = "auto",
+    json_file: o.Json = None,
 ) -> None:
     """Render one hybrid frame, as EXR with all AOVs or as PNG; or a video along a gaze trace.
 
-    Of a folder of frames of others (D-NeRF, Nerfies, HyperNeRF, NeRF-DS), which has no scene: splats alone.
+    A folder of third-party posed images (D-NeRF, Nerfies, HyperNeRF, NeRF-DS) has no scene: its frames are
+    splats alone.
     """
     from pathtrace.dataset.posed_layouts import is_posed_folder
 
@@ -163,7 +134,7 @@ def render(
         refuse_tracing(context, Path(scene))
     elif view is not None:
         raise UserError(
-            f"--view {view}: only of a folder of frames; a scene has a camera of its own, or --camera"
+            f"--view {view}: only for a folder of images; a scene has its own camera, or takes --camera"
         )
     settings = FrameSettings(
         gaze or DEFAULTS.gaze,
@@ -175,7 +146,7 @@ def render(
         layers,
         display=display,
         integrator=integrator,
-        time=DEFAULTS.time if time is None else time,
+        time=time or DEFAULTS.time,
     )
     _check_layers(layers)
     _check_outputs(output, detail, gaze_trace is not None or is_path)
@@ -185,49 +156,49 @@ def render(
         raise UserError("--eyes: only for a single frame, without --detail")
     trace = _loaded_trace(gaze_trace, gaze, fps, is_path)
     if target_ms is not None or target_jod is not None:
-        _check_target({"--layers": layers, "--max-depth": max_depth})
-    select(backend)
+        for option, value in {"--layers": layers, "--max-depth": max_depth}.items():
+            if value is not None:
+                raise UserError(f"--target-ms, --target-jod: nothing is measured with {option}; leave it out")
+    o.select(backend)
     if is_folder:
-        asked = FramesRequest(
-            output,
-            forest,
-            view,
-            None if camera is None else _read_camera(camera),
-            size,
-            time,
-            eyes,
-            detail,
-            trace,
-            fps or _FPS,
-        )
-        write_json(json_file, render_frames(Path(scene), asked, settings))
+        from pathtrace.dataset.posed_layouts import read_posed_folder
+
+        given = None if camera is None else _read_camera(camera)
+        images = read_posed_folder(Path(scene))
+        splats = splat_renderer(images, forest)
+        settings.layers_of(len(splats.forest.counts))
+        if is_path:
+            facts = render_views(output, images, splats, settings, size, trace, fps or _FPS)
+        else:
+            shown = view_of(images, view or 0, given, size, time)
+            settings = replace(settings, camera=shown.camera, time=shown.time)
+            facts = render_splats(output, detail, eyes, splats, settings)
+        o.write_json(json_file, {"scene": images.scene_name, **facts})
         return
     from compose.fovea.foveation import FoveaMode
     from hybrid.preparation.decisions import DENOISING, RAW
     from hybrid.preparation.preparation import forest_for
 
-    loaded = loaded_scene(scene, max_depth, thin_glass)
+    loaded = o.loaded_scene(scene, max_depth, thin_glass)
     if time and loaded.moving is None:
         raise UserError(f"--time: nothing moves in {scene}; it has no motion file")
-    shown = _view(loaded, camera, size, is_video=trace is not None)
-    pixels = shown.width, shown.height
+    own = _view(loaded, camera, size, is_video=trace is not None)
+    pixels = own.width, own.height
     command = measuring_command(scene, forest, pixels, settings, display, backend)
     target = Target(target_ms, target_jod, command)
     target.require_forest(loaded, forest)
     found = forest_for(loaded, forest)
     if fovea is None and loaded.plan.get(DENOISING) == RAW:
         settings = replace(settings, fovea=FoveaMode.RAW)
-    settings = target.applied(loaded, found, replace(settings, camera=shown))
+    settings = target.applied(loaded, found, replace(settings, camera=own))
     # Refused before anything is filled.
     settings.layers_of(len(found.counts))
-    fill_irradiance(loaded, settings)
-    if eyes is not None:
-        facts = _render_eyes(output, eyes, loaded, found, settings, seed)
-    elif trace is None:
-        facts = _render_frame(output, detail, loaded, found, settings, seed)
+    o.fill_irradiance(loaded, settings)
+    if trace is None:
+        facts = _render_frames(output, detail, eyes, loaded, found, settings, seed)
     else:
         facts = _render_video(output, loaded, found, settings, trace, fps or _FPS, seed)
-    write_json(json_file, facts)
+    o.write_json(json_file, facts)
 
 
 def _check_layers(layers: tuple[int, int] | None) -> None:
@@ -271,19 +242,12 @@ def _loaded_trace(
     return load_gaze_trace(file, min(MOST_SECONDS, MOST_FRAMES / (fps or _FPS)))
 
 
-def _check_target(excluded: dict[str, Any]) -> None:
-    """Refuses options with which nothing is measured."""
-    for option, value in excluded.items():
-        if value is not None:
-            raise UserError(f"--target-ms, --target-jod: nothing is measured with {option}; leave it out")
-
-
 def _view(scene: Scene, file: Path | None, size: tuple[int, int] | None, is_video: bool) -> Camera:
     """The camera: from a file, else the scene's own, at the size that was asked for."""
     from hybrid.render.image_files import check_video
 
     camera = scene.camera if file is None else scene.place.camera(_read_camera(file))
-    camera = sized(camera, size)
+    camera = o.sized(camera, size)
     if is_video:
         check_video(camera.width, camera.height)
     return camera
@@ -305,62 +269,46 @@ def _read_camera(file: Path) -> Camera:
         ) from error
 
 
-def _render_frame(
-    output: Path, detail: Path | None, scene: Scene, forest: Forest, settings: FrameSettings, seed: int
-) -> dict[str, Any]:
-    """Renders and writes one frame; returns what was measured."""
-    from hybrid.render.false_colours import detail_picture
-    from hybrid.render.frame_renderer import Renderer
-    from hybrid.render.image_files import write_srgb
-
-    frame = Renderer(scene, forest).frame(replace(settings, aovs=aovs_of_file(output)), seed)
-    if detail is not None:
-        write_srgb(detail, detail_picture(frame.composite, frame.detail, frame.region))
-    return _saved(frame, output, scene)
-
-
-def _render_eyes(
-    output: Path, distance: float, scene: Scene, forest: Forest, settings: FrameSettings, seed: int
-) -> dict[str, Any]:
-    """Renders and writes one frame for each eye; returns what was measured. What moves is moved once."""
-    from compose.camera.camera import EYES
-    from compose.camera.camera import eyes as eyes_of
-    from hybrid.render.frame_renderer import Renderer
-
-    renderer, found = Renderer(scene, forest), {}
-    camera, settings = replace(settings, aovs=aovs_of_file(output)).resolved(scene.camera)
-    for name, eye in zip(EYES, eyes_of(camera, distance / scene.place.unit), strict=True):
-        frame = renderer.frame(replace(settings, camera=eye), seed)
-        found[name] = _saved(frame, output.with_stem(f"{output.stem}-{name}"), scene)
-    return found
-
-
-def _saved(frame: Frame, output: Path, scene: Scene) -> dict[str, Any]:
-    """Writes a frame; returns what was measured."""
-    frame.save(output)
-    camera, milliseconds = frame.camera, frame.milliseconds
-    print(f"{output}: {camera.width} x {camera.height}, {milliseconds['total']:.0f} ms")
-    if frame.filled > _MUCH_FILLED:
-        print(
-            f"the forest was not prepared for {frame.filled:.0%} of this view, which is path-traced at a "
-            "lower resolution; hybrid prepare --region reachable prepares for all that can be reached"
-        )
-    return _facts(scene, frame.settings) | {
-        "nodes_drawn": frame.nodes_drawn,
-        "pixels_excluded": frame.fovea.excluded,
-        "filled": frame.filled,
-        "milliseconds": milliseconds,
-    }
-
-
-def _render_video(
+def _render_frames(
     output: Path,
+    detail: Path | None,
+    eyes: float | None,
     scene: Scene,
     forest: Forest,
     settings: FrameSettings,
-    trace: GazeTrace,
-    fps: int,
     seed: int,
+) -> dict[str, Any]:
+    """Renders and writes one frame, or one per eye; returns what was measured. What moves is moved once."""
+    from hybrid.render.frame_renderer import Renderer
+
+    renderer = Renderer(scene, forest)
+    camera, settings = replace(settings, aovs=aovs_of_file(output)).resolved(scene.camera)
+
+    def facts_of(frame: Frame) -> dict[str, Any]:
+        if frame.filled > _MUCH_FILLED:
+            print(
+                f"the forest was not prepared for {frame.filled:.0%} of this view, which is path-traced at a "
+                "lower resolution; hybrid prepare --region reachable prepares for all that can be reached"
+            )
+        return _facts(scene, frame.settings) | {
+            "nodes_drawn": frame.nodes_drawn,
+            "pixels_excluded": frame.fovea.excluded,
+            "filled": frame.filled,
+            "milliseconds": frame.milliseconds,
+        }
+
+    return write_frames(
+        output,
+        detail,
+        camera,
+        None if eyes is None else eyes / scene.place.unit,
+        lambda shown: renderer.frame(replace(settings, camera=shown), seed),
+        facts_of,
+    )
+
+
+def _render_video(
+    output: Path, scene: Scene, forest: Forest, settings: FrameSettings, trace: GazeTrace, fps: int, seed: int
 ) -> dict[str, Any]:
     """Renders and writes a video; returns what was measured."""
     from hybrid.base.identity import measured_identity

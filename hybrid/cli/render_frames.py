@@ -1,8 +1,9 @@
-"""`hybrid render` of a folder of frames, without a scene: splats alone."""
+"""What `hybrid render` does with any forest: files of frames; and with folders of frames, splats alone."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ import typer
 from compose.base.errors import UserError
 from compose.camera.camera import View
 from hybrid.base.progress import progress_bar
-from hybrid.cli.options import sized
+from hybrid.cli import options as o
 from hybrid.render.frame_settings import FrameSettings, aovs_of_file
 
 if TYPE_CHECKING:
@@ -20,97 +21,71 @@ if TYPE_CHECKING:
     from hybrid.render.frame import Frame
     from hybrid.render.splat_renderer import SplatRenderer
     from pathtrace.dataset.posed_images import PosedFolder
-    from splat.model.forest import Forest
 
 # Parameters of `render` that say how a scene is path-traced.
 _OF_SCENES = (
-    "fov_a",
-    "fov_b",
-    "spp",
-    "fovea",
-    "integrator",
-    "target_ms",
-    "target_jod",
-    "max_depth",
-    "thin_glass",
+    *("fov_a", "fov_b", "spp", "fovea", "integrator", "target_ms", "target_jod"),
+    *("max_depth", "thin_glass"),
 )
 # Of a video without a gaze trace, which has a duration of its own.
 _SECONDS = 4.0
 
 
-@dataclass(frozen=True)
-class FramesRequest:
-    """What is to be rendered of a folder of frames.
+def write_frames(
+    output: Path,
+    detail: Path | None,
+    camera: Camera,
+    distance: float | None,
+    frame_of: Callable[[Camera], Frame],
+    facts_of: Callable[[Frame], dict[str, Any]],
+) -> dict[str, Any]:
+    """Renders and writes a frame, and a picture of its levels if `detail` names a file; or one per eye.
 
-    Attributes:
-        output: file to write.
-        forest: its file; None for the newest one of the folder.
-        view: number among the held-out frames, or the training ones if none is held out; None for the first,
-            and for a video along all.
-        camera: instead of that of a view.
-        size: of the frame; None for that of the view.
-        time: instead of that of the view.
-        eyes: distance between two eyes; None for one.
-        detail: file of a picture of the levels.
-        trace: where the viewer looks, in a video.
-        fps: frames per second of a video.
+    Args:
+        output, detail: the files.
+        camera: the view, or what lies between the eyes.
+        distance: between the eyes, in the camera's units; None for a single frame.
+        frame_of: renders the frame of a camera.
+        facts_of: what was measured of a frame that is written.
+
+    Returns:
+        What was measured; of two eyes, by "left" and "right".
     """
+    from compose.camera.camera import EYES, eyes
+    from hybrid.render.false_colours import detail_picture
+    from hybrid.render.image_files import write_srgb
 
-    output: Path
-    forest: Path | None
-    view: int | None
-    camera: Camera | None
-    size: tuple[int, int] | None
-    time: float | None
-    eyes: float | None
-    detail: Path | None
-    trace: GazeTrace | None
-    fps: int
+    def saved(frame: Frame, file: Path) -> dict[str, Any]:
+        frame.save(file)
+        print(f"{file}: {frame.camera.width} x {frame.camera.height}, {frame.milliseconds['total']:.0f} ms")
+        return facts_of(frame)
+
+    if distance is None:
+        frame = frame_of(camera)
+        if detail is not None:
+            write_srgb(detail, detail_picture(frame.composite, frame.detail, frame.region))
+        return saved(frame, output)
+    return {
+        name: saved(frame_of(eye), output.with_stem(f"{output.stem}-{name}"))
+        for name, eye in zip(EYES, eyes(camera, distance), strict=True)
+    }
 
 
 def refuse_tracing(context: typer.Context, folder: Path) -> None:
     """Refuses options that say how a scene is path-traced: frames have none."""
     for name in _OF_SCENES:
-        source = context.get_parameter_source(name)
-        # By its name: some versions of Typer have a copy of Click, others the real one.
-        if source is not None and source.name == "COMMANDLINE":
+        if o.given(context, name):
             raise UserError(
                 f"--{name.replace('_', '-')}: requires a scene to path-trace; {folder} holds frames only, "
                 "which are rendered as splats alone"
             )
 
 
-def render_frames(folder: Path, request: FramesRequest, settings: FrameSettings) -> dict[str, Any]:
-    """Renders a frame or a video of a folder; returns what was measured."""
-    from hybrid.render.splat_renderer import SplatRenderer
-    from pathtrace.dataset.posed_layouts import read_posed_folder
-
-    found = read_posed_folder(folder)
-    renderer = SplatRenderer(_forest_of(found, request.forest))
-    settings.layers_of(len(renderer.forest.counts))
-    is_video = request.output.suffix.lower() == ".mp4"
-    if is_video:
-        facts, settings = _render_video(found, renderer, request, settings)
-    else:
-        view = _view(found, request)
-        settings = replace(settings, camera=view.camera, time=view.time)
-        facts = _render_frame(renderer, request, settings)
-    assert settings.camera is not None
-    return {
-        "scene": found.scene_name,
-        "width": settings.camera.width,
-        "height": settings.camera.height,
-        "time": settings.time,
-        "acuity_model": settings.acuity_model,
-        "pixels_per_degree": settings.display.pixels_per_degree,
-        **facts,
-    }
-
-
-def _forest_of(folder: PosedFolder, given: Path | None) -> Forest:
-    """The given forest, else the newest one that was trained on the folder's frames."""
+def splat_renderer(folder: PosedFolder, given: Path | None) -> SplatRenderer:
+    """Renders a given forest, else the newest one that was trained on the folder's frames."""
     from hybrid.base.cache_folder import newest_forest_of
     from hybrid.base.identity import require_scene
+    from hybrid.render.splat_renderer import SplatRenderer
     from splat.io.forest_file import load_forest
 
     path = given or newest_forest_of(folder.scene_name, folder.scene_hash)
@@ -118,72 +93,73 @@ def _forest_of(folder: PosedFolder, given: Path | None) -> Forest:
         raise UserError(f"{folder.folder}: no forest was trained on these frames yet; hybrid train makes one")
     forest = load_forest(path)
     require_scene(forest, folder.scene_name, folder.scene_hash, path)
-    return forest
+    return SplatRenderer(forest)
 
 
 def _views(folder: PosedFolder) -> list[View]:
-    """Those of the held-out frames, or of the training ones if none is held out."""
+    """The views of the held-out frames, or of the training ones if none is held out."""
     return [View(image.camera, image.time) for image in folder.held_out or folder.training]
 
 
-def _view(folder: PosedFolder, request: FramesRequest) -> View:
-    """The view of a frame that was asked for."""
-    views, number = _views(folder), request.view or 0
+def view_of(
+    folder: PosedFolder, number: int, camera: Camera | None, size: tuple[int, int] | None, time: float | None
+) -> View:
+    """The view of that number, with the camera, size and time that were given instead of its own."""
+    views = _views(folder)
     if not 0 <= number < len(views):
         raise UserError(f"--view {number}: {folder.folder} has views 0 to {len(views) - 1}")
     view = views[number]
-    time = view.time if request.time is None else request.time
-    return View(sized(request.camera or view.camera, request.size), time)
+    return View(o.sized(camera or view.camera, size), view.time if time is None else time)
 
 
-def _render_frame(renderer: SplatRenderer, request: FramesRequest, settings: FrameSettings) -> dict[str, Any]:
-    """Renders and writes one frame, or one for each eye."""
-    from compose.camera.camera import EYES
-    from compose.camera.camera import eyes as eyes_of
-    from hybrid.render.false_colours import detail_picture
-    from hybrid.render.image_files import write_srgb
-
+def render_splats(
+    output: Path, detail: Path | None, eyes: float | None, renderer: SplatRenderer, settings: FrameSettings
+) -> dict[str, Any]:
+    """Renders and writes one frame of splats alone, or one per eye; returns what was measured."""
     # A forest alone knows no depth.
-    settings = replace(settings, aovs=("splat",) if aovs_of_file(request.output) else ())
+    settings = replace(settings, aovs=("splat",) if aovs_of_file(output) else ())
     assert settings.camera is not None
-    if request.eyes is None:
-        frame = renderer.frame(settings)
-        if request.detail is not None:
-            write_srgb(request.detail, detail_picture(frame.composite, frame.detail, frame.region))
-        return _saved(frame, request.output)
-    found: dict[str, Any] = {}
-    for name, eye in zip(EYES, eyes_of(settings.camera, request.eyes), strict=True):
-        output = request.output.with_stem(f"{request.output.stem}-{name}")
-        found[name] = _saved(renderer.frame(replace(settings, camera=eye)), output)
-    return found
+    return _facts(settings, settings.camera) | write_frames(
+        output,
+        detail,
+        settings.camera,
+        eyes,
+        lambda camera: renderer.frame(replace(settings, camera=camera)),
+        lambda frame: {"nodes_drawn": frame.nodes_drawn, "milliseconds": frame.milliseconds},
+    )
 
 
-def _saved(frame: Frame, output: Path) -> dict[str, Any]:
-    """Writes a frame; returns what was measured."""
-    frame.save(output)
-    camera, milliseconds = frame.camera, frame.milliseconds
-    print(f"{output}: {camera.width} x {camera.height}, {milliseconds['total']:.0f} ms")
-    return {"nodes_drawn": frame.nodes_drawn, "milliseconds": milliseconds}
-
-
-def _render_video(
-    folder: PosedFolder, renderer: SplatRenderer, request: FramesRequest, settings: FrameSettings
-) -> tuple[dict[str, Any], FrameSettings]:
-    """Renders and writes a video along the views, in the order of their times."""
+def render_views(
+    output: Path,
+    folder: PosedFolder,
+    renderer: SplatRenderer,
+    settings: FrameSettings,
+    size: tuple[int, int] | None,
+    trace: GazeTrace | None,
+    fps: int,
+) -> dict[str, Any]:
+    """Renders and writes a video along a folder's views, ordered by time; returns what was measured."""
     from hybrid.render.image_files import check_video
     from hybrid.render.video import ViewPath, render_splat_video
 
-    views = sorted(_views(folder), key=lambda view: view.time)
-    camera = views[0].camera
+    first, *others = sorted(_views(folder), key=lambda view: view.time)
+    camera = first.camera
     # Videos have even sides.
-    size = request.size or (camera.width - camera.width % 2, camera.height - camera.height % 2)
-    first = View(sized(camera, size), views[0].time)
-    check_video(*size)
-    path = ViewPath([first, *views[1:]])
-    seconds = _SECONDS if request.trace is None else request.trace.duration
+    camera = o.sized(camera, size or (camera.width - camera.width % 2, camera.height - camera.height % 2))
+    check_video(camera.width, camera.height)
+    path = ViewPath([View(camera, first.time), *others])
+    seconds = _SECONDS if trace is None else trace.duration
     with progress_bar("video (frames)") as bar:
-        times = render_splat_video(
-            request.output, renderer, settings, path, seconds, request.fps, bar, request.trace
-        )
-    print(f"{request.output}: {len(times)} frames of {size[0]} x {size[1]}")
-    return {"fps": request.fps, "frames": times}, replace(settings, camera=first.camera, time=first.time)
+        times = render_splat_video(output, renderer, settings, path, seconds, fps, bar, trace)
+    print(f"{output}: {len(times)} frames of {camera.width} x {camera.height}")
+    return _facts(replace(settings, time=first.time), camera) | {"fps": fps, "frames": times}
+
+
+def _facts(settings: FrameSettings, camera: Camera) -> dict[str, Any]:
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "time": settings.time,
+        "acuity_model": settings.acuity_model,
+        "pixels_per_degree": settings.display.pixels_per_degree,
+    }

@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
-from hybrid.cli.options import Backend, Json, select, write_json
+from hybrid.cli import options as o
 
 
-def scenes(backend: Backend = "auto", json_file: Json = None) -> None:
+def scenes(backend: o.Backend = "auto", json_file: o.Json = None) -> None:
     """List the bundled scenes and their facts."""
-    select(backend)
+    o.select(backend)
     from pathtrace.scene.scene import bundled_scenes
 
-    rows = [_facts(name) for name in bundled_scenes()]
+    rows = [_facts(name, file) for name, file in bundled_scenes().items()]
     for row in rows:
-        print(_line(row))
-    write_json(json_file, rows)
+        nodes = " + ".join(f"{count:,}" for count in row["nodes_per_layer"])
+        forest = f"forest {row['forest']}: {row['trees']:,} trees, layers of {nodes} nodes"
+        print(
+            f"{row['scene']}: {row['triangles']:,} triangles, {row['emitters']} emitters, "
+            f"depth {row['max_depth']}, {row['width']} x {row['height']}, "
+            + (forest if row["forest"] else "no forest yet")
+        )
+    o.write_json(json_file, rows)
 
 
-def _facts(name: str) -> dict[str, Any]:
+def _facts(name: str, file: Path) -> dict[str, Any]:
     from hybrid.base.cache_folder import newest_forest
     from hybrid.preparation.scene_plan import scene_as_stored
-    from pathtrace.scene.scene import bundled_scenes
     from splat.io.forest_file import load_forest
 
     scene = scene_as_stored(name)
@@ -34,18 +40,8 @@ def _facts(name: str) -> dict[str, Any]:
         "max_depth": scene.max_depth,
         "width": scene.camera.width,
         "height": scene.camera.height,
-        "file": str(bundled_scenes()[name]),
+        "file": str(file),
         "forest": str(forest) if forest else None,
         "nodes_per_layer": list(counts),
         "trees": counts[0] if counts else 0,
     }
-
-
-def _line(row: dict[str, Any]) -> str:
-    nodes = " + ".join(f"{count:,}" for count in row["nodes_per_layer"])
-    forest = f"forest {row['forest']}: {row['trees']:,} trees, layers of {nodes} nodes"
-    return (
-        f"{row['scene']}: {row['triangles']:,} triangles, {row['emitters']} emitters, "
-        f"depth {row['max_depth']}, {row['width']} x {row['height']}, "
-        + (forest if row["forest"] else "no forest yet")
-    )

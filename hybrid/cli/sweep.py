@@ -10,159 +10,85 @@ import typer
 
 from compose.base.errors import UserError
 from hybrid.base.progress import progress_bar
-from hybrid.cli.options import (
-    FRAME,
-    MEASUREMENT,
-    MOST_REFERENCE_SPP,
-    VIEWER,
-    Backend,
-    DisplayName,
-    ForestFile,
-    IntegratorName,
-    Json,
-    Repeats,
-    SceneName,
-    ThinGlass,
-    WarmUp,
-    fill_irradiance,
-    loaded_scene,
-    select,
-    sized,
-    write_json,
-)
-from hybrid.render.frame_settings import MOST_SPP, SWEEP, FrameSettings
-
-# Defaults of what a sweep may set itself. They are applied here, so that an option that was given is known.
-_DEFAULTS: dict[str, Any] = {
-    "fovea": SWEEP.fovea.value,
-    "size": None,
-    "fov_a": SWEEP.fov_a,
-    "fov_b": SWEEP.fov_b,
-    "spp": SWEEP.spp,
-    "acuity_model": SWEEP.acuity_model,
-    "reference_spp": 64,
-}
+from hybrid.cli import options as o
+from hybrid.render.frame_settings import SWEEP, FrameSettings
 
 
 def sweep(
-    scene: SceneName,
+    context: typer.Context,
+    scene: o.SceneName,
     over: Annotated[
         str,
         typer.Option(help="resolution, aspect, radius, spp, view, band, layers, acuity, denoiser or trade."),
     ] = "resolution",
-    forest: ForestFile = None,
-    fovea: Annotated[
-        str | None,
-        typer.Option(
-            help=f"raw, denoised or fused; set by denoiser and trade. Default: {_DEFAULTS['fovea']}.",
-            rich_help_panel=FRAME,
-        ),
-    ] = None,
-    size: Annotated[
-        tuple[int, int] | None,
-        typer.Option(
-            metavar="W H",
-            help="Frame size; set by resolution, aspect, radius, spp and view. Default: the scene's.",
-            rich_help_panel=FRAME,
-        ),
-    ] = None,
-    fov_a: Annotated[
-        float | None,
-        typer.Option(
-            help="Radius of the path-traced disc, percent of the height; set by band. In radius, spp, view "
-            f"and trade only its ratio to --fov-b matters. Default: {_DEFAULTS['fov_a']:g}.",
-            rich_help_panel=FRAME,
-        ),
-    ] = None,
-    fov_b: Annotated[
-        float | None,
-        typer.Option(
-            help="Radius inside of which no splats are visible, percent; set like --fov-a. "
-            f"Default: {_DEFAULTS['fov_b']:g}.",
-            rich_help_panel=FRAME,
-        ),
-    ] = None,
-    spp: Annotated[
-        int | None,
-        typer.Option(
-            help="Samples per pixel in the disc; set by spp, denoiser and trade. "
-            f"Default: {_DEFAULTS['spp']}.",
-            min=1,
-            max=MOST_SPP,
-            rich_help_panel=FRAME,
-        ),
-    ] = None,
-    acuity_model: Annotated[
-        str | None,
-        typer.Option(
-            help="fovvideovdp, geisler-perry, stelacsf, fov-gs or none; set by acuity. "
-            f"Default: {_DEFAULTS['acuity_model']}.",
-            rich_help_panel=VIEWER,
-        ),
-    ] = None,
-    integrator: IntegratorName = None,
-    display: DisplayName = "desktop",
-    repeats: Repeats = 15,
-    warm_up: WarmUp = 2,
+    forest: o.ForestFile = None,
+    fovea: Annotated[str, o.frame(help="raw, denoised or fused.")] = SWEEP.fovea.value,
+    size: o.Size = None,
+    fov_a: o.FovA = SWEEP.fov_a,
+    fov_b: o.FovB = SWEEP.fov_b,
+    spp: o.Spp = SWEEP.spp,
+    acuity_model: o.AcuityModelName = SWEEP.acuity_model,
+    integrator: o.IntegratorName = None,
+    display: o.DisplayName = "desktop",
+    repeats: o.Repeats = 15,
+    warm_up: o.WarmUp = 2,
     report: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder of an evaluation, whose page gets this sweep as well."),
+        typer.Option(metavar="DIR", help="Folder of an evaluation; its page also gets this sweep."),
     ] = None,
-    reference_spp: Annotated[
-        int | None,
-        typer.Option(
-            help="Samples per pixel of references; used by band, layers, acuity, denoiser and trade. "
-            f"Default: {_DEFAULTS['reference_spp']}.",
-            min=4,
-            max=MOST_REFERENCE_SPP,
-            rich_help_panel=MEASUREMENT,
-        ),
-    ] = None,
-    thin_glass: ThinGlass = False,
-    backend: Backend = "auto",
-    json_file: Json = None,
+    reference_spp: o.ReferenceSpp = 64,
+    thin_glass: o.ThinGlass = False,
+    backend: o.Backend = "auto",
+    json_file: o.Json = None,
 ) -> None:
-    """Time hybrid frames and full path tracing in turns, over one quantity; resumes if interrupted."""
-    given = dict(zip(_DEFAULTS, (fovea, size, fov_a, fov_b, spp, acuity_model, reference_spp), strict=True))
-    values = _completed(over, given)
-    named = {name: values[name] for name in ("fov_a", "fov_b", "spp", "fovea", "acuity_model")}
-    settings = replace(SWEEP, **named, display=display, integrator=integrator)
-    if settings.fov_a == 0:
+    """Time hybrid frames and full path tracing in turns, over one quantity; resumes if interrupted.
+
+    Options that a sweep sets itself are refused: --size by resolution, aspect, radius, spp and view; --spp by
+    spp, denoiser and trade; --fovea by denoiser and trade; --fov-a and --fov-b by band; --acuity-model by
+    acuity. In radius, spp, view and trade, only the ratio of --fov-a and --fov-b matters. Only band, layers,
+    acuity, denoiser and trade use --reference-spp.
+    """
+    from hybrid.evaluation.sweep_catalogue import Effort, Setting, sweep_named
+
+    for name in sweep_named(over, (1,)).ignored:
+        if o.given(context, name):
+            option = f"--{name.replace('_', '-')}"
+            raise UserError(f"{option}: has no influence on a sweep --over {over}; leave it out")
+    settings = replace(
+        SWEEP,
+        fov_a=fov_a,
+        fov_b=fov_b,
+        spp=spp,
+        fovea=fovea,
+        acuity_model=acuity_model,
+        display=display,
+        integrator=integrator,
+    )
+    if fov_a == 0:
         raise UserError("--fov-a 0.0: there is no fovea to time")
-    select(backend)
-    from hybrid.evaluation.sweep_catalogue import Effort, Setting
+    o.select(backend)
+    from hybrid.evaluation.evaluation_page import write_report
     from hybrid.evaluation.sweep_run import sweep as run
     from hybrid.preparation.preparation import forest_for
 
-    loaded = loaded_scene(scene, None, thin_glass)
+    loaded = o.loaded_scene(scene, None, thin_glass)
     if report is not None:
         _check_report(report, loaded.name)
-    base = Setting(sized(loaded.camera, size), settings)
-    fill_irradiance(loaded, settings)
-    effort = Effort(repeats, warm_up, values["reference_spp"])
+    base = Setting(o.sized(loaded.camera, size), settings)
+    o.fill_irradiance(loaded, settings)
     found = forest_for(loaded, forest)
 
     def write(content: dict[str, Any]) -> None:
-        write_json(json_file, content)
+        o.write_json(json_file, content)
         if report is not None:
-            write_json(report / f"sweep-{over}.json", content)
+            o.write_json(report / f"sweep-{over}.json", content)
 
     with progress_bar(f"sweep over {over}") as bar:
-        content = run(loaded, found, over, base, effort, write, bar)
+        content = run(loaded, found, over, base, Effort(repeats, warm_up, reference_spp), write, bar)
     _print(content, settings)
     if report is not None:
-        _update_page(report)
-
-
-def _completed(over: str, given: dict[str, Any]) -> dict[str, Any]:
-    """The options with their defaults; one that was given without any influence is refused."""
-    from hybrid.evaluation.sweep_catalogue import sweep_named
-
-    for name in sweep_named(over, (1,)).ignored:
-        if given[name] is not None:
-            option = f"--{name.replace('_', '-')}"
-            raise UserError(f"{option}: has no influence on a sweep --over {over}; leave it out")
-    return {name: _DEFAULTS[name] if value is None else value for name, value in given.items()}
+        write_report(report)
+        print(report / "index.html")
 
 
 def _check_report(folder: Path, scene: str) -> None:
@@ -174,13 +100,6 @@ def _check_report(folder: Path, scene: str) -> None:
     if evaluated != scene:
         raise UserError(f"--report {folder}: holds an evaluation of {evaluated}, not of {scene}")
     check_writable(folder / "index.html")
-
-
-def _update_page(folder: Path) -> None:
-    from hybrid.evaluation.evaluation_page import write_report
-
-    write_report(folder)
-    print(folder / "index.html")
 
 
 def _print(content: dict[str, Any], settings: FrameSettings) -> None:

@@ -11,18 +11,15 @@ from compose.base.errors import UserError
 from hybrid.render.frame_settings import DEFAULTS, FrameSettings
 
 if TYPE_CHECKING:
-    from hybrid.evaluation.measured_settings import MeasuredSettings
     from pathtrace.scene.scene import Scene
     from splat.model.forest import Forest
 
 
 @dataclass(frozen=True)
 class Target:
-    """A time or a quality that a frame must meet.
+    """The milliseconds that a frame may take and the JOD that it must reach; None for any.
 
     Attributes:
-        milliseconds: that it may take; None for any.
-        jod: quality that it must reach; None for any.
         command: measures the settings to choose from.
     """
 
@@ -53,16 +50,17 @@ class Target:
         from hybrid.evaluation.measured_settings import MeasuredStore, chosen
 
         camera, _ = settings.resolved(scene.camera)
-        store = MeasuredStore.of("trade", scene, forest, (camera.width, camera.height), settings)
-        found = store.load()
+        found = MeasuredStore.of("trade", scene, forest, (camera.width, camera.height), settings).load()
         if found is None:
             raise self._not_measured()
-        choice = chosen(*found, self.milliseconds, self.jod)
-        best = choice.settings
+        choice, metric = chosen(*found, self.milliseconds, self.jod), found[0].upper()
+        best, range_ = choice.settings, ""
+        if choice.spread is not None:
+            low, high = choice.spread
+            range_ = f"; {metric} {choice.quality:.4g} ({low:.4g} to {high:.4g})"
         print(
             f"--fovea {best.fovea.value} --spp {best.spp} --fov-a {best.fov_a:g} --fov-b {best.fov_b:g}: "
-            f"measured to take {choice.milliseconds:.0f} ms in views that nothing was fitted to"
-            f"{_spread(found[0], choice)}"
+            f"measured to take {choice.milliseconds:.0f} ms in views that nothing was fitted to{range_}"
         )
         return replace(settings, fovea=best.fovea, spp=best.spp, fov_a=best.fov_a, fov_b=best.fov_b)
 
@@ -70,14 +68,6 @@ class Target:
         return UserError(
             f"--target-ms, --target-jod: these settings have not been measured here; run: {self.command}"
         )
-
-
-def _spread(metric: str, choice: MeasuredSettings) -> str:
-    """The quality of the choice and its range over the views, if there are several."""
-    if choice.spread is None:
-        return ""
-    low, high = choice.spread
-    return f"; {metric.upper()} {choice.quality:.4g} ({low:.4g} to {high:.4g})"
 
 
 def measuring_command(

@@ -1,4 +1,4 @@
-"""`hybrid train`: trains a forest on a frame set, or on frames of others."""
+"""`hybrid train`: trains a forest on a frame set, or on third-party posed images."""
 
 from __future__ import annotations
 
@@ -10,17 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hybrid.base.progress import progress_bar
-from hybrid.cli.options import (
-    MOST_GAUSSIANS,
-    Backend,
-    FramesFolder,
-    Json,
-    NumberPrecision,
-    Seed,
-    select,
-    user_errors,
-    write_json,
-)
+from hybrid.cli import options as o
 from splat.model.choices import Labels, MotionModel, Precision
 
 if TYPE_CHECKING:
@@ -30,7 +20,7 @@ _MOST_ITERATIONS = 10_000_000
 
 
 def train(
-    frames: FramesFolder,
+    frames: o.FramesFolder,
     forest: Annotated[Path, typer.Argument(metavar="FOREST", help="Forest file to write.")],
     iterations: Annotated[
         int, typer.Option(help="Optimizer steps over all layers.", max=_MOST_ITERATIONS)
@@ -38,48 +28,47 @@ def train(
     gaussians: Annotated[
         int | None,
         typer.Option(
-            help="Final number of Gaussians in the finest layer; as planned for the scene, "
-            "else 40,000, if left out.",
-            max=MOST_GAUSSIANS,
+            help="Final number of Gaussians in the finest layer. Default: as planned, else 40,000.",
+            max=o.MOST_GAUSSIANS,
         ),
     ] = None,
     layers: Annotated[
         int | None,
         typer.Option(
-            help="Layers of the forest; 1 for Gaussians without trees. As planned, else 4, if left out."
+            help="Layers of the forest; 1 for Gaussians without trees. Default: as planned, else 4."
         ),
     ] = None,
     degree: Annotated[
         int | None,
-        typer.Option(help="Degree of the spherical harmonics, 0 to 3; as planned, else 2, if left out."),
+        typer.Option(help="Degree of the spherical harmonics, 0 to 3. Default: as planned, else 2."),
     ] = None,
     motion: Annotated[
         MotionModel | None,
         typer.Option(
-            help="What moves: by courses that the frames know, or deformed by a field that is learned, that "
-            "of D-GS (everything, or only what the frames show to move) or of 4DGS. If left out: known; of "
-            "frames of others that show several times, 4dgs."
+            help="Motion model: known trajectories from the frame set, or a learned deformation field, that "
+            "of D-GS (for everything, or only for what the frames show to move) or of 4DGS. Default: known; "
+            "for third-party images of several times, 4dgs."
         ),
     ] = None,
     labels: Annotated[
         Labels | None,
         typer.Option(
-            help="What tells which pixels move, for d-gs-dynamic: exact masks of the frames, or flow, which "
-            "is told by frames of other times. Default: masks where frames have them.",
+            help="How d-gs-dynamic knows which pixels move: by exact masks in the frame set, or by the flow "
+            "between frames of different times. Default: masks where there are any.",
             show_default=False,
         ),
     ] = None,
-    precision: NumberPrecision = Precision.COMPACT,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    json_file: Json = None,
+    precision: o.NumberPrecision = Precision.COMPACT,
+    seed: o.Seed = 0,
+    backend: o.Backend = "auto",
+    json_file: o.Json = None,
 ) -> None:
     """Train a forest on a frame set; resumes if interrupted.
 
-    Also on frames of others, without a scene: folders in the layout of NeRF-synthetic, D-NeRF, Nerfies,
-    HyperNeRF or NeRF-DS.
+    Also on third-party posed images, without a scene: folders in the layout of NeRF-synthetic, D-NeRF,
+    Nerfies, HyperNeRF or NeRF-DS.
     """
-    select(backend)
+    o.select(backend)
     from hybrid.base.cache_folder import has_receipt, store_forest
     from hybrid.preparation.forest_training import LeftOut, planned_settings, say_left_out
     from hybrid.preparation.forest_training import train as run
@@ -91,11 +80,11 @@ def train(
 
     shape = {"gaussians": gaussians, "layers": layers, "degree": degree}
     given = {"iterations": iterations, "seed": seed, **shape}
-    with user_errors():
+    with o.user_errors():
         # What is given is checked before the frames are read.
         planned_settings(None, **given)
     found = read_frames(frames)
-    with user_errors():
+    with o.user_errors():
         settings = planned_settings(found, **given, motion=motion_for(found, motion, labels), labels=labels)
     check_writable(forest)
     if isinstance(found, PosedFolder):
@@ -106,7 +95,7 @@ def train(
         trained = run(found, forest, settings, bar, left_out.append, precision=precision)
     seconds = time.perf_counter() - start
     say_left_out(left_out[0])
-    # The hash of frames of others is that of the images, which were trained on here.
+    # The hash of third-party images is that of the very images that were trained on here.
     if not isinstance(found, PosedFolder) and settings.motion.field is not None:
         print(
             f"the motion was learned, for comparison with that of the scene: the forest does not become the "
@@ -123,7 +112,7 @@ def train(
     facts = {"scene": found.scene_name, "layers": rows, "trees": trained.counts[0], "fusion": verdicts}
     facts["left_out"] = asdict(left_out[0])
     facts["splat"] = {name: rows[-1][name] for name in ("psnr", "ssim") if name in rows[-1]}
-    write_json(json_file, {**facts, "iterations": iterations, "seconds": seconds})
+    o.write_json(json_file, {**facts, "iterations": iterations, "seconds": seconds})
     print(f"{sum(trained.counts):,} nodes in {trained.counts[0]:,} trees in {seconds:.0f} s")
     for row in rows:
         quality = f", held-out views {row['psnr']:.2f} dB, SSIM {row['ssim']:.4f}" if "psnr" in row else ""
@@ -132,7 +121,7 @@ def train(
 
 
 def _print_folder(folder: PosedFolder, motion: MotionModel) -> None:
-    """What frames of others are, and how what moves in them is modelled."""
+    """What a folder of third-party images holds, and how motion in it is modelled."""
     model = (
         "nothing moves" if motion.field is None else f"a learned field deforms the Gaussians ({motion.value})"
     )

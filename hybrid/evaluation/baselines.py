@@ -29,6 +29,10 @@ from pathtrace.trace.sampling import fractional_counts
 from pathtrace.trace.traced_images import TracedImage, auxiliary_images, radiance_image, trace_image
 from pathtrace.trace.tracer import Tracer, auxiliary_spp
 
+Array = NDArray[np.float64]
+# Foveated Path Culling's (FPC's) settings of RMFR.
+_FPC_F, _FPC_SIGMA = 0.1, 2.6
+
 
 def traced_image(
     tracer: Tracer,
@@ -40,14 +44,10 @@ def traced_image(
     denoised: bool,
     clock: Clock | None = None,
 ) -> Image:
-    """(N / columns, columns, 3) radiance at N film positions.
+    """(N / columns, columns, 3) radiance at N positions on the camera's film, given row by row.
 
     Args:
-        tracer: of the scene.
-        camera: the view, to whose film the positions refer.
-        positions: of the image's pixels, row by row.
-        columns: of the image.
-        spp: samples per position, at least 1; of a fractional number the mean over all positions.
+        spp: samples per position, at least 1; if fractional, the mean over all positions.
         seed: same seed, same image on the same machine.
         denoised: whether to denoise with OIDN, guided by albedo and normal.
         clock: records the passes trace and denoise.
@@ -69,9 +69,6 @@ def traced_image(
     image = traced.denoised()
     clock.lap("denoise")
     return image
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -115,11 +112,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Warp:
-    """The mapping of a frame.
-
-    Attributes:
-        across, down: along its width and along its height.
-    """
+    """The mapping of a frame, along its width (across) and along its height (down)."""
 
     across: Axis
     down: Axis
@@ -137,10 +130,9 @@ class Warp:
         return Warp(*(Axis(at, f, size, max(1, round(size / sigma))) for at, size in sides))
 
     def boxes(self) -> tuple[Array, Array, Array, Array]:
-        """What each of the N buffer pixels covers of the frame, in frame pixels, row by row.
+        """Left edges, top edges, widths and heights, (N,) each, of what buffer pixels cover of the frame.
 
-        Returns:
-            Left edges, top edges, widths and heights, (N,) each.
+        They are in frame pixels, row by row.
         """
         edges = [axis.frame_of(np.arange(axis.buffer + 1.0)) for axis in (self.across, self.down)]
         left, top = np.meshgrid(edges[0][:-1], edges[1][:-1])
@@ -158,34 +150,38 @@ class Warp:
 
 
 def _between(axis: Axis) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
-    """The two buffer pixels beside the centre of each frame pixel, and the second one's weight.
-
-    Returns:
-        First pixels, second pixels and weights, (size,) each.
-    """
+    """(size,) each: the two buffer pixels beside each frame pixel's centre, and the second one's weight."""
     centres = np.arange(axis.size, dtype=np.float64) + 0.5
     position = np.clip(axis.buffer_of(centres) - 0.5, 0, axis.buffer - 1)
     first = np.minimum(position.astype(np.int64), max(0, axis.buffer - 2))
     return first, np.minimum(first + 1, axis.buffer - 1), (position - first).astype(np.float32)
 
 
-def _shown(tracer: Tracer, view: View) -> Camera:
-    """The camera of a view, whose time the scene shows from now on."""
-    tracer.scene.show(view.time)
-    return view.camera
+@dataclass(frozen=True)
+class _PathTraced:
+    """What all path-traced baselines share: the scene shows a view's time before its frame is timed."""
+
+    tracer: Tracer
+
+    def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
+        self.tracer.scene.show(view.time)
+        clock = Clock()
+        image = self._image(view.camera, gaze, seed, clock)
+        return TimedImage(image, clock.milliseconds())
+
+    def _image(self, camera: Camera, gaze: Gaze, seed: int, clock: Clock) -> Image:
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class FullTrace:
+class FullTrace(_PathTraced):
     """Traces all pixels with the same sample count.
 
     Attributes:
-        tracer: of the scene.
-        spp: samples per pixel, at least 1; of a fractional number the mean over all pixels.
+        spp: samples per pixel, at least 1; if fractional, the mean over all pixels.
         denoised: whether to denoise the image.
     """
 
-    tracer: Tracer
     spp: float
     denoised: bool
 
@@ -196,28 +192,23 @@ class FullTrace:
     def rays(self, camera: Camera, gaze: Gaze) -> float:
         return self.spp
 
-    def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
-        camera = _shown(self.tracer, view)
-        clock = Clock()
+    def _image(self, camera: Camera, gaze: Gaze, seed: int, clock: Clock) -> Image:
         positions = frame_positions(camera)
-        image = traced_image(
+        return traced_image(
             self.tracer, camera, positions, camera.width, self.spp, seed, self.denoised, clock
         )
-        return TimedImage(image, clock.milliseconds())
 
 
 @dataclass(frozen=True)
-class Enlarged:
+class Enlarged(_PathTraced):
     """Traces the whole frame with fewer, larger pixels and enlarges it bicubically.
 
     Attributes:
-        tracer: of the scene.
         share: number of traced pixels over the frame's.
         spp: samples per traced pixel.
         denoised: whether to denoise the image before enlarging it.
     """
 
-    tracer: Tracer
     share: float
     spp: int
     denoised: bool
@@ -230,9 +221,7 @@ class Enlarged:
         columns, rows = self._size(camera)
         return self.spp * columns * rows / (camera.width * camera.height)
 
-    def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
-        camera = _shown(self.tracer, view)
-        clock = Clock()
+    def _image(self, camera: Camera, gaze: Gaze, seed: int, clock: Clock) -> Image:
         columns, rows = self._size(camera)
         width, height = camera.width / columns, camera.height / rows
         left, top = (
@@ -246,7 +235,7 @@ class Enlarged:
         large = functional.interpolate(planes, size=size, mode="bicubic")[0].permute(1, 2, 0).clamp(min=0)
         image = np.ascontiguousarray(large.numpy())  # (H, W, 3)
         clock.lap("enlarge")
-        return TimedImage(image, clock.milliseconds())
+        return image
 
     def _size(self, camera: Camera) -> tuple[int, int]:
         """Columns and rows that are traced."""
@@ -255,19 +244,15 @@ class Enlarged:
 
 
 @dataclass(frozen=True)
-class Rmfr:
-    """Rectangular mapping-based foveated rendering (RMFR, Ye et al. 2022).
-
-    Traces a smaller buffer that is densest at the gaze, and maps it back to the frame.
+class Rmfr(_PathTraced):
+    """RMFR: traces a smaller buffer, densest at the gaze, and maps it back to the frame.
 
     Attributes:
-        tracer: of the scene.
-        f, sigma: parameters of the mapping (hybrid.evaluation.baselines).
-        spp: samples per pixel of the buffer, at least 1; of a fractional number the mean.
+        f, sigma: parameters of the mapping.
+        spp: samples per pixel of the buffer, at least 1; if fractional, the mean.
         denoised: whether to denoise the buffer.
     """
 
-    tracer: Tracer
     f: float
     sigma: float
     spp: float
@@ -278,32 +263,27 @@ class Rmfr:
         return {"spp": self.spp, "f": self.f, "sigma": self.sigma, "denoised": str(self.denoised).lower()}
 
     def rays(self, camera: Camera, gaze: Gaze) -> float:
-        warp = Warp.of(gaze, camera.width, camera.height, self.f, self.sigma)
+        warp = self._warp(camera, gaze)
         return self.spp * warp.across.buffer * warp.down.buffer / (camera.width * camera.height)
 
-    def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
-        camera = _shown(self.tracer, view)
-        clock = Clock()
-        warp = Warp.of(gaze, camera.width, camera.height, self.f, self.sigma)
+    def _image(self, camera: Camera, gaze: Gaze, seed: int, clock: Clock) -> Image:
+        warp = self._warp(camera, gaze)
         positions, columns = box_positions(*warp.boxes()), warp.across.buffer
         buffer = traced_image(self.tracer, camera, positions, columns, self.spp, seed, self.denoised, clock)
         image = warp.frame(buffer)
         clock.lap("enlarge")
-        return TimedImage(image, clock.milliseconds())
+        return image
 
-
-# Foveated Path Culling's (FPC's) settings of RMFR, rectangular mapping-based foveated rendering.
-_FPC_F, _FPC_SIGMA = 0.1, 2.6
+    def _warp(self, camera: Camera, gaze: Gaze) -> Warp:
+        return Warp.of(gaze, camera.width, camera.height, self.f, self.sigma)
 
 
 @dataclass(frozen=True)
 class WarpTuning:
-    """Settings of RMFR that remain free at a given number of rays.
+    """Settings of RMFR that remain free at a given number of rays: its `f` and whether it is denoised.
 
     Attributes:
-        f: of the mapping (hybrid.evaluation.baselines).
         spp: least samples per pixel of the buffer.
-        denoised: whether the buffer is denoised.
     """
 
     f: float

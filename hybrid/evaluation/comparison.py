@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,13 +31,10 @@ _LEAST_REACH = 0.02
 def reach_for(radius: float, camera: Camera) -> tuple[float, float]:
     """How far the gaze may move from the centre so that a disc covers about as much as it does there.
 
-    Along an axis on which the disc fits into the frame, the gaze moves until the disc touches the edge. Along
-    an axis on which it does not fit, moving loses more on one side than it gains on the other; there the gaze
-    moves so little that less than half a percent of the covered pixels is lost.
-
-    Args:
-        radius: in percent of the height.
-        camera: of the frame.
+    Along an axis on which the disc, of a radius in percent of the height, fits into the frame, the gaze moves
+    until the disc touches the edge. Along an axis on which it does not fit, moving loses more on one side
+    than it gains on the other; there the gaze moves so little that less than half a percent of the covered
+    pixels is lost.
 
     Returns:
         Fractions of the frame's width and height, for `gaze_path`.
@@ -51,13 +48,7 @@ def reach_for(radius: float, camera: Camera) -> tuple[float, float]:
 
 
 def covered(radius: float, camera: Camera, count: int, reach: tuple[float, float]) -> float:
-    """Mean fraction of the frame that a disc covers along a gaze path.
-
-    Args:
-        radius: in percent of the height.
-        camera: of the frame.
-        count, reach: of the path.
-    """
+    """Mean fraction of the frame that a disc of a radius in percent of the height covers on a gaze path."""
     width, height = camera.width, camera.height
     along = (Foveation(gaze, radius, radius).region(width, height) for gaze in gaze_path(count, reach))
     return float(np.mean([region.count for region in along]) / (width * height))
@@ -75,15 +66,8 @@ def compare(
 
     All three are timed after their kernels have been compiled; the full frame is traced by the same function
     as the disc, and denoised if the disc is. The gaze moves only so far that the disc stays in the frame.
-    Frames go through the views in turn, each with a camera of its own, so that each pays for all it shows.
-
-    Args:
-        renderer: of the scene.
-        views: of one size.
-        settings: of the frame, apart from gaze and camera.
-        repeats: measured frames of each.
-        warm_up: frames before that, which are not measured.
-        progress: called with rounds done and rounds in total.
+    Frames go through the views, all of one size, in turn. Each has a camera of its own, so that it pays for
+    all it shows.
 
     Returns:
         Percentiles hybrid_ms, path_traced_ms and disc_ms over all views, and the least and the greatest
@@ -94,13 +78,21 @@ def compare(
     full = FullTrace(
         renderer.tracer_of(settings.used_integrator), settings.spp, settings.fovea is not FoveaMode.RAW
     )
-    frames = _Frames(renderer, tuple(views), settings, full)
     camera = views[0].camera
     reach = reach_for(settings.fov_a, camera)
+
+    def next_view(seed: int, place: int) -> View:
+        """For the method in that place of the three."""
+        return jittered_view(views[seed % len(views)], 3 * seed + place)
+
+    def at(gaze: Gaze, seed: int, place: int) -> FrameSettings:
+        view = next_view(seed, place)
+        return replace(settings, gaze=gaze, camera=view.camera, time=view.time)
+
     methods: dict[str, Callable[[Gaze, int], Any]] = {
-        "hybrid": frames.hybrid,
-        "path_traced": frames.path_traced,
-        "disc": frames.disc,
+        "hybrid": lambda gaze, seed: renderer.frame(at(gaze, seed, 0), seed),
+        "path_traced": lambda gaze, seed: full.render(next_view(seed, 1), gaze, seed),
+        "disc": lambda gaze, seed: renderer.disc_alone(at(gaze, seed, 2), seed),
     }
     times = interleaved(methods, repeats, warm_up, progress, reach)
     row: dict[str, Any] = {f"{name}_ms": percentiles(values) for name, values in times.items()}
@@ -120,30 +112,3 @@ def compare(
         "covered": covered(settings.fov_a, camera, repeats, reach),
         "repeats": repeats,
     }
-
-
-@dataclass(frozen=True)
-class _Frames:
-    """What is compared, each frame with its own camera."""
-
-    renderer: Renderer
-    views: tuple[View, ...]
-    settings: FrameSettings
-    full: FullTrace
-
-    def hybrid(self, gaze: Gaze, seed: int) -> None:
-        self.renderer.frame(self._at(gaze, seed, 0), seed)
-
-    def path_traced(self, gaze: Gaze, seed: int) -> None:
-        self.full.render(self._view(seed, 1), gaze, seed)
-
-    def disc(self, gaze: Gaze, seed: int) -> None:
-        self.renderer.disc_alone(self._at(gaze, seed, 2), seed)
-
-    def _at(self, gaze: Gaze, seed: int, place: int) -> FrameSettings:
-        view = self._view(seed, place)
-        return replace(self.settings, gaze=gaze, camera=view.camera, time=view.time)
-
-    def _view(self, seed: int, place: int) -> View:
-        """The next view, for the method in that place of the three."""
-        return jittered_view(self.views[seed % len(self.views)], 3 * seed + place)

@@ -48,16 +48,21 @@ from pathtrace.trace.tracer import Tracer
 
 # Samples per pixel of further fused frames, which show from which count on they surpass the splats.
 OTHER_SPP = (1, 2, 4, 16)
+# Frames before those that are timed.
+_WARM_UP = 5
+# Methods with at least this many frames are not timed for longer than this.
+_LEAST_REPEATS, _MOST_SECONDS = 20, 80.0
+# Rounds between two saves of the journal.
+_ROUNDS = 10
+# Frames from which on a percentile is one of them instead of a guess between two.
+_ENOUGH_FOR = {50: 1, 95: 20, 99: 100}
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A method at one budget.
+    """A method at one budget: EQUAL_RAYS, EQUAL_TIME or FIXED.
 
     Attributes:
-        name: of the method.
-        budget: EQUAL_RAYS, EQUAL_TIME or FIXED.
-        method: renders it.
         briefly: whether a few frames are enough to time it.
     """
 
@@ -68,7 +73,6 @@ class Entry:
 
     @property
     def key(self) -> Key:
-        """Identifies its results."""
         return Key(self.name, self.budget)
 
     @property
@@ -105,18 +109,11 @@ def baseline_entries(
     costs: Journal,
     progress: Callable[[int, int], None],
 ) -> list[Entry]:
-    """Path-traced baselines at equal rays and at equal time.
+    """Path-traced baselines with the rays of our entry in the first view, and with its time.
 
     A baseline that takes more rays even at its cheapest is included as FIXED, with more than ours. One whose
-    settings meet both budgets is included twice.
-
-    Args:
-        ours: the entry whose rays and time the baselines get.
-        tracer: of the scene.
-        tuning: of the baselines.
-        views, gaze: what is rendered; rays are those of the first view.
-        costs: stores the rays of equal time, so that later evaluations compare the same frames.
-        progress: called with baselines done and baselines in total.
+    settings meet both budgets is included twice. `costs` stores the rays of equal time, so that later
+    evaluations compare the same frames; `progress` is called with baselines done and in total.
     """
     rays = ours.method.rays(views[0].camera, gaze)
     known = families(tracer, tuning)
@@ -134,14 +131,10 @@ def baseline_entries(
 
 @dataclass(frozen=True)
 class EvaluatedView:
-    """One of the evaluated views. An entry of None stands for its reference.
+    """One of the evaluated views, numbered from 0. An entry of None stands for its reference.
 
     Attributes:
-        number: of the view, from 0.
-        view: what it shows.
-        reference: what frames are compared with.
         regions: of the frame, by name.
-        settings: gaze, display and seed.
         folder: for images.
     """
 
@@ -157,11 +150,7 @@ class EvaluatedView:
         return ", ".join((str(self.number), HALVES if entry is None else entry.title, *installed()))
 
     def task(self, entry: Entry | None) -> ScoringTask:
-        """Renders an entry's frame and writes it.
-
-        Returns:
-            What to score; of the reference, one half against the other.
-        """
+        """Renders an entry's frame and writes it; returns what to score: of the reference, its halves."""
         viewer = Viewer(self.settings.frame.display, self.settings.frame.gaze)
         if entry is None:
             write_png(self.folder / image_name(self.number, None), self.reference.radiance)
@@ -182,32 +171,21 @@ class EvaluatedView:
 def evaluated_views(
     views: list[View], references: list[Reference], settings: EvaluationSettings, folder: Path
 ) -> list[EvaluatedView]:
-    """Views with their references and regions.
-
-    Raises:
-        UserError: a region is empty.
-    """
+    """Views with their references and regions; UserError if a region is empty."""
+    foveation = settings.frame.foveation
     return [
-        EvaluatedView(
-            number, view, truth, regions(settings.frame.foveation, truth.radiance), settings, folder
-        )
+        EvaluatedView(number, view, truth, regions(foveation, truth.radiance), settings, folder)
         for number, (view, truth) in enumerate(zip(views, references, strict=True))
     ]
 
 
 def quality_rows(
-    entries: list[Entry],
-    views: list[EvaluatedView],
-    journal: Journal,
-    progress: Callable[[int, int], None],
+    entries: list[Entry], views: list[EvaluatedView], journal: Journal, progress: Callable[[int, int], None]
 ) -> list[dict[str, Any]]:
-    """Rows of view, method, budget, region, metric and value; writes the images.
+    """Rows of view, method, budget, region, metric and value, of references as well; writes the images.
 
-    Args:
-        entries: to evaluate; references are evaluated as well.
-        views: in which.
-        journal: stores the rows; images whose rows it holds are not rendered again.
-        progress: called with images scored and images in total.
+    Images whose rows the journal holds are not rendered again. `progress` is called with images scored and
+    images in total.
     """
     wanted = [(view, entry) for view in views for entry in (None, *entries)]
     missing = [(view, entry) for view, entry in wanted if view.title(entry) not in journal]
@@ -219,23 +197,9 @@ def quality_rows(
     return [row for view, entry in wanted for row in view.rows(entry, journal)]
 
 
-_WARM_UP = 5
-# Methods with at least this many frames are not timed for longer than this.
-_LEAST_REPEATS, _MOST_SECONDS = 20, 80.0
-# Rounds between two saves of the journal.
-_ROUNDS = 10
-# Frames from which on a percentile is one of them instead of a guess between two.
-_ENOUGH_FOR = {50: 1, 95: 20, 99: 100}
-
-
 @dataclass(frozen=True)
 class Timing:
-    """The times of an entry so far.
-
-    Attributes:
-        entry: what is timed.
-        passes: milliseconds of each frame by pass, total included.
-    """
+    """The times of an entry so far: milliseconds of each frame by pass, total included."""
 
     entry: Entry
     passes: dict[str, list[float]]
@@ -252,16 +216,13 @@ class Timing:
         return not few and (self.entry.briefly or sum(self.totals) > 1000 * _MOST_SECONDS)
 
     def add(self, milliseconds: dict[str, float]) -> None:
-        """Adds a frame."""
         for name, value in milliseconds.items():
             self.passes.setdefault(name, []).append(value)
 
     def row(self, views: Sequence[View], ours: Timing | None) -> dict[str, Any]:
-        """The row of the results; percentiles for which there are too few frames are left out.
+        """The row of the results, without percentiles for which there are too few frames.
 
-        Args:
-            views: that were rendered.
-            ours: timing that this one is compared with, over the frames that both have; None leaves it out.
+        It is compared with `ours`, if there is one, over the frames that both have.
         """
         known = [percent for percent, least in _ENOUGH_FOR.items() if len(self.totals) >= least]
         row = {
@@ -298,7 +259,6 @@ def time_rows(
     that of OURS, of frames that were rendered in turns.
 
     Args:
-        entries: to time.
         views: of one size.
         gaze: centre of the path.
         repeats: frames per entry; 20 for those that are timed briefly, and fewer for those that would take

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -30,14 +29,11 @@ _TRIALS = 12
 _STEP, _MOST_FRAMES = 6, 60
 # Between two frames' steps along the gaze path: few frames cover all of it as well.
 _STRIDE = 23
-
-
-@dataclass(frozen=True)
-class Trial:
-    """How long a baseline takes with that many rays per pixel, relative to the hybrid frame."""
-
-    rays: float
-    time: float
+# Rays per pixel of a baseline, and how long it takes with them, relative to the hybrid frame.
+Trial = tuple[float, float]
+# What is tried: f of RMFR's mapping, and samples per pixel.
+_F = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6)
+_SPP = (1, 2, 4)
 
 
 def at_equal_time(
@@ -64,28 +60,27 @@ def at_equal_time(
         key = str(method.settings)
         if key not in known:
             known[key] = relative_time(method, ours, views, gaze)
-        trial = Trial(rays, known[key])
-        if trial.time <= 1 + TOLERANCE:
-            within = trial
+        if known[key] <= 1 + TOLERANCE:
+            within = rays, known[key]
         else:
-            beyond = trial
-        if within is not None and within.time >= 1 - TOLERANCE:
+            beyond = rays, known[key]
+        if within is not None and within[1] >= 1 - TOLERANCE:
             break
         rays = _next_guess(within, beyond)
-    return None if within is None else within.rays
+    return None if within is None else within[0]
 
 
 def _next_guess(within: Trial | None, beyond: Trial | None) -> float:
     """Rays that should meet our time, from the last trials within and beyond it."""
-    if within is None or beyond is None:
-        trial = within or beyond
-        assert trial is not None
-        # Time grows more slowly than rays: steps that are longer than needed soon have trials on both sides.
-        steps = (1.5, 8.0) if beyond is None else (0.125, 0.7)
-        return trial.rays * float(np.clip(trial.time**-1.5, *steps))
-    span = (1 - within.time) / (beyond.time - within.time)
-    # Kept away from both ends: with whole samples, a line between two trials may lead back to one of them.
-    return within.rays + (beyond.rays - within.rays) * float(np.clip(span, 0.2, 0.8))
+    if within is not None and beyond is not None:
+        span = (1 - within[1]) / (beyond[1] - within[1])
+        # Kept away from both ends: with whole samples, a line between two trials may lead back to one.
+        return within[0] + (beyond[0] - within[0]) * float(np.clip(span, 0.2, 0.8))
+    trial = within or beyond
+    assert trial is not None
+    # Time grows more slowly than rays: steps that are longer than needed soon have trials on both sides.
+    steps = (1.5, 8.0) if beyond is None else (0.125, 0.7)
+    return trial[0] * float(np.clip(trial[1] ** -1.5, *steps))
 
 
 def relative_time(method: Method, ours: Method, views: Sequence[View], gaze: Gaze) -> float:
@@ -112,11 +107,6 @@ def _is_decided(low: float, high: float) -> bool:
     return outside or high - low <= TOLERANCE
 
 
-# What is tried: f of RMFR's mapping, and samples per pixel.
-_F = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6)
-_SPP = (1, 2, 4)
-
-
 def tuned(
     tracer: Tracer,
     views: list[View],
@@ -128,9 +118,7 @@ def tuned(
     """The settings with the highest mean SSIM, of the whole frame and of the fovea, at a number of rays.
 
     Args:
-        tracer: of the scene.
         views, references: to tune on; references are (H, W, 3) radiance.
-        foveation: gaze and radii.
         rays: per pixel of the frame.
         progress: called with settings tried and settings in total.
     """

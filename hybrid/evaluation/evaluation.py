@@ -42,104 +42,17 @@ from pathtrace.region.neighbourhood import unseen_views
 from pathtrace.scene.scene import Scene
 from splat.model.forest import Forest
 
-
-def reference_samples(settings: EvaluationSettings) -> NDArray[np.int64]:
-    """(H * W,) samples of each pixel: FOVEAL_REFERENCE times as many in the disc."""
-    samples = np.full(settings.width * settings.height, settings.reference_spp, dtype=np.int64)
-    samples[settings.frame.foveation.region(settings.width, settings.height).pixels] *= FOVEAL_REFERENCE
-    return samples
-
-
-def stored_reference(
-    file: Path, make: Callable[[], Reference], size: tuple[int, int] | None = None
-) -> Reference:
-    """The reference in an EXR file; made and written now if there is none, or it is damaged.
-
-    Args:
-        file: the file.
-        make: makes the reference.
-        size: width and height that it must have.
-
-    Raises:
-        UserError: the file cannot be written.
-    """
-    try:
-        return _reference(read_exr(file, size))
-    except (UserError, KeyError):
-        made = make()
-        first, second = made.halves
-        write_exr(file, {"": made.radiance, "first": first, "second": second, "error": made.errors})
-        return _reference(read_exr(file, size))
-
-
-def reference_errors(settings: EvaluationSettings, number: int, reference: Reference) -> list[dict[str, Any]]:
-    """Rows of view, region and PSNR of a reference against the truth, in dB."""
-    parts = regions(settings.frame.foveation, reference.radiance)
-    return [
-        {"view": number, "region": name, "psnr": reference.psnr(part.mask)} for name, part in parts.items()
-    ]
-
-
-def _reference(channels: dict[str, NDArray[np.float32]]) -> Reference:
-    """The reference of what `stored_reference` writes.
-
-    Raises:
-        KeyError: a channel is missing.
-    """
-    halves = _image(channels, "first."), _image(channels, "second.")
-    return Reference(_image(channels, ""), halves, channels["error.V"])
-
-
-def _image(channels: dict[str, NDArray[np.float32]], prefix: str) -> Image:
-    return np.stack([channels[prefix + channel] for channel in "RGB"], axis=-1)
-
-
+# Views to tune baselines on, in addition to the measured ones.
+_TUNING_VIEWS = 2
 # Approximate milliseconds per step of each kind of work, from which the time left is estimated: per sample of
 # a reference, in total, in total, per view, and per round of frames.
 _COSTS = {"references": 4e-3, "tuning": 44e3, "costs": 72e3, "quality": 63e3, "times": 2.5e3}
-
-
-class WorkProgress:
-    """Adds up the progress of all kinds of work, weighted by what they take.
-
-    Args:
-        settings: of the evaluation.
-        report: called with the kind of work, work done and work in total.
-    """
-
-    def __init__(self, settings: EvaluationSettings, report: Callable[[str, float, float], None]):
-        samples = settings.width * settings.height * settings.reference_spp
-        steps = {
-            "references": settings.views * samples,
-            "tuning": 1,
-            "costs": 1,
-            "quality": settings.views,
-            "times": settings.repeats,
-        }
-        self._weight = {name: steps[name] * _COSTS[name] for name in steps}
-        self._done = dict.fromkeys(steps, 0.0)
-        self._report = report
-
-    def of(self, kind: str) -> Callable[[int, int], None]:
-        """The progress callback of one kind of work: called with steps done and steps in total."""
-
-        def progress(done: int, total: int) -> None:
-            self._done[kind] = self._weight[kind] * done / total
-            self._report(kind, sum(self._done.values()), sum(self._weight.values()))
-
-        return progress
-
-
-# Views to tune baselines on, in addition to the measured ones.
-_TUNING_VIEWS = 2
 
 
 class Evaluation:
     """Evaluates one scene with one forest; resumes if interrupted.
 
     Args:
-        scene, forest: what is rendered.
-        settings: what to measure.
         folder: of the report, for images and the journal.
         flat: Gaussians without trees as a further baseline; None leaves it out.
 
@@ -179,14 +92,15 @@ class Evaluation:
     def run(self, progress: Callable[[str, float, float], None]) -> dict[str, Any]:
         """Measures what is not measured yet, and returns the content of evaluation.json.
 
-        Args:
-            progress: called with the current activity, work done and work in total.
+        `progress` is called with the current activity, work done and work in total.
         """
         settings = self.settings
         # First of all, so that whatever is written to the folder belongs to an evaluation.
         self.journal.write()
         work = WorkProgress(settings, progress)
-        views = self._views()
+        # Near the scene's own view, and unknown to training; the last ones are for tuning.
+        count = settings.views + _TUNING_VIEWS
+        views = unseen_views(self.scene, count, settings.width, settings.height)
         measured = views[: settings.views]
         references = [self._reference(number, view, work) for number, view in enumerate(measured)]
         entries = self._entries(views, work)
@@ -211,11 +125,6 @@ class Evaluation:
             "machine": machine(),
         }
 
-    def _views(self) -> list[View]:
-        """Views near the scene's own, which training has not seen; the last ones are for tuning."""
-        settings = self.settings
-        return unseen_views(self.scene, settings.views + _TUNING_VIEWS, settings.width, settings.height)
-
     def _reference(self, number: int, view: View, work: WorkProgress) -> Reference:
         """The reference of a view, from its file if there is one."""
         samples, seed = reference_samples(self.settings), REFERENCE_SEED + number
@@ -233,15 +142,8 @@ class Evaluation:
         ours = next(entry for entry in hybrid if entry.name == OURS)
         rays = ours.method.rays(views[0].camera, gaze)
         tuning = Tuning.restored(self.journal.once("tuning", lambda: asdict(self._tuning(views, rays, work))))
-        baselines = baseline_entries(
-            ours,
-            self.baseline_tracer,
-            tuning,
-            views[: self.settings.views],
-            gaze,
-            self.costs,
-            work.of("costs"),
-        )
+        views, progress = views[: self.settings.views], work.of("costs")
+        baselines = baseline_entries(ours, self.baseline_tracer, tuning, views, gaze, self.costs, progress)
         return [*hybrid, *splat_entries(self.splats, self.flat), *baselines]
 
     def _tuning(self, views: list[View], rays: float, work: WorkProgress) -> Tuning:
@@ -261,3 +163,66 @@ class Evaluation:
         """An entry with its rays and settings."""
         rays = entry.method.rays(camera, self.settings.frame.gaze)
         return {"method": entry.name, "budget": entry.budget, "rays": rays, **entry.method.settings}
+
+
+class WorkProgress:
+    """Adds up the progress of all kinds of work, weighted by what they take.
+
+    `report` is called with the kind of work, work done and work in total.
+    """
+
+    def __init__(self, settings: EvaluationSettings, report: Callable[[str, float, float], None]):
+        views, samples = settings.views, settings.width * settings.height * settings.reference_spp
+        steps = (views * samples, 1, 1, views, settings.repeats)
+        self._weight = {name: n * cost for n, (name, cost) in zip(steps, _COSTS.items(), strict=True)}
+        self._done = dict.fromkeys(_COSTS, 0.0)
+        self._report = report
+
+    def of(self, kind: str) -> Callable[[int, int], None]:
+        """The progress callback of one kind of work: called with steps done and steps in total."""
+
+        def progress(done: int, total: int) -> None:
+            self._done[kind] = self._weight[kind] * done / total
+            self._report(kind, sum(self._done.values()), sum(self._weight.values()))
+
+        return progress
+
+
+def reference_samples(settings: EvaluationSettings) -> NDArray[np.int64]:
+    """(H * W,) samples of each pixel: FOVEAL_REFERENCE times as many in the disc."""
+    samples = np.full(settings.width * settings.height, settings.reference_spp, dtype=np.int64)
+    samples[settings.frame.foveation.region(settings.width, settings.height).pixels] *= FOVEAL_REFERENCE
+    return samples
+
+
+def stored_reference(
+    file: Path, make: Callable[[], Reference], size: tuple[int, int] | None = None
+) -> Reference:
+    """The reference in an EXR file; made and written now if there is none, or it is damaged.
+
+    Its width and height must be `size`, if that is given. UserError if the file cannot be written.
+    """
+    try:
+        return _reference(read_exr(file, size))
+    except (UserError, KeyError):
+        made = make()
+        first, second = made.halves
+        write_exr(file, {"": made.radiance, "first": first, "second": second, "error": made.errors})
+        return _reference(read_exr(file, size))
+
+
+def _reference(channels: dict[str, NDArray[np.float32]]) -> Reference:
+    """The reference of what `stored_reference` writes; KeyError if a channel is missing."""
+
+    def image(prefix: str) -> Image:
+        return np.stack([channels[prefix + channel] for channel in "RGB"], axis=-1)
+
+    return Reference(image(""), (image("first."), image("second.")), channels["error.V"])
+
+
+def reference_errors(settings: EvaluationSettings, number: int, reference: Reference) -> list[dict[str, Any]]:
+    """Rows of view, region and PSNR of a reference against the truth, in dB."""
+    parts = regions(settings.frame.foveation, reference.radiance)
+    return [
+        {"view": number, "region": name, "psnr": reference.psnr(part.mask)} for name, part in parts.items()
+    ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,121 +18,41 @@ from hybrid.evaluation.equal_cost import TOLERANCE
 from hybrid.evaluation.evaluation_settings import FOVEAL_REFERENCE
 from hybrid.evaluation.result_keys import HALVES_KEY, OURS_KEY, Key, flip_name, image_name
 from hybrid.evaluation.result_plots import quality_over_time_plot, samples_plot, sweep_plots
-from hybrid.evaluation.results import (
-    WHOLE_METRIC,
-    budget_label,
-    foveal_metric_names,
-    keys_of,
-    label_of,
-    mean_of,
-    verdicts,
-)
+from hybrid.evaluation.results import WHOLE_METRIC, Results, verdicts
 from hybrid.evaluation.sweep_tables import quality_cells, sentence, table, with_range
 from hybrid.measure.frame_quality import METRICS, missing
 from hybrid.measure.regions import REGIONS
 
 _DIGITS = {"psnr": 2, "ssim": 4, "fssim": 4, "flip": 4, "hdr-flip": 4, "lpips": 4, "jod": 2}
 _PERCENTILES = ("p50", "p95", "p99")
-
-
-def quality_table(found: dict[str, Any], region: str, keys: list[Key]) -> dict[str, Any]:
-    """Means over the views of one region: `region`, `metrics`, and `rows` of the methods and references.
-
-    Args:
-        found: the content of evaluation.json.
-        region: name of the region.
-        keys: of the methods.
-    """
-    metrics = [m for m in METRICS if mean_of(found, OURS_KEY, region, m) is not None]
-    rows = []
-    for key in [*keys, HALVES_KEY]:
-        values = [mean_of(found, key, region, metric) for metric in metrics]
-        cells = ["-" if v is None else f"{v:.{_DIGITS[m]}f}" for v, m in zip(values, metrics, strict=True)]
-        rows.append(_row(key.method, budget_label(found, key), cells))
-    return {"region": region, "metrics": metrics, "rows": rows}
-
-
-def time_table(found: dict[str, Any]) -> dict[str, Any]:
-    """Percentiles of frames, and medians of passes, in milliseconds: `columns`, and `rows` of the methods."""
-    passes = list(dict.fromkeys(name for row in found["time"] for name in row["passes"]))
-    compared = any("over_ours" in row for row in found["time"])
-    rows = []
-    for row in found["time"]:
-        cells = [f"{row['ms'][p]:.0f}" if p in row["ms"] else "-" for p in _PERCENTILES]
-        cells[0] = with_range(row["ms"]["p50"], row.get("ms_range"), ".0f")
-        cells += [f"{row['over_ours']:.2f}" if "over_ours" in row else "-"] if compared else []
-        cells += [f"{1000 / row['ms']['p50']:.1f}" if row["ms"]["p50"] > 0 else "-", str(row["repeats"])]
-        cells += [f"{row['passes'][name]:.0f}" if name in row["passes"] else "-" for name in passes]
-        rows.append(_row(row["method"], budget_label(found, Key(row["method"], row["budget"])), cells))
-    return {
-        "columns": [*_PERCENTILES, *(["/ ours"] if compared else []), "FPS", "frames", *passes],
-        "rows": rows,
-    }
-
-
-def sweep_columns(rows: list[dict[str, Any]]) -> dict[str, list[str]]:
-    """Cells of a sweep by column name, quality included if it was measured."""
-    columns = table(rows)
-    for name in rows[0].get("quality", {}):
-        digits = _DIGITS[name.split()[1]]
-        columns[name] = quality_cells(rows, name, f".{digits}f")
-    return columns
-
-
-def _row(method: str, budget: str, cells: list[str]) -> dict[str, Any]:
-    return {"method": method, "budget": budget, "cells": cells, "ours": method.startswith("hybrid")}
-
-
 # Images in the page are compressed; the PNG files beside it are not.
 _JPEG_QUALITY = 90
-
-
-def embedded_images(folder: Path, view: int, keys: list[Key]) -> dict[str, str]:
-    """Data URLs of a view's frames by the method's label, the reference first."""
-    names = {"reference": image_name(view, None)}
-    names |= {key.label: image_name(view, key) for key in keys}
-    return {name: _data_url(folder / file) for name, file in names.items()}
-
-
-def embedded_flips(folder: Path, view: int, keys: list[Key]) -> dict[str, str]:
-    """Data URLs of a view's FLIP maps by the method's label, as far as there are any."""
-    files = {key.label: folder / flip_name(view, key) for key in keys}
-    return {name: _data_url(file) for name, file in files.items() if file.exists()}
-
-
-def _data_url(file: Path) -> str:
-    buffer = io.BytesIO()
-    PillowImage.open(file).convert("RGB").save(buffer, format="JPEG", quality=_JPEG_QUALITY, subsampling=0)
-    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
-
-
 # What the page shows of evaluation.json.
 _CONTENT = ("scene", "settings", "references", "methods", "quality", "time", "machine")
 
 
 def write_report(folder: Path) -> None:
-    """Writes index.html from evaluation.json, the images, and the sweeps in the same folder.
-
-    Args:
-        folder: of the report.
-    """
-    found = _read(folder / "evaluation.json")
+    """Writes index.html from evaluation.json, the images, and the sweeps in the same folder."""
+    results = Results(_read(folder / "evaluation.json"))
     sweeps = [_read(file) for file in sorted(folder.glob("sweep-*.json"))]
-    templates = Environment(loader=PackageLoader("hybrid.evaluation", "."), autoescape=True)
-    text = templates.get_template("evaluation.html").render(
-        **_overview(found),
-        **_plots_and_tables(found),
-        **_viewer(found, folder),
+    text = rendered(
+        "evaluation.html",
+        **_overview(results),
+        **_plots_and_tables(results),
+        **_viewer(results, folder),
         sweeps=[_sweep(sweep) for sweep in sweeps],
     )
     write_whole(folder / "index.html", lambda part: part.write_text(text, encoding="utf-8"))
 
 
+def rendered(template: str, **values: Any) -> str:
+    """A page from a template of this room; values are escaped."""
+    templates = Environment(loader=PackageLoader("hybrid.evaluation", "."), autoescape=True)
+    return templates.get_template(template).render(**values)
+
+
 def evaluated_scene(folder: Path) -> str:
     """Name of the scene that the evaluation in a folder is of.
-
-    Args:
-        folder: of the report.
 
     Raises:
         UserError: the folder holds no evaluation, or a damaged one.
@@ -156,22 +77,28 @@ def _read(file: Path) -> Any:
         raise UserError(f"{file}: is damaged ({one_line(error)}); delete it and make it again") from error
 
 
-def _overview(found: dict[str, Any]) -> dict[str, Any]:
+def _overview(results: Results) -> dict[str, Any]:
     """Title, verdicts, and what was measured with what."""
+    found = results.found
     settings, machine = found["settings"], found["machine"]
     packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
+    psnr = {n: [r["psnr"] for r in found["references"] if r["region"] == n] for n in ("whole", "foveal")}
     return {
         "title": f"Evaluation of {found['scene']}",
         "subtitle": (
             f"{settings['width']} × {settings['height']}, samples per pixel in the disc: {settings['spp']}, "
             f"fov-a {settings['fov_a']:g} %, fov-b {settings['fov_b']:g} % of the height, "
-            f"{len(_views(found))} views. References: {settings['reference_spp']} samples per pixel, "
+            f"{len(results.views)} views. References: {settings['reference_spp']} samples per pixel, "
             f"{FOVEAL_REFERENCE * settings['reference_spp']} in the disc, denoised."
         ),
         "verdicts": verdicts(found),
         # Evaluations of earlier versions have none.
         "plan": found.get("plan", {}),
-        "reference_note": _reference_note(found),
+        "reference_note": (
+            f"Against the truth, the references have {min(psnr['whole']):.1f} to {max(psnr['whole']):.1f} dB "
+            f"over the whole frame and {min(psnr['foveal']):.1f} to {max(psnr['foveal']):.1f} dB in the "
+            "fovea, denoising bias included."
+        ),
         "tolerance": f"{100 * TOLERANCE:g}",
         "size": f"{settings['width']} × {settings['height']}",
         "machine": f"{machine['cpu']}, {machine['cores']} cores, Python {machine['python']}, {packages}",
@@ -179,41 +106,60 @@ def _overview(found: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _reference_note(found: dict[str, Any]) -> str:
-    psnr = {n: [r["psnr"] for r in found["references"] if r["region"] == n] for n in ("whole", "foveal")}
-    return (
-        f"Against the truth, the references have {min(psnr['whole']):.1f} to {max(psnr['whole']):.1f} dB "
-        f"over the whole frame and {min(psnr['foveal']):.1f} to {max(psnr['foveal']):.1f} dB in the fovea, "
-        "denoising bias included."
-    )
-
-
-def _plots_and_tables(found: dict[str, Any]) -> dict[str, Any]:
+def _plots_and_tables(results: Results) -> dict[str, Any]:
     """Quality over time, foveal quality over samples, and the tables of quality and time."""
-    metrics, keys = foveal_metric_names(found), keys_of(found)
-    over_time = [quality_over_time_plot(found, "foveal", metric) for metric in metrics]
-    over_time.append(quality_over_time_plot(found, "whole", WHOLE_METRIC))
+    metrics = results.foveal_metrics
+    over_time = [quality_over_time_plot(results, "foveal", metric) for metric in metrics]
+    over_time.append(quality_over_time_plot(results, "whole", WHOLE_METRIC))
     return {
         "over_time": _markup(over_time),
-        "samples": _markup([samples_plot(found, metric) for metric in metrics]),
-        "quality": [quality_table(found, region, keys) for region in REGIONS],
-        "time": time_table(found),
+        "samples": _markup([samples_plot(results, metric) for metric in metrics]),
+        "quality": [quality_table(results, region) for region in REGIONS],
+        "time": time_table(results),
     }
 
 
-def _viewer(found: dict[str, Any], folder: Path) -> dict[str, Any]:
+def quality_table(results: Results, region: str) -> dict[str, Any]:
+    """Means over the views of one region: `region`, `metrics`, and `rows` of the methods and references."""
+    metrics = [m for m in METRICS if results.mean(OURS_KEY, region, m) is not None]
+    rows = []
+    for key in [*results.keys, HALVES_KEY]:
+        values = [results.mean(key, region, metric) for metric in metrics]
+        cells = ["-" if v is None else f"{v:.{_DIGITS[m]}f}" for v, m in zip(values, metrics, strict=True)]
+        rows.append(_row(results, key, cells))
+    return {"region": region, "metrics": metrics, "rows": rows}
+
+
+def time_table(results: Results) -> dict[str, Any]:
+    """Percentiles of frames, and medians of passes, in milliseconds: `columns`, and `rows` of the methods."""
+    times = results.found["time"]
+    passes = list(dict.fromkeys(name for row in times for name in row["passes"]))
+    compared = any("over_ours" in row for row in times)
+    rows = []
+    for row in times:
+        cells = [f"{row['ms'][p]:.0f}" if p in row["ms"] else "-" for p in _PERCENTILES]
+        cells[0] = with_range(row["ms"]["p50"], row.get("ms_range"), ".0f")
+        cells += [f"{row['over_ours']:.2f}" if "over_ours" in row else "-"] if compared else []
+        cells += [f"{1000 / row['ms']['p50']:.1f}" if row["ms"]["p50"] > 0 else "-", str(row["repeats"])]
+        cells += [f"{row['passes'][name]:.0f}" if name in row["passes"] else "-" for name in passes]
+        rows.append(_row(results, Key.of(row), cells))
+    columns = [*_PERCENTILES, *(["/ ours"] if compared else []), "FPS", "frames", *passes]
+    return {"columns": columns, "rows": rows}
+
+
+def _row(results: Results, key: Key, cells: list[str]) -> dict[str, Any]:
+    ours = key.method.startswith("hybrid")
+    return {"method": key.method, "budget": results.budget_label(key), "cells": cells, "ours": ours}
+
+
+def _viewer(results: Results, folder: Path) -> dict[str, Any]:
     """The images, and the circles drawn over them in percent of the height."""
-    settings, views, keys = found["settings"], _views(found), keys_of(found)
-    labels = {key.label: label_of(found, key) for key in keys}
-
-    def labelled(urls: dict[str, str]) -> dict[str, str]:
-        return {labels.get(name, name): url for name, url in urls.items()}
-
+    settings, labels = results.found["settings"], {key: results.label(key) for key in results.keys}
     width, height = settings["width"], settings["height"]
     return {
-        "views": views,
-        "images": [labelled(embedded_images(folder, view, keys)) for view in views],
-        "flips": [labelled(embedded_flips(folder, view, keys)) for view in views],
+        "views": results.views,
+        "images": [embedded_images(folder, view, labels) for view in results.views],
+        "flips": [embedded_flips(folder, view, labels) for view in results.views],
         "left": OURS_KEY.label,
         "right": "reference",
         "aspect": 100 * width / height,
@@ -224,18 +170,40 @@ def _viewer(found: dict[str, Any], folder: Path) -> dict[str, Any]:
     }
 
 
-def _views(found: dict[str, Any]) -> list[int]:
-    return sorted({row["view"] for row in found["quality"]})
+def embedded_images(folder: Path, view: int, labels: dict[Key, str]) -> dict[str, str]:
+    """Data URLs of a view's frames by their labels, the reference first."""
+    files = {"reference": image_name(view, None)}
+    files |= {label: image_name(view, key) for key, label in labels.items()}
+    return {label: _data_url(folder / file) for label, file in files.items()}
+
+
+def embedded_flips(folder: Path, view: int, labels: dict[Key, str]) -> dict[str, str]:
+    """Data URLs of a view's FLIP maps by their labels, as far as there are any."""
+    files = {label: folder / flip_name(view, key) for key, label in labels.items()}
+    return {label: _data_url(file) for label, file in files.items() if file.exists()}
+
+
+def _data_url(file: Path) -> str:
+    buffer = io.BytesIO()
+    PillowImage.open(file).convert("RGB").save(buffer, format="JPEG", quality=_JPEG_QUALITY, subsampling=0)
+    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
 def _sweep(sweep: dict[str, Any]) -> dict[str, Any]:
     """Title, plots, sentences and table of a sweep."""
-    rows = sweep["rows"]
+    rows, count = sweep["rows"], sweep.get("views", 1)
     columns = sweep_columns(rows)
     fovea = "" if "fovea" in columns else f", {sweep['fovea']} fovea"
+    note = (
+        f"Frames of {count} views that nothing was fitted to: times are medians of all their frames, quality "
+        "is the mean over the views; in brackets the least and the greatest value of a view."
+    )
+    if count == 1:
+        # Files of earlier versions do not say what their figures are of.
+        note = "Each row is of a single view." if "views" in sweep else ""
     return {
         "title": f"{sweep['scene']}, over {sweep['title']}{fovea}, {rows[0]['repeats']} frames each",
-        "views": _views_note(sweep),
+        "views": note,
         "plots": _markup(sweep_plots(sweep)),
         "columns": list(columns),
         "rows": list(zip(*columns.values(), strict=True)),
@@ -243,17 +211,14 @@ def _sweep(sweep: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _views_note(sweep: dict[str, Any]) -> str:
-    """What the figures of a sweep are of; files of earlier versions do not say."""
-    count = sweep.get("views", 1)
-    if count == 1:
-        return "Each row is of a single view." if "views" in sweep else ""
-    return (
-        f"Frames of {count} views that nothing was fitted to: times are medians of all their frames, quality "
-        "is the mean over the views; in brackets the least and the greatest value of a view."
-    )
+def sweep_columns(rows: list[dict[str, Any]]) -> dict[str, list[str]]:
+    """Cells of a sweep by column name, quality included if it was measured."""
+    columns = table(rows)
+    for name in rows[0].get("quality", {}):
+        columns[name] = quality_cells(rows, name, f".{_DIGITS[name.split()[1]]}f")
+    return columns
 
 
-def _markup(plots: list[str] | list[str | None]) -> list[Markup]:
+def _markup(plots: Sequence[str | None]) -> list[Markup]:
     """SVG elements that jinja does not escape, without those that could not be plotted."""
     return [Markup(plot) for plot in plots if plot is not None]

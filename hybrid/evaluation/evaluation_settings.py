@@ -76,9 +76,10 @@ class EvaluationSettings:
         foveation = self.frame.foveation
         plain = plain_regions(foveation, (self.height, self.width))
         reduced = self.height // TUNING_REDUCTION, self.width // TUNING_REDUCTION
-        half = plain_regions(foveation, reduced, ("foveal",))["foveal"]
         found = {f"{name} region": region for name, region in plain.items()}
-        for name, region in {**found, "foveal region at half the size": half}.items():
+        half = plain_regions(foveation, reduced, ("foveal",))
+        found["foveal region at half the size"] = half["foveal"]
+        for name, region in found.items():
             if not region.mask[SSIM_MARGIN:-SSIM_MARGIN, SSIM_MARGIN:-SSIM_MARGIN].any():
                 gaze = self.frame.gaze
                 raise UserError(

@@ -23,12 +23,7 @@ TABLE_5 = {
 # Figure 7 it is faster up to the largest radius.
 BREAK_EVEN = {(1280, 780): 51.0, (1012, 1061): 50.0, (1954, 1061): 85.0, (3316, 1061): 90.0}
 # Samples per pixel: frames per second by radius in percent. Path tracing has 150 at one sample (Figure 14).
-FIGURE_14 = {
-    1: {10: 200, 90: 100},
-    2: {10: 192, 90: 67},
-    4: {10: 166, 90: 40},
-    6: {10: 151, 90: 30},
-}
+FIGURE_14 = {1: {10: 200, 90: 100}, 2: {10: 192, 90: 67}, 4: {10: 166, 90: 40}, 6: {10: 151, 90: 30}}
 FIGURE_14_FULL = 150.0
 FIGURE_14_SIZE, FIGURE_14_RADII = (1012, 1061), (10, 20, 50, 90)
 # Frame sizes of Figures 12 and 13.

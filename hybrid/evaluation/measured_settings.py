@@ -18,28 +18,26 @@ from pathtrace.scene.scene import Scene
 from splat.model.forest import Forest
 
 T = TypeVar("T")
+# What is varied; everything else is part of the identity.
+_VARIED = ("fovea", "spp", "fov_a", "fov_b", "layers", "rate", "scale")
 
 
 def pareto_front(items: Iterable[T], cost_and_quality: Callable[[T], tuple[float, float]]) -> list[T]:
     """The Pareto-optimal items, ordered from the fastest to the best.
 
     An item is left out if another one is at least as fast and at least as good; of equal items the first one
-    stays. An item whose time or quality is NaN compares with none and is left out as well.
-
-    Args:
-        items: to choose from.
-        cost_and_quality: returns the time of an item (less is better) and its quality (more is better).
+    stays. An item whose time (less is better) or quality (more is better) is NaN compares with none and is
+    left out as well.
     """
+    found = [(*cost_and_quality(item), item) for item in items]
+    known = [row for row in found if not (math.isnan(row[0]) or math.isnan(row[1]))]
     front: list[T] = []
-    known = [item for item in items if not any(math.isnan(value) for value in cost_and_quality(item))]
-    for item in sorted(known, key=lambda one: (cost_and_quality(one)[0], -cost_and_quality(one)[1])):
-        if not front or cost_and_quality(item)[1] > cost_and_quality(front[-1])[1]:
+    best = -math.inf
+    for _, quality, item in sorted(known, key=lambda row: (row[0], -row[1])):
+        if not front or quality > best:
             front.append(item)
+            best = quality
     return front
-
-
-# What is varied; everything else is part of the identity.
-_VARIED = ("fovea", "spp", "fov_a", "fov_b", "layers", "rate", "scale")
 
 
 @dataclass(frozen=True)
@@ -96,7 +94,6 @@ class MeasuredStore:
 
         Args:
             kind: name of what is measured, such as single frames or those of the window.
-            scene, forest: what is rendered.
             size: width and height of the frame in pixels.
             base: settings with the acuity model, the integrator and the display.
         """
@@ -115,21 +112,13 @@ class MeasuredStore:
         return MeasuredStore(scene_folder(scene.name, scene.hash) / name, identity, base)
 
     def save(self, metric: str, measured: Sequence[MeasuredSettings]) -> None:
-        """Stores settings whose quality was measured in a metric.
-
-        Raises:
-            UserError: the cache folder cannot be written.
-        """
+        """Stores settings whose quality was measured in a metric; UserError if they cannot be written."""
         rows = [_row(one) for one in measured]
         text = json_text({"identity": self.identity, "metric": metric, "rows": rows})
         write_whole(self.file, lambda part: part.write_text(text))
 
     def load(self) -> tuple[str, list[MeasuredSettings]] | None:
-        """The stored metric and settings; None if nothing was stored.
-
-        Raises:
-            UserError: the file is damaged.
-        """
+        """The stored metric and settings; None if nothing was stored, UserError if the file is damaged."""
         advice = "delete it to measure again"
         try:
             found = read_json(self.file, finite=False)

@@ -16,12 +16,7 @@ from hybrid.render.periphery import Periphery
 
 @dataclass(frozen=True)
 class TimedImage:
-    """A frame and how long it took.
-
-    Attributes:
-        image: (H, W, 3) linear radiance.
-        milliseconds: per pass, and in total.
-    """
+    """A frame, (H, W, 3) linear radiance, and its milliseconds per pass and in total."""
 
     image: Image
     milliseconds: dict[str, float]
@@ -46,12 +41,7 @@ class Method(Protocol):
 
 @dataclass(frozen=True)
 class HybridMethod:
-    """Renders hybrid frames.
-
-    Attributes:
-        renderer: of the scene.
-        frame_settings: of the frames; each frame sets gaze and camera.
-    """
+    """Renders hybrid frames with settings whose gaze and camera each frame sets."""
 
     renderer: Renderer
     frame_settings: FrameSettings

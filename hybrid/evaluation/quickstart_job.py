@@ -29,87 +29,6 @@ from pathtrace.dataset.captured_frames import render_frame
 from pathtrace.region.neighbourhood import unseen_views
 from pathtrace.scene.scene import Scene
 
-Range = tuple[float, float]
-
-
-@dataclass(frozen=True)
-class JudgedView:
-    """A view with what is shown of it.
-
-    Attributes:
-        frame: the hybrid frame, with all AOVs.
-        reference: (H, W, 3) radiance of denoised path tracing.
-    """
-
-    frame: Frame
-    reference: Image
-
-    @property
-    def splats(self) -> Image:
-        """(H, W, 3) radiance of the splats alone."""
-        return self.frame.more["splat"]
-
-
-def judged_views(
-    renderer: Renderer,
-    views: list[View],
-    settings: FrameSettings,
-    reference_spp: int,
-    seed: int,
-    progress: Callable[[int, int], None],
-) -> list[JudgedView]:
-    """The frames of some views, and what they are compared with.
-
-    Args:
-        renderer: of the scene.
-        views: what they show.
-        settings: of the frames.
-        reference_spp: samples per pixel of the references.
-        seed: same seed, same images on the same machine.
-        progress: called with views done and views in total.
-    """
-    found = []
-    for number, view in enumerate(views):
-        progress(number, len(views))
-        own = replace(settings, camera=view.camera, time=view.time, aovs=EXTRA_AOVS)
-        renderer.scene.show(view.time)
-        truth_seed = seed + REFERENCE_SEED + number
-        truth = render_frame(renderer.tracer, view.camera, reference_spp, truth_seed).radiance
-        found.append(JudgedView(renderer.frame(own, seed + number), truth))
-    progress(len(views), len(views))
-    return found
-
-
-def judged_quality(views: list[JudgedView]) -> dict[str, Any]:
-    """Entries of result.json: means over the views, and the least and the greatest value of a view.
-
-    Returns:
-        `views`, their number; `hybrid` and `splats_alone`, psnr in dB and ssim; `registration_px`, unless no
-        view has a window with enough texture; and of each of these its `..._range`.
-    """
-    found: dict[str, Any] = {"views": len(views)}
-    found |= _summary("hybrid", [quality(one.frame.composite, one.reference) for one in views])
-    found |= _summary("splats_alone", [quality(one.splats, one.reference) for one in views])
-    shifts = [registration_px(one.splats, one.reference) for one in views]
-    known = [shift for shift in shifts if shift is not None]
-    if known:
-        found |= {"registration_px": float(np.mean(known)), "registration_px_range": _range(known)}
-    return found
-
-
-def _summary(name: str, rows: list[dict[str, float]]) -> dict[str, Any]:
-    """Mean and range of each metric."""
-    values = {metric: [row[metric] for row in rows] for metric in rows[0]}
-    return {
-        name: {metric: float(np.mean(each)) for metric, each in values.items()},
-        f"{name}_range": {metric: _range(each) for metric, each in values.items()},
-    }
-
-
-def _range(values: list[float]) -> Range:
-    return min(values), max(values)
-
-
 # Width and height of the frames.
 SIZE = 512
 # Views that are judged, near the scene's own, to which nothing was fitted. Their references take as long as
@@ -129,7 +48,6 @@ def quickstart(scene: Scene, folder: Path, settings: FrameSettings, seed: int) -
     All figures of frames are those of views that nothing was fitted to; the images are of the first of them.
 
     Args:
-        scene: what to render.
         folder: for everything that is written, including frame set and forest.
         settings: of the frame; the disc must contain a pixel of a frame of SIZE x SIZE.
         seed: same seed, same images on the same machine.
@@ -156,7 +74,10 @@ def quickstart(scene: Scene, folder: Path, settings: FrameSettings, seed: int) -
     write_srgb(folder / "weights.png", weights_picture(shown.frame))
     seconds["total"] = time.perf_counter() - start
     result = {
-        **_facts(scene, shown.frame),
+        "scene": scene.name,
+        "width": shown.frame.camera.width,
+        "height": shown.frame.camera.height,
+        **{name: getattr(shown.frame.settings, name) for name in ("spp", "fov_a", "fov_b")},
         "seconds": seconds,
         "splat": {name: held_out[-1][name] for name in ("psnr", "ssim")},
         "layers": held_out,
@@ -170,14 +91,56 @@ def quickstart(scene: Scene, folder: Path, settings: FrameSettings, seed: int) -
     return result
 
 
-def _facts(scene: Scene, frame: Frame) -> dict[str, Any]:
-    """What was rendered."""
-    settings = frame.settings
-    return {
-        "scene": scene.name,
-        "width": frame.camera.width,
-        "height": frame.camera.height,
-        "spp": settings.spp,
-        "fov_a": settings.fov_a,
-        "fov_b": settings.fov_b,
-    }
+@dataclass(frozen=True)
+class JudgedView:
+    """A hybrid frame of a view, with all AOVs, and (H, W, 3) radiance of denoised path tracing."""
+
+    frame: Frame
+    reference: Image
+
+    @property
+    def splats(self) -> Image:
+        """(H, W, 3) radiance of the splats alone."""
+        return self.frame.more["splat"]
+
+
+def judged_views(
+    renderer: Renderer,
+    views: list[View],
+    settings: FrameSettings,
+    reference_spp: int,
+    seed: int,
+    progress: Callable[[int, int], None],
+) -> list[JudgedView]:
+    """The frames of some views, and what they are compared with; same seed, same images on one machine."""
+    found = []
+    for number, view in enumerate(views):
+        progress(number, len(views))
+        own = replace(settings, camera=view.camera, time=view.time, aovs=EXTRA_AOVS)
+        renderer.scene.show(view.time)
+        truth_seed = seed + REFERENCE_SEED + number
+        truth = render_frame(renderer.tracer, view.camera, reference_spp, truth_seed).radiance
+        found.append(JudgedView(renderer.frame(own, seed + number), truth))
+    progress(len(views), len(views))
+    return found
+
+
+def judged_quality(views: list[JudgedView]) -> dict[str, Any]:
+    """Entries of result.json: means over the views, and the least and the greatest value of a view.
+
+    Returns:
+        `views`, their number; `hybrid` and `splats_alone`, psnr in dB and ssim; `registration_px`, unless no
+        view has a window with enough texture; and of each of these its `..._range`.
+    """
+    found: dict[str, Any] = {"views": len(views)}
+    images = {"hybrid": [one.frame.composite for one in views], "splats_alone": [one.splats for one in views]}
+    for name, shown in images.items():
+        rows = [quality(image, one.reference) for image, one in zip(shown, views, strict=True)]
+        values = {metric: [row[metric] for row in rows] for metric in rows[0]}
+        found[name] = {metric: float(np.mean(each)) for metric, each in values.items()}
+        found[f"{name}_range"] = {metric: (min(each), max(each)) for metric, each in values.items()}
+    shifts = [registration_px(one.splats, one.reference) for one in views]
+    known = [shift for shift in shifts if shift is not None]
+    if known:
+        found |= {"registration_px": float(np.mean(known)), "registration_px_range": (min(known), max(known))}
+    return found

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import base64
-import html
 from pathlib import Path
-from string import Template
 from typing import Any
 
 from compose.base.files import write_whole
+from hybrid.evaluation.evaluation_page import rendered
 from hybrid.evaluation.sweep_tables import with_range
 
 # Name of the PNG file, title and caption.
@@ -27,30 +26,6 @@ _IMAGES = (
     ),
 )
 
-_PAGE = Template("""<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>$title</title>
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<style>
-:root { color-scheme: light dark }
-body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 110rem; padding: 0 1.5rem }
-h1 { font-size: 1.5rem; margin: 0 } p { margin: .3rem 0 1.2rem; opacity: .75 }
-main { display: grid; gap: 1.2rem; grid-template-columns: repeat(auto-fit, minmax(18rem, 1fr)) }
-figure { margin: 0 } .picture { position: relative; display: block }
-img { width: 100%; display: block; border-radius: 4px }
-svg { position: absolute; inset: 0; width: 100%; height: 100%; opacity: 0; transition: opacity .15s }
-.picture:hover svg { opacity: 1 } circle { fill: none; stroke: #fff; stroke-width: .4; stroke-dasharray: 1.5 }
-figcaption { margin-top: .4rem } figcaption small { display: block; opacity: .7 }
-table { border-collapse: collapse; margin-top: 1.5rem } caption { text-align: left; font-weight: 600 }
-th, td { padding: .25rem 1.2rem .25rem 0; text-align: left; font-weight: normal }
-td { font-variant-numeric: tabular-nums; font-weight: 600 } tr + tr { border-top: 1px solid #8884 }
-</style></head><body>
-<h1>$title</h1><p>$subtitle</p>
-<main>$figures</main>
-<table><caption>Measurements</caption>$rows</table>
-<p>$views</p>
-</body></html>
-""")
-
 
 def write_page(path: Path, folder: Path, result: dict[str, Any]) -> None:
     """Writes the page.
@@ -63,46 +38,30 @@ def write_page(path: Path, folder: Path, result: dict[str, Any]) -> None:
     Raises:
         UserError: the file cannot be written.
     """
-    figures = "".join(_figure(folder, result, *image) for image in _IMAGES)
-    rows = "".join(
-        f"<tr><th>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>" for name, value in _rows(result)
-    )
     machine = result["machine"]
-    page = _PAGE.substitute(
-        title=f"Foveated hybrid frame of {html.escape(result['scene'])}",
-        subtitle=html.escape(
-            f"{result['width']} × {result['height']}, {result['spp']} samples per pixel in the disc, "
-            f"fov-a {result['fov_a']:g} %, fov-b {result['fov_b']:g} % of the height. Measured on "
-            f"{machine['cpu']}, {machine['cores']} cores."
-        ),
-        figures=figures,
-        rows=rows,
-        views=html.escape(_views_note(result)),
+    page = rendered(
+        "quickstart.html",
+        title=f"Foveated hybrid frame of {result['scene']}",
+        subtitle=f"{result['width']} × {result['height']}, {result['spp']} samples per pixel in the disc, "
+        f"fov-a {result['fov_a']:g} %, fov-b {result['fov_b']:g} % of the height. Measured on "
+        f"{machine['cpu']}, {machine['cores']} cores.",
+        # fov-a and fov-b are circles that appear under the pointer.
+        aspect=100 * result["width"] / result["height"],
+        radii=(result["fov_a"], result["fov_b"]),
+        figures=[
+            {
+                "title": title,
+                "caption": caption.format(**result),
+                "data": base64.b64encode((folder / f"{name}.png").read_bytes()).decode(),
+            }
+            for name, title, caption in _IMAGES
+        ],
+        rows=_rows(result),
+        views=f"Measured in {result['views']} views near the scene's own to which nothing was fitted; the "
+        "images show the first of them. Quality is the mean over the views and times are medians of all "
+        "their frames; in brackets the least and the greatest value of a view.",
     )
     write_whole(path, lambda part: part.write_text(page, encoding="utf-8"))
-
-
-def _views_note(result: dict[str, Any]) -> str:
-    """What the figures are of."""
-    return (
-        f"Measured in {result['views']} views near the scene's own to which nothing was fitted; the images "
-        "show the first of them. Quality is the mean over the views and times are medians of all their "
-        "frames; in brackets the least and the greatest value of a view."
-    )
-
-
-def _figure(folder: Path, result: dict[str, Any], name: str, title: str, caption: str) -> str:
-    """HTML of one image, with fov-a and fov-b as circles that appear under the pointer."""
-    data = base64.b64encode((folder / f"{name}.png").read_bytes()).decode()
-    aspect = 100 * result["width"] / result["height"]
-    circles = "".join(
-        f'<circle cx="{aspect / 2}" cy="50" r="{result[radius]}"/>' for radius in ("fov_a", "fov_b")
-    )
-    return (
-        f'<figure><span class="picture"><img alt="{title}" src="data:image/png;base64,{data}">'
-        f'<svg viewBox="0 0 {aspect} 100">{circles}</svg></span>'
-        f"<figcaption>{title}<small>{caption.format(**result)}</small></figcaption></figure>"
-    )
 
 
 def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 # The method whose rays and time the baselines get.
 OURS = "hybrid, fused"
@@ -13,15 +13,15 @@ EQUAL_RAYS, EQUAL_TIME, FIXED = "equal-rays", "equal-time", "fixed"
 
 
 class Key(NamedTuple):
-    """What identifies a method's results.
-
-    Attributes:
-        method: its name.
-        budget: EQUAL_RAYS, EQUAL_TIME or FIXED.
-    """
+    """What identifies a method's results: its name and its budget, EQUAL_RAYS, EQUAL_TIME or FIXED."""
 
     method: str
     budget: str
+
+    @staticmethod
+    def of(row: dict[str, Any]) -> Key:
+        """The key of a row of results."""
+        return Key(row["method"], row["budget"])
 
     @property
     def label(self) -> str:

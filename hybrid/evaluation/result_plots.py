@@ -3,34 +3,28 @@
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hybrid.evaluation.measured_settings import pareto_front
 from hybrid.evaluation.result_keys import FIXED, OURS, Key
-from hybrid.evaluation.results import fused_by_spp, keys_of, label_of, mean_of, times_of
+from hybrid.evaluation.results import METRIC_NAMES, Results
 from hybrid.evaluation.sweep_catalogue import varied
+from hybrid.evaluation.sweep_tables import short
 from hybrid.measure.frame_quality import METRICS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
 
-
+Row = dict[str, Any]
 # Colours of this project's points and lines, and of all others.
 OURS_COLOUR, OTHER_COLOUR = "#c33", "#36c"
-METRIC_LABELS = {
-    "jod": "FovVideoVDP, JOD",
-    "flip": "FLIP",
-    "ssim": "SSIM",
-    "psnr": "PSNR, dB",
-    "lpips": "LPIPS",
-}
+METRIC_LABELS = {**METRIC_NAMES, "jod": "FovVideoVDP, JOD", "psnr": "PSNR, dB"}
 TIME_LABEL = "median time of a frame, ms"
+# Plotted over time for a sweep, if all rows have it.
+_QUALITY = ("whole jod", "foveal jod", "foveal flip")
+# Sweeps over frame sizes, which are positions on the axis by themselves.
+_OVER_SIZES = ("resolution", "aspect")
 
 
 def new_axes() -> Axes:
@@ -74,30 +68,18 @@ def svg_of(axes: Axes) -> str:
     return text[text.index("<svg") :]
 
 
-@dataclass(frozen=True)
-class Point:
-    """A method at one budget.
-
-    Attributes:
-        key: method and budget.
-        milliseconds: median time of a frame.
-        value: mean of a metric over the views.
-    """
+class Point(NamedTuple):
+    """A method at one budget: the median time of a frame, and the mean of a metric over the views."""
 
     key: Key
     milliseconds: float
     value: float
 
 
-def points_of(found: dict[str, Any], region: str, metric: str) -> list[Point]:
+def points_of(results: Results, region: str, metric: str) -> list[Point]:
     """All methods and budgets of an evaluation that were timed and whose metric was measured."""
-    times = times_of(found)
-    points = []
-    for key in keys_of(found):
-        value = mean_of(found, key, region, metric)
-        if value is not None and key in times:
-            points.append(Point(key, times[key], value))
-    return points
+    means = {key: results.mean(key, region, metric) for key in results.keys if key in results.times}
+    return [Point(key, results.times[key], mean) for key, mean in means.items() if mean is not None]
 
 
 def pareto_optimal(points: list[Point], metric: str) -> list[Point]:
@@ -106,13 +88,9 @@ def pareto_optimal(points: list[Point], metric: str) -> list[Point]:
     return pareto_front(points, lambda point: (point.milliseconds, sign * point.value))
 
 
-def quality_over_time_plot(found: dict[str, Any], region: str, metric: str) -> str | None:
-    """Quality of all methods over their times, with the Pareto front as a line.
-
-    Returns:
-        None if no method has both.
-    """
-    points = points_of(found, region, metric)
+def quality_over_time_plot(results: Results, region: str, metric: str) -> str | None:
+    """Quality of all methods over their times, with the Pareto front as a line; None if none has both."""
+    points = points_of(results, region, metric)
     if not points:
         return None
     axes = new_axes()
@@ -120,7 +98,7 @@ def quality_over_time_plot(found: dict[str, Any], region: str, metric: str) -> s
     axes.plot([p.milliseconds for p in front], [p.value for p in front], color="#888", lw=1, zorder=1)
     for number, point in enumerate(points, 1):
         ours = point.key.method.startswith("hybrid")
-        add_point(axes, number, point.milliseconds, point.value, label_of(found, point.key), ours)
+        add_point(axes, number, point.milliseconds, point.value, results.label(point.key), ours)
     add_legend_beside(axes)
     axes.set_xscale("log")
     plain_ticks(axes.xaxis)
@@ -129,15 +107,15 @@ def quality_over_time_plot(found: dict[str, Any], region: str, metric: str) -> s
     return svg_of(axes)
 
 
-def samples_plot(found: dict[str, Any], metric: str) -> str | None:
+def samples_plot(results: Results, metric: str) -> str | None:
     """Foveal quality of fused frames over samples per pixel, with that of the splats as a line.
 
     Returns:
         None if the metric was not measured for all of them.
     """
-    splats = mean_of(found, Key("splats alone", FIXED), "foveal", metric)
-    by_spp = {spp: value for spp, value in fused_by_spp(found, metric).items() if value is not None}
-    if splats is None or len(by_spp) < len(fused_by_spp(found, metric)):
+    splats = results.mean(Key("splats alone", FIXED), "foveal", metric)
+    by_spp = {spp: value for spp, value in results.fused_by_spp(metric).items() if value is not None}
+    if splats is None or len(by_spp) < len(results.fused_by_spp(metric)):
         return None
     axes = new_axes()
     counts = sorted(by_spp)
@@ -151,21 +129,12 @@ def samples_plot(found: dict[str, Any], metric: str) -> str | None:
     return svg_of(axes)
 
 
-# Plotted over time, if all rows have it.
-_QUALITY = ("whole jod", "foveal jod", "foveal flip")
-# Sweeps over frame sizes, which are positions on the axis by themselves.
-_OVER_SIZES = ("resolution", "aspect")
-Row = dict[str, Any]
-
-
 def sweep_plots(found: dict[str, Any]) -> list[str]:
     """The ratio to full path tracing over the varied quantity, and quality over time if it was measured."""
     rows = found["rows"]
-    plots = [_ratio_plot(found["over"], rows, found["break_even"])]
-    for metric in _QUALITY:
-        if all(metric in row.get("quality", {}) for row in rows):
-            plots.append(_quality_plot(rows, metric))
-    return plots
+    known = [metric for metric in _QUALITY if all(metric in row.get("quality", {}) for row in rows)]
+    ratios = _ratio_plot(found["over"], rows, found["break_even"])
+    return [ratios, *(_quality_plot(rows, metric) for metric in known)]
 
 
 def _ratio_plot(over: str, rows: list[Row], crossings: list[dict[str, Any]]) -> str:
@@ -193,7 +162,7 @@ def _lines(over: str, rows: list[Row]) -> dict[str, list[Row]]:
     lines: dict[str, list[Row]] = {}
     for row in rows:
         before = [] if over in _OVER_SIZES else list(varied(row).items())[:-1]
-        lines.setdefault(", ".join(f"{name} {_short(value)}" for name, value in before), []).append(row)
+        lines.setdefault(", ".join(f"{name} {short(value)}" for name, value in before), []).append(row)
     return lines
 
 
@@ -214,7 +183,7 @@ def _quality_plot(rows: list[Row], metric: str) -> str:
     """Quality over time, one point per row; the metric is a region and a name."""
     axes = new_axes()
     for number, row in enumerate(rows, 1):
-        name = ", ".join(_short(value) for value in varied(row).values())
+        name = ", ".join(short(value) for value in varied(row).values())
         add_point(axes, number, row["ms"]["p50"], row["quality"][metric], name, ours=True)
     add_legend_beside(axes)
     axes.set_xlabel(TIME_LABEL)
@@ -229,7 +198,3 @@ def _position(over: str, row: Row) -> Any:
         return f"{row['width']}x{row['height']}"
     value = list(varied(row).values())[-1]
     return value if isinstance(value, int | float) else str(value)
-
-
-def _short(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)

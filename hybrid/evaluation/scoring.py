@@ -51,11 +51,7 @@ class ScoringTask:
 
 
 def score(task: ScoringTask) -> Rows:
-    """Rows of region, metric and value; writes the FLIP map.
-
-    Raises:
-        UserError: the image cannot be compared with its reference.
-    """
+    """Rows of region, metric and value; writes the FLIP map. UserError if images cannot be compared."""
     error = None
     if task.flip_file is not None:
         error = flip_map(task.image, task.reference, task.viewer.display.pixels_per_degree)
@@ -73,8 +69,7 @@ def score(task: ScoringTask) -> Rows:
 def scored_in_parallel(tasks: Iterator[tuple[str, ScoringTask]]) -> Iterator[tuple[str, Rows]]:
     """Names of tasks and the results of `score`, in the order of the tasks.
 
-    Args:
-        tasks: with their names; consumed one by one, a few ahead of those that are being scored.
+    Tasks are consumed one by one, a few ahead of those that are being scored.
     """
     workers = len(os.sched_getaffinity(0))
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _start_worker)

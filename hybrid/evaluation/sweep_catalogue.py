@@ -13,16 +13,22 @@ from compose.fovea.foveation import FoveaMode
 from hybrid.evaluation import fpc
 from hybrid.render.frame_settings import FrameSettings
 
+_RADII = (10, 20, 30, 40, 50, 60, 70, 80, 90)
+_VIEW_RADII = (20, 50)
+_TRADE_OUTER, _TRADE_SPP = (5.0, 10.0, 20.0, 30.0), (1, 2, 4, 8)
+_BAND_OUTER, _BAND_SHARES = (10.0, 20.0, 30.0, 40.0), (0.25, 0.5, 0.75, 1.0)
+_DENOISER_SPP = (1, 2, 4, 16)
+
 
 @dataclass(frozen=True)
 class Setting:
-    """A hybrid frame of a sweep.
+    """A row of a sweep: a hybrid frame.
 
     Attributes:
         camera: the scene's own view, at the size of the frames.
         frame: settings of the frame, apart from gaze and camera.
         varied: the quantities that the sweep varies, by name.
-        paper: Foveated Path Culling's (FPC's) ratios for this row, by the names of ours; empty if unknown.
+        paper: FPC's ratios for this row, by the names of ours; empty if unknown.
         over_one_spp: whether to compare with the full path-traced frame at one sample per pixel as well.
         views: whose frames are timed and judged, of the same size; only the camera's if empty.
     """
@@ -50,17 +56,29 @@ class Setting:
         return self.frame.fovea is not FoveaMode.RAW
 
 
+@dataclass(frozen=True)
+class Effort:
+    """How much a sweep measures.
+
+    Attributes:
+        repeats: measured frames per row.
+        warm_up: frames before that, which are not measured.
+        reference_spp: samples per pixel of the references.
+    """
+
+    repeats: int
+    warm_up: int
+    reference_spp: int
+
+
 def varied(row: dict[str, Any]) -> dict[str, Any]:
     """The varied quantities of a sweep's row: all entries before the times."""
     names = list(row)
     return {name: row[name] for name in names[: names.index("ms")]}
 
 
-_RADII = (10, 20, 30, 40, 50, 60, 70, 80, 90)
-_VIEW_RADII = (20, 50)
-_TRADE_OUTER, _TRADE_SPP = (5.0, 10.0, 20.0, 30.0), (1, 2, 4, 8)
-_BAND_OUTER, _BAND_SHARES = (10.0, 20.0, 30.0, 40.0), (0.25, 0.5, 0.75, 1.0)
-_DENOISER_SPP = (1, 2, 4, 16)
+# From the setting to vary, and further views of the scene, to the rows of a sweep.
+Settings = Callable[[Setting, list[View]], list[Setting]]
 
 
 @dataclass(frozen=True)
@@ -68,7 +86,7 @@ class Sweep:
     """A sweep.
 
     Attributes:
-        settings: its rows, from the setting to vary and further views of the scene.
+        settings: makes its rows.
         title: of its table.
         with_quality: whether quality is measured as well as time.
         sets: quantities that it sets itself: size, fovea, fov_a, fov_b, spp or acuity_model.
@@ -76,7 +94,7 @@ class Sweep:
         over_views: whether its rows are views; the rows of the others are measured in several.
     """
 
-    settings: Callable[[Setting, list[View]], list[Setting]]
+    settings: Settings
     title: str
     with_quality: bool = False
     sets: tuple[str, ...] = ()
@@ -89,87 +107,77 @@ class Sweep:
         return self.sets if self.with_quality else (*self.sets, "reference_spp")
 
 
-def _with_frame(base: Setting, varied: dict[str, Any], **changed: Any) -> Setting:
-    """The base with changed frame settings."""
-    return replace(base, frame=replace(base.frame, **changed), varied=varied)
+def _with(
+    base: Setting,
+    varied: dict[str, Any],
+    size: tuple[int, int] | None = None,
+    radius: float | None = None,
+    **frame: Any,
+) -> Setting:
+    """The base with another frame size, fov-a (and fov-b in proportion), and other frame settings."""
+    settings = base.frame if radius is None else base.frame.with_radius(float(radius))
+    camera = base.camera if size is None else base.camera.resized(*size)
+    return replace(base, camera=camera, frame=replace(settings, **frame), varied=varied)
 
 
-def _with_radius(base: Setting, radius: float) -> Setting:
-    """The base with that fov-a in percent of the height, and fov-b in proportion."""
-    return replace(base, frame=base.frame.with_radius(float(radius)))
+def _sides(size: tuple[int, int]) -> dict[str, Any]:
+    return {"width": size[0], "height": size[1]}
 
 
-def _sizes(table: dict[tuple[int, int], tuple[float, float]]) -> Callable[..., list[Setting]]:
+def _sizes(table: dict[tuple[int, int], tuple[float, float]]) -> Settings:
     """The frame sizes of one of FPC's tables."""
-
-    def settings(base: Setting, views: list[View]) -> list[Setting]:
-        return [
-            replace(
-                base,
-                varied={"width": width, "height": height},
-                camera=base.camera.resized(width, height),
-                paper={"ratio": hybrid / full},
-            )
-            for (width, height), (hybrid, full) in table.items()
-        ]
-
-    return settings
+    return lambda base, views: [
+        replace(_with(base, _sides(size), size), paper={"ratio": hybrid / full})
+        for size, (hybrid, full) in table.items()
+    ]
 
 
 def _radius(base: Setting, views: list[View]) -> list[Setting]:
     return [
-        replace(
-            _with_radius(base, radius),
-            varied={"width": width, "height": height, "radius": radius},
-            camera=base.camera.resized(width, height),
-        )
-        for width, height in fpc.BREAK_EVEN
+        _with(base, {**_sides(size), "radius": radius}, size, radius)
+        for size in fpc.BREAK_EVEN
         for radius in _RADII
     ]
 
 
 def _spp(base: Setting, views: list[View]) -> list[Setting]:
-    camera = base.camera.resized(*fpc.FIGURE_14_SIZE)
     rows = []
     for spp, known in fpc.FIGURE_14.items():
         for radius in fpc.FIGURE_14_RADII:
-            wide = _with_radius(base, radius)
-            row = _with_frame(wide, {"spp": spp, "radius": radius}, spp=spp)
+            row = _with(base, {"spp": spp, "radius": radius}, fpc.FIGURE_14_SIZE, radius, spp=spp)
             # FPC compares all sample counts with path tracing at one sample per pixel.
             paper = {"ratio_1spp": known[radius] / fpc.FIGURE_14_FULL} if radius in known else {}
-            rows.append(replace(row, camera=camera, paper=paper, over_one_spp=True))
+            rows.append(replace(row, paper=paper, over_one_spp=True))
     return rows
 
 
 def _view(base: Setting, views: list[View]) -> list[Setting]:
     return [
         replace(
-            _with_radius(base, radius),
-            varied={"width": width, "height": height, "view": number, "radius": radius},
-            camera=view.camera.resized(width, height),
-            views=(view.resized(width, height),),
+            _with(base, {**_sides(size), "view": number, "radius": radius}, radius=radius),
+            camera=view.camera.resized(*size),
+            views=(view.resized(*size),),
         )
-        for width, height in fpc.VIEW_SIZES
+        for size in fpc.VIEW_SIZES
         for number, view in enumerate(views)
         for radius in _VIEW_RADII
     ]
 
 
 def _band(base: Setting, views: list[View]) -> list[Setting]:
-    radii = [(outer, outer * share) for outer in _BAND_OUTER for share in _BAND_SHARES]
-    return [
-        _with_frame(base, {"fov_a": outer, "fov_b": inner}, fov_a=outer, fov_b=inner)
-        for outer, inner in radii
+    radii: list[dict[str, Any]] = [
+        {"fov_a": outer, "fov_b": outer * share} for outer in _BAND_OUTER for share in _BAND_SHARES
     ]
+    return [_with(base, both, **both) for both in radii]
 
 
 def _acuity_models(base: Setting, views: list[View]) -> list[Setting]:
-    return [_with_frame(base, {"acuity_model": name}, acuity_model=name) for name in ACUITY_MODELS]
+    return [_with(base, {"acuity_model": name}, acuity_model=name) for name in ACUITY_MODELS]
 
 
 def _denoiser(base: Setting, views: list[View]) -> list[Setting]:
     return [
-        _with_frame(base, {"fovea": mode.value, "spp": spp}, fovea=mode, spp=spp)
+        _with(base, {"fovea": mode.value, "spp": spp}, fovea=mode, spp=spp)
         for spp in _DENOISER_SPP
         for mode in FoveaMode
     ]
@@ -177,12 +185,12 @@ def _denoiser(base: Setting, views: list[View]) -> list[Setting]:
 
 def _trade(base: Setting, views: list[View]) -> list[Setting]:
     rows = []
-    for wide in (_with_radius(base, outer) for outer in _TRADE_OUTER):
+    for frame in (base.frame.with_radius(outer) for outer in _TRADE_OUTER):
         for spp in _TRADE_SPP:
             for mode in (FoveaMode.DENOISED, FoveaMode.FUSED):
-                radii = {"fov_a": wide.frame.fov_a, "fov_b": wide.frame.fov_b}
+                radii: dict[str, Any] = {"fov_a": frame.fov_a, "fov_b": frame.fov_b}
                 varied = {"fovea": mode.value, "spp": spp, **radii}
-                rows.append(_with_frame(wide, varied, fovea=mode, spp=spp))
+                rows.append(_with(base, varied, fovea=mode, spp=spp, **radii))
     return rows
 
 
@@ -208,19 +216,13 @@ SWEEPS = {
 
 
 def layer_sweep(counts: tuple[int, ...]) -> Sweep:
-    """The sweep over layers: without the finest ones, and without the coarsest ones.
-
-    Args:
-        counts: nodes of the forest's layers, coarsest first.
-    """
+    """The sweep over layers, given their nodes, coarsest first: without the finest or the coarsest ones."""
+    last = len(counts)
+    spans = [(1, high) for high in range(1, last + 1)] + [(low, last) for low in range(2, last + 1)]
 
     def settings(base: Setting, views: list[View]) -> list[Setting]:
-        last = len(counts)
-        spans = [(1, high) for high in range(1, last + 1)] + [(low, last) for low in range(2, last + 1)]
         return [
-            _with_frame(
-                base, {"layers": f"{low} to {high}", "gaussians": counts[high - 1]}, layers=(low, high)
-            )
+            _with(base, {"layers": f"{low} to {high}", "gaussians": counts[high - 1]}, layers=(low, high))
             for low, high in spans
         ]
 
@@ -228,11 +230,7 @@ def layer_sweep(counts: tuple[int, ...]) -> Sweep:
 
 
 def sweep_named(name: str, counts: tuple[int, ...]) -> Sweep:
-    """The sweep with that name.
-
-    Args:
-        name: of the sweep.
-        counts: nodes of the forest's layers, coarsest first.
+    """The sweep with that name, of a forest with so many nodes per layer, coarsest first.
 
     Raises:
         UserError: there is no such sweep.
@@ -242,18 +240,3 @@ def sweep_named(name: str, counts: tuple[int, ...]) -> Sweep:
         names = list(known)
         raise UserError(f"sweep over {name}: must be over {', '.join(names[:-1])} or {names[-1]}")
     return known[name]
-
-
-@dataclass(frozen=True)
-class Effort:
-    """How much a sweep measures.
-
-    Attributes:
-        repeats: measured frames per row.
-        warm_up: frames before that, which are not measured.
-        reference_spp: samples per pixel of the references.
-    """
-
-    repeats: int
-    warm_up: int
-    reference_spp: int

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from compose.camera.camera import View
 from compose.eye.gaze import Gaze
 from hybrid.base.cache_folder import scene_folder
 from hybrid.base.identity import machine, measured_identity, short_hash
@@ -37,259 +36,14 @@ from pathtrace.region.neighbourhood import unseen_views
 from pathtrace.scene.scene import Scene
 from splat.model.forest import Forest
 
-# Regions whose quality is measured.
-_REGIONS = ("whole", "foveal", "peripheral")
-
-
-def regions_of(setting: Setting) -> dict[str, Region]:
-    """The regions of a row whose quality is measured, by name.
-
-    Raises:
-        UserError: one is empty.
-    """
-    size = setting.camera.height, setting.camera.width
-    return plain_regions(replace(setting.frame, gaze=Gaze()).foveation, size, _REGIONS)
-
-
-def quality_of(
-    setting: Setting, method: HybridMethod, truths: list[Reference]
-) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
-    """Metrics of a row's frames by region and metric, such as "foveal jod".
-
-    Args:
-        setting: of the row.
-        method: renders its frames.
-        truths: references of its views.
-
-    Returns:
-        Means over the views, and the least and the greatest value. A metric that has no value in one of the
-        views is left out: its mean would be of other views than those of other rows.
-    """
-    viewer, parts = Viewer(setting.frame.display, Gaze()), regions_of(setting)
-    found: dict[str, list[float]] = {}
-    for seed, (view, truth) in enumerate(zip(setting.seen, truths, strict=True)):
-        image = method.render(view, Gaze(), seed).image
-        for row in metric_rows(image, truth.radiance, parts, viewer):
-            found.setdefault(f"{row['region']} {row['metric']}", []).append(float(row["value"]))
-    known = {name: values for name, values in found.items() if len(values) == len(truths)}
-    ranges = {name: (min(values), max(values)) for name, values in known.items()}
-    return {name: float(np.mean(values)) for name, values in known.items()}, ranges
-
-
-# Milliseconds per pass, frame by frame.
-Frames = list[dict[str, float]]
-
-
-def swept(
-    scene: Scene,
-    forest: Forest,
-    settings: list[Setting],
-    with_quality: bool,
-    effort: Effort,
-    journal: Journal,
-    progress: Callable[[int, int], None],
-) -> list[dict[str, Any]]:
-    """One row per setting: the varied quantities, `ms` of hybrid and `full_ms` of full frames, their `ratio`.
-
-    Rows of one view and size take turns with the full path-traced frame at each of their sample counts,
-    denoised where the fovea is. Their gazes follow the same path, on which the largest of their discs stays
-    in the frame; `covered` is the mean fraction of the frame that a row's disc covers. Frames go through the
-    views of a row in turn, and each has a camera of its own, so that frames reuse nothing. `ms_range`,
-    `ratio_range` and `quality_range` are the least and the greatest value over the views, of medians where
-    times are concerned.
-    `ratio_1spp` is the ratio to the full frame at one sample per pixel, if a setting asks for it.
-
-    Args:
-        scene, forest: what is rendered.
-        settings: the rows.
-        with_quality: whether to measure quality as well, with the gaze at the centre.
-        effort: how much is measured.
-        journal: stores the rows of each view and size; those it holds are not measured again.
-        progress: called with work done and work in total, in thousandths of a row.
-
-    Raises:
-        UserError: a region whose quality is measured is empty; raised before anything is measured.
-    """
-    if with_quality:
-        for setting in settings:
-            regions_of(setting)
-    renderer = Renderer(scene, forest)
-    rows: list[dict[str, Any]] = []
-    for number, (_, group) in enumerate(groupby(settings, key=_view_keys)):
-        same = list(group)
-        done = partial(_advanced, progress, len(rows), len(same), len(settings))
-        rows += journal.once(str(number), partial(_group, renderer, same, with_quality, effort, done))
-        done(1, 1)
-    return rows
-
-
-def _group(
-    renderer: Renderer,
-    same: list[Setting],
-    with_quality: bool,
-    effort: Effort,
-    progress: Callable[[int, int], None],
-) -> list[dict[str, Any]]:
-    """Rows of the same views, which take turns."""
-    camera, views, tracer = same[0].camera, same[0].seen, renderer.tracer
-    ours = [HybridMethod(renderer, setting.frame) for setting in same]
-    full = _full_traces(renderer, same)
-    reach = reach_for(max(setting.frame.fov_a for setting in same), camera)
-    times = _times([*ours, *full.values()], views, effort, progress, reach)
-    of_full = dict(zip(full, times[len(ours) :], strict=True))
-    judged = views if with_quality else ()
-    truths = []
-    for number, view in enumerate(judged):
-        renderer.scene.show(view.time)
-        truths.append(reference(tracer, view.camera, effort.reference_spp, REFERENCE_SEED + number))
-    rows = []
-    for setting, method, found in zip(same, ours, times, strict=False):
-        row = _row(setting, found, of_full, effort)
-        row["covered"] = covered(setting.frame.fov_a, camera, effort.repeats, reach)
-        if truths:
-            row["quality"], row["quality_range"] = quality_of(setting, method, truths)
-        rows.append(row)
-    return rows
-
-
-def _full_traces(renderer: Renderer, settings: list[Setting]) -> dict[tuple[int, bool], FullTrace]:
-    """The full path-traced frames to compare with, by samples per pixel and whether they are denoised."""
-    wanted = [(setting, setting.frame.spp) for setting in settings]
-    wanted += [(setting, 1) for setting in settings if setting.over_one_spp]
-    return {
-        (spp, one.is_denoised): FullTrace(renderer.tracer_of(one.frame.used_integrator), spp, one.is_denoised)
-        for one, spp in wanted
-    }
-
-
-def _times(
-    methods: list[Method],
-    views: tuple[View, ...],
-    effort: Effort,
-    progress: Callable[[int, int], None],
-    reach: tuple[float, float],
-) -> list[Frames]:
-    """Times of all methods, in turns, in one view after the other."""
-    timed = [partial(_passes, method, views, len(methods), place) for place, method in enumerate(methods)]
-    return interleaved_passes(timed, effort.repeats, effort.warm_up, progress, reach)
-
-
-def _passes(
-    method: Method, views: tuple[View, ...], methods: int, place: int, gaze: Gaze, seed: int
-) -> dict[str, float]:
-    """Times of a frame with its own camera, because the shared renderer keeps what depends on a camera."""
-    view = views[seed % len(views)]
-    return method.render(jittered_view(view, methods * seed + place), gaze, seed).milliseconds
-
-
-def _view_keys(setting: Setting) -> tuple[bytes, ...]:
-    """Identifies the views and the size of a row's frames."""
-    return tuple(view.key for view in setting.seen)
-
-
-def _advanced(
-    progress: Callable[[int, int], None], before: int, rows: int, all_rows: int, done: int, total: int
-) -> None:
-    """Reports the progress of a group of rows as that of the sweep."""
-    progress(1000 * before + 1000 * rows * done // total, 1000 * all_rows)
-
-
-def _row(
-    setting: Setting, ours: Frames, full: dict[tuple[int, bool], Frames], effort: Effort
-) -> dict[str, Any]:
-    """Times of a setting against those of full frames, by samples per pixel and whether they are denoised."""
-    total = [frame["total"] for frame in ours]
-    of_full = {of: [frame["total"] for frame in frames] for of, frames in full.items()}
-    same = of_full[setting.frame.spp, setting.is_denoised]
-    row: dict[str, Any] = {
-        **setting.varied,
-        "ms": percentiles(total),
-        "full_ms": percentiles(same),
-        "ratio": ratio_of_medians(same, total),
-        "ratio_interval": ratio_interval(same, total),
-        "passes": {n: float(np.median([f[n] for f in ours])) for n in ours[0] if n != "total"},
-        "repeats": effort.repeats,
-        **_ranges(setting, total, same),
-    }
-    if setting.over_one_spp:
-        row["ratio_1spp"] = ratio_of_medians(of_full[1, setting.is_denoised], total)
-    return {**row, "paper": setting.paper} if setting.paper else row
-
-
-def _ranges(setting: Setting, total: list[float], full: list[float]) -> dict[str, Any]:
-    """Least and greatest medians of times, and ratio of medians, over the views; empty for a single view.
-
-    Args:
-        setting: of the row.
-        total, full: milliseconds of hybrid and full frames, in pairs.
-    """
-    if len(setting.seen) < 2:
-        return {}
-    times, of_full = (medians_by_view(found, len(setting.seen)) for found in (total, full))
-    ratios = [over / under for over, under in zip(of_full, times, strict=True)]
-    return {"ms_range": [min(times), max(times)], "ratio_range": [min(ratios), max(ratios)]}
-
-
-def identity_of(
-    scene: Scene, forest: Forest, sweep: Sweep, settings: list[Setting], effort: Effort
-) -> dict[str, Any]:
-    """Everything that the rows of a sweep depend on.
-
-    Args:
-        scene, forest: what is rendered.
-        sweep: whether its rows have quality.
-        settings: the rows.
-        effort: how much is measured.
-    """
-    rows = [
-        {
-            **vars(setting),
-            "camera": setting.camera.key.hex(),
-            "frame": setting.frame.as_json(),
-            "views": [view.key.hex() for view in setting.views],
-        }
-        for setting in settings
-    ]
-    metrics = {"missing metrics": missing()} if sweep.with_quality else {}
-    return measured_identity(
-        scene, forest, settings=rows, quality=sweep.with_quality, effort=asdict(effort), **metrics
-    )
-
-
-def applied(sweep: Sweep, base: Setting, effort: Effort) -> dict[str, Any]:
-    """The settings that all rows have in common, without those that the sweep varies or ignores, as JSON.
-
-    Args:
-        sweep: what it varies and ignores.
-        base: the setting that it varied.
-        effort: how much was measured.
-    """
-    frame = base.frame
-    common: dict[str, dict[str, Any]] = {
-        "size": {"width": base.camera.width, "height": base.camera.height},
-        "fovea": {"fovea": frame.fovea.value},
-        "fov_a": {"fov_a": frame.fov_a},
-        "fov_b": {"fov_b": frame.fov_b},
-        "spp": {"spp": frame.spp},
-        "acuity_model": {"acuity_model": frame.acuity_model},
-        "reference_spp": {"reference_spp": effort.reference_spp},
-    }
-    if sweep.scales_radii:
-        common["fov_a"] = {}
-        common["fov_b"] = {"fov_b_of_fov_a": frame.fov_b / frame.fov_a}
-    found: dict[str, Any] = {}
-    for quantity, values in common.items():
-        if quantity not in sweep.ignored:
-            found |= values
-    varies = "fovea" in sweep.ignored and frame.integrator is None
-    integrator = "by fovea" if varies else frame.used_integrator.value
-    return found | {"integrator": integrator, "display": asdict(frame.display)}
-
-
 # Number of views that the sweep over views has, and in how many the rows of the others are measured.
 _VIEWS, _JUDGED = 4, 3
+# Regions whose quality is measured.
+_REGIONS = ("whole", "foveal", "peripheral")
 # Metrics in which target qualities may be given; the first one that was measured is used.
 _TARGET_METRICS = ("jod", "ssim")
+# Milliseconds per pass, frame by frame.
+Frames = list[dict[str, float]]
 
 
 def sweep(
@@ -307,10 +61,8 @@ def sweep(
     own view is one of those that splats are trained on. A row of the sweep over views is one such view.
 
     Args:
-        scene, forest: what is rendered.
         over: name of the sweep.
         base: the setting that it varies.
-        effort: how much is measured.
         write: called with the result before the intermediate results are deleted.
         progress: called with work done and work in total, in thousandths of a row.
 
@@ -360,3 +112,192 @@ def _store(scene: Scene, forest: Forest, settings: list[Setting], rows: list[dic
     ]
     camera, frame = settings[0].camera, replace(settings[0].frame, camera=None)
     MeasuredStore.of("trade", scene, forest, (camera.width, camera.height), frame).save(metric, measured)
+
+
+def swept(
+    scene: Scene,
+    forest: Forest,
+    settings: list[Setting],
+    with_quality: bool,
+    effort: Effort,
+    journal: Journal,
+    progress: Callable[[int, int], None],
+) -> list[dict[str, Any]]:
+    """One row per setting: the varied quantities, `ms` of hybrid and `full_ms` of full frames, their `ratio`.
+
+    Rows of one view and size take turns with the full path-traced frame at each of their sample counts,
+    denoised where the fovea is. Their gazes follow the same path, on which the largest of their discs stays
+    in the frame; `covered` is the mean fraction of the frame that a row's disc covers. Frames go through the
+    views of a row in turn, and each has a camera of its own, so that frames reuse nothing. `ms_range`,
+    `ratio_range` and `quality_range` are the least and the greatest value over the views, of medians where
+    times are concerned. `ratio_1spp` is the ratio to the full frame at one sample per pixel, if a setting
+    asks for it.
+
+    Args:
+        settings: the rows.
+        with_quality: whether to measure quality as well, with the gaze at the centre.
+        journal: stores the rows of each view and size; those it holds are not measured again.
+        progress: called with work done and work in total, in thousandths of a row.
+
+    Raises:
+        UserError: a region whose quality is measured is empty; raised before anything is measured.
+    """
+    if with_quality:
+        for setting in settings:
+            regions_of(setting)
+    renderer = Renderer(scene, forest)
+    rows: list[dict[str, Any]] = []
+    for number, (_, group) in enumerate(groupby(settings, key=lambda one: [view.key for view in one.seen])):
+        same = list(group)
+
+        def advance(done: int, total: int, before: int = len(rows), count: int = len(same)) -> None:
+            progress(1000 * before + 1000 * count * done // total, 1000 * len(settings))
+
+        rows += journal.once(str(number), partial(_group, renderer, same, with_quality, effort, advance))
+        advance(1, 1)
+    return rows
+
+
+def _group(
+    renderer: Renderer,
+    same: list[Setting],
+    with_quality: bool,
+    effort: Effort,
+    progress: Callable[[int, int], None],
+) -> list[dict[str, Any]]:
+    """Rows of the same views, which take turns."""
+    camera, views, tracer = same[0].camera, same[0].seen, renderer.tracer
+    ours = [HybridMethod(renderer, setting.frame) for setting in same]
+    full = _full_traces(renderer, same)
+    methods: list[Method] = [*ours, *full.values()]
+
+    def passes(place: int, gaze: Gaze, seed: int) -> dict[str, float]:
+        # A camera of its own, because the shared renderer keeps what depends on a camera.
+        view = jittered_view(views[seed % len(views)], len(methods) * seed + place)
+        return methods[place].render(view, gaze, seed).milliseconds
+
+    reach = reach_for(max(setting.frame.fov_a for setting in same), camera)
+    timed = [partial(passes, place) for place in range(len(methods))]
+    times = interleaved_passes(timed, effort.repeats, effort.warm_up, progress, reach)
+    of_full = dict(zip(full, times[len(ours) :], strict=True))
+    judged = views if with_quality else ()
+    truths = []
+    for number, view in enumerate(judged):
+        renderer.scene.show(view.time)
+        truths.append(reference(tracer, view.camera, effort.reference_spp, REFERENCE_SEED + number))
+    rows = []
+    for setting, method, found in zip(same, ours, times, strict=False):
+        row = _row(setting, found, of_full, effort)
+        row["covered"] = covered(setting.frame.fov_a, camera, effort.repeats, reach)
+        if truths:
+            row["quality"], row["quality_range"] = quality_of(setting, method, truths)
+        rows.append(row)
+    return rows
+
+
+def _full_traces(renderer: Renderer, settings: list[Setting]) -> dict[tuple[int, bool], FullTrace]:
+    """The full path-traced frames to compare with, by samples per pixel and whether they are denoised."""
+    wanted = [(setting, setting.frame.spp) for setting in settings]
+    wanted += [(setting, 1) for setting in settings if setting.over_one_spp]
+    return {
+        (spp, one.is_denoised): FullTrace(renderer.tracer_of(one.frame.used_integrator), spp, one.is_denoised)
+        for one, spp in wanted
+    }
+
+
+def _row(
+    setting: Setting, ours: Frames, full: dict[tuple[int, bool], Frames], effort: Effort
+) -> dict[str, Any]:
+    """Times of a setting against those of full frames, by samples per pixel and whether they are denoised."""
+    total = [frame["total"] for frame in ours]
+    of_full = {of: [frame["total"] for frame in frames] for of, frames in full.items()}
+    same = of_full[setting.frame.spp, setting.is_denoised]
+    row: dict[str, Any] = {
+        **setting.varied,
+        "ms": percentiles(total),
+        "full_ms": percentiles(same),
+        "ratio": ratio_of_medians(same, total),
+        "ratio_interval": ratio_interval(same, total),
+        "passes": {n: float(np.median([f[n] for f in ours])) for n in ours[0] if n != "total"},
+        "repeats": effort.repeats,
+        **_ranges(setting, total, same),
+    }
+    if setting.over_one_spp:
+        row["ratio_1spp"] = ratio_of_medians(of_full[1, setting.is_denoised], total)
+    return {**row, "paper": setting.paper} if setting.paper else row
+
+
+def _ranges(setting: Setting, total: list[float], full: list[float]) -> dict[str, Any]:
+    """Least and greatest medians of times, and their ratios, over the views; empty for a single view."""
+    if len(setting.seen) < 2:
+        return {}
+    times, of_full = (medians_by_view(found, len(setting.seen)) for found in (total, full))
+    ratios = [over / under for over, under in zip(of_full, times, strict=True)]
+    return {"ms_range": [min(times), max(times)], "ratio_range": [min(ratios), max(ratios)]}
+
+
+def regions_of(setting: Setting) -> dict[str, Region]:
+    """The regions of a row whose quality is measured, by name; UserError if one is empty."""
+    size = setting.camera.height, setting.camera.width
+    return plain_regions(replace(setting.frame, gaze=Gaze()).foveation, size, _REGIONS)
+
+
+def quality_of(
+    setting: Setting, method: HybridMethod, truths: list[Reference]
+) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
+    """Metrics of a row's frames by region and metric, such as "foveal jod", against those of its views.
+
+    Returns:
+        Means over the views, and the least and the greatest value. A metric that has no value in one of the
+        views is left out: its mean would be of other views than those of other rows.
+    """
+    viewer, parts = Viewer(setting.frame.display, Gaze()), regions_of(setting)
+    found: dict[str, list[float]] = {}
+    for seed, (view, truth) in enumerate(zip(setting.seen, truths, strict=True)):
+        image = method.render(view, Gaze(), seed).image
+        for row in metric_rows(image, truth.radiance, parts, viewer):
+            found.setdefault(f"{row['region']} {row['metric']}", []).append(float(row["value"]))
+    known = {name: values for name, values in found.items() if len(values) == len(truths)}
+    ranges = {name: (min(values), max(values)) for name, values in known.items()}
+    return {name: float(np.mean(values)) for name, values in known.items()}, ranges
+
+
+def identity_of(
+    scene: Scene, forest: Forest, sweep: Sweep, settings: list[Setting], effort: Effort
+) -> dict[str, Any]:
+    """Everything that the rows of a sweep depend on."""
+    rows = [
+        {
+            **vars(setting),
+            "camera": setting.camera.key.hex(),
+            "frame": setting.frame.as_json(),
+            "views": [view.key.hex() for view in setting.views],
+        }
+        for setting in settings
+    ]
+    metrics = {"missing metrics": missing()} if sweep.with_quality else {}
+    return measured_identity(
+        scene, forest, settings=rows, quality=sweep.with_quality, effort=asdict(effort), **metrics
+    )
+
+
+def applied(sweep: Sweep, base: Setting, effort: Effort) -> dict[str, Any]:
+    """The settings that all rows have in common, without those that the sweep varies or ignores, as JSON."""
+    frame = base.frame
+    radii = {"fov_a": frame.fov_a, "fov_b": frame.fov_b}
+    common = {
+        "width": base.camera.width,
+        "height": base.camera.height,
+        "fovea": frame.fovea.value,
+        **({"fov_b_of_fov_a": frame.fov_b / frame.fov_a} if sweep.scales_radii else radii),
+        "spp": frame.spp,
+        "acuity_model": frame.acuity_model,
+        "reference_spp": effort.reference_spp,
+    }
+    ignored = {*sweep.ignored, *(("width", "height") if "size" in sweep.ignored else ())}
+    varies = "fovea" in sweep.ignored and frame.integrator is None
+    return {
+        **{name: value for name, value in common.items() if name not in ignored},
+        "integrator": "by fovea" if varies else frame.used_integrator.value,
+        "display": asdict(frame.display),
+    }

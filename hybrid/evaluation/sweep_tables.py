@@ -11,15 +11,11 @@ from hybrid.evaluation.sweep_catalogue import varied
 
 
 def table(rows: list[dict[str, Any]]) -> dict[str, list[str]]:
-    """Cells by column name, without quality; columns of ratios that no row has are left out.
-
-    Args:
-        rows: of one sweep.
-    """
-    columns = {name: [_short(row[name]) for row in rows] for name in varied(rows[0])}
-    columns["covered, %"] = [_number(100 * row["covered"], 1) if "covered" in row else "-" for row in rows]
+    """Cells of a sweep's rows by column name, without quality; columns that no row has are left out."""
+    columns = {name: [short(row[name]) for row in rows] for name in varied(rows[0])}
+    columns["covered, %"] = [f"{100 * row['covered']:.1f}" if "covered" in row else "-" for row in rows]
     columns["ms"] = [with_range(row["ms"]["p50"], row.get("ms_range"), ".0f") for row in rows]
-    columns["full, ms"] = [_number(row["full_ms"]["p50"], 0) for row in rows]
+    columns["full, ms"] = [f"{row['full_ms']['p50']:.0f}" for row in rows]
     papers = [row.get("paper", {}) for row in rows]
     for key, name in (("ratio", "ratio"), ("ratio_1spp", "ratio to 1 spp")):
         columns[name] = _ratios(rows, key)
@@ -44,11 +40,8 @@ def _ratios(rows: list[dict[str, Any]], name: str) -> list[str]:
     return [with_range(row[name], row.get(f"{name}_range"), ".2f") if name in row else "-" for row in rows]
 
 
-def _number(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}"
-
-
-def _short(value: Any) -> str:
+def short(value: Any) -> str:
+    """A varied quantity in a cell or a label."""
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 

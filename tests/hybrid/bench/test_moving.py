@@ -65,18 +65,19 @@ def test_regions_are_what_moves_and_what_it_leaves(backend, tmp_path):
     assert list(clip.times) == sorted(clip.times)
     assert scene.moving.time == clip.times[-1]
     board = Tracer(scene).hits(camera, frame_positions(camera)).shape.reshape(48, 64)
-    numbers = np.unique(board[clip.moves])
+    numbers = np.unique(board[clip.masks["moving"]])
     assert len(numbers) == 1
-    np.testing.assert_array_equal(board == numbers[0], clip.moves)
-    assert clip.uncovered.any()
-    assert not (clip.uncovered & clip.moves).any()
-    assert not (clip.shadow & (clip.moves | clip.uncovered)).any()
+    np.testing.assert_array_equal(board == numbers[0], clip.masks["moving"])
+    assert clip.masks["uncovered"].any()
+    assert not (clip.masks["uncovered"] & clip.masks["moving"]).any()
+    assert not (clip.masks["shadow"] & (clip.masks["moving"] | clip.masks["uncovered"])).any()
     before = module._moves(Tracer(scene), scene.moving, camera, clip.times[-2])
-    was, left, now = (np.nonzero(mask)[1].mean() for mask in (before, clip.uncovered, clip.moves))
+    masks = before, clip.masks["uncovered"], clip.masks["moving"]
+    was, left, now = (np.nonzero(mask)[1].mean() for mask in masks)
     # What it has left lies where it came from.
     assert (left - now) * (was - now) > 0
     row, column = int(clip.gaze.y * 48), int(clip.gaze.x * 64)
-    assert clip.moves[row, column]
+    assert clip.masks["moving"][row, column]
 
 
 def test_where_nothing_is_seen_to_move_the_gaze_rests_on_the_centre():

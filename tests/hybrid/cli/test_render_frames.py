@@ -168,4 +168,4 @@ def test_a_forest_of_other_frames_is_refused(ball, home, monkeypatch, tmp_path, 
 
 def test_views_of_a_scene_are_refused(monkeypatch, tmp_path, capsys):
     assert run(monkeypatch, "render", "cornell", "--view", 1, "-o", tmp_path / "a.png") == 2
-    assert "--view 1: only of a folder of frames" in capsys.readouterr().err
+    assert "--view 1: only for a folder of images" in capsys.readouterr().err

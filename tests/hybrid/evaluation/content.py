@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image as PillowImage
 
 from hybrid.evaluation.result_keys import HALVES, flip_name, image_name
-from hybrid.evaluation.results import keys_of
+from hybrid.evaluation.results import Results
 from tests.hybrid.evaluation import fakes
 
 
@@ -76,7 +76,7 @@ def write(folder: Path, flips: bool = True) -> dict[str, Any]:
     found = evaluation()
     (folder / "evaluation.json").write_text(json.dumps(found))
     for view in range(2):
-        for number, key in enumerate([None, *keys_of(found)]):
+        for number, key in enumerate([None, *Results(found).keys]):
             # Each image has a colour of its own.
             pixels = np.full((16, 32, 3), 20 * number + 10 * view, dtype=np.uint8)
             PillowImage.fromarray(pixels).save(folder / image_name(view, key))

@@ -10,7 +10,7 @@ import pytest
 
 from compose.base.errors import UserError
 from hybrid.evaluation.evaluation_page import evaluated_scene, write_report
-from hybrid.evaluation.results import keys_of, verdicts
+from hybrid.evaluation.results import Results, verdicts
 from tests.hybrid.evaluation import content
 
 
@@ -31,7 +31,7 @@ def test_every_image_and_map_is_in_the_page(page):
     images, flips = (
         json.loads(part) for part in re.search("const images = (.*), flips = (.*);", page).groups()
     )
-    labels = [key.label for key in keys_of(content.evaluation())]
+    labels = [key.label for key in Results(content.evaluation()).keys]
     assert [sorted(view) for view in images] == [sorted(["reference", *labels])] * 2
     assert [sorted(view) for view in flips] == [sorted(labels)] * 2
     urls = [url for view in images for url in view.values()]

@@ -10,7 +10,7 @@ from PIL import Image as PillowImage
 
 from hybrid.evaluation.evaluation_page import embedded_flips, embedded_images
 from hybrid.evaluation.result_keys import OURS
-from hybrid.evaluation.results import keys_of
+from hybrid.evaluation.results import Results
 from tests.hybrid.evaluation import content
 
 
@@ -21,10 +21,11 @@ def shown(url: str) -> np.ndarray:
 
 
 def test_each_label_shows_its_image_of_that_view(tmp_path):
-    keys = keys_of(content.write(tmp_path))
+    results = Results(content.write(tmp_path))
+    keys = {key: results.label(key) for key in results.keys}
     for view in range(2):
         images = embedded_images(tmp_path, view, keys)
-        assert list(images) == ["reference", *(key.label for key in keys)]
+        assert list(images) == ["reference", *keys.values()]
         for number, url in enumerate(images.values()):
             assert shown(url).shape == (16, 32, 3)
             assert abs(shown(url).mean() - (20 * number + 10 * view)) < 2
@@ -32,7 +33,8 @@ def test_each_label_shows_its_image_of_that_view(tmp_path):
 
 
 def test_maps_that_do_not_exist_are_left_out(tmp_path):
-    keys = keys_of(content.write(tmp_path))
+    results = Results(content.write(tmp_path))
+    keys = {key: results.label(key) for key in results.keys}
     assert abs(shown(embedded_flips(tmp_path, 0, keys)[OURS]).mean() - 20) < 2
     for file in tmp_path.glob("1-*-flip.png"):
         file.unlink()

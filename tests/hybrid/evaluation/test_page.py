@@ -95,7 +95,7 @@ def test_figures_of_several_views_have_their_range_and_the_page_says_of_what_the
     )
     assert rows["Time of the hybrid frame"] == "102 ms (90–111), p95 120 ms"
     assert rows["Speed-up over full path tracing"].startswith("5.04× (4.50–5.50); at most")
-    assert "Measured in 3 views near the scene&#x27;s own to which nothing was fitted" in page
+    assert "Measured in 3 views near the scene&#39;s own to which nothing was fitted" in page
 
 
 def test_the_page_says_what_was_rendered_and_where(folder):

@@ -6,6 +6,7 @@ import pytest
 
 from hybrid.evaluation import result_plots as plots
 from hybrid.evaluation.result_plots import quality_over_time_plot, samples_plot
+from hybrid.evaluation.results import Results
 from tests.hybrid.evaluation import content
 
 
@@ -18,7 +19,7 @@ def drawn(monkeypatch) -> list:
 
 
 def test_all_methods_are_points_and_the_front_is_a_line(drawn):
-    assert quality_over_time_plot(content.evaluation(), "foveal", "flip") == "<svg/>"
+    assert quality_over_time_plot(Results(content.evaluation()), "foveal", "flip") == "<svg/>"
     (axes,) = drawn
     labels = axes.get_legend_handles_labels()[1]
     assert [label.split("  ")[1] for label in labels] == [
@@ -36,7 +37,7 @@ def test_all_methods_are_points_and_the_front_is_a_line(drawn):
 
 
 def test_samples_are_a_line_beside_that_of_the_splats(drawn):
-    assert samples_plot(content.evaluation(), "jod") == "<svg/>"
+    assert samples_plot(Results(content.evaluation()), "jod") == "<svg/>"
     fused, splats = drawn[0].lines
     assert list(fused.get_xdata()) == [2, 16]
     assert list(fused.get_ydata()) == pytest.approx([9.0, 9.6])
@@ -45,11 +46,11 @@ def test_samples_are_a_line_beside_that_of_the_splats(drawn):
 
 def test_without_measurements_there_is_no_plot():
     found = content.evaluation()
-    assert quality_over_time_plot(found, "foveal", "lpips") is None
-    assert samples_plot(found, "lpips") is None
+    assert quality_over_time_plot(Results(found), "foveal", "lpips") is None
+    assert samples_plot(Results(found), "lpips") is None
     found["quality"] = [row for row in found["quality"] if "16 spp" not in row["method"]]
-    assert samples_plot(found, "jod") is None
+    assert samples_plot(Results(found), "jod") is None
 
 
 def test_a_plot_is_svg():
-    assert quality_over_time_plot(content.evaluation(), "whole", "ssim").startswith("<svg")
+    assert quality_over_time_plot(Results(content.evaluation()), "whole", "ssim").startswith("<svg")

@@ -5,20 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hybrid.evaluation.result_keys import OURS, OURS_KEY, Key
-from hybrid.evaluation.results import (
-    affordable_baselines,
-    budget_label,
-    foveal_metric_names,
-    fused_by_spp,
-    is_better,
-    keys_of,
-    mean_of,
-    noise_of,
-    outcomes_of,
-    time_over_ours,
-    times_of,
-    values_of,
-)
+from hybrid.evaluation.results import Results, is_better
 from tests.hybrid.evaluation.fakes import METHODS, found
 
 RMFR = Key("rmfr, tuned", "equal-time")
@@ -28,15 +15,15 @@ SPLATS = Key("splats alone", "fixed")
 def test_methods_come_in_their_order_each_once():
     content = found()
     content["methods"] += content["methods"][:2]
-    assert keys_of(content) == list(METHODS)
+    assert Results(content).keys == list(METHODS)
 
 
 def test_values_come_in_the_order_of_views():
     content = found()
     content["quality"].reverse()
-    assert values_of(content, OURS_KEY, "whole", "ssim") == [0.90, 0.80]
-    assert values_of(content, OURS_KEY, "foveal", "jod") == [8.9, 9.1]
-    assert mean_of(content, OURS_KEY, "whole", "ssim") == pytest.approx(0.85)
+    assert Results(content).values(OURS_KEY, "whole", "ssim") == [0.90, 0.80]
+    assert Results(content).values(OURS_KEY, "foveal", "jod") == [8.9, 9.1]
+    assert Results(content).mean(OURS_KEY, "whole", "ssim") == pytest.approx(0.85)
 
 
 def test_what_was_not_measured_has_no_mean():
@@ -46,27 +33,27 @@ def test_what_was_not_measured_has_no_mean():
         (Key(OURS, "equal-time"), "foveal", "jod"),
         (Key("moon", "fixed"), "foveal", "jod"),
     ):
-        assert mean_of(found(), key, region, metric) is None
+        assert Results(found()).mean(key, region, metric) is None
 
 
 def test_times_are_medians():
-    times = times_of(found())
+    times = Results(found()).times
     assert times[OURS_KEY] == 10
     assert times[SPLATS] == 2
 
 
 def test_fused_frames_are_told_by_their_samples():
-    assert fused_by_spp(found(), "jod") == {2: pytest.approx(9.0), 16: pytest.approx(9.6)}
-    assert fused_by_spp(found(), "lpips") == {2: None, 16: None}
+    assert Results(found()).fused_by_spp("jod") == {2: pytest.approx(9.0), 16: pytest.approx(9.6)}
+    assert Results(found()).fused_by_spp("lpips") == {2: None, 16: None}
 
 
 def test_the_fovea_is_compared_by_what_is_installed():
     content = found()
-    assert foveal_metric_names(content) == ["jod", "flip"]
+    assert Results(content).foveal_metrics == ["jod", "flip"]
     without = [row for row in content["quality"] if row["metric"] != "jod"]
-    assert foveal_metric_names({**content, "quality": without}) == ["flip"]
+    assert Results({**content, "quality": without}).foveal_metrics == ["flip"]
     plain = [{**row, "metric": {"jod": "psnr", "flip": "ssim"}.get(row["metric"], "ssim")} for row in without]
-    assert foveal_metric_names({**content, "quality": plain}) == ["ssim"]
+    assert Results({**content, "quality": plain}).foveal_metrics == ["ssim"]
 
 
 def test_better_is_more_or_less():
@@ -83,7 +70,7 @@ def test_splats_are_affordable_if_they_are_no_slower(milliseconds, expected):
     for row in content["time"]:
         if row["method"] == "splats alone":
             row["ms"]["p50"] = milliseconds
-    assert affordable_baselines(content) == ([SPLATS, RMFR] if expected else [RMFR])
+    assert Results(content).affordable_baselines() == ([SPLATS, RMFR] if expected else [RMFR])
 
 
 @pytest.mark.parametrize(
@@ -100,12 +87,12 @@ def test_equal_time_is_not_called_equal_where_it_was_missed(ratio, label):
     content = found()
     (row,) = (row for row in content["time"] if row["method"] == RMFR.method)
     row["over_ours"] = ratio
-    assert budget_label(content, RMFR) == label
+    assert Results(content).budget_label(RMFR) == label
     # Without frames that were paired, medians are compared.
     del row["over_ours"]
     row["ms"]["p50"] = 10 * ratio
-    assert time_over_ours(content, RMFR) == pytest.approx(ratio)
-    assert budget_label(content, SPLATS) == "fixed"
+    assert Results(content).time_over_ours(RMFR) == pytest.approx(ratio)
+    assert Results(content).budget_label(SPLATS) == "fixed"
 
 
 def test_noise_is_half_of_what_the_halves_differ_by():
@@ -115,8 +102,8 @@ def test_noise_is_half_of_what_the_halves_differ_by():
             row = {"view": 0, "method": key.method, "budget": key.budget, "region": "whole"}
             content["quality"].append({**row, "metric": f"ssim, half {number}", "value": value})
     # Differences of 0.21 and 0.17.
-    assert noise_of(content, RMFR, "whole", "ssim") == pytest.approx(0.02)
-    assert noise_of(content, SPLATS, "whole", "ssim") == 0
+    assert Results(content).noise(RMFR, "whole", "ssim") == pytest.approx(0.02)
+    assert Results(content).noise(SPLATS, "whole", "ssim") == 0
     # 0.90 against 0.70 in the first view, 0.80 against 0.81 in the second one.
-    assert outcomes_of(content, RMFR, "whole", "ssim") == [True, None]
-    assert outcomes_of(found(), RMFR, "whole", "ssim") == [True, False]
+    assert Results(content).outcomes(RMFR, "whole", "ssim") == [True, None]
+    assert Results(found()).outcomes(RMFR, "whole", "ssim") == [True, False]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from hybrid.evaluation.evaluation_page import quality_table, sweep_columns, time_table
-from hybrid.evaluation.results import keys_of
+from hybrid.evaluation.results import Results
 from tests.hybrid.evaluation import content
 
 
 def test_quality_has_a_row_per_method_and_one_for_the_references():
     found = content.evaluation()
-    table = quality_table(found, "foveal", keys_of(found))
+    table = quality_table(Results(found), "foveal")
     assert (table["region"], table["metrics"]) == ("foveal", ["flip", "jod"])
     cells = {(row["method"], row["budget"]): row["cells"] for row in table["rows"]}
     assert cells["hybrid, fused", "fixed"] == ["0.1000", "9.00"]
@@ -25,7 +25,7 @@ def test_times_have_percentiles_frame_rates_and_passes():
     found = content.evaluation()
     del found["time"][0]["ms"]["p95"]
     found["time"][1]["passes"]["denoise"] = 3.4
-    table = time_table(found)
+    table = time_table(Results(found))
     assert table["columns"] == ["p50", "p95", "p99", "FPS", "frames", "trace", "denoise"]
     assert table["rows"][0]["cells"] == ["10", "-", "-", "100.0", "20", "7", "-"]
     assert table["rows"][1]["cells"] == ["40", "80", "-", "25.0", "20", "28", "3"]
@@ -45,12 +45,12 @@ def test_a_baseline_that_missed_equal_time_is_marked_in_both_tables():
         row["over_ours"] = row["ms"]["p50"] / 10
         if row["method"] == "rmfr, tuned":
             row["over_ours"], row["ms_range"] = 1.2, [9.0, 13.0]
-    table = time_table(found)
+    table = time_table(Results(found))
     (row,) = (row for row in table["rows"] if row["method"] == "rmfr, tuned")
     assert table["columns"][:4] == ["p50", "p95", "p99", "/ ours"]
     assert row["budget"] == "equal-time, missed: 20 % slower"
     assert (row["cells"][0], row["cells"][3]) == ("10 (9–13)", "1.20")
-    budgets = [row["budget"] for row in quality_table(found, "foveal", keys_of(found))["rows"]]
+    budgets = [row["budget"] for row in quality_table(Results(found), "foveal")["rows"]]
     assert "equal-time, missed: 20 % slower" in budgets
     assert "equal-time" not in budgets
 
