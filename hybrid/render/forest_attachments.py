@@ -1,9 +1,11 @@
-"""What a forest's file carries for the renderer: the fusion network, and the views it was trained on."""
+"""What a forest's file carries for the renderer: fusion network, plan, and the views it was trained on."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,14 +14,16 @@ from compose.base.errors import UserError
 from compose.base.files import under
 from compose.camera.camera import Camera
 from compose.fusion.network import Fusion
+from pathtrace.scene.scene import DEPTH, ROULETTE, Scene
+from pathtrace.trace.path_depths import UNBOUNDED
 from splat.model.forest import Forest
 
-_PREFIX = "fusion."
+_FUSION = "fusion."
 
 
 def attach_fusion(forest: Forest, fusion: Fusion) -> Forest:
     """The forest with a fitted network attached, which its file then contains."""
-    state = {_PREFIX + name: tensor.clone() for name, tensor in fusion.state_dict().items()}
+    state = {_FUSION + name: tensor.clone() for name, tensor in fusion.state_dict().items()}
     return replace(forest, attached={**forest.attached, **state})
 
 
@@ -29,7 +33,7 @@ def fusion_of(forest: Forest) -> Fusion | None:
     Raises:
         UserError: the network is damaged or of another version.
     """
-    state = under(_PREFIX, forest.attached)
+    state = under(_FUSION, forest.attached)
     if not state:
         return None
     fusion = Fusion()
@@ -46,7 +50,50 @@ def fusion_of(forest: Forest) -> Fusion | None:
     return fusion.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
-_NAME = "views.cameras"
+_PLAN = "plan.json"
+
+
+def attach_plan(forest: Forest, values: Mapping[str, Any]) -> Forest:
+    """The forest with what was planned for it attached; as it is if nothing was."""
+    if not values:
+        return forest
+    text = json.dumps(dict(values), sort_keys=True).encode()
+    content = torch.from_numpy(np.frombuffer(text, dtype=np.uint8).copy())
+    return replace(forest, attached={**forest.attached, _PLAN: content})
+
+
+def plan_of_forest(forest: Forest) -> dict[str, Any]:
+    """What was planned for a forest, by name; empty if it does not say.
+
+    Raises:
+        UserError: what it says is damaged.
+    """
+    content = forest.attached.get(_PLAN)
+    if content is None:
+        return {}
+    try:
+        values = json.loads(content.numpy().tobytes())
+        return {str(name): value for name, value in values.items()}
+    except (ValueError, AttributeError, TypeError) as error:
+        raise UserError("the forest's plan is damaged; train the forest again") from error
+
+
+def scene_as_trained(scene: Scene, forest: Forest) -> Scene:
+    """The scene with the paths that a forest was planned with, if none are planned for the scene itself.
+
+    A scene's hash depends on its path depth: without a plan, it would not be that of the forest. The scene is
+    as it was if it has a plan, if the forest has none, or if the forest does not belong to it even so.
+    """
+    plan = {} if scene.plan else plan_of_forest(forest)
+    depth, roulette = plan.get(DEPTH), plan.get(ROULETTE)
+    if not isinstance(depth, int) or not isinstance(roulette, int):
+        return scene
+    planned = scene.planned(plan)
+    is_possible = roulette >= 1 and (depth >= 1 or depth == UNBOUNDED)
+    return planned if is_possible and planned.hash == forest.scene_hash else scene
+
+
+_VIEWS = "views.cameras"
 # Width, height, focal lengths and principal point, then the world-to-camera transform.
 _NUMBERS = 6 + 16
 
@@ -55,7 +102,7 @@ def attach_views(forest: Forest, cameras: Sequence[Camera]) -> Forest:
     """The forest with the views that it was trained on attached, in the coordinates of its frame set."""
     rows = [np.frombuffer(camera.key, dtype=np.float64) for camera in cameras]
     table = torch.from_numpy(np.array(rows).reshape(-1, _NUMBERS))
-    return replace(forest, attached={**forest.attached, _NAME: table})
+    return replace(forest, attached={**forest.attached, _VIEWS: table})
 
 
 def views_of(forest: Forest) -> list[Camera]:
@@ -64,7 +111,7 @@ def views_of(forest: Forest) -> list[Camera]:
     Raises:
         UserError: the views are damaged.
     """
-    table = forest.attached.get(_NAME)
+    table = forest.attached.get(_VIEWS)
     if table is None:
         return []
     try:
