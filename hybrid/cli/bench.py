@@ -13,7 +13,6 @@ from typing import Annotated, Any
 import typer
 
 from compose.base.errors import UserError
-from hybrid.base.progress import progress_bar
 from hybrid.cli.options import (
     FRAME,
     MOST_FRAMES,
@@ -35,11 +34,13 @@ from hybrid.cli.options import (
     ThinGlass,
     WarmUp,
     loaded_scene,
+    planned_scene,
     require_size,
     select,
     sized,
     write_json,
 )
+from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import DEFAULTS, INTERACTIVE, FrameSettings
 
 _WARM_UP = 5
@@ -83,7 +84,7 @@ def integrator(
     from hybrid.base.identity import machine
     from hybrid.bench.integrator_bench import bench_integrator
 
-    loaded = loaded_scene(scene, max_depth, thin_glass)
+    loaded = planned_scene(scene, max_depth, thin_glass)
     with progress_bar("bench (samples)") as bar:
         found = bench_integrator(loaded, sized(loaded.camera, size), reference_spp, repeats, bar)
     cache = found["cache"]
@@ -120,10 +121,10 @@ def periphery(
     select(backend)
     from hybrid.base.identity import machine
     from hybrid.bench.periphery_bench import bench_periphery, display_camera
-    from hybrid.preparation.preparation import forest_for
+    from hybrid.preparation.preparation import with_forest
 
     loaded = loaded_scene(scene, None, thin_glass)
-    found = forest_for(loaded, forest)
+    loaded, found = with_forest(loaded, forest, progress_bar)
     camera = display_camera(loaded.camera, settings.display)
     with progress_bar("bench (rounds)") as bar:
         rows = bench_periphery(found, camera, settings, repeats, warm_up, bar)
@@ -188,10 +189,10 @@ def frame(
     from compose import LLVM
     from hybrid.base.compute_device import device_arrays
     from hybrid.bench.frame_bench import bench_frame
-    from hybrid.preparation.preparation import forest_for
+    from hybrid.preparation.preparation import with_forest
 
     loaded = loaded_scene(scene, None, thin_glass)
-    found = forest_for(loaded, forest)
+    loaded, found = with_forest(loaded, forest, progress_bar)
     with progress_bar("bench (rounds)") as bar:
         rows = bench_frame(loaded, found, settings, sizes, repeats, warm_up, seed, bar)
     if backend == "auto" and device_arrays().backend == "cuda" and not isinstance(LLVM, UserError):
@@ -254,13 +255,13 @@ def moving(
     select(backend)
     from hybrid.base.identity import machine
     from hybrid.bench.moving_bench import bench_moving, require_moving
-    from hybrid.preparation.preparation import forest_for
+    from hybrid.preparation.preparation import with_forest
     from splat.io.forest_file import load_forest
 
     loaded = loaded_scene(scene, None, thin_glass)
     require_moving(loaded)
     settings = replace(INTERACTIVE, spp=spp, camera=sized(loaded.camera, size))
-    found = forest_for(loaded, forest)
+    loaded, found = with_forest(loaded, forest, progress_bar)
     others = {file.stem: load_forest(file) for file in against or ()}
     with progress_bar("bench (clips)") as bar:
         rows = bench_moving(loaded, found, settings, reference_spp, bar, others)

@@ -9,7 +9,6 @@ from typing import Annotated
 
 import typer
 
-from hybrid.base.progress import progress_bar
 from hybrid.cli.options import (
     FRAME,
     MEASUREMENT,
@@ -21,12 +20,13 @@ from hybrid.cli.options import (
     SceneName,
     Seed,
     ThinGlass,
-    loaded_scene,
+    planned_scene,
     require_size,
     select,
     user_errors,
     write_json,
 )
+from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import MOST_SPP
 from pathtrace.trace.integrator import Integrator, integrator_named
 
@@ -95,7 +95,7 @@ def capture(
     require_size(size)
     is_cached = integrator_named(integrator) is Integrator.CACHED
     start = time.perf_counter()
-    loaded = loaded_scene(scene, max_depth, thin_glass)
+    loaded = planned_scene(scene, max_depth, thin_glass)
     settings = replace(settings, spp=spp or loaded.plan.get(SAMPLES, FIXED_SAMPLES))
     cache = cache_for(loaded, progress_bar) if is_cached else None
     with progress_bar("capture (samples)") as bar:

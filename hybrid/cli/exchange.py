@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from compose.base.errors import UserError
-from hybrid.cli.options import ForestArgument, NumberPrecision, finite, select
+from hybrid.cli.options import ForestArgument, NumberPrecision, finite, option_names, select
 from splat.model.choices import Precision
 
 
@@ -74,7 +74,8 @@ def import_scene(source: Path, folder: Path, fps: float | None, animation: str |
     select("auto")
     from pathtrace.gltf.importing import DEFAULT_FPS, import_gltf
 
-    found = import_gltf(source, folder, fps or DEFAULT_FPS, animation)
+    with option_names("animation", "fps"):
+        found = import_gltf(source, folder, fps or DEFAULT_FPS, animation)
     moving = f"{found.rigid} move rigidly, {found.deforming} deform, in {found.seconds:g} s"
     print(f"{found.scene}: {found.triangles:,} triangles; {moving if found.seconds else 'nothing moves'}")
     for remark in found.remarks:

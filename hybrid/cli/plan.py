@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hybrid.base.progress import progress_bar
+from compose.base.errors import UserError
 from hybrid.cli.options import (
     Backend,
     DisplayName,
@@ -20,6 +20,7 @@ from hybrid.cli.options import (
     select,
     write_json,
 )
+from hybrid.cli.progress import progress_bar
 
 
 def plan(
@@ -45,7 +46,8 @@ def plan(
 ) -> None:
     """Look at a scene for a few seconds, and decide what it requires of the renderers, and why.
 
-    All commands take the newest plan of a scene as their default; without one, they make it themselves.
+    All commands take the newest plan of a scene as their default; those that capture or prepare make it
+    if there is none.
     """
     select(backend)
     from compose.eye.display import display_named
@@ -55,7 +57,11 @@ def plan(
     from hybrid.render.image_files import check_writable
     from pathtrace.scene.scene import load_scene
 
-    shown, wanted = display_named(display), parsed(override or ())
+    shown = display_named(display)
+    try:
+        wanted = parsed(override or ())
+    except UserError as error:
+        raise UserError(f"--set {error}") from error
     if picture is not None:
         check_writable(picture)
     loaded = load_scene(scene, None, thin_glass)

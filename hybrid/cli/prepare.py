@@ -21,11 +21,13 @@ from hybrid.cli.options import (
     SceneName,
     Seed,
     ThinGlass,
-    loaded_scene,
+    option_names,
+    planned_scene,
     require_size,
     select,
     write_json,
 )
+from hybrid.cli.progress import progress_bar
 
 _MOST_VIEWS = 10_000
 
@@ -64,9 +66,10 @@ def prepare(
     started = time.perf_counter()
     from hybrid.preparation.stages import PreparationSettings
 
-    settings = PreparationSettings(
-        region or "near", quality, minutes, psnr, held_out, size, clamp_indirect, seed
-    )
+    with option_names("quality", "minutes", "psnr", "held_out", most_indirect="clamp-indirect"):
+        settings = PreparationSettings(
+            region or "near", quality, minutes, psnr, held_out, size, clamp_indirect, seed
+        )
     require_size(size)
     select(backend)
     from hybrid.preparation.decisions import REGION
@@ -75,9 +78,9 @@ def prepare(
 
     if forest is not None:
         check_writable(forest)
-    loaded = loaded_scene(scene, max_depth, thin_glass)
+    loaded = planned_scene(scene, max_depth, thin_glass)
     settings = replace(settings, region=region or str(loaded.plan.get(REGION, settings.region)))
-    prepared = run(loaded, settings, started=started)
+    prepared = run(loaded, settings, progress_bar, started=started)
     facts = prepared.facts
     if forest is not None:
         shutil.copyfile(facts["forest"], forest)

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from compose.base.errors import UserError
-from hybrid.cli.options import Backend, FovA, FovB, Json, Seed, ThinGlass, loaded_scene, select, write_json
+from hybrid.cli.options import Backend, FovA, FovB, Json, Seed, ThinGlass, planned_scene, select, write_json
+from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import DEFAULTS, FrameSettings
 
 
@@ -34,7 +35,7 @@ def quickstart(
     if not settings.foveation.region(SIZE, SIZE).count:
         raise UserError(f"--fov-a {fov_a}: there is no fovea to show, it holds no pixel of {SIZE} x {SIZE}")
     check_writable(out / "result.json")
-    result = run(loaded_scene(scene, None, thin_glass), out, settings, seed)
+    result = run(planned_scene(scene, None, thin_glass), out, settings, seed, progress_bar)
     write_json(out / "result.json", result)
     write_json(json_file, result)
     print(

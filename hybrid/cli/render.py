@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from compose.base.errors import UserError, one_line
-from hybrid.base.progress import progress_bar
 from hybrid.cli.options import (
     FRAME,
     VIEWER,
@@ -36,6 +35,7 @@ from hybrid.cli.options import (
     sized,
     write_json,
 )
+from hybrid.cli.progress import progress_bar
 from hybrid.cli.render_frames import FramesRequest, refuse_tracing, render_frames
 from hybrid.cli.target import Target, measuring_command
 from hybrid.render.frame_settings import DEFAULTS, FrameSettings, aovs_of_file
@@ -204,7 +204,7 @@ def render(
         return
     from compose.fovea.foveation import FoveaMode
     from hybrid.preparation.decisions import DENOISING, RAW
-    from hybrid.preparation.preparation import forest_for
+    from hybrid.preparation.preparation import with_forest
 
     loaded = loaded_scene(scene, max_depth, thin_glass)
     if time and loaded.moving is None:
@@ -214,7 +214,7 @@ def render(
     command = measuring_command(scene, forest, pixels, settings, display, backend)
     target = Target(target_ms, target_jod, command)
     target.require_forest(loaded, forest)
-    found = forest_for(loaded, forest)
+    loaded, found = with_forest(loaded, forest, progress_bar)
     if fovea is None and loaded.plan.get(DENOISING) == RAW:
         settings = replace(settings, fovea=FoveaMode.RAW)
     settings = target.applied(loaded, found, replace(settings, camera=shown))

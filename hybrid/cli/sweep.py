@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import typer
 
 from compose.base.errors import UserError
-from hybrid.base.progress import progress_bar
 from hybrid.cli.options import (
     FRAME,
     MEASUREMENT,
@@ -30,6 +29,7 @@ from hybrid.cli.options import (
     sized,
     write_json,
 )
+from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import MOST_SPP, SWEEP, FrameSettings
 
 # Defaults of what a sweep may set itself. They are applied here, so that an option that was given is known.
@@ -132,15 +132,15 @@ def sweep(
     select(backend)
     from hybrid.evaluation.sweep_catalogue import Effort, Setting
     from hybrid.evaluation.sweep_run import sweep as run
-    from hybrid.preparation.preparation import forest_for
+    from hybrid.preparation.preparation import with_forest
 
     loaded = loaded_scene(scene, None, thin_glass)
     if report is not None:
         _check_report(report, loaded.name)
     base = Setting(sized(loaded.camera, size), settings)
-    fill_irradiance(loaded, settings)
     effort = Effort(repeats, warm_up, values["reference_spp"])
-    found = forest_for(loaded, forest)
+    loaded, found = with_forest(loaded, forest, progress_bar)
+    fill_irradiance(loaded, settings)
 
     def write(content: dict[str, Any]) -> None:
         write_json(json_file, content)

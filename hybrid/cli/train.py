@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hybrid.base.progress import progress_bar
 from hybrid.cli.options import (
     MOST_GAUSSIANS,
     Backend,
@@ -17,10 +16,12 @@ from hybrid.cli.options import (
     Json,
     NumberPrecision,
     Seed,
+    option_names,
     select,
     user_errors,
     write_json,
 )
+from hybrid.cli.progress import progress_bar
 from splat.model.choices import Labels, MotionModel, Precision
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ def train(
         # What is given is checked before the frames are read.
         planned_settings(None, **given)
     found = read_frames(frames)
-    with user_errors():
+    with user_errors(), option_names("motion", "labels"):
         settings = planned_settings(found, **given, motion=motion_for(found, motion, labels), labels=labels)
     check_writable(forest)
     if isinstance(found, PosedFolder):

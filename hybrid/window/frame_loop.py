@@ -16,7 +16,7 @@ from PIL import Image as Pillow
 from compose.camera.camera import Camera, View
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image
-from hybrid.base.progress import Report
+from hybrid.base.progress import Progress
 from hybrid.evaluation.frame_time_controller import FrameTimeController, applied
 from hybrid.evaluation.measured_settings import MeasuredSettings, MeasuredStore, front_of
 from hybrid.measure.frame_times import gaze_path
@@ -104,13 +104,13 @@ _RADII = (5.0, 8.0, 11.0, 15.0, 20.0, 25.0, 30.0)
 _ACTIVITY = "measuring settings"
 
 
-def ladder_for(source: FrameSource, like: Request, report: Report) -> list[MeasuredSettings]:
+def ladder_for(source: FrameSource, like: Request, report: Progress) -> list[MeasuredSettings]:
     """The Pareto-optimal settings of the window, each slower and better than the one before it.
 
     Args:
         source: of frames.
         like: a request with the window's size, acuity model and display.
-        report: called with the activity, steps done and steps in total.
+        report: as of hybrid.base.progress.
 
     Raises:
         UserError: the cache folder cannot be written, or a file in it is damaged.
@@ -151,19 +151,19 @@ def candidates(base: FrameSettings, layers: int) -> list[FrameSettings]:
 
 
 def _measured(
-    source: FrameSource, camera: Camera, base: FrameSettings, report: Report
+    source: FrameSource, camera: Camera, base: FrameSettings, report: Progress
 ) -> list[MeasuredSettings]:
     """All candidates with their time and quality."""
     wanted = candidates(base, source.layers)
-    report(_ACTIVITY, 0, len(wanted) + 1)
+    report(0, len(wanted) + 1, _ACTIVITY)
     judged = _judged_views(source, camera)
     measured = []
     for number, settings in enumerate(wanted):
-        report(_ACTIVITY, number + 1, len(wanted) + 1)
+        report(number + 1, len(wanted) + 1, _ACTIVITY)
         milliseconds = _median_time(source, settings)
         quality = float(np.mean([_quality(source, settings, view) for view in judged]))
         measured.append(MeasuredSettings(settings, milliseconds, quality))
-    report(_ACTIVITY, len(wanted) + 1, len(wanted) + 1)
+    report(len(wanted) + 1, len(wanted) + 1, _ACTIVITY)
     source.forget()
     return measured
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +11,9 @@ from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from hybrid.base.cache_folder import newest_forest
 from hybrid.base.compute_device import Clock, release_memory
-from hybrid.base.progress import Bar, Report
-from hybrid.preparation.preparation import forest_for
-from hybrid.preparation.scene_plan import planned_scene
+from hybrid.base.progress import Progress, bars_of
+from hybrid.preparation.preparation import with_forest
+from hybrid.preparation.scene_plan import scene_as_stored
 from hybrid.render.frame import Frame
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import FrameSettings
@@ -172,7 +170,7 @@ def prepared(
     backend: str,
     trains: bool,
     settings: FrameSettings,
-    report: Report,
+    report: Progress,
     thin_glass: bool = False,
 ) -> FrameSource:
     """The source of a scene's frames.
@@ -183,23 +181,18 @@ def prepared(
         backend: auto, cuda or llvm.
         trains: whether to train a forest if there is none.
         settings: of the first frame.
-        report: called with the activity, steps done and steps in total.
+        report: as of hybrid.base.progress.
         thin_glass: whether panes of glass let shadow rays pass.
 
     Raises:
         UserError: the scene or the forest is missing, or they do not belong together.
     """
-
-    @contextmanager
-    def bars(title: str) -> Iterator[Bar]:
-        yield lambda done, total, step="": report(title, done, total)
-
     # Before the scene is loaded, since the backend decides what it is loaded into.
     select_backend(backend)
-    loaded = planned_scene(scene, thin_glass=thin_glass, bars=bars)
+    loaded, bars = scene_as_stored(scene, thin_glass=thin_glass), bars_of(report)
     if not trains and forest is None and newest_forest(loaded) is None:
         raise UserError(f"{scene}: there is no forest yet; run hybrid demo {scene} first, which trains one")
-    found = forest_for(loaded, forest, bars)
+    loaded, found = with_forest(loaded, forest, bars)
     if settings.used_integrator is Integrator.CACHED:
         cache_for(loaded, bars)
     return FrameSource(LiveRenderer(loaded, found))
