@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,13 +14,12 @@ import torch
 
 from compose.base.errors import UserError, one_line
 from hybrid.base.compute_device import device_arrays
-from hybrid.base.progress import console, interrupts_between_steps, no_progress
+from hybrid.base.progress import interrupts_between_steps, no_progress
 from hybrid.preparation.decisions import DEGREE, FRAME_PRECISION, HALF, LAYERS, Value
 from hybrid.preparation.fusion_training import fusion_steps, with_fusion
 from hybrid.preparation.gaussian_count import GAUSSIANS
-from hybrid.preparation.scene_plan import attach_plan
 from hybrid.preparation.training_views import Frames, labelled_views, motion_for, pieces_of
-from hybrid.render.forest_attachments import attach_views
+from hybrid.render.forest_attachments import attach_plan, attach_views
 from pathtrace.dataset.frame_set import FrameSet
 from pathtrace.scene.courses import Course
 from splat.io.compact import compact
@@ -33,6 +33,7 @@ from splat.model.motion import Motion
 from splat.training.trainer import Trainer, TrainingSettings, most_layers
 from splat.training.training_view import finest_focal
 
+_LOG = logging.getLogger("hybrid")
 _PLANNED = {"gaussians": GAUSSIANS, "layers": LAYERS, "degree": DEGREE}
 
 
@@ -116,10 +117,9 @@ class LeftOut:
 def say_left_out(left_out: LeftOut) -> None:
     """Says in one line what a training did not learn from; nothing if it learnt from all."""
     if left_out.frames or left_out.steps:
-        console.print(
+        _LOG.warning(
             f"Left out of the training: {left_out.frames} frames with numbers that are not finite, and "
-            f"{left_out.steps} steps whose gradient was not.",
-            soft_wrap=True,
+            f"{left_out.steps} steps whose gradient was not."
         )
 
 

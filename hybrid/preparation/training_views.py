@@ -75,11 +75,11 @@ def motion_for(frames: Frames, asked: MotionModel | None, labels: Labels | None 
     learned = [model.value for model in MotionModel if model.field is not None]
     if asked is MotionModel.KNOWN and frames.moves:
         raise UserError(
-            f"--motion {asked.value}: {frames.folder} does not say how anything moves; learn it by one of "
+            f"motion {asked.value}: {frames.folder} does not say how anything moves; learn it by one of "
             f"{', '.join(learned)}"
         )
     if labels is Labels.MASKS and any(image.labels is None for image in frames.training):
-        raise UserError(f"--labels {labels.value}: {frames.folder} has no label images that show what moves")
+        raise UserError(f"labels {labels.value}: {frames.folder} has no label images that show what moves")
     # Of both fields, the one that is better and faster in as many steps (docs/measured/moving.md).
     return asked or (MotionModel.HEX_PLANE if frames.moves else MotionModel.KNOWN)
 
