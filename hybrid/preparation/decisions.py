@@ -211,7 +211,7 @@ def sample_decisions(look: Look) -> list[Decision]:
     """Samples per pixel of training frames, and whether to denoise frames of few samples.
 
     Both errors are stated from two independent halves: that of a raw half from their difference, that of the
-    frame denoised from both as of pathtrace.dataset.frame_error. Squared noise falls with the samples, which
+    frame denoised from both as in pathtrace.dataset.frame_error. Squared noise falls with the samples, which
     tells how many raw frames take to be as close to the truth.
     """
     apart = [

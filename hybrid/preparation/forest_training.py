@@ -41,11 +41,11 @@ def planned_settings(frames: Frames | None, **given: Any) -> TrainingSettings:
     """Settings of a training: as given, else as planned for the scene of the frames, else their defaults.
 
     Args:
-        frames: to train on; those of others have no plan, and None has none.
+        frames: to train on; None and third-party frames have no plan.
         given: fields of TrainingSettings; None counts as not given.
 
     Raises:
-        UserError, ValueError: as of TrainingSettings.
+        UserError, ValueError: as in TrainingSettings.
     """
     plan = _plan(frames)
     planned = {field: int(plan[name]) for field, name in _PLANNED.items() if name in plan}
@@ -148,7 +148,7 @@ def train(
     """Trains a forest, fits the fusion to it, and writes both to one file; resumes if interrupted.
 
     Args:
-        frames: to train on; those of others have no estimates to fit a fusion to.
+        frames: to train on; third-party ones have no estimates to fit a fusion to.
         path: forest file to write; a checkpoint is kept beside it until training is complete.
         settings: how to train; as planned for the frames' scene if None.
         progress: called with steps done and steps in total.

@@ -82,7 +82,7 @@ def prepare(
 
     Args:
         scene: what to prepare.
-        settings: how far, and what judges it; the defaults of PreparationSettings if None.
+        settings: how far to go, and which views validate it; the defaults of PreparationSettings if None.
         bars: show the progress of each part.
         folder: for everything that is written; a folder of the scene's in the cache by default.
         started: time.perf_counter() from which the time counts; now if None.
@@ -104,8 +104,10 @@ def prepare(
     folder.mkdir(parents=True, exist_ok=True)
     journal = Journal(folder / "job.json", identity)
     clock = Clock(journal, start)
+    breadth = journal.once("breadth", lambda: breadth_of(region, surfaces, settings.seed))
+    planner = Planner(settings, journal, clock, planned_needs(scene.plan, settings.region, breadth))
     try:
-        return _Job(scene, region, surfaces, settings, bars, folder, journal, clock).run()
+        return _Job(scene, region, settings, bars, folder, planner).run()
     finally:
         # An interrupted job continues with the time that it took so far.
         clock.keep()
@@ -118,18 +120,14 @@ class _Job:
         self,
         scene: Scene,
         region: Region,
-        surfaces: Surfaces,
         settings: PreparationSettings,
         bars: Bars,
         folder: Path,
-        journal: Journal,
-        clock: Clock,
+        planner: Planner,
     ):
         self._scene, self._region, self._settings = scene, region, settings
-        self._bars, self._folder, self._journal, self._clock = bars, folder, journal, clock
-        breadth = journal.once("breadth", lambda: breadth_of(region, surfaces, settings.seed))
-        needs = planned_needs(scene.plan, settings.region, breadth)
-        self._planner = Planner(settings, journal, clock, needs)
+        self._bars, self._folder, self._planner = bars, folder, planner
+        self._journal, self._clock = planner.journal, planner.clock
         self._passes: list[Pass] = []
         self._curve: list[dict[str, Any]] = []
 
@@ -163,11 +161,6 @@ class _Job:
         _LOG.info("bounding indirect light removed %.2g %% of the radiance", 100 * share)
         return share
 
-    @property
-    def _number(self) -> int:
-        """Of the stage, from 0."""
-        return len(self._planner.stages) - 1
-
     def _judges(self, tracer: Tracer) -> Judges:
         """The held-out views; their time does not count."""
         count, size, seed = self._settings.held_out, self._settings.size, self._settings.seed
@@ -178,7 +171,7 @@ class _Job:
 
     def _staged(self, frames: GrowingFrames, before: Forest | None) -> Forest:
         """The forest after a stage; trained now, unless it is in the folder."""
-        number = self._number
+        number = self._planner.number
         path = self._folder / f"stage-{number}.safetensors"
         if self._planner.is_finished and path.is_file():
             self._passes.append(Pass(**self._journal[f"pass {number}"]))
@@ -187,10 +180,10 @@ class _Job:
         views = views_of(self._region, stages, self._settings.seed)
         with self._bars(f"stage {number + 1}: frames (samples)") as bar:
             frames.grow(wanted_of(frames, views, stages[-1], before), bar)
-        seconds = self._planner.framed()
+        seconds = self._planner.lap("frame")
         found = read_frame_set(frames.folder)
         light = self._light(found, stages[-1].gaussians)
-        self._planner.lit()
+        self._planner.lap("light")
         traced = self._journal.once(f"pass {number}", lambda: asdict(self._pass(frames, seconds)))
         self._passes.append(Pass(**traced))
         forest = self._trained(found, light, path, before)
@@ -207,7 +200,7 @@ class _Job:
         self, frames: FrameSet, light: SurfaceLight | None, path: Path, before: Forest | None
     ) -> Forest:
         """The forest of a stage, in as many steps as there is time for."""
-        stage, number = self._planner.stages[-1], self._number
+        stage, number = self._planner.stages[-1], self._planner.number
         # More layers than the display tells apart are none that a frame draws.
         layers = min(stage.layers, frames.plan.get(LAYERS, stage.layers)) if number else 1
         seed = self._settings.seed + number
@@ -216,7 +209,7 @@ class _Job:
         )
         with self._bars(f"stage {number + 1}: forest (steps)") as bar:
             forest = train(frames, path, settings, bar, start=before, light=light)
-        self._planner.trained()
+        self._planner.lap("training")
         return forest
 
     def _light(self, frames: FrameSet, gaussians: int) -> SurfaceLight | None:
@@ -228,7 +221,7 @@ class _Job:
 
     def _judge(self, judges: Judges, forest: Forest) -> None:
         """Adds a row to the curve."""
-        number = self._number
+        number = self._planner.number
 
         def row() -> dict[str, Any]:
             seconds = self._clock.seconds()
@@ -304,6 +297,18 @@ class _Job:
 _QUALITY = "draft"
 
 
+def found_forest(scene: Scene, given: Path | None, bars: Bars = no_bars) -> tuple[Scene, Path | None]:
+    """A scene and its forest file: the given one, else the newest one in the cache; None if there is none.
+
+    A scene that has none is planned: there may be a forest of it as planned.
+    """
+    path = given or newest_forest(scene)
+    if path is None:
+        scene = as_planned(scene, bars)
+        path = newest_forest(scene)
+    return scene, path
+
+
 def with_forest(scene: Scene, given: Path | None, bars: Bars = no_bars) -> tuple[Scene, Forest]:
     """A scene and its forest: the given one, else the newest one in the cache, else one that is prepared now.
 
@@ -317,10 +322,7 @@ def with_forest(scene: Scene, given: Path | None, bars: Bars = no_bars) -> tuple
     Raises:
         UserError: the file is missing, damaged or belongs to another scene, or no forest can be trained.
     """
-    path = given or newest_forest(scene)
-    if path is None:
-        scene = as_planned(scene, bars)
-        path = newest_forest(scene)
+    scene, path = found_forest(scene, given, bars)
     if path is None:
         _LOG.info("No forest for scene %s yet: preparing one first.", scene.name)
         return scene, prepare(scene, PreparationSettings(quality=_QUALITY, held_out=0), bars).forest

@@ -104,7 +104,7 @@ def plan_of(
         scene: the scene; afterwards, one that moves shows its first time.
         display: that frames are shown on.
         size: width and height of these frames in pixels.
-        region: where viewers may be, as of pathtrace.region.
+        region: where viewers may be (pathtrace.region).
         seed: same seed, same plan on the same machine.
         progress: called with parts done and their number.
 
@@ -182,10 +182,10 @@ def scene_as_stored(
     """Loads a scene as its stored plan has it; as its file has it if there is none.
 
     Args:
-        source, max_depth, thin_glass: as of `load_scene`; a depth that is given stays.
+        source, max_depth, thin_glass: as in `load_scene`; a depth that is given stays.
 
     Raises:
-        UserError: as of `load_scene`, or the stored plan contradicts the scene.
+        UserError: as in `load_scene`, or the stored plan contradicts the scene.
     """
     scene = load_scene(source, max_depth, thin_glass)
     plan = _stored(scene)

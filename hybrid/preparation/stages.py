@@ -140,10 +140,10 @@ class PreparationSettings:
 
     Attributes:
         region: near, reachable, or a file with a camera path (pathtrace.region).
-        quality: draft, standard or high; how far to go, unless minutes or psnr say it.
+        quality: draft, standard or high: how far to go, unless minutes or psnr are given.
         minutes: time to use, over 0.
         psnr: dB on held-out views to reach, over 0.
-        held_out: number of views that judge; none of them is trained on. Their time is not counted.
+        held_out: number of held-out validation views, which are not trained on and whose time is not counted.
         size: width and height of these views in pixels.
         most_indirect: bound on what indirect light adds to a path of a training frame at once, over 0; none
             by default. Held-out views have no such bound.

@@ -1,4 +1,4 @@
-"""Frames as views to train on: captured ones, with labels of what moves, and those of others."""
+"""Frames as views to train on: captured ones, with labels of what moves, and third-party ones."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def read_frames(folder: Path) -> Frames:
         if (folder / "transforms.json").exists():
             raise
         raise UserError(
-            f"{folder}: not a frame set (no transforms.json; hybrid capture makes one), nor frames of others "
+            f"{folder}: not a frame set (no transforms.json; hybrid capture makes one), nor third-party frames "
             "in a known layout (no transforms_train.json, no dataset.json)"
         ) from None
 

@@ -9,10 +9,9 @@ import numpy as np
 
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
-from hybrid.base.cache_folder import newest_forest
 from hybrid.base.compute_device import Clock, release_memory
 from hybrid.base.progress import Progress, bars_of
-from hybrid.preparation.preparation import with_forest
+from hybrid.preparation.preparation import found_forest, with_forest
 from hybrid.preparation.scene_plan import scene_as_stored
 from hybrid.render.frame import Frame
 from hybrid.render.frame_renderer import LiveRenderer
@@ -190,9 +189,10 @@ def prepared(
     # Before the scene is loaded, since the backend decides what it is loaded into.
     select_backend(backend)
     loaded, bars = scene_as_stored(scene, thin_glass=thin_glass), bars_of(report)
-    if not trains and forest is None and newest_forest(loaded) is None:
+    loaded, file = found_forest(loaded, forest, bars)
+    if not trains and file is None:
         raise UserError(f"{scene}: there is no forest yet; run hybrid demo {scene} first, which trains one")
-    loaded, found = with_forest(loaded, forest, bars)
+    loaded, found = with_forest(loaded, file, bars)
     if settings.used_integrator is Integrator.CACHED:
         cache_for(loaded, bars)
     return FrameSource(LiveRenderer(loaded, found))

@@ -18,7 +18,8 @@ RAW = FrameSettings(fovea="raw")
 
 
 def silent(done: int, total: int, label: str) -> None:
-    pytest.fail(f"{label} is reported")
+    if not label.startswith("plan for"):
+        pytest.fail(f"{label} is reported")
 
 
 def test_a_scene_and_its_forest_become_a_source(made):
@@ -76,7 +77,7 @@ def test_training_and_filling_are_reported(made, monkeypatch):
     monkeypatch.setattr(prepare, "cache_for", fills)
     prepared("cornell", None, "auto", True, INTERACTIVE, lambda *step: reported.append(step))
     steps = [(1, 5, "train (steps) layer 1"), (5, 5, "train (steps)"), (1, 4, "irradiance (steps)")]
-    assert reported == steps
+    assert [step for step in reported if not step[2].startswith("plan for")] == steps
 
 
 def test_a_raw_fovea_needs_no_irradiance(made, monkeypatch):
