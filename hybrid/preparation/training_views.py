@@ -42,8 +42,8 @@ def read_frames(folder: Path) -> Frames:
         if (folder / "transforms.json").exists():
             raise
         raise UserError(
-            f"{folder}: not a frame set (no transforms.json; hybrid capture makes one), nor third-party frames "
-            "in a known layout (no transforms_train.json, no dataset.json)"
+            f"{folder}: not a frame set (no transforms.json; hybrid capture makes one), nor third-party "
+            "frames in a known layout (no transforms_train.json, no dataset.json)"
         ) from None
 
 
