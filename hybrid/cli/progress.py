@@ -23,10 +23,10 @@ from rich.progress import (
 from hybrid.base.progress import Bar
 
 console = Console(stderr=True)
-# Options that messages suggest, by the settings that they name.
+# What messages suggest, by settings and by options.
 _OPTIONS = {
-    "thin_glass": "--thin-glass",
-    "most_indirect": "--clamp-indirect of `hybrid prepare`",
+    "thin_glass lets": "--thin-glass lets",
+    "most_indirect bounds": "--clamp-indirect of `hybrid prepare` bounds",
 }
 
 

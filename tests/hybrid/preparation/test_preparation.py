@@ -141,7 +141,7 @@ def test_a_target_out_of_reach_is_refused_with_what_can_be_reached(scene, tmp_pa
         ({"psnr": -1.0}, "psnr -1"),
         ({"minutes": 1.0, "psnr": 30.0}, "give one of them"),
         ({"psnr": 30.0, "held_out": 0}, "only be reached on held-out views"),
-        ({"held_out": -1}, "--held-out -1"),
+        ({"held_out": -1}, "held_out -1"),
         ({"most_indirect": 0.0}, "most_indirect 0: must be a radiance over 0"),
         ({"most_indirect": float("inf")}, "most_indirect inf"),
     ],
