@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from hybrid.api.workflow import load_forest as load_forest
     from hybrid.api.workflow import load_frames as load_frames
     from hybrid.api.workflow import load_scene as load_scene
+    from hybrid.api.workflow import plan as plan
     from hybrid.api.workflow import prepare as prepare
     from hybrid.api.workflow import train as train
     from hybrid.evaluation.evaluation_settings import EvaluationSettings as EvaluationSettings
@@ -65,6 +66,7 @@ _MODULES = {
     "load_forest": "hybrid.api.workflow",
     "load_frames": "hybrid.api.workflow",
     "load_scene": "hybrid.api.workflow",
+    "plan": "hybrid.api.workflow",
     "prepare": "hybrid.api.workflow",
     "select_backend": "pathtrace.scene.backend",
     "train": "hybrid.api.workflow",

@@ -1,12 +1,15 @@
-"""Loads scenes, frame sets and forests; captures frame sets and trains forests."""
+"""Loads scenes, frame sets and forests; plans and captures scenes, prepares and trains forests.
+
+`progress` is called with steps done, steps in total, and what is being done, such as "stage 1: frames
+(samples)"; each part of a job counts its own steps. All else is logged by the logger "hybrid".
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hybrid.base.progress import no_progress
+from hybrid.base.progress import Progress, bars_of, no_progress
 from pathtrace.scene.backend import select_backend
 
 if TYPE_CHECKING:
@@ -18,8 +21,6 @@ if TYPE_CHECKING:
     from splat.model.forest import Forest
     from splat.training.trainer import TrainingSettings
 
-Progress = Callable[[int, int], None]
-
 
 def load_scene(
     source: str | Path | dict[str, Any],
@@ -28,13 +29,18 @@ def load_scene(
     thin_glass: bool = False,
     backend: str = "auto",
 ) -> Scene:
-    """Loads a scene with the paths that are planned for it. The first call also selects the backend.
+    """Loads a scene, as its stored plan has it if there is one; renders nothing.
 
-    The plan is made in seconds when a scene is loaded for the first time, and stored in the cache folder.
+    Plans are stored in the cache folder (`hybrid.plan`, `hybrid.prepare`, `hybrid.capture` and the command
+    line make them). A scene with a plan has the path depth and the Russian roulette that are planned for it,
+    and thus another hash; one without, those of its file. Rendered with a forest, a scene without a plan
+    takes over what was planned for the forest, so that a forest fits a scene wherever it was trained.
+
+    The first call also selects the backend.
 
     Args:
         source: name of a bundled scene, path of a Mitsuba 3 XML file, or scene dictionary.
-        max_depth: path depth; as planned if None.
+        max_depth: path depth, which no plan changes; as planned, else that of the file, if None.
         thin_glass: whether panes of glass let shadow rays pass; such a scene has a hash of its own.
         backend: auto (CUDA if available), cuda or llvm; it cannot change within a process.
 
@@ -43,9 +49,35 @@ def load_scene(
             backend is not available, or thin glass is asked for and there is no pane.
     """
     select_backend(backend)
-    from hybrid.preparation.scene_plan import planned_scene
+    from hybrid.preparation.scene_plan import scene_as_stored
 
-    return planned_scene(source, max_depth, thin_glass)
+    return scene_as_stored(source, max_depth, thin_glass)
+
+
+def plan(scene: Scene, *, progress: Progress = no_progress) -> Scene:
+    """Plans a scene: looks at it and decides which paths, frames and Gaussians it requires.
+
+    The plan is made if none is stored yet, which takes seconds to minutes, and stored in the cache folder, so
+    that `load_scene` finds it. `hybrid plan` shows the decisions and changes them.
+
+    Args:
+        scene: the scene; a path depth that it was loaded with stays.
+        progress: called with parts done, parts in total, and a label.
+
+    Returns:
+        The scene as planned; `plan` has the decisions by name. As it was if it cannot be looked at, because
+        its camera sees no surface or stands in one, which is logged.
+
+    Raises:
+        UserError: the cache folder cannot be written, or the stored plan contradicts the scene.
+
+    Example:
+        >>> scene = hybrid.plan(hybrid.load_scene("room"))
+        >>> scene.plan["path depth"], scene.plan["gaussians"]
+    """
+    from hybrid.preparation.scene_plan import as_planned
+
+    return as_planned(scene, bars_of(progress))
 
 
 def capture(
@@ -58,11 +90,14 @@ def capture(
 ) -> FrameSet:
     """Renders a frame set for training; resumes if interrupted.
 
+    Frames are of the scene as planned, and take down the plan for their training. It is made if there is
+    none.
+
     Args:
         scene: what to render.
         folder: of the frame set; created if it does not exist.
         settings: what to capture; the defaults of CaptureSettings if None.
-        progress: called with samples done and samples in total.
+        progress: called with steps done, steps in total, and a label.
         integrator: of training frames; held-out frames are always unbiased.
 
     Raises:
@@ -70,42 +105,54 @@ def capture(
             the scene leaves no room for that many views.
     """
     from hybrid.base.cache_folder import keep_receipt
+    from hybrid.preparation.scene_plan import as_planned
     from hybrid.render.irradiance import cache_for
     from pathtrace.dataset.capture import capture as run
     from pathtrace.dataset.frame_set import CaptureSettings
     from pathtrace.trace.integrator import Integrator, integrator_named
 
-    cache = cache_for(scene) if integrator_named(integrator) is Integrator.CACHED else None
-    frames = run(scene, Path(folder), settings or CaptureSettings(), progress, cache)
+    bars, is_cached = bars_of(progress), integrator_named(integrator) is Integrator.CACHED
+    scene = as_planned(scene, bars)
+    cache = cache_for(scene, bars) if is_cached else None
+    with bars("capture (samples)") as bar:
+        frames = run(scene, Path(folder), settings or CaptureSettings(), bar, cache)
     keep_receipt(frames)
     return frames
 
 
 def prepare(
-    scene: Scene, settings: PreparationSettings | None = None, path: Path | str | None = None
+    scene: Scene,
+    settings: PreparationSettings | None = None,
+    path: Path | str | None = None,
+    *,
+    progress: Progress = no_progress,
 ) -> Forest:
-    """Captures and trains in turns, from nothing to a forest, without telling how far it is.
+    """Captures and trains in turns, from nothing to a forest; resumes if interrupted.
+
+    A plan is made first if the scene has none.
 
     Args:
         scene: what to prepare.
         settings: how far, and in which region; the defaults of PreparationSettings if None.
         path: forest file to write; the forest becomes the newest one of its scene in any case.
+        progress: called with steps done, steps in total, and a label.
 
     Raises:
         UserError: the region has no free space, a target cannot be reached, or a file cannot be written.
     """
-    from hybrid.base.progress import no_bars
     from hybrid.preparation.preparation import prepare as run
+    from hybrid.preparation.scene_plan import as_planned
     from splat.io.forest_file import save_forest
 
-    forest = run(scene, settings, no_bars).forest
+    bars = bars_of(progress)
+    forest = run(as_planned(scene, bars), settings, bars).forest
     if path is not None:
         save_forest(Path(path), forest)
     return forest
 
 
 def load_frames(folder: Path | str) -> Frames:
-    """Loads a captured frame set, or a folder of other people's images with cameras and times.
+    """Loads a captured frame set, or a folder of third-party images with cameras and times.
 
     Raises:
         UserError: the folder is neither, incomplete or damaged.
@@ -126,8 +173,8 @@ def train(
     Args:
         frames: to train on.
         path: forest file to write.
-        settings: how to train; the defaults of TrainingSettings if None.
-        progress: called with steps done and steps in total.
+        settings: how to train; as planned for the frames' scene if None.
+        progress: called with steps done, steps in total, and a label.
 
     Raises:
         UserError: a frame is damaged, there are none to train on, or the file cannot be written.
@@ -135,7 +182,8 @@ def train(
     select_backend()
     from hybrid.preparation.forest_training import train as run
 
-    return run(frames, Path(path), settings, progress)
+    with bars_of(progress)("train (steps)") as bar:
+        return run(frames, Path(path), settings, bar)
 
 
 def load_forest(path: Path | str) -> Forest:

@@ -13,8 +13,8 @@ from typing import Annotated, Any
 import typer
 
 from compose.base.errors import UserError
-from hybrid.base.progress import progress_bar
 from hybrid.cli import options as o
+from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import DEFAULTS, INTERACTIVE, FrameSettings
 
 _WARM_UP = 5
@@ -58,7 +58,7 @@ def integrator(
     from hybrid.base.identity import machine
     from hybrid.bench.integrator_bench import bench_integrator
 
-    loaded = o.loaded_scene(scene, max_depth, thin_glass)
+    loaded = o.planned_scene(scene, max_depth, thin_glass)
     with progress_bar("bench (samples)") as bar:
         found = bench_integrator(loaded, o.sized(loaded.camera, size), reference_spp, repeats, bar)
     cache = found["cache"]
@@ -95,10 +95,10 @@ def periphery(
     o.select(backend)
     from hybrid.base.identity import machine
     from hybrid.bench.periphery_bench import bench_periphery, display_camera
-    from hybrid.preparation.preparation import forest_for
+    from hybrid.preparation.preparation import with_forest
 
     loaded = o.loaded_scene(scene, None, thin_glass)
-    found = forest_for(loaded, forest)
+    loaded, found = with_forest(loaded, forest, progress_bar)
     camera = display_camera(loaded.camera, settings.display)
     with progress_bar("bench (rounds)") as bar:
         rows = bench_periphery(found, camera, settings, repeats, warm_up, bar)
@@ -159,10 +159,10 @@ def frame(
     from compose import LLVM
     from hybrid.base.compute_device import device_arrays
     from hybrid.bench.frame_bench import bench_frame
-    from hybrid.preparation.preparation import forest_for
+    from hybrid.preparation.preparation import with_forest
 
     loaded = o.loaded_scene(scene, None, thin_glass)
-    found = forest_for(loaded, forest)
+    loaded, found = with_forest(loaded, forest, progress_bar)
     with progress_bar("bench (rounds)") as bar:
         rows = bench_frame(loaded, found, settings, sizes, repeats, warm_up, seed, bar)
     if backend == "auto" and device_arrays().backend == "cuda" and not isinstance(LLVM, UserError):
@@ -224,13 +224,13 @@ def moving(
     o.select(backend)
     from hybrid.base.identity import machine
     from hybrid.bench.moving_bench import bench_moving, require_moving
-    from hybrid.preparation.preparation import forest_for
+    from hybrid.preparation.preparation import with_forest
     from splat.io.forest_file import load_forest
 
     loaded = o.loaded_scene(scene, None, thin_glass)
     require_moving(loaded)
     settings = replace(INTERACTIVE, spp=spp, camera=o.sized(loaded.camera, size))
-    found = forest_for(loaded, forest)
+    loaded, found = with_forest(loaded, forest, progress_bar)
     others = {file.stem: load_forest(file) for file in against or ()}
     with progress_bar("bench (clips)") as bar:
         rows = bench_moving(loaded, found, settings, reference_spp, bar, others)

@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-from hybrid.base.progress import progress_bar
 from hybrid.cli import options as o
+from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import MOST_SPP
 from pathtrace.trace.integrator import Integrator, integrator_named
 
@@ -69,7 +69,7 @@ def capture(
     o.require_size(size)
     is_cached = integrator_named(integrator) is Integrator.CACHED
     start = time.perf_counter()
-    loaded = o.loaded_scene(scene, max_depth, thin_glass)
+    loaded = o.planned_scene(scene, max_depth, thin_glass)
     settings = replace(settings, spp=spp or loaded.plan.get(SAMPLES, FIXED_SAMPLES))
     cache = cache_for(loaded, progress_bar) if is_cached else None
     with progress_bar("capture (samples)") as bar:

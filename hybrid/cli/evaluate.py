@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from hybrid.base.progress import progress_bar
 from hybrid.cli import options as o
+from hybrid.cli.progress import progress_bar
 from hybrid.evaluation.evaluation_settings import EvaluationSettings
 from hybrid.render.frame_settings import EVALUATION, FrameSettings
 
@@ -67,15 +67,17 @@ def evaluate(
     from hybrid.base.identity import require_scene
     from hybrid.evaluation.results import verdicts
     from hybrid.measure.frame_quality import missing
-    from hybrid.preparation.preparation import forest_for
+    from hybrid.preparation.preparation import with_forest
+    from hybrid.render.forest_attachments import scene_as_trained
     from splat.io.forest_file import load_forest
 
     loaded = o.loaded_scene(scene, None, thin_glass)
     if baseline_forest is not None:
         # Refused before any bar appears, and before a forest is trained.
-        require_scene(load_forest(baseline_forest), loaded.name, loaded.hash, baseline_forest)
+        flat = load_forest(baseline_forest)
+        require_scene(flat, loaded.name, scene_as_trained(loaded, flat).hash, baseline_forest)
     # Training shows bars of its own.
-    trained = forest_for(loaded, forest)
+    loaded, trained = with_forest(loaded, forest, progress_bar)
     o.fill_irradiance(loaded, frame)
     with progress_bar("evaluate") as bar:
         found = run(
@@ -84,7 +86,7 @@ def evaluate(
             report,
             settings,
             baseline_forest=baseline_forest,
-            progress=lambda what, done, total: bar(int(1000 * done / total), 1000, what),
+            progress=lambda done, total, what: bar(int(1000 * done / total), 1000, what),
         )
     o.write_json(json_file, found)
     for line in (*missing(), *verdicts(found), report / "index.html"):

@@ -66,7 +66,8 @@ def import_file(
         o.select("auto")
         from pathtrace.gltf.importing import DEFAULT_FPS, import_gltf
 
-        found = import_gltf(source, target, fps or DEFAULT_FPS, animation)
+        with o.option_names("animation", "fps"):
+            found = import_gltf(source, target, fps or DEFAULT_FPS, animation)
         moving = f"{found.rigid} move rigidly, {found.deforming} deform, in {found.seconds:g} s"
         print(f"{found.scene}: {found.triangles:,} triangles; {moving if found.seconds else 'nothing moves'}")
         for remark in found.remarks:

@@ -15,6 +15,7 @@ from hybrid.cli.evaluate import evaluate
 from hybrid.cli.exchange import export_ply, import_file
 from hybrid.cli.plan import plan
 from hybrid.cli.prepare import prepare
+from hybrid.cli.progress import messages_as_lines
 from hybrid.cli.quickstart import quickstart
 from hybrid.cli.render import render
 from hybrid.cli.scenes import scenes
@@ -37,7 +38,8 @@ app.add_typer(bench_app, name="bench")
 def main() -> None:
     """Entry point: a user's mistake is one line and exit code 2."""
     try:
-        app()
+        with messages_as_lines():
+            app()
     except UserError as error:
         print(f"hybrid: {error}", file=sys.stderr)
         sys.exit(2)

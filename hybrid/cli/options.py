@@ -7,6 +7,7 @@ once, and a missing package or LLVM is one line instead of a traceback.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -17,7 +18,7 @@ import typer
 
 from compose.base.errors import MOST_SEED, UserError
 from compose.base.files import json_text, write_whole
-from hybrid.base.progress import progress_bar
+from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import MOST_SPP
 from splat.model.choices import Precision
 
@@ -165,6 +166,23 @@ def user_errors() -> Iterator[None]:
         raise UserError(str(error)) from error
 
 
+@contextmanager
+def option_names(*settings: str, **options: str) -> Iterator[None]:
+    """Names options in place of settings in front of the colon of a UserError.
+
+    Args:
+        settings: those whose options have the same name.
+        options: names of other options, by setting.
+    """
+    try:
+        yield
+    except UserError as error:
+        named, colon, said = str(error).partition(":")
+        for setting, option in ({name: name.replace("_", "-") for name in settings} | options).items():
+            named = re.sub(rf"\b{setting}\b", f"--{option}", named, count=1)
+        raise UserError(f"{named}{colon}{said}") from error
+
+
 def select(backend: str) -> None:
     """Selects what everything runs on, before the first import that depends on it."""
     from pathtrace.scene.backend import select_backend
@@ -173,10 +191,17 @@ def select(backend: str) -> None:
 
 
 def loaded_scene(source: str, max_depth: int | None = None, thin_glass: bool = False) -> Scene:
-    """A scene by a bundled name or from a Mitsuba XML file, as planned; the plan is made if there is none."""
-    from hybrid.preparation.scene_plan import planned_scene
+    """A scene by a bundled name or from a Mitsuba XML file, as its stored plan has it if there is one."""
+    from hybrid.preparation.scene_plan import scene_as_stored
 
-    return planned_scene(source, max_depth, thin_glass, progress_bar)
+    return scene_as_stored(source, max_depth, thin_glass)
+
+
+def planned_scene(source: str, max_depth: int | None = None, thin_glass: bool = False) -> Scene:
+    """As `loaded_scene`, with a plan that is made if there is none."""
+    from hybrid.preparation.scene_plan import planned_scene as load
+
+    return load(source, max_depth, thin_glass, progress_bar)
 
 
 def fill_irradiance(scene: Scene, settings: FrameSettings) -> None:

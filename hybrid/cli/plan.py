@@ -7,8 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from hybrid.base.progress import progress_bar
+from compose.base.errors import UserError
 from hybrid.cli import options as o
+from hybrid.cli.progress import progress_bar
 
 
 def plan(
@@ -34,7 +35,8 @@ def plan(
 ) -> None:
     """Analyse a scene for a few seconds, and decide what it requires of the renderers, and why.
 
-    All commands default to the newest plan of a scene; without one, they make it themselves.
+    All commands take the newest plan of a scene as their default; those that capture or prepare make it
+    if there is none.
     """
     o.select(backend)
     from compose.eye.display import display_named
@@ -44,7 +46,11 @@ def plan(
     from hybrid.render.image_files import check_writable
     from pathtrace.scene.scene import load_scene
 
-    shown, wanted = display_named(display), parsed(override or ())
+    shown = display_named(display)
+    try:
+        wanted = parsed(override or ())
+    except UserError as error:
+        raise UserError(f"--set {error}") from error
     if picture is not None:
         check_writable(picture)
     loaded = load_scene(scene, None, thin_glass)

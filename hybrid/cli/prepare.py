@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from hybrid.cli import options as o
+from hybrid.cli.progress import progress_bar
 
 _MOST_VIEWS = 10_000
 
@@ -49,9 +50,10 @@ def prepare(
     started = time.perf_counter()
     from hybrid.preparation.stages import PreparationSettings
 
-    settings = PreparationSettings(
-        region or "near", quality, minutes, psnr, held_out, size, clamp_indirect, seed
-    )
+    with o.option_names("quality", "minutes", "psnr", "held_out", most_indirect="clamp-indirect"):
+        settings = PreparationSettings(
+            region or "near", quality, minutes, psnr, held_out, size, clamp_indirect, seed
+        )
     o.require_size(size)
     o.select(backend)
     from hybrid.preparation.decisions import REGION
@@ -60,9 +62,9 @@ def prepare(
 
     if forest is not None:
         check_writable(forest)
-    loaded = o.loaded_scene(scene, max_depth, thin_glass)
+    loaded = o.planned_scene(scene, max_depth, thin_glass)
     settings = replace(settings, region=region or str(loaded.plan.get(REGION, settings.region)))
-    prepared = run(loaded, settings, started=started)
+    prepared = run(loaded, settings, progress_bar, started=started)
     facts = prepared.facts
     if forest is not None:
         shutil.copyfile(facts["forest"], forest)

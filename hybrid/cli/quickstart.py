@@ -9,6 +9,7 @@ import typer
 
 from compose.base.errors import UserError
 from hybrid.cli import options as o
+from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import DEFAULTS, FrameSettings
 
 
@@ -34,7 +35,7 @@ def quickstart(
     if not settings.foveation.region(SIZE, SIZE).count:
         raise UserError(f"--fov-a {fov_a}: there is no fovea to show, it holds no pixel of {SIZE} x {SIZE}")
     check_writable(out / "result.json")
-    result = run(o.loaded_scene(scene, None, thin_glass), out, settings, seed)
+    result = run(o.planned_scene(scene, None, thin_glass), out, settings, seed, progress_bar)
     o.write_json(out / "result.json", result)
     o.write_json(json_file, result)
     print(

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from compose.base.errors import UserError, one_line
-from hybrid.base.progress import progress_bar
 from hybrid.cli import options as o
+from hybrid.cli.progress import progress_bar
 from hybrid.cli.render_frames import (
     refuse_tracing,
     render_splats,
@@ -177,7 +177,7 @@ def render(
         return
     from compose.fovea.foveation import FoveaMode
     from hybrid.preparation.decisions import DENOISING, RAW
-    from hybrid.preparation.preparation import forest_for
+    from hybrid.preparation.preparation import with_forest
 
     loaded = o.loaded_scene(scene, max_depth, thin_glass)
     if time and loaded.moving is None:
@@ -187,7 +187,7 @@ def render(
     command = measuring_command(scene, forest, pixels, settings, display, backend)
     target = Target(target_ms, target_jod, command)
     target.require_forest(loaded, forest)
-    found = forest_for(loaded, forest)
+    loaded, found = with_forest(loaded, forest, progress_bar)
     if fovea is None and loaded.plan.get(DENOISING) == RAW:
         settings = replace(settings, fovea=FoveaMode.RAW)
     settings = target.applied(loaded, found, replace(settings, camera=own))

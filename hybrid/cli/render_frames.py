@@ -11,8 +11,8 @@ import typer
 
 from compose.base.errors import UserError
 from compose.camera.camera import View
-from hybrid.base.progress import progress_bar
 from hybrid.cli import options as o
+from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import FrameSettings, aovs_of_file
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from compose.base.errors import UserError
-from hybrid.base.progress import progress_bar
 from hybrid.cli import options as o
+from hybrid.cli.progress import progress_bar
 from hybrid.render.frame_settings import SWEEP, FrameSettings
 
 
@@ -69,14 +69,14 @@ def sweep(
     o.select(backend)
     from hybrid.evaluation.evaluation_page import write_report
     from hybrid.evaluation.sweep_run import sweep as run
-    from hybrid.preparation.preparation import forest_for
+    from hybrid.preparation.preparation import with_forest
 
     loaded = o.loaded_scene(scene, None, thin_glass)
     if report is not None:
         _check_report(report, loaded.name)
     base = Setting(o.sized(loaded.camera, size), settings)
+    loaded, found = with_forest(loaded, forest, progress_bar)
     o.fill_irradiance(loaded, settings)
-    found = forest_for(loaded, forest)
 
     def write(content: dict[str, Any]) -> None:
         o.write_json(json_file, content)

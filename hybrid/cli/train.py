@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hybrid.base.progress import progress_bar
 from hybrid.cli import options as o
+from hybrid.cli.progress import progress_bar
 from splat.model.choices import Labels, MotionModel, Precision
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def train(
         # What is given is checked before the frames are read.
         planned_settings(None, **given)
     found = read_frames(frames)
-    with o.user_errors():
+    with o.user_errors(), o.option_names("motion", "labels"):
         settings = planned_settings(found, **given, motion=motion_for(found, motion, labels), labels=labels)
     check_writable(forest)
     if isinstance(found, PosedFolder):

@@ -34,7 +34,7 @@ from hybrid.evaluation.methods import SplatsAlone
 from hybrid.evaluation.result_keys import OURS
 from hybrid.measure.reference import REFERENCE_SEED, Reference, reference
 from hybrid.measure.regions import regions
-from hybrid.preparation.scene_plan import plan_of_forest
+from hybrid.render.forest_attachments import plan_of_forest
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.image_files import read_exr, write_exr
 from hybrid.render.periphery import Periphery
@@ -71,8 +71,10 @@ class Evaluation:
         # All methods trace in the same way, raw foveas as well; only references are always unbiased.
         integrator = settings.frame.used_integrator
         settings = replace(settings, frame=replace(settings.frame, integrator=integrator))
-        self.scene, self.settings, self.folder = scene, settings, folder
         self.renderer, self.forest = Renderer(scene, forest), forest
+        # As the forest was trained for it.
+        self.scene = scene = self.renderer.scene
+        self.settings, self.folder = settings, folder
         self.tracer, self.baseline_tracer = self.renderer.tracer, self.renderer.tracer_of(integrator)
         self.splats = SplatsAlone(Periphery(device_arrays(), forest))
         self.flat = None if flat is None else SplatsAlone(Periphery(device_arrays(), flat))

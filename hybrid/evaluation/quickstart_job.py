@@ -13,7 +13,7 @@ import numpy as np
 from compose.camera.camera import View
 from compose.image.colour import Image
 from hybrid.base.identity import machine
-from hybrid.base.progress import progress_bar
+from hybrid.base.progress import Bars, no_bars
 from hybrid.evaluation.comparison import compare
 from hybrid.evaluation.quickstart_page import write_page
 from hybrid.measure.image_metrics import quality, registration_px
@@ -42,7 +42,9 @@ _TIMES = (
 )
 
 
-def quickstart(scene: Scene, folder: Path, settings: FrameSettings, seed: int) -> dict[str, Any]:
+def quickstart(
+    scene: Scene, folder: Path, settings: FrameSettings, seed: int, bars: Bars = no_bars
+) -> dict[str, Any]:
     """Captures, trains, renders and measures; writes images and a page.
 
     All figures of frames are those of views that nothing was fitted to; the images are of the first of them.
@@ -51,21 +53,23 @@ def quickstart(scene: Scene, folder: Path, settings: FrameSettings, seed: int) -
         folder: for everything that is written, including frame set and forest.
         settings: of the frame; the disc must contain a pixel of a frame of SIZE x SIZE.
         seed: same seed, same images on the same machine.
+        bars: show the progress of each part.
 
     Returns:
         The content of result.json.
     """
     start = time.perf_counter()
-    made = make_quick_forest(scene, folder, seed)
-    held_out = held_out_quality(made.frames, made.forest)
+    forest, frames = make_quick_forest(scene, folder, seed, bars)
+    seconds = {"prepare": time.perf_counter() - start}
+    held_out = held_out_quality(frames, forest)
     before = time.perf_counter()
     views = unseen_views(scene, _VIEWS, SIZE, SIZE)
-    renderer = Renderer(scene, made.forest)
-    with progress_bar("references") as bar:
+    renderer = Renderer(scene, forest)
+    with bars("references") as bar:
         judged = judged_views(renderer, views, settings, _REFERENCE_SPP, seed, bar)
-    with progress_bar("frames (rounds)") as bar:
+    with bars("frames (rounds)") as bar:
         times = compare(renderer, views, settings, _REPEATS, _WARM_UP, bar)
-    seconds = {**made.seconds, "render": time.perf_counter() - before}
+    seconds["render"] = time.perf_counter() - before
     shown = judged[0]
     shown.frame.save(folder / "hybrid.exr")
     images = {"hybrid": shown.frame.composite, "reference": shown.reference, "splat": shown.splats}
@@ -83,7 +87,7 @@ def quickstart(scene: Scene, folder: Path, settings: FrameSettings, seed: int) -
         "layers": held_out,
         **judged_quality(judged),
         **{key: times[key] for key in _TIMES},
-        "gaussians": len(made.forest.finest),
+        "gaussians": len(forest.finest),
         "reference_spp": _REFERENCE_SPP,
         "machine": machine(),
     }

@@ -18,7 +18,7 @@ from compose.image.colour import luminance, srgb_from_radiance
 from hybrid.preparation.scene_look import HALF_SPP, Look
 from pathtrace.dataset.frame_error import frame_error, mean_frame_error
 from pathtrace.region.viewing_regions import NEAR
-from pathtrace.scene.scene import RUSSIAN_ROULETTE_DEPTH, Scene
+from pathtrace.scene.scene import DEPTH, ROULETTE, RUSSIAN_ROULETTE_DEPTH, Scene
 from pathtrace.trace.path_depths import MOST_SEGMENTS, UNBOUNDED, depth_shares, path_costs
 from splat.model.gaussians import MAX_DEGREE, sh_count
 
@@ -56,7 +56,6 @@ MOST_BIAS = 0.005
 _PATHS, _COSTED = 1 << 15, 1 << 13
 # Depths of roulette that are tried beside the usual one, and the least gain for another one, or for a bound.
 _TRIED, _LEAST_PATH_GAIN = (3, 8), 1.1
-DEPTH, ROULETTE = "path depth", "roulette depth"
 
 
 def path_decisions(scene: Scene, cameras: Sequence[Camera], seed: int) -> list[Decision]:
@@ -212,7 +211,7 @@ def sample_decisions(look: Look) -> list[Decision]:
     """Samples per pixel of training frames, and whether to denoise frames of few samples.
 
     Both errors are stated from two independent halves: that of a raw half from their difference, that of the
-    frame denoised from both as of pathtrace.dataset.frame_error. Squared noise falls with the samples, which
+    frame denoised from both as in pathtrace.dataset.frame_error. Squared noise falls with the samples, which
     tells how many raw frames take to be as close to the truth.
     """
     apart = [

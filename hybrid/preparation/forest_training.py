@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,13 +14,12 @@ import torch
 
 from compose.base.errors import UserError, one_line
 from hybrid.base.compute_device import device_arrays
-from hybrid.base.progress import console, interrupts_between_steps, no_progress
+from hybrid.base.progress import interrupts_between_steps, no_progress
 from hybrid.preparation.decisions import DEGREE, FRAME_PRECISION, HALF, LAYERS, Value
 from hybrid.preparation.fusion_training import fusion_steps, with_fusion
 from hybrid.preparation.gaussian_count import GAUSSIANS
-from hybrid.preparation.scene_plan import attach_plan
 from hybrid.preparation.training_views import Frames, labelled_views, motion_for, pieces_of
-from hybrid.render.forest_attachments import attach_views
+from hybrid.render.forest_attachments import attach_plan, attach_views
 from pathtrace.dataset.frame_set import FrameSet
 from pathtrace.scene.courses import Course
 from splat.io.compact import compact
@@ -33,6 +33,7 @@ from splat.model.motion import Motion
 from splat.training.trainer import Trainer, TrainingSettings, most_layers
 from splat.training.training_view import finest_focal
 
+_LOG = logging.getLogger("hybrid")
 _PLANNED = {"gaussians": GAUSSIANS, "layers": LAYERS, "degree": DEGREE}
 
 
@@ -40,11 +41,11 @@ def planned_settings(frames: Frames | None, **given: Any) -> TrainingSettings:
     """Settings of a training: as given, else as planned for the scene of the frames, else their defaults.
 
     Args:
-        frames: to train on; those of others have no plan, and None has none.
+        frames: to train on; None and third-party frames have no plan.
         given: fields of TrainingSettings; None counts as not given.
 
     Raises:
-        UserError, ValueError: as of TrainingSettings.
+        UserError, ValueError: as in TrainingSettings.
     """
     plan = _plan(frames)
     planned = {field: int(plan[name]) for field, name in _PLANNED.items() if name in plan}
@@ -116,10 +117,9 @@ class LeftOut:
 def say_left_out(left_out: LeftOut) -> None:
     """Says in one line what a training did not learn from; nothing if it learnt from all."""
     if left_out.frames or left_out.steps:
-        console.print(
+        _LOG.warning(
             f"Left out of the training: {left_out.frames} frames with numbers that are not finite, and "
-            f"{left_out.steps} steps whose gradient was not.",
-            soft_wrap=True,
+            f"{left_out.steps} steps whose gradient was not."
         )
 
 
@@ -148,7 +148,7 @@ def train(
     """Trains a forest, fits the fusion to it, and writes both to one file; resumes if interrupted.
 
     Args:
-        frames: to train on; those of others have no estimates to fit a fusion to.
+        frames: to train on; third-party ones have no estimates to fit a fusion to.
         path: forest file to write; a checkpoint is kept beside it until training is complete.
         settings: how to train; as planned for the frames' scene if None.
         progress: called with steps done and steps in total.

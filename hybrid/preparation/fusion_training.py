@@ -88,8 +88,8 @@ def fusion_verdicts(forest: Forest) -> list[dict[str, Any]]:
 def _usable(frames: Frames) -> list[tuple[int, FrameEntry]]:
     """Number and entry of the views that training has not seen and that are large enough for an example.
 
-    Close-ups have the number of the view that they are parts of: that at the same place. Frames of others
-    have no estimates.
+    Close-ups have the number of the view that they are parts of: that at the same place. Third-party
+    frames have no estimates.
     """
     if not isinstance(frames, FrameSet):
         return []

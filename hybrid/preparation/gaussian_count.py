@@ -25,7 +25,7 @@ _ORDINARY_SHARE = 0.46
 
 
 def complexity_of(frames: Iterable[Image]) -> float:
-    """Share of frames (H, W, 3) that shows edges and texture, over that of `room`; as of `Needs.of`."""
+    """Share of frames (H, W, 3) that shows edges and texture, over that of `room`; for `Needs.of`."""
     return float(np.mean([detailed(frame).mean() for frame in frames]) / _ORDINARY_SHARE)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -13,14 +14,14 @@ from compose.base.errors import UserError
 from hybrid.base.cache_folder import newest_forest, scene_folder, store_forest
 from hybrid.base.identity import require_scene, short_hash
 from hybrid.base.journal import Journal
-from hybrid.base.progress import Bars, console, progress_bar
+from hybrid.base.progress import Bars, no_bars
 from hybrid.preparation.decisions import CONVERGED_DB, LAYERS, SAMPLES
 from hybrid.preparation.forest_training import planned_settings, train
 from hybrid.preparation.fusion_training import with_fusion
 from hybrid.preparation.gaussian_count import breadth_of, planned_needs
 from hybrid.preparation.held_out import Judges
 from hybrid.preparation.lighting import light_over_time
-from hybrid.preparation.scene_plan import plan_of_forest, require_plan
+from hybrid.preparation.scene_plan import as_planned, require_plan
 from hybrid.preparation.stage_frames import (
     Pass,
     clamping_bias,
@@ -31,6 +32,7 @@ from hybrid.preparation.stage_frames import (
 )
 from hybrid.preparation.stage_planner import Clock, Planner
 from hybrid.preparation.stages import PreparationSettings
+from hybrid.render.forest_attachments import plan_of_forest, scene_as_trained
 from hybrid.render.irradiance import cache_for
 from pathtrace.dataset.capture import capture
 from pathtrace.dataset.frame_set import CaptureSettings, FrameSet, read_frame_set
@@ -46,6 +48,7 @@ from splat.io.forest_file import load_forest, save_forest
 from splat.model.dynamic_light import SurfaceLight
 from splat.model.forest import Forest
 
+_LOG = logging.getLogger("hybrid")
 # What the fusion is fitted to: views with unbiased frames, and parts of them.
 FUSION_CAPTURE = CaptureSettings(views=1, held_out=4, spp=1, held_out_spp=64)
 # The resolutions of these parts, by the scale of the finest frames: around that of the splats, and twice as
@@ -71,7 +74,7 @@ class Prepared:
 def prepare(
     scene: Scene,
     settings: PreparationSettings | None = None,
-    bars: Bars = progress_bar,
+    bars: Bars = no_bars,
     folder: Path | None = None,
     started: float | None = None,
 ) -> Prepared:
@@ -79,7 +82,7 @@ def prepare(
 
     Args:
         scene: what to prepare.
-        settings: how far, and what judges it; the defaults of PreparationSettings if None.
+        settings: how far to go, and which views validate it; the defaults of PreparationSettings if None.
         bars: show the progress of each part.
         folder: for everything that is written; a folder of the scene's in the cache by default.
         started: time.perf_counter() from which the time counts; now if None.
@@ -90,7 +93,7 @@ def prepare(
     settings = settings or PreparationSettings()
     start = time.perf_counter() if started is None else started
     for difficulty in light_difficulties(scene):
-        console.print(str(difficulty), soft_wrap=True)
+        _LOG.warning("%s", difficulty)
     # As many samples as there is time for, where they help.
     scene = replace(scene, plan={name: value for name, value in scene.plan.items() if name != SAMPLES})
     surfaces = Surfaces(scene)
@@ -101,8 +104,10 @@ def prepare(
     folder.mkdir(parents=True, exist_ok=True)
     journal = Journal(folder / "job.json", identity)
     clock = Clock(journal, start)
+    breadth = journal.once("breadth", lambda: breadth_of(region, surfaces, settings.seed))
+    planner = Planner(settings, journal, clock, planned_needs(scene.plan, settings.region, breadth))
     try:
-        return _Job(scene, region, surfaces, settings, bars, folder, journal, clock).run()
+        return _Job(scene, region, settings, bars, folder, planner).run()
     finally:
         # An interrupted job continues with the time that it took so far.
         clock.keep()
@@ -115,18 +120,14 @@ class _Job:
         self,
         scene: Scene,
         region: Region,
-        surfaces: Surfaces,
         settings: PreparationSettings,
         bars: Bars,
         folder: Path,
-        journal: Journal,
-        clock: Clock,
+        planner: Planner,
     ):
         self._scene, self._region, self._settings = scene, region, settings
-        self._bars, self._folder, self._journal, self._clock = bars, folder, journal, clock
-        breadth = journal.once("breadth", lambda: breadth_of(region, surfaces, settings.seed))
-        needs = planned_needs(scene.plan, settings.region, breadth)
-        self._planner = Planner(settings, journal, clock, needs)
+        self._bars, self._folder, self._planner = bars, folder, planner
+        self._journal, self._clock = planner.journal, planner.clock
         self._passes: list[Pass] = []
         self._curve: list[dict[str, Any]] = []
 
@@ -157,13 +158,8 @@ class _Job:
         with self._clock.stopped():
             cameras = self._region.views(_JUDGED_BIAS, *self._settings.size, self._settings.seed)
             share = clamping_bias(bounded, tracer, cameras, self._settings.seed)
-        console.print(f"bounding indirect light removed {100 * share:.2g} % of the radiance", soft_wrap=True)
+        _LOG.info("bounding indirect light removed %.2g %% of the radiance", 100 * share)
         return share
-
-    @property
-    def _number(self) -> int:
-        """Of the stage, from 0."""
-        return len(self._planner.stages) - 1
 
     def _judges(self, tracer: Tracer) -> Judges:
         """The held-out views; their time does not count."""
@@ -175,7 +171,7 @@ class _Job:
 
     def _staged(self, frames: GrowingFrames, before: Forest | None) -> Forest:
         """The forest after a stage; trained now, unless it is in the folder."""
-        number = self._number
+        number = self._planner.number
         path = self._folder / f"stage-{number}.safetensors"
         if self._planner.is_finished and path.is_file():
             self._passes.append(Pass(**self._journal[f"pass {number}"]))
@@ -184,10 +180,10 @@ class _Job:
         views = views_of(self._region, stages, self._settings.seed)
         with self._bars(f"stage {number + 1}: frames (samples)") as bar:
             frames.grow(wanted_of(frames, views, stages[-1], before), bar)
-        seconds = self._planner.framed()
+        seconds = self._planner.lap("frame")
         found = read_frame_set(frames.folder)
         light = self._light(found, stages[-1].gaussians)
-        self._planner.lit()
+        self._planner.lap("light")
         traced = self._journal.once(f"pass {number}", lambda: asdict(self._pass(frames, seconds)))
         self._passes.append(Pass(**traced))
         forest = self._trained(found, light, path, before)
@@ -204,7 +200,7 @@ class _Job:
         self, frames: FrameSet, light: SurfaceLight | None, path: Path, before: Forest | None
     ) -> Forest:
         """The forest of a stage, in as many steps as there is time for."""
-        stage, number = self._planner.stages[-1], self._number
+        stage, number = self._planner.stages[-1], self._planner.number
         # More layers than the display tells apart are none that a frame draws.
         layers = min(stage.layers, frames.plan.get(LAYERS, stage.layers)) if number else 1
         seed = self._settings.seed + number
@@ -213,7 +209,7 @@ class _Job:
         )
         with self._bars(f"stage {number + 1}: forest (steps)") as bar:
             forest = train(frames, path, settings, bar, start=before, light=light)
-        self._planner.trained()
+        self._planner.lap("training")
         return forest
 
     def _light(self, frames: FrameSet, gaussians: int) -> SurfaceLight | None:
@@ -225,7 +221,7 @@ class _Job:
 
     def _judge(self, judges: Judges, forest: Forest) -> None:
         """Adds a row to the curve."""
-        number = self._number
+        number = self._planner.number
 
         def row() -> dict[str, Any]:
             seconds = self._clock.seconds()
@@ -239,11 +235,8 @@ class _Job:
         if "psnr" in shown:
             psnr, least, ssim = (shown[name] for name in ("psnr", "least_psnr", "ssim"))
             quality = f", held-out views {psnr:.2f} dB, least {least:.2f} dB, SSIM {ssim:.4f}"
-        console.print(
-            f"{shown['seconds']:.0f} s: {sum(stage.views for stage in self._planner.stages)} views, "
-            f"{shown['gaussians']:,} Gaussians{quality}",
-            soft_wrap=True,
-        )
+        views = sum(stage.views for stage in self._planner.stages)
+        _LOG.info(f"{shown['seconds']:.0f} s: {views} views, {shown['gaussians']:,} Gaussians{quality}")
 
     def _with_fusion(self, forest: Forest) -> Forest:
         """The forest with a fusion fitted to it, of which single frames make use."""
@@ -284,11 +277,10 @@ class _Job:
         """Names frames that are noisier than a forest is likely to be wrong, and what would help."""
         if facts["converging_seconds"] is not None:
             last = self._passes[-1]
-            console.print(
+            _LOG.warning(
                 f"{self._scene.name}: light converges slowly; frames have {last.error_db:.1f} dB after "
                 f"{last.seconds:.0f} s of tracing, {CONVERGED_DB:g} dB would take about "
-                f"{facts['converging_seconds']:.0f} s",
-                soft_wrap=True,
+                f"{facts['converging_seconds']:.0f} s"
             )
 
     def _require_target(self, facts: dict[str, Any]) -> None:
@@ -305,43 +297,43 @@ class _Job:
 _QUALITY = "draft"
 
 
-@dataclass(frozen=True)
-class QuickForest:
-    """A forest made with the quick settings.
+def found_forest(scene: Scene, given: Path | None, bars: Bars = no_bars) -> tuple[Scene, Path | None]:
+    """A scene and its forest file: the given one, else the newest one in the cache; None if there is none.
 
-    Attributes:
-        forest: the forest.
-        frames: what its fusion was fitted to, with held-out views that judge its layers.
-        seconds: the time that "prepare" took.
+    A scene that has none is planned: there may be a forest of it as planned.
     """
+    path = given or newest_forest(scene)
+    if path is None:
+        scene = as_planned(scene, bars)
+        path = newest_forest(scene)
+    return scene, path
 
-    forest: Forest
-    frames: FrameSet
-    seconds: dict[str, float]
 
+def with_forest(scene: Scene, given: Path | None, bars: Bars = no_bars) -> tuple[Scene, Forest]:
+    """A scene and its forest: the given one, else the newest one in the cache, else one that is prepared now.
 
-def forest_for(scene: Scene, given: Path | None, bars: Bars = progress_bar) -> Forest:
-    """The given forest, else the newest one of the scene in the cache, else one that is prepared now.
+    With a forest at hand, nothing is planned: a scene without a plan has the paths of the forest's plan.
 
     Args:
         scene: what the forest is for.
         given: forest file, if the user named one.
-        bars: show the progress of the preparation.
+        bars: show the progress of planning and preparing.
 
     Raises:
         UserError: the file is missing, damaged or belongs to another scene, or no forest can be trained.
     """
-    path = given or newest_forest(scene)
-    if path is not None:
-        forest = load_forest(path)
-        require_scene(forest, scene.name, scene.hash, path)
-        require_plan(plan_of_forest(forest), scene, path)
-        return forest
-    console.print(f"No forest for scene {scene.name} yet: preparing one first.")
-    return prepare(scene, PreparationSettings(quality=_QUALITY, held_out=0), bars).forest
+    scene, path = found_forest(scene, given, bars)
+    if path is None:
+        _LOG.info("No forest for scene %s yet: preparing one first.", scene.name)
+        return scene, prepare(scene, PreparationSettings(quality=_QUALITY, held_out=0), bars).forest
+    forest = load_forest(path)
+    scene = scene_as_trained(scene, forest)
+    require_scene(forest, scene.name, scene.hash, path)
+    require_plan(plan_of_forest(forest), scene, path)
+    return scene, forest
 
 
-def make_quick_forest(scene: Scene, folder: Path, seed: int, bars: Bars = progress_bar) -> QuickForest:
+def make_quick_forest(scene: Scene, folder: Path, seed: int, bars: Bars = no_bars) -> tuple[Forest, FrameSet]:
     """Prepares a forest with the quick settings; resumes if interrupted.
 
     Args:
@@ -349,9 +341,10 @@ def make_quick_forest(scene: Scene, folder: Path, seed: int, bars: Bars = progre
         folder: for all of its files.
         seed: same seed, same forest on the same machine.
         bars: show the progress.
+
+    Returns:
+        The forest, and the frames that its fusion was fitted to, with held-out views that judge its layers.
     """
-    start = time.perf_counter()
     settings = PreparationSettings(quality=_QUALITY, held_out=0, seed=seed)
-    prepared = prepare(scene, settings, bars, folder / f"prepared-{seed}")
-    frames = read_frame_set(folder / f"prepared-{seed}" / "fusion")
-    return QuickForest(prepared.forest, frames, {"prepare": time.perf_counter() - start})
+    folder = folder / f"prepared-{seed}"
+    return prepare(scene, settings, bars, folder).forest, read_frame_set(folder / "fusion")

@@ -5,30 +5,25 @@ It is stored in the cache folder, is a part of frame sets and forests, and a use
 
 from __future__ import annotations
 
-import json
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
-
 from compose.base.errors import UserError
 from compose.base.files import json_text, read_json, write_whole
 from compose.eye.display import DISPLAYS, Display
 from hybrid.base.cache_folder import scene_folder
-from hybrid.base.progress import Bars, console, no_bars, no_progress
+from hybrid.base.progress import Bars, no_bars, no_progress
 from hybrid.preparation.decisions import (
     DEGREE,
     DENOISED,
     DENOISING,
-    DEPTH,
     FRAME_PRECISION,
     HALF,
     LAYERS,
     RAW,
-    ROULETTE,
     SAMPLES,
     SINGLE,
     Decision,
@@ -45,11 +40,11 @@ from hybrid.preparation.scene_look import Look, look_at_scene
 from hybrid.render.frame_settings import MOST_SPP
 from pathtrace.region.viewing_regions import NEAR, region_of
 from pathtrace.scene.difficulties import light_difficulties
-from pathtrace.scene.scene import Scene, load_scene
+from pathtrace.scene.scene import DEPTH, ROULETTE, Scene, load_scene
 from pathtrace.scene.triangles import Surfaces
-from splat.model.forest import Forest
 from splat.model.gaussians import MAX_DEGREE
 
+_LOG = logging.getLogger("hybrid")
 MOTION, LIGHT = "motion", "light"
 STILL, MOVING = "still", "moving"
 _PARTS = 3
@@ -109,7 +104,7 @@ def plan_of(
         scene: the scene; afterwards, one that moves shows its first time.
         display: that frames are shown on.
         size: width and height of these frames in pixels.
-        region: where viewers may be, as of pathtrace.region.
+        region: where viewers may be (pathtrace.region).
         seed: same seed, same plan on the same machine.
         progress: called with parts done and their number.
 
@@ -160,34 +155,6 @@ def _light_decision(scene: Scene) -> Decision:
     return Decision(LIGHT, kinds or "plain", "plain", evidence, 1.0, "noise")
 
 
-_NAME = "plan.json"
-
-
-def attach_plan(forest: Forest, values: Mapping[str, Value]) -> Forest:
-    """The forest with what was planned for it attached; as it is if nothing was."""
-    if not values:
-        return forest
-    text = json.dumps(dict(values), sort_keys=True).encode()
-    content = torch.from_numpy(np.frombuffer(text, dtype=np.uint8).copy())
-    return replace(forest, attached={**forest.attached, _NAME: content})
-
-
-def plan_of_forest(forest: Forest) -> dict[str, Value]:
-    """What was planned for a forest, by name; empty if it does not say.
-
-    Raises:
-        UserError: what it says is damaged.
-    """
-    content = forest.attached.get(_NAME)
-    if content is None:
-        return {}
-    try:
-        values = json.loads(content.numpy().tobytes())
-        return {str(name): value for name, value in values.items()}
-    except (ValueError, AttributeError, TypeError) as error:
-        raise UserError("the forest's plan is damaged; train the forest again") from error
-
-
 def require_plan(values: Mapping[str, Any], scene: Scene, source: object) -> None:
     """Checks that a plan does not contradict the scene that it is used with.
 
@@ -209,56 +176,61 @@ _VERSION = 2
 DISPLAY, SIZE = "desktop", (1920, 1080)
 
 
+def scene_as_stored(
+    source: str | Path | dict[str, Any], max_depth: int | None = None, thin_glass: bool = False
+) -> Scene:
+    """Loads a scene as its stored plan has it; as its file has it if there is none.
+
+    Args:
+        source, max_depth, thin_glass: as in `load_scene`; a depth that is given stays.
+
+    Raises:
+        UserError: as in `load_scene`, or the stored plan contradicts the scene.
+    """
+    scene = load_scene(source, max_depth, thin_glass)
+    plan = _stored(scene)
+    return scene if plan is None else scene.planned(plan.values())
+
+
 def planned_scene(
     source: str | Path | dict[str, Any],
     max_depth: int | None = None,
     thin_glass: bool = False,
     bars: Bars = no_bars,
 ) -> Scene:
-    """Loads a scene with the paths that are planned for it.
+    """As `scene_as_stored`, with a plan that is made if there is none (`as_planned`)."""
+    return as_planned(scene_as_stored(source, max_depth, thin_glass), bars)
+
+
+def as_planned(scene: Scene, bars: Bars = no_bars) -> Scene:
+    """A scene as its plan has it; a plan is made and stored if there is none, which takes seconds to minutes.
+
+    A scene that cannot be looked at, because its camera sees no surface or stands in one, stays as it is.
 
     Args:
-        source, max_depth, thin_glass: as of `load_scene`; a depth that is given stays.
+        scene: the scene; as it is if it has a plan.
         bars: show the progress of planning.
-
-    Raises:
-        UserError: as of `load_scene`, or the cache folder cannot be written.
-    """
-    scene = load_scene(source, max_depth, thin_glass)
-    return _as_planned(scene, plan_for(scene, bars), max_depth)
-
-
-def scene_as_stored(source: str) -> Scene:
-    """Loads a scene as its stored plan has it; as its file has it if there is none."""
-    scene = load_scene(source)
-    return _as_planned(scene, _stored(scene))
-
-
-def _as_planned(scene: Scene, plan: ScenePlan | None, max_depth: int | None = None) -> Scene:
-    if plan is None:
-        return scene
-    scene = scene if max_depth is not None else scene.at_depth(plan.value(DEPTH))
-    values = {**plan.values(), DEPTH: scene.max_depth}
-    return replace(scene, roulette_depth=plan.value(ROULETTE), plan=values)
-
-
-def plan_for(scene: Scene, bars: Bars = no_bars) -> ScenePlan | None:
-    """The stored plan of a scene; if there is none, it is made in seconds and stored.
-
-    None of a scene that cannot be looked at, because its camera sees no surface or stands in one.
 
     Raises:
         UserError: the cache folder cannot be written, or the stored plan contradicts the scene.
     """
+    if scene.plan:
+        return scene
+    plan = plan_for(scene, bars)
+    return scene if plan is None else scene.planned(plan.values())
+
+
+def plan_for(scene: Scene, bars: Bars = no_bars) -> ScenePlan | None:
+    """The stored plan of a scene; made and stored now if there is none; None if it cannot be made."""
     stored = _stored(scene)
     if stored is not None:
-        require_plan(stored.values(), scene, _file(scene.name, scene.own_hash))
         return stored
+    _LOG.info("No plan for scene %s yet: looking at it first.", scene.name)
     try:
         with bars(f"plan for {scene.name} (parts)") as bar:
             plan = plan_of(scene, DISPLAYS[DISPLAY], SIZE, progress=bar)
     except UserError as error:
-        console.print(f"{error}; what it requires is not planned", soft_wrap=True)
+        _LOG.warning("%s; using defaults", error)
         return None
     store_plan(plan)
     return plan
@@ -280,14 +252,22 @@ def _file(name: str, digest: str) -> Path:
 
 
 def _stored(scene: Scene) -> ScenePlan | None:
-    """The plan in the scene's folder; None if there is none, or none that this version reads."""
+    """The plan in the scene's folder; None if there is none, or none that this version reads.
+
+    Raises:
+        UserError: it contradicts the scene.
+    """
+    file = _file(scene.name, scene.own_hash)
     try:
-        content = read_json(_file(scene.name, scene.own_hash))
+        content = read_json(file)
         if (content["version"], content["scene"]) != (_VERSION, scene.own_hash):
             return None
-        return ScenePlan(scene.name, scene.own_hash, tuple(Decision(**row) for row in content["decisions"]))
+        decisions = tuple(Decision(**row) for row in content["decisions"])
     except (OSError, ValueError, KeyError, TypeError):
         return None
+    plan = ScenePlan(scene.name, scene.own_hash, decisions)
+    require_plan(plan.values(), scene, file)
+    return plan
 
 
 # Least and greatest whole number that each item may be.
@@ -312,7 +292,7 @@ def parsed(given: Sequence[str]) -> dict[str, Value]:
     for text in given:
         name, equals, value = (part.strip() for part in text.partition("="))
         if not equals:
-            raise UserError(f"--set {text}: must be NAME=VALUE")
+            raise UserError(f"{text}: must be NAME=VALUE")
         found[name] = _value(name, value)
     return found
 
@@ -321,14 +301,14 @@ def _value(name: str, value: str) -> Value:
     if name in _NUMBERS:
         least, most = _NUMBERS[name]
         if not value.isascii() or not value.isdigit() or not least <= int(value[:12]) <= most:
-            raise UserError(f"--set {name}={value}: must be a whole number from {least} to {most}")
+            raise UserError(f"{name}={value}: must be a whole number from {least} to {most}")
         return int(value)
     if name in _WORDS:
         if value not in _WORDS[name]:
-            raise UserError(f"--set {name}={value}: must be {' or '.join(_WORDS[name])}")
+            raise UserError(f"{name}={value}: must be {' or '.join(_WORDS[name])}")
         return value
     names = ", ".join((*_NUMBERS, *_WORDS))
-    raise UserError(f"--set {name}={value}: must be one of {names}; the scene decides all else")
+    raise UserError(f"{name}={value}: must be one of {names}; the scene decides all else")
 
 
 def overridden(plan: ScenePlan, values: Mapping[str, Value]) -> ScenePlan:

@@ -54,9 +54,8 @@ def affordable_steps(stage: Stage, before: Sequence[Stage], seconds: float, pace
 
     Args:
         stage: whose frames are there.
-        before: the stages before.
+        before, pace: the stages before, and theirs.
         seconds: the time.
-        pace: of the stages before.
     """
     steps = int((seconds / pace.training - _prepared(stage, before)) / step_seconds(stage))
     return max(min(stage.steps, steps), -int(-stage.steps * _LEAST_STEPS // 1))
@@ -153,13 +152,16 @@ _MOST_STAGES, _LEAST_GAIN = 8, 0.15
 _LEAST_STAGES = 3
 
 
+# Parts of a stage, in their order.
+PARTS = "frame", "light", "training"
+
+
 class Planner:
     """Decides what to do next; what it has decided once is in the journal, and stays.
 
     Args:
         settings: what was asked for.
-        journal: of the job.
-        clock: of the job.
+        journal, clock: of the job.
         needs: of the region and the scene.
 
     Attributes:
@@ -167,7 +169,7 @@ class Planner:
     """
 
     def __init__(self, settings: PreparationSettings, journal: Journal, clock: Clock, needs: Needs):
-        self._settings, self._journal, self._clock, self._needs = settings, journal, clock, needs
+        self._settings, self.journal, self.clock, self._needs = settings, journal, clock, needs
         self.stages: list[Stage] = []
 
     def begin(self, curve: list[dict[str, Any]]) -> bool:
@@ -177,42 +179,34 @@ class Planner:
             curve: held-out quality after each stage so far: rows with `psnr`, if there are held-out views.
         """
         number = len(self.stages)
-        planned = self._journal.once(f"stage {number}", lambda: self._planned(number, curve))
+        planned = self.journal.once(f"stage {number}", lambda: self._planned(number, curve))
         if planned:
-            self._journal.once(f"began {number}", self._clock.seconds)
+            self.journal.once(f"began {number}", self.clock.seconds)
             self.stages.append(Stage(**planned))
         return bool(planned)
 
+    @property
+    def number(self) -> int:
+        """Of the last stage, from 0."""
+        return len(self.stages) - 1
+
     def steps(self) -> int:
         """Training steps of the last stage, for which its frames have left the time."""
-        return self._journal.once(f"steps {len(self.stages) - 1}", self._affordable)
+        return self.journal.once(f"steps {self.number}", self._affordable)
 
-    def framed(self) -> float:
-        """Takes down that the last stage has its frames; returns the seconds that they took."""
-        number = len(self.stages) - 1
-        return self._journal.once(f"frame seconds {number}", lambda: self._since_begin(number))
-
-    def lit(self) -> float:
-        """Takes down that its light is known, too; returns the seconds that it took."""
-        number = len(self.stages) - 1
-        return self._journal.once(
-            f"light seconds {number}", lambda: self._since_begin(number) - self.framed()
+    def lap(self, part: str) -> float:
+        """Notes that the last stage has done one of PARTS; returns the seconds that it took, in all runs."""
+        number = self.number
+        before = sum(self.journal[f"{one} seconds {number}"] for one in PARTS[: PARTS.index(part)])
+        return self.journal.once(
+            f"{part} seconds {number}",
+            lambda: self.clock.seconds() - self.journal[f"began {number}"] - before,
         )
-
-    def trained(self) -> None:
-        """Takes down that the last stage is finished."""
-        number = len(self.stages) - 1
-        seconds = self._since_begin(number) - self.framed() - self.lit()
-        self._journal[f"training seconds {number}"] = seconds
-
-    def _since_begin(self, number: int) -> float:
-        """Seconds since a stage began, in all runs of the job."""
-        return self._clock.seconds() - self._journal[f"began {number}"]
 
     @property
     def is_finished(self) -> bool:
         """Whether the last stage was finished, perhaps in an earlier run."""
-        return f"training seconds {len(self.stages) - 1}" in self._journal
+        return f"training seconds {self.number}" in self.journal
 
     @property
     def fits_fusion(self) -> bool:
@@ -224,9 +218,9 @@ class Planner:
         if number and self._is_enough(number, [row["psnr"] for row in curve if "psnr" in row]):
             return None
         left = self._left()
-        if left is not None and f"light seconds {number - 1}" in self._journal:
+        if left is not None and f"light seconds {number - 1}" in self.journal:
             # What it depends on, Gaussians and times, grows little from stage to stage.
-            left -= self._journal[f"light seconds {number - 1}"]
+            left -= self.journal[f"light seconds {number - 1}"]
         stage = next_stage(self.stages, self._needs, self._pace(), left)
         return asdict(stage) if stage else None
 
@@ -250,21 +244,20 @@ class Planner:
         if self._settings.minutes is None:
             return None
         fusion = _FUSION_SECONDS * self._pace().frames if self.fits_fusion else 0.0
-        return 60 * _USED * self._settings.minutes - self._clock.seconds() - fusion
+        return 60 * _USED * self._settings.minutes - self.clock.seconds() - fusion
 
     def _pace(self) -> Seconds:
         """Seconds that finished stages took, over the expected ones; as expected before the first."""
-        expected, taken = Seconds(0.0, 0.0), Seconds(0.0, 0.0)
-        for number, stage in enumerate(self.stages):
-            if f"training seconds {number}" in self._journal:
-                own = expected_seconds(
-                    replace(stage, steps=self._journal[f"steps {number}"]), self.stages[:number]
-                )
-                expected = Seconds(expected.frames + own.frames, expected.training + own.training)
-                frames, training = (
-                    self._journal[f"{part} seconds {number}"] for part in ("frame", "training")
-                )
-                taken = Seconds(taken.frames + frames, taken.training + training)
-        if not expected.frames:
+        finished = [n for n in range(len(self.stages)) if f"training seconds {n}" in self.journal]
+        if not finished:
             return AS_EXPECTED
-        return Seconds(taken.frames / expected.frames, taken.training / expected.training)
+        expected = [
+            expected_seconds(replace(self.stages[n], steps=self.journal[f"steps {n}"]), self.stages[:n])
+            for n in finished
+        ]
+        frames, training = (
+            sum(self.journal[f"{part} seconds {n}"] for n in finished) for part in ("frame", "training")
+        )
+        return Seconds(
+            frames / sum(one.frames for one in expected), training / sum(one.training for one in expected)
+        )

@@ -1,4 +1,4 @@
-"""Frames as views to train on: captured ones, with labels of what moves, and those of others."""
+"""Frames as views to train on: captured ones, with labels of what moves, and third-party ones."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def read_frames(folder: Path) -> Frames:
         if (folder / "transforms.json").exists():
             raise
         raise UserError(
-            f"{folder}: not a frame set (no transforms.json; hybrid capture makes one), nor frames of others "
-            "in a known layout (no transforms_train.json, no dataset.json)"
+            f"{folder}: not a frame set (no transforms.json; hybrid capture makes one), nor third-party "
+            "frames in a known layout (no transforms_train.json, no dataset.json)"
         ) from None
 
 
@@ -75,11 +75,11 @@ def motion_for(frames: Frames, asked: MotionModel | None, labels: Labels | None 
     learned = [model.value for model in MotionModel if model.field is not None]
     if asked is MotionModel.KNOWN and frames.moves:
         raise UserError(
-            f"--motion {asked.value}: {frames.folder} does not say how anything moves; learn it by one of "
+            f"motion {asked.value}: {frames.folder} does not say how anything moves; learn it by one of "
             f"{', '.join(learned)}"
         )
     if labels is Labels.MASKS and any(image.labels is None for image in frames.training):
-        raise UserError(f"--labels {labels.value}: {frames.folder} has no label images that show what moves")
+        raise UserError(f"labels {labels.value}: {frames.folder} has no label images that show what moves")
     # Of both fields, the one that is better and faster in as many steps (docs/measured/moving.md).
     return asked or (MotionModel.HEX_PLANE if frames.moves else MotionModel.KNOWN)
 

@@ -1,9 +1,11 @@
-"""What a forest's file carries for the renderer: the fusion network, and the views it was trained on."""
+"""What a forest's file carries for the renderer: fusion network, plan, and the views it was trained on."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,10 +14,12 @@ from compose.base.errors import UserError
 from compose.base.files import under
 from compose.camera.camera import Camera
 from compose.fusion.network import Fusion
+from pathtrace.scene.scene import DEPTH, ROULETTE, Scene
+from pathtrace.trace.path_depths import UNBOUNDED
 from splat.model.forest import Forest
 
-# Names of what is attached: a prefix for the network's state, and the table of views.
-_FUSION, _VIEWS = "fusion.", "views.cameras"
+# Names of what is attached: a prefix for the network's state, the plan, and the table of views.
+_FUSION, _PLAN, _VIEWS = "fusion.", "plan.json", "views.cameras"
 # Of each view width, height, focal lengths and principal point, then the world-to-camera transform.
 _NUMBERS = 6 + 16
 
@@ -47,6 +51,46 @@ def fusion_of(forest: Forest) -> Fusion | None:
     # On a CPU this layout takes two thirds of the time of contiguous weights.
     fusion = fusion.requires_grad_(False).eval()
     return fusion.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+
+def attach_plan(forest: Forest, values: Mapping[str, Any]) -> Forest:
+    """The forest with what was planned for it attached; as it is if nothing was."""
+    if not values:
+        return forest
+    text = json.dumps(dict(values), sort_keys=True).encode()
+    content = torch.from_numpy(np.frombuffer(text, dtype=np.uint8).copy())
+    return replace(forest, attached={**forest.attached, _PLAN: content})
+
+
+def plan_of_forest(forest: Forest) -> dict[str, Any]:
+    """What was planned for a forest, by name; empty if it does not say.
+
+    Raises:
+        UserError: what it says is damaged.
+    """
+    content = forest.attached.get(_PLAN)
+    if content is None:
+        return {}
+    try:
+        values = json.loads(content.numpy().tobytes())
+        return {str(name): value for name, value in values.items()}
+    except (ValueError, AttributeError, TypeError) as error:
+        raise UserError("the forest's plan is damaged; train the forest again") from error
+
+
+def scene_as_trained(scene: Scene, forest: Forest) -> Scene:
+    """The scene with the paths that a forest was planned with, if none are planned for the scene itself.
+
+    A scene's hash depends on its path depth: without a plan, it would not be that of the forest. The scene is
+    as it was if it has a plan, if the forest has none, or if the forest does not belong to it even so.
+    """
+    plan = {} if scene.plan else plan_of_forest(forest)
+    depth, roulette = plan.get(DEPTH), plan.get(ROULETTE)
+    if not isinstance(depth, int) or not isinstance(roulette, int):
+        return scene
+    planned = scene.planned(plan)
+    is_possible = roulette >= 1 and (depth >= 1 or depth == UNBOUNDED)
+    return planned if is_possible and planned.hash == forest.scene_hash else scene
 
 
 def attach_views(forest: Forest, cameras: Sequence[Camera]) -> Forest:

@@ -22,7 +22,7 @@ from compose.image.device_image import DeviceImage
 from hybrid.base.compute_device import Clock, device_arrays
 from hybrid.base.identity import require_scene
 from hybrid.render.disc_images import Underlay
-from hybrid.render.forest_attachments import fusion_of
+from hybrid.render.forest_attachments import fusion_of, scene_as_trained
 from hybrid.render.fovea import Fovea, FoveaImage
 from hybrid.render.frame import Frame
 from hybrid.render.frame_settings import DEFAULTS, EXTRA_AOVS, INTERACTIVE, FrameSettings
@@ -41,7 +41,7 @@ class Renderer:
     """Renders hybrid frames of one scene with one forest.
 
     Args:
-        scene: what is path-traced.
+        scene: what is path-traced; if nothing is planned for it, with the paths planned for the forest.
         forest: its Gaussians.
         history: whether the fovea reuses the samples of earlier frames.
         roulette_depth: path depth from which Russian roulette ends paths; that of the scene by default.
@@ -64,6 +64,7 @@ class Renderer:
     def __init__(
         self, scene: Scene, forest: Forest, *, history: bool = False, roulette_depth: int | None = None
     ):
+        scene = scene_as_trained(scene, forest)
         require_scene(forest, scene.name, scene.hash, "this forest")
         self.scene, self._arrays = scene, device_arrays()
         self.tracer = Tracer(scene, roulette_depth=roulette_depth)

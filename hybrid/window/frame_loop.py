@@ -17,6 +17,7 @@ from PIL import Image as Pillow
 from compose.camera.camera import Camera, View
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image
+from hybrid.base.progress import Progress
 from hybrid.evaluation.measured_settings import MeasuredSettings, MeasuredStore, front_of
 from hybrid.measure.frame_times import gaze_path
 from hybrid.measure.image_metrics import ssim
@@ -25,7 +26,7 @@ from hybrid.measure.reference import REFERENCE_SEED, reference
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.window.frame_source import FrameSource
 from hybrid.window.frame_time_controller import FrameTimeController, applied
-from hybrid.window.messages import Report, Request, Shown
+from hybrid.window.messages import Request, Shown
 from pathtrace.region.neighbourhood import unseen_views
 
 # Seconds without a change after which frames may take longer, for more samples each.
@@ -99,7 +100,7 @@ _RADII = (5.0, 8.0, 11.0, 15.0, 20.0, 25.0, 30.0)
 _ACTIVITY = "measuring settings"
 
 
-def ladder_for(source: FrameSource, like: Request, report: Report) -> list[MeasuredSettings]:
+def ladder_for(source: FrameSource, like: Request, report: Progress) -> list[MeasuredSettings]:
     """The Pareto-optimal settings of the window, each slower and better than the one before it.
 
     The request has the window's size, acuity model and display.
@@ -139,19 +140,19 @@ def candidates(base: FrameSettings, layers: int) -> list[FrameSettings]:
 
 
 def _measured(
-    source: FrameSource, camera: Camera, base: FrameSettings, report: Report
+    source: FrameSource, camera: Camera, base: FrameSettings, report: Progress
 ) -> list[MeasuredSettings]:
     """All candidates with their time and quality."""
     wanted = candidates(base, source.layers)
-    report(_ACTIVITY, 0, len(wanted) + 1)
+    report(0, len(wanted) + 1, _ACTIVITY)
     views = _held_out(source, camera)
     measured = []
     for number, settings in enumerate(wanted):
-        report(_ACTIVITY, number + 1, len(wanted) + 1)
+        report(number + 1, len(wanted) + 1, _ACTIVITY)
         milliseconds = _median_time(source, settings)
         quality = float(np.mean([_quality(source, settings, *view) for view in views]))
         measured.append(MeasuredSettings(settings, milliseconds, quality))
-    report(_ACTIVITY, len(wanted) + 1, len(wanted) + 1)
+    report(len(wanted) + 1, len(wanted) + 1, _ACTIVITY)
     source.forget()
     return measured
 

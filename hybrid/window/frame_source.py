@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
-from hybrid.base.cache_folder import newest_forest
 from hybrid.base.compute_device import Clock, release_memory
-from hybrid.base.progress import Bar
-from hybrid.preparation.preparation import forest_for
-from hybrid.preparation.scene_plan import planned_scene
+from hybrid.base.progress import Progress, bars_of
+from hybrid.preparation.preparation import found_forest, with_forest
+from hybrid.preparation.scene_plan import scene_as_stored
 from hybrid.render.frame import Frame
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.image_files import write_srgb
 from hybrid.render.irradiance import cache_for
-from hybrid.window.messages import Ready, Report, Request, Shown, View
+from hybrid.window.messages import Ready, Request, Shown, View
 from hybrid.window.window_views import ConvergingFrame, image_of
 from pathtrace.scene.backend import select_backend
 from pathtrace.scene.triangles import Surfaces
@@ -144,7 +141,7 @@ def prepared(
     backend: str,
     trains: bool,
     settings: FrameSettings,
-    report: Report,
+    report: Progress,
     thin_glass: bool = False,
 ) -> FrameSource:
     """The source of a scene's frames; see `run_window` for the arguments.
@@ -156,17 +153,13 @@ def prepared(
     Raises:
         UserError: the scene or the forest is missing, or they do not belong together.
     """
-
-    @contextmanager
-    def bars(title: str) -> Iterator[Bar]:
-        yield lambda done, total, step="": report(title, done, total)
-
     # Before the scene is loaded, since the backend decides what it is loaded into.
     select_backend(backend)
-    loaded = planned_scene(scene, thin_glass=thin_glass, bars=bars)
-    if not trains and forest is None and newest_forest(loaded) is None:
+    loaded, bars = scene_as_stored(scene, thin_glass=thin_glass), bars_of(report)
+    loaded, file = found_forest(loaded, forest, bars)
+    if not trains and file is None:
         raise UserError(f"{scene}: there is no forest yet; run hybrid demo {scene} first, which trains one")
-    found = forest_for(loaded, forest, bars)
+    loaded, found = with_forest(loaded, file, bars)
     if settings.used_integrator is Integrator.CACHED:
         cache_for(loaded, bars)
     return FrameSource(LiveRenderer(loaded, found))

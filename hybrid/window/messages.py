@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Generic, TypeAlias, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +13,6 @@ from numpy.typing import NDArray
 from compose.camera.camera import Camera
 from hybrid.render.frame import Frame
 from hybrid.render.frame_settings import FrameSettings
-
-# Called with the current activity, steps done and steps in total.
-Report: TypeAlias = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,10 @@ from pathlib import Path
 from PySide6.QtCore import QThread, Signal
 
 from compose.base.errors import UserError
+from hybrid.base.progress import Progress
 from hybrid.window.frame_loop import FrameLoop, ladder_for
 from hybrid.window.frame_source import FrameSource
-from hybrid.window.messages import Newest, Report, Request, Shown
+from hybrid.window.messages import Newest, Request, Shown
 
 # Seconds between two checks of an idle thread whether it is to end.
 _POLL = 0.1
@@ -40,7 +41,7 @@ class RenderThread(QThread):
     saved = Signal(str)
     failed = Signal(object)
 
-    def __init__(self, prepare: Callable[[Report], FrameSource]):
+    def __init__(self, prepare: Callable[[Progress], FrameSource]):
         super().__init__()
         self.requests: Newest[Request] = Newest()
         self.frames: Newest[Shown] = Newest()
@@ -69,10 +70,10 @@ class RenderThread(QThread):
             # The window closes, and raises it on the main thread.
             self.failed.emit(error)
 
-    def _report(self, activity: str, done: int, total: int) -> None:
+    def _report(self, done: int, total: int, label: str) -> None:
         if self._stopping.is_set():
             raise KeyboardInterrupt
-        self.progress.emit(activity, done, total)
+        self.progress.emit(label, done, total)
 
     def _serve(self, source: FrameSource, loop: FrameLoop) -> None:
         """Renders until the window is closed."""

@@ -118,7 +118,7 @@ def chosen_animation(document: Document, name: str | None, remarks: list[str]) -
     if name is not None:
         if name not in names:
             known = ", ".join(names) or "none"
-            raise UserError(f"--animation {name}: {document.file} has no such animation; it has {known}")
+            raise UserError(f"animation {name}: {document.file} has no such animation; it has {known}")
         return _animation(document, items[names.index(name)], name, remarks)
     together = Animation()
     for item, own in zip(items, names, strict=True):

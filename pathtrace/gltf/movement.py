@@ -144,9 +144,7 @@ def times_of(nodes: Nodes, fps: float) -> Times:
     """
     seconds = nodes.animation.seconds
     if seconds * fps * len(nodes) > _MOST_POSES:
-        raise UserError(
-            f"--fps {fps:g}: an animation of {seconds:,.0f} s and {len(nodes):,} nodes is too long"
-        )
+        raise UserError(f"fps {fps:g}: an animation of {seconds:,.0f} s and {len(nodes):,} nodes is too long")
     return Times(nodes.animation.all_times(fps), nodes.animation.even_times(fps))
 
 
@@ -195,7 +193,7 @@ def require_few(primitives: list[Primitive], nodes: Nodes, times: Times, to_worl
     vertices = steps * sum(len(p.positions) for p in primitives if deforms(p, nodes, to_world))
     if vertices > _MOST_VERTICES:
         raise UserError(
-            f"--fps: what deforms would have {vertices:,} vertices in {steps:,} steps of time; "
+            f"fps: what deforms would have {vertices:,} vertices in {steps:,} steps of time; "
             f"must be at most {_MOST_VERTICES:,}"
         )
 

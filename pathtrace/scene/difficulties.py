@@ -47,14 +47,14 @@ def light_difficulties(scene: Scene) -> list[Difficulty]:
     found = []
     panes = [] if scene.thin_glass else pane_shapes(scene.mitsuba)
     if panes:
-        remedy = "no shadow ray passes panes of glass; --thin-glass lets them pass"
+        remedy = "no shadow ray passes panes of glass; thin_glass lets them pass"
         found.append(Difficulty("panes", _names(panes), remedy))
     shapes = [shape for shape in scene.mitsuba.shapes() if not shape.is_emitter() and shape not in panes]
     smooth = [shape for shape in shapes if _focuses(shape)]
     if smooth and _sends_narrow_light(scene.mitsuba):
         remedy = (
             "smooth surfaces focus light of a small source, which is found by chance; more samples show it, "
-            "--clamp-indirect of `hybrid prepare` bounds it"
+            "most_indirect bounds it"
         )
         found.append(Difficulty("caustics", _names(smooth), remedy))
     return found

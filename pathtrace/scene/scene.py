@@ -76,6 +76,10 @@ def _sort_key(shape: Any) -> tuple[float, ...]:
     return (*np.ravel(box.min).tolist(), *np.ravel(box.max).tolist(), float(shape.primitive_count()))
 
 
+# Items of a plan that concern paths.
+DEPTH, ROULETTE = "path depth", "roulette depth"
+
+
 @dataclass(frozen=True)
 class Scene:
     """A loaded scene.
@@ -98,7 +102,8 @@ class Scene:
         moving: what moves in it; None if nothing does.
         roulette_depth: path depth from which on Russian roulette may end paths: the smaller, the quicker and
             noisier are samples.
-        plan: what is planned for it, by name; frames take it down.
+        plan: what is planned for it, by name; empty if nothing is. Frames take it down.
+        keeps_depth: whether its path depth was asked for, so that no plan changes it.
     """
 
     name: str
@@ -113,12 +118,18 @@ class Scene:
     moving: MovingScene | None = None
     roulette_depth: int = RUSSIAN_ROULETTE_DEPTH
     plan: Mapping[str, Any] = field(default_factory=dict)
+    keeps_depth: bool = False
 
     def at_depth(self, depth: int) -> Scene:
         """The scene with another path depth, 1 or more, or -1 for no bound; it shares all else."""
         own = depth == self.own_depth
         fingerprint = self.own_hash if own else text_fingerprint(f"{self.own_hash} at depth {depth}")
         return replace(self, max_depth=depth, hash=fingerprint)
+
+    def planned(self, plan: Mapping[str, Any]) -> Scene:
+        """The scene as a plan has it, whose values have names; a path depth that was asked for stays."""
+        scene = self if self.keeps_depth else self.at_depth(plan[DEPTH])
+        return replace(scene, roulette_depth=plan[ROULETTE], plan={**plan, DEPTH: scene.max_depth})
 
     def set_time(self, time: float) -> None:
         """Shows the scene at a time from 0 to 1, in place; when it is loaded, it is at 0.
@@ -197,4 +208,4 @@ def load_scene(
         moving = MovingScene(ordered, moves, names, place, name)
         fingerprint = text_fingerprint(f"{fingerprint} moving by {moves.fingerprint}")
     scene = Scene(name, fingerprint, ordered, camera, depth, depth, fingerprint, place, thin_glass, moving)
-    return scene if max_depth is None else scene.at_depth(max_depth)
+    return scene if max_depth is None else replace(scene.at_depth(max_depth), keeps_depth=True)

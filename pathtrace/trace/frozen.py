@@ -2,39 +2,14 @@
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
-from threading import Lock
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
-_lock = Lock()
-# Pauses under way, in all threads, and whether the collector ran before the first of them.
-_pauses = 0
-_was_enabled = False
-
-
-@contextmanager
-def collector_paused() -> Iterator[None]:
-    """No automatic collection inside, in any thread; pauses may overlap and lie inside each other."""
-    global _pauses, _was_enabled
-    with _lock:
-        if not _pauses:
-            _was_enabled = gc.isenabled()
-            gc.disable()
-        _pauses += 1
-    try:
-        yield
-    finally:
-        with _lock:
-            _pauses -= 1
-            if not _pauses and _was_enabled:
-                gc.enable()
-
+from compose.base.collector import collector_paused
 
 # Array types by whose entries one gets at all objects that Mitsuba has registered.
 _REGISTERED = "BSDF", "Emitter", "Medium", "PhaseFunction", "Sensor", "Shape", "Texture"

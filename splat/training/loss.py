@@ -17,6 +17,7 @@ import torch
 from torch.autograd.function import once_differentiable
 
 from compose.base.arrays import Arrays, constant
+from compose.base.collector import collector_paused
 
 TAPS = 11
 _SIGMA = 1.5
@@ -166,7 +167,8 @@ class Target:
         windows = (height - TAPS + 1) * (width - TAPS + 1) * CHANNELS
         parts = (1 - SSIM_WEIGHT) / rendered.numel(), -SSIM_WEIGHT / windows
         shares = [constant(arrays.plain.Float, part) for part in parts]
-        found = recorded(_flat(arrays, rendered), self._frame(), self._zero, sizes, shares)
+        with collector_paused():
+            found = recorded(_flat(arrays, rendered), self._frame(), self._zero, sizes, shares)
         loss, error, gradient = (arrays.to_torch(array, rendered.device) for array in found)
         return loss[0], error.reshape(height, width), gradient.reshape(rendered.shape)
 

@@ -67,8 +67,8 @@ def test_public_names_are_those_that_type_checkers_see():
 
 
 def test_an_unknown_name_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="module 'hybrid' has no attribute 'render'"):
-        _ = hybrid.render
+    with pytest.raises(AttributeError, match="module 'hybrid' has no attribute 'draw'"):
+        _ = hybrid.draw
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import pytest
 
 import hybrid
 from hybrid.api import workflow as scenes
+from hybrid.preparation import scene_plan
 from splat.io.forest_file import load_forest
 from tests import small
 from tests.hybrid.preparation.tiny import make_tiny
@@ -22,8 +23,8 @@ def test_a_scene_may_be_a_name_or_a_dictionary(backend):
 
 def test_another_path_depth_makes_another_scene(backend):
     usual, shallow = scenes.load_scene("cornell"), scenes.load_scene("cornell", max_depth=2)
-    assert (shallow.max_depth, usual.max_depth) == (2, usual.plan["path depth"])
-    assert shallow.hash != usual.hash
+    assert shallow.max_depth == hybrid.plan(shallow).max_depth == 2
+    assert shallow.hash not in (usual.hash, hybrid.plan(usual).hash)
 
 
 def test_scenes_that_cannot_be_loaded_are_user_errors(backend, tmp_path):
@@ -33,13 +34,45 @@ def test_scenes_that_cannot_be_loaded_are_user_errors(backend, tmp_path):
         scenes.load_scene("cornell", backend="metal")
 
 
-def test_a_scene_is_prepared_in_one_call(backend, own_home, monkeypatch, tmp_path):
+def test_loading_renders_nothing_and_planning_stores(backend, own_home, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(scene_plan, "look_at_scene", lambda *arguments: pytest.fail("looked at"))
+        fresh = scenes.load_scene("cornell")
+    assert (fresh.plan, fresh.hash, fresh.max_depth) == ({}, fresh.own_hash, fresh.own_depth)
+    planned = hybrid.plan(fresh)
+    assert {"path depth", "gaussians", "degree"} <= {*planned.plan}
+    monkeypatch.setattr(scene_plan, "plan_of", lambda *arguments, **options: pytest.fail("planned again"))
+    again = scenes.load_scene("cornell")
+    assert (again.plan, again.hash) == (planned.plan, planned.hash)
+    assert hybrid.plan(again) is again
+    assert hybrid.plan(fresh).hash == planned.hash
+
+
+def test_a_scene_is_planned_and_prepared_in_one_call(backend, own_home, monkeypatch, tmp_path, caplog):
     make_tiny(monkeypatch.setattr)
-    scene = scenes.load_scene("cornell")
+    caplog.set_level("INFO", "hybrid")
+    scene, labels = scenes.load_scene("cornell"), set()
     settings = hybrid.PreparationSettings(quality="draft", held_out=0)
-    forest = scenes.prepare(scene, settings, tmp_path / "a.forest")
+    forest = scenes.prepare(
+        scene, settings, tmp_path / "a.forest", progress=lambda done, total, label: labels.add(label)
+    )
     assert load_forest(tmp_path / "a.forest").digest() == forest.digest()
-    assert forest.scene_hash == scene.hash
+    planned = scenes.load_scene("cornell")
+    assert forest.scene_hash == planned.hash != scene.hash
+    assert caplog.messages[0] == "No plan for scene cornell yet: looking at it first."
+    assert {"stage 1: frames (samples)", "stage 2: forest (steps)"} <= labels
+    # The scene that was loaded before has no plan, and the forest fits it all the same.
+    rendered = hybrid.Renderer(scene, forest).scene
+    assert (rendered.hash, rendered.plan["degree"]) == (planned.hash, planned.plan["degree"])
+
+
+def test_a_forest_fits_a_scene_where_nothing_is_planned(made, backend, own_home):
+    forest = load_forest(made / "box.forest")
+    scene = scenes.load_scene("cornell")
+    assert not scene.plan
+    assert hybrid.Renderer(scene, forest).scene.hash == forest.scene_hash != scene.hash
+    with pytest.raises(hybrid.UserError, match="path depth has changed"):
+        hybrid.Renderer(scenes.load_scene("cornell", max_depth=scene.own_depth), forest)
 
 
 def test_from_a_scene_to_a_forest(backend, tmp_path):
@@ -49,9 +82,10 @@ def test_from_a_scene_to_a_forest(backend, tmp_path):
         scene,
         str(tmp_path / "frames"),
         hybrid.CaptureSettings(**CAPTURE),
-        lambda done, total: captured.append((done, total)),
+        lambda *step: captured.append(step),
     )
     assert captured[-1][0] == captured[-1][1] > 0
+    assert captured[-1][2] == "capture (samples)"
     again = scenes.load_frames(str(tmp_path / "frames"))
     assert again == frames
     assert (len(again.training), len(again.held_out)) == (2, 1)
@@ -59,12 +93,12 @@ def test_from_a_scene_to_a_forest(backend, tmp_path):
         frames,
         str(tmp_path / "a.forest"),
         hybrid.TrainingSettings(**TRAINING),
-        lambda done, total: trained.append((done, total)),
+        lambda *step: trained.append(step),
     )
-    assert trained[-1] == (2, 2)
+    assert trained[-1] == (2, 2, "train (steps)")
     for loaded in (scenes.load_forest(str(tmp_path / "a.forest")), load_forest(tmp_path / "a.forest")):
         assert loaded.digest() == forest.digest()
-        assert loaded.scene_hash == scene.hash
+        assert loaded.scene_hash == hybrid.plan(scene).hash
     assert len(forest.counts) == 1
 
 
@@ -74,7 +108,8 @@ def test_progress_and_settings_may_be_left_out(backend, monkeypatch, tmp_path):
     monkeypatch.setattr(
         "hybrid.preparation.forest_training.train", lambda *arguments: given.append(arguments)
     )
-    monkeypatch.setattr("hybrid.render.irradiance.cache_for", lambda scene: f"cache of {scene}")
+    monkeypatch.setattr("hybrid.render.irradiance.cache_for", lambda scene, bars: f"cache of {scene}")
+    monkeypatch.setattr("hybrid.preparation.scene_plan.as_planned", lambda scene, bars: scene)
     kept: list[object] = []
     monkeypatch.setattr("hybrid.base.cache_folder.keep_receipt", kept.append)
     scenes.capture("scene", tmp_path / "frames")

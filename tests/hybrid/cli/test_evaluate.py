@@ -46,7 +46,7 @@ def given(monkeypatch):
     notes = []
 
     def evaluate(scene, forest, folder, settings, *, baseline_forest, progress):
-        progress("references", 1.0, 4.0)
+        progress(1, 4, "references")
         notes.append((scene.name, len(forest.counts), folder, settings, baseline_forest))
         return FOUND
 
@@ -102,7 +102,12 @@ def test_a_forest_is_trained_before_the_bar_of_the_evaluation_appears(given, mad
         return bar(title)
 
     monkeypatch.setattr(module, "progress_bar", noted_bar)
-    monkeypatch.setattr(quick, "forest_for", lambda scene, given: order.append("train") or forest)
+
+    def trains(scene, given, bars):
+        order.append("train")
+        return scene, forest
+
+    monkeypatch.setattr(quick, "with_forest", trains)
     assert run(monkeypatch, "evaluate", "cornell", "--report", tmp_path / "r") == 0
     assert order == ["train", "evaluate"]
 
@@ -112,7 +117,7 @@ def test_a_baseline_of_another_scene_is_refused_before_a_forest_is_trained(
 ):
     flat = replace(load_forest(made / "box.forest"), scene_name="room", scene_hash="cd" * 32)
     save_forest(tmp_path / "flat", flat)
-    monkeypatch.setattr(quick, "forest_for", None)
+    monkeypatch.setattr(quick, "with_forest", None)
     options = ["--report", tmp_path / "r", "--baseline-forest", tmp_path / "flat"]
     assert run(monkeypatch, "evaluate", "cornell", *options) == 2
     assert capsys.readouterr().err.startswith(f"hybrid: {tmp_path / 'flat'} belongs to scene room")

@@ -11,6 +11,7 @@ from compose.base.errors import UserError
 from hybrid.cli.main import app
 from hybrid.cli.options import (
     loaded_scene,
+    option_names,
     require_size,
     select,
     sized,
@@ -64,6 +65,18 @@ def test_settings_that_are_out_of_range_are_the_users_mistake():
 
     with pytest.raises(UserError, match=r"^views is 0; must be positive$"):
         work()
+
+
+def test_messages_about_settings_name_options():
+    def named(message: str) -> str:
+        with pytest.raises(UserError) as refused, option_names("psnr", "held_out", most="clamp-indirect"):
+            raise UserError(message)
+        return str(refused.value)
+
+    assert named("held_out -1: psnr") == "--held-out -1: psnr"
+    assert named("psnr and held_out 0: one of them") == "--psnr and --held-out 0: one of them"
+    assert named("most 0: too few") == "--clamp-indirect 0: too few"
+    assert named("file: psnr") == "file: psnr"
 
 
 def test_other_errors_are_not_the_users():

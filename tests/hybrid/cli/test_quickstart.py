@@ -25,7 +25,7 @@ def given(monkeypatch):
     """What the workflow is given."""
     notes = []
 
-    def quickstart(scene, folder, settings, seed):
+    def quickstart(scene, folder, settings, seed, bars):
         notes.append((scene.name, folder, settings, seed))
         return RESULT
 

@@ -9,7 +9,8 @@ import pytest
 from hybrid.base.cache_folder import keep_receipt, newest_forest
 from hybrid.cli import train as command
 from hybrid.preparation import forest_training as module
-from hybrid.preparation.scene_plan import plan_of_forest, planned_scene
+from hybrid.preparation.scene_plan import planned_scene
+from hybrid.render.forest_attachments import plan_of_forest
 from pathtrace.dataset.frame_set import read_frame_set
 from splat.io.forest_file import load_forest
 from splat.model.choices import Precision

@@ -13,7 +13,6 @@ from hybrid.base.cache_folder import newest_forest
 from hybrid.evaluation import quickstart_job as module
 from hybrid.evaluation.quickstart_job import quickstart
 from hybrid.measure import image_metrics as registration
-from hybrid.preparation.preparation import QuickForest
 from hybrid.preparation.scene_plan import planned_scene
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.image_files import read_exr
@@ -61,8 +60,8 @@ def test_from_nothing_to_images_and_a_page(tiny, tmp_path):
     expected="three views that nothing was fitted to, in quality and in times",
 )
 def test_nothing_was_fitted_to_the_views_that_are_judged(tiny, made, monkeypatch, tmp_path, got):
-    ready = QuickForest(load_forest(made / "box.forest"), read_frame_set(made / "frames"), {"train": 1.0})
-    monkeypatch.setattr(module, "make_quick_forest", lambda scene, folder, seed: ready)
+    ready = load_forest(made / "box.forest"), read_frame_set(made / "frames")
+    monkeypatch.setattr(module, "make_quick_forest", lambda scene, folder, seed, bars: ready)
     given = {}
     for name in ("judged_views", "compare"):
         make = getattr(module, name)
@@ -86,13 +85,13 @@ def test_nothing_was_fitted_to_the_views_that_are_judged(tiny, made, monkeypatch
 
 def test_what_cannot_be_measured_is_left_out(tiny, made, monkeypatch, tmp_path):
     """An image without texture shows no offset; capture and training are those of another test."""
-    ready = QuickForest(load_forest(made / "box.forest"), read_frame_set(made / "frames"), {"train": 1.0})
-    monkeypatch.setattr(module, "make_quick_forest", lambda scene, folder, seed: ready)
+    ready = load_forest(made / "box.forest"), read_frame_set(made / "frames")
+    monkeypatch.setattr(module, "make_quick_forest", lambda scene, folder, seed, bars: ready)
     monkeypatch.setattr(registration, "_TEXTURE", 10.0)
     (tmp_path / "out").mkdir()
     result = quickstart(planned_scene("cornell"), tmp_path / "out", FrameSettings(spp=1), 0)
     assert "registration_px" not in result
-    assert set(result["seconds"]) == {"train", "render", "total"}
+    assert set(result["seconds"]) == {"prepare", "render", "total"}
     assert {path.name for path in (tmp_path / "out").iterdir()} == WRITTEN
 
 

@@ -124,7 +124,7 @@ def test_without_label_images_flow_tells_what_moves(folders):
 
 def test_a_frame_set_is_read_as_one(frames, tmp_path):
     assert isinstance(read_frames(frames.folder), FrameSet)
-    with pytest.raises(UserError, match=r"not a frame set .* nor frames of others"):
+    with pytest.raises(UserError, match=r"not a frame set .* nor third-party frames"):
         read_frames(tmp_path)
     (tmp_path / "transforms.json").write_text("{")
     with pytest.raises(UserError, match=r"transforms\.json: not the description of a frame set"):

@@ -15,8 +15,8 @@ from hybrid.preparation import stage_planner as planner
 from hybrid.preparation.decisions import REGION, SAMPLES
 from hybrid.preparation.gaussian_count import FIXED_GAUSSIANS, GAUSSIANS
 from hybrid.preparation.preparation import prepare
-from hybrid.preparation.scene_plan import plan_of_forest
 from hybrid.preparation.stages import PreparationSettings
+from hybrid.render.forest_attachments import plan_of_forest
 from pathtrace.dataset.captured_frames import read_frame
 from pathtrace.dataset.frame_set import read_frame_set
 from pathtrace.scene.scene import load_scene
@@ -135,15 +135,15 @@ def test_a_target_out_of_reach_is_refused_with_what_can_be_reached(scene, tmp_pa
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"quality": "best"}, "--quality best: must be draft, standard, high"),
-        ({"minutes": 0.0}, "--minutes 0: must be over 0"),
-        ({"minutes": float("nan")}, "--minutes nan"),
-        ({"psnr": -1.0}, "--psnr -1"),
+        ({"quality": "best"}, "quality best: must be draft, standard, high"),
+        ({"minutes": 0.0}, "minutes 0: must be over 0"),
+        ({"minutes": float("nan")}, "minutes nan"),
+        ({"psnr": -1.0}, "psnr -1"),
         ({"minutes": 1.0, "psnr": 30.0}, "give one of them"),
-        ({"psnr": 30.0, "held_out": 0}, "requires held-out views"),
-        ({"held_out": -1}, "--held-out -1"),
-        ({"most_indirect": 0.0}, "--clamp-indirect 0: must be a radiance over 0"),
-        ({"most_indirect": float("inf")}, "--clamp-indirect inf"),
+        ({"psnr": 30.0, "held_out": 0}, "only be reached on held-out views"),
+        ({"held_out": -1}, "held_out -1"),
+        ({"most_indirect": 0.0}, "most_indirect 0: must be a radiance over 0"),
+        ({"most_indirect": float("inf")}, "most_indirect inf"),
     ],
 )
 def test_settings_out_of_range_are_refused(given, message):

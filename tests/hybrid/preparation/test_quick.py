@@ -10,7 +10,7 @@ import pytest
 from compose.base.errors import UserError
 from hybrid.base.cache_folder import store_forest
 from hybrid.preparation import preparation as module
-from hybrid.preparation.preparation import Prepared, forest_for, make_quick_forest
+from hybrid.preparation.preparation import Prepared, make_quick_forest, with_forest
 from hybrid.preparation.stages import PreparationSettings
 from pathtrace.scene.scene import Scene, load_scene
 from splat.io.forest_file import save_forest
@@ -49,26 +49,26 @@ def made(monkeypatch, forest):
 def test_a_given_forest_is_loaded(scene, forest, made, tmp_path):
     store_forest(replace(forest, trained_focal=60.0), "newest")
     save_forest(tmp_path / "given", forest)
-    assert forest_for(scene, tmp_path / "given").trained_focal == 50
+    assert with_forest(scene, tmp_path / "given")[1].trained_focal == 50
     assert not made
 
 
 def test_a_given_forest_of_another_scene_is_refused(scene, forest, made, tmp_path):
     save_forest(tmp_path / "given", replace(forest, scene_hash="ab" * 32))
     with pytest.raises(UserError, match=f"^{tmp_path / 'given'} belongs to scene"):
-        forest_for(scene, tmp_path / "given")
+        with_forest(scene, tmp_path / "given")
     with pytest.raises(UserError, match="none"):
-        forest_for(scene, tmp_path / "none")
+        with_forest(scene, tmp_path / "none")
     assert not made
 
 
 def test_without_one_the_newest_forest_is_loaded(scene, forest, made):
     store_forest(replace(forest, trained_focal=60.0), "newest")
-    assert forest_for(scene, None).trained_focal == 60
+    assert with_forest(scene, None)[1].trained_focal == 60
     assert not made
 
 
-def test_without_any_forest_one_is_prepared(scene, forest, made, capsys):
+def test_without_any_forest_one_is_planned_and_prepared(scene, forest, made, caplog):
     titles = []
 
     @contextmanager
@@ -76,16 +76,19 @@ def test_without_any_forest_one_is_prepared(scene, forest, made, capsys):
         titles.append(title)
         yield lambda done, total: None
 
-    assert forest_for(scene, None, noting) is forest
-    assert f"No forest for scene {scene.name} yet" in capsys.readouterr().err
+    caplog.set_level("INFO", "hybrid")
+    planned, found = with_forest(scene, None, noting)
+    assert found is forest
+    assert planned.hash == scene.at_depth(planned.plan["path depth"]).hash
+    assert caplog.messages == [
+        f"No plan for scene {scene.name} yet: looking at it first.",
+        f"No forest for scene {scene.name} yet: preparing one first.",
+    ]
     assert made == [(PreparationSettings(quality="draft", held_out=0), None)]
-    assert titles == ["prepare"]
+    assert titles == [f"plan for {scene.name} (parts)", "prepare"]
 
 
 def test_quick_settings_have_the_seed_that_was_asked_for(scene, forest, made, monkeypatch, tmp_path):
     monkeypatch.setattr(module, "read_frame_set", lambda folder: folder)
-    found = make_quick_forest(scene, tmp_path, 7)
-    assert found.forest is forest
-    assert found.frames == tmp_path / "prepared-7" / "fusion"
-    assert {*found.seconds} == {"prepare"}
+    assert make_quick_forest(scene, tmp_path, 7) == (forest, tmp_path / "prepared-7" / "fusion")
     assert made == [(PreparationSettings(quality="draft", held_out=0, seed=7), tmp_path / "prepared-7")]

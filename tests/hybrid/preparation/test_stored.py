@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -10,14 +11,13 @@ from compose.base.errors import UserError
 from hybrid.base.cache_folder import scene_folder
 from hybrid.preparation import scene_plan as stored
 from hybrid.preparation.scene_plan import (
-    attach_plan,
     plan_for,
-    plan_of_forest,
     planned_scene,
     require_plan,
     scene_as_stored,
     store_plan,
 )
+from hybrid.render.forest_attachments import attach_plan, plan_of_forest, scene_as_trained
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.tracer import Tracer
 from tests import small
@@ -49,6 +49,29 @@ def test_a_depth_that_is_given_stays():
     assert scene.max_depth == scene.plan["path depth"] == 3
     assert scene.hash == load_scene("cornell", 3).hash
     assert load_scene("cornell").at_depth(3).hash == scene.hash
+
+
+def test_loading_renders_nothing(monkeypatch):
+    monkeypatch.setattr(stored, "look_at_scene", lambda *arguments: pytest.fail("looked at"))
+    scene = scene_as_stored(small.corner())
+    assert (scene.plan, scene.hash) == ({}, scene.own_hash)
+    assert scene_as_stored("cornell", 3).max_depth == 3
+
+
+def test_without_a_plan_a_scene_has_that_of_the_forest():
+    plan = {"path depth": 7, "roulette depth": 3, "degree": 0}
+    scene = load_scene(small.corner())
+    planned = scene.planned(plan)
+    trained = replace(attach_plan(rough_forest(planned), plan), scene_hash=planned.hash)
+    found = scene_as_trained(scene, trained)
+    assert (found.hash, found.max_depth, found.roulette_depth, found.plan) == (planned.hash, 7, 3, plan)
+    # A plan of the scene's own, a depth that was asked for, and a forest of something else change nothing.
+    for own in (scene.planned({**plan, "path depth": 2}), load_scene(small.corner(), 5)):
+        assert scene_as_trained(own, trained) is own
+    assert scene_as_trained(scene, replace(trained, scene_hash="ab" * 32)) is scene
+    assert scene_as_trained(scene, rough_forest(scene)) is scene
+    for damaged in ({**plan, "path depth": "7"}, {**plan, "roulette depth": 0}, {"degree": 0}):
+        assert scene_as_trained(scene, attach_plan(trained, damaged)) is scene
 
 
 def test_paths_are_as_planned():
@@ -86,13 +109,13 @@ def test_a_plan_that_contradicts_the_scene_is_refused(tmp_path, got):
 
 
 @extreme("a scene that cannot be looked at", given="a sky, no shape", expected="loaded, not planned")
-def test_what_cannot_be_looked_at_is_loaded_without_a_plan(capsys, got):
+def test_what_cannot_be_looked_at_is_loaded_without_a_plan(caplog, got):
     empty = {"type": "scene", "sensor": small.sensor(), "sky": {"type": "constant"}}
     scene = planned_scene(empty)
     assert (scene.plan, scene.max_depth) == ({}, scene.own_depth)
-    said = capsys.readouterr().err
-    assert "what it requires is not planned" in said
-    got(said.strip())
+    (said,) = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert said.endswith("; using defaults")
+    got(said)
 
 
 def test_a_forest_says_what_was_planned_for_it():

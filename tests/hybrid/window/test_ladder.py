@@ -135,12 +135,12 @@ def test_where_there_is_no_jod_it_is_ssim(source, timed, monkeypatch):
 
 
 def test_a_ladder_is_measured_once_for_each_size_acuity_model_and_display(source, timed):
-    said: list[tuple[str, int, int]] = []
+    said: list[tuple[int, int, str]] = []
     report = lambda *step: said.append(step)  # noqa: E731
     rungs = ladder_for(source, like(source), report)
     # One step for each of the candidates, whose number is that of the steps before the last one.
-    assert [done for _, done, _ in said] == list(range(len(timed.gazes) + 2))
-    assert {total for _, _, total in said} == {len(timed.gazes) + 1}
+    assert [done for done, _, _ in said] == list(range(len(timed.gazes) + 2))
+    assert {total for _, total, _ in said} == {len(timed.gazes) + 1}
     # Nothing of all this is left in the next frame of the window.
     assert not timed.history
     said.clear()

@@ -17,9 +17,9 @@ pytestmark = pytest.mark.usefixtures("backend", "own_home")
 RAW = FrameSettings(fovea="raw")
 
 
-def silent(activity: str, done: int, total: int) -> None:
-    if not activity.startswith("plan for"):
-        pytest.fail(f"{activity} is reported")
+def silent(done: int, total: int, label: str) -> None:
+    if not label.startswith("plan for"):
+        pytest.fail(f"{label} is reported")
 
 
 def test_a_scene_and_its_forest_become_a_source(made):
@@ -30,9 +30,9 @@ def test_a_scene_and_its_forest_become_a_source(made):
 
 def test_the_backend_is_selected_before_the_scene_is_loaded(made, monkeypatch):
     done: list[str] = []
-    load = prepare.planned_scene
+    load = prepare.scene_as_stored
     monkeypatch.setattr(prepare, "select_backend", done.append)
-    monkeypatch.setattr(prepare, "planned_scene", lambda name, **_: done.append(name) or load(name))
+    monkeypatch.setattr(prepare, "scene_as_stored", lambda name, **_: done.append(name) or load(name))
     prepared("cornell", made / "box.forest", "llvm", False, RAW, silent)
     assert done == ["llvm", "cornell"]
 
@@ -66,17 +66,18 @@ def test_training_and_filling_are_reported(made, monkeypatch):
         with bars("train (steps)") as bar:
             bar(1, 5, "layer 1")
             bar(5, 5)
-        return load_forest(made / "box.forest")
+        return scene, load_forest(made / "box.forest")
 
     def fills(scene, bars):
         with bars("irradiance (steps)") as bar:
             bar(1, 4)
 
-    monkeypatch.setattr(prepare, "forest_for", trains)
-    reported: list[tuple[str, int, int]] = []
+    monkeypatch.setattr(prepare, "with_forest", trains)
+    reported: list[tuple[int, int, str]] = []
     monkeypatch.setattr(prepare, "cache_for", fills)
     prepared("cornell", None, "auto", True, INTERACTIVE, lambda *step: reported.append(step))
-    assert reported == [("train (steps)", 1, 5), ("train (steps)", 5, 5), ("irradiance (steps)", 1, 4)]
+    steps = [(1, 5, "train (steps) layer 1"), (5, 5, "train (steps)"), (1, 4, "irradiance (steps)")]
+    assert [step for step in reported if not step[2].startswith("plan for")] == steps
 
 
 def test_a_raw_fovea_needs_no_irradiance(made, monkeypatch):

@@ -26,7 +26,7 @@ def test_the_bundled_scenes_have_none(name):
 def test_panes_are_named_unless_they_let_shadow_rays_pass():
     found = light_difficulties(load_scene(scene(slab(0.05))))
     assert [one.kind for one in found] == ["panes"]
-    assert "--thin-glass" in str(found[0])
+    assert "thin_glass" in str(found[0])
     assert kinds(scene(slab(0.05)), thin_glass=True) == []
 
 

@@ -162,8 +162,8 @@ def test_files_are_written_and_named_and_so_is_what_is_wrong_with_them(started, 
 
 
 def test_progress_of_the_preparation_is_passed_on(started):
-    def prepare(report: Callable[[str, int, int], None]) -> Source:
-        report("train (steps)", 1, 5)
+    def prepare(report: Callable[[int, int, str], None]) -> Source:
+        report(1, 5, "train (steps)")
         return Source()
 
     _, heard = started(prepare)
@@ -174,10 +174,10 @@ def test_progress_of_the_preparation_is_passed_on(started):
 def test_stopping_interrupts_the_preparation_without_an_error():
     interrupted = []
 
-    def prepare(report: Callable[[str, int, int], None]) -> Source:
+    def prepare(report: Callable[[int, int, str], None]) -> Source:
         try:
             while True:
-                report("train (steps)", 1, 5)
+                report(1, 5, "train (steps)")
                 time.sleep(0.001)
         except KeyboardInterrupt:
             interrupted.append(True)

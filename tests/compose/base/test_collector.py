@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from pathtrace.trace.frozen import collector_paused
+from compose.base.collector import collector_paused
 
 
 @pytest.fixture(autouse=True)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import io
+import logging
 
 import pytest
 from rich.console import Console
 
-from hybrid.base import progress
-from hybrid.base.progress import progress_bar
+from hybrid.cli import progress
+from hybrid.cli.progress import progress_bar
 
 
 @pytest.fixture
@@ -39,6 +40,16 @@ def test_results_and_bars_do_not_mix(capsys):
     progress.console.print("a bar")
     assert progress.console.stderr
     assert capsys.readouterr().out == ""
+
+
+def test_messages_are_lines_while_a_command_runs(capsys):
+    log = logging.getLogger("hybrid")
+    with progress.messages_as_lines():
+        log.info("[%d] thin_glass lets them pass " + 30 * "and pass ", 3)
+    log.info("afterwards")
+    said = capsys.readouterr().err
+    assert said.startswith("[3] --thin-glass lets them pass and")
+    assert said.count("\n") == 1
 
 
 def test_a_file_gets_a_line_now_and_then(monkeypatch):
