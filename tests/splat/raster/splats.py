@@ -50,6 +50,13 @@ def uploaded(arrays, rows: list[np.ndarray]) -> Splats:
     return splats
 
 
+def inverse_covariance(splats: Splats) -> dict[str, np.ndarray]:
+    """Entries xx, xy, yy of the inverse of the 2D covariance, in 1/px^2, in float32."""
+    xy = splats.x_precision * splats.shear
+    entries = {"xx": splats.x_precision, "xy": xy, "yy": dr.fma(xy, splats.shear, splats.y_precision)}
+    return {name: dr.detach(entry, preserve_type=False).numpy() for name, entry in entries.items()}
+
+
 def doubles(splats: Splats) -> dict[str, np.ndarray]:
     """The splats' numbers in float64, by name."""
     return {name: getattr(splats, name).numpy().astype(np.float64) for name in NAMES}

@@ -11,20 +11,15 @@ from compose.camera.camera import Camera
 from splat.raster.differentiable import parameters_from
 from splat.raster.projection import NEAR, Splats, footprints, project, view_position
 from tests.splat.raster import reference
+from tests.splat.raster.splats import inverse_covariance
 from tests.splat.samples import KINDS, camera, gaussians, white_dot
 
 
 def numbers(splats, name: str) -> np.ndarray:
     """By name; of splats also the entries xx, xy, yy of the inverse of the 2D covariance."""
-    xy = lambda: splats.x_precision * splats.shear  # noqa: E731
-    inverse = {
-        "xx": lambda: splats.x_precision,
-        "xy": xy,
-        "yy": lambda: dr.fma(xy(), splats.shear, splats.y_precision),
-    }
-    derived = isinstance(splats, Splats) and name in inverse
-    values = inverse[name]() if derived else getattr(splats, name)
-    return dr.detach(values, preserve_type=False).numpy()
+    if isinstance(splats, Splats) and name in ("xx", "xy", "yy"):
+        return inverse_covariance(splats)[name]
+    return dr.detach(getattr(splats, name), preserve_type=False).numpy()
 
 
 def test_a_round_gaussian_on_the_axis_has_the_closed_form(arrays):
