@@ -20,8 +20,13 @@ MOTION = {
 }
 
 
-def moving_corner(folder: Path) -> Scene:
-    """The scene; its motion file is written into a folder."""
+def write_motion(folder: Path) -> Path:
+    """The motion file, written into a folder."""
     file = folder / "corner.motion.json"
     file.write_text(json.dumps(MOTION))
-    return load_scene(small.corner(), motion=file)
+    return file
+
+
+def moving_corner(folder: Path) -> Scene:
+    """The scene; its motion file is written into a folder."""
+    return load_scene(small.corner(), motion=write_motion(folder))

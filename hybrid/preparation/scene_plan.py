@@ -177,17 +177,20 @@ DISPLAY, SIZE = "desktop", (1920, 1080)
 
 
 def scene_as_stored(
-    source: str | Path | dict[str, Any], max_depth: int | None = None, thin_glass: bool = False
+    source: str | Path | dict[str, Any],
+    max_depth: int | None = None,
+    thin_glass: bool = False,
+    motion: Path | None = None,
 ) -> Scene:
     """Loads a scene as its stored plan has it; as its file has it if there is none.
 
     Args:
-        source, max_depth, thin_glass: as in `load_scene`; a depth that is given stays.
+        source, max_depth, thin_glass, motion: as in `load_scene`; a depth that is given stays.
 
     Raises:
         UserError: as in `load_scene`, or the stored plan contradicts the scene.
     """
-    scene = load_scene(source, max_depth, thin_glass)
+    scene = load_scene(source, max_depth, thin_glass, motion)
     plan = _stored(scene)
     return scene if plan is None else scene.planned(plan.values())
 

@@ -8,7 +8,7 @@ import hybrid
 from hybrid.api import workflow as scenes
 from hybrid.preparation import scene_plan
 from splat.io.forest_file import load_forest
-from tests import small
+from tests import moving, small
 from tests.hybrid.preparation.tiny import make_tiny
 
 CAPTURE = {"views": 2, "held_out": 1, "width": 24, "height": 24, "spp": 2, "held_out_spp": 4}
@@ -25,6 +25,14 @@ def test_another_path_depth_makes_another_scene(backend):
     usual, shallow = scenes.load_scene("cornell"), scenes.load_scene("cornell", max_depth=2)
     assert shallow.max_depth == hybrid.plan(shallow).max_depth == 2
     assert shallow.hash not in (usual.hash, hybrid.plan(usual).hash)
+
+
+def test_a_motion_file_may_be_elsewhere(backend, tmp_path):
+    file = moving.write_motion(tmp_path)
+    still, moves = (scenes.load_scene(small.corner(), motion=motion) for motion in (None, file))
+    assert still.moving is None
+    assert moves.moving is not None
+    assert moves.hash != still.hash
 
 
 def test_scenes_that_cannot_be_loaded_are_user_errors(backend, tmp_path):
