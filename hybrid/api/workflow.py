@@ -47,8 +47,8 @@ def load_scene(
         backend: auto (CUDA if available), cuda or llvm; it cannot change within a process.
 
     Raises:
-        UserError: the scene or its motion is missing or damaged, Mitsuba refuses it, it has no perspective camera or no light, the
-            backend is not available, or thin glass is asked for and there is no pane.
+        UserError: the scene or its motion is missing or damaged, Mitsuba refuses it, it has no perspective
+            camera or no light, the backend is not available, or thin glass is asked for and there is no pane.
     """
     select_backend(backend)
     from hybrid.preparation.scene_plan import scene_as_stored
