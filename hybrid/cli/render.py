@@ -131,7 +131,7 @@ def render(
     is_folder = is_posed_folder(Path(scene))
     is_path = is_folder and output.suffix.lower() == ".mp4"
     if is_folder:
-        refuse_tracing(context, Path(scene))
+        refuse_tracing(context, Path(scene), is_path)
     elif view is not None:
         raise UserError(
             f"--view {view}: only for a folder of images; a scene has its own camera, or takes --camera"
@@ -149,28 +149,22 @@ def render(
         time=time or DEFAULTS.time,
     )
     _check_layers(layers)
-    _check_outputs(output, detail, gaze_trace is not None or is_path)
-    if is_path and any(one is not None for one in (view, camera, time)):
-        raise UserError(f"--view, --camera, --time: {output} shows all views of {scene} at their times")
-    if eyes is not None and (gaze_trace is not None or is_path or detail is not None):
-        raise UserError("--eyes: only for a single frame, without --detail")
+    _check_outputs(output, detail, eyes, gaze_trace is not None or is_path)
     trace = _loaded_trace(gaze_trace, gaze, fps, is_path)
     if target_ms is not None or target_jod is not None:
-        for option, value in {"--layers": layers, "--max-depth": max_depth}.items():
-            if value is not None:
-                raise UserError(f"--target-ms, --target-jod: nothing is measured with {option}; leave it out")
+        _check_measured({"--layers": layers, "--max-depth": max_depth})
     o.select(backend)
     if is_folder:
         from pathtrace.dataset.posed_layouts import read_posed_folder
 
         given = None if camera is None else _read_camera(camera)
         images = read_posed_folder(Path(scene))
+        shown = None if is_path else view_of(images, view or 0, given, size, time)
         splats = splat_renderer(images, forest)
         settings.layers_of(len(splats.forest.counts))
-        if is_path:
+        if shown is None:
             facts = render_views(output, images, splats, settings, size, trace, fps or _FPS)
         else:
-            shown = view_of(images, view or 0, given, size, time)
             settings = replace(settings, camera=shown.camera, time=shown.time)
             facts = render_splats(output, detail, eyes, splats, settings)
         o.write_json(json_file, {"scene": images.scene_name, **facts})
@@ -201,6 +195,13 @@ def render(
     o.write_json(json_file, facts)
 
 
+def _check_measured(options: dict[str, Any]) -> None:
+    """Refuses options with which no settings are measured, and thus none can be chosen for a target."""
+    for option, value in options.items():
+        if value is not None:
+            raise UserError(f"--target-ms, --target-jod: nothing is measured with {option}; leave it out")
+
+
 def _check_layers(layers: tuple[int, int] | None) -> None:
     """Refuses layers that no forest has, before one may have to be trained."""
     if layers is not None and not 1 <= layers[0] <= layers[1]:
@@ -209,8 +210,8 @@ def _check_layers(layers: tuple[int, int] | None) -> None:
         )
 
 
-def _check_outputs(output: Path, detail: Path | None, is_video: bool) -> None:
-    """Refuses files that cannot be written, before the work begins."""
+def _check_outputs(output: Path, detail: Path | None, eyes: float | None, is_video: bool) -> None:
+    """Refuses files that cannot be written, and frames that they cannot hold, before the work begins."""
     from hybrid.render.image_files import check_writable
 
     kinds = (".mp4",) if is_video else (".exr", ".png")
@@ -221,6 +222,8 @@ def _check_outputs(output: Path, detail: Path | None, is_video: bool) -> None:
         raise UserError("--detail, --gaze-trace: only a single frame has a picture of its levels")
     if detail is not None and detail.suffix.lower() != ".png":
         raise UserError(f"--detail {detail}: must end in .png")
+    if eyes is not None and (is_video or detail is not None):
+        raise UserError("--eyes: only for a single frame, without --detail")
     for file in (output, detail):
         if file is not None:
             check_writable(file)

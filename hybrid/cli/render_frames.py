@@ -71,8 +71,16 @@ def write_frames(
     }
 
 
-def refuse_tracing(context: typer.Context, folder: Path) -> None:
-    """Refuses options that say how a scene is path-traced: frames have none."""
+def refuse_tracing(context: typer.Context, folder: Path, is_path: bool) -> None:
+    """Refuses options that say how a scene is path-traced: frames have none.
+
+    Args:
+        context: of the command.
+        folder: of the frames.
+        is_path: whether a video shows all of them, each at its own time.
+    """
+    if is_path and any(o.given(context, name) for name in ("view", "camera", "time")):
+        raise UserError(f"--view, --camera, --time: a video of {folder} shows all its views at their times")
     for name in _OF_SCENES:
         if o.given(context, name):
             raise UserError(

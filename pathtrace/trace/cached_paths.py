@@ -66,7 +66,7 @@ class Bins:
 
 
 @dr.syntax
-def path_radiance(
+def path_radiance(  # noqa: PLR0913 (the state of a symbolic loop)
     scene: Any,
     sampler: Any,
     ray: Any,
@@ -196,7 +196,7 @@ def _roulette(sampler: Any, throughput: Any, plays: Any, active: Any) -> tuple[A
 
 
 @dr.syntax
-def _direct(
+def _direct(  # noqa: PLR0913 (the state of a symbolic loop)
     lights: Lights,
     sampler: Any,
     sequences: Sequences,

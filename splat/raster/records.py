@@ -201,8 +201,7 @@ def concatenated_records(parts: Sequence[Records]) -> Records:
 
 
 def records_before(arrays: Arrays, layout: RecordLayout, *parts: NDArray[Any]) -> Records:
-    """Records of a layout with a single table, and behind them in the same array, which is uploaded at once,
-    other numbers.
+    """Records of a layout with a single table, and behind them, in the same array, other numbers.
 
     Args:
         parts: the records' rows (N, floats), and arrays of other numbers of 32 bits.
