@@ -145,8 +145,11 @@ class Renderer:
                 range.
         """
         seed = require_seed(seed)
+        # First: a cache that is filled for it leaves the scene at another time.
+        self.fovea_of(settings)
         clock = Clock()
-        camera, settings, region = self._framed(settings)
+        camera, settings = self._begun(settings)
+        region = settings.foveation.region(camera.width, camera.height)
         disc = region.disc(self._arrays)
         clock.lap("region")
         detail, drawn, under = self._drawn(camera, settings, region, clock)
@@ -203,13 +206,6 @@ class Renderer:
             return detail, *self.periphery.draw_with_disc(camera, settings, detail, region)
         return detail, self.periphery.draw(camera, detail, region), None
 
-    def _framed(self, settings: FrameSettings) -> tuple[Camera, FrameSettings, FoveaRegion]:
-        """What `_begun` returns, and the disc of the frame."""
-        # First: a cache that is filled for it leaves the scene at another time.
-        self.fovea_of(settings)
-        camera, settings = self._begun(settings)
-        return camera, settings, settings.foveation.region(camera.width, camera.height)
-
     def _begun(self, settings: FrameSettings) -> tuple[Camera, FrameSettings]:
         """The camera and the settings of a frame; scene and forest show its time from now on."""
         camera, settings = settings.resolved(self.scene.camera)
@@ -256,7 +252,10 @@ class Renderer:
 
     def disc_alone(self, settings: FrameSettings, seed: int) -> FoveaImage:
         """A frame's disc, without rendering a periphery."""
-        camera, settings, region = self._framed(settings)
+        # As in `frame`, first.
+        self.fovea_of(settings)
+        camera, settings = self._begun(settings)
+        region = settings.foveation.region(camera.width, camera.height)
         self._relight(settings)
         fill = self._fill(camera, settings, seed) if settings.fovea is FoveaMode.FUSED else None
         underlay = self.underlay(camera, settings, region, fill)
