@@ -48,7 +48,7 @@ class EarlierView:
 
 
 @dataclass(frozen=True)
-class Places:
+class SamplePlaces:
     """Where M samples of earlier views are, as Dr.Jit arrays of width M.
 
     Attributes:
@@ -119,12 +119,12 @@ class EarlierViews:
         self.viewpoints[number], self._times[number] = np.inf, np.nan
         self._first = (self._first + self._sizes.popleft()) % self._room
 
-    def places(self, index: Any) -> Places:
+    def places(self, index: Any) -> SamplePlaces:
         """Where the samples at an index (M,) are; the oldest view's first sample has index 0."""
         *position, tag = self.arrays.packet(self._places, _PLACE, self._slot(index))
         tag = self.arrays.plain.UInt(tag)
         gloss, view = tag & ((1 << _GLOSS_BITS) - 1), (tag >> _GLOSS_BITS) & (MOST_VIEWS - 1)
-        return Places(position, gloss, view, tag >> (_GLOSS_BITS + _VIEW_BITS))
+        return SamplePlaces(position, gloss, view, tag >> (_GLOSS_BITS + _VIEW_BITS))
 
     def records(self, index: Any) -> list[Any]:
         """Sixteen Floats (M,): the records of the samples at an index."""

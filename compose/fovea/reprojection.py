@@ -16,7 +16,7 @@ import numpy as np
 from compose.base.arrays import Arrays, uploaded
 from compose.base.traced_samples import DIFFUSE, GLOSSY, SPECULAR, UNSTEADY
 from compose.camera.camera import Camera
-from compose.fovea.earlier_views import EarlierViews, Places
+from compose.fovea.earlier_views import EarlierViews, SamplePlaces
 from compose.fovea.samples import RECORD, Samples
 from compose.image.device_image import Box, shape_of
 
@@ -251,7 +251,7 @@ def _quarters(arrays: Arrays, sight: list[Any], camera: Camera, box: Box) -> tup
     return across, down, inside
 
 
-def _compared(views: EarlierViews, place: Places, sight: list[Any], camera: Camera) -> tuple[Any, Any]:
+def _compared(views: EarlierViews, place: SamplePlaces, sight: list[Any], camera: Camera) -> tuple[Any, Any]:
     """Whether samples come from this very viewpoint, and whether their surface looks the same from here.
 
     Places and lines of sight of M samples are those of now.

@@ -24,7 +24,7 @@ from compose.image.colour import Image
 _MOST_NOISE = 1.0
 _WINDOW = 33
 # All images of an example, stacked in one tensor so that patches are cut from all of them at once. Target and
-# noise are those of `Reference.targets`.
+# noise are those of `FusionReference.targets`.
 STACK = Channels(
     {"traced": 3, "denoised": 3, "splat": 3, "albedo": 3, "normal": 3, "target": 3, "noise": 3, "count": 1}
 )
@@ -49,7 +49,7 @@ _SIDES = 1, 4
 
 
 @dataclass(frozen=True)
-class Reference:
+class FusionReference:
     """Noisy radiance of a view from two independent halves of its samples.
 
     Attributes:
@@ -97,7 +97,7 @@ class Example:
     """
 
     parents: Parents
-    reference: Reference
+    reference: FusionReference
     view: int
 
     def stack(self) -> Tensor:

@@ -25,7 +25,7 @@ def torch_device() -> torch.device:
     return torch.device("cuda" if on_cuda else "cpu")
 
 
-class Clock:
+class PassClock:
     """Measures consecutive passes.
 
     On the CPU, a pass ends when its kernels have finished. On a card, which is to work on one pass while the

@@ -27,7 +27,7 @@ from hybrid.measure.frame_times import percentiles, ratio_of_medians
 from hybrid.measure.image_metrics import psnr_of_error, registration_px
 from hybrid.measure.perceptual_metrics import jod_of_video
 from hybrid.measure.reference import REFERENCE_SEED, reference
-from hybrid.measure.regions import Region, regions
+from hybrid.measure.regions import ImageRegion, regions
 from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.splat_renderer import SplatRenderer
@@ -135,11 +135,11 @@ class _Clip:
     truths: Sequence[Image]
     masks: dict[str, NDArray[np.bool_]]
 
-    def regions(self, settings: FrameSettings) -> dict[str, Region]:
+    def regions(self, settings: FrameSettings) -> dict[str, ImageRegion]:
         """Of the last frame, by name; those without a pixel are left out."""
         found = regions(replace(settings, gaze=self.gaze).foveation, self.truths[-1])
         return {name: found[name] for name in (*_AS_VIDEO, "salient")} | {
-            name: Region.of(name, mask) for name, mask in self.masks.items() if mask.any()
+            name: ImageRegion.of(name, mask) for name, mask in self.masks.items() if mask.any()
         }
 
 
@@ -339,7 +339,7 @@ def _gaze_on(moves: NDArray[np.bool_]) -> Gaze:
     return Gaze((columns[nearest] + 0.5) / width, (rows[nearest] + 0.5) / height)
 
 
-def _video_jod(clip: _Clip, images: Sequence[Image], region: Region, display: Display) -> float | None:
+def _video_jod(clip: _Clip, images: Sequence[Image], region: ImageRegion, display: Display) -> float | None:
     """JOD of a clip as a video, of the box around a region, outside which nothing counts."""
     seen = [region.alone(image, truth)[region.box] for image, truth in zip(images, clip.truths, strict=True)]
     truths = [truth[region.box] for truth in clip.truths]

@@ -19,7 +19,7 @@ from hybrid.cli.render_frames import (
     view_of,
     write_frames,
 )
-from hybrid.cli.target import Target, measuring_command
+from hybrid.cli.target import TradeTarget, measuring_command
 from hybrid.render.frame_settings import DEFAULTS, FrameSettings, aovs_of_file
 
 if TYPE_CHECKING:
@@ -179,7 +179,7 @@ def render(
     own = _view(loaded, camera, size, is_video=trace is not None)
     pixels = own.width, own.height
     command = measuring_command(scene, forest, pixels, settings, display, backend)
-    target = Target(target_ms, target_jod, command)
+    target = TradeTarget(target_ms, target_jod, command)
     target.require_forest(loaded, forest)
     loaded, found = with_forest(loaded, forest, progress_bar)
     if fovea is None and loaded.plan.get(DENOISING) == RAW:

@@ -48,7 +48,7 @@ def sweep(
     acuity. In radius, spp, view and trade, only the ratio of --fov-a and --fov-b matters. Only band, layers,
     acuity, denoiser and trade use --reference-spp.
     """
-    from hybrid.evaluation.sweep_catalogue import Effort, Setting, sweep_named
+    from hybrid.evaluation.sweep_catalogue import Setting, SweepEffort, sweep_named
 
     for name in sweep_named(over, (1,)).ignored:
         if o.given(context, name):
@@ -84,7 +84,7 @@ def sweep(
             o.write_json(report / f"sweep-{over}.json", content)
 
     with progress_bar(f"sweep over {over}") as bar:
-        content = run(loaded, found, over, base, Effort(repeats, warm_up, reference_spp), write, bar)
+        content = run(loaded, found, over, base, SweepEffort(repeats, warm_up, reference_spp), write, bar)
     _print(content, settings)
     if report is not None:
         write_report(report)

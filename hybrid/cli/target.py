@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Target:
+class TradeTarget:
     """The milliseconds that a frame may take and the JOD that it must reach; None for any.
 
     Attributes:

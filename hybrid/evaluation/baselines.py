@@ -22,7 +22,7 @@ from torch.nn import functional
 from compose.camera.camera import Camera, View
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image
-from hybrid.base.compute_device import Clock
+from hybrid.base.compute_device import PassClock
 from hybrid.evaluation.methods import Method, TimedImage
 from pathtrace.trace.film import FilmPositions, box_positions, frame_positions
 from pathtrace.trace.sampling import fractional_counts
@@ -42,7 +42,7 @@ def traced_image(
     spp: float,
     seed: int,
     denoised: bool,
-    clock: Clock | None = None,
+    clock: PassClock | None = None,
 ) -> Image:
     """(N / columns, columns, 3) radiance at N positions on the camera's film, given row by row.
 
@@ -52,7 +52,7 @@ def traced_image(
         denoised: whether to denoise with OIDN, guided by albedo and normal.
         clock: records the passes trace and denoise.
     """
-    clock = clock or Clock()
+    clock = clock or PassClock()
     counts = fractional_counts(spp, positions.count, seed)
     if not denoised:
         radiance = radiance_image(tracer, camera, positions, columns, counts, seed)
@@ -165,11 +165,11 @@ class _PathTraced:
 
     def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
         self.tracer.scene.show(view.time)
-        clock = Clock()
+        clock = PassClock()
         image = self._image(view.camera, gaze, seed, clock)
         return TimedImage(image, clock.milliseconds())
 
-    def _image(self, camera: Camera, gaze: Gaze, seed: int, clock: Clock) -> Image:
+    def _image(self, camera: Camera, gaze: Gaze, seed: int, clock: PassClock) -> Image:
         raise NotImplementedError
 
 
@@ -192,7 +192,7 @@ class FullTrace(_PathTraced):
     def rays(self, camera: Camera, gaze: Gaze) -> float:
         return self.spp
 
-    def _image(self, camera: Camera, gaze: Gaze, seed: int, clock: Clock) -> Image:
+    def _image(self, camera: Camera, gaze: Gaze, seed: int, clock: PassClock) -> Image:
         positions = frame_positions(camera)
         return traced_image(
             self.tracer, camera, positions, camera.width, self.spp, seed, self.denoised, clock
@@ -221,7 +221,7 @@ class Enlarged(_PathTraced):
         columns, rows = self._size(camera)
         return self.spp * columns * rows / (camera.width * camera.height)
 
-    def _image(self, camera: Camera, gaze: Gaze, seed: int, clock: Clock) -> Image:
+    def _image(self, camera: Camera, gaze: Gaze, seed: int, clock: PassClock) -> Image:
         columns, rows = self._size(camera)
         width, height = camera.width / columns, camera.height / rows
         left, top = (
@@ -266,7 +266,7 @@ class Rmfr(_PathTraced):
         warp = self._warp(camera, gaze)
         return self.spp * warp.across.buffer * warp.down.buffer / (camera.width * camera.height)
 
-    def _image(self, camera: Camera, gaze: Gaze, seed: int, clock: Clock) -> Image:
+    def _image(self, camera: Camera, gaze: Gaze, seed: int, clock: PassClock) -> Image:
         warp = self._warp(camera, gaze)
         positions, columns = box_positions(*warp.boxes()), warp.across.buffer
         buffer = traced_image(self.tracer, camera, positions, columns, self.spp, seed, self.denoised, clock)

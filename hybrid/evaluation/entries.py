@@ -41,7 +41,7 @@ from hybrid.measure.frame_times import (
     ratio_of_medians,
 )
 from hybrid.measure.reference import Reference
-from hybrid.measure.regions import Region, regions
+from hybrid.measure.regions import ImageRegion, regions
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.image_files import write_png
 from pathtrace.trace.tracer import Tracer
@@ -141,7 +141,7 @@ class EvaluatedView:
     number: int
     view: View
     reference: Reference
-    regions: dict[str, Region]
+    regions: dict[str, ImageRegion]
     settings: EvaluationSettings
     folder: Path
 

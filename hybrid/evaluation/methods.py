@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from compose.camera.camera import Camera, View
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image
-from hybrid.base.compute_device import Clock
+from hybrid.base.compute_device import PassClock
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.frame_settings import DEFAULTS, FrameSettings
 from hybrid.render.periphery import Periphery
@@ -77,7 +77,7 @@ class SplatsAlone:
         return 0.0
 
     def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
-        clock = Clock()
+        clock = PassClock()
         self.periphery.set_time(view.time)
         image = self.periphery.whole(view.camera, DEFAULTS).numpy()
         clock.lap("splat")

@@ -21,7 +21,7 @@ from compose.image.colour import Image
 from hybrid.evaluation.result_keys import half_name
 from hybrid.measure.frame_quality import Viewer, metric_rows, tie_metrics
 from hybrid.measure.perceptual_metrics import flip_map
-from hybrid.measure.regions import Region
+from hybrid.measure.regions import ImageRegion
 from hybrid.render.image_files import write_srgb
 
 # Rows of region, metric and value.
@@ -45,7 +45,7 @@ class ScoringTask:
     image: Image
     reference: Image
     halves: tuple[Image, ...]
-    regions: dict[str, Region]
+    regions: dict[str, ImageRegion]
     viewer: Viewer
     flip_file: Path | None
 

@@ -57,7 +57,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Effort:
+class SweepEffort:
     """How much a sweep measures.
 
     Attributes:

@@ -18,7 +18,7 @@ from hybrid.evaluation.baselines import FullTrace
 from hybrid.evaluation.comparison import covered, reach_for
 from hybrid.evaluation.measured_settings import MeasuredSettings, MeasuredStore
 from hybrid.evaluation.methods import HybridMethod, Method
-from hybrid.evaluation.sweep_catalogue import Effort, Setting, Sweep, sweep_named
+from hybrid.evaluation.sweep_catalogue import Setting, Sweep, SweepEffort, sweep_named
 from hybrid.evaluation.sweep_tables import break_even
 from hybrid.measure.frame_quality import Viewer, metric_rows, missing
 from hybrid.measure.frame_times import (
@@ -30,7 +30,7 @@ from hybrid.measure.frame_times import (
     ratio_of_medians,
 )
 from hybrid.measure.reference import REFERENCE_SEED, Reference, reference
-from hybrid.measure.regions import Region, plain_regions
+from hybrid.measure.regions import ImageRegion, plain_regions
 from hybrid.render.frame_renderer import Renderer
 from pathtrace.region.neighbourhood import unseen_views
 from pathtrace.scene.scene import Scene
@@ -51,7 +51,7 @@ def sweep(
     forest: Forest,
     over: str,
     base: Setting,
-    effort: Effort,
+    effort: SweepEffort,
     write: Callable[[dict[str, Any]], None],
     progress: Callable[[int, int], None],
 ) -> dict[str, Any]:
@@ -92,7 +92,7 @@ def sweep(
         "views": len(settings[0].seen),
         "rows": rows,
         "break_even": break_even(rows) if over == "radius" else [],
-        **applied(chosen, base, effort),
+        **settings_of_row(chosen, base, effort),
         "machine": machine(),
     }
     write(content)
@@ -119,7 +119,7 @@ def swept(
     forest: Forest,
     settings: list[Setting],
     with_quality: bool,
-    effort: Effort,
+    effort: SweepEffort,
     journal: Journal,
     progress: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
@@ -162,7 +162,7 @@ def _group(
     renderer: Renderer,
     same: list[Setting],
     with_quality: bool,
-    effort: Effort,
+    effort: SweepEffort,
     progress: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
     """Rows of the same views, which take turns."""
@@ -206,7 +206,7 @@ def _full_traces(renderer: Renderer, settings: list[Setting]) -> dict[tuple[int,
 
 
 def _row(
-    setting: Setting, ours: Frames, full: dict[tuple[int, bool], Frames], effort: Effort
+    setting: Setting, ours: Frames, full: dict[tuple[int, bool], Frames], effort: SweepEffort
 ) -> dict[str, Any]:
     """Times of a setting against those of full frames, by samples per pixel and whether they are denoised."""
     total = [frame["total"] for frame in ours]
@@ -236,7 +236,7 @@ def _ranges(setting: Setting, total: list[float], full: list[float]) -> dict[str
     return {"ms_range": [min(times), max(times)], "ratio_range": [min(ratios), max(ratios)]}
 
 
-def regions_of(setting: Setting) -> dict[str, Region]:
+def regions_of(setting: Setting) -> dict[str, ImageRegion]:
     """The regions of a row whose quality is measured, by name; UserError if one is empty."""
     size = setting.camera.height, setting.camera.width
     return plain_regions(replace(setting.frame, gaze=Gaze()).foveation, size, _REGIONS)
@@ -263,7 +263,7 @@ def quality_of(
 
 
 def identity_of(
-    scene: Scene, forest: Forest, sweep: Sweep, settings: list[Setting], effort: Effort
+    scene: Scene, forest: Forest, sweep: Sweep, settings: list[Setting], effort: SweepEffort
 ) -> dict[str, Any]:
     """Everything that the rows of a sweep depend on."""
     rows = [
@@ -281,7 +281,7 @@ def identity_of(
     )
 
 
-def applied(sweep: Sweep, base: Setting, effort: Effort) -> dict[str, Any]:
+def settings_of_row(sweep: Sweep, base: Setting, effort: SweepEffort) -> dict[str, Any]:
     """The settings that all rows have in common, without those that the sweep varies or ignores, as JSON."""
     frame = base.frame
     radii = {"fov_a": frame.fov_a, "fov_b": frame.fov_b}

@@ -17,7 +17,7 @@ from hybrid.base.identity import installed_version
 from hybrid.measure.image_metrics import SSIM_WINDOW, checked_pair, has_valid, psnr, ssim_map, valid_mean
 from hybrid.measure.perceptual_metrics import INSTALL as FOVVIDEOVDP
 from hybrid.measure.perceptual_metrics import flip_map, flip_reach, hdr_flip_map, jod, lpips
-from hybrid.measure.regions import REGIONS, Region
+from hybrid.measure.regions import REGIONS, ImageRegion
 
 Map = NDArray[np.float32]
 # Whether higher values are better, in the order of all tables.
@@ -45,7 +45,7 @@ class Viewer:
 def metric_rows(
     image: Image,
     reference: Image,
-    regions: dict[str, Region],
+    regions: dict[str, ImageRegion],
     viewer: Viewer,
     name: str = "the frame",
     whole_flip: Map | None = None,
@@ -79,7 +79,7 @@ def metric_rows(
 
 
 def tie_metrics(
-    image: Image, half: Image, regions: dict[str, Region], viewer: Viewer
+    image: Image, half: Image, regions: dict[str, ImageRegion], viewer: Viewer
 ) -> list[dict[str, float | str]]:
     """Rows of region, metric and value against half of a reference's samples, from which ties are told.
 
@@ -87,7 +87,7 @@ def tie_metrics(
     installed, and SSIM of the whole frame. Arguments are those of `metric_rows`.
     """
     fovea = regions["foveal"]
-    whole = Region.of("whole", np.ones_like(fovea.mask))
+    whole = ImageRegion.of("whole", np.ones_like(fovea.mask))
     perceptual = region_metrics(image, half, fovea, viewer, ("jod", "flip"))
     of_fovea = perceptual or region_metrics(image, half, fovea, viewer, ("psnr", "ssim"))
     found = {fovea.name: of_fovea, whole.name: region_metrics(image, half, whole, viewer, ("ssim",))}
@@ -101,7 +101,7 @@ def tie_metrics(
 def region_metrics(
     image: Image,
     reference: Image,
-    region: Region,
+    region: ImageRegion,
     viewer: Viewer,
     wanted: Iterable[str] = METRICS,
     whole_flip: Map | None = None,
@@ -149,7 +149,7 @@ def _mean_in_region(
     metric: Callable[[Image, Image, float], Map | None],
     alone: Image,
     reference: Image,
-    region: Region,
+    region: ImageRegion,
     density: float,
 ) -> float | None:
     """Mean of a FLIP map over the region, computed no further than FLIP's filters reach."""

@@ -24,7 +24,7 @@ _COARSE = 64
 
 
 @dataclass(frozen=True)
-class Region:
+class ImageRegion:
     """Some pixels of a frame.
 
     Attributes:
@@ -38,13 +38,13 @@ class Region:
     box: tuple[slice, slice]
 
     @staticmethod
-    def of(name: str, mask: NDArray[np.bool_]) -> Region:
+    def of(name: str, mask: NDArray[np.bool_]) -> ImageRegion:
         """The region of a mask (H, W); UserError if that is empty."""
         rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
         if not len(rows):
             raise UserError(f"the {name} region of this frame is empty: nothing can be measured there")
         box = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
-        return Region(name, mask, box)
+        return ImageRegion(name, mask, box)
 
     def alone(self, image: Image, reference: Image) -> Image:
         """(H, W, 3) the image inside the region, the reference outside, so that no other error counts."""
@@ -59,7 +59,7 @@ class Region:
         return Gaze((x - columns.start) / across, (y - rows.start) / down)
 
 
-def regions(foveation: Foveation, reference: Image) -> dict[str, Region]:
+def regions(foveation: Foveation, reference: Image) -> dict[str, ImageRegion]:
     """All regions of a frame with a reference (H, W, 3), by name.
 
     These are the whole frame; the foveal disc inside fov-a, band included; the seam, which is the band from
@@ -69,12 +69,12 @@ def regions(foveation: Foveation, reference: Image) -> dict[str, Region]:
         UserError: the gaze lies outside the frame, or a region is empty.
     """
     plain = plain_regions(foveation, (reference.shape[0], reference.shape[1]))
-    return {**plain, "salient": Region.of("salient", _salient(reference))}
+    return {**plain, "salient": ImageRegion.of("salient", _salient(reference))}
 
 
 def plain_regions(
     foveation: Foveation, size: tuple[int, int], wanted: Sequence[str] = REGIONS[:-1]
-) -> dict[str, Region]:
+) -> dict[str, ImageRegion]:
     """The regions that depend on foveation alone, by name.
 
     The seam is left out if it has no width, and so are seam and periphery if the disc covers the frame. The
@@ -99,7 +99,9 @@ def plain_regions(
     left_out = {"seam"} if outer == inner else set()
     if masks["foveal"].all():
         left_out |= {"peripheral", "seam"}
-    return {name: Region.of(name, mask) for name, mask in masks.items() if name in set(wanted) - left_out}
+    return {
+        name: ImageRegion.of(name, mask) for name, mask in masks.items() if name in set(wanted) - left_out
+    }
 
 
 def _salient(reference: Image) -> NDArray[np.bool_]:

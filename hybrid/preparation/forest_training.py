@@ -29,7 +29,7 @@ from splat.model.choices import MotionModel, Precision
 from splat.model.dynamic_light import SurfaceLight
 from splat.model.forest import Forest, forest_of
 from splat.model.layer import check_forest
-from splat.model.motion import Motion
+from splat.model.motion import NodeMotion
 from splat.training.trainer import Trainer, TrainingSettings, most_layers
 from splat.training.training_view import finest_focal
 
@@ -123,7 +123,7 @@ def say_left_out(left_out: LeftOut) -> None:
         )
 
 
-def motion_of(courses: Sequence[Course]) -> Motion | None:
+def motion_of(courses: Sequence[Course]) -> NodeMotion | None:
     """The motion of the instances that have courses; None if nothing moves."""
     if not courses:
         return None
@@ -132,7 +132,7 @@ def motion_of(courses: Sequence[Course]) -> Motion | None:
     )
     centres = np.stack([course.centre for course in courses])
     pieces = np.array(list(pieces_of(courses).values()), dtype=np.int64)
-    return Motion(*(torch.from_numpy(part) for part in (rotations, centres, shifts, pieces)))
+    return NodeMotion(*(torch.from_numpy(part) for part in (rotations, centres, shifts, pieces)))
 
 
 def train(

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from scipy.ndimage import gaussian_filter
 
-from compose.fusion.fitting import ITERATIONS, LEAST_SIZE, Example, Reference, fit
+from compose.fusion.fitting import ITERATIONS, LEAST_SIZE, Example, FusionReference, fit
 from compose.fusion.network import COUNTS, ENLARGEMENTS, MIXED
 from compose.fusion.parents import Parents
 from compose.fusion.proof import TRIAL_ITERATIONS, prove, trials
@@ -112,7 +112,7 @@ def _examples(frames: Frames, forest: Forest, rng: np.random.Generator) -> Itera
     finest = len(forest.counts)
     for number, entry in _usable(frames):
         one, other = (read_radiance(file, entry.size) for file in entry.halves)
-        reference = Reference(read_frame(entry.file, entry.size).radiance, (one, other))
+        reference = FusionReference(read_frame(entry.file, entry.size).radiance, (one, other))
         if not _is_finite(reference.denoised, one, other):
             continue
         renderer.set_time(entry.time)
@@ -181,5 +181,5 @@ def _part(example: Example, rng: np.random.Generator) -> Example:
     return replace(
         example,
         parents=replace(parents, **{name: getattr(parents, name)[box] for name in images}),
-        reference=Reference(reference.denoised[box], (one[box], other[box])),
+        reference=FusionReference(reference.denoised[box], (one[box], other[box])),
     )

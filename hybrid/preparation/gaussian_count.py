@@ -11,8 +11,8 @@ from compose.image.colour import Image, srgb_from_radiance
 from hybrid.preparation.decisions import REGION, Decision, Value
 from hybrid.preparation.scene_look import Look
 from hybrid.preparation.stages import Needs
-from pathtrace.region.view_coverage import Coverage
-from pathtrace.region.viewing_regions import NEAR, Region
+from pathtrace.region.view_coverage import ViewCoverage
+from pathtrace.region.viewing_regions import NEAR, ViewingRegion
 from pathtrace.scene.triangles import Surfaces
 
 # Deviation from the mean of a group of pixels, in sRGB values, from which on the group shows detail: at
@@ -80,13 +80,13 @@ _ENOUGH = 0.95
 _ASKERS = 24
 
 
-def breadth_of(region: Region, surfaces: Surfaces, seed: int) -> float:
+def breadth_of(region: ViewingRegion, surfaces: Surfaces, seed: int) -> float:
     """How many times as many views as the default region a region takes until little is unseen; 1 to 12."""
     if region.name == "near":
         return 1.0
     views = region.views(_TRIED[-1], _BREADTH_SIDE, _BREADTH_SIDE, seed)
     askers = region.unseen_views(_ASKERS, _BREADTH_SIDE, _BREADTH_SIDE, seed + 1)
-    coverage, before = Coverage(surfaces, []), 0
+    coverage, before = ViewCoverage(surfaces, []), 0
     for count in _TRIED:
         coverage.add(views[before:count])
         before = count

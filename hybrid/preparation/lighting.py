@@ -23,7 +23,7 @@ from pathtrace.fill.gather import irradiance_over_time
 from pathtrace.scene.scene import Scene
 from splat.model.dynamic_light import SurfaceLight
 from splat.model.gaussians import Gaussians, concatenated
-from splat.model.motion import Motion, turned
+from splat.model.motion import NodeMotion, turned
 from splat.training.initialization import seed_at
 from splat.training.training_view import TrainingView
 
@@ -82,7 +82,7 @@ def light_over_time(
 
 
 def _seeds(
-    views: Sequence[TrainingView], count: int, motion: Motion | None, rng: np.random.Generator
+    views: Sequence[TrainingView], count: int, motion: NodeMotion | None, rng: np.random.Generator
 ) -> tuple[Gaussians, torch.Tensor]:
     """About `count` seeds at rest at pixels that show surfaces without a mirror; and their instances."""
     parts = []
@@ -110,7 +110,7 @@ def _lifts(seeds: Gaussians, instance: torch.Tensor) -> torch.Tensor:
 
 
 def _points(
-    seeds: Gaussians, instance: torch.Tensor, motion: Motion | None, lifts: torch.Tensor, time: float
+    seeds: Gaussians, instance: torch.Tensor, motion: NodeMotion | None, lifts: torch.Tensor, time: float
 ) -> Points:
     """Where the seeds are at a time."""
     shown = seeds if motion is None else motion.shown(seeds, instance, time)

@@ -26,11 +26,11 @@ from hybrid.preparation.stage_frames import (
     Pass,
     clamping_bias,
     converging_seconds,
+    stage_views,
     stated_error,
-    views_of,
     wanted_of,
 )
-from hybrid.preparation.stage_planner import Clock, Planner
+from hybrid.preparation.stage_planner import JobClock, Planner
 from hybrid.preparation.stages import PreparationSettings
 from hybrid.render.forest_attachments import plan_of_forest, scene_as_trained
 from hybrid.render.irradiance import cache_for
@@ -38,7 +38,7 @@ from pathtrace.dataset.capture import capture
 from pathtrace.dataset.frame_set import CaptureSettings, FrameSet, read_frame_set
 from pathtrace.dataset.growing import GrowingFrames
 from pathtrace.region.neighbourhood import view_time
-from pathtrace.region.viewing_regions import Region, region_of
+from pathtrace.region.viewing_regions import ViewingRegion, region_of
 from pathtrace.scene.difficulties import light_difficulties
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.triangles import Surfaces
@@ -103,7 +103,7 @@ def prepare(
     folder = folder or scene_folder(scene.name, scene.hash) / f"prepared-{short_hash(identity)}"
     folder.mkdir(parents=True, exist_ok=True)
     journal = Journal(folder / "job.json", identity)
-    clock = Clock(journal, start)
+    clock = JobClock(journal, start)
     breadth = journal.once("breadth", lambda: breadth_of(region, surfaces, settings.seed))
     planner = Planner(settings, journal, clock, planned_needs(scene.plan, settings.region, breadth))
     try:
@@ -119,7 +119,7 @@ class _Job:
     def __init__(
         self,
         scene: Scene,
-        region: Region,
+        region: ViewingRegion,
         settings: PreparationSettings,
         bars: Bars,
         folder: Path,
@@ -177,7 +177,7 @@ class _Job:
             self._passes.append(Pass(**self._journal[f"pass {number}"]))
             return load_forest(path)
         stages = self._planner.stages
-        views = views_of(self._region, stages, self._settings.seed)
+        views = stage_views(self._region, stages, self._settings.seed)
         with self._bars(f"stage {number + 1}: frames (samples)") as bar:
             frames.grow(wanted_of(frames, views, stages[-1], before), bar)
         seconds = self._planner.lap("frame")

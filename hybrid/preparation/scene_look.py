@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from compose.camera.camera import Camera, View
 from compose.image.colour import Image
 from pathtrace.region.neighbourhood import view_time
-from pathtrace.region.viewing_regions import Region
+from pathtrace.region.viewing_regions import ViewingRegion
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.film import frame_positions, interleaved
@@ -63,7 +63,7 @@ class Look:
         return self.parallax < _ONE_POINT
 
 
-def look_at_scene(scene: Scene, surfaces: Surfaces, region: Region, seed: int) -> Look:
+def look_at_scene(scene: Scene, surfaces: Surfaces, region: ViewingRegion, seed: int) -> Look:
     """Looks at a scene; afterwards, one that moves shows its first time.
 
     Args:

@@ -17,7 +17,7 @@ from hybrid.preparation.stages import Stage
 from pathtrace.dataset.frame_error import frame_error, mean_frame_error
 from pathtrace.dataset.growing import GrowingFrames, Wanted
 from pathtrace.region.neighbourhood import view_time
-from pathtrace.region.viewing_regions import Region
+from pathtrace.region.viewing_regions import ViewingRegion
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.tracer import Tracer
 from splat.lod.forest_renderer import ForestRenderer
@@ -32,7 +32,7 @@ _ASKED = 6
 _WORTHWHILE = 0.1
 
 
-def views_of(region: Region, stages: Sequence[Stage], seed: int) -> list[tuple[Camera, int]]:
+def stage_views(region: ViewingRegion, stages: Sequence[Stage], seed: int) -> list[tuple[Camera, int]]:
     """All views of some stages, each with its scale; those of fewer stages come first.
 
     Views larger than a frame may be are cut to a random part.

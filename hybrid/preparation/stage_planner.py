@@ -112,7 +112,7 @@ def _prepared(stage: Stage, before: Sequence[Stage]) -> float:
 _KEY = "seconds"
 
 
-class Clock:
+class JobClock:
     """Counts the seconds of a job.
 
     Args:
@@ -168,7 +168,7 @@ class Planner:
         stages: those begun.
     """
 
-    def __init__(self, settings: PreparationSettings, journal: Journal, clock: Clock, needs: Needs):
+    def __init__(self, settings: PreparationSettings, journal: Journal, clock: JobClock, needs: Needs):
         self._settings, self.journal, self.clock, self._needs = settings, journal, clock, needs
         self.stages: list[Stage] = []
 

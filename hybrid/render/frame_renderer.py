@@ -19,7 +19,7 @@ from compose.fovea.disc import Disc, blend
 from compose.fovea.foveation import FoveaMode, FoveaRegion
 from compose.image.colour import Image
 from compose.image.device_image import DeviceImage
-from hybrid.base.compute_device import Clock, device_arrays
+from hybrid.base.compute_device import PassClock, device_arrays
 from hybrid.base.identity import require_scene
 from hybrid.render.disc_images import Underlay
 from hybrid.render.forest_attachments import fusion_of, scene_as_trained
@@ -147,7 +147,7 @@ class Renderer:
         seed = require_seed(seed)
         # First: a cache that is filled for it leaves the scene at another time.
         self.fovea_of(settings)
-        clock = Clock()
+        clock = PassClock()
         camera, settings = self._begun(settings)
         region = settings.foveation.region(camera.width, camera.height)
         disc = region.disc(self._arrays)
@@ -185,7 +185,7 @@ class Renderer:
         seed: int,
         periphery: DeviceImage | None,
         underlay: Underlay | None,
-        clock: Clock,
+        clock: PassClock,
         quick: bool,
     ) -> FoveaImage:
         """Traces a disc and makes the fovea from its samples, with the quicker denoiser if `quick`."""
@@ -197,7 +197,7 @@ class Renderer:
         return fovea
 
     def _drawn(
-        self, camera: Camera, settings: FrameSettings, region: FoveaRegion, clock: Clock
+        self, camera: Camera, settings: FrameSettings, region: FoveaRegion, clock: PassClock
     ) -> tuple[DetailMap, SplatImage, SplatImage | None]:
         """The detail of a frame, the splats that the fovea leaves visible and, if fused, those under it."""
         detail = self.periphery.detail(camera, settings, self._is_quick)
@@ -260,7 +260,7 @@ class Renderer:
         fill = self._fill(camera, settings, seed) if settings.fovea is FoveaMode.FUSED else None
         underlay = self.underlay(camera, settings, region, fill)
         disc, black = region.disc(self._arrays), black_image(self._arrays, camera)
-        fovea = self._fovea(settings, camera, disc, seed, black, underlay, Clock(), self._is_quick)
+        fovea = self._fovea(settings, camera, disc, seed, black, underlay, PassClock(), self._is_quick)
         dr.eval(fovea.radiance)
         dr.sync_thread()
         return fovea
@@ -315,7 +315,7 @@ class LiveRenderer(Renderer):
         return super().frame(settings, seed)
 
     def _drawn(
-        self, camera: Camera, settings: FrameSettings, region: FoveaRegion, clock: Clock
+        self, camera: Camera, settings: FrameSettings, region: FoveaRegion, clock: PassClock
     ) -> tuple[DetailMap, SplatImage, SplatImage | None]:
         view = camera, settings.time
         self._still, self._last_view = view == self._last_view, view
@@ -331,7 +331,7 @@ class LiveRenderer(Renderer):
 
         The fovea is made with the quicker denoiser if `quick`.
         """
-        clock, settings = Clock(), replace(frame.settings, spp=spp)
+        clock, settings = PassClock(), replace(frame.settings, spp=spp)
         self._relight(settings)
         shown = frame.fovea.disc, seed, frame.splats, frame.underlay
         fovea = self._fovea(settings, frame.camera, *shown, clock, quick)

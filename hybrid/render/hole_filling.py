@@ -50,7 +50,7 @@ _EMPTY, _FULL = 0.5, 0.9
 _TILE_RATE = int(np.log2(TILE))
 
 
-class Coverage:
+class KnownSurfaces:
     """Tells what a forest knows of its scene.
 
     It knows what its training views saw, where it says which they were, else what is opaque.
@@ -153,7 +153,7 @@ _STREAM = 0x3F110000
 
 
 @dataclass(frozen=True)
-class Effort:
+class FillEffort:
     """How well a fill is traced.
 
     Radiance has `light_spp` samples per 4 x 4 pixels of the frame, albedo `albedo_spp` per pixel; `quick` is
@@ -166,7 +166,7 @@ class Effort:
 
 
 # While the camera moves, and of a single frame.
-MOVING, STILL = Effort(1, 1, True), Effort(4, 4, False)
+MOVING, STILL = FillEffort(1, 1, True), FillEffort(4, 4, False)
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ class Filler:
 
     def __init__(self, arrays: Arrays, forest: Forest):
         self._arrays = arrays
-        self._coverage = Coverage(arrays, forest)
+        self._coverage = KnownSurfaces(arrays, forest)
         # What the last camera's frame shows of what is known, and the fill of the last still one.
         self._known: tuple[Camera, NDArray[np.float32]] | None = None
         self._kept: tuple[tuple[Camera, object], Fill] | None = None
@@ -210,7 +210,7 @@ class Filler:
         camera: Camera,
         probe: Tracer,
         light: Callable[[], Tracer],
-        effort: Effort,
+        effort: FillEffort,
         seed: int,
         key: object = None,
     ) -> Fill | None:
@@ -231,7 +231,7 @@ class Filler:
         return self._kept[1]
 
     def _filled(
-        self, camera: Camera, probe: Tracer, light: Callable[[], Tracer], effort: Effort, seed: int
+        self, camera: Camera, probe: Tracer, light: Callable[[], Tracer], effort: FillEffort, seed: int
     ) -> Fill | None:
         if self._known is None or self._known[0] != camera:
             self._known = camera, self._coverage.of(camera, probe)
@@ -308,7 +308,7 @@ def _light(
     camera: Camera,
     cells: NDArray[np.bool_],
     side: int,
-    effort: Effort,
+    effort: FillEffort,
     seed: int,
 ) -> tuple[Any, Disc]:
     """Denoised radiance over albedo in some cells, in pixels of 4 x 4 pixels of the frame.

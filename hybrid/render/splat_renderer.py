@@ -8,7 +8,7 @@ from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.fovea.disc import Disc
 from compose.image.colour import Image
-from hybrid.base.compute_device import Clock, device_arrays
+from hybrid.base.compute_device import PassClock, device_arrays
 from hybrid.render.fovea import FoveaImage
 from hybrid.render.frame import Frame
 from hybrid.render.frame_settings import FrameSettings
@@ -45,7 +45,7 @@ class SplatRenderer:
         """
         if "depth" in settings.aovs:
             raise UserError("aovs depth: a forest alone has none; it takes a scene")
-        clock = Clock()
+        clock = PassClock()
         camera, settings = self._begun(settings)
         region = settings.foveation.region(camera.width, camera.height)
         detail = self._periphery.detail(camera, settings)

@@ -19,8 +19,8 @@ from compose.eye.gaze import Gaze, GazeTrace
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.window.frame_source import prepared
 from hybrid.window.gaze_input import GazeInput
-from hybrid.window.main_window import Window, WindowOptions
-from hybrid.window.messages import Shown
+from hybrid.window.main_window import MainWindow, WindowOptions
+from hybrid.window.messages import ShownFrame
 from hybrid.window.meter import figures, steadiness, summary
 from hybrid.window.render_thread import RenderThread
 
@@ -48,7 +48,7 @@ class WindowBench(QObject):
         load: seconds in the middle for which another process keeps one core busy.
     """
 
-    def __init__(self, window: Window, seconds: float, moves: bool, load: float = 0.0):
+    def __init__(self, window: MainWindow, seconds: float, moves: bool, load: float = 0.0):
         super().__init__(window)
         self._window, self._seconds, self._moves, self._load = window, seconds, moves, load
         self._began = 0.0
@@ -60,7 +60,7 @@ class WindowBench(QObject):
         # Not before the first frame: a forest may be trained, or settings measured.
         window.canvas.painted.connect(self._begin)
 
-    def _begin(self, shown: Shown) -> None:
+    def _begin(self, shown: ShownFrame) -> None:
         camera, canvas = shown.request.settings.camera, self._window.canvas
         if camera is None or (camera.width, camera.height) != (canvas.width(), canvas.height()):
             # The window has just been laid out; frames of its final size come next.
@@ -101,7 +101,7 @@ class WindowBench(QObject):
         return begin - self.start, end - self.start
 
 
-def move_mouse(window: Window, gaze: Gaze) -> None:
+def move_mouse(window: MainWindow, gaze: Gaze) -> None:
     """Moves the mouse to a point of the frame, with no button pressed."""
     canvas = window.canvas
     point: QPointF = canvas.point_of(gaze)
@@ -142,7 +142,7 @@ def run_window(
     # Training would take minutes of a measurement that is expected to take seconds.
     trains = options.bench is None
     thread = RenderThread(partial(prepared, scene, forest, backend, trains, settings, thin_glass=thin_glass))
-    window = Window(thread, settings, GazeInput(options.latency, trace), options)
+    window = MainWindow(thread, settings, GazeInput(options.latency, trace), options)
     bench = None
     if options.bench is not None:
         bench = WindowBench(window, options.bench, trace is None, options.load)

@@ -7,7 +7,7 @@ from PySide6.QtGui import QColor, QFont, QImage, QMouseEvent, QPainter, QPaintEv
 from PySide6.QtWidgets import QWidget
 
 from compose.eye.gaze import Gaze
-from hybrid.window.messages import Shown
+from hybrid.window.messages import ShownFrame
 
 _SHADE = QColor(0, 0, 0, 150)
 _MARGIN = 8
@@ -27,7 +27,7 @@ class Canvas(QWidget):
     def __init__(self, size: QSize):
         super().__init__()
         self._hint = size
-        self._shown: Shown | None = None
+        self._shown: ShownFrame | None = None
         self._image: QImage | None = None
         self._fresh = False
         self._held: QPointF | None = None
@@ -41,7 +41,7 @@ class Canvas(QWidget):
     def sizeHint(self) -> QSize:  # noqa: N802
         return self._hint
 
-    def show_frame(self, shown: Shown) -> None:
+    def show_frame(self, shown: ShownFrame) -> None:
         """Shows a frame as soon as Qt paints next."""
         height, width = shown.image.shape[:2]
         # The QImage shares the memory of the array, which `_shown` keeps alive.
@@ -114,7 +114,7 @@ class Canvas(QWidget):
             self._fresh = False
             self.painted.emit(self._shown)
 
-    def _draw_ring(self, painter: QPainter, shown: Shown, frame: QRectF) -> None:
+    def _draw_ring(self, painter: QPainter, shown: ShownFrame, frame: QRectF) -> None:
         """Draws a circle around the disc of the frame that is shown, which may be behind the mouse."""
         radius = shown.request.settings.fov_a / 100 * frame.height()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)

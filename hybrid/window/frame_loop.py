@@ -26,7 +26,7 @@ from hybrid.measure.reference import REFERENCE_SEED, reference
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.window.frame_source import FrameSource
 from hybrid.window.frame_time_controller import FrameTimeController, applied
-from hybrid.window.messages import Request, Shown
+from hybrid.window.messages import Request, ShownFrame
 from pathtrace.region.neighbourhood import unseen_views
 
 # Seconds without a change after which frames may take longer, for more samples each.
@@ -51,7 +51,7 @@ class FrameLoop:
         self._returned = 0.0
         self.due, self.idle = 0.0, True
 
-    def make(self, request: Request) -> Shown:
+    def make(self, request: Request) -> ShownFrame:
         """The requested frame; a better one if the last request was the same."""
         again = request.same_frame(self._request)
         if not again or self._settings is None:

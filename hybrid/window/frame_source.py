@@ -9,7 +9,7 @@ import numpy as np
 
 from compose.base.errors import UserError
 from compose.camera.camera import Camera
-from hybrid.base.compute_device import Clock, release_memory
+from hybrid.base.compute_device import PassClock, release_memory
 from hybrid.base.progress import Progress, bars_of
 from hybrid.preparation.preparation import found_forest, with_forest
 from hybrid.preparation.scene_plan import scene_as_stored
@@ -18,7 +18,7 @@ from hybrid.render.frame_renderer import LiveRenderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.image_files import write_srgb
 from hybrid.render.irradiance import cache_for
-from hybrid.window.messages import Ready, Request, Shown, View
+from hybrid.window.messages import Ready, Request, ShownFrame, ShownView
 from hybrid.window.window_views import ConvergingFrame, image_of
 from pathtrace.scene.backend import select_backend
 from pathtrace.scene.triangles import Surfaces
@@ -39,7 +39,7 @@ class FrameSource:
 
     def __init__(self, renderer: LiveRenderer):
         self.renderer = renderer
-        self._last: Shown | None = None
+        self._last: ShownFrame | None = None
         self._converging: ConvergingFrame | None = None
         self._seed = 0
         self._released = time.monotonic()
@@ -62,7 +62,7 @@ class FrameSource:
         seconds = None if scene.moving is None else scene.moving.motion.seconds
         return Ready(scene.name, scene.camera, distance, self.layers, seconds)
 
-    def show(self, request: Request, quick: bool) -> Shown:
+    def show(self, request: Request, quick: bool) -> ShownFrame:
         """The requested image; the same request again yields a slightly better one each time.
 
         If `quick`, the frame must not take longer for more samples.
@@ -78,7 +78,7 @@ class FrameSource:
         fresh = last is None or frame is not last.frame
         passes = dict(frame.milliseconds) if fresh else {}
         before = passes.pop("total", 0.0)
-        clock = Clock()
+        clock = PassClock()
         path_traced, more_paths = None, 0
         if request.view.needs_path_traced:
             path_traced, more_paths = self._path_traced(frame, quick)
@@ -87,7 +87,7 @@ class FrameSource:
         clock.lap("picture")
         rest = clock.milliseconds()
         rest["total"] += before
-        self._last = Shown(
+        self._last = ShownFrame(
             image,
             request,
             frame,
@@ -120,7 +120,7 @@ class FrameSource:
             frame = self.renderer.frame(request.settings, self._seed)
             return frame, spp * frame.fovea.disc.count
         samples = frame.fovea.samples
-        if request.view is View.PATH_TRACED or not samples.size or samples.mean_count() >= _ENOUGH:
+        if request.view is ShownView.PATH_TRACED or not samples.size or samples.mean_count() >= _ENOUGH:
             return frame, 0
         spp = spp if quick else max(_PATIENT_SPP, spp)
         return self.renderer.refined(frame, spp, self._seed, quick), spp * frame.fovea.disc.count

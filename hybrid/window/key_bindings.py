@@ -6,7 +6,7 @@ from enum import Enum
 
 from PySide6.QtCore import Qt
 
-from hybrid.window.messages import View
+from hybrid.window.messages import ShownView
 from hybrid.window.navigation import Walker
 
 _Key = Qt.Key
@@ -46,10 +46,10 @@ class Command(Enum):
     LEAVE = "leave full screen, or close the window"
 
 
-COMMANDS: dict[int, Command | View] = {
+COMMANDS: dict[int, Command | ShownView] = {
     _Key.Key_Space: Command.HOLD,
     _Key.Key_R: Command.HOME,
-    **{_Key(_Key.Key_1 + number): view for number, view in enumerate(View)},
+    **{_Key(_Key.Key_1 + number): view for number, view in enumerate(ShownView)},
     _Key.Key_P: Command.SAVE,
     _Key.Key_T: Command.RECORD,
     _Key.Key_M: Command.PLAY,

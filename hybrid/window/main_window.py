@@ -18,7 +18,7 @@ from hybrid.render.frame_settings import FrameSettings
 from hybrid.window.canvas import Canvas
 from hybrid.window.gaze_input import GazeInput, GazeRecording, unused_file
 from hybrid.window.key_bindings import COMMANDS, HELP, Command, HeldKeys
-from hybrid.window.messages import Ready, Request, Shown, View
+from hybrid.window.messages import Ready, Request, ShownFrame, ShownView
 from hybrid.window.meter import Meter, lines_of
 from hybrid.window.navigation import Playback, Walker
 from hybrid.window.panel import Panel, controls_dock
@@ -57,7 +57,7 @@ class WindowOptions:
     plays: bool = False
 
 
-class Window(QMainWindow):
+class MainWindow(QMainWindow):
     """Shows one scene.
 
     Args:
@@ -85,7 +85,7 @@ class Window(QMainWindow):
         self.panel: Panel | None = None
         self.walker: Walker | None = None
         self.request: Request | None = None
-        self.shown: Shown | None = None
+        self.shown: ShownFrame | None = None
         self.error: Exception | None = None
         self._ready: Ready | None = None
         self._playback: Playback | None = None
@@ -93,7 +93,7 @@ class Window(QMainWindow):
         self._held_keys = HeldKeys(time.perf_counter())
         self._recording = GazeRecording(options.folder)
         self._texts = {Command.HUD}
-        self._actions: dict[Command | View, Callable[[], object]] = {
+        self._actions: dict[Command | ShownView, Callable[[], object]] = {
             Command.HOLD: self._toggle_hold,
             Command.RING: self.canvas.toggle_ring,
             Command.HUD: partial(self._toggle_text, Command.HUD),
@@ -203,7 +203,7 @@ class Window(QMainWindow):
         if panel.play is not None:
             self._actions[Command.PLAY] = panel.play.toggle
             panel.play.setChecked(self._options.plays)
-        self._actions |= {view: partial(panel.views.setCurrentIndex, n) for n, view in enumerate(View)}
+        self._actions |= {view: partial(panel.views.setCurrentIndex, n) for n, view in enumerate(ShownView)}
         self._bar.hide()
         # As large as the frame needs it beside the controls, once Qt has laid those out.
         hint = self.canvas.sizeHint()
@@ -238,7 +238,7 @@ class Window(QMainWindow):
         if shown is not None:
             self.canvas.show_frame(shown)
 
-    def _on_painted(self, shown: Shown) -> None:
+    def _on_painted(self, shown: ShownFrame) -> None:
         self.meter.shown(time.perf_counter(), shown.request.gaze_time, shown.milliseconds)
         self.shown = shown
         self._write()

@@ -33,7 +33,7 @@ class Ready:
     seconds: float | None = None
 
 
-class View(Enum):
+class ShownView(Enum):
     """What the window shows; the values are its labels."""
 
     COMPOSITE = "composite"
@@ -47,7 +47,7 @@ class View(Enum):
     @property
     def needs_path_traced(self) -> bool:
         """Whether it shows a whole path-traced frame."""
-        return self in (View.PATH_TRACED, View.SPLIT, View.DIFFERENCE)
+        return self in (ShownView.PATH_TRACED, ShownView.SPLIT, ShownView.DIFFERENCE)
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Request:
     """
 
     settings: FrameSettings
-    view: View = View.COMPOSITE
+    view: ShownView = ShownView.COMPOSITE
     gaze_time: float = 0.0
     target_fps: float | None = None
 
@@ -73,7 +73,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Shown:
+class ShownFrame:
     """An image for the window, and what it was made of.
 
     Attributes:

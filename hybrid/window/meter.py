@@ -11,7 +11,7 @@ import numpy as np
 
 from hybrid.base.identity import machine
 from hybrid.measure.frame_times import percentiles
-from hybrid.window.messages import Shown
+from hybrid.window.messages import ShownFrame
 
 # Recent frames whose percentiles are shown while the window runs.
 _RECENT = 100
@@ -60,7 +60,7 @@ class Meter:
         self._last = at
 
 
-def lines_of(shown: Shown, meter: Meter) -> list[str]:
+def lines_of(shown: ShownFrame, meter: Meter) -> list[str]:
     """Lines that tell how long frames take, what was drawn, and with which settings."""
     lines = []
     if meter.intervals:

@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
 
 from compose.eye.acuity import ACUITY_MODELS
 from hybrid.render.frame_settings import FrameSettings
-from hybrid.window.messages import View
+from hybrid.window.messages import ShownView
 from hybrid.window.navigation import Playback
 
 # Ends of the sliders: radii and scale in percent.
@@ -58,7 +58,7 @@ class Panel(QWidget):
         # Before anyone else hears of a change.
         self.changed.connect(self._forget)
         low, high = settings.layers or (1, layers)
-        self.views = self._list("view", [view.value for view in View], View.COMPOSITE.value)
+        self.views = self._list("view", [view.value for view in ShownView], ShownView.COMPOSITE.value)
         self.fov_a = self._slider("fov-a", 0, _MOST_RADIUS, round(settings.fov_a), " %")
         self.fov_b = self._slider("fov-b", 0, _MOST_RADIUS, round(settings.fov_b), " %")
         self.spp = self._slider("samples", 1, _MOST_SPP, settings.spp, "")
@@ -137,9 +137,9 @@ class Panel(QWidget):
         return float(self.target.value()) if self.controlled.isChecked() else None
 
     @property
-    def view(self) -> View:
+    def view(self) -> ShownView:
         """The chosen view."""
-        return View(self.views.currentText())
+        return ShownView(self.views.currentText())
 
     def _forget(self) -> None:
         self._touched, self._chosen = True, None

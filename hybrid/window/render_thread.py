@@ -14,7 +14,7 @@ from compose.base.errors import UserError
 from hybrid.base.progress import Progress
 from hybrid.window.frame_loop import FrameLoop, ladder_for
 from hybrid.window.frame_source import FrameSource
-from hybrid.window.messages import Newest, Request, Shown
+from hybrid.window.messages import Newest, Request, ShownFrame
 
 # Seconds between two checks of an idle thread whether it is to end.
 _POLL = 0.1
@@ -44,7 +44,7 @@ class RenderThread(QThread):
     def __init__(self, prepare: Callable[[Progress], FrameSource]):
         super().__init__()
         self.requests: Newest[Request] = Newest()
-        self.frames: Newest[Shown] = Newest()
+        self.frames: Newest[ShownFrame] = Newest()
         self._prepare = prepare
         self._screenshots: Newest[Path] = Newest()
         self._stopping = threading.Event()

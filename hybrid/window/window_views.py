@@ -16,7 +16,7 @@ from compose.image.device_image import srgb_curve
 from hybrid.measure.reference import REFERENCE_SEED
 from hybrid.render.false_colours import levels_picture
 from hybrid.render.frame import Frame
-from hybrid.window.messages import View
+from hybrid.window.messages import ShownView
 from pathtrace.trace.film import frame_positions, interleaved, pixel_positions
 from pathtrace.trace.traced_images import TracedImage, auxiliary_images
 from pathtrace.trace.tracer import Tracer, auxiliary_spp
@@ -95,25 +95,25 @@ class ConvergingFrame:
 _STRONGEST = 0.25
 
 
-def image_of(view: View, frame: Frame, path_traced: ConvergingFrame | None) -> NDArray[np.uint8]:
+def image_of(view: ShownView, frame: Frame, path_traced: ConvergingFrame | None) -> NDArray[np.uint8]:
     """(H, W, 3) sRGB image of a view of a hybrid frame, with the path-traced frame for views that need it.
 
     Raises:
         ValueError: the view needs the path-traced frame, and there is none.
     """
-    if view is View.LEVELS:
+    if view is ShownView.LEVELS:
         return levels_picture(frame.composite, frame.detail, frame.region)
-    if view is View.FOVEA:
+    if view is ShownView.FOVEA:
         return _srgb_bytes(frame.of_disc([c * frame.fovea.disc.weights for c in frame.fovea.radiance]))
     if not view.needs_path_traced:
-        shown = frame.splats if view is View.PERIPHERY else frame.image
+        shown = frame.splats if view is ShownView.PERIPHERY else frame.image
         return _bytes_of(shown.tensor().array, (shown.height, shown.width, 3))
     if path_traced is None:
         raise ValueError(f"{view} needs the path-traced frame")
-    if view is View.DIFFERENCE:
+    if view is ShownView.DIFFERENCE:
         return _heat_map(frame.composite, path_traced.denoised())
     image = path_traced.image()
-    if view is View.PATH_TRACED:
+    if view is ShownView.PATH_TRACED:
         return _srgb_bytes(image)
     middle = image.shape[1] // 2
     split = _srgb_bytes(np.concatenate([frame.composite[:, :middle], image[:, middle:]], axis=1))

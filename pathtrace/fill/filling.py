@@ -16,7 +16,7 @@ from pathtrace.cache.cells import SIDES, Cells, Grid, Points, joined_points
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.cache.light_selection import LightChoice
 from pathtrace.fill.gather import Seen, gather_direct, gather_seen
-from pathtrace.fill.guiding import Places, even_squares, guided_transfer, shuffled
+from pathtrace.fill.guiding import GuidedPlaces, even_squares, guided_transfer, shuffled
 from pathtrace.scene.scene import Scene
 from pathtrace.scene.triangles import Surfaces
 from pathtrace.trace.film import opaque_camera, ray_through
@@ -75,7 +75,7 @@ def fill_cache(
         progress(generation + 1, total)
     every = joined_points(parts)
     cells = Cells.of(every, grid, lambda one, other, side: _joined(scene.mitsuba, every, one, other, side))
-    places = Places.of(every, cells, gather_direct(scene.mitsuba, every, _state(random)))
+    places = GuidedPlaces.of(every, cells, gather_direct(scene.mitsuba, every, _state(random)))
     progress(total - 1, total)
     most = segments_beyond_cache(scene)
     even = replace(Seen.joined(seen), point=np.repeat(np.arange(len(every)), _RAYS))

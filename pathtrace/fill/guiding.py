@@ -140,7 +140,7 @@ def links_of(seen: Seen, cell: NDArray[np.int64], weight: NDArray[np.float32]) -
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class GuidedPlaces:
     """N points, the cells and patches that they lie in, and the light of lights there."""
 
     points: Points
@@ -150,9 +150,9 @@ class Places:
     direct: Direct
 
     @staticmethod
-    def of(points: Points, cells: Cells, direct: Direct) -> Places:
+    def of(points: Points, cells: Cells, direct: Direct) -> GuidedPlaces:
         patches, patch = Patches.of(cells.indices(points), len(cells))
-        return Places(points, cells, patches, patch, direct)
+        return GuidedPlaces(points, cells, patches, patch, direct)
 
     @cached_property
     def regions(self) -> NDArray[np.int64]:
@@ -186,7 +186,7 @@ def _passed(
 
 
 def guided_transfer(
-    scene: Any, places: Places, even: Seen, most: int, random: np.random.Generator
+    scene: Any, places: GuidedPlaces, even: Seen, most: int, random: np.random.Generator
 ) -> Transfer:
     """The transfer by rays in even directions, and by as many that follow where these found light.
 

@@ -21,7 +21,7 @@ _TOUCH = 1e-3
 _LEAST = 0.5
 
 
-class Coverage:
+class ViewCoverage:
     """What a set of views shows of a scene, and how finely.
 
     A view covers a point if the point lies in its frame, nothing hides it, and the pixels there are fine

@@ -20,7 +20,7 @@ from pathtrace.scene.triangles import Surfaces
 NEAR, REACHABLE = "near", "reachable"
 
 
-class Region(Protocol):
+class ViewingRegion(Protocol):
     """A part of a scene's free space. Points and cameras are in the scene's coordinates."""
 
     @property
@@ -49,7 +49,7 @@ class Region(Protocol):
         """Held-out validation views, drawn apart from those to train on; args and raises as in `views`."""
 
 
-def region_of(scene: Scene, surfaces: Surfaces, given: str) -> Region:
+def region_of(scene: Scene, surfaces: Surfaces, given: str) -> ViewingRegion:
     """The region that a user asks for.
 
     Args:

@@ -28,8 +28,8 @@ from pathtrace.scene.tracks import (
     Keyframe,
     LightTrack,
     MeshTrack,
-    Motion,
     RigidTrack,
+    SceneMotion,
     ShapeTrack,
 )
 
@@ -38,7 +38,7 @@ _DEFAULT_SECONDS = 1.0
 _Track = TypeVar("_Track")
 
 
-def read_motion(file: Path) -> Motion:
+def read_motion(file: Path) -> SceneMotion:
     """The motion that a file holds.
 
     Raises:
@@ -63,7 +63,7 @@ def read_motion(file: Path) -> Motion:
                 digest.update(mesh.read_bytes())
             except OSError as error:
                 raise UserError(f"{file}: {mesh}: cannot be read ({one_line(error)})") from error
-    return Motion(float(seconds), moved, shining, digest.hexdigest())
+    return SceneMotion(float(seconds), moved, shining, digest.hexdigest())
 
 
 def _section(file: Path, document: Any, name: str) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from pathtrace.scene.courses import (
     is_unchanged,
     spread_over_faces,
 )
-from pathtrace.scene.tracks import Formula, LightTrack, MeshTrack, Motion, RigidTrack, ShapeTrack
+from pathtrace.scene.tracks import Formula, LightTrack, MeshTrack, RigidTrack, SceneMotion, ShapeTrack
 
 # Parameters by name that have a value of their own at a time.
 _Part: TypeAlias = Callable[[float], dict[str, Any]]
@@ -57,7 +57,7 @@ class MovingScene:
         UserError: a track is for a shape or light that does not exist or cannot move that way.
     """
 
-    def __init__(self, scene: Any, motion: Motion, names: dict[str, str], place: Place, source: str):
+    def __init__(self, scene: Any, motion: SceneMotion, names: dict[str, str], place: Place, source: str):
         self.motion, self.time = motion, 0.0
         self._scene, self._names = scene, names
         self._parameters = mi.traverse(scene)
@@ -160,12 +160,12 @@ class _Tracked:
     def __init__(self, parameters: Any, names: dict[str, str], place: Place, source: str):
         self.place, self._parameters, self._names, self._source = place, parameters, names, source
 
-    def parts(self, motion: Motion, rest: Mapping[str, Array]) -> list[_Part]:
+    def parts(self, motion: SceneMotion, rest: Mapping[str, Array]) -> list[_Part]:
         """What each track makes of the parameters; `rest` is what `vertices_of` gave."""
         shapes = [self._moving(name, track, rest.get(name)) for name, track in motion.shapes.items()]
         return shapes + [self._shining(name, track) for name, track in motion.lights.items()]
 
-    def vertices_of(self, motion: Motion) -> dict[str, Array]:
+    def vertices_of(self, motion: SceneMotion) -> dict[str, Array]:
         """Vertices (N, 3) of each mesh with a track as they are now, by its name in the scene's file."""
         keys = {name: f"{self._key(name, 'shape or light')}.{_POSITIONS}" for name in motion.shapes}
         return {name: _rows(self._parameters[key]) for name, key in keys.items() if self._has(key)}

@@ -233,7 +233,7 @@ class LightTrack:
 
 
 @dataclass(frozen=True)
-class Motion:
+class SceneMotion:
     """What moves in a scene.
 
     Attributes:

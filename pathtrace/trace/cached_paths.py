@@ -48,7 +48,7 @@ class PathSettings:
     most_indirect: float | None = None
 
 
-class Bins:
+class DepthBins:
     """Adds up luminance by the number of segments of paths, and counts segments."""
 
     def __init__(self, most: int) -> None:
@@ -75,7 +75,7 @@ def path_radiance(  # noqa: PLR0913 (the state of a symbolic loop)
     settings: PathSettings,
     sequences: Sequences,
     cache: CacheArrays,
-    bins: Bins | None = None,
+    bins: DepthBins | None = None,
 ) -> Any:
     """N linear colours: radiance along rays, as multiple importance sampling estimates it.
 
@@ -144,7 +144,7 @@ def path_radiance(  # noqa: PLR0913 (the state of a symbolic loop)
     return radiance
 
 
-def _tell(bins: Bins | None, active: Any, *added: tuple[Any, Any]) -> None:
+def _tell(bins: DepthBins | None, active: Any, *added: tuple[Any, Any]) -> None:
     if bins is not None:
         bins.add(active, *added)
 

@@ -15,7 +15,7 @@ from compose.camera.camera import Camera
 from pathtrace.cache.cells import Grid
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.scene.scene import Scene
-from pathtrace.trace.cached_paths import Bins, PathSettings, path_radiance
+from pathtrace.trace.cached_paths import DepthBins, PathSettings, path_radiance
 from pathtrace.trace.film import opaque_camera, ray_through
 from pathtrace.trace.sampling import Sequences, sobol_tables
 
@@ -118,7 +118,7 @@ def path_costs(
 
 def _traced(
     scene: Scene, camera: Camera, count: int, depths: tuple[int, int], seed: list[int]
-) -> tuple[Any, Bins]:
+) -> tuple[Any, DepthBins]:
     """Radiance of paths spread over the frame, and what they bring and cost by their segments."""
     state = int(np.random.SeedSequence(seed).generate_state(1)[0])
     sampler = mi.load_dict({"type": "independent"})
@@ -128,7 +128,7 @@ def _traced(
     sequences = Sequences(sobol_tables(), lane % _ROW, (lane // _ROW, dr.opaque(mi.UInt32, state)))
     settings = PathSettings(*depths, 1, scene.thin_glass)
     empty = IrradianceCache.empty(Grid(np.zeros(3, dtype=np.float32), 1.0), len(scene.mitsuba.emitters()))
-    bins, surface, active = Bins(MOST_SEGMENTS), scene.mitsuba.ray_intersect(ray), mi.Bool(True)
+    bins, surface, active = DepthBins(MOST_SEGMENTS), scene.mitsuba.ray_intersect(ray), mi.Bool(True)
     known = empty.arrays(scene.mitsuba)
     radiance = path_radiance(scene.mitsuba, sampler, ray, surface, active, settings, sequences, known, bins)
     dr.eval(radiance, bins.sums, bins.segments)

@@ -32,7 +32,7 @@ from splat.model.forest import Forest
 from splat.model.gaussians import TENSORS, Directional, Gaussians
 from splat.model.layer import LABELS, Layer, check_forest
 from splat.model.learned_motion import LearnedMotion
-from splat.model.motion import Dynamics, Motion
+from splat.model.motion import Dynamics, NodeMotion
 
 _ATTACHED, _MOTION, _LIGHT, _DIRECTIONAL = "attached.", "motion.", "light.", "directional."
 # In the metadata of compact files: type and shape of each packed tensor.
@@ -129,7 +129,7 @@ def _motion(tensors: dict[str, torch.Tensor]) -> Dynamics | None:
             raise ValueError(f"a learned motion of no known kind: {one_line(error)}") from error
     # Files that earlier versions wrote know of instances of one piece only.
     found.setdefault("pieces", torch.ones(len(found["centres"]), dtype=torch.int64))
-    motion = Motion(**{field.name: found[field.name] for field in fields(Motion)})
+    motion = NodeMotion(**{field.name: found[field.name] for field in fields(NodeMotion)})
     if not all(bool(torch.isfinite(tensor).all()) for tensor in motion.tensors().values()):
         raise ValueError("a motion that is not finite")
     if not bool(((motion.rotations.norm(dim=2) - 1).abs() < _UNIT_TOLERANCE).all()):

@@ -89,7 +89,7 @@ class Poses:
 
 
 @dataclass(frozen=True)
-class Motion:
+class NodeMotion:
     """The courses of L instances of P pieces, from T poses each.
 
     Raises:
@@ -149,7 +149,7 @@ class Motion:
         """See `Dynamics`; exact for instances of one piece."""
         return posed(gaussians, instance, self.at(time).inverse())
 
-    def placed(self, place: Place) -> Motion:
+    def placed(self, place: Place) -> NodeMotion:
         """The motion in the coordinates of a place, from that in world space."""
         centres = torch.from_numpy(place.from_world(self.centres.numpy()))
         return replace(self, centres=centres, shifts=self.shifts / place.unit)

@@ -72,7 +72,7 @@ class TileBounds:
     bottom: Any
 
 
-class Window(NamedTuple):
+class TileWindow(NamedTuple):
     """A rectangle of tiles; right and bottom are exclusive."""
 
     left: int
@@ -101,7 +101,7 @@ class Candidates:
         in_order: bool = False,
     ):
         self._arrays, self._splats, self.grid = arrays, splats, grid
-        self.whole = Window(0, 0, grid.columns, grid.rows)
+        self.whole = TileWindow(0, 0, grid.columns, grid.rows)
         self.wanted, self._all_wanted = grid.mask(wanted), wanted is None
         everywhere = TileBounds(arrays.constant(grid.columns), 0, arrays.constant(grid.rows))
         self._boxes = _boxes(arrays, splats, bounds or everywhere, grid.side)
@@ -110,7 +110,7 @@ class Candidates:
         seen = self._boxes.across > 0
         self._order = None if in_order else depth_order(arrays, splats.depth, seen)
 
-    def runs(self, window: Window) -> Runs:
+    def runs(self, window: TileWindow) -> Runs:
         """The candidates in a window, counted but not listed."""
         tiles = np.zeros_like(self.wanted)
         inside = slice(window.top, window.bottom), slice(window.left, window.right)
@@ -180,7 +180,7 @@ def _boxes(arrays: Arrays, splats: Splats, bounds: TileBounds, side: int) -> _Bo
     return _Boxes(UInt(x0), UInt(y0), across, down)
 
 
-def _clipped(arrays: Arrays, boxes: _Boxes, window: Window) -> _Boxes:
+def _clipped(arrays: Arrays, boxes: _Boxes, window: TileWindow) -> _Boxes:
     """The parts of boxes inside a window."""
     left, top, right, bottom = (arrays.constant(side) for side in window)
     first_x, first_y = dr.maximum(boxes.left, left), dr.maximum(boxes.top, top)

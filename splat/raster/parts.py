@@ -15,7 +15,7 @@ from typing import Any
 import drjit as dr
 
 from compose.base.arrays import Arrays
-from splat.raster.binning import Bins, Candidates, Window
+from splat.raster.binning import Bins, Candidates, TileWindow
 from splat.raster.blending import added_sums, gradients_from_sums, new_images, no_sums, rasterize
 from splat.raster.projection import Splats
 
@@ -44,7 +44,7 @@ class Parts:
         else:
             yield from self._lists(self._candidates.whole)
 
-    def _lists(self, window: Window) -> Iterator[Bins]:
+    def _lists(self, window: TileWindow) -> Iterator[Bins]:
         """The lists of a window, divided until each part is small enough."""
         runs = self._candidates.runs(window)
         middle_x, middle_y = (window.left + window.right) // 2, (window.top + window.bottom) // 2
@@ -54,11 +54,11 @@ class Parts:
             return
         # Rows first: only then do the parts follow one another as the tiles do.
         if middle_y > window.top:
-            upper = Window(window.left, window.top, window.right, middle_y)
-            lower = Window(window.left, middle_y, window.right, window.bottom)
+            upper = TileWindow(window.left, window.top, window.right, middle_y)
+            lower = TileWindow(window.left, middle_y, window.right, window.bottom)
         else:
-            upper = Window(window.left, window.top, middle_x, window.bottom)
-            lower = Window(middle_x, window.top, window.right, window.bottom)
+            upper = TileWindow(window.left, window.top, middle_x, window.bottom)
+            lower = TileWindow(middle_x, window.top, window.right, window.bottom)
         # Not kept while its halves are drawn.
         del runs
         yield from self._lists(upper)

@@ -22,7 +22,7 @@ from splat.raster.visibility import visible
 from splat.training.density import LEAST_STEPS, DensityControl, halves, largest_log_scales, too_large
 from splat.training.depth_estimates import measured
 from splat.training.gaussian_optimizer import HOST, GaussianOptimizer
-from splat.training.loss import Target
+from splat.training.loss import FrameTarget
 from splat.training.moving_nodes import Evidence, evidence_of, separated
 from splat.training.training_view import TrainingView, pixel_footprint
 from splat.training.view_dependence import turning_as_nearest, without_unseen_turning
@@ -104,7 +104,7 @@ class LayerTraining:
         # What moves, and light that changes, are shown on the host.
         still = motion is None and light is None
         self._device = arrays.device if still else HOST
-        self._targets = [Target(arrays, torch.from_numpy(v.radiance).to(self._device)) for v in views]
+        self._targets = [FrameTarget(arrays, torch.from_numpy(v.radiance).to(self._device)) for v in views]
         self._pixel = pixel_footprint(views)
         labels = [view.instance for view in views if view.instance is not None]
         self._instances = 1 + max((int(label.max()) for label in labels), default=-1)

@@ -131,7 +131,7 @@ _STRAIGHT, _SLOPE = 0.0031308, 12.92
 _BRIGHT_SLOPE = 1.055 / 2.4
 
 
-class Target:
+class FrameTarget:
     """A frame to match.
 
     What depends on the frame alone is computed again each time: kept, it would take three times the memory of
@@ -286,7 +286,7 @@ class _Loss(torch.autograd.Function):
 
     @staticmethod
     def forward(  # type: ignore[override]
-        ctx: Any, target: Target, rendered: torch.Tensor
+        ctx: Any, target: FrameTarget, rendered: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
         loss, error, gradient = target.loss_and_gradient(rendered)
         ctx.save_for_backward(gradient)

@@ -21,7 +21,7 @@ from splat.model.dynamic_light import NodeLight, SurfaceLight
 from splat.model.forest import Forest
 from splat.model.layer import NO_PARENT, Layer, without_parents
 from splat.model.learned_motion import LearnedMotion
-from splat.model.motion import Dynamics, Motion
+from splat.model.motion import Dynamics, NodeMotion
 from splat.model.trees import build_forest, settle
 from splat.training.density import INITIAL_SHARE
 from splat.training.field_training import FieldOptimizer, register
@@ -130,7 +130,7 @@ class Trainer:
         views: list[TrainingView],
         settings: TrainingSettings,
         start: Forest | None = None,
-        motion: Motion | None = None,
+        motion: NodeMotion | None = None,
         light: SurfaceLight | None = None,
     ):
         self.settings = settings

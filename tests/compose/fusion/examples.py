@@ -9,7 +9,7 @@ import torch
 from scipy.ndimage import gaussian_filter
 
 from compose.fusion import combination
-from compose.fusion.fitting import Example, Reference
+from compose.fusion.fitting import Example, FusionReference
 from compose.fusion.network import Fusion
 from compose.fusion.parents import Parents
 from tests import small
@@ -34,7 +34,7 @@ def example(seed: int, spp: int, size: int = 96) -> Example:
         count=np.full((size, size, 1), spp, dtype=np.float32),
         enlargement=2.0,
     )
-    return Example(parents, Reference(truth, (truth, truth)), seed)
+    return Example(parents, FusionReference(truth, (truth, truth)), seed)
 
 
 def radiance_of(given: Example) -> np.ndarray:

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from compose.fusion import fitting
-from compose.fusion.fitting import LEAST_SIZE, STACK, Example, Reference, fit
+from compose.fusion.fitting import LEAST_SIZE, STACK, Example, FusionReference, fit
 from compose.fusion.network import Fusion
 from compose.fusion.parents import Parents
 from tests import small
@@ -115,7 +115,7 @@ def test_without_examples_there_is_nothing_to_fit_to():
 
 def part(given: Example, height: int, width: int) -> Example:
     right = radiance_of(given)[:height, :width]
-    return Example(cropped(given.parents, height, width), Reference(right, (right, right)), 0)
+    return Example(cropped(given.parents, height, width), FusionReference(right, (right, right)), 0)
 
 
 @pytest.mark.parametrize(("height", "width"), [(LEAST_SIZE - 1, 80), (80, LEAST_SIZE - 1)])
@@ -134,7 +134,7 @@ def coordinates(count: float, size: int = 80) -> Example:
     row, column = np.mgrid[0:size, 0:size].astype(np.float32)
     image = np.stack([column, row, np.ones_like(row)], axis=2)
     parents = Parents(*[image] * 6, np.full((size, size, 1), count, np.float32), 1.0)
-    return Example(parents, Reference(image, (image, image)), 0)
+    return Example(parents, FusionReference(image, (image, image)), 0)
 
 
 def patches(count: float, number: int) -> list[dict[str, torch.Tensor]]:

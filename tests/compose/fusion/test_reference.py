@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from compose.fusion.features import perceived, perceived_slope
-from compose.fusion.fitting import Reference
+from compose.fusion.fitting import FusionReference
 from tests import small
 
 SIZE = 96
@@ -21,7 +21,7 @@ def noisy(truth: np.ndarray, seed: int, spread: float) -> np.ndarray:
 def test_squared_errors_are_those_against_the_truth_whatever_the_noise(spread):
     """Within four standard errors, where the mean square of the targets alone is far off."""
     truth = small.rng(0).uniform(0.2, 0.9, (SIZE, SIZE, 3)).astype(np.float32)
-    reference = Reference(truth, (noisy(truth, 1, spread), noisy(truth, 2, spread)))
+    reference = FusionReference(truth, (noisy(truth, 1, spread), noisy(truth, 2, spread)))
     estimate = torch.from_numpy(truth * 1.1).permute(2, 0, 1)
     target, noise = reference.targets()
     expected = (perceived(estimate) - perceived(torch.from_numpy(truth).permute(2, 0, 1))) ** 2
@@ -37,7 +37,7 @@ def test_a_single_bright_path_is_spread_over_its_neighbourhood():
     truth = np.full((101, 101, 3), 0.5, dtype=np.float32)
     bright = truth.copy()
     bright[50, 50] = 1000
-    target, _ = Reference(truth, (bright, truth)).targets()
+    target, _ = FusionReference(truth, (bright, truth)).targets()
     change = target - perceived(torch.tensor(0.5))
     expected = float(perceived_slope(torch.tensor(0.5))) * 999.5 / 2
     assert float(change[0].sum()) == pytest.approx(expected, rel=1e-3)
@@ -48,7 +48,7 @@ def test_a_single_bright_path_is_spread_over_its_neighbourhood():
 
 def test_noise_free_halves_leave_no_noise():
     truth = small.rng(0).uniform(0, 5, (8, 6, 3)).astype(np.float32)
-    target, noise = Reference(truth, (truth, truth)).targets()
+    target, noise = FusionReference(truth, (truth, truth)).targets()
     assert target.shape == noise.shape == (3, 8, 6)
     assert torch.equal(noise, torch.zeros(3, 8, 6))
     torch.testing.assert_close(target, perceived(torch.from_numpy(truth).permute(2, 0, 1)))

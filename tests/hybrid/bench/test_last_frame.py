@@ -15,7 +15,7 @@ from hybrid.render.splat_renderer import SplatRenderer
 from splat.model.forest import Forest, forest_of
 from splat.model.gaussians import SH_DC, Gaussians
 from splat.model.layer import Layer
-from splat.model.motion import Motion
+from splat.model.motion import NodeMotion
 
 # Looks along z at a wall of nodes in the plane z = 0.
 POSE = np.eye(4)
@@ -47,7 +47,7 @@ def _forest(shift: float) -> Forest:
     shifts = torch.zeros(times, 1, 3, dtype=torch.float64)
     shifts[:, 0, 0] = torch.linspace(0, shift, times, dtype=torch.float64)
     rotations = torch.tensor([1.0, 0, 0, 0], dtype=torch.float64).repeat(times, 1, 1)
-    motion = Motion(
+    motion = NodeMotion(
         rotations, torch.zeros(1, 3, dtype=torch.float64), shifts, torch.ones(1, dtype=torch.int64)
     )
     layers = [_layer(1.0, 0.2, 0, True), _layer(0.25, 0.8, 1, True)]

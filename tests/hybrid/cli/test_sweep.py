@@ -9,7 +9,7 @@ import pytest
 from hybrid.cli import sweep as command
 from hybrid.evaluation import evaluation_page
 from hybrid.evaluation import sweep_run as module
-from hybrid.evaluation.sweep_catalogue import Effort
+from hybrid.evaluation.sweep_catalogue import SweepEffort
 from hybrid.preparation.scene_plan import planned_scene
 from hybrid.render.frame_settings import SWEEP, FrameSettings
 from tests.hybrid.command import run
@@ -41,7 +41,7 @@ def sweep(made, monkeypatch):
 def test_without_options_resolutions_are_swept_as_the_paper_does(sweep):
     code, given = sweep()
     assert code == 0
-    assert given == [("resolution", planned_scene("cornell").camera, SWEEP, Effort(15, 2, 64))]
+    assert given == [("resolution", planned_scene("cornell").camera, SWEEP, SweepEffort(15, 2, 64))]
 
 
 def test_every_option_reaches_the_sweep(sweep):
@@ -51,7 +51,7 @@ def test_every_option_reaches_the_sweep(sweep):
     assert code == 0
     camera = planned_scene("cornell").camera.resized(40, 30)
     settings = FrameSettings(fov_a=30, fov_b=10, spp=3, fovea="fused", display="hmd", fill=False)
-    assert given == [("acuity", camera, settings, Effort(4, 5, 6))]
+    assert given == [("acuity", camera, settings, SweepEffort(4, 5, 6))]
     code, given = sweep("--over", "band", "--acuity-model", "fov-gs")
     assert code == 0
     assert given[-1][2].acuity_model == "fov-gs"

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from compose.base.errors import UserError
-from hybrid.cli.target import Target, measuring_command
+from hybrid.cli.target import TradeTarget, measuring_command
 from hybrid.evaluation import sweep_catalogue as catalogue
 from hybrid.evaluation.measured_settings import MeasuredSettings, MeasuredStore
 from hybrid.preparation.scene_plan import planned_scene
@@ -149,7 +149,7 @@ def test_without_a_forest_none_is_trained_before_the_refusal(monkeypatch, tmp_pa
 
 
 def test_without_a_target_nothing_is_looked_up():
-    target, settings = Target(None, None, "measure"), FrameSettings()
+    target, settings = TradeTarget(None, None, "measure"), FrameSettings()
     scene = SimpleNamespace(name="room", hash="ab" * 32)
     assert not target.is_set
     target.require_forest(scene, None)
@@ -158,7 +158,11 @@ def test_without_a_target_nothing_is_looked_up():
 
 def test_a_target_requires_a_forest_that_can_have_been_measured():
     scene = SimpleNamespace(name="room", hash="ab" * 32)
-    for target in (Target(5.0, None, "measure"), Target(None, 9.0, "measure"), Target(0.0, None, "measure")):
+    for target in (
+        TradeTarget(5.0, None, "measure"),
+        TradeTarget(None, 9.0, "measure"),
+        TradeTarget(0.0, None, "measure"),
+    ):
         assert target.is_set
         target.require_forest(scene, Path("given.forest"))
         with pytest.raises(UserError, match=r"have not been measured here; run: measure$"):

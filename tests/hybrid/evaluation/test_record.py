@@ -10,14 +10,14 @@ import pytest
 from compose.camera.camera import View
 from hybrid.base.identity import short_hash
 from hybrid.evaluation import sweep_run as record
-from hybrid.evaluation.sweep_catalogue import SWEEPS, Effort, sweep_named
-from hybrid.evaluation.sweep_run import applied, identity_of
+from hybrid.evaluation.sweep_catalogue import SWEEPS, SweepEffort, sweep_named
+from hybrid.evaluation.sweep_run import identity_of, settings_of_row
 from tests.hybrid.forests import white_dot
 
-EFFORT = Effort(3, 1, 4)
+EFFORT = SweepEffort(3, 1, 4)
 
 
-def identity(corner, rough, base, over: str = "band", effort: Effort = EFFORT) -> str:
+def identity(corner, rough, base, over: str = "band", effort: SweepEffort = EFFORT) -> str:
     sweep = sweep_named(over, rough.counts)
     found = identity_of(corner, rough, sweep, sweep.settings(base, [View(base.camera)]), effort)
     return short_hash(json.loads(json.dumps(found)))
@@ -31,9 +31,9 @@ def test_rows_depend_on_everything_that_they_are_measured_with(corner, rough, ba
         identity(corner, rough, base, "denoiser"),
         identity(corner, rough, replace(base, camera=base.camera.resized(60, 40))),
         identity(corner, rough, replace(base, frame=replace(base.frame, spp=3))),
-        identity(corner, rough, base, effort=Effort(4, 1, 4)),
-        identity(corner, rough, base, effort=Effort(3, 2, 4)),
-        identity(corner, rough, base, effort=Effort(3, 1, 5)),
+        identity(corner, rough, base, effort=SweepEffort(4, 1, 4)),
+        identity(corner, rough, base, effort=SweepEffort(3, 2, 4)),
+        identity(corner, rough, base, effort=SweepEffort(3, 1, 5)),
     ]
     assert len({known, *others}) == 1 + len(others)
 
@@ -48,7 +48,7 @@ def test_metrics_that_are_installed_later_are_measured_anew(corner, rough, base,
 @pytest.mark.parametrize("over", [*SWEEPS, "layers"])
 def test_what_applied_to_all_rows_is_written_down_and_nothing_else(base, over):
     sweep = sweep_named(over, (1, 2))
-    found = applied(sweep, base, EFFORT)
+    found = settings_of_row(sweep, base, EFFORT)
     assert found.pop("display") == asdict(base.frame.display)
     rows = [json.loads(json.dumps(one.frame.as_json())) for one in sweep.settings(base, [View(base.camera)])]
     for name in ("fovea", "fov_a", "fov_b", "spp", "acuity_model"):

@@ -10,11 +10,11 @@ import pytest
 from compose.base.errors import UserError
 from hybrid.base.journal import Journal
 from hybrid.evaluation import sweep_run as module
-from hybrid.evaluation.sweep_catalogue import Effort, Setting
+from hybrid.evaluation.sweep_catalogue import Setting, SweepEffort
 from hybrid.evaluation.sweep_run import swept
 
 pytestmark = pytest.mark.usefixtures("quick_metrics")
-EFFORT = Effort(3, 1, 4)
+EFFORT = SweepEffort(3, 1, 4)
 
 
 def rows(base: Setting, **changes: list) -> list[Setting]:

@@ -13,7 +13,7 @@ from hybrid.evaluation import fpc
 from hybrid.evaluation import sweep_catalogue as catalogue
 from hybrid.evaluation import sweep_run as run_module
 from hybrid.evaluation.methods import HybridMethod
-from hybrid.evaluation.sweep_catalogue import Effort
+from hybrid.evaluation.sweep_catalogue import SweepEffort
 from hybrid.evaluation.sweep_run import sweep
 from hybrid.render import periphery as saliency
 from pathtrace.region.neighbourhood import unseen_views
@@ -245,7 +245,9 @@ def test_rows_are_timed_and_judged_in_views_that_training_has_not_seen(corner, r
     unseen = unseen_views(corner, 3, base.camera.width, base.camera.height)
     monkeypatch.setattr(run_module, "reference", recorded)
     monkeypatch.setattr(HybridMethod, "render", seen)
-    content = sweep(corner, rough, "band", base, Effort(3, 1, 4), lambda _: None, lambda done, total: None)
+    content = sweep(
+        corner, rough, "band", base, SweepEffort(3, 1, 4), lambda _: None, lambda done, total: None
+    )
     assert [camera.key for camera in judged] == [camera.key for camera in unseen]
     assert timed == {0, 1, 2}
     assert got(content["views"]) == 3
@@ -267,7 +269,7 @@ def test_the_result_is_written_before_what_it_resumes_from_is_deleted(
         kept.append(list(home().glob("*/sweep-band-*.json")))
         assert len(content["rows"]) == 4
 
-    content = sweep(corner, rough, "band", base, Effort(3, 1, 4), write, lambda done, total: None)
+    content = sweep(corner, rough, "band", base, SweepEffort(3, 1, 4), write, lambda done, total: None)
     assert len(kept[0]) == 1
     assert not kept[0][0].exists()
     assert (content["over"], content["break_even"]) == ("band", [])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hybrid.base.compute_device import Clock
+from hybrid.base.compute_device import PassClock
 from hybrid.evaluation.baselines import traced_image
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.film import frame_positions
@@ -20,7 +20,7 @@ def tracer(backend) -> Tracer:
     return Tracer(load_scene("cornell"))
 
 
-def image(tracer: Tracer, spp: float, seed: int = 3, denoised: bool = False, clock: Clock | None = None):
+def image(tracer: Tracer, spp: float, seed: int = 3, denoised: bool = False, clock: PassClock | None = None):
     camera = tracer.scene.camera.resized(WIDTH, HEIGHT)
     return traced_image(tracer, camera, frame_positions(camera), WIDTH, spp, seed, denoised, clock)
 
@@ -48,7 +48,7 @@ def test_a_fraction_of_a_sample_goes_to_a_fraction_of_the_pixels(tracer, monkeyp
 
 def test_denoising_removes_noise_and_is_timed(tracer):
     truth = image(tracer, 256, seed=9)
-    clocks = Clock(), Clock()
+    clocks = PassClock(), PassClock()
     raw, denoised = (image(tracer, 4, denoised=flag, clock=clocks[flag]) for flag in (False, True))
     assert raw.shape == denoised.shape == (HEIGHT, WIDTH, 3)
     assert np.abs(denoised - truth).mean() < 0.85 * np.abs(raw - truth).mean()

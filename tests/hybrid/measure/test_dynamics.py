@@ -11,7 +11,7 @@ import torch
 from compose.camera.coordinate_systems import WORLD, Place
 from splat.model.gaussians import Gaussians
 from splat.model.layer import static_layer
-from splat.model.motion import Motion
+from splat.model.motion import NodeMotion
 from tests.hybrid.measure.motion_truth import Triangles, nodes_that_move
 from tests.moving import WAY, moving_corner
 
@@ -19,7 +19,7 @@ from tests.moving import WAY, moving_corner
 @dataclass
 class Nodes:
     place: Place = WORLD
-    motion: Motion | None = None
+    motion: NodeMotion | None = None
 
 
 def twin(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
@@ -75,7 +75,7 @@ def test_what_goes_along_moves_and_so_does_what_is_left_where_something_passes(c
     shifts = torch.tensor([[[0.0, 0, 0]], [[WAY, 0, 0]]], dtype=torch.float64)
     rotations = torch.tensor([1.0, 0, 0, 0], dtype=torch.float64).repeat(2, 1, 1)
     centres = torch.from_numpy(at_rest[None])
-    motion = Motion(rotations, centres, shifts, torch.ones(1, dtype=torch.int64))
+    motion = NodeMotion(rotations, centres, shifts, torch.ones(1, dtype=torch.int64))
     found, counts = nodes_that_move(corner, corner.moving, Nodes(motion=motion), layer, [0.0, 0.5, 1.0])
     assert counts.all()
     assert found.tolist() == [True, True, False]

@@ -8,7 +8,7 @@ import pytest
 from compose.base.errors import UserError
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import Foveation
-from hybrid.measure.regions import REGIONS, Region, plain_regions, regions
+from hybrid.measure.regions import REGIONS, ImageRegion, plain_regions, regions
 from tests import small
 
 # Wider than high, the gaze on the centre of the pixel in row 20 and column 50.
@@ -44,7 +44,7 @@ def test_the_regions_cover_the_frame_once():
 def test_a_box_is_the_smallest_one_around_a_region():
     mask = np.zeros((8, 9), dtype=bool)
     mask[2, 3] = mask[5, 4] = True
-    region = Region.of("foveal", mask)
+    region = ImageRegion.of("foveal", mask)
     assert region.box == (slice(2, 6), slice(3, 5))
     assert plain_regions(FOVEATION, (HEIGHT, WIDTH))["foveal"].box == (slice(11, 30), slice(41, 60))
 
@@ -52,7 +52,7 @@ def test_a_box_is_the_smallest_one_around_a_region():
 def test_alone_a_region_shows_the_image_and_nothing_else_of_it(picture):
     mask = np.zeros((HEIGHT, WIDTH), dtype=bool)
     mask[3, 4] = True
-    alone = Region.of("foveal", mask).alone(picture, 2 * picture)
+    alone = ImageRegion.of("foveal", mask).alone(picture, 2 * picture)
     assert (alone[3, 4] == picture[3, 4]).all()
     alone[3, 4] *= 2
     np.testing.assert_array_equal(alone, 2 * picture)

@@ -7,7 +7,7 @@ import pytest
 
 from hybrid.preparation import stage_frames as module
 from hybrid.preparation.gaussian_count import breadth_of
-from hybrid.preparation.stage_frames import stated_error, views_of, wanted_of
+from hybrid.preparation.stage_frames import stage_views, stated_error, wanted_of
 from hybrid.preparation.stages import Stage
 from pathtrace.dataset.growing import GrowingFrames, Wanted
 from pathtrace.region.viewing_regions import region_of
@@ -37,15 +37,15 @@ def test_the_default_region_is_as_broad_as_itself(scene, region):
 
 
 def test_views_of_earlier_stages_come_first_and_stay(region):
-    both = views_of(region, [FIRST, SECOND], 3)
+    both = stage_views(region, [FIRST, SECOND], 3)
     assert [scale for _, scale in both] == [1] * 4 + [4] * 3
-    assert both[:4] == views_of(region, [FIRST], 3)
+    assert both[:4] == stage_views(region, [FIRST], 3)
     assert all(camera.width == camera.height == 256 for camera, _ in both[:4])
 
 
 def test_views_at_high_resolution_are_parts_of_whole_ones(region):
     whole = region.views(7, 1024, 1024, 3)
-    for (camera, _), home in zip(views_of(region, [FIRST, SECOND], 3)[4:], whole[4:], strict=True):
+    for (camera, _), home in zip(stage_views(region, [FIRST, SECOND], 3)[4:], whole[4:], strict=True):
         assert (camera.width, camera.height) == (512, 512)
         assert camera.fx == pytest.approx(home.fx)
         left, top = home.cx - camera.cx, home.cy - camera.cy
@@ -58,7 +58,7 @@ def test_new_views_get_the_samples_of_their_scale_and_none_are_taken_away(
 ):
     monkeypatch.setattr(module, "_SIDE", 32)
     stage = Stage(views=2, scale=1, spp=4, gaussians=100, steps=1)
-    views = views_of(region, [stage], 0)
+    views = stage_views(region, [stage], 0)
     frames = GrowingFrames(tmp_path, Tracer(scene), "path", 0)
     assert wanted_of(frames, views, stage, None) == [Wanted(camera, 4) for camera, _ in views]
     cameras = [camera.resized(32, 32) for camera, _ in views]
@@ -66,7 +66,7 @@ def test_new_views_get_the_samples_of_their_scale_and_none_are_taken_away(
     assert [view.spp for view in wanted_of(frames, views, stage, None)] == [8, 4]
     finer = Stage(views=1, scale=4, spp=64, gaussians=100, steps=1)
     # Of coarse views, which hardly matter for the finest layer, no more samples are taken.
-    more = wanted_of(frames, views_of(region, [stage, finer], 0), finer, None)
+    more = wanted_of(frames, stage_views(region, [stage, finer], 0), finer, None)
     assert [view.spp for view in more] == [8, 4, 4]
     assert 5 < stated_error(frames) < 80
 

@@ -12,7 +12,7 @@ from hybrid.measure.image_metrics import psnr
 from hybrid.render.forest_attachments import attach_views
 from hybrid.render.frame_renderer import LiveRenderer, Renderer
 from hybrid.render.frame_settings import FrameSettings
-from hybrid.render.hole_filling import Coverage
+from hybrid.render.hole_filling import KnownSurfaces
 from pathtrace.scene.scene import load_scene
 from pathtrace.trace.film import frame_positions
 from pathtrace.trace.traced_images import radiance_image
@@ -140,7 +140,7 @@ def test_a_forest_that_does_not_name_its_views_is_judged_by_its_opacity(room, vi
     dot = white_dot((0.1, 0, 0.4), opacity_logit=9)
     dot.finest.log_scales[:] = np.log(0.3)
     # The dot is in the middle.
-    known = Coverage(arrays, dot).of(view.resized(640, 640), Tracer(room))
+    known = KnownSurfaces(arrays, dot).of(view.resized(640, 640), Tracer(room))
     assert known.shape == (40, 40)
     assert known[20, 20] > 0.5
     assert known[:8].max() == 0

@@ -15,7 +15,7 @@ from compose.eye.gaze import Gaze
 from hybrid.evaluation.measured_settings import MeasuredSettings
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.window.frame_loop import FrameLoop
-from hybrid.window.messages import Request, View
+from hybrid.window.messages import Request, ShownView
 
 CAMERA = Camera(np.eye(4), 64, 48, 50.0, 50.0, 32.0, 24.0)
 # 10 to 60 milliseconds, as the source below takes them.
@@ -65,7 +65,7 @@ def request(x: float = 0.5, target_fps: float | None = None, **settings: Any) ->
 def test_without_a_target_the_requested_frame_is_rendered(clock):
     source = Source(clock)
     loop = loop_of(source)
-    asked = replace(request(fov_a=30.0), view=View.SPLIT, gaze_time=7.0)
+    asked = replace(request(fov_a=30.0), view=ShownView.SPLIT, gaze_time=7.0)
     shown = loop.make(asked)
     assert shown.request == source.calls[0][0] == asked
     assert loop.due <= clock[0]

@@ -10,7 +10,7 @@ import pytest
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
 from hybrid.render.frame_settings import FrameSettings
-from hybrid.window.messages import Request, View
+from hybrid.window.messages import Request, ShownView
 
 
 def camera(x: float = 0.0) -> Camera:
@@ -20,11 +20,11 @@ def camera(x: float = 0.0) -> Camera:
 
 
 SETTINGS = FrameSettings(gaze=Gaze(0.3, 0.4), camera=camera())
-REQUEST = Request(SETTINGS, View.SPLIT, 5.0, 15.0)
+REQUEST = Request(SETTINGS, ShownView.SPLIT, 5.0, 15.0)
 
 
 def test_the_same_frame_may_be_asked_for_at_another_time_with_an_equal_camera():
-    again = Request(replace(SETTINGS, camera=camera()), View.SPLIT, 6.0, 15.0)
+    again = Request(replace(SETTINGS, camera=camera()), ShownView.SPLIT, 6.0, 15.0)
     assert again.settings.camera is not SETTINGS.camera
     assert REQUEST.same_frame(again)
 
@@ -33,7 +33,7 @@ def test_the_same_frame_may_be_asked_for_at_another_time_with_an_equal_camera():
     "other",
     [
         None,
-        replace(REQUEST, view=View.COMPOSITE),
+        replace(REQUEST, view=ShownView.COMPOSITE),
         replace(REQUEST, target_fps=None),
         replace(REQUEST, target_fps=30.0),
         replace(REQUEST, settings=replace(SETTINGS, gaze=Gaze(0.3, 0.41))),
@@ -48,9 +48,9 @@ def test_anything_else_is_another_frame(other):
 
 def test_views_come_in_the_order_of_their_keys():
     names = "COMPOSITE FOVEA PERIPHERY PATH_TRACED SPLIT LEVELS DIFFERENCE"
-    assert [view.name for view in View] == names.split()
+    assert [view.name for view in ShownView] == names.split()
 
 
 def test_three_views_show_a_path_traced_frame():
-    needing = {view for view in View if view.needs_path_traced}
-    assert needing == {View.PATH_TRACED, View.SPLIT, View.DIFFERENCE}
+    needing = {view for view in ShownView if view.needs_path_traced}
+    assert needing == {ShownView.PATH_TRACED, ShownView.SPLIT, ShownView.DIFFERENCE}

@@ -11,17 +11,17 @@ import pytest
 
 from compose.fovea.samples import Samples
 from hybrid.base.compute_device import device_arrays
-from hybrid.window.messages import Shown
+from hybrid.window.messages import ShownFrame
 
 pytestmark = pytest.mark.usefixtures("backend")
 
 
-def shown(counts: list[float]) -> Shown:
+def shown(counts: list[float]) -> ShownFrame:
     plain = device_arrays().plain
     nothing = Samples.none(device_arrays(), dr.arange(plain.UInt, len(counts)))
     samples = replace(nothing, count=plain.Float(counts))
     frame = SimpleNamespace(fovea=SimpleNamespace(samples=samples))
-    return Shown(np.zeros((4, 4, 3), np.uint8), None, frame, 0, {}, 0, False)  # type: ignore[arg-type]
+    return ShownFrame(np.zeros((4, 4, 3), np.uint8), None, frame, 0, {}, 0, False)  # type: ignore[arg-type]
 
 
 def test_samples_per_pixel_are_the_mean_over_the_disc():

@@ -15,12 +15,12 @@ from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.image_files import read_exr
 from hybrid.window import frame_source as source_module
 from hybrid.window.frame_source import FrameSource
-from hybrid.window.messages import Request, View
+from hybrid.window.messages import Request, ShownView
 from pathtrace.trace.film import frame_positions
 from tests.compose.arrays_of import numbers
 
 
-def request(source: FrameSource, view: View = View.COMPOSITE, **settings: Any) -> Request:
+def request(source: FrameSource, view: ShownView = ShownView.COMPOSITE, **settings: Any) -> Request:
     camera = source.camera.resized(96, 64)
     base = FrameSettings(gaze=Gaze(0.4, 0.5), fov_a=20.0, fov_b=15.0, spp=1, camera=camera)
     return Request(replace(base, **settings), view)
@@ -99,7 +99,7 @@ def test_without_a_disc_the_second_frame_is_finished(source):
 
 
 def test_the_path_traced_frame_alone_traces_no_disc_again(source):
-    asked = request(source, View.PATH_TRACED)
+    asked = request(source, ShownView.PATH_TRACED)
     first, second = source.show(asked, True), source.show(asked, True)
     # A sixteenth of the frame, in the first frame beside the disc.
     assert first.paths == first.frame.region.count + 24 * 16
@@ -110,7 +110,7 @@ def test_the_path_traced_frame_alone_traces_no_disc_again(source):
 
 
 def test_the_path_traced_frame_is_kept_until_the_camera_moves(source):
-    asked = request(source, View.SPLIT)
+    asked = request(source, ShownView.SPLIT)
     first = source.show(asked, False)
     assert first.path_traced_spp == 0
     other_gaze = replace(asked, settings=replace(asked.settings, gaze=Gaze(0.6, 0.5)))
@@ -123,7 +123,7 @@ def test_the_path_traced_frame_is_kept_until_the_camera_moves(source):
 
 
 def test_a_complete_path_traced_frame_is_finished(source, monkeypatch):
-    asked = request(source, View.PATH_TRACED)
+    asked = request(source, ShownView.PATH_TRACED)
     monkeypatch.setattr("hybrid.window.window_views._MOST_SAMPLES", 1)
     shown = [source.show(asked, False) for _ in range(3)]
     assert [one.path_traced_spp for one in shown] == [0, 1, 1]
@@ -133,9 +133,9 @@ def test_a_complete_path_traced_frame_is_finished(source, monkeypatch):
 
 def test_the_disc_converges_to_the_path_traced_frame(source):
     for _ in range(2 * 24):
-        composite = source.show(request(source, View.SPLIT), False)
+        composite = source.show(request(source, ShownView.SPLIT), False)
     assert composite.path_traced_spp == 24
-    path_traced = source.show(request(source, View.PATH_TRACED), True)
+    path_traced = source.show(request(source, ShownView.PATH_TRACED), True)
     # In the left half, where a split view shows the composite.
     left = np.flatnonzero((composite.frame.region.weight_image() == 1) & (np.arange(96) < 48))
     disc, whole = (shown.image.reshape(-1, 3)[left].astype(int) for shown in (composite, path_traced))
@@ -146,15 +146,15 @@ def test_the_disc_converges_to_the_path_traced_frame(source):
 
 
 def test_times_are_those_of_the_passes_that_were_run(source):
-    first = source.show(request(source, View.PATH_TRACED), True).milliseconds
+    first = source.show(request(source, ShownView.PATH_TRACED), True).milliseconds
     assert {"trace", "fovea", "splat", "reference", "picture"} < first.keys()
-    again = source.show(request(source, View.PATH_TRACED), True).milliseconds
+    again = source.show(request(source, ShownView.PATH_TRACED), True).milliseconds
     assert again.keys() == {"reference", "picture", "total"}
     for passes in (first, again):
         assert passes["total"] == pytest.approx(sum(passes.values()) - passes["total"], rel=0.01)
 
 
-@pytest.mark.parametrize("view", View)
+@pytest.mark.parametrize("view", ShownView)
 def test_every_view_has_the_size_of_the_frame(source, view):
     for scale in (1.0, 0.5):
         shown = source.show(request(source, view, scale=scale), True)

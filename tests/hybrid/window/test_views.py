@@ -17,7 +17,7 @@ from hybrid.render.fovea import FoveaImage
 from hybrid.render.frame import Frame
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.window import window_views as views
-from hybrid.window.messages import View
+from hybrid.window.messages import ShownView
 from hybrid.window.window_views import image_of
 from tests import small
 from tests.compose.arrays_of import image_on
@@ -55,8 +55,8 @@ def traced(image: np.ndarray) -> Any:
 
 def test_composite_and_periphery_are_shown_as_they_are():
     made = frame()
-    assert (image_of(View.COMPOSITE, made, None) == bytes_from_radiance(made.composite)).all()
-    assert (image_of(View.PERIPHERY, made, None) == bytes_from_radiance(made.periphery)).all()
+    assert (image_of(ShownView.COMPOSITE, made, None) == bytes_from_radiance(made.composite)).all()
+    assert (image_of(ShownView.PERIPHERY, made, None) == bytes_from_radiance(made.periphery)).all()
 
 
 def test_any_radiance_becomes_a_byte():
@@ -66,20 +66,20 @@ def test_any_radiance_becomes_a_byte():
     made = frame(composite)
     with np.errstate(invalid="ignore"):
         expected = bytes_from_radiance(np.nan_to_num(composite, nan=0, posinf=1))
-    assert np.abs(image_of(View.COMPOSITE, made, None).astype(int) - expected).max() <= 1
-    assert (image_of(View.COMPOSITE, made, None)[0, 0] == [0, 255, 0]).all()
+    assert np.abs(image_of(ShownView.COMPOSITE, made, None).astype(int) - expected).max() <= 1
+    assert (image_of(ShownView.COMPOSITE, made, None)[0, 0] == [0, 255, 0]).all()
 
 
 def test_the_kernel_has_the_curve_of_srgb():
     composite = np.linspace(0, 0.02, H * W * 3, dtype=np.float32).reshape(H, W, 3)
     # Known pairs of IEC 61966-2-1: linear 0.0030 is byte 10, 0.0152 byte 33, 0.2140 byte 127, 0.5 byte 188.
     composite[0, :4, 0] = [0.00304, 0.0152, 0.2140, 0.5]
-    assert image_of(View.COMPOSITE, frame(composite), None)[0, :4, 0].tolist() == [10, 33, 127, 188]
+    assert image_of(ShownView.COMPOSITE, frame(composite), None)[0, :4, 0].tolist() == [10, 33, 127, 188]
 
 
 def test_the_fovea_alone_fades_out_in_the_band():
     made = frame()
-    image = image_of(View.FOVEA, made, None).reshape(-1, 3)
+    image = image_of(ShownView.FOVEA, made, None).reshape(-1, 3)
     pixels, weights = made.region.pixels, made.region.weight_image().ravel()
     outside = np.setdiff1d(np.arange(H * W), pixels)
     assert not image[outside].any()
@@ -94,20 +94,20 @@ def test_the_fovea_alone_fades_out_in_the_band():
 
 def test_the_split_view_has_each_image_on_its_side():
     made, other = frame(), np.full((H, W, 3), 0.3, dtype=np.float32)
-    image = image_of(View.SPLIT, made, traced(other))
+    image = image_of(ShownView.SPLIT, made, traced(other))
     assert (image[:, : W // 2] == bytes_from_radiance(made.composite)[:, : W // 2]).all()
     assert (image[:, W // 2] == 255).all()
     assert (image[:, W // 2 + 1 :] == bytes_from_radiance(other)[:, W // 2 + 1 :]).all()
-    assert (image_of(View.PATH_TRACED, made, traced(other)) == bytes_from_radiance(other)).all()
+    assert (image_of(ShownView.PATH_TRACED, made, traced(other)) == bytes_from_radiance(other)).all()
 
 
 def test_a_difference_is_dark_where_there_is_none_and_brighter_the_larger_it_is():
     made = frame()
     # The difference is from the denoised frame.
-    assert not image_of(View.DIFFERENCE, made, traced(2 * made.composite)).any()
+    assert not image_of(ShownView.DIFFERENCE, made, traced(2 * made.composite)).any()
     made = frame(np.full((H, W, 3), 0.5, dtype=np.float32))
     ramp = np.repeat(np.linspace(0.5, 1, W, dtype=np.float32)[None, :, None], 3, axis=2).repeat(H, axis=0)
-    heat = image_of(View.DIFFERENCE, made, traced(2 * ramp))
+    heat = image_of(ShownView.DIFFERENCE, made, traced(2 * ramp))
     brightness = heat.astype(int).sum(axis=2)[0]
     assert (np.diff(brightness) >= 0).all()
     assert brightness[0] == 0
@@ -122,20 +122,20 @@ def test_differences_from_a_quarter_on_are_white():
     # In sRGB 0.5 and 0.76, or 0.74: just above and below a quarter.
     made = frame(np.full((H, W, 3), 0.2140, dtype=np.float32))
     for other, white in ((0.539, True), (0.507, False)):
-        heat = image_of(View.DIFFERENCE, made, traced(np.full((H, W, 3), 2 * other, dtype=np.float32)))
+        heat = image_of(ShownView.DIFFERENCE, made, traced(np.full((H, W, 3), 2 * other, dtype=np.float32)))
         assert (heat == 255).all() == white
 
 
 def test_levels_are_drawn_from_composite_detail_and_region(monkeypatch):
     made = frame()
     monkeypatch.setattr(views, "levels_picture", lambda *parts: parts)
-    composite, detail, region = image_of(View.LEVELS, made, None)
+    composite, detail, region = image_of(ShownView.LEVELS, made, None)
     np.testing.assert_array_equal(composite, made.composite)
     assert detail is made.detail
     assert region is made.region
 
 
 def test_a_view_that_needs_a_path_traced_frame_says_so():
-    for view in (View.PATH_TRACED, View.SPLIT, View.DIFFERENCE):
+    for view in (ShownView.PATH_TRACED, ShownView.SPLIT, ShownView.DIFFERENCE):
         with pytest.raises(ValueError, match="needs the path-traced frame"):
             image_of(view, frame(), None)

@@ -8,14 +8,14 @@ import pytest
 from pathtrace.cache.cells import Cells, Grid, Points
 from pathtrace.cache.light_selection import LightSamples
 from pathtrace.fill.gather import Direct, Seen
-from pathtrace.fill.guiding import Places, shuffled
+from pathtrace.fill.guiding import GuidedPlaces, shuffled
 from tests import small
 
 COUNT, RAYS = 50, 4
 
 
 @pytest.fixture(scope="module")
-def places() -> Places:
+def places() -> GuidedPlaces:
     """Points in two places far from each other."""
     random = small.rng()
     position = random.uniform(0, 0.3, (COUNT, 3)).astype(np.float32)
@@ -25,7 +25,9 @@ def places() -> Places:
     grid = Grid(np.zeros(3, dtype=np.float32), 1.0)
     cells = Cells.of(points, grid, lambda one, other, side: np.ones(len(one), dtype=bool))
     nothing = LightSamples(np.zeros(0, int), np.zeros(0, int), np.zeros(0, np.float32))
-    return Places.of(points, cells, Direct(random.uniform(0, 1, (COUNT, 3)).astype(np.float32), nothing))
+    return GuidedPlaces.of(
+        points, cells, Direct(random.uniform(0, 1, (COUNT, 3)).astype(np.float32), nothing)
+    )
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pathtrace.region.looks import looks_of, turned_about, upright, widened
-from pathtrace.region.view_coverage import Coverage
+from pathtrace.region.view_coverage import ViewCoverage
 from pathtrace.region.viewing_regions import region_of
 from tests import small
 
@@ -60,7 +60,7 @@ def test_chosen_views_cover_more_than_views_at_random(reachable, joined):
     judged = reachable.unseen_views(20, 32, 32, seed=0)
 
     def covered(views):
-        coverage = Coverage(surfaces, views)
+        coverage = ViewCoverage(surfaces, views)
         return np.mean([coverage.share(view) for view in judged])
 
     chosen = covered(reachable.views(12, 32, 32, seed=0))

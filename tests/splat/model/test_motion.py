@@ -10,7 +10,7 @@ import torch
 from scipy.spatial.transform import Rotation, Slerp
 
 from compose.camera.coordinate_systems import Place
-from splat.model.motion import Motion, Poses, posed
+from splat.model.motion import NodeMotion, Poses, posed
 from tests.extremes import extreme
 from tests.splat.samples import gaussians
 
@@ -21,13 +21,13 @@ def wxyz(rotation: Rotation) -> np.ndarray:
     return rotation.as_quat()[..., [3, 0, 1, 2]]
 
 
-def random_motion(seed: int = 1) -> tuple[Motion, list[Rotation]]:
+def random_motion(seed: int = 1) -> tuple[NodeMotion, list[Rotation]]:
     rng = np.random.default_rng(seed)
     turns = [Rotation.from_rotvec(rng.normal(0, 0.7, (STEPS, 3))) for _ in range(COUNT)]
     # Either sign of a quaternion is the same turn.
     signs = rng.choice([-1, 1], (STEPS, COUNT, 1))
     rotations = np.stack([wxyz(turn) for turn in turns], axis=1) * signs
-    motion = Motion(
+    motion = NodeMotion(
         torch.from_numpy(rotations),
         torch.from_numpy(rng.normal(size=(COUNT, 3))),
         torch.from_numpy(rng.normal(size=(STEPS, COUNT, 3))),
@@ -36,11 +36,11 @@ def random_motion(seed: int = 1) -> tuple[Motion, list[Rotation]]:
     return motion, turns
 
 
-def pieced(*pieces: int) -> Motion:
+def pieced(*pieces: int) -> NodeMotion:
     """Instances of so many pieces each, which turn by less than half a turn."""
     rng, count = np.random.default_rng(3), sum(pieces)
     turns = Rotation.from_rotvec(rng.normal(0, 0.5, (STEPS * count, 3)))
-    return Motion(
+    return NodeMotion(
         torch.from_numpy(wxyz(turns).reshape(STEPS, count, 4)),
         torch.from_numpy(rng.normal(size=(count, 3))),
         torch.from_numpy(rng.normal(size=(STEPS, count, 3))),
@@ -48,7 +48,7 @@ def pieced(*pieces: int) -> Motion:
     )
 
 
-def plain_blend(motion: Motion, time_step: int, instance: int, point: np.ndarray) -> np.ndarray:
+def plain_blend(motion: NodeMotion, time_step: int, instance: int, point: np.ndarray) -> np.ndarray:
     """Where a point of an instance is at a step, node by node in float64."""
     first = int(motion.pieces[:instance].sum())
     own = range(first, first + int(motion.pieces[instance]))
@@ -118,7 +118,7 @@ def test_a_course_is_what_nodes_do_at_all_times(motion):
 def test_pieces_that_move_alike_are_one_instance():
     """Of the same pose everywhere, any blend is that pose, and so is the way back."""
     one, _ = random_motion()
-    many = Motion(
+    many = NodeMotion(
         one.rotations[:, :1].expand(-1, 12, -1).contiguous(),
         torch.randn(12, 3, dtype=torch.float64),
         torch.zeros(STEPS, 12, 3, dtype=torch.float64),
@@ -219,7 +219,7 @@ def test_shapes_are_checked(name, tensor, said):
     if name == "rotations" and tensor.ndim == 3:
         tensors["shifts"] = motion.shifts[:1]
     with pytest.raises(ValueError, match=said):
-        Motion(**{**tensors, name: tensor})
+        NodeMotion(**{**tensors, name: tensor})
 
 
 def test_forests_without_dynamic_nodes_are_not_copied():

@@ -13,7 +13,7 @@ from compose.camera.camera import Camera, camera_from_pose, look_at
 from splat.model.gaussians import Gaussians, sh_count
 from splat.raster.differentiable import render_differentiable
 from splat.training.gaussian_optimizer import GaussianOptimizer
-from splat.training.loss import Target
+from splat.training.loss import FrameTarget
 
 _SIDE = 24
 _STEPS_PER_START = 25
@@ -36,7 +36,7 @@ def random_steps(arrays: Arrays, count: int, seed: int) -> Iterator[Step]:
     for start in range(-(-count // _STEPS_PER_START)):
         rng = np.random.default_rng([seed, start])
         optimizer = GaussianOptimizer(_gaussians(rng), float(10 ** rng.uniform(-5, 1)))
-        camera, target = _camera(rng), Target(arrays, torch.from_numpy(_radiance(rng)))
+        camera, target = _camera(rng), FrameTarget(arrays, torch.from_numpy(_radiance(rng)))
         for number in range(_STEPS_PER_START):
             chosen = optimizer.chosen(torch.arange(len(optimizer.gaussians)))
             loss, _ = target.loss(render_differentiable(arrays, chosen, camera))

@@ -13,7 +13,7 @@ from splat.model.gaussians import Gaussians, perceptual_from_radiance
 from splat.model.layer import check_forest
 from splat.raster.differentiable import render_differentiable
 from splat.training.gaussian_optimizer import GaussianOptimizer
-from splat.training.loss import Target
+from splat.training.loss import FrameTarget
 from splat.training.trainer import Trainer, TrainingSettings
 from splat.training.training_view import TrainingView, in_half_precision
 from tests.extremes import extreme
@@ -324,7 +324,7 @@ def test_loss_and_gradient_are_those_of_float64(arrays, shown, wanted, got):
     values = image(shown) * (1 + 1e-2 * np.random.default_rng(5).uniform(size=(13, 13, 3)))
     target = torch.from_numpy(image(wanted))
     single = torch.from_numpy(values.astype(np.float32)).requires_grad_()
-    loss, _ = Target(arrays, target.float()).loss(single)
+    loss, _ = FrameTarget(arrays, target.float()).loss(single)
     loss.backward()
     value = reference.loss(torch.from_numpy(values), target).item()
     assert got(abs(loss.item() - value), ".1e") < 2e-5
@@ -354,7 +354,7 @@ def test_loss_and_gradient_are_those_of_float64(arrays, shown, wanted, got):
 def test_similarity_does_not_cancel_where_all_is_bright(arrays, got):
     noise = np.random.default_rng(3).uniform(size=(2, 13, 13, 3))
     one, other = (1e30 * (1 + 0.01 * n) for n in noise)
-    single = Target(arrays, torch.from_numpy(one).float()).loss(torch.from_numpy(other).float())[0]
+    single = FrameTarget(arrays, torch.from_numpy(one).float()).loss(torch.from_numpy(other).float())[0]
     exact = reference.loss(torch.from_numpy(other), torch.from_numpy(one))
     assert got(abs(float(single) - float(exact)), ".1e") < 1e-4
 
@@ -369,7 +369,7 @@ def test_the_optimizers_path_has_the_right_gradient(arrays, got):
     gaussians = bright_gaussians()
     worst = 0.0
     for radiance in (0.0, 1e6):
-        target = Target(arrays, torch.full((SIZE, SIZE, 3), radiance))
+        target = FrameTarget(arrays, torch.full((SIZE, SIZE, 3), radiance))
         sh = gaussians.sh.clone().requires_grad_()
         loss, _ = target.loss(render_differentiable(arrays, replace(gaussians, sh=sh), camera))
         loss.backward()

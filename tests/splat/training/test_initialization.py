@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from splat.model.gaussians import SH_DC
-from splat.model.motion import Motion
+from splat.model.motion import NodeMotion
 from splat.raster.harmonics import radiance_from_perceptual
 from splat.training.initialization import seed_at, seed_from_views
 from tests.splat.raster.reference import rotation_matrix
@@ -95,7 +95,9 @@ def test_seeds_of_instances_are_where_these_are_at_rest():
     turns = torch.zeros(3, 1, 4, dtype=torch.float64)
     turns[..., 0] = 1
     shifts = torch.tensor([[[0.0, 0, 0]], [[1.0, 0, 0]], [[2.0, 0, 0]]], dtype=torch.float64)
-    motion = Motion(turns, torch.zeros(1, 3, dtype=torch.float64), shifts, torch.ones(1, dtype=torch.int64))
+    motion = NodeMotion(
+        turns, torch.zeros(1, 3, dtype=torch.float64), shifts, torch.ones(1, dtype=torch.int64)
+    )
     instance = np.full((SIZE, SIZE), -1, dtype=np.int32)
     instance[:, SIZE // 2 :] = 0
     view = replace(WALLS[0], time=0.5, instance=instance)

@@ -13,7 +13,7 @@ from splat.raster.differentiable import render_differentiable
 from splat.training import density
 from splat.training.initialization import seed_from_views
 from splat.training.layer_training import LayerTraining
-from splat.training.loss import Target
+from splat.training.loss import FrameTarget
 from tests.splat.samples import equal
 from tests.splat.training.frames import WALLS
 
@@ -53,7 +53,7 @@ def test_steps_lower_the_loss(arrays):
         losses = []
         for view in WALLS:
             image = render_differentiable(arrays, training.layer.gaussians, view.camera)
-            losses.append(Target(arrays, torch.from_numpy(view.radiance)).loss(image)[0].item())
+            losses.append(FrameTarget(arrays, torch.from_numpy(view.radiance)).loss(image)[0].item())
         return sum(losses)
 
     before = error()

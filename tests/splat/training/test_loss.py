@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from splat.training.loss import SMALLEST_SIDE, SSIM_WEIGHT, Target
+from splat.training.loss import SMALLEST_SIDE, SSIM_WEIGHT, FrameTarget
 from tests.splat.training import reference
 
 
@@ -20,7 +20,7 @@ def images(shape: tuple[int, ...], largest: float = 1.0) -> tuple[torch.Tensor, 
 def test_loss_and_gradient_equal_the_twins(arrays, shape):
     rendered, target = images((*shape, 3), largest=2.5)
     rendered.requires_grad_()
-    loss, _ = Target(arrays, target).loss(rendered)
+    loss, _ = FrameTarget(arrays, target).loss(rendered)
     (3 * loss).backward()
     exact = rendered.detach().double().requires_grad_()
     expected = reference.loss(exact, target.double())
@@ -32,7 +32,7 @@ def test_loss_and_gradient_equal_the_twins(arrays, shape):
 def test_a_frame_in_half_precision_is_compared_as_it_is(arrays):
     rendered, target = images((18, 19, 3), largest=2.5)
     target = target.half()
-    loss, _ = Target(arrays, target).loss(rendered)
+    loss, _ = FrameTarget(arrays, target).loss(rendered)
     assert loss.item() == pytest.approx(reference.loss(rendered.double(), target.double()).item(), abs=1e-6)
 
 
@@ -62,14 +62,14 @@ def test_the_twins_similarity_is_that_of_scikit_image():
 
 def test_equal_images_have_no_loss(arrays):
     radiance = images((12, 13, 3))[0] * 5
-    loss, error = Target(arrays, radiance).loss(radiance)
+    loss, error = FrameTarget(arrays, radiance).loss(radiance)
     assert loss.item() == pytest.approx(0, abs=1e-6)
     assert (error == 0).all()
 
 
 def test_the_loss_weighs_difference_and_similarity(arrays):
     """Constant images of 0.0 and 1.0 differ by 1; their similarity is C1 / (1 + C1) with C1 = 1e-4."""
-    loss, error = Target(arrays, torch.ones(11, 11, 3)).loss(torch.zeros(11, 11, 3))
+    loss, error = FrameTarget(arrays, torch.ones(11, 11, 3)).loss(torch.zeros(11, 11, 3))
     similarity = 1e-4 / (1 + 1e-4)
     assert loss.item() == pytest.approx(0.8 * 1 + 0.2 * (1 - similarity), rel=1e-5)
     assert SSIM_WEIGHT == 0.2
@@ -81,7 +81,7 @@ def test_the_error_is_per_pixel_and_has_no_gradient(arrays):
     rendered = torch.zeros(20, 15, 3)
     rendered[4, 7, 1] = 0.5
     rendered.requires_grad_()
-    _, error = Target(arrays, torch.zeros(20, 15, 3)).loss(rendered)
+    _, error = FrameTarget(arrays, torch.zeros(20, 15, 3)).loss(rendered)
     assert error.shape == (20, 15)
     assert not error.requires_grad
     assert error[4, 7].item() == pytest.approx(0.7354 / 3, abs=1e-4)
@@ -90,7 +90,7 @@ def test_the_error_is_per_pixel_and_has_no_gradient(arrays):
 
 def test_the_scale_is_the_logarithmic_one(arrays):
     """The mean error of a constant frame against black is its own value on the scale."""
-    black = Target(arrays, torch.zeros(11, 11, 3))
+    black = FrameTarget(arrays, torch.zeros(11, 11, 3))
     for radiance in (-0.5, 0.002, 0.0031308, 0.2, 1.0, 1.5, 40.0, 1e9):
         expected = abs(reference.logarithmic(torch.tensor(radiance)).item())
         _, error = black.loss(torch.full((11, 11, 3), radiance))
@@ -101,7 +101,7 @@ def test_a_lamp_counts_logarithmically(arrays):
     """Twice too bright costs the same at 10 and at 1000."""
     losses = []
     for lamp in (10.0, 1000.0):
-        target = Target(arrays, torch.full((11, 11, 3), lamp))
+        target = FrameTarget(arrays, torch.full((11, 11, 3), lamp))
         losses.append(target.loss(torch.full((11, 11, 3), 2 * lamp))[1].mean().item())
     assert losses[0] == pytest.approx(losses[1], rel=1e-4)
     assert losses[0] == pytest.approx(np.log(2) * 1.055 / 2.4, rel=1e-4)
@@ -111,7 +111,7 @@ def test_a_lamp_counts_logarithmically(arrays):
 def test_a_broken_pixel_gives_a_loss_that_is_not_finite(arrays, broken):
     rendered, target = images((24, 30, 3))
     rendered[7, 20, 1] = broken
-    assert not torch.isfinite(Target(arrays, target).loss(rendered)[0])
+    assert not torch.isfinite(FrameTarget(arrays, target).loss(rendered)[0])
 
 
 def test_the_smallest_image_holds_one_window():

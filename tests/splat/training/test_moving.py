@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from splat.model.choices import MotionModel
-from splat.model.motion import Motion, posed
+from splat.model.motion import NodeMotion, posed
 from splat.raster.differentiable import render_differentiable
 from splat.training.trainer import Trainer, TrainingSettings
 from splat.training.training_view import TrainingView
@@ -20,14 +20,14 @@ WAY, TURN = 1.0, np.pi / 2
 CENTRE = np.array([-0.5, 0.0, -0.6])
 
 
-def motion(steps: int = 9) -> Motion:
+def motion(steps: int = 9) -> NodeMotion:
     times = np.linspace(0, 1, steps)
     rotations = np.zeros((steps, 1, 4))
     rotations[:, 0, 0], rotations[:, 0, 3] = np.cos(times * TURN / 2), np.sin(times * TURN / 2)
     shifts = np.zeros((steps, 1, 3))
     shifts[:, 0, 0] = times * WAY
     centres, one = torch.from_numpy(CENTRE[None]), torch.ones(1, dtype=torch.int64)
-    return Motion(torch.from_numpy(rotations), centres, torch.from_numpy(shifts), one)
+    return NodeMotion(torch.from_numpy(rotations), centres, torch.from_numpy(shifts), one)
 
 
 def scene(x: float, time: float) -> TrainingView:

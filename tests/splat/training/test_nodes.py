@@ -10,7 +10,7 @@ import torch
 from compose.camera.camera import camera_from_pose
 from splat.model.gaussians import Gaussians
 from splat.model.layer import BACKGROUND, concatenated_layers, static_layer
-from splat.model.motion import Motion
+from splat.model.motion import NodeMotion
 from splat.training.moving_nodes import evidence_of, separated
 from splat.training.training_view import TrainingView
 
@@ -20,7 +20,7 @@ POSE[2, 3] = -3
 CAMERA = camera_from_pose(POSE, SIZE, SIZE, 40, 40, SIZE / 2, SIZE / 2)
 ONE = torch.ones(1, dtype=torch.int64)
 ROTATIONS = torch.tensor([1.0, 0, 0, 0], dtype=torch.float64).repeat(2, 1, 1)
-MOTION = Motion(
+MOTION = NodeMotion(
     ROTATIONS,
     torch.zeros(1, 3, dtype=torch.float64),
     torch.tensor([[[0.0, 0, 0]], [[WAY, 0, 0]]], dtype=torch.float64),

@@ -20,8 +20,8 @@ from PySide6.QtWidgets import QApplication, QSlider
 from hybrid.render.frame_settings import INTERACTIVE
 from hybrid.window.frame_source import prepared
 from hybrid.window.gaze_input import GazeInput
-from hybrid.window.main_window import Window, WindowOptions
-from hybrid.window.messages import View
+from hybrid.window.main_window import MainWindow, WindowOptions
+from hybrid.window.messages import ShownView
 from hybrid.window.render_thread import RenderThread
 from splat.io.forest_file import load_forest
 from tests.hybrid.preparation.tiny import make_tiny
@@ -31,7 +31,7 @@ SIZE = 320, 240
 _PATIENCE = 120.0
 
 
-def opened(forest: Path, folder: Path) -> Window:
+def opened(forest: Path, folder: Path) -> MainWindow:
     """A window that shows frames of the forest's scene, one of the bundled ones."""
     window = window_of(load_forest(forest).scene_name, forest, folder)
     window.show()
@@ -39,9 +39,9 @@ def opened(forest: Path, folder: Path) -> Window:
     return window
 
 
-def window_of(scene: str, forest: Path | None, folder: Path) -> Window:
+def window_of(scene: str, forest: Path | None, folder: Path) -> MainWindow:
     thread = RenderThread(partial(prepared, scene, forest, "auto", True, INTERACTIVE))
-    return Window(thread, INTERACTIVE, GazeInput(0.0, None), WindowOptions(SIZE, 0.0, folder))
+    return MainWindow(thread, INTERACTIVE, GazeInput(0.0, None), WindowOptions(SIZE, 0.0, folder))
 
 
 def wait(done: Callable[[], bool]) -> None:
@@ -60,7 +60,7 @@ def pause(seconds: float) -> None:
     loop.exec()
 
 
-def image(window: Window) -> np.ndarray:
+def image(window: MainWindow) -> np.ndarray:
     """(H, W, 3) what is on the screen where the frame is, once it answers all input until now."""
     # The window system moves the mouse some time later.
     pause(0.1)
@@ -70,13 +70,13 @@ def image(window: Window) -> np.ndarray:
     return rows[:, : 3 * grabbed.width()].reshape(grabbed.height(), grabbed.width(), 3).copy()
 
 
-def disc(window: Window) -> dict[str, float]:
+def disc(window: MainWindow) -> dict[str, float]:
     """Where there is light in the view of the fovea alone, in pixels."""
     y, x = np.nonzero(image(window).sum(axis=2) > 0)
     return {"x": (x.min() + x.max() + 1) / 2, "y": (y.min() + y.max() + 1) / 2, "width": int(np.ptp(x)) + 1}
 
 
-def key(window: Window, which: Qt.Key) -> None:
+def key(window: MainWindow, which: Qt.Key) -> None:
     QTest.keyClick(window.canvas, which)
 
 
@@ -103,7 +103,7 @@ def tour(forest: Path, folder: Path) -> dict[str, object]:
         key(window, which)
     seen |= discs(window)
     seen["views"] = {}
-    for number, view in enumerate(View):
+    for number, view in enumerate(ShownView):
         key(window, Qt.Key(Qt.Key.Key_1 + number))
         seen["views"][view.name] = image(window).mean()  # type: ignore[index]
     key(window, Qt.Key.Key_1)
@@ -127,7 +127,7 @@ def tour(forest: Path, folder: Path) -> dict[str, object]:
     return ended(window, seen)
 
 
-def discs(window: Window) -> dict[str, object]:
+def discs(window: MainWindow) -> dict[str, object]:
     """Where the disc is while the mouse moves, with a larger radius, and while the gaze is held."""
     found = []
     for x, y in ((80, 60), (240, 180), (160, 120)):
@@ -143,7 +143,7 @@ def discs(window: Window) -> dict[str, object]:
     return {"discs": found, "wider": wider, "held": held}
 
 
-def walk(window: Window) -> dict[str, object]:
+def walk(window: MainWindow) -> dict[str, object]:
     """How much of the image walking and dragging change, and where the viewer is then, and back at home."""
     walked = difference(window, lambda: hold(window, Qt.Key.Key_W))
     dragged = difference(window, lambda: drag(window))
@@ -153,14 +153,14 @@ def walk(window: Window) -> dict[str, object]:
     return {"walked": walked, "dragged": dragged, "away": away, "at home": position(window)}
 
 
-def position(window: Window) -> list[float]:
+def position(window: MainWindow) -> list[float]:
     """Where the camera of the newest request is."""
     assert window.request is not None
     assert window.request.settings.camera is not None
     return window.request.settings.camera.position.tolist()
 
 
-def difference(window: Window, act: Callable[[], object]) -> float:
+def difference(window: MainWindow, act: Callable[[], object]) -> float:
     """Mean absolute change of the image after something was done."""
     before = image(window).astype(float)
     act()
@@ -168,14 +168,14 @@ def difference(window: Window, act: Callable[[], object]) -> float:
     return float(np.abs(image(window) - before).mean())
 
 
-def hold(window: Window, which: Qt.Key) -> None:
+def hold(window: MainWindow, which: Qt.Key) -> None:
     """Holds a key for a while."""
     QTest.keyPress(window.canvas, which)
     pause(0.4)
     QTest.keyRelease(window.canvas, which)
 
 
-def drag(window: Window) -> None:
+def drag(window: MainWindow) -> None:
     """Drags the scene to the right."""
     button, canvas = Qt.MouseButton.LeftButton, window.canvas
     QTest.mousePress(canvas, button, Qt.KeyboardModifier.NoModifier, QPoint(100, 100))
@@ -198,7 +198,7 @@ def fuzz(forest: Path, folder: Path, seconds: float = 20.0) -> dict[str, object]
     return ended(window, {"memory": memory})
 
 
-def random_step(window: Window, chance: random.Random) -> None:
+def random_step(window: MainWindow, chance: random.Random) -> None:
     """One thing that a person might do."""
     canvas, panel = window.canvas, window.panel
     assert panel is not None
@@ -231,7 +231,7 @@ def random_step(window: Window, chance: random.Random) -> None:
         panel.controlled.setChecked(not panel.controlled.isChecked())
 
 
-def ended(window: Window, seen: dict[str, object]) -> dict[str, object]:
+def ended(window: MainWindow, seen: dict[str, object]) -> dict[str, object]:
     """Closes the window, and adds to what was seen what is left running."""
     error = window.error
     window.close()

@@ -14,13 +14,13 @@ from compose.base.errors import UserError
 from compose.camera.camera import Camera
 from compose.eye.gaze import Gaze
 from hybrid.render.frame_settings import INTERACTIVE
-from hybrid.window.messages import Ready, Request, Shown
+from hybrid.window.messages import Ready, Request, ShownFrame
 
 CAMERA = Camera(np.eye(4), 320, 240, 250.0, 250.0, 160.0, 120.0)
 REQUEST = Request(replace(INTERACTIVE, camera=CAMERA, gaze=Gaze(0.5, 0.5), layers=(1, 3)))
 
 
-def shown(request: Request = REQUEST, image: np.ndarray | None = None, **other: Any) -> Shown:
+def shown(request: Request = REQUEST, image: np.ndarray | None = None, **other: Any) -> ShownFrame:
     """A grey frame of the requested size, or another image."""
     camera = request.settings.camera or CAMERA
     if image is None:
@@ -38,7 +38,7 @@ def shown(request: Request = REQUEST, image: np.ndarray | None = None, **other: 
         "path_traced_spp": 0,
         "finished": True,
     }
-    return Shown(image, request, frame, **(parts | other))
+    return ShownFrame(image, request, frame, **(parts | other))
 
 
 class Source:
@@ -54,7 +54,7 @@ class Source:
     def ready(self) -> Ready:
         return Ready("box", CAMERA, 2.0, 3)
 
-    def show(self, request: Request, quick: bool) -> Shown:
+    def show(self, request: Request, quick: bool) -> ShownFrame:
         self.requests.append(request)
         self.threads.add(threading.get_ident())
         return shown(request, finished=self.finished)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from hybrid.window.messages import View
+from hybrid.window.messages import ShownView
 from hybrid.window.meter import Meter, lines_of
 from tests.hybrid.window.qt.fakes import REQUEST, shown
 
@@ -27,7 +27,7 @@ def test_times_are_medians_of_the_shown_frames():
 
 
 def test_a_path_traced_frame_shows_its_samples():
-    lines = lines_of(shown(replace(REQUEST, view=View.SPLIT), path_traced_spp=24), Meter())
+    lines = lines_of(shown(replace(REQUEST, view=ShownView.SPLIT), path_traced_spp=24), Meter())
     assert lines[3] == "24 samples per pixel in the path-traced frame"
 
 

@@ -10,7 +10,7 @@ pytest.importorskip("PySide6.QtCore", reason="the window needs Qt", exc_type=Imp
 from PySide6.QtCore import Qt
 
 from hybrid.window.key_bindings import COMMANDS, HELP, Command, HeldKeys
-from hybrid.window.messages import View
+from hybrid.window.messages import ShownView
 from hybrid.window.navigation import Walker
 from tests.hybrid.window.qt.fakes import CAMERA
 
@@ -89,13 +89,13 @@ def test_other_keys_are_not_held():
 
 
 def test_every_command_and_every_view_has_a_key_and_a_line_of_help():
-    assert set(COMMANDS.values()) == {*Command, *View}
-    assert [COMMANDS[Key.Key_1 + number] for number in range(len(View))] == list(View)
+    assert set(COMMANDS.values()) == {*Command, *ShownView}
+    assert [COMMANDS[Key.Key_1 + number] for number in range(len(ShownView))] == list(ShownView)
     lines = {line[:14].rstrip(): line[14:] for line in HELP}
-    assert {what.value for what in (*Command, *View)} < set(lines.values())
+    assert {what.value for what in (*Command, *ShownView)} < set(lines.values())
     assert (lines["Space"], lines["7"], lines["Escape"]) == (
         Command.HOLD.value,
-        View.DIFFERENCE.value,
+        ShownView.DIFFERENCE.value,
         Command.LEAVE.value,
     )
     assert {"mouse", "drag, arrows", "W A S D", "Q E"} < set(lines)

@@ -14,7 +14,7 @@ from PySide6.QtWidgets import QLabel, QSlider, QWidget
 
 from compose.eye.acuity import ACUITY_MODELS
 from hybrid.render.frame_settings import FrameSettings
-from hybrid.window.messages import View
+from hybrid.window.messages import ShownView
 from hybrid.window.navigation import Playback
 from hybrid.window.panel import Panel
 
@@ -83,14 +83,14 @@ def test_each_control_sets_what_it_names():
     panel.controlled.setChecked(True)
     panel.target.setValue(30)
     assert panel.target_fps == 30
-    assert panel.view is View.COMPOSITE
+    assert panel.view is ShownView.COMPOSITE
     panel.views.setCurrentIndex(5)
-    assert panel.view is View.LEVELS
+    assert panel.view is ShownView.LEVELS
 
 
 def test_lists_hold_all_views_and_acuity_models():
     panel = Panel(INITIAL, None, 4)
-    assert [panel.views.itemText(i) for i in range(panel.views.count())] == [view.value for view in View]
+    assert [panel.views.itemText(i) for i in range(panel.views.count())] == [view.value for view in ShownView]
     assert panel.acuity_model.count() == len(ACUITY_MODELS)
 
 

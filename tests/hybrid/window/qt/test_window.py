@@ -22,8 +22,8 @@ from compose.eye.gaze import Gaze, GazeTrace, load_gaze_trace
 from hybrid.render.frame_settings import INTERACTIVE
 from hybrid.window.application import move_mouse
 from hybrid.window.gaze_input import GazeInput
-from hybrid.window.main_window import Window, WindowOptions
-from hybrid.window.messages import Newest, Ready, Request, View
+from hybrid.window.main_window import MainWindow, WindowOptions
+from hybrid.window.messages import Newest, Ready, Request, ShownView
 from tests.hybrid.window.qt.fakes import CAMERA, shown
 
 Key = Qt.Key
@@ -64,7 +64,7 @@ class Opened:
         self.thread, self.gaze, self.clock = Thread(), gaze, clock
         thread: Any = self.thread
         options = WindowOptions((320, 240), 0.0, folder, target_fps)
-        self.window = Window(thread, INTERACTIVE, gaze, options)
+        self.window = MainWindow(thread, INTERACTIVE, gaze, options)
         self.window.show()
 
     def load(self, seconds: float | None = None) -> None:
@@ -161,7 +161,7 @@ def test_a_loaded_scene_is_asked_for_with_the_initial_settings(make):
     opened.load()
     request = opened.asked()
     assert request.settings == replace(INTERACTIVE, layers=(1, 3), camera=CAMERA)
-    assert (request.view, request.target_fps) == (View.COMPOSITE, 24.5)
+    assert (request.view, request.target_fps) == (ShownView.COMPOSITE, 24.5)
     assert opened.window.request is request
     assert opened.window.windowTitle() == "box - hybrid"
 
@@ -317,11 +317,11 @@ def test_dragging_moves_the_scene_with_the_hand(opened):
     assert opened.asked().settings.camera.camera_to_world[1, 2] == pytest.approx(-np.sin(half / 2))
 
 
-@pytest.mark.parametrize("view", View)
+@pytest.mark.parametrize("view", ShownView)
 def test_number_keys_choose_the_view(opened, view):
     opened.key(Key.Key_3)
     opened.asked()
-    opened.key(Key.Key_1 + list(View).index(view))
+    opened.key(Key.Key_1 + list(ShownView).index(view))
     assert opened.window.request.view is view
 
 
