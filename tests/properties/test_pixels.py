@@ -145,7 +145,7 @@ def test_wanted_tiles_are_those_of_the_whole_frame(arrays, seed):
     layer, cutoff = LayerImage(1, 0, np.ones(corners, np.float32)), np.full(corners, 0.5, np.float32)
     wanted = np.random.default_rng(seed).random((grid.rows, grid.columns)) < 0.5
     whole, part = (
-        renderer.render(scene.camera, [layer], cutoff, mask).numpy().copy()
+        renderer.render(scene.camera, [layer], cutoff, mask)[0].numpy().copy()
         for mask in (np.ones_like(wanted), wanted)
     )
     mask = wanted.repeat(TILE, axis=0).repeat(TILE, axis=1)[: scene.camera.height, : scene.camera.width]
