@@ -27,7 +27,7 @@ def test_in_a_furnace_each_bounce_brings_its_albedo(albedo: float):
 
 def test_the_sum_is_the_radiance_that_mitsuba_finds():
     """Of depths up to five, against its own paths."""
-    scene = load_scene(room({"type": "roughplastic", "alpha": 0.3}))
+    scene = load_scene(room({"roughplastic": {"type": "roughplastic", "alpha": 0.3}}))
     found = depth_shares(scene, [scene.camera], 1 << 18, 1)
     parts = found.radiance[:, :5].sum(axis=1)
     tracer, positions = Tracer(scene, 5), frame_positions(scene.camera)
