@@ -101,7 +101,8 @@ def test_fields_are_those_of_their_papers(kind, time):
 @pytest.mark.parametrize("kind", KINDS)
 def test_gradients_are_those_of_finite_differences(kind):
     field = trained(kind).field.double()
-    points = torch.rand(3, 4, dtype=torch.float64) * 0.5
+    # Seeded: near a kink of a rectifier, differences are those of two slopes.
+    points = torch.rand(3, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) * 0.5
     parameter = field.heads.shifts[0].weight
     last = next(p for p in field.parameters() if p.ndim > 1)
 
