@@ -11,11 +11,10 @@ Names are imported when they are first used, so that `import hybrid` takes no ti
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING
 
-# Points Dr.Jit to a good LLVM, before anything imports Dr.Jit.
-import compose  # noqa: F401
+# Imports compose, which points Dr.Jit to a good LLVM, before anything imports Dr.Jit.
+from compose.base.startup import names_on_demand
 
 if TYPE_CHECKING:
     from compose.base.errors import UserError as UserError
@@ -72,15 +71,4 @@ _MODULES = {
     "train": "hybrid.api.workflow",
 }
 __all__ = sorted(_MODULES)
-
-
-def __getattr__(name: str) -> object:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(_MODULES[name]), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *_MODULES})
+__getattr__, __dir__ = names_on_demand(__name__, _MODULES)

@@ -10,10 +10,10 @@ Names are imported when they are first used, so that `import splat` loads neithe
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import compose  # noqa: F401  (first: it points Dr.Jit to a usable LLVM)
+# Imports compose, which points Dr.Jit to a good LLVM, before anything imports Dr.Jit.
+from compose.base.startup import names_on_demand
 
 if TYPE_CHECKING:
     from compose.camera.camera import Camera as Camera
@@ -40,15 +40,4 @@ _MODULES = {
     "save_ply": "splat.io.ply",
 }
 __all__ = sorted(_MODULES)
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(_MODULES[name]), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+__getattr__, __dir__ = names_on_demand(__name__, _MODULES)

@@ -11,7 +11,8 @@ import ctypes.util
 import os
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
@@ -115,3 +116,23 @@ def let_waiting_threads_sleep() -> None:
     """Sets GOMP_SPINCOUNT, unless the user has set it or OMP_WAIT_POLICY, which it would overrule."""
     if _POLICY_VARIABLE not in os.environ:
         os.environ.setdefault(_SPINS_VARIABLE, str(_SPINS))
+
+
+def names_on_demand(
+    package: str, modules: Mapping[str, str]
+) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
+    """The `__getattr__` and `__dir__` of a package whose names are imported when they are first used.
+
+    Args:
+        package: its `__name__`.
+        modules: where its names are defined, by name.
+    """
+    own = vars(sys.modules[package])
+
+    def found(name: str) -> object:
+        if name not in modules:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        own[name] = getattr(import_module(modules[name]), name)
+        return own[name]
+
+    return found, lambda: sorted({*own, *modules})

@@ -73,7 +73,7 @@ def plan(scene: Scene, *, progress: Progress = no_progress) -> Scene:
     Raises:
         UserError: the cache folder cannot be written, or the stored plan contradicts the scene.
 
-    Example:
+    Examples:
         >>> scene = hybrid.plan(hybrid.load_scene("room"))
         >>> scene.plan["path depth"], scene.plan["gaussians"]
     """

@@ -21,8 +21,7 @@ def device_arrays() -> Arrays:
 
 def torch_device() -> torch.device:
     """Where torch computes on what is on the device: there, if this torch can."""
-    on_cuda = device_arrays().backend == "cuda" and torch.cuda.is_available()
-    return torch.device("cuda" if on_cuda else "cpu")
+    return device_arrays().device
 
 
 class PassClock:
