@@ -31,11 +31,7 @@ def one_line(error: BaseException | str) -> str:
 
 
 def require_seed(seed: Any) -> int:
-    """Checks a seed before any work.
-
-    Raises:
-        UserError: it is not a whole number from 0 to MOST_SEED.
-    """
+    """Checks a seed before any work; UserError unless it is a whole number from 0 to MOST_SEED."""
     try:
         number = operator.index(seed)
     except TypeError:
@@ -46,14 +42,10 @@ def require_seed(seed: Any) -> int:
 
 
 def claimed_scene(name: Any, digest: Any) -> tuple[str, str]:
-    """Name and hash of a scene, which become parts of paths, so they must not be paths.
+    """Name and hash of a scene, which become parts of paths, so they must not be paths; else ValueError.
 
-    Args:
-        name: at most 200 bytes of printable characters, neither slash nor backslash, no leading dot.
-        digest: up to 64 hexadecimal digits in lower case; empty for what fits any scene.
-
-    Raises:
-        ValueError: one of them is anything else.
+    A name has at most 200 bytes of printable characters, neither slash nor backslash, and no leading dot. A hash
+    has up to 64 hexadecimal digits in lower case, none for what fits any scene.
     """
     good = isinstance(name, str) and name.isprintable() and not set("/\\") & set(name)
     if not good or name.startswith(".") or len(name.encode()) > _LONGEST_NAME:
@@ -64,11 +56,7 @@ def claimed_scene(name: Any, digest: Any) -> tuple[str, str]:
 
 
 def file_inside(folder: Path, name: Any) -> Path:
-    """A file by its name relative to a folder.
-
-    Raises:
-        ValueError: it would lie outside the folder, or is not a file name.
-    """
+    """A file by its name relative to a folder; ValueError if it would lie outside, or is not a file name."""
     is_name = isinstance(name, str) and name.isprintable() and len(name.encode()) <= _LONGEST_PART
     if not is_name or Path(name).is_absolute() or ".." in Path(name).parts:
         raise ValueError(f"{str(name)[:80]!r} is not the name of a file in the folder")

@@ -161,11 +161,7 @@ def _dot(a: tuple[float, ...], b: tuple[float, ...]) -> float:
 def camera_from_pose(
     camera_to_world: Array, width: int, height: int, fx: float, fy: float, cx: float, cy: float
 ) -> Camera:
-    """A camera from its pose: (4, 4) camera-to-world, OpenCV axes.
-
-    Raises:
-        ValueError: as for `Camera`.
-    """
+    """A camera from its pose, (4, 4) camera-to-world in OpenCV axes; ValueError as for `Camera`."""
     # Before it is inverted, which would turn a reflection or a scale into another matrix.
     check_rigid(camera_to_world)
     return Camera(_rigid_inverse(camera_to_world), width, height, float(fx), float(fy), float(cx), float(cy))

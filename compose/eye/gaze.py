@@ -61,11 +61,7 @@ class Gaze:
 
 
 def require_within_frame(x: float, y: float) -> None:
-    """Checks a gaze, in fractions of the frame, around which quality is to be measured.
-
-    Raises:
-        UserError: it lies outside the frame, or is NaN.
-    """
+    """UserError if a gaze around which quality is to be measured, in fractions, lies outside the frame."""
     if not (0 <= x <= 1 and 0 <= y <= 1):
         raise UserError(f"gaze {x} {y}: lies outside the frame; must be 0..1 each")
 

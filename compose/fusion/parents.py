@@ -78,11 +78,7 @@ class Channels(dict[str, int]):
         return sum(self.values())
 
     def stacked(self, images: Mapping[str, Tensor]) -> Tensor:
-        """(N, total, H, W) stack of named images, each (N, width, H, W).
-
-        Raises:
-            ValueError: an image is missing, superfluous, or of another width.
-        """
+        """(N, total, H, W) stack of named images (N, width, H, W); ValueError if names or widths differ."""
         found = {name: image.shape[-3] for name, image in images.items()}
         if found != self:
             raise ValueError(f"channels are {found}, must be {dict(self)}")

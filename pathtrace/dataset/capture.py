@@ -46,12 +46,9 @@ _ESTIMATE_SPP = (1, 2, 4, 16, 64)
 def describe_capture(
     scene: Scene, views: ViewSet, settings: CaptureSettings, integrator: Integrator
 ) -> dict[str, Any]:
-    """The content of transforms.json.
+    """The content of transforms.json; UserError if more views are held out than may be.
 
     The integrator is that of training frames and estimates; held-out frames are always unbiased.
-
-    Raises:
-        UserError: more views are held out than may be.
     """
     cameras = views.fixed + views.spread
     held_out = _held_out(views, settings.held_out)
@@ -106,11 +103,7 @@ def described_motion(scene: Scene) -> dict[str, Any]:
 
 
 def write_description(folder: Path, document: dict[str, Any]) -> None:
-    """Writes transforms.json and makes the folder of the frames; keeps an equal file.
-
-    Raises:
-        UserError: the folder holds another capture or a damaged file, or cannot be written.
-    """
+    """Writes transforms.json and makes the folder of the frames; keeps an equal file, refuses others."""
     path = folder / "transforms.json"
     text = json.dumps(document, indent=1)
     if not path.is_file():

@@ -61,10 +61,7 @@ def write_frame(path: Path, content: CapturedFrame | TracedImage | Image) -> Non
     """Writes a frame, an estimate as it was traced, or (H, W, 3) linear radiance alone, atomically.
 
     Channels: R, G, B, Z, unfolded.V (32-bit floats), albedo.{R,G,B}, normal.{X,Y,Z} (16-bit floats) and
-    shape.V (unsigned integers, shape index + 1); an estimate has no geometry.
-
-    Raises:
-        UserError: the file cannot be written.
+    shape.V (unsigned integers, shape index + 1); an estimate has no geometry. UserError if it cannot.
     """
     channels = {}
     for part, values in ({"radiance": content} if isinstance(content, np.ndarray) else vars(content)).items():
@@ -76,11 +73,7 @@ def write_frame(path: Path, content: CapturedFrame | TracedImage | Image) -> Non
 
 
 def read_frame(path: Path, size: tuple[int, int] | None = None) -> CapturedFrame:
-    """Reads a frame that `write_frame` wrote.
-
-    Args:
-        path: of the file.
-        size: width and height that the frame must have.
+    """Reads a frame that `write_frame` wrote, which must have a `size`: width and height in pixels.
 
     Raises:
         UserError: the file is missing, damaged, of another size, or lacks a channel.

@@ -106,12 +106,9 @@ def frame_error(one: TracedImage, other: TracedImage, denoised: Image | None = N
 
 
 def mean_frame_error(errors: Sequence[FrameError]) -> FrameError:
-    """The mean error of several frames, more certain than that of any one of them.
+    """The mean error of several frames, more certain than that of any of them; ValueError without a frame.
 
     Its PSNR is that of the mean squared error, not the mean of the PSNRs.
-
-    Raises:
-        ValueError: there are no frames.
     """
     if not errors:
         raise ValueError("no frames to have an error")

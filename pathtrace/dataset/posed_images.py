@@ -208,11 +208,7 @@ def read_size(path: Path) -> tuple[int, int]:
 
 
 def read_pixels(image: PosedImage) -> PosedPixels:
-    """The pixels of a posed image.
-
-    Raises:
-        UserError: a file is missing, damaged, or its distortion is too strong to be undone.
-    """
+    """The pixels of a posed image; UserError if a file is missing or damaged, or too distorted."""
     planes = [_decoded(image.file, "RGBA")[..., channel] / 255.0 for channel in range(4)]
     if image.labels is not None:
         labels = _decoded(image.labels, "L")

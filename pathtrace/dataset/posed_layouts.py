@@ -104,11 +104,7 @@ def _hash(images: list[PosedImage]) -> str:
 
 
 def document(path: Path) -> Any:
-    """The content of a JSON file.
-
-    Raises:
-        UserError: it is missing, cannot be read, or is no JSON.
-    """
+    """The content of a JSON file; UserError if it is missing, cannot be read, or is no JSON."""
     try:
         return read_json(path)
     except FileNotFoundError as error:

@@ -106,12 +106,10 @@ class Animation:
 
 
 def chosen_animation(document: Document, name: str | None, remarks: list[str]) -> Animation:
-    """The animation of a name or number; by default all that move different things, else the first one.
+    """The animation of a name or number, else all that move different things, else the first one.
 
-    Lines for the user are added to the remarks.
-
-    Raises:
-        UserError: there is none of that name, or it moves what does not exist.
+    Lines for the user are added to the remarks. UserError if there is no such animation, or it moves what does
+    not exist.
     """
     items = document.section("animations")
     names = [str(item.get("name", number)) for number, item in enumerate(items)]
@@ -165,14 +163,11 @@ def _sampler(document: Document, sampler: dict[str, Any], path: str, user: str) 
 
 
 class Nodes:
-    """The nodes of a file while an animation plays.
+    """The nodes of a file while an animation plays; UserError if they are no forest.
 
     Attributes:
         shown: numbers of the nodes of the scene that is shown, parents first.
         animation: that plays.
-
-    Raises:
-        UserError: a node has two parents, is its own ancestor, or does not exist.
     """
 
     def __init__(self, document: Document, animation: Animation):

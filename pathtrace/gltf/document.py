@@ -54,11 +54,7 @@ class Document:
         return found
 
     def item(self, name: str, index: int | float, user: str) -> dict[str, Any]:
-        """One of a section; `user` is what refers to it, in error messages.
-
-        Raises:
-            UserError: there is none.
-        """
+        """One of a section, which `user`, in error messages, refers to; UserError if there is none."""
         items = self.section(name)
         if not 0 <= index < len(items):
             raise self.refused(f"{user} refers to {name}[{index}]; there are {len(items)}")
@@ -69,11 +65,7 @@ class Document:
         return UserError(f"{self.file}: {one_line(why)}")
 
     def resource(self, uri: str, user: str) -> bytes:
-        """What a URI stands for: data of its own, or a file in the folder of the document.
-
-        Raises:
-            UserError: there is none, or it is elsewhere.
-        """
+        """What a URI stands for: its own data, or a file in the document's folder; UserError for others."""
         folder = self.file.parent
         try:
             if uri.startswith("data:"):
@@ -89,12 +81,7 @@ class Document:
 
 
 def read_document(file: Path) -> Document:
-    """Reads a glTF 2.0 file and all of its buffers.
-
-    Raises:
-        UserError: it cannot be read, is no glTF 2.0, requires an extension that is not known here, or lacks
-            a buffer.
-    """
+    """Reads a glTF 2.0 file and its buffers; UserError if one cannot be read, or it needs what is unknown."""
     try:
         require_size_below(file, _MOST_BYTES)
         text, binary = _parts(file.read_bytes())

@@ -64,11 +64,7 @@ class Light:
 
 
 def read_lights(document: Document, nodes: Nodes) -> list[Light]:
-    """The lights of the nodes that are shown.
-
-    Raises:
-        UserError: one is damaged, or of a kind that the extension does not have.
-    """
+    """The lights of the nodes that are shown; UserError if one is damaged, or of an unknown kind."""
     found = []
     items = document.tree.get("extensions", {}).get(_EXTENSION, {}).get("lights", [])
     for node in nodes.shown:

@@ -61,11 +61,7 @@ class Textures:
         self._written = 0
 
     def pixels(self, info: dict[str, Any], user: str) -> Array:
-        """(H, W, 4) red, green, blue and alpha of a texture, 0 to 1, as its file has them.
-
-        Raises:
-            UserError: there is no such texture, or its image cannot be read.
-        """
+        """(H, W, 4) red, green, blue, alpha of a texture, 0 to 1, as in its file; UserError if unreadable."""
         texture = self._document.item("textures", info["index"], user)
         if "source" not in texture:
             raise self._document.refused(f"{user}: textures[{info['index']}] has no image that is known here")

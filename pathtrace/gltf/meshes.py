@@ -98,11 +98,7 @@ def _row(values: Array, time: int) -> int:
 
 
 def read_primitives(document: Document, nodes: Nodes, remarks: list[str]) -> list[Primitive]:
-    """All triangles that are shown; lines for the user are added to the remarks.
-
-    Raises:
-        UserError: an attribute is missing, or damaged, or a mesh is degenerate.
-    """
+    """All triangles that are shown, and remarks about what is not; UserError if a mesh is damaged or flat."""
     found = []
     for node in nodes.shown:
         item = document.section("nodes")[node]

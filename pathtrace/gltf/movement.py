@@ -137,11 +137,7 @@ class Times:
 
 
 def times_of(nodes: Nodes, fps: float) -> Times:
-    """When to look at nodes while their animation plays.
-
-    Raises:
-        UserError: that is too often.
-    """
+    """When to look at nodes while their animation plays; UserError if that is too often."""
     seconds = nodes.animation.seconds
     if seconds * fps * len(nodes) > _MOST_POSES:
         raise UserError(f"fps {fps:g}: an animation of {seconds:,.0f} s and {len(nodes):,} nodes is too long")
@@ -184,11 +180,7 @@ def deforms(primitive: Primitive, nodes: Nodes, to_world: list[Array]) -> bool:
 
 
 def require_few(primitives: list[Primitive], nodes: Nodes, times: Times, to_world: list[Array]) -> None:
-    """Refuses sequences of meshes that no disk and no memory should hold.
-
-    Raises:
-        UserError: there would be too many.
-    """
+    """UserError for more sequences of meshes than a disk or memory should hold."""
     steps = len(times.even)
     vertices = steps * sum(len(p.positions) for p in primitives if deforms(p, nodes, to_world))
     if vertices > _MOST_VERTICES:

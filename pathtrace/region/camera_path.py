@@ -59,11 +59,7 @@ class CameraPath:
 
 
 def read_path(file: Path, up: Array) -> CameraPath:
-    """The path that a file holds; `up` (3,) is what is up where a pose does not say so.
-
-    Raises:
-        UserError: the file cannot be read, or is not a path.
-    """
+    """The path in a file, in which `up` (3,) is up unless a pose says otherwise; UserError if it is none."""
     try:
         document = read_json(file, _MOST_BYTES)
     except (OSError, ValueError) as error:

@@ -58,11 +58,7 @@ def course_of_poses(name: str, shape: int, poses: Array, centre: Array) -> Cours
 
 
 def course_from_json(content: dict[str, Any]) -> Course:
-    """The course that `as_json` described.
-
-    Raises:
-        KeyError, TypeError, ValueError: it describes none.
-    """
+    """The course that `as_json` described; KeyError, TypeError or ValueError if there is none."""
     rotations, centre, shifts = (
         np.asarray(content[name], dtype=np.float64) for name in ("rotations", "centre", "shifts")
     )

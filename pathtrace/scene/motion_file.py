@@ -39,11 +39,7 @@ _Track = TypeVar("_Track")
 
 
 def read_motion(file: Path) -> SceneMotion:
-    """The motion that a file holds.
-
-    Raises:
-        UserError: the file cannot be read, is no motion, or names a mesh that cannot be read.
-    """
+    """The motion in a file; UserError if that, or a mesh in it, cannot be read, or it is no motion."""
     try:
         document = read_json(file, _MOST_BYTES)
         digest = hashlib.sha256(file.read_bytes())

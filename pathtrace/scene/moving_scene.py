@@ -68,11 +68,7 @@ class MovingScene:
         self._show(0.0)
 
     def set_time(self, time: float) -> None:
-        """Shows the scene at a time.
-
-        Raises:
-            UserError: the time is not from 0 to 1.
-        """
+        """Shows the scene at a time; UserError if that is not from 0 to 1."""
         if not 0 <= time <= 1:
             raise UserError(f"time {time:g}: must be from 0 to 1")
         if time != self.time:

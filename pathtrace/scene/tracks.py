@@ -63,11 +63,7 @@ class Formula:
             _require_closed(_parsed(text))
 
     def positions(self, rest: Array, time: float) -> Array:
-        """Positions (N, 3) at a time of vertices whose rest positions are (N, 3).
-
-        Raises:
-            ValueError: a position is not finite.
-        """
+        """Positions (N, 3) at a time of vertices (N, 3) at rest; ValueError if one is not finite."""
         values = {**dict(zip("xyz", rest.T, strict=True)), "t": time, "pi": np.pi}
         with np.errstate(all="ignore"):
             columns = [np.broadcast_to(_value(_parsed(text), values), len(rest)) for text in self.texts]
@@ -216,11 +212,7 @@ class Brightness:
 
 @dataclass(frozen=True)
 class LightTrack:
-    """A light whose radiance changes, linearly between keyframes, and constant beyond them.
-
-    Raises:
-        ValueError: keyframes are missing or out of order.
-    """
+    """A light whose radiance is linear between keyframes, and constant beyond; ValueError as `RigidTrack`."""
 
     keyframes: tuple[Brightness, ...]
 
