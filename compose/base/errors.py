@@ -44,8 +44,8 @@ def require_seed(seed: Any) -> int:
 def claimed_scene(name: Any, digest: Any) -> tuple[str, str]:
     """Name and hash of a scene, which become parts of paths, so they must not be paths; else ValueError.
 
-    A name has at most 200 bytes of printable characters, neither slash nor backslash, and no leading dot. A hash
-    has up to 64 hexadecimal digits in lower case, none for what fits any scene.
+    A name is at most 200 bytes of printable characters, without slashes, backslashes, or a leading dot. A
+    hash has up to 64 hexadecimal digits in lower case, none for what fits any scene.
     """
     good = isinstance(name, str) and name.isprintable() and not set("/\\") & set(name)
     if not good or name.startswith(".") or len(name.encode()) > _LONGEST_NAME:

@@ -63,12 +63,11 @@ def per_pixel(lattice: Lattice, width: int, height: int) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class LayerRange:
-    """The layers of a forest that may be drawn in a frame, and what they can show there.
+    """The layers of a forest that may be drawn in a frame, from L, the finest, to `lowest`.
 
     Attributes:
         finest_frequency: highest frequency that layer L can show, in cycles per pixel of the frame.
         finest_rates: finest rate that is worth its samples, for each of layers 1 to L.
-        lowest: coarsest layer that may be drawn.
     """
 
     finest_frequency: float
@@ -132,11 +131,9 @@ def detail_map(
     layers: LayerRange,
     saliency: NDArray[np.float32] | None = None,
 ) -> DetailMap:
-    """The detail that a viewer of a display resolves.
+    """The detail that a viewer of a display resolves in a frame, shown around its centre, pixel by pixel.
 
     Args:
-        display: the frame is shown around its centre, pixel by pixel.
-        gaze: where the viewer looks.
         width, height: frame in pixels.
         acuity_model: gives cut-offs at eccentricities.
         fov_b: radius of the full-quality region in percent of the height; its edge is Fov-GS's e0.

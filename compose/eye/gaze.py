@@ -42,8 +42,7 @@ _TRIES = 100
 class Gaze:
     """Where the viewer looks, in fractions of the frame's width and height; may lie outside it.
 
-    Raises:
-        ValueError: a coordinate is not a number, or further than FURTHEST frames from the frame.
+    ValueError if a coordinate is not a number, or further than FURTHEST frames from the frame.
     """
 
     x: float = 0.5
@@ -155,13 +154,9 @@ def _parsed(path: Path, number: int, row: list[str]) -> tuple[float, Gaze]:
 def simulated(display: Display, width: int, height: int, duration: float, seed: int) -> GazeTrace:
     """The gaze trace of a simulated viewer who looks around a frame: fixations, and saccades between them.
 
-    Within a saccade the gaze follows the minimum-jerk trajectory (Hogan 1984).
-
-    Args:
-        display: the frame is shown around its centre.
-        width, height: frame in pixels.
-        duration: seconds.
-        seed: same seed, same trace.
+    The frame, of a width and height in pixels, is shown around the display's centre; the duration is in
+    seconds. Within a saccade the gaze follows the minimum-jerk trajectory (Hogan 1984). Same seed, same
+    trace.
     """
     size = np.array([width, height])
     saccades = _saccades(display, size, duration, np.random.default_rng(seed))

@@ -135,12 +135,8 @@ class History:
     def see(self, camera: Camera, seen: Samples, positions: int, seed: int, disc: Disc) -> None:
         """Makes the camera's view the current one, and adds auxiliary features of it.
 
-        Args:
-            camera: the view.
-            seen: some pixels with newly traced auxiliary features; their light does not count.
-            positions: number of sample positions of which these features are means.
-            seed: of the samples to come.
-            disc: in which the pixels lie.
+        These are of some pixels `seen` in a disc, as means over a number of sample positions; the light of
+        `seen` does not count. The seed is that of the samples to come.
         """
         self._view = self._entered(camera, seen, seed, disc)
         if seen.size:

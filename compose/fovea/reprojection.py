@@ -64,10 +64,8 @@ class VisibleSurfaces:
     def contain(self, pixel: Any, distance: Any, gloss: Any, active: Any) -> Any:
         """Whether hits lie on these surfaces, if active, Bool (M,).
 
-        Args:
-            pixel: UInt (M,), index of a pixel of the rectangle.
-            distance: Float (M,), from the camera.
-            gloss: UInt (M,), class of gloss of what is hit.
+        Given are the pixel of the rectangle that each is in, UInt (M,), its distance from the camera, Float
+        (M,), and its class of gloss, UInt (M,).
         """
         around = self.arrays.packet(self.table, _AROUND, pixel, active)
         same = active & (distance >= around[0]) & (distance <= around[1])
@@ -135,17 +133,11 @@ class Reprojected:
 def reproject(views: EarlierViews, camera: Camera, new: Samples, box: Box) -> Reprojected | None:
     """What earlier views contribute to a camera's view, without what no longer holds.
 
+    New samples of it, all in a rectangle, show the surfaces that are visible now. The sums are over that
+    rectangle; there are none without samples on either side.
+
     Positions and directions are computed in float64: a fifth of a degree decides about mirrors, and a sample
     at the border of a pixel must not end up on its other side. Distances and sums are float32.
-
-    Args:
-        views: the earlier views.
-        camera: the view.
-        new: samples of it, which show the surfaces that are visible now.
-        box: rectangle in which all of these lie.
-
-    Returns:
-        Sums over that rectangle; None if there are no samples on either side.
     """
     if not views.samples or not new.size:
         return None

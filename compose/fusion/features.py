@@ -64,10 +64,8 @@ class Features:
 def features_of(images: Sequence[Tensor], count: Tensor, enlargement: Tensor, quick: Tensor) -> Features:
     """What the network sees of the parents.
 
-    Args:
-        images: traced, denoised, splat, albedo, normal, each (N, 3, H, W), both sides even.
-        count: (N, 1, H, W) samples.
-        enlargement, quick: (N,) as in Parents.
+    Images are traced, denoised, splat, albedo and normal, each (N, 3, H, W), both sides even; counts of
+    samples (N, 1, H, W); enlargement and quick (N,) as in Parents.
     """
     traced, denoised, splat, albedo, normal = images
     seen_denoised, seen_splat = perceived(denoised), perceived(splat)

@@ -50,11 +50,9 @@ _SIDES = 1, 4
 
 @dataclass(frozen=True)
 class FusionReference:
-    """Noisy radiance of a view from two independent halves of its samples.
+    """Noisy radiance of a view from two independent halves of its samples, (H, W, 3) and unbiased each.
 
-    Attributes:
-        denoised: (H, W, 3) the same samples, denoised; biased, but near the truth.
-        halves: two of (H, W, 3), unbiased.
+    `denoised` is the radiance of the same samples, denoised; biased, but near the truth.
     """
 
     denoised: Image
@@ -112,13 +110,9 @@ def fit(
 ) -> Fusion:
     """A network fitted to examples: it minimizes the mean logarithm of squared errors in perceived radiance.
 
-    Args:
-        examples: of several views, sample counts and enlargements.
-        seed: same seed, same network on the same machine.
-        progress: called with steps done and steps in all.
-
-    Raises:
-        ValueError: there are no examples, or they are smaller than a patch.
+    Examples are of several views, sample counts and enlargements. Same seed, same network on the same
+    machine. Progress is told the steps done and the steps in all. ValueError without examples of a patch's
+    size.
     """
     if not examples:
         raise ValueError("there are no examples to fit the fusion to")

@@ -60,10 +60,7 @@ def cell_of(quick: bool, count: float, enlargement: float) -> Cell:
 def shares_at(shares: Tensor, quick: bool, count: Tensor, enlargement: float) -> Tensor:
     """(N, len(MIXED), H, W) shares for each pixel's sample count, interpolated between cells.
 
-    Args:
-        shares: as in `Fusion`.
-        quick, enlargement: as in `Parents`.
-        count: (N, 1, H, W) samples.
+    Shares are as in `Fusion`, quick and enlargement as in `Parents`; counts are (N, 1, H, W).
     """
     by_count = _weights(ENLARGEMENTS, enlargement).to(shares.device) @ shares[int(quick)]  # (COUNTS, MIXED)
     table = _steps().to(shares.device) @ by_count
@@ -131,10 +128,8 @@ class Fusion(torch.nn.Module):
 def mixture(judged: Tensor, parents: Sequence[Tensor], texture: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
     """Radiance (N, 3, H, W) and weights (N, 3, H, W) that the network's outputs stand for.
 
-    Args:
-        judged: (N, OUTPUTS.total, H, W) the network's outputs.
-        parents: traced, denoised, splat, each (N, 3, H, W).
-        texture: as in Features.
+    Outputs are (N, OUTPUTS.total, H, W); parents traced, denoised and splat, (N, 3, H, W) each; texture as in
+    Features.
     """
     traced, denoised, splat = parents
     outputs = OUTPUTS.parts(judged)
@@ -153,9 +148,8 @@ def estimated(
 ) -> tuple[Tensor, Tensor]:
     """Radiance (N, 3, H, W) by the network alone, and the weights (N, 3, H, W) of the parents in it.
 
-    Args:
-        images: parents, albedo, normal and count by name, (N, C, H, W) each, both sides even.
-        parents: N, for what is the same in all pixels, enlargement and denoiser.
+    Images are parents, albedo, normal and count by name, (N, C, H, W) each, both sides even; N parents say
+    what is the same in all pixels, enlargement and denoiser.
     """
     three = [images[name] for name in PARENTS]
     enlargement = three[0].new_tensor([float(one.enlargement) for one in parents])

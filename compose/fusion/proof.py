@@ -57,12 +57,9 @@ def trials(views: int) -> int:
 
 
 def prove(examples: Sequence[Example], seed: int, progress: Callable[[int, int], None]) -> Proof:
-    """Finds what to show in each cell.
+    """Finds what to show in each cell, by the examples to which the final network is fitted.
 
-    Args:
-        examples: those to which the final network is fitted.
-        seed: of the trial networks.
-        progress: called with steps done and steps in total.
+    The seed is that of the trial networks; progress is told the steps done and the steps in total.
     """
     views = sorted({example.view for example in examples})
     halves = set(views[::2]), set(views[1::2])

@@ -29,10 +29,9 @@ _AROUND = np.ones((3, 3), dtype=bool)
 
 
 def all_plain(channels: Sequence[Any]) -> bool:
-    """Whether all numbers are finite, not negative and at most MOST, as they nearly always are.
+    """Whether all numbers of Dr.Jit floats are finite, not negative and at most MOST, as nearly always.
 
-    Args:
-        channels: Dr.Jit floats, which this waits for.
+    Waits for them.
     """
     wrong = [~((values >= 0) & (values <= MOST)) for values in channels]
     return not bool(dr.any(reduce(or_, wrong)))
@@ -41,10 +40,8 @@ def all_plain(channels: Sequence[Any]) -> bool:
 def outliers(image: Image, *others: Image, beside: bool = True) -> NDArray[np.bool_]:
     """(H, W, 1) pixels that are negative, not finite, or out of proportion to all that vouches for them.
 
-    Args:
-        image: (H, W, 3) linear radiance.
-        others: images of the same view (H, W, 3), which vouch for pixels and for those beside them.
-        beside: whether its eight neighbours vouch for a pixel as well.
+    Other images of the same view (H, W, 3), in linear radiance, vouch for pixels and for those beside them;
+    so do a pixel's eight neighbours if `beside`.
     """
     bright = _brightness(image)
     expected = np.zeros_like(bright)

@@ -107,8 +107,8 @@ def look_up(
         position, normal: N Mitsuba points and unit normals of the lit side.
         area: (N,) area over which the paths that ask have spread; cells must not be larger.
         segments: (N,) number of segments that these paths may still take, at least 1.
-        jitter: N random points in 0..1: neighbouring cells are chosen by chance near their borders, so that
-            the grid does not show.
+        jitter: N random points in 0..1, by which neighbouring cells are chosen near borders: the grid must
+            not show.
         active: (N,) mask of the paths that ask.
     """
     (origin, scale), table, steps, cells, *channels = arrays
@@ -136,10 +136,8 @@ def irradiance_share(flags: Any, wi: Any, wo: Any, pdf: Any) -> Any:
     diffuse surface, falls towards the peaks of glossy lobes, and is 0 for mirrors and glass. Treating wide
     glossy lobes as diffuse was 3 % too bright beside a floor of rough metal.
 
-    Args:
-        flags: N sets of Mitsuba BSDF flags.
-        wi, wo: directions in the surface's frame.
-        pdf: density with which the surface samples `wo`; 0 for the only direction of a mirror.
+    Given are Mitsuba BSDF flags, directions in the surface's frame, and the density with which the surface
+    samples `wo`; 0 for the only direction of a mirror.
     """
     diffuse = mi.has_flag(flags, mi.BSDFFlags.Diffuse) & (wi.z * wo.z > 0)
     even = dr.abs(wo.z) * dr.inv_pi

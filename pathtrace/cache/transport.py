@@ -173,10 +173,9 @@ class Transport:
     def irradiance(self, sent: NDArray[np.float32], most: int) -> NDArray[np.float32]:
         """(K, C, 3) irradiance by the number of segments from a light at most, as in `IrradianceCache`.
 
-        Args:
-            sent: (S, C, 3) irradiance that comes from lights without other cells between; [n] is that of at
-                most n + 1 segments, the last that of all.
-            most: number of segments at most, at least 1; below 0 for no bound.
+        What is sent (S, C, 3) is irradiance that comes from lights without other cells between; [n] is that
+        of at most n + 1 segments, the last that of all. There are `most` segments at most, 1 or more; below 0
+        for no bound.
         """
         return told_apart(self.every(sent, most))
 

@@ -126,17 +126,10 @@ def render_frame(tracer: Tracer, camera: Camera, spp: int, seed: int) -> Capture
 def render_with_halves(
     tracer: Tracer, camera: Camera, spp: int, seed: int
 ) -> tuple[CapturedFrame, tuple[Image, Image]]:
-    """A denoised frame, and the two independent halves of its samples.
+    """A denoised frame, and the (H, W, 3) linear radiance of two independent halves of its samples.
 
-    The halves tell how noisy the frame was before denoising, without bias (Lehtinen et al. 2018).
-
-    Args:
-        tracer, camera: the view and what traces it.
-        spp: samples per pixel of the frame, at least 2.
-        seed: same seed, same frame and halves.
-
-    Returns:
-        The frame, and (H, W, 3) linear radiance of each half.
+    The halves tell how noisy the frame was before denoising, without bias (Lehtinen et al. 2018). There are
+    `spp` samples per pixel, at least 2; same seed, same frame and halves.
     """
     one = trace_frame(tracer, camera, spp - spp // 2, seed)
     other = trace_frame(tracer, camera, spp // 2, seed + _PART_SEED_STEP)
@@ -147,13 +140,9 @@ def render_with_halves(
 def render_estimates(
     tracer: Tracer, camera: Camera, counts: tuple[int, ...], seed: int, wanted: Container[int] | None = None
 ) -> list[TracedImage]:
-    """Noisy estimates of a view, independent of its frame's samples.
+    """Noisy estimates of a view, independent of its frame's samples, with some numbers of samples per pixel.
 
-    Args:
-        tracer, camera: the view and what traces it.
-        counts: samples per pixel of each estimate.
-        seed: same seed and counts, same estimates.
-        wanted: those of the counts that are traced, if not all are.
+    Only those of the counts that are wanted are traced; same seed and counts, same estimates.
     """
     return [
         trace_frame(tracer, camera, count, seed + number * _PART_SEED_STEP)

@@ -80,16 +80,11 @@ class FrameError:
 
 
 def frame_error(one: TracedImage, other: TracedImage, denoised: Image | None = None) -> FrameError:
-    """Error of a frame that is denoised from two halves of its samples.
+    """Error of a frame that is denoised from two halves of its samples; ValueError if they differ in size.
 
-    A frame traced at once has a little less: its samples are spread more evenly than those of two halves.
-
-    Args:
-        one, other: images of the same view and as many samples, from different seeds.
-        denoised: (H, W, 3) `one.mixed(other, 0.5).denoised()`, if it is there already.
-
-    Raises:
-        ValueError: the images differ in size.
+    A frame traced at once has a little less: its samples are spread more evenly than those of two halves. The
+    halves are of the same view and as many samples, from different seeds. If it is there already, `denoised`
+    is the (H, W, 3) `one.mixed(other, 0.5).denoised()`.
     """
     if one.radiance.shape != other.radiance.shape:
         raise ValueError(f"halves of {one.radiance.shape} and {other.radiance.shape}; must be of one size")

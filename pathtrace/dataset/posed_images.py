@@ -56,10 +56,7 @@ class Lens:
 def undistorted(camera: Camera, lens: Lens, images: Sequence[Array]) -> tuple[Camera, list[Array]]:
     """Images as a camera without a lens would show them, without the margin that the lens did not show.
 
-    Args:
-        camera: the view without distortion, at the size of the images.
-        lens: what they were taken with.
-        images: (H, W) each.
+    Images are (H, W) each, taken with the lens; the camera is the view without distortion, at their size.
 
     Returns:
         The camera of the remaining rectangle, and (H', W') of each image in it, by cubic splines.

@@ -82,10 +82,9 @@ def lit(scene: Any, at: Any, square: Any, other: Any, active: Any) -> tuple[Any,
 
     Args:
         scene: a Mitsuba scene.
-        at: from `surface_at`.
+        at: from `surface_at`; only those that are active count.
         square: where on the lights, each light with the same chance.
         other: where the other ray's direction lies, cosine-weighted around the normal.
-        active: mask of the points.
 
     Returns:
         The irradiance, the part of it by shadow rays, and the numbers by which kernels know their lights.
@@ -289,19 +288,14 @@ def irradiance_over_time(
     seed: int,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> NDArray[np.float32]:
-    """(T, 3, N) irradiance of N points at T times.
+    """(T, 3, N) irradiance of N points, of which (M,) move, at T times from 0 to 1, ascending.
 
-    Light that comes over other surfaces has the irradiance of time 0 there; on what stands still, it is as
-    at time 0. All times have the same random numbers, so that their ratios have less noise than they.
+    Light that comes over other surfaces has the irradiance of time 0 there, which is the cache's; on what
+    stands still, it is as at time 0. All times have the same random numbers, so that their ratios have less
+    noise than they. Same seed, same irradiance on the same machine.
 
-    Args:
-        scene: moves; afterwards it shows the last time.
-        cache: of its irradiance at time 0.
-        points: where the N points are at a time.
-        moving: (M,) which of them move.
-        times: from 0 to 1, ascending.
-        seed: same seed, same irradiance on the same machine.
-        progress: called with times done and their number.
+    `points` says where the N points are at a time, and progress is told the times done and their number.
+    Afterwards the scene shows the last time.
     """
     scene.set_time(0.0)
     indirect = _indirect(scene, cache, points(0.0), seed)

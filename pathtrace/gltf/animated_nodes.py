@@ -108,8 +108,7 @@ class Animation:
 def chosen_animation(document: Document, name: str | None, remarks: list[str]) -> Animation:
     """The animation of a name or number, else all that move different things, else the first one.
 
-    Lines for the user are added to the remarks. UserError if there is no such animation, or it moves what does
-    not exist.
+    Lines for the user are added to the remarks. UserError if there is none, or it moves what does not exist.
     """
     items = document.section("animations")
     names = [str(item.get("name", number)) for number, item in enumerate(items)]

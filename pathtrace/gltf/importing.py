@@ -43,15 +43,13 @@ _DEPTH = 8
 
 @dataclass(frozen=True)
 class Imported:
-    """What was written.
+    """What was written: the XML file, and of how much, with lines about what is not as in the file.
 
     Attributes:
-        scene: the XML file.
         triangles: at one time.
         rigid: number of shapes and lights that move rigidly.
         deforming: number of shapes that deform.
         seconds: that the animation takes; 0 if nothing moves.
-        remarks: lines about what is not as in the file.
     """
 
     scene: Path

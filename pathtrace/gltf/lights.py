@@ -110,11 +110,8 @@ def camera(
 ) -> ET.Element:
     """The first perspective camera of a file, else one that sees everything from the front.
 
-    Args:
-        document, nodes: the file and its nodes.
-        to_world_of: (T, 4, 4) of each node, the first being at time 0.
-        bounds: (2, 3) lowest and highest corner of what is seen at any time.
-        remarks: lines for the user are added to them.
+    Given are (T, 4, 4) to_world of each node, the first at time 0, and the (2, 3) lowest and highest corner
+    of what is seen at any time. Lines for the user are added to the remarks.
     """
     for node in nodes.shown:
         item = document.section("nodes")[node]

@@ -215,15 +215,11 @@ def write_mesh(
     uvs: Array | None = None,
     colours: Array | None = None,
 ) -> None:
-    """Writes a mesh; the order of its vertices is kept.
+    """Writes a mesh to a .ply file; the order of its vertices is kept.
 
-    Args:
-        file: a .ply file.
-        faces: (F, 3) indices of vertices.
-        positions: (V, 3).
-        normals: (V, 3), unit; by default none are written.
-        uvs: (V, 2), v from the top of the image, as Mitsuba has it; likewise.
-        colours: (V, 3), linear, which Mitsuba calls `vertex_color`; likewise.
+    Faces (F, 3) are indices of vertices, at positions (V, 3). If there are any, normals (V, 3) are unit
+    vectors; uvs (V, 2) have v from the top of the image, as Mitsuba has it; colours (V, 3) are linear,
+    Mitsuba's `vertex_color`.
     """
     has = {"has_vertex_normals": normals is not None, "has_vertex_texcoords": uvs is not None}
     mesh = mi.Mesh(file.stem, len(positions), len(faces), **has)

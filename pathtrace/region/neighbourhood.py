@@ -230,16 +230,10 @@ def unseen_views(scene: Scene, count: int, width: int, height: int) -> list[View
 
 
 def choose_views(scene: Scene, surfaces: Surfaces, count: int, width: int, height: int, seed: int) -> ViewSet:
-    """Views around the scene's own camera.
+    """Views around the scene's own camera, `count` in all; with 16 or fewer, only that camera is fixed.
 
-    Args:
-        scene, surfaces: the scene and its surfaces.
-        count: number of views in all; with 16 or fewer, only the scene's own camera is fixed.
-        width, height: frame size in pixels.
-        seed: same seed, same views.
-
-    Raises:
-        UserError: the scene's own camera sees no surface, or there is no free space for that many views.
+    Frames have a width and height in pixels; same seed, same views. UserError if the scene's own camera sees
+    no surface, or there is no free space for that many views.
     """
     neighbourhood = Neighbourhood.of(scene, surfaces, width, height)
     fixed = [neighbourhood.home]

@@ -27,10 +27,6 @@ class ViewCoverage:
     A view covers a point if the point lies in its frame, nothing hides it, and the pixels there are fine
     enough. Resolutions are compared as if all frames had the height of the views': how many pixels a display
     has is not for a region to judge, how near its views came to a surface is. Reflections do not count.
-
-    Args:
-        surfaces: the scene's surfaces.
-        cameras: the views, in the scene's coordinates.
     """
 
     def __init__(self, surfaces: Surfaces, cameras: list[Camera]):

@@ -137,11 +137,8 @@ class Selection:
     ) -> list[Camera]:
         """Views, best first; the first views are the same whatever their number.
 
-        Args:
-            count: number of views.
-            first: views that are taken without a choice.
-            like: has the intrinsics of the others.
-            draw: gives candidates, at least one, from a number and the index of the round.
+        The `first` are taken without a choice; the others have the intrinsics of `like`, and are chosen from
+        the candidates, at least one, that `draw` gives from a number and the index of the round.
         """
         views = list(first[:count])
         lacking = self._weight.copy()

@@ -34,19 +34,13 @@ class ViewingRegion(Protocol):
         """What tells it from other regions of the same scene, as JSON."""
 
     def views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
-        """Views to train on; the first of them are the same whatever their number.
+        """Views to train on, of a size in pixels; UserError if there is no free space for them.
 
-        Args:
-            count: number of views.
-            width, height: frame size in pixels.
-            seed: same seed, same views.
-
-        Raises:
-            UserError: there is no free space for them.
+        The first of them are the same whatever their number; same seed, same views.
         """
 
     def unseen_views(self, count: int, width: int, height: int, seed: int) -> list[Camera]:
-        """Held-out validation views, drawn apart from those to train on; args and raises as in `views`."""
+        """Held-out validation views, drawn apart from those to train on; otherwise as `views`."""
 
 
 def region_of(scene: Scene, surfaces: Surfaces, given: str) -> ViewingRegion:

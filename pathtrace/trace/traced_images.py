@@ -51,13 +51,9 @@ def trace_image(
 ) -> TracedImage:
     """Radiance with `spp` samples per pixel, and auxiliary features with as many as go with that.
 
-    Args:
-        tracer, camera: the view and what traces it.
-        positions: H * W film positions in the camera's coordinates, row by row from the top.
-        columns: W, the width of the image.
-        spp: samples per pixel.
-        seed: same seed, same image.
-        least_auxiliary: samples per pixel that auxiliary features have at least; they guide the denoiser.
+    There are H * W film positions in the camera's coordinates, row by row from the top, in W columns.
+    Auxiliary features, which guide the denoiser, have at least as many samples as `least_auxiliary`. Same
+    seed, same image.
     """
     traced, features = tracer.trace_with_features(camera, positions, spp, seed, least_auxiliary)
     channels = traced.radiance, features.albedo, features.normal
