@@ -75,9 +75,7 @@ class Camera:
 
     def at(self, camera_to_world: Array) -> Camera:
         """The same camera at another pose (4, 4); ValueError if that is not rigid."""
-        # Before it is inverted, which would turn a reflection or a scale into another matrix.
-        check_rigid(camera_to_world)
-        return replace(self, world_to_camera=_rigid_inverse(camera_to_world))
+        return camera_from_pose(camera_to_world, self.width, self.height, self.fx, self.fy, self.cx, self.cy)
 
     def moved_right(self, distance: float) -> Camera:
         """The camera moved to its right, by a distance in the units of its coordinates."""

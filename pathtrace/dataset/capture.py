@@ -233,14 +233,13 @@ def capture(
         (entry["samples"] + sum(e["samples"] for e in entry["estimates"])) * camera.width * camera.height
         for entry, camera in zip(entries, cameras, strict=True)
     ]
-    tracers = [unbiased if entry["held_out"] else quick for entry in document["frames"]]
-    tracers += [quick] * len(document["close_ups"])
     for index, (entry, camera) in enumerate(zip(entries, cameras, strict=True)):
         # Each frame has a seed of its own, so that a resumed capture ends with the same frames.
         seed = settings.seed * _CAPTURE_SEED_STEP + index
+        measures = entry["held_out"] and index < len(document["frames"])
         scene.show(entry["time"])
         _write_estimates(quick, folder, entry, camera, seed)
-        _write_frame(tracers[index], folder, entry, camera, seed)
+        _write_frame(unbiased if measures else quick, folder, entry, camera, seed)
         progress(sum(samples[: index + 1]), sum(samples))
     return read_frame_set(folder)
 

@@ -68,6 +68,14 @@ def surface_at(position: Any, normal: Any) -> Any:
     return at
 
 
+def surfaces_at(places: tuple[Any, Any], index: Any, active: Any = True) -> Any:
+    """The same at some places, of which there are all positions and normals."""
+    position, normal = places
+    return surface_at(
+        dr.gather(mi.Point3f, position, index, active), dr.gather(mi.Normal3f, normal, index, active)
+    )
+
+
 def stratified(sampler: Any, lane: Any) -> Any:
     """Random points in the unit square, spread evenly over each SAMPLES lanes."""
     row, column = (lane % SAMPLES) // _STRATA, lane % _STRATA
@@ -106,12 +114,6 @@ def lit(scene: Any, at: Any, square: Any, other: Any, active: Any) -> tuple[Any,
     return sampled + hits, sampled, registered
 
 
-def followed(scene: Any, sampler: Any, at: Any, square: Any, active: Any) -> Followed:
-    """Rays from points, in directions that a square stands for, cosine-weighted around the normal."""
-    radiance, *found = _followed(scene, sampler, _ray(at, square), mi.Bool(active))
-    return Followed(_finite(radiance), *found)
-
-
 def _ray(at: Any, square: Any) -> Any:
     return at.spawn_ray(at.to_world(mi.warp.square_to_cosine_hemisphere(square)))
 
@@ -127,8 +129,9 @@ def _chosen(sampler: Any, part: Any, total: Any) -> Any:
 
 
 @dr.syntax
-def _followed(scene: Any, sampler: Any, ray: Any, active: Any) -> tuple[Any, ...]:
-    """The attributes of `Followed`, in their order."""
+def followed(scene: Any, sampler: Any, at: Any, square: Any, active: Any) -> Followed:
+    """Rays from points, in directions that a square stands for, cosine-weighted around the normal."""
+    ray, active = _ray(at, square), mi.Bool(active)
     context, passed = mi.BSDFContext(), mi.UInt32(1)
     hit, side = dr.zeros(mi.SurfaceInteraction3f), mi.Normal3f(0)
     throughput, radiance = mi.Color3f(1), mi.Color3f(0)
@@ -174,7 +177,8 @@ def _followed(scene: Any, sampler: Any, ray: Any, active: Any) -> tuple[Any, ...
         active = passes & (bounces < _MOST_BOUNCES)
         ray = dr.select(active, hit.spawn_ray(hit.to_world(sample.wo)), ray)
         bounces = dr.select(active, bounces + 1, bounces)
-    return radiance, passed, hit, side, valid, shiny, bounces, dr.select(valid, throughput, 0)
+    reflectance = dr.select(valid, throughput, 0)
+    return Followed(_finite(radiance), passed, hit, side, valid, shiny, bounces, reflectance)
 
 
 @dataclass(frozen=True)
@@ -232,18 +236,33 @@ class Seen:
 
 def gather_direct(scene: Any, points: Points, seed: int) -> Direct:
     """Samples the lights of a Mitsuba scene from points; same seed, same samples."""
-    lanes = len(points) * SAMPLES
-    lane = dr.arange(mi.UInt32, lanes)
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(dr.opaque(mi.UInt32, seed), lanes)
-    at = _surfaces(points, lane // SAMPLES)
-    squares = stratified(sampler, lane), stratified(sampler, lane)
-    irradiance, by_shadow_rays, registered = lit(scene, at, *squares, mi.Bool(True))
-    sampled = dr.mean(by_shadow_rays)
-    dr.eval(irradiance, sampled, registered)
-    means = np.stack([(dr.block_sum(channel, SAMPLES) / SAMPLES).numpy() for channel in irradiance], axis=1)
+    places = mi.Point3f(points.position.T), mi.Normal3f(points.normal.T)
+    *means, sampled, registered = sampled_lights(scene, dr.opaque(mi.UInt32, seed), places, len(points))
     light = light_numbers(scene)[registered.numpy()]
-    return Direct(means, LightSamples(np.arange(lanes) // SAMPLES, light, sampled.numpy()))
+    samples = LightSamples(np.arange(len(light)) // SAMPLES, light, sampled.numpy())
+    return Direct(np.stack([channel.numpy() for channel in means], axis=1), samples)
+
+
+def sampled_lights(
+    scene: Any, state: Any, places: tuple[Any, Any], count: int, first: Any = 0, total: Any = None
+) -> tuple[Any, ...]:
+    """Three channels of irradiance at `count` points, that of each sample, and its light's number.
+
+    Points are those from the first on of `total` places, given as their positions and normals.
+    """
+    lane = dr.arange(mi.UInt32, count * SAMPLES)
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(state, count * SAMPLES)
+    point = first + lane // SAMPLES
+    active = mi.Bool(True) if total is None else point < total
+    squares = stratified(sampler, lane), stratified(sampler, lane)
+    at = surfaces_at(places, point, active)
+    irradiance, by_shadow_rays, registered = lit(scene, at, *squares, active)
+    samples = [*irradiance, dr.mean(by_shadow_rays), registered]
+    dr.eval(samples)
+    means = [dr.block_sum(channel, SAMPLES) / SAMPLES for channel in samples[:3]]
+    dr.eval(means)
+    return *means, *samples[3:]
 
 
 def gather_seen(
@@ -255,7 +274,8 @@ def gather_seen(
     """
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(dr.opaque(mi.UInt32, seed), len(point))
-    at = _surfaces(points, mi.UInt32(point.astype(np.uint32)))
+    places = mi.Point3f(points.position.T), mi.Normal3f(points.normal.T)
+    at = surfaces_at(places, mi.UInt32(point.astype(np.uint32)))
     found = followed(scene, sampler, at, mi.Point2f(square.T), mi.Bool(True))
     position, side = found.hit.p, mi.Vector3f(found.side)
     flags = found.passed, found.valid, found.shiny, found.bounces
@@ -271,12 +291,6 @@ def gather_seen(
         found.bounces.numpy().astype(np.int64),
         found.reflectance.numpy().T,
     )
-
-
-def _surfaces(points: Points, index: Any) -> Any:
-    """Mitsuba interactions at points, chosen by their indices."""
-    position, normal = mi.Point3f(points.position.T), mi.Normal3f(points.normal.T)
-    return surface_at(dr.gather(mi.Point3f, position, index), dr.gather(mi.Normal3f, normal, index))
 
 
 def irradiance_over_time(

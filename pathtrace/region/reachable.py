@@ -88,7 +88,7 @@ class Measures:
         """The measures around a camera; None if it sees no surface."""
         small = home.resized(12, 12)
         rays = small.rays(small.pixel_centres())
-        depth = surfaces.distance(np.repeat(home.position[None], len(rays), axis=0), rays)
+        depth = surfaces.around(home.position[None], rays)[0]
         rays, depth = rays[np.isfinite(depth)], depth[np.isfinite(depth)]
         if not len(depth):
             return None

@@ -6,6 +6,7 @@ Nothing in it makes a parser take unbounded memory or stack, or loads code that 
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator
@@ -92,8 +93,9 @@ class References:
     def candidates(self, name: str) -> Iterator[Path]:
         """Files that a name may stand for: those in the search folders, else that in the working folder."""
         folders = [*self.folders, self.source.parent]
-        files = [folder / name for folder in folders if is_file(folder / name)]
-        return iter(files or ([Path(name)] if is_file(Path(name)) else []))
+        # Names may be such as no file can have, of which pathlib's own function raises an error.
+        files = [folder / name for folder in folders if os.path.isfile(folder / name)]
+        return iter(files or ([Path(name)] if os.path.isfile(name) else []))
 
     def _collect(self, root: ET.Element, folder: Path, depth: int) -> None:
         """Walks through a file in the order of its elements, in which parameters are defined."""
@@ -136,14 +138,6 @@ class References:
         return text
 
 
-def is_file(path: Path) -> bool:
-    """Whether a file exists; also for names that no file can have, such as those that are too long."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
-
-
 def mitsuba_folder() -> Path:
     """The folder of Mitsuba's own plugins and data."""
     return Path(mi.__file__).parent
@@ -166,26 +160,18 @@ def require_own_plugins(source: Path, types: Iterable[str], folders: Iterable[Pa
             )
 
 
-def file_fingerprint(path: Path, root: ET.Element, references: References | None = None) -> str:
+def file_fingerprint(path: Path, root: ET.Element, references: References) -> str:
     """Hash (64 hexadecimal digits) of an XML file and of every file that Mitsuba loads because of it.
 
     Scenes that name all their files directly, relative to their folder, have the same hash as ever. Files
     that only includes, search folders or parameters lead to are added, with their sizes. Those that do not
-    exist are skipped: Mitsuba reports them when it loads the scene.
-
-    Args:
-        path, root: the XML file and its elements.
-        references: what they refer to, if it is known already.
-
-    Raises:
-        UserError: an included file is damaged, or a file cannot be read.
+    exist are skipped: Mitsuba reports them when it loads the scene. UserError if a file cannot be read.
     """
     digest = hashlib.sha256(path.read_bytes())
     named = (e for e in root.iter("string") if e.get("name") == "filename")
-    direct = [file for e in named if is_file(file := path.parent / (e.get("value") or ""))]
+    direct = [file for e in named if os.path.isfile(file := path.parent / (e.get("value") or ""))]
     for file in direct:
         _add(digest, file)
-    references = references or References.of(path, root)
     for number, name in enumerate(references.names):
         for file in references.candidates(name):
             if file not in direct:
@@ -195,7 +181,6 @@ def file_fingerprint(path: Path, root: ET.Element, references: References | None
 
 
 def _add(digest: hashlib._Hash, file: Path) -> None:
-
     try:
         left = require_size_below(file, _MOST_HASHED_BYTES)
         with file.open("rb") as opened:

@@ -133,8 +133,7 @@ class Surfaces:
     def probe(self, camera: Camera) -> Array:
         """(24 * 24,) distances to what a camera sees over a coarse grid of rays; inf if nothing."""
         small = camera.resized(_PROBE, _PROBE)
-        directions = small.rays(small.pixel_centres())
-        return self.distance(np.repeat(camera.position[None], len(directions), axis=0), directions)
+        return self.around(camera.position[None], small.rays(small.pixel_centres()))[0]
 
     def median_distance(self, camera: Camera) -> float:
         """Median distance to what a camera sees; inf if it sees nothing."""
