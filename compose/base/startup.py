@@ -121,11 +121,9 @@ def let_waiting_threads_sleep() -> None:
 def names_on_demand(
     package: str, modules: Mapping[str, str]
 ) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """The `__getattr__` and `__dir__` of a package whose names are imported when they are first used.
+    """The `__getattr__` and `__dir__` of a package, by its `__name__`, that imports names on first use.
 
-    Args:
-        package: its `__name__`.
-        modules: where its names are defined, by name.
+    Of each name, `modules` says where it is defined.
     """
     own = vars(sys.modules[package])
 

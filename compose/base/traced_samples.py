@@ -24,13 +24,7 @@ STILL, UNSTEADY = 0, (1 << 14) - 1
 
 @dataclass(frozen=True)
 class Counts:
-    """Numbers of samples of D pixels.
-
-    Attributes:
-        each: UInt (D,), of each pixel.
-        total: of all pixels.
-        most: upper bound of the number of any pixel.
-    """
+    """Numbers of samples of D pixels: UInt (D,) of each, their total, and an upper bound of all."""
 
     each: Any
     total: int
@@ -44,12 +38,10 @@ class Counts:
 
 @dataclass(frozen=True)
 class Moment:
-    """A time, and where things are at it.
+    """A time from 0 to 1, and where things are at it.
 
-    Attributes:
-        time: from 0 to 1.
-        poses: (K + 1, 3, 4) float64, from rest to that time, by the number of the mover; the identity for
-            what stands still.
+    Poses (K + 1, 3, 4), float64, lead from rest to that time, by the number of the mover; that of what stands
+    still is the identity.
     """
 
     time: float

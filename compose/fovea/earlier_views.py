@@ -51,11 +51,8 @@ class EarlierView:
 class SamplePlaces:
     """Where M samples of earlier views are, as Dr.Jit arrays of width M.
 
-    Attributes:
-        position: three Floats, in the world; of what moves, at rest.
-        gloss: UInt, class of gloss of what was hit.
-        view: UInt, number of the view, less than MOST_VIEWS.
-        mover: UInt, number of what was hit among what moves.
+    The position is three Floats, in the world, or at rest if it moves. UInts are the class of gloss of what
+    was hit, the number of the view, less than MOST_VIEWS, and the number of what was hit among what moves.
     """
 
     position: list[Any]

@@ -195,15 +195,10 @@ class FoveaRegion:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Pixels of a disc, row by row.
+    """Pixels of a disc in R rows, from the `top` one on: their number, and the largest column plus 1.
 
-    Attributes:
-        top: first row.
-        start: (R,) first column in each row.
-        before: (R,) number of pixels in the rows above.
-        count: number of all pixels.
-        right: largest column, plus 1.
-        down_squared: (R,) squared vertical distance of each row from the centre.
+    Of each row (R,) there are the first column, the number of pixels above, and the squared distance from the
+    centre.
     """
 
     top: int

@@ -39,11 +39,9 @@ _FARTHEST = 0x7F800000
 class VisibleSurfaces:
     """The surfaces that samples of a view hit, around each pixel of the rectangle in which these lie.
 
-    Attributes:
-        box: the rectangle.
-        table: flat Float, for each of its pixels, row by row: the least and the greatest distance at which a
-            surface may be that is visible in it or in the eight around it; 1 if the pixel itself shows
-            something that mirrors or refracts, else 0; and 0.
+    The table is a flat Float, of each pixel, row by row: the least and the greatest distance at which a
+    surface may be that is visible in it or in the eight around it; 1 if the pixel itself shows something that
+    mirrors or refracts, else 0; and 0.
     """
 
     arrays: Arrays
@@ -107,12 +105,7 @@ def _around(arrays: Arrays, sampled: Any, height: int, width: int) -> Any:
 
 @dataclass(frozen=True)
 class Reprojected:
-    """Sums over reprojected samples, for the pixels of a rectangle of a frame.
-
-    Attributes:
-        box: the rectangle.
-        records: flat Float, h * w records (compose.fovea.samples), row by row.
-    """
+    """Sums over reprojected samples: h * w records (compose.fovea.samples), row by row, of a rectangle."""
 
     arrays: Arrays
     box: Box

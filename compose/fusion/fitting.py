@@ -86,12 +86,9 @@ def _tamed(noise: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Example:
-    """A view whose radiance is known up to noise.
+    """A view whose radiance is known up to noise, by a reference that is independent of the parents' samples.
 
-    Attributes:
-        parents: as a fovea would have them.
-        reference: independent of the parents' samples.
-        view: number of the view, the same for close-ups of it.
+    Parents are as a fovea would have them. Close-ups have the number of their view.
     """
 
     parents: Parents

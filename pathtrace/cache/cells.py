@@ -35,12 +35,7 @@ _PROBES, _ROOM = 4, 3
 
 @dataclass(frozen=True)
 class Points:
-    """N points on surfaces.
-
-    Attributes:
-        position: (N, 3) in world space.
-        normal: (N, 3) unit normals of the side that is lit.
-    """
+    """N points on surfaces: positions (N, 3) in the world, and unit normals (N, 3) of the lit side."""
 
     position: NDArray[np.float32]
     normal: NDArray[np.float32]
@@ -67,12 +62,7 @@ def joined_points(parts: Sequence[Points]) -> Points:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Where cells lie.
-
-    Attributes:
-        origin: (3,) in world space.
-        scale: unit of the cells' sides, a typical distance in the scene.
-    """
+    """Where cells lie: an origin (3,) in the world, and a typical distance there, the unit of their sides."""
 
     origin: NDArray[np.float32]
     scale: float
@@ -97,12 +87,9 @@ Joined = Callable[[NDArray[np.int64], NDArray[np.int64], float], NDArray[np.bool
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """C cells of all levels, one level after the other.
+    """C cells of a grid, one level after the other.
 
-    Attributes:
-        grid: where they lie.
-        keys: for each level, (C_l,) names of its cells, sorted.
-        counts: for each level, (C_l,) number of points in each cell.
+    Of each level there are (C_l,) names of its cells, sorted, and (C_l,) numbers of points in them.
     """
 
     grid: Grid
@@ -216,11 +203,9 @@ def _mixed(x: Any, y: Any, z: Any, kind: Any, factors: tuple[int, ...], integer:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Where cells are found by their names; open addressing.
+    """Where cells are found by their names, in T places, a power of two; open addressing.
 
-    Attributes:
-        names: (T,) second name of the cell at each place; 0 where there is none. T is a power of two.
-        indices: (T,) index of that cell.
+    Each has the second name and the index of a cell; a name of 0 stands for none.
     """
 
     names: NDArray[np.uint32]

@@ -86,12 +86,7 @@ class IrradianceCache:
 
 @dataclass(frozen=True)
 class CacheArrays:
-    """An irradiance cache as Dr.Jit arrays.
-
-    Attributes:
-        irradiance: for `look_up`.
-        lights: for `Lights`.
-    """
+    """An irradiance cache as Dr.Jit arrays for `look_up` and for `Lights`."""
 
     irradiance: tuple[Any, ...]
     lights: tuple[Any, ...]

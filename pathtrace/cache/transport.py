@@ -27,12 +27,9 @@ _UNBOUNDED = 32
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """P patches of C cells.
+    """P patches of C cells: (levels, P) indices of the cells in which each lies, one of each level, or -1.
 
-    Attributes:
-        cells: (levels, P) index of the cell of each level that each lies in, ascending with the level; -1 for
-            none.
-        count: C, the number of cells.
+    The indices ascend with the level.
     """
 
     cells: NDArray[np.int32]

@@ -30,12 +30,9 @@ _MODES = {"1", "L", "LA", "P", "RGB", "RGBA"}
 
 @dataclass(frozen=True)
 class Lens:
-    """How a lens distorts.
+    """How a lens distorts: radially by k1, k2 and k3, tangentially by p1 and p2, and by skew.
 
-    Attributes:
-        radial: k1, k2 and k3.
-        tangential: p1 and p2.
-        skew: pixels to the right per unit downwards on the image plane.
+    Skew is in pixels to the right per unit downwards on the image plane.
     """
 
     radial: tuple[float, float, float] = (0.0, 0.0, 0.0)

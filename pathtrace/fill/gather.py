@@ -44,10 +44,7 @@ _ANY_AREA = 1e9
 class Followed:
     """What M rays found that were followed through mirrors, glossy surfaces and glass, as Dr.Jit arrays.
 
-    Attributes:
-        radiance, passed, valid, shiny, bounces, reflectance: as in `Seen`.
-        hit: the last surface.
-        side: normal of its lit side.
+    Attributes are those of `Seen`, but for the last surface and the normal of its lit side.
     """
 
     radiance: Any
@@ -183,12 +180,7 @@ def followed(scene: Any, sampler: Any, at: Any, square: Any, active: Any) -> Fol
 
 @dataclass(frozen=True)
 class Direct:
-    """Light that lights send to N points, by SAMPLES samples at each.
-
-    Attributes:
-        irradiance: (N, 3) from lights.
-        samples: of the lights, by shadow rays.
-    """
+    """Irradiance (N, 3) from lights at N points, by SAMPLES samples of the lights at each."""
 
     irradiance: NDArray[np.float32]
     samples: LightSamples
@@ -201,16 +193,16 @@ class Seen:
     Attributes:
         point: (M,) index of the point that each started at.
         square: (M, 2) where its direction lies, in 0..1, cosine-weighted around the normal.
-        radiance: (M, 3) of the lights that it met in mirrors, glossy surfaces and glass, but for one that was
-            hit first.
+        radiance: (M, 3) of the lights that it met in mirrors, glossy surfaces and glass, but for one hit
+            first.
         passed: (M,) number of such surfaces on the way to these lights, at least 1; of several ways one by
             chance, more likely the one that brought more.
         hits: the M points that they hit last.
         valid: (M,) whether a ray hit a surface that reflects irradiance.
         shiny: (M,) whether the surface that it hit first may show lights.
         bounces: (M,) mirrors, glossy and glass surfaces on the way.
-        reflectance: (M, 3) share of the irradiance of what was hit that arrives at the point; 0 where it is
-            not valid.
+        reflectance: (M, 3) share of the irradiance of what was hit that arrives at the point, if valid; else
+            0.
     """
 
     point: NDArray[np.int64]

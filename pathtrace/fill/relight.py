@@ -116,11 +116,9 @@ class Spreading:
 class Part:
     """New samples at n of the points of a `Transfer`, and of m of its rays; computed when they are read.
 
-    Attributes:
-        points, rays: which of them.
-        sampled: Dr.Jit arrays: of the points' irradiance, of that of each sample, and of its light.
-        shown: Dr.Jit arrays of the irradiance by rays.
-        numbers: index of each light by the number by which kernels know it.
+    As Dr.Jit arrays, `sampled` holds the irradiance of the points, that of each sample, and its light;
+    `shown` the irradiance by rays. `numbers` are the indices of lights, by the numbers by which kernels know
+    them.
     """
 
     points: slice

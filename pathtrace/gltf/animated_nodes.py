@@ -162,11 +162,9 @@ def _sampler(document: Document, sampler: dict[str, Any], path: str, user: str) 
 
 
 class Nodes:
-    """The nodes of a file while an animation plays; UserError if they are no forest.
+    """The nodes of a file while an animation plays; UserError if one has two parents, or is its ancestor.
 
-    Attributes:
-        shown: numbers of the nodes of the scene that is shown, parents first.
-        animation: that plays.
+    `shown` are the numbers of the nodes of the scene that is shown, parents first.
     """
 
     def __init__(self, document: Document, animation: Animation):

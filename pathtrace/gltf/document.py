@@ -36,13 +36,7 @@ _MOST_NUMBERS = 1 << 28
 
 @dataclass(frozen=True)
 class Document:
-    """A glTF file.
-
-    Attributes:
-        file: that it was read from.
-        tree: its JSON; what the specification has defaults for is there.
-        buffers: the bytes of each.
-    """
+    """A glTF file: its JSON, with the defaults of the specification, and the bytes of each buffer."""
 
     file: Path
     tree: dict[str, Any]

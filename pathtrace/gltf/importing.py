@@ -43,13 +43,10 @@ _DEPTH = 8
 
 @dataclass(frozen=True)
 class Imported:
-    """What was written: the XML file, and of how much, with lines about what is not as in the file.
+    """What was written: the XML file, and of how much, with remarks about what is not as in the file.
 
-    Attributes:
-        triangles: at one time.
-        rigid: number of shapes and lights that move rigidly.
-        deforming: number of shapes that deform.
-        seconds: that the animation takes; 0 if nothing moves.
+    Triangles are those at one time; shapes and lights move rigidly, other shapes deform; the animation takes
+    some seconds, 0 if nothing moves.
     """
 
     scene: Path

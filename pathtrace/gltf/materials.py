@@ -117,8 +117,7 @@ def linear(srgb: Array) -> Array:
 class Materials:
     """The materials of a file, as Mitsuba's elements; lines for the user are added to the remarks.
 
-    Attributes:
-        bsdfs: all that shapes refer to, by the number of their material and whether vertices have colours.
+    `bsdfs` has all that shapes refer to, by the number of their material and whether vertices have colours.
     """
 
     def __init__(self, document: Document, textures: Textures, remarks: list[str]):

@@ -47,11 +47,9 @@ _BALL_TRIES = 8
 
 @dataclass(frozen=True)
 class CameraPath:
-    """A camera's path, in the coordinates of the scene's file.
+    """A camera's path in the coordinates of the scene's file: poses (4, 4) camera-to-world, OpenCV axes.
 
-    Attributes:
-        poses: at least one, (4, 4) camera-to-world each, OpenCV axes.
-        radius: of the space around it; None to leave the choice to the region.
+    Without a radius of the space around it, the region chooses one.
     """
 
     poses: list[Array]

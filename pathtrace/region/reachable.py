@@ -235,14 +235,9 @@ def _key(nodes: _Nodes) -> _Nodes:
 
 
 class ReachableRegion(DrawnRegion):
-    """The reachable space of a scene, with its surfaces.
+    """The reachable space of a scene, as a lattice, with its surfaces.
 
-    Attributes:
-        name: "reachable".
-        space: the lattice of what can be reached.
-
-    Raises:
-        UserError: the scene's own camera sees no surface, or a viewer has no space there.
+    UserError if the scene's own camera sees no surface, or a viewer has no space there.
     """
 
     name = "reachable"

@@ -45,11 +45,7 @@ _CELLS = 1 << 16
 
 
 class DrawnRegion(ABC):
-    """A region whose views are drawn at random; of many, those are trained on that show most of what is new.
-
-    Attributes:
-        name: what users call it.
-    """
+    """A region whose views are drawn at random; those to train on are the ones that show most of what is new."""
 
     name: str
     _scene: Scene

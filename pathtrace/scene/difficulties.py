@@ -21,13 +21,7 @@ _NAMED = 3
 
 @dataclass(frozen=True)
 class Difficulty:
-    """A cause of noise.
-
-    Attributes:
-        kind: "panes" or "caustics".
-        causes: names of the BSDFs or shapes.
-        remedy: what can be had, in words.
-    """
+    """A cause of noise, "panes" or "caustics": names of the BSDFs or shapes, and a remedy in words."""
 
     kind: str
     causes: tuple[str, ...]

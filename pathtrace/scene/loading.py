@@ -146,12 +146,9 @@ def _of_type(properties: Any, kind: Any) -> list[str]:
 
 @dataclass(frozen=True)
 class Source:
-    """What a scene is loaded from.
+    """What a scene is loaded from: XML text, whose files are relative to a folder, or a dictionary.
 
-    Attributes:
-        name: in error messages.
-        content: XML text, or a scene dictionary.
-        folder: that files in the XML are relative to.
+    The name stands in error messages.
     """
 
     name: str

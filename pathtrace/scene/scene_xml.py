@@ -199,12 +199,9 @@ def text_fingerprint(text: str) -> str:
 
 @dataclass(frozen=True)
 class SceneDescription:
-    """A scene's XML without its integrator.
+    """A scene's XML without its integrator, the hash of all files, and the path depth that it asks for.
 
-    Attributes:
-        text: XML for Mitsuba.
-        fingerprint: hash of the file and of all files that it names.
-        max_depth: path depth that the scene asks for, DEFAULT_MAX_DEPTH at most.
+    That is DEFAULT_MAX_DEPTH at most.
     """
 
     text: str

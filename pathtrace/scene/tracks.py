@@ -191,9 +191,8 @@ class RigidTrack:
 class MeshTrack:
     """Vertices that go from mesh to mesh, linearly, in equal times from 0 to 1.
 
-    Attributes:
-        files: at least two mesh files whose vertices are in the coordinates of the scene's file, as many and
-            in the same order as those of the shape.
+    There are at least two mesh files, whose vertices are in the coordinates of the scene's file, as many and
+    in the same order as those of the shape.
     """
 
     files: tuple[Path, ...]

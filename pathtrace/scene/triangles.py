@@ -65,14 +65,11 @@ def _grid_triangles(rows: int, columns: int) -> NDArray[np.int32]:
 
 
 class Surfaces:
-    """All surfaces of a scene in one Embree tree.
+    """All surfaces of a scene in one Embree tree, and their bounds: lowest and highest corner, (3,) each.
 
-    Args:
-        scene: holds a Mitsuba scene, as `pathtrace.scene.scene.Scene` does. Analytic shapes are tessellated;
-            those of a kind that cannot be are missing here.
-
-    Attributes:
-        bounds: (3,) lowest and (3,) highest corner of all triangles; inf and -inf if there are none.
+    Without a triangle, these are inf and -inf. The scene holds a Mitsuba scene, as
+    `pathtrace.scene.scene.Scene` does. Analytic shapes are tessellated; those of a kind that cannot be are
+    missing here.
     """
 
     def __init__(self, scene: Any):

@@ -17,13 +17,7 @@ from pathtrace.trace.tracer import Tracer
 
 @dataclass(frozen=True)
 class TracedImage:
-    """A path-traced image with its auxiliary features.
-
-    Attributes:
-        radiance: (H, W, 3) linear, with Monte Carlo noise.
-        albedo: (H, W, 3).
-        normal: (H, W, 3) shading normal in world space.
-    """
+    """A path-traced image, (H, W, 3): linear radiance with noise, albedo, and shading normal in the world."""
 
     radiance: Image
     albedo: Image

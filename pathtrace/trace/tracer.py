@@ -50,12 +50,9 @@ _MIN_AUXILIARY_SPP, _MAX_AUXILIARY_SPP = 4, 16
 
 @dataclass(frozen=True)
 class Traced:
-    """Radiance at N film positions.
+    """Radiance at N film positions: linear means, and means of its squares, three (N,) Dr.Jit floats each.
 
-    Attributes:
-        radiance: three (N,) Dr.Jit floats, linear, unbounded.
-        squares: three (N,) Dr.Jit floats, mean of the samples' squared radiance.
-        features: auxiliary features at the same sample positions; None if they were not asked for.
+    Auxiliary features are those of the same sample positions; there are none if they were not asked for.
     """
 
     radiance: list[Any]
