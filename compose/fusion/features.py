@@ -19,7 +19,7 @@ _SPREAD = 0.5
 
 @dataclass(frozen=True)
 class Features:
-    """What the network sees at full and at half the resolution, and the texture that it may add to the splats.
+    """What the network sees at full and at half resolution, and texture that it may add to the splats.
 
     Texture is three of (N, 3, H, W): logarithm of the albedo over its mean in windows of 3, 6 and 12 pixels,
     which is what a blur of that size removes from an image.

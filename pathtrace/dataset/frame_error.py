@@ -23,7 +23,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.image.colour import Image, srgb_from_radiance
+from compose.image.colour import Image, srgb_from_radiance, srgb_slope
 from pathtrace.trace.traced_images import TracedImage
 
 # Squared bias over the squared change by twice the samples: of five scenes and 1 to 16 samples per half, 3.8
@@ -91,7 +91,8 @@ def frame_error(one: TracedImage, other: TracedImage, denoised: Image | None = N
     halves = one.denoised(), other.denoised()
     both = one.mixed(other, 0.5).denoised() if denoised is None else denoised
     mean = np.float32(0.5) * (halves[0] + halves[1])
-    slope = _slope(mean)
+    # Noisy radiance cannot be compared on the curve itself, whose bend would turn its noise into a bias.
+    slope = srgb_slope(mean)
     first, second = (
         np.clip(slope * (clean - noisy.radiance), -_LARGEST_RESIDUAL, _LARGEST_RESIDUAL)
         for clean, noisy in zip(halves, (one, other), strict=True)
@@ -117,15 +118,6 @@ def _squared_distance(one: Image, other: Image) -> float:
     """Mean squared difference of two images' sRGB values."""
     difference = srgb_from_radiance(one) - srgb_from_radiance(other)
     return float(np.mean(np.square(difference), dtype=np.float64))
-
-
-def _slope(radiance: Image) -> NDArray[np.float32]:
-    """By how much sRGB values change with radiance; 0 where they are clipped at 1.
-
-    Noisy radiance cannot be compared on the curve itself, whose bend would turn its noise into a bias.
-    """
-    curve = 1.055 / 2.4 * np.power(np.maximum(radiance, 0.0031308), 1 / 2.4 - 1)
-    return np.where(radiance < 1, np.where(radiance <= 0.0031308, 12.92, curve), 0).astype(np.float32)
 
 
 def _mean_and_deviation(values: NDArray[np.float32]) -> tuple[float, float]:

@@ -45,7 +45,7 @@ _CELLS = 1 << 16
 
 
 class DrawnRegion(ABC):
-    """A region whose views are drawn at random; those to train on are the ones that show most of what is new."""
+    """A region whose views are drawn at random; trained on are those that show most of what is new."""
 
     name: str
     _scene: Scene

@@ -13,6 +13,8 @@ from itertools import accumulate
 
 import torch
 
+from compose.image.colour import SRGB_DARK, SRGB_DARK_VALUE, SRGB_SLOPE, linear_power, srgb_power
+
 # Factors of the real spherical harmonics, in the order of 3D Gaussian splatting's files.
 SH_DC = 0.28209479177387814
 SH_LINEAR = 0.4886025119029199
@@ -234,11 +236,11 @@ def _check_directional(directional: Directional, constant: int, count: int) -> N
 
 def perceptual_from_radiance(radiance: torch.Tensor) -> torch.Tensor:
     """The sRGB curve on linear radiance >= 0, continued above 1 by the same power."""
-    power = 1.055 * radiance.clamp(min=0.0031308) ** (1 / 2.4) - 0.055
-    return torch.where(radiance <= 0.0031308, 12.92 * radiance, power)
+    power = srgb_power(radiance.clamp(min=SRGB_DARK))
+    return torch.where(radiance <= SRGB_DARK, SRGB_SLOPE * radiance, power)
 
 
 def radiance_from_perceptual(value: torch.Tensor) -> torch.Tensor:
     """The inverse of `perceptual_from_radiance`, of values >= 0."""
-    power = ((value.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4
-    return torch.where(value <= 0.04045, value / 12.92, power)
+    power = linear_power(value.clamp(min=SRGB_DARK_VALUE))
+    return torch.where(value <= SRGB_DARK_VALUE, value / SRGB_SLOPE, power)

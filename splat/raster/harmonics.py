@@ -6,12 +6,13 @@ from typing import Any
 
 import drjit as dr
 
+from compose.image.colour import SRGB_DARK_VALUE, SRGB_GAMMA, SRGB_OFFSET, SRGB_SCALE, SRGB_SLOPE, srgb_power
 from splat.model.gaussians import SH_CUBIC, SH_DC, SH_LINEAR, SH_QUADRATIC
 
 # Radiance that a Gaussian can have at most; the sun's disc has 2e7 W / (m^2 sr), 1.6e9 cd / m^2. Its square,
 # summed over all pixels of a frame and multiplied by what the gradient needs, still fits float32.
 LARGEST_RADIANCE = 1e12
-_LARGEST_PERCEPTUAL = 1.055 * LARGEST_RADIANCE ** (1 / 2.4) - 0.055
+_LARGEST_PERCEPTUAL = srgb_power(LARGEST_RADIANCE)
 
 
 def perceptual_radiance(sh: list[list[Any]], direction: list[Any]) -> list[Any]:
@@ -63,5 +64,6 @@ def radiance_from_perceptual(perceptual: Any) -> Any:
     every pixel near the Gaussian into a NaN.
     """
     value = dr.clip(perceptual, 0, _LARGEST_PERCEPTUAL)
-    bright = dr.exp2(2.4 * dr.log2((dr.maximum(value, 0.04045) + 0.055) * (1 / 1.055)))
-    return dr.select(value <= 0.04045, value * (1 / 12.92), bright)
+    shifted = dr.maximum(value, SRGB_DARK_VALUE) + SRGB_OFFSET
+    bright = dr.exp2(SRGB_GAMMA * dr.log2(shifted * (1 / SRGB_SCALE)))
+    return dr.select(value <= SRGB_DARK_VALUE, value * (1 / SRGB_SLOPE), bright)

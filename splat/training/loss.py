@@ -18,6 +18,7 @@ from torch.autograd.function import once_differentiable
 
 from compose.base.arrays import Arrays, constant
 from compose.base.collector import collector_paused
+from compose.image.colour import SRGB_DARK, SRGB_GAMMA, SRGB_OFFSET, SRGB_SCALE, SRGB_SLOPE
 
 TAPS = 11
 _SIGMA = 1.5
@@ -126,9 +127,7 @@ def blur(
 SMALLEST_SIDE = TAPS
 _C1, _C2 = 0.01**2, 0.03**2
 SSIM_WEIGHT = 0.2
-# The sRGB curve: where its straight part ends, and that part's slope.
-_STRAIGHT, _SLOPE = 0.0031308, 12.92
-_BRIGHT_SLOPE = 1.055 / 2.4
+_BRIGHT_SLOPE = SRGB_SCALE / SRGB_GAMMA
 
 
 class FrameTarget:
@@ -306,10 +305,11 @@ def _flat(arrays: Arrays, image: torch.Tensor) -> Any:
 
 def _logarithmic(radiance: Any) -> tuple[Any, Any]:
     """The sRGB curve up to 1 and a logarithm above, so that lamps do not rule the loss; and its slope."""
-    middle = dr.maximum(dr.minimum(radiance, 1), _STRAIGHT)
-    power = dr.exp2(dr.log2(middle) * (1 / 2.4))
+    middle = dr.maximum(dr.minimum(radiance, 1), SRGB_DARK)
+    power = dr.exp2(dr.log2(middle) * (1 / SRGB_GAMMA))
     above = dr.maximum(radiance, 1)
-    seen = dr.select(radiance > 1, dr.fma(_BRIGHT_SLOPE, dr.log(above), 1), dr.fma(1.055, power, -0.055))
+    curve = dr.fma(SRGB_SCALE, power, -SRGB_OFFSET)
+    seen = dr.select(radiance > 1, dr.fma(_BRIGHT_SLOPE, dr.log(above), 1), curve)
     slope = _BRIGHT_SLOPE * dr.select(radiance > 1, dr.rcp(above), power * dr.rcp(middle))
-    is_dark = radiance <= _STRAIGHT
-    return dr.select(is_dark, _SLOPE * radiance, seen), dr.select(is_dark, _SLOPE, slope)
+    is_dark = radiance <= SRGB_DARK
+    return dr.select(is_dark, SRGB_SLOPE * radiance, seen), dr.select(is_dark, SRGB_SLOPE, slope)
