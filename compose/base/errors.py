@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import operator
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,15 @@ def one_line(error: BaseException | str) -> str:
     # A file's content may be part of it.
     line = "".join(c if c.isprintable() else " " for c in said)
     return line if len(line) <= 300 else f"{line[:300]}..."
+
+
+@contextmanager
+def reading(path: object) -> Iterator[None]:
+    """Whatever fails inside for an OSError or ValueError is a UserError: the file cannot be read."""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: cannot be read ({one_line(error)})") from error
 
 
 def require_seed(seed: Any) -> int:

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.errors import UserError, claimed_scene, file_inside, one_line
+from compose.base.errors import UserError, claimed_scene, file_inside, one_line, reading
 from compose.base.files import read_json, require_size_below
 from compose.camera.camera import Camera, camera_from_pose
 from compose.camera.coordinate_systems import opencv_from_opengl
@@ -96,10 +96,8 @@ def _hash(images: list[PosedImage]) -> str:
         state.update(repr((image.camera.key, image.lens, image.time, image.held_out)).encode())
         for file in (image.file, image.labels):
             if file is not None:
-                try:
+                with reading(file):
                     state.update(hashlib.sha256(file.read_bytes()).digest())
-                except OSError as error:
-                    raise UserError(f"{file}: cannot be read ({one_line(error)})") from error
     return state.hexdigest()
 
 

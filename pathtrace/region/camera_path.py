@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from compose.base.errors import UserError, one_line
+from compose.base.errors import UserError, one_line, reading
 from compose.base.files import read_json
 from compose.camera.camera import Array, Camera, look_at, turned
 from compose.camera.coordinate_systems import camera_from_json, opengl_from_opencv
@@ -58,10 +58,8 @@ class CameraPath:
 
 def read_path(file: Path, up: Array) -> CameraPath:
     """The path in a file, in which `up` (3,) is up unless a pose says otherwise; UserError if it is none."""
-    try:
+    with reading(file):
         document = read_json(file, _MOST_BYTES)
-    except (OSError, ValueError) as error:
-        raise UserError(f"{file}: cannot be read ({one_line(error)})") from error
     frames = document.get("frames") if isinstance(document, dict) else None
     if not isinstance(frames, list) or not frames:
         raise UserError(f"{file}: is not a camera path; must be JSON with a list of poses under frames")

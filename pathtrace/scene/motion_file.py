@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from compose.base.errors import UserError, one_line
+from compose.base.errors import UserError, one_line, reading
 from compose.base.files import read_json
 from pathtrace.scene.tracks import (
     Brightness,
@@ -40,11 +40,9 @@ _Track = TypeVar("_Track")
 
 def read_motion(file: Path) -> SceneMotion:
     """The motion in a file; UserError if that, or a mesh in it, cannot be read, or it is no motion."""
-    try:
+    with reading(file):
         document = read_json(file, _MOST_BYTES)
         digest = hashlib.sha256(file.read_bytes())
-    except (OSError, ValueError) as error:
-        raise UserError(f"{file}: cannot be read ({one_line(error)})") from error
     shapes, lights = _section(file, document, "shapes"), _section(file, document, "lights")
     if not shapes and not lights:
         raise UserError(f"{file}: nothing moves; must have tracks under shapes or lights")
@@ -55,10 +53,8 @@ def read_motion(file: Path) -> SceneMotion:
     shining = _tracks(file, "lights", lights, _light_track)
     for track in moved.values():
         for mesh in track.files if isinstance(track, MeshTrack) else ():
-            try:
+            with reading(f"{file}: {mesh}"):
                 digest.update(mesh.read_bytes())
-            except OSError as error:
-                raise UserError(f"{file}: {mesh}: cannot be read ({one_line(error)})") from error
     return SceneMotion(float(seconds), moved, shining, digest.hexdigest())
 
 

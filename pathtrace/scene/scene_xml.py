@@ -15,7 +15,7 @@ from pathlib import Path
 
 import mitsuba as mi
 
-from compose.base.errors import UserError, one_line
+from compose.base.errors import UserError, one_line, reading
 from compose.base.files import require_size_below
 from pathtrace.scene.sunsky import balance_xml
 
@@ -40,11 +40,9 @@ def parse_xml(path: Path) -> ET.Element:
         UserError: the file cannot be read, is too large, is not well-formed, declares entities, which can
             stand for any amount of text, or is nested too deeply for parsers that call themselves.
     """
-    try:
+    with reading(path):
         require_size_below(path, _MOST_BYTES)
         content = path.read_bytes()
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path}: cannot be read ({one_line(error)})") from error
     # In UTF-16, each character has a zero byte.
     if b"<!ENTITY" in content.replace(b"\0", b""):
         raise UserError(f"{path}: declares XML entities; write out what they stand for")
@@ -181,15 +179,13 @@ def file_fingerprint(path: Path, root: ET.Element, references: References) -> st
 
 
 def _add(digest: hashlib._Hash, file: Path) -> None:
-    try:
+    with reading(file):
         left = require_size_below(file, _MOST_HASHED_BYTES)
         with file.open("rb") as opened:
             # No more than its size: some files of the system never end.
             while left > 0 and (block := opened.read(min(left, 1 << 20))):
                 digest.update(block)
                 left -= len(block)
-    except (OSError, ValueError) as error:
-        raise UserError(f"{file}: cannot be read ({one_line(error)})") from error
 
 
 def text_fingerprint(text: str) -> str:
