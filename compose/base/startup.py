@@ -61,8 +61,7 @@ def find_llvm() -> Llvm:
     Raises:
         UserError: there is none, or only versions that Dr.Jit cannot use.
     """
-    explicit = os.environ.get(_PATH_VARIABLE)
-    if explicit:
+    if explicit := os.environ.get(_PATH_VARIABLE):
         return _explicit_llvm(explicit)
     too_old: set[int] = set()
     for libraries in (_system_libraries(), (Path(sys.prefix) / "lib").glob("libLLVM*.so*")):

@@ -17,8 +17,8 @@ from compose.base.arrays import Arrays, uploaded
 
 # Classes of gloss in ascending order: plain integers, for kernels of Dr.Jit and arrays of NumPy alike.
 DIFFUSE, GLOSSY, SPECULAR = 0, 1, 2
-# Numbers of movers: of what stands still; from 1 on, of what moves rigidly; and of what deforms, or is seen
-# in a mirror, so that nobody knows where it is at another time.
+# Numbers of movers, from 1 on; of what stands still; and of what deforms, or is seen in a mirror, so that
+# nobody knows where it is at another time.
 STILL, UNSTEADY = 0, (1 << 14) - 1
 
 

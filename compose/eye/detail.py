@@ -30,8 +30,7 @@ _FADE, _FADE_BY_SALIENCY = 0.22, 0.25
 # Gaussians show detail faithfully up to this fraction of the Nyquist frequency of their training pixels.
 _FAITHFUL = 0.5
 _NYQUIST = 0.5  # cycles per pixel
-# Width of the blur that joins the responses of one object, as a fraction of the image's longer side (that of
-# Hou et al. 2012).
+# Width of the blur that joins the responses of one object, over the image's longer side (Hou et al. 2012).
 _BLUR = 0.045
 
 

@@ -128,8 +128,7 @@ def _evidence(traced: Tensor, splat: Tensor) -> dict[str, Tensor]:
     ratio = ((luminance(traced) + 0.05) / expected - 1).clamp(-8, 8)
     moments = halved(torch.cat([ratio, ratio**2], 1))  # (N, 2, H / 2, W / 2)
     small, large = box_mean(moments), enlarged(box_mean(halved(moments)), moments)
-    # Where no light has been found yet, a small window shows no variance; the neighbourhood and the whole
-    # image do.
+    # Where no light has been found yet, a small window shows no variance; its neighbourhood and the image do.
     everywhere = variance_of(moments) * halved(expected)
     everywhere = everywhere.mean((2, 3), keepdim=True) / expected.mean((2, 3), keepdim=True)
     floor = torch.maximum(variance_of(large), _SPREAD * everywhere)

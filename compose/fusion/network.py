@@ -26,9 +26,8 @@ ENLARGEMENTS = (0.5, 1, 2, 4)
 MIXED = ("network", "denoised", "splat")
 # Shares are looked up in steps of this fraction of a doubling of the sample count.
 _STEPS = 8
-# torch keeps what it has compiled for images of each size, by default a thousand of them at 170 kB each, and
-# a disc near the edge of a frame has another size at every gaze. torch reads these limits at the first
-# convolution.
+# torch keeps what it has compiled for images of each size, by default a thousand at 170 kB each, and a disc
+# near a frame's edge has another size at every gaze. It reads these limits at the first convolution.
 for _capacity in ("LRU_CACHE_CAPACITY", "ONEDNN_PRIMITIVE_CACHE_CAPACITY"):
     os.environ.setdefault(_capacity, "64")
 
@@ -44,8 +43,7 @@ OUTPUTS = Channels(
 _WEIGHT_OFFSET = (-2.0, 0.0, 0.0)
 _MOST_COLOUR_GAIN = 0.5
 _MOST_GAIN = 2.0
-# Conditions under which shares are tried, as an index into a tensor of them: whether the quicker denoiser is
-# used, and indices of COUNTS and ENLARGEMENTS.
+# Conditions, as an index into shares: whether the denoiser is the quicker one; of COUNTS and ENLARGEMENTS.
 Cell = tuple[int, int, int]
 
 

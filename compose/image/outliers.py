@@ -20,8 +20,7 @@ from scipy.ndimage import maximum_filter
 
 from compose.image.colour import Image
 
-# Radiance relative to that of its surroundings, or to 1 if these are darker, beyond which a pixel is out of
-# proportion: the precision of float32.
+# Radiance over that of its surroundings, or 1, from which a pixel is out of proportion: float32's precision.
 MOST = 2.0**24
 # All of the eight neighbours, and the pixel itself as well.
 _BESIDE = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=bool)

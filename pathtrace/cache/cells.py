@@ -28,8 +28,7 @@ _FACTORS = (
 )
 
 
-# Of a hash table: places that are searched for a cell, from the one that its first name selects on, and
-# places for each cell, at least.
+# Of a hash table: places searched for a cell, from that of its first name on, and places per cell at least.
 _PROBES, _ROOM = 4, 3
 
 

@@ -115,8 +115,7 @@ def read_frame_set(folder: Path) -> FrameSet:
     digest = hashlib.sha256(text.encode()).hexdigest()
     found = FrameSet(folder, digest, *scene, entries, close_ups, integrator, courses, plan)
     files = [file for one in entries + close_ups for file in (one.file, *one.estimates.values(), *one.halves)]
-    missing = [file.name for file in files if not file.is_file()]
-    if missing:
+    if missing := [file.name for file in files if not file.is_file()]:
         raise UserError(
             f"{folder}: {len(missing)} of {len(files)} files are missing ({missing[0]} first); "
             "run hybrid capture again with the same settings to resume it"

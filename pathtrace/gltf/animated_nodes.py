@@ -198,8 +198,7 @@ class Nodes:
 
     def weights(self, node: int, default: Array, times: Array) -> Array:
         """(T, M) of a node's M morph targets; (1, M), the default of its mesh, if nothing else says them."""
-        sampler = self.animation.channels.get((node, "weights"))
-        if sampler is not None:
+        if sampler := self.animation.channels.get((node, "weights")):
             return sampler.at(times)
         return np.atleast_2d(np.asarray(self._items[node].get("weights", default), dtype=np.float64))
 

@@ -86,8 +86,7 @@ def read_document(file: Path) -> Document:
     version = asset.get("version") if isinstance(asset, dict) else None
     if not isinstance(version, str) or version.split(".")[0] != "2":
         raise UserError(f"{file}: is no glTF 2.0; its asset.version is {one_line(repr(version))}")
-    unknown = [name for name in tree.get("extensionsRequired", []) if name not in EXTENSIONS]
-    if unknown:
+    if unknown := [name for name in tree.get("extensionsRequired", []) if name not in EXTENSIONS]:
         raise UserError(
             f"{file}: requires the extension {one_line(str(unknown[0]))}, which is not known here"
         )

@@ -157,8 +157,7 @@ class _Import:
         if primitive.normals is None:
             shape.append(value("boolean", "face_normals", "true"))
         shape.append(self._materials.reference(primitive.material, colours is not None, user))
-        emitter = self._materials.emitter(primitive.material, user)
-        if emitter is not None:
+        if (emitter := self._materials.emitter(primitive.material, user)) is not None:
             shape.append(emitter)
         return shape
 

@@ -12,8 +12,7 @@ _Indices = NDArray[np.int64]
 
 # Frame in which coverage is looked up: 16 by 9 rays, or as many in other shapes.
 _RAYS = 144
-# Where nothing is seen, a point so far away, in units of the distances between views, that only its direction
-# counts.
+# Where nothing is seen, a point so far away, in distances between views, that only its direction counts.
 _SKY = 1e5
 # From a point back to a view, rays end this share of the way before the point: it lies on a surface.
 _TOUCH = 1e-3

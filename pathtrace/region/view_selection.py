@@ -36,8 +36,7 @@ _VIEWERS, _CANDIDATES, _ROUND = 768, 768, 192
 _SIDE = 20
 # What a further view of the same is worth.
 _AGAIN = 0.4
-# Levels of resolution: log2 of frame heights per unit of length, in steps of a half. So many levels below
-# what is asked for will do.
+# Levels of resolution, log2 of frame heights per unit of length, in an octave; so many too low will do.
 _PER_OCTAVE, _COARSER = 2.0, 2
 _LOWEST, _LEVELS = -64, 128
 # Cells along each axis that a key can tell apart; farther ones share theirs.

@@ -79,8 +79,7 @@ def _sends_narrow_light(scene: Any) -> bool:
     for emitter in scene.emitters():
         if "sky" in str(emitter).lower().partition("[")[0]:
             return True
-        shape = emitter.get_shape()
-        if shape is not None:
+        if (shape := emitter.get_shape()) is not None:
             area = float(np.ravel(shape.surface_area())[0])
             power = area * _radiance(emitter)
             total += power

@@ -153,8 +153,7 @@ def _each(keys: Any, read: Callable[[dict[str, Any]], _Track]) -> tuple[_Track, 
 
 def _require_known(found: dict[str, Any], known: set[str]) -> None:
     """A misspelt name would be a motion that is silently left out."""
-    unknown = sorted(set(found) - known)
-    if unknown:
+    if unknown := sorted(set(found) - known):
         raise ValueError(f"{unknown[0]} is unknown here; may have {', '.join(sorted(known))}")
 
 

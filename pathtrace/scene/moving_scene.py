@@ -30,8 +30,7 @@ _Part: TypeAlias = Callable[[float], dict[str, Any]]
 _POSITIONS, _NORMALS, _TO_WORLD, _POSITION = "vertex_positions", "vertex_normals", "to_world", "position"
 # Poses of a course: linear between them, a turn of ten times is off by next to nothing.
 _STEPS = 129
-# Meshes of fewer vertices are taken to pieces with as many points on their faces: a quad has four vertices,
-# and needs more pieces.
+# Meshes of fewer vertices, such as a quad's four, are taken to pieces with as many points on their faces.
 _COARSE = 1000
 # What a light's brightness is called, in that order.
 _BRIGHTNESS = ("radiance", "intensity", "irradiance", "scale")

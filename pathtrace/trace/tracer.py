@@ -43,8 +43,7 @@ _UNBENT = 1e-5
 _SHADOW_RAYS = 2
 # Of a cache without cells.
 _ANY_GRID = Grid(np.zeros(3, dtype=np.float32), 1.0)
-# With fewer samples, the noise of the auxiliary features shows in what they guide; each costs a twentieth of
-# a path.
+# With fewer samples, noise of auxiliary features shows in what they guide; each costs a twentieth of a path.
 _MIN_AUXILIARY_SPP, _MAX_AUXILIARY_SPP = 4, 16
 
 
@@ -123,7 +122,6 @@ class Tracer:
         # What moves: the numbers by which kernels know a shape, and which samples of it have.
         moving = [] if scene.moving is None else scene.moving.movers()
         self._movers = [(registered(shape), number) for shape, number in moving]
-        # Frozen per tracer: the scene is part of the recording.
         # In a cache without cells, no path could end.
         known = cache if cache is not None and len(cache.cells) else None
         self._relit = known is not None
