@@ -45,8 +45,7 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         path: the target; its folder is created.
         write: writes the content to the path it is given, which has the target's extension.
 
-    Raises:
-        UserError: the path names no file, or it cannot be written; no partial file is left.
+    UserError if the path names no file, or it cannot be written; no partial file is left.
     """
     if not path.name:
         raise UserError(f"{path}: names a folder, not a file")

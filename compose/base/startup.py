@@ -58,8 +58,7 @@ def _system_libraries() -> Iterable[Path]:
 def find_llvm() -> Llvm:
     """The LLVM to use: DRJIT_LIBLLVM_PATH, else the newest usable one of the system, else the pip package's.
 
-    Raises:
-        UserError: there is none, or only versions that Dr.Jit cannot use.
+    UserError if there is none, or only versions that Dr.Jit cannot use.
     """
     if explicit := os.environ.get(_PATH_VARIABLE):
         return _explicit_llvm(explicit)

@@ -174,8 +174,7 @@ def unit(vectors: Array, instead: float | Sequence[float] = 0.0) -> Array:
 def look_at(position: Array, target: Array, up: Array) -> Array:
     """(4, 4) camera-to-world in OpenCV axes that looks from position to target with up upwards, (3,) each.
 
-    Raises:
-        ValueError: position and target are the same, or up points along the direction between them.
+    ValueError if position and target are the same, or up points along the direction between them.
     """
     forward, aside = target - position, np.cross(target - position, up)
     distance, sine = np.linalg.norm(forward), np.linalg.norm(aside)

@@ -33,8 +33,7 @@ class SeenSurfaces:
         depths: (V, h, w) depth along the view axis at the centres of h x w cells of each view's frame; where
             there is nothing, a distance beyond everything that is asked for.
 
-    Raises:
-        ValueError: there is not one map per view, or no view.
+    ValueError if there is not one map per view, or no view.
     """
 
     def __init__(self, arrays: Arrays, cameras: Sequence[Camera], depths: NDArray[np.float32]):

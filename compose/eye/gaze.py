@@ -110,9 +110,8 @@ class GazeTrace:
 def load_gaze_trace(path: Path, most_seconds: float = MOST_SECONDS) -> GazeTrace:
     """A trace from a CSV file with the columns seconds, x, y; time 0 is that of the first row.
 
-    Raises:
-        UserError: the file cannot be read, has other columns or no rows, a row is not a gaze, time runs
-            backwards, or the trace lasts longer than `most_seconds`.
+    UserError if the file cannot be read, has other columns or no rows, a row is not a gaze, time runs
+    backwards, or the trace lasts longer than `most_seconds`.
     """
     seconds: list[float] = []
     gazes: list[Gaze] = []

@@ -31,8 +31,7 @@ class Parents:
         enlargement: side of the pixels that the splats were trained on, in pixels of these images.
         quick: whether the quicker denoiser was used.
 
-    Raises:
-        ValueError: the shapes do not match.
+    ValueError if the shapes do not match.
     """
 
     traced: Image | Tensor

@@ -75,8 +75,7 @@ def write_frame(path: Path, content: CapturedFrame | TracedImage | Image) -> Non
 def read_frame(path: Path, size: tuple[int, int] | None = None) -> CapturedFrame:
     """Reads a frame that `write_frame` wrote, which must have a `size`: width and height in pixels.
 
-    Raises:
-        UserError: the file is missing, damaged, of another size, or lacks a channel.
+    UserError if the file is missing, damaged, of another size, or lacks a channel.
     """
     return CapturedFrame(**_read(path, size, [field.name for field in fields(CapturedFrame)]))
 

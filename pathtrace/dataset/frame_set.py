@@ -87,8 +87,7 @@ class FrameSet:
 def read_frame_set(folder: Path) -> FrameSet:
     """Reads a frame set's transforms.json and checks that every file it names exists.
 
-    Raises:
-        UserError: the folder is not a frame set, has another format version, or its capture is not complete.
+    UserError if the folder is not a frame set, has another format version, or its capture is not complete.
     """
     path = folder / "transforms.json"
     if not path.is_file():

@@ -60,8 +60,7 @@ class GrowingFrames:
     Attributes:
         scene: that the frames show.
 
-    Raises:
-        UserError: the folder holds other frames, or a damaged description.
+    UserError if the folder holds other frames, or a damaged description.
     """
 
     def __init__(self, folder: Path, tracer: Tracer, integrator: str, seed: int):

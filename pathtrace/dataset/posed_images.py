@@ -58,8 +58,7 @@ def undistorted(camera: Camera, lens: Lens, images: Sequence[Array]) -> tuple[Ca
     Returns:
         The camera of the remaining rectangle, and (H', W') of each image in it, by cubic splines.
 
-    Raises:
-        ValueError: the distortion is too strong: it folds, or leaves less than half of the frame.
+    ValueError if the distortion is too strong: it folds, or leaves less than half of the frame.
     """
     # Lenses of damaged files overflow, and are refused.
     with np.errstate(over="ignore", invalid="ignore"):

@@ -62,9 +62,8 @@ def is_posed_folder(folder: Path) -> bool:
 def read_posed_folder(folder: Path) -> PosedFolder:
     """Reads a folder of posed images, except for the pixels, and checks that all files are there.
 
-    Raises:
-        UserError: the layout is unknown, there is no training image, a file is missing or damaged, or values
-            make no view.
+    UserError if the layout is unknown, there is no training image, a file is missing or damaged, or values
+    make no view.
     """
     points = bounds = None
     if (folder / TRAINING).is_file():
@@ -163,8 +162,7 @@ def read_nerfies(
 ) -> tuple[list[PosedImage], NDArray[np.float64] | None, tuple[float, float] | None]:
     """Images, points (M, 3) in the coordinates of their cameras, and the bounds of distances.
 
-    Raises:
-        UserError: a file is missing or damaged, labels are of another size, or values make no view.
+    UserError if a file is missing or damaged, labels are of another size, or values make no view.
     """
     content = document(folder / DATASET)
     with described_by(folder / DATASET):

@@ -28,9 +28,8 @@ class Sampler:
         interpolation: LINEAR, STEP or CUBICSPLINE.
         is_rotation: whether values are quaternions (x, y, z, w), which turn at a constant speed.
 
-    Raises:
-        ValueError: times do not ascend, are negative, or are not as many as the values, or a quaternion has
-            no length.
+    ValueError if times do not ascend, are negative, or are not as many as the values, or a quaternion has no
+    length.
     """
 
     times: Array

@@ -152,9 +152,7 @@ def read_array(document: Document, index: int, columns: int | tuple[int, ...], u
     """The (N, columns) numbers of an accessor; integers that stand for fractions are these fractions.
 
     Columns are those that it must have, or may have; the user, in error messages, is what refers to it.
-
-    Raises:
-        UserError: there is none, it has other columns, lies outside of its buffer, or holds NaN or infinity.
+    UserError if there is none, it has other columns, lies outside of its buffer, or holds NaN or infinity.
     """
     accessor, name = document.item("accessors", index, user), f"accessors[{index}] of {user}"
     found = _COLUMNS.get(accessor["type"])

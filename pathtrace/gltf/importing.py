@@ -67,8 +67,7 @@ def import_gltf(file: Path, folder: Path, fps: float = DEFAULT_FPS, animation: s
         animation: name or number of the one to play; without it, all that move different things, else the
             first one.
 
-    Raises:
-        UserError: the file is damaged, or needs what is not known here; or the folder cannot be written.
+    UserError if the file is damaged, or needs what is not known here; or the folder cannot be written.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UserError(f"{folder}: exists already; name another folder, or remove it")

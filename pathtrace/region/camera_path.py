@@ -109,9 +109,8 @@ class PathRegion(DrawnRegion):
             around them: without one, an eighth of the distance to what the cameras see.
         name: of the file.
 
-    Raises:
-        UserError: a pose lies on a surface, or a surface lies between it and the pose before; or the path
-            sees no surface.
+    UserError if a pose lies on a surface, or a surface lies between it and the pose before; or the path sees
+    no surface.
     """
 
     _views = "along the path"

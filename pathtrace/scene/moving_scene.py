@@ -52,8 +52,7 @@ class MovingScene:
         motion: the tracks.
         time: what the scene shows, from 0 to 1.
 
-    Raises:
-        UserError: a track is for a shape or light that does not exist or cannot move that way.
+    UserError if a track is for a shape or light that does not exist or cannot move that way.
     """
 
     def __init__(self, scene: Any, motion: SceneMotion, names: dict[str, str], place: Place, source: str):

@@ -36,9 +36,8 @@ DEFAULT_MAX_DEPTH = 8
 def parse_xml(path: Path) -> ET.Element:
     """The top element of an XML file.
 
-    Raises:
-        UserError: the file cannot be read, is too large, is not well-formed, declares entities, which can
-            stand for any amount of text, or is nested too deeply for parsers that call themselves.
+    UserError if the file cannot be read, is too large, is not well-formed, declares entities, which can stand
+    for any amount of text, or is nested too deeply for parsers that call themselves.
     """
     with reading(path):
         require_size_below(path, _MOST_BYTES)
@@ -80,9 +79,8 @@ class References:
     def of(source: Path, root: ET.Element) -> References:
         """The references of a scene, from its XML file and the elements of that.
 
-        Raises:
-            UserError: an included file is not well-formed, includes form a loop or are too many, or
-                parameters stand for too much text.
+        UserError if an included file is not well-formed, includes form a loop or are too many, or parameters
+        stand for too much text.
         """
         found = References(source)
         found._collect(root, source.parent, 0)
@@ -144,9 +142,8 @@ def mitsuba_folder() -> Path:
 def require_own_plugins(source: Path, types: Iterable[str], folders: Iterable[Path]) -> None:
     """Checks that no plugin of a scene, whose elements have such types, would be loaded from its own files.
 
-    Raises:
-        UserError: a type is a path, or unknown and a file of that name lies in one of the folders in which
-            Mitsuba looks for files.
+    UserError if a type is a path, or unknown and a file of that name lies in one of the folders in which
+    Mitsuba looks for files.
     """
     own = {path.stem for path in (mitsuba_folder() / "plugins").iterdir()}
     searched = [folder / "plugins" for folder in (*folders, Path())]
@@ -209,11 +206,8 @@ def read_description(path: Path) -> SceneDescription:
     """Reads a scene's XML file and removes its integrator.
 
     Radiance always comes from Mitsuba's `path`; scenes found elsewhere may name integrators that only their
-    author has, which Mitsuba would refuse.
-
-    Raises:
-        UserError: the file is not well-formed XML, might take unbounded memory, or would load native code
-            that is not Mitsuba's.
+    author has, which Mitsuba would refuse. UserError if the file is not well-formed XML, might take unbounded
+    memory, or would load native code that is not Mitsuba's.
     """
     root = parse_xml(path)
     depth = _max_depth(root)

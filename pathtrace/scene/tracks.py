@@ -52,8 +52,7 @@ class Formula:
         texts: of the new x, y and z, in Python's notation: numbers, + - * / **, parentheses, pi, and sin,
             cos, exp, sqrt, abs, min and max.
 
-    Raises:
-        ValueError: an expression holds anything else.
+    ValueError if an expression holds anything else.
     """
 
     texts: tuple[str, str, str]
@@ -151,8 +150,7 @@ class RigidTrack:
         axis: (x, y, z), unit, that the shape turns around.
         about: (x, y, z), a point on the axis where the shape is at rest.
 
-    Raises:
-        ValueError: keyframes are missing or out of order, or some have quaternions and others do not.
+    ValueError if keyframes are missing or out of order, or some have quaternions and others do not.
     """
 
     keyframes: tuple[Keyframe, ...]

@@ -161,8 +161,7 @@ class Tracer:
             features: whether to return the auxiliary features of what the samples hit first as well, as
                 `auxiliary` does, at less than its cost.
 
-        Raises:
-            ValueError: no samples are asked for.
+        ValueError if no samples are asked for.
         """
         pattern = seed if pattern is None else pattern
         batch = Batch.of(camera, positions, spp, offset, pattern)
