@@ -143,9 +143,8 @@ def reproject(views: EarlierViews, camera: Camera, new: Samples, box: Box) -> Re
 def _arrivals(views: EarlierViews, camera: Camera, surfaces: VisibleSurfaces) -> tuple[Any, Any]:
     """Where M samples of earlier views are visible among the P pixels of the surfaces' rectangle.
 
-    Returns:
-        UInt (M,), the pixel in which each of them is; P for a sample that lies elsewhere, is hidden, or is on
-        a surface that is not visible or looks different now. And UInt (P + 1,), how many are in each.
+    UInt (M,), the pixel in which each of them is; P for a sample that lies elsewhere, is hidden, or is on a
+    surface that is not visible or looks different now. And UInt (P + 1,), how many are in each.
     """
     arrays, plain = views.arrays, views.arrays.plain
     height, width = shape_of(surfaces.box)

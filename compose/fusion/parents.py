@@ -54,13 +54,10 @@ class Parents:
 
 @dataclass(frozen=True)
 class Fused:
-    """One estimate of radiance, of torch, on the parents' device.
+    """One estimate of radiance (H, W, 3), of torch on the parents' device, and their weights (H, W, 3).
 
-    Attributes:
-        radiance: (H, W, 3) linear.
-        weights: (H, W, 3) of the parents, in the order of PARENTS.
-        excluded: number of pixels in which a parent was left out because it was negative, not finite, or out
-            of proportion to its neighbours and to the other parents (compose.image.outliers).
+    In `excluded` pixels a parent was left out because it was negative, not finite, or out of proportion to
+    its neighbours and to the other parents (compose.image.outliers).
     """
 
     radiance: Tensor

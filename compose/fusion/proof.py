@@ -41,10 +41,9 @@ _Errors = NDArray[np.float64]
 class Proof(NamedTuple):
     """What is shown in each cell.
 
-    Attributes:
-        shares: (2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)) of network, denoised samples and splats.
-        gains: (2, len(COUNTS), len(ENLARGEMENTS)) decibels by which the mixture's squared error was below the
-            better parent's on unseen views; 0 where that parent alone is shown.
+    Shares (2, len(COUNTS), len(ENLARGEMENTS), len(MIXED)) are those of network, denoised samples and splats;
+    gains are decibels by which the mixture's squared error was below the better parent's on unseen views, 0
+    where that parent alone is shown.
     """
 
     shares: NDArray[np.float32]

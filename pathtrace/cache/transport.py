@@ -73,13 +73,10 @@ def sums_by(place: NDArray[Any], values: NDArray[Any], count: int) -> NDArray[np
 
 @dataclass(frozen=True)
 class Links:
-    """M rays from points: what they hit, and what they brought.
+    """M rays from points: index of the point, and of the cell that each hit, -1 if it left the scene.
 
-    Attributes:
-        point: (M,) index of the point that each ray started at.
-        cell: (M,) cell that it hit; -1 where it left the scene.
-        bounces: (M,) mirrors and glass surfaces on the way.
-        reflectance: (M, 3) share of the irradiance of what was hit that arrives; 0 where it left the scene.
+    `bounces` (M,) counts mirrors and glass on the way. `reflectance` (M, 3) is the share of the irradiance of
+    what was hit that arrives; 0 where a ray left the scene.
     """
 
     point: NDArray[np.int64]
@@ -186,10 +183,8 @@ def told_apart(known: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
 class Rays:
     """M rays from points to surfaces that may show lights: mirrors, glossy surfaces and glass.
 
-    Attributes:
-        point: (M,) int32 index of the point that each starts at.
-        square: (M, 2) where its direction lies, in 0..1, cosine-weighted around the normal.
-        weight: (M,) of what it finds: the irradiance that arrives in this way for each unit of radiance.
+    Points are indices (M,); directions lie at squares (M, 2) in 0..1, cosine-weighted around the normal. The
+    weight (M,) of what a ray finds is the irradiance that arrives in this way for each unit of radiance.
     """
 
     point: NDArray[np.int32]

@@ -47,11 +47,9 @@ _LEAST_ERROR = 1e-12
 class FrameError:
     """Error of a denoised frame, or the mean of several; squares of sRGB values clipped to 0..1.
 
-    Attributes:
-        variance: of each denoised half.
-        change: squared change of the denoised frame from half its samples to all of them.
-        product: of the residuals of the halves; squared bias of the halves without bias, may be negative.
-        deviation: standard deviation of the product; inf if it is not known.
+    The variance is that of each denoised half, the change that of the denoised frame from half its samples to
+    all of them. The product of the halves' residuals is their squared bias, without bias, and may be
+    negative; its standard deviation is inf if it is not known.
     """
 
     variance: float

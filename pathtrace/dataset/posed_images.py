@@ -54,10 +54,7 @@ def undistorted(camera: Camera, lens: Lens, images: Sequence[Array]) -> tuple[Ca
     """Images as a camera without a lens would show them, without the margin that the lens did not show.
 
     Images are (H, W) each, taken with the lens; the camera is the view without distortion, at their size.
-
-    Returns:
-        The camera of the remaining rectangle, and (H', W') of each image in it, by cubic splines.
-
+    Returned are the camera of the remaining rectangle, and (H', W') of each image in it, by cubic splines.
     ValueError if the distortion is too strong: it folds, or leaves less than half of the frame.
     """
     # Lenses of damaged files overflow, and are refused.

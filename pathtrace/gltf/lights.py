@@ -25,13 +25,10 @@ _FOV = 45.0
 
 @dataclass(frozen=True)
 class Light:
-    """A light without a shape.
+    """A light without a shape, point, spot or directional, which shines along the negative z of its node.
 
-    Attributes:
-        node: that it follows; lights shine along its negative z.
-        kind: point, spot or directional.
-        colour: (3,) times intensity: candela, or lux of a directional light.
-        cone: inner and outer angle of a spot, degrees from its axis.
+    Its colour (3,) is times intensity: candela, or lux of a directional light. The cone of a spot is its
+    inner and outer angle, in degrees from its axis.
     """
 
     node: int

@@ -26,13 +26,10 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 @dataclass(frozen=True)
 class Skin:
-    """How vertices follow joints (3.7.3).
+    """How vertices follow joints (3.7.3), J nodes by their numbers.
 
-    Attributes:
-        joints: (J,) numbers of the nodes.
-        to_joints: (J, 4, 4) inverse bind matrices, from the mesh at rest to each joint.
-        which: (V, K) joints of each vertex, as indices of `joints`.
-        shares: (V, K) how much it follows each; their sum is 1.
+    Inverse bind matrices (J, 4, 4) lead from the mesh at rest to each joint. Each vertex follows K joints,
+    (V, K) indices of these, with shares whose sum is 1.
     """
 
     joints: list[int]

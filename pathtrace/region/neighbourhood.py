@@ -204,13 +204,10 @@ def _moved(home: Camera, offset: Array, yaw_share: float, pitch_share: float) ->
 
 @dataclass(frozen=True)
 class ViewSet:
-    """Chosen cameras.
+    """Chosen cameras, and the times from 0 to 1 that all of them show, the fixed ones first.
 
-    Attributes:
-        fixed: the scene's own camera, then the same turned to the border of what the others see.
-        spread: spread evenly over positions and directions, or along a path; any of them may be held out of
-            training.
-        times: that all of them show, from 0 to 1, the fixed ones first; 0 if nothing moves.
+    Fixed are the scene's own camera, then the same turned to the border of what the others see. The others
+    are spread evenly over positions and directions, or along a path; any of them may be held out of training.
     """
 
     fixed: list[Camera]

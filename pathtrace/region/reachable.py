@@ -109,11 +109,8 @@ class Measures:
 class FreeSpace:
     """The space that can be reached from a camera, given the measures of the space around it.
 
-    Attributes:
-        nodes: (N, 3) centres of the lattice's cells that can be reached; the camera's own is not among them
-            if surfaces are too near.
-        spacing: of the lattice.
-        radius: of the viewer.
+    Nodes (N, 3) are centres of those of a lattice's cells that can be reached; the camera's own is not among
+    them if surfaces are too near. The spacing is the lattice's, the radius the viewer's.
     """
 
     def __init__(self, surfaces: Surfaces, home: Camera, measures: Measures):

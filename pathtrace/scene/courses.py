@@ -85,9 +85,8 @@ def spread_over_faces(
 ) -> tuple[NDArray[np.int64], Array]:
     """Points that are evenly spread over the faces (F, 3) of a mesh (V, 3), always the same ones.
 
-    Returns:
-        (N, 3) indices of the vertices around each point, and (N, 3) its shares of them, whose sum is 1; N is
-        `count`, or 0 if no face has an area.
+    Given as (N, 3) indices of the vertices around each, and (N, 3) its shares of them, whose sum is 1; N is
+    `count`, or 0 if no face has an area.
     """
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)

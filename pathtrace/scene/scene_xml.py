@@ -61,11 +61,8 @@ def parse_xml(path: Path) -> ET.Element:
 class References:
     """What the XML of a scene, and of the files that it includes, refers to.
 
-    Attributes:
-        source: the scene's XML file.
-        names: of files in the order of the XML, parameters replaced; whether they exist is not known.
-        folders: in which Mitsuba looks for them, besides the scene's: those of `<path>`.
-        plugins: types of all elements.
+    These are names of files in the order of the XML, parameters replaced, which may not exist; folders of
+    `<path>`, in which Mitsuba looks for them besides the scene's; and types of all elements.
     """
 
     source: Path

@@ -124,13 +124,10 @@ def _value(node: ast.expr, values: dict[str, Any]) -> Any:
 
 @dataclass(frozen=True)
 class Keyframe:
-    """A rigid pose at a time, as the way there from where the scene's file has the shape.
+    """A rigid pose at a time from 0 to 1, as the way there from where the scene's file has the shape.
 
-    Attributes:
-        time: 0 to 1.
-        translate: (x, y, z), after the rotation.
-        degrees: of the rotation around the track's axis; any number, so that wheels turn more than once.
-        rotation: (w, x, y, z), a unit quaternion, of a rotation around any axis instead.
+    After a rotation, it is translated. Degrees are those around the track's axis, any number, so that wheels
+    turn more than once; a unit quaternion (w, x, y, z) stands for a rotation around any axis instead.
     """
 
     time: float
@@ -223,13 +220,11 @@ class LightTrack:
 
 @dataclass(frozen=True)
 class SceneMotion:
-    """What moves in a scene.
+    """What moves in a scene while the time goes from 0 to 1, in so many seconds.
 
-    Attributes:
-        seconds: that the time from 0 to 1 takes.
-        shapes: tracks by the id of the shape, or of a light that is no shape and has a place.
-        lights: tracks of radiance by the id of the light, or of the shape that shines.
-        fingerprint: hash of the file and of all meshes that it names.
+    Shapes have tracks by their id, or by that of a light that is no shape and has a place; lights have tracks
+    of radiance by their id, or by that of the shape that shines. The fingerprint is a hash of the file and of
+    all meshes that it names.
     """
 
     seconds: float

@@ -65,9 +65,9 @@ class Hits:
 
     Attributes:
         distance: (N,) float32, along the unit ray; inf where nothing is hit.
-        unfolded: (N,) float32, the same, continued through flat mirrors and panes to the first rough surface,
-            which is how far away things in a mirror appear to be; inf where nothing is hit, and for the sky
-            in a flat mirror or behind a pane.
+        unfolded: (N,) float32, the same, continued through flat mirrors and panes to the first rough surface:
+            how far away things in a mirror appear to be; inf also for the sky in a flat mirror or behind a
+            pane.
         shape: (N,) int32, index of the shape in the scene; -1 where nothing is hit.
     """
 
