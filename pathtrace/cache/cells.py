@@ -26,8 +26,6 @@ _FACTORS = (
     (0x9E3779B1, 0x85EBCA77, 0xC2B2AE3D, 0x27D4EB2F),
     (0x165667B1, 0xD6E8FEB9, 0xA5CB9243, 0x7FEB352D),
 )
-
-
 # Of a hash table: places searched for a cell, from that of its first name on, and places per cell at least.
 _PROBES, _ROOM = 4, 3
 
