@@ -49,16 +49,8 @@ class GrowingFrames:
 
     Every frame is the mean of two independent halves of its samples, denoised together; both are kept, for
     they tell how wrong the frame is (pathtrace.dataset.frame_error), and further samples are added to them.
-    The folder is read by `pathtrace.dataset.frame_set.read_frame_set`, as that of any capture.
-
-    Args:
-        folder: created with the first frame.
-        tracer: traces the scene.
-        integrator: name of the integrator of that tracer.
-        seed: same seed and same calls, same frames.
-
-    Attributes:
-        scene: that the frames show.
+    The folder, created with the first frame, is read by `pathtrace.dataset.frame_set.read_frame_set`, as that
+    of any capture. Same seed and same calls, same frames.
 
     UserError if the folder holds other frames, or a damaged description.
     """

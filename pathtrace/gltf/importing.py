@@ -58,16 +58,11 @@ class Imported:
 
 
 def import_gltf(file: Path, folder: Path, fps: float = DEFAULT_FPS, animation: str | None = None) -> Imported:
-    """Imports a glTF file; the folder appears whole or not at all.
+    """Imports a glTF file, .gltf or .glb; the folder, which must be missing or empty, appears whole or not at all.
 
-    Args:
-        file: .gltf or .glb.
-        folder: to write; must not exist, or be empty.
-        fps: steps of time a second in which meshes that deform are written.
-        animation: name or number of the one to play; without it, all that move different things, else the
-            first one.
-
-    UserError if the file is damaged, or needs what is not known here; or the folder cannot be written.
+    Meshes that deform are written in `fps` steps of time a second. The animation, by name or number, is the
+    one to play; without it, all play that move different things, else the first one. UserError if the file is
+    damaged, or needs what is not known here; or the folder cannot be written.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UserError(f"{folder}: exists already; name another folder, or remove it")

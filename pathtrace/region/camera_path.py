@@ -101,16 +101,11 @@ def _point(frame: dict[str, Any], name: str) -> Array:
 
 
 class PathRegion(DrawnRegion):
-    """The space around a camera's path.
+    """The space around a camera's path, which has poses in the coordinates of the scene's file.
 
-    Args:
-        scene, surfaces: the scene and its surfaces.
-        path: the poses, in the coordinates of the scene's file, and the radius of what belongs to the region
-            around them: without one, an eighth of the distance to what the cameras see.
-        name: of the file.
-
-    UserError if a pose lies on a surface, or a surface lies between it and the pose before; or the path sees
-    no surface.
+    Without a radius of what belongs to the region around them, that is an eighth of the distance to what the
+    cameras see. The name is that of the file. UserError if a pose lies on a surface, or a surface lies
+    between it and the pose before; or the path sees no surface.
     """
 
     _views = "along the path"

@@ -46,13 +46,10 @@ class ViewingRegion(Protocol):
 def region_of(scene: Scene, surfaces: Surfaces, given: str) -> ViewingRegion:
     """The region that a user asks for.
 
-    Args:
-        scene, surfaces: the scene and its surfaces.
-        given: "near" for a ball around the scene's own camera, "reachable" for all that a viewer can reach
-            from there, or the name of a file with a camera's path (pathtrace.region.camera_path).
-
-    UserError if there is no such region or file, the file is broken, the path leaves the free space, the
-    scene's own camera sees nothing, or there is no free space around it.
+    That is "near" for a ball around the scene's own camera, "reachable" for all that a viewer can reach from
+    there, or the name of a file with a camera's path (pathtrace.region.camera_path). UserError if there is no
+    such region or file, the file is broken, the path leaves the free space, the scene's own camera sees
+    nothing, or there is no free space around it.
     """
     if given == NEAR:
         return NearRegion(scene, surfaces)

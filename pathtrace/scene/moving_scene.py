@@ -37,22 +37,16 @@ _BRIGHTNESS = ("radiance", "intensity", "irradiance", "scale")
 
 
 class MovingScene:
-    """A Mitsuba scene in which shapes and lights follow their tracks; it is at t = 0 at first.
+    """A Mitsuba scene in which shapes and lights follow their tracks, from 0 to 1; it is at t = 0 at first.
 
-    Only what has another place than before is touched, and no kernel is compiled again.
+    The scene is changed in place. Only what has another place than before is touched, and no kernel is
+    compiled again. UserError if a track is for a shape or light that does not exist or cannot move that way.
 
     Args:
-        scene: the Mitsuba scene; it is changed in place.
         motion: the tracks.
         names: the id that a shape or light of the scene has, by the one that it has in the scene's file.
         place: the scene's coordinates.
         source: name of the scene, for error messages.
-
-    Attributes:
-        motion: the tracks.
-        time: what the scene shows, from 0 to 1.
-
-    UserError if a track is for a shape or light that does not exist or cannot move that way.
     """
 
     def __init__(self, scene: Any, motion: SceneMotion, names: dict[str, str], place: Place, source: str):

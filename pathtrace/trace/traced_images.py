@@ -74,7 +74,7 @@ def radiance_image(
 def auxiliary_images(
     tracer: Tracer, camera: Camera, positions: FilmPositions, columns: int, spp: int, pattern: int
 ) -> tuple[Image, Image]:
-    """Albedo and normal, (H, W, 3) each, with `spp` samples per pixel; arguments as in `trace_image`.
+    """Albedo and normal, (H, W, 3) each, with `spp` samples per pixel; other arguments as in `trace_image`.
 
     The pattern is the seed of the radiance, so that both have the same sample positions and edges.
     """

@@ -99,7 +99,6 @@ class Tracer:
 
     Args:
         scene: the scene.
-        max_depth: path depth; the scene's own by default.
         roulette_depth: depth from which Russian roulette may end a path; that of the scene by default.
         cache: irradiance of the scene, in which paths end (pathtrace.trace.cached_paths): quicker, with less
             noise, but biased. Without it, the result is unbiased.
@@ -110,13 +109,12 @@ class Tracer:
     def __init__(
         self,
         scene: Scene,
-        max_depth: int | None = None,
         roulette_depth: int | None = None,
         cache: IrradianceCache | None = None,
         most_indirect: float | None = None,
     ):
         self.scene = scene
-        depth, roulette = max_depth or scene.max_depth, roulette_depth or scene.roulette_depth
+        depth, roulette = scene.max_depth, roulette_depth or scene.roulette_depth
         self._path = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": roulette})
         self._clear = has_clear_surfaces(scene.mitsuba)
         # What moves: the numbers by which kernels know a shape, and which samples of it have.
