@@ -58,7 +58,7 @@ class Imported:
 
 
 def import_gltf(file: Path, folder: Path, fps: float = DEFAULT_FPS, animation: str | None = None) -> Imported:
-    """Imports a glTF file, .gltf or .glb; the folder, which must be missing or empty, appears whole or not at all.
+    """Imports a .gltf or .glb file; the folder, which must be missing or empty, appears whole or not at all.
 
     Meshes that deform are written in `fps` steps of time a second. The animation, by name or number, is the
     one to play; without it, all play that move different things, else the first one. UserError if the file is
