@@ -34,7 +34,7 @@ def one_line(error: BaseException | str) -> str:
 
 @contextmanager
 def reading(path: object) -> Iterator[None]:
-    """Whatever fails inside for an OSError or ValueError is a UserError: the file cannot be read."""
+    """Turns an OSError or ValueError inside into a UserError that says which file cannot be read."""
     try:
         yield
     except (OSError, ValueError) as error:

@@ -26,8 +26,8 @@ _COLUMNS = ["seconds", "x", "y"]
 _MOST_BYTES = 1 << 26
 # Samples per second of a simulated viewer, as by a typical eye tracker.
 _RATE = 120.0
-# Fixations last 0.2 to 0.5 seconds, saccades span a few degrees, rarely 15 (Land and Hayhoe 2001; Bahill,
-# Adler and Stark 1975). Median in seconds and spread of the logarithm; mean and maximum in degrees.
+# Fixations last 0.2 to 0.5 seconds, saccades span a few degrees, rarely over 15 (Land and Hayhoe 2001;
+# Bahill, Adler and Stark 1975). Median in seconds, spread of the logarithm; mean and maximum in degrees.
 _FIXATION, _FIXATION_SPREAD = 0.33, 0.4
 _AMPLITUDE, _MOST_AMPLITUDE = 5.0, 15.0
 # Seconds that every saccade takes, and further seconds per degree (Carpenter 1988).

@@ -39,12 +39,12 @@ class FoveaMode(Enum):
 
 @dataclass(frozen=True)
 class Foveation:
-    """Where the viewer looks and how large the fovea is; UserError for radii that are not those of a fovea.
+    """Where the viewer looks and how large the fovea is; UserError if a radius is out of its range.
 
     Attributes:
         gaze: in fractions of the frame.
         fov_a: outer radius in percent of the height, 0 or more; 0 traces nothing.
-        fov_b: inner radius in percent of the height, at most fov_a; no splats are visible inside it.
+        fov_b: inner radius in percent of the height, from 0 to fov_a; no splats are visible inside it.
     """
 
     gaze: Gaze

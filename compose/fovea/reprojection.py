@@ -127,7 +127,7 @@ def reproject(views: EarlierViews, camera: Camera, new: Samples, box: Box) -> Re
     """What earlier views contribute to a camera's view, without what no longer holds.
 
     New samples of it, all in a rectangle, show the surfaces that are visible now. The sums are over that
-    rectangle; there are none without samples on either side.
+    rectangle; None without samples on either side.
 
     Positions and directions are computed in float64: a fifth of a degree decides about mirrors, and a sample
     at the border of a pixel must not end up on its other side. Distances and sums are float32.

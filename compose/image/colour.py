@@ -12,9 +12,9 @@ Image = NDArray[np.float32]
 
 # Luminance of linear red, green and blue (Rec. 709).
 LUMINANCE_WEIGHTS = (0.2126, 0.7152, 0.0722)
-# The sRGB curve (IEC 61966-2-1) is straight for dark colours, up to these, linear and sRGB; with this slope.
+# The sRGB curve (IEC 61966-2-1): straight up to these linear and sRGB values, with this slope ...
 SRGB_DARK, SRGB_DARK_VALUE, SRGB_SLOPE = 0.0031308, 0.04045, 12.92
-# Beyond, it is that of `srgb_power`.
+# ... and a power beyond them (`srgb_power`).
 SRGB_SCALE, SRGB_OFFSET, SRGB_GAMMA = 1.055, 0.055, 2.4
 
 

@@ -29,7 +29,7 @@ _CHECKSUM = "crc32"
 def write_channels(
     path: Path, channels: Mapping[str, NDArray[Any]], attributes: Mapping[str, str] | None = None
 ) -> None:
-    """Writes channels (H, W) of uint32, float16 or float32 with ZIP compression; UserError if it cannot.
+    """Writes channels (H, W) of uint32, float16 or float32 with ZIP compression; UserError on failure.
 
     The file appears whole or not at all. Its header gets a checksum of the values, by which a reader notices
     damage, and further attributes.

@@ -28,10 +28,7 @@ _AROUND = np.ones((3, 3), dtype=bool)
 
 
 def all_plain(channels: Sequence[Any]) -> bool:
-    """Whether all numbers of Dr.Jit floats are finite, not negative and at most MOST, as nearly always.
-
-    Waits for them.
-    """
+    """Whether Dr.Jit floats, which this waits for, are finite, not negative and at most MOST, as usual."""
     wrong = [~((values >= 0) & (values <= MOST)) for values in channels]
     return not bool(dr.any(reduce(or_, wrong)))
 

@@ -73,7 +73,7 @@ def sums_by(place: NDArray[Any], values: NDArray[Any], count: int) -> NDArray[np
 
 @dataclass(frozen=True)
 class Links:
-    """M rays from points: index of the point, and of the cell that each hit, -1 if it left the scene.
+    """M rays from points: (M,) indices of the points, and of the cells that they hit, -1 outside the scene.
 
     `bounces` (M,) counts mirrors and glass on the way. `reflectance` (M, 3) is the share of the irradiance of
     what was hit that arrives; 0 where a ray left the scene.

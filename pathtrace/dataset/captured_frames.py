@@ -61,7 +61,7 @@ def write_frame(path: Path, content: CapturedFrame | TracedImage | Image) -> Non
     """Writes a frame, an estimate as it was traced, or (H, W, 3) linear radiance alone, atomically.
 
     Channels: R, G, B, Z, unfolded.V (32-bit floats), albedo.{R,G,B}, normal.{X,Y,Z} (16-bit floats) and
-    shape.V (unsigned integers, shape index + 1); an estimate has no geometry. UserError if it cannot.
+    shape.V (unsigned integers, shape index + 1); an estimate has no geometry. UserError on failure.
     """
     channels = {}
     for part, values in ({"radiance": content} if isinstance(content, np.ndarray) else vars(content)).items():
@@ -139,7 +139,7 @@ def render_with_halves(
 def render_estimates(
     tracer: Tracer, camera: Camera, counts: tuple[int, ...], seed: int, wanted: Container[int] | None = None
 ) -> list[TracedImage]:
-    """Noisy estimates of a view, independent of its frame's samples, with some numbers of samples per pixel.
+    """Noisy estimates of a view, independent of its frame's samples; `counts` are samples per pixel.
 
     Only those of the counts that are wanted are traced; same seed and counts, same estimates.
     """

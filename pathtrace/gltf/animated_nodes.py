@@ -161,7 +161,7 @@ def _sampler(document: Document, sampler: dict[str, Any], path: str, user: str) 
 
 
 class Nodes:
-    """The nodes of a file while an animation plays; UserError if one has two parents, or is its ancestor.
+    """The nodes of a file while an animation plays; UserError if they are not trees.
 
     `shown` are the numbers of the nodes of the scene that is shown, parents first.
     """

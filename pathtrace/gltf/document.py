@@ -48,7 +48,7 @@ class Document:
         return found
 
     def item(self, name: str, index: int | float, user: str) -> dict[str, Any]:
-        """One of a section, which `user`, in error messages, refers to; UserError if there is none."""
+        """An item of a section, to which `user` refers, in error messages; UserError if there is none."""
         items = self.section(name)
         if not 0 <= index < len(items):
             raise self.refused(f"{user} refers to {name}[{index}]; there are {len(items)}")

@@ -36,7 +36,7 @@ _VIEWERS, _CANDIDATES, _ROUND = 768, 768, 192
 _SIDE = 20
 # What a further view of the same is worth.
 _AGAIN = 0.4
-# Levels of resolution, log2 of frame heights per unit of length, in an octave; so many too low will do.
+# Levels per octave of resolution (frame heights per unit of length), and how many too low will do.
 _PER_OCTAVE, _COARSER = 2.0, 2
 _LOWEST, _LEVELS = -64, 128
 # Cells along each axis that a key can tell apart; farther ones share theirs.
@@ -44,7 +44,7 @@ _CELLS = 1 << 16
 
 
 class DrawnRegion(ABC):
-    """A region whose views are drawn at random; trained on are those that show most of what is new."""
+    """A region whose views are drawn at random; training gets those that show most of what is new."""
 
     name: str
     _scene: Scene

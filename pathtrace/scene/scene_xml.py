@@ -86,7 +86,7 @@ class References:
     def candidates(self, name: str) -> Iterator[Path]:
         """Files that a name may stand for: those in the search folders, else that in the working folder."""
         folders = [*self.folders, self.source.parent]
-        # Names may be such as no file can have, of which pathlib's own function raises an error.
+        # Of names that no file can have, pathlib's own function raises an error.
         files = [folder / name for folder in folders if os.path.isfile(folder / name)]
         return iter(files or ([Path(name)] if os.path.isfile(name) else []))
 

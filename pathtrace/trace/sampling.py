@@ -226,10 +226,9 @@ class Batch:
 
     def passes(self, most_lanes: int) -> Iterator[Batch]:
         """The same samples in batches of about so many lanes that have some of each position."""
-        counts = self.spp
-        if isinstance(counts, int):
-            counts = Counts(None, self.positions.count * counts, counts)
-        passes = max(1, min(counts.most, -(-counts.total // most_lanes)))
+        spp = self.spp
+        most, lanes = (spp.most, spp.total) if isinstance(spp, Counts) else (spp, self.positions.count * spp)
+        passes = max(1, min(most, -(-lanes // most_lanes)))
         if passes == 1:
             yield self
             return
@@ -242,8 +241,7 @@ class Batch:
             else:
                 each = mi.UInt64(self.spp.each)
                 share = mi.UInt32((each * (number + 1) + passes - 1) // passes) - done
-                spp = Counts.of(share, -(-counts.most // passes) + 1)
-                yield replace(self, spp=spp, offset=self.offset + done)
+                yield replace(self, spp=Counts.of(share, -(-most // passes) + 1), offset=self.offset + done)
             done = done + share
 
     @cached_property
