@@ -97,11 +97,6 @@ def brightness(lights: list[Light], to_world_of: list[Array], bounds: Array) -> 
     return _WHITE / given if given > _TOO_BRIGHT * _WHITE else 1.0
 
 
-def constant_light() -> ET.Element:
-    """Light from all directions alike, of files without lights."""
-    return plugin("emitter", "constant", value("rgb", "radiance", [1.0, 1.0, 1.0]), id="surroundings")
-
-
 def camera(
     document: Document, nodes: Nodes, to_world_of: list[Array], bounds: Array, remarks: list[str]
 ) -> ET.Element:
