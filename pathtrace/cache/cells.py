@@ -138,11 +138,6 @@ class Cells:
     def __len__(self) -> int:
         return sum(len(keys) for keys in self.keys)
 
-    @cached_property
-    def names(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-        """Two names of each cell: one to choose its place in a hash table, one to recognize it there."""
-        return names_of(np.concatenate(self.keys))
-
     def indices(self, points: Points) -> NDArray[np.int64]:
         """(levels, N) index of the cell of each level that each point lies in; -1 where none is known."""
         start, found = 0, []
@@ -156,7 +151,7 @@ class Cells:
 
 
 def names_of(keys: NDArray[np.uint64]) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """The two names (N,) that keys of `Grid.keys` are made of."""
+    """Two names (N,) in keys of `Grid.keys`, to choose places in a table and to recognize cells there."""
     return (keys >> np.uint64(32)).astype(np.uint32), keys.astype(np.uint32)
 
 
