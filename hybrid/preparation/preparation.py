@@ -60,15 +60,10 @@ _JUDGED_BIAS = 6
 
 @dataclass(frozen=True)
 class Prepared:
-    """A forest, with what its preparation took.
-
-    Attributes:
-        forest: the forest.
-        facts: what `hybrid prepare --json` writes.
-    """
+    """A forest, with what its preparation took."""
 
     forest: Forest
-    facts: dict[str, Any]
+    facts: dict[str, Any]  # what `hybrid prepare --json` writes
 
 
 def prepare(
@@ -81,9 +76,7 @@ def prepare(
     """Prepares a scene; the forest becomes its newest one after every stage. Resumes if interrupted.
 
     Args:
-        scene: what to prepare.
         settings: how far to go, and which views validate it; the defaults of PreparationSettings if None.
-        bars: show the progress of each part.
         folder: for everything that is written; a folder of the scene's in the cache by default.
         started: time.perf_counter() from which the time counts; now if None.
 
@@ -180,21 +173,19 @@ class _Job:
         views = stage_views(self._region, stages, self._settings.seed)
         with self._bars(f"stage {number + 1}: frames (samples)") as bar:
             frames.grow(wanted_of(frames, views, stages[-1], before), bar)
-        seconds = self._planner.lap("frame")
+        seconds = self._planner.lap("frame") + (self._passes[-1].seconds if self._passes else 0.0)
         found = read_frame_set(frames.folder)
-        light = self._light(found, stages[-1].gaussians)
+        light = None
+        if self._scene.moving is not None:
+            cache, seed = cache_for(self._scene), self._settings.seed
+            light = light_over_time(self._scene, cache, found, stages[-1].gaussians, seed, self._bars)
         self._planner.lap("light")
-        traced = self._journal.once(f"pass {number}", lambda: asdict(self._pass(frames, seconds)))
-        self._passes.append(Pass(**traced))
+        brought = lambda: Pass(float(np.mean(frames.samples)), stated_error(frames), seconds)  # noqa: E731
+        self._passes.append(Pass(**self._journal.once(f"pass {number}", lambda: asdict(brought()))))
         forest = self._trained(found, light, path, before)
         if number:
             store_forest(forest, self._folder.name)
         return forest
-
-    def _pass(self, frames: GrowingFrames, seconds: float) -> Pass:
-        """What the last pass over the frames has brought, which took some seconds."""
-        before = self._passes[-1].seconds if self._passes else 0.0
-        return Pass(float(np.mean(frames.samples)), stated_error(frames), before + seconds)
 
     def _trained(
         self, frames: FrameSet, light: SurfaceLight | None, path: Path, before: Forest | None
@@ -212,13 +203,6 @@ class _Job:
         self._planner.lap("training")
         return forest
 
-    def _light(self, frames: FrameSet, gaussians: int) -> SurfaceLight | None:
-        """How light on surfaces changes over time; None in a scene that stands still."""
-        if self._scene.moving is None:
-            return None
-        cache, seed = cache_for(self._scene), self._settings.seed
-        return light_over_time(self._scene, cache, frames, gaussians, seed, self._bars)
-
     def _judge(self, judges: Judges, forest: Forest) -> None:
         """Adds a row to the curve."""
         number = self._planner.number
@@ -231,10 +215,8 @@ class _Job:
 
         self._curve.append(self._journal.once(f"quality {number}", row))
         shown = self._curve[-1]
-        quality = ""
-        if "psnr" in shown:
-            psnr, least, ssim = (shown[name] for name in ("psnr", "least_psnr", "ssim"))
-            quality = f", held-out views {psnr:.2f} dB, least {least:.2f} dB, SSIM {ssim:.4f}"
+        text = ", held-out views {psnr:.2f} dB, least {least_psnr:.2f} dB, SSIM {ssim:.4f}"
+        quality = text.format_map(shown) if "psnr" in shown else ""
         views = sum(stage.views for stage in self._planner.stages)
         _LOG.info(f"{shown['seconds']:.0f} s: {views} views, {shown['gaussians']:,} Gaussians{quality}")
 
@@ -244,18 +226,15 @@ class _Job:
         if path.is_file():
             return load_forest(path)
         if self._planner.fits_fusion:
-            cache = cache_for(self._scene)
+            cache, seed = cache_for(self._scene), self._settings.seed
+            close_ups = _CLOSE_UPS[self._planner.stages[-1].scale]
+            settings = replace(FUSION_CAPTURE, close_ups=close_ups, seed=seed)
             with self._bars("fusion: frames (samples)") as bar:
-                examples = capture(self._scene, self._folder / "fusion", self._examples(), bar, cache)
+                examples = capture(self._scene, self._folder / "fusion", settings, bar, cache)
             with self._bars("fusion (steps)") as bar:
-                forest = with_fusion(examples, forest, self._settings.seed, bar)
+                forest = with_fusion(examples, forest, seed, bar)
         save_forest(path, forest)
         return forest
-
-    def _examples(self) -> CaptureSettings:
-        """What the fusion is fitted to."""
-        close_ups = _CLOSE_UPS[self._planner.stages[-1].scale]
-        return replace(FUSION_CAPTURE, close_ups=close_ups, seed=self._settings.seed)
 
     def _facts(self, forest: Forest, frames: GrowingFrames) -> dict[str, Any]:
         samples, last = frames.samples, self._curve[-1]
@@ -314,11 +293,6 @@ def with_forest(scene: Scene, given: Path | None, bars: Bars = no_bars) -> tuple
 
     With a forest at hand, nothing is planned: a scene without a plan has the paths of the forest's plan.
 
-    Args:
-        scene: what the forest is for.
-        given: forest file, if the user named one.
-        bars: show the progress of planning and preparing.
-
     Raises:
         UserError: the file is missing, damaged or belongs to another scene, or no forest can be trained.
     """
@@ -334,16 +308,9 @@ def with_forest(scene: Scene, given: Path | None, bars: Bars = no_bars) -> tuple
 
 
 def make_quick_forest(scene: Scene, folder: Path, seed: int, bars: Bars = no_bars) -> tuple[Forest, FrameSet]:
-    """Prepares a forest with the quick settings; resumes if interrupted.
+    """Prepares a forest in a folder, with the quick settings; resumes if interrupted.
 
-    Args:
-        scene: what to prepare.
-        folder: for all of its files.
-        seed: same seed, same forest on the same machine.
-        bars: show the progress.
-
-    Returns:
-        The forest, and the frames that its fusion was fitted to, with held-out views that judge its layers.
+    Also returns the frames that its fusion was fitted to, with held-out views that judge its layers.
     """
     settings = PreparationSettings(quality=_QUALITY, held_out=0, seed=seed)
     folder = folder / f"prepared-{seed}"

@@ -144,10 +144,7 @@ def packed(tensors: dict[str, torch.Tensor]) -> tuple[dict[str, torch.Tensor], d
 
 
 def unpacked(tensors: dict[str, torch.Tensor], kinds: Any) -> dict[str, torch.Tensor]:
-    """The tensors that `packed` made these of.
-
-    Args:
-        kinds: type and shape of each, as read from a file.
+    """The tensors that `packed` made these of, from the type and shape of each, as read from a file.
 
     Raises:
         ValueError: a type or a shape is none, the content does not have it, or it takes too much memory.

@@ -69,13 +69,9 @@ class LightCourse:
         kept = (self.nodes >= first) & (self.nodes < end)
         position = torch.cumsum(kept, 0) - 1
         sided = kept[self.sided]
-        return LightCourse(
-            self.nodes[kept],
-            self.factors[..., kept],
-            position[self.sided[sided]],
-            self.behind[..., sided],
-            self.normals[:, sided],
-        )
+        own, behind = self.factors[..., kept], self.behind[..., sided]
+        which = position[self.sided[sided]]
+        return LightCourse(self.nodes[kept], own, which, behind, self.normals[:, sided])
 
 
 def _require_factors(what: str, nodes: torch.Tensor, factors: torch.Tensor) -> None:
@@ -228,12 +224,9 @@ class SurfaceLight:
         return nearest, away <= _REACH * self._around[0][nearest]
 
     def near(self, means: torch.Tensor, instance: torch.Tensor) -> torch.Tensor:
-        """(2, N) int64 points that nodes have their light from, seen from in front and from behind.
+        """(2, N) int64 points that light nodes, at centres (3, N) at rest, of instances (N,): front and back.
 
         -1 for nodes whose light does not change; the same point twice for what has one side only.
-
-        Args:
-            means, instance: (3, N) centres at rest, and (N,) what moves them.
         """
         nearest, within = self._nearest(means, instance)
         front = torch.from_numpy(nearest)

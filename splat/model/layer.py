@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from splat.model.gaussians import Gaussians, concatenated
 
@@ -52,16 +54,16 @@ class Layer:
         """The nodes from start up to end; shares this layer's memory."""
         return Layer(self.gaussians.part(start, end), *(tensor[start:end] for _, tensor in self.labels()))
 
+    def under(self, parent: NDArray[np.integer]) -> Layer:
+        """The same nodes with other parents (N,)."""
+        return replace(self, parent=torch.from_numpy(parent.astype(np.int32)))
+
 
 def static_layer(gaussians: Gaussians) -> Layer:
     """Gaussians without parents, all of them static background."""
     n = len(gaussians)
-    return Layer(
-        gaussians,
-        torch.full((n,), NO_PARENT, dtype=torch.int32),
-        torch.full((n,), BACKGROUND, dtype=torch.int32),
-        torch.zeros(n, dtype=torch.bool),
-    )
+    labels = (torch.full((n,), none, dtype=torch.int32) for none in (NO_PARENT, BACKGROUND))
+    return Layer(gaussians, *labels, torch.zeros(n, dtype=torch.bool))
 
 
 def without_parents(layer: Layer) -> Layer:

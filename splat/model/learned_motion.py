@@ -72,9 +72,7 @@ class DeformationNetwork(torch.nn.Module):
     def __init__(self) -> None:
         super().__init__()
         width = 3 * (1 + 2 * _PLACES) + 1 + 2 * _TIMES
-        inputs = [width] + [
-            _NETWORK_WIDTH + (width if index - 1 == _JOINED else 0) for index in range(1, _DEPTH)
-        ]
+        inputs = [width, *(_NETWORK_WIDTH + width * (index == _JOINED) for index in range(_DEPTH - 1))]
         self.layers = torch.nn.ModuleList(torch.nn.Linear(size, _NETWORK_WIDTH) for size in inputs)
         self.heads = Heads(_NETWORK_WIDTH, hidden=False)
 
@@ -205,11 +203,9 @@ class LearnedMotion:
         if not len(moving):
             return gaussians
         deformed = self.field(gaussians.means[:, moving], time).applied(gaussians.select(moving))
-        names = "means", "rotations", "log_scales"
-        parts = {
-            name: getattr(gaussians, name).index_copy(1, moving, getattr(deformed, name)) for name in names
-        }
-        return replace(gaussians, **parts)
+        pairs = ((name, getattr(gaussians, name)) for name in ("means", "rotations", "log_scales"))
+        moved = {name: own.index_copy(1, moving, getattr(deformed, name)) for name, own in pairs}
+        return replace(gaussians, **moved)
 
     def course(self, gaussians: Gaussians, instance: torch.Tensor) -> Callable[[float], Gaussians]:
         """See `Dynamics`; a field knows nothing that all times share."""

@@ -124,7 +124,6 @@ class NodeMotion:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __len__(self) -> int:
-        """Number of instances."""
         return len(self.pieces)
 
     def at(self, time: float) -> Poses:

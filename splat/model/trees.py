@@ -126,14 +126,10 @@ def label_codes(below: Layer, above: Layer) -> tuple[Ints, Ints]:
 
 
 class _ParentSearch:
-    """The loop of Algorithm 1 (lines 3 to 12), child by child.
+    """The loop of Algorithm 1 (lines 3 to 12): children (N, 3) choose among parents (M, 3), one by one.
 
-    Each child tries the nearest parents in turn, including those made for earlier children. If none of
-    `tries` parents has room, a new one is made at the child's own position.
-
-    Args:
-        children, parents: (N, 3) and (M, 3) centres, children in the order in which they choose.
-        room: (M,) children that each parent can still take.
+    Each tries the nearest parents in turn, including those made for earlier children. If none of `tries`
+    parents has room left (M,), a new one is made at the child's own position.
     """
 
     def __init__(self, children: Floats, parents: Floats, room: Ints, tries: int):
@@ -229,7 +225,7 @@ def build_forest(finest: Layer, pixel: float, layers: int) -> list[Layer]:
         parent = np.full(len(below), NO_PARENT, dtype=np.int64)
         parent[itself] = np.arange(int(itself.sum()))
         above, parent = with_parents(below, above, parent, tries=1)
-        forest.insert(0, replace(below, parent=torch.from_numpy(parent.astype(np.int32))))
+        forest.insert(0, below.under(parent))
         origin = np.concatenate([origin[itself], np.full(len(above) - int(itself.sum()), -1)])
         below = above
     return [below, *forest]
@@ -259,23 +255,17 @@ def settle(layers: list[Layer]) -> list[Layer]:
         parent = _kept_parents(below, above)
         above, parent = with_parents(below, above, parent, tries=NEIGHBOURS)
         below, parent = _with_children(below, above, parent)
-        settled[0] = replace(below, parent=torch.from_numpy(parent.astype(np.int32)))
-        settled.insert(0, above)
+        settled[:1] = above, below.under(parent)
     settled[0] = without_parents(settled[0])
-    # Copies were added as children to layers that were complete already; they need children as well.
-    return _grown_down(settled)
-
-
-def _grown_down(layers: list[Layer]) -> list[Layer]:
-    """Gives every node without children a copy of itself as a child, from the top down."""
-    for index in range(len(layers) - 1):
-        above, below = layers[index], layers[index + 1]
+    # Copies were added as children to layers that were complete already. They need children as well: copies
+    # of their own, from the top down.
+    for index in range(1, len(settled)):
+        above, below = settled[index - 1 : index + 1]
         childless = np.setdiff1d(np.arange(len(above)), below.parent.numpy())
         if len(childless):
-            copies = above.select(torch.from_numpy(childless))
-            copies = replace(copies, parent=torch.from_numpy(childless.astype(np.int32)))
-            layers[index + 1] = concatenated_layers([below, copies])
-    return layers
+            copies = above.select(torch.from_numpy(childless)).under(childless)
+            settled[index] = concatenated_layers([below, copies])
+    return settled
 
 
 def _kept_parents(below: Layer, above: Layer) -> Ints:

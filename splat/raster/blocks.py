@@ -123,10 +123,8 @@ class Shown:
     def following(self, i: Any, last: Any, number: Any) -> Any:
         """The first pair from `i` on that a block shows; `last` or above where none is left.
 
-        Args:
-            i: of each lane, a pair of its tile's list or `last`.
-            last: end of that list.
-            number: of the lane's block in its tile, row by row.
+        Of each lane, `i` is a pair of its tile's list or `last`, the end of that, and `number` is that of its
+        block in the tile, row by row.
         """
         UInt = self._arrays.plain.UInt
 

@@ -121,8 +121,7 @@ def with_guesses(
 
     Args:
         views: of the world; distances are NaN where they are unknown, inf where nothing is.
-        points: (M, 3) some of what the views show; None if none are known.
-        bounds: nearest and farthest distance of what they show; None if nobody says.
+        points, bounds: (M, 3) some of what the views show, and its nearest and farthest distance, if known.
     """
     if not views:
         return []

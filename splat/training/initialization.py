@@ -53,11 +53,9 @@ def seed_from_views(
     shares[: count % len(views)] += 1
     size = spacing * _COVERING
     seeded = lambda view, pixels: seed_at(view, pixels, size, degree, motion, light)  # noqa: E731
-    parts = []
-    for view, share in zip(views, shares, strict=True):
-        total = view.distance.size
-        parts.append(seeded(view, rng.choice(total, min(int(share), total), replace=False)))
-    seeds = concatenated_layers(parts)
+    some = lambda total, share: rng.choice(total, min(int(share), total), replace=False)  # noqa: E731
+    pairs = zip(views, shares, strict=True)
+    seeds = concatenated_layers([seeded(view, some(view.distance.size, share)) for view, share in pairs])
     seeds = replace(seeds, gaussians=_covering(seeds.gaussians))
     seeds = concatenated_layers([seeds, static_layer(_sky_around(views, degree))])
     if len(seeds):
@@ -114,12 +112,12 @@ def seed_at(
 ) -> Layer:
     """Seeds, without parents, at pixels of one view, labelled by the instances that these show.
 
+    They are where they are at rest, and have the radiance that they show in usual light.
+
     Args:
         pixels: (M,) row-major indices; pixels that show no surface give no seed.
         size: standard deviation in pixels of that frame.
         degree: of the spherical harmonics, of which only the constant one is set.
-        motion: of the instances; seeds of these are where they are at rest.
-        light: that changes; seeds have the radiance that they show in usual light.
     """
     distance = view.distance.ravel()[pixels]
     pixels = pixels[np.isfinite(distance) & (distance > 0)]

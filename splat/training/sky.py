@@ -58,9 +58,8 @@ def whole_sky(sky: Floats, radiance: NDArray[np.float32], surface: Floats, degre
     A direction that no frame shows belongs to the sky if the nearest one that is seen does.
 
     Args:
-        sky: (M, 3) unit directions in which frames show the sky.
-        radiance: (M, 3) linear, seen there.
-        surface: (N, 3) unit directions in which they show a surface.
+        sky, surface: (M, 3), (N, 3) unit directions in which frames show the sky, and a surface.
+        radiance: (M, 3) linear, of the sky.
         degree: of the spherical harmonics, of which only the constant one is set.
     """
     directions = _sphere(_DIRECTIONS)

@@ -232,23 +232,18 @@ class Trainer:
 
     def state(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
         """Everything that the next step depends on: tensors, and numbers."""
-        tensors: dict[str, torch.Tensor] = {}
-        numbers = []
-        for index, training in enumerate(self._layers):
-            own, counts = training.state()
-            tensors |= {f"{index}.{name}": tensor for name, tensor in own.items()}
-            numbers.append(counts)
-        if self._field is not None:
-            tensors |= {_FIELD + name: tensor for name, tensor in self._field.state().items()}
+        parts, numbers = zip(*(training.state() for training in self._layers), strict=True)
+        groups = {f"{index}.": part for index, part in enumerate(parts)}
+        groups |= {} if self._field is None else {_FIELD: self._field.state()}
+        tensors = {prefix + name: tensor for prefix, part in groups.items() for name, tensor in part.items()}
         run = {"settings": asdict(self.settings), "origin": list(self.place.origin), "unit": self.place.unit}
-        return tensors, {"iteration": self.iteration, **run, "layers": numbers}
+        return tensors, {"iteration": self.iteration, **run, "layers": list(numbers)}
 
     def restore(self, tensors: dict[str, torch.Tensor], numbers: dict[str, Any]) -> None:
         """Restores what `state` returned.
 
         Raises:
-            ValueError: the state belongs to a training with other settings.
-            KeyError: a tensor or a number is missing.
+            ValueError, KeyError: it belongs to a training with other settings, or a part is missing.
         """
         if numbers["settings"] != asdict(self.settings):
             raise ValueError("the checkpoint belongs to a training with other settings")
