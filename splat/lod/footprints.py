@@ -6,6 +6,8 @@ Only layers that are drawn are brought to a time (Fov-GS, section 3.4: selection
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
+from itertools import accumulate, pairwise, starmap
 from typing import Any
 
 import drjit as dr
@@ -86,10 +88,8 @@ class LayerChanges:
         return nodes, in_light(shown, torch.arange(len(nodes)), factors)
 
 
-# The fields of `Footprints`. One float is spare.
-_FOOTPRINT = RecordLayout(
-    (8, 4), x=1, y=1, xx=1, xy=1, yy=1, conditional=1, opacity=1, red=1, green=1, blue=1, depth=1
-)
+# One float is spare.
+_FOOTPRINT = RecordLayout((8, 4), **{field.name: 1 for field in fields(Footprints)})
 # Floats per load of a node's parameters.
 _NODE_LOAD = 8
 
@@ -146,20 +146,17 @@ class ForestFootprints:
             for n in new:
                 self._change(n, own)
                 self._layers[n] = self._visible(own, n, self._key[1])
-            self._concatenate()
+            parts = [part for part in self._layers.values() if part is not None]
+            self._records = concatenated_records(parts) if parts else None
+            counts = (0 if part is None else len(part) for part in self._layers.values())
+            ranges = starmap(range, pairwise(accumulate(counts, initial=0)))
+            self._ranges = dict(zip(self._layers, ranges, strict=True))
         return [self._ranges[n] for n in layers]
 
     def footprints(self, index: Any) -> Footprints:
         """Those at an index (M,) among all of them."""
         assert self._records is not None
         return Footprints(**vars(self._records.at(index)))
-
-    def _concatenate(self) -> None:
-        parts, end = [part for part in self._layers.values() if part is not None], 0
-        for n, part in self._layers.items():
-            start, end = end, end + (0 if part is None else len(part))
-            self._ranges[n] = range(start, end)
-        self._records = concatenated_records(parts) if parts else None
 
     def _visible(self, camera: Camera, layer: int, blur: float) -> Records | None:
         """The nodes of a layer that reach into the frame of a camera in their own coordinates."""

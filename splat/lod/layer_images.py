@@ -70,7 +70,7 @@ class Under:
 
 
 def pack_atlas(images: Sequence[LayerImage], wanted: Mask, top: int = 0) -> list[AtlasEntry]:
-    """Atlas entries of the images that show in wanted cells (rows, columns), from a free row of samples on."""
+    """Atlas entries of the images that show in wanted cells (rows, columns), from row `top` of samples on."""
     entries = []
     for image in images:
         cells = covered_cells(image.weight) & wanted

@@ -92,13 +92,9 @@ def factors_at(factors: torch.Tensor, time: float) -> torch.Tensor:
 def seen_from_behind(
     normals: torch.Tensor, rest: torch.Tensor, rotations: torch.Tensor, means: torch.Tensor, eye: torch.Tensor
 ) -> torch.Tensor:
-    """(B,) whether nodes are seen from behind.
+    """(B,) whether nodes, with centres (3, B) now, are seen from behind by an eye (3,).
 
-    Args:
-        normals: (3, B) towards the front at rest.
-        rest, rotations: (4, B) quaternions of the nodes at rest and now, of any length.
-        means: (3, B) where they are now.
-        eye: (3,) where they are seen from.
+    Normals (3, B) point to the front at rest; rotations (4, B), at rest and now, may have any length.
     """
     turn = multiplied(rotations, rest * rest.new_tensor([1, -1, -1, -1])[:, None])
     now = turned(turn / turn.norm(dim=0, keepdim=True).clamp(min=1e-12), normals)

@@ -176,7 +176,8 @@ class LearnedMotion:
         """A motion before training, for nodes in a box with corners (3,)."""
         with torch.random.fork_rng():
             torch.manual_seed(seed)
-            return LearnedMotion(kind, _field(kind, low, high))
+            field = DeformationNetwork() if kind is FieldKind.D_GS else HexPlane(low, high)
+        return LearnedMotion(kind, field)
 
     @staticmethod
     def restored(tensors: dict[str, torch.Tensor]) -> LearnedMotion:
@@ -186,7 +187,7 @@ class LearnedMotion:
             KeyError, ValueError, RuntimeError: they are those of no field.
         """
         (kind,) = (FieldKind(name) for name in {name.split(".", 1)[0] for name in tensors})
-        motion = LearnedMotion(kind, _field(kind, torch.zeros(3), torch.ones(3)))
+        motion = LearnedMotion.begun(kind, torch.zeros(3), torch.ones(3), 0)
         motion.restore(tensors)
         motion.field.requires_grad_(False)
         return motion
@@ -235,7 +236,3 @@ class LearnedMotion:
 
     def __len__(self) -> int:
         return _ANY_NUMBER
-
-
-def _field(kind: FieldKind, low: torch.Tensor, high: torch.Tensor) -> Field:
-    return DeformationNetwork() if kind is FieldKind.D_GS else HexPlane(low, high)

@@ -25,9 +25,7 @@ class Dynamics(Protocol):
     def shown(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
         """Gaussians as they are at a time from 0 to 1; torch can differentiate them by those at rest.
 
-        Args:
-            gaussians: N Gaussians at rest.
-            instance: (N,) that each belongs to; below 0, it stays where it is.
+        Those of an instance (N,) below 0 stay where they are.
         """
 
     def course(self, gaussians: Gaussians, instance: torch.Tensor) -> Callable[[float], Gaussians]:

@@ -90,15 +90,11 @@ NEIGHBOURS = 16
 def with_parents(below: Layer, above: Layer, parent: Ints, tries: int) -> tuple[Layer, Ints]:
     """Gives a parent to every node of a layer that has none, if necessary a new one.
 
-    Args:
-        parent: (N,) index of each node's parent in the layer above; -1 for none.
-        tries: how many parents a node tries; the paper's algorithm tries one.
-
-    Returns:
-        The layer above with the new parents after the given nodes, and the parent (N,) of every node below.
+    Each tries so many; the paper's algorithm tries one. Parents (N,) are indices in the layer above, -1 for
+    none. Returns that layer with the new parents after the given nodes, and the parent (N,) of every node.
     """
     parent = parent.copy()
-    codes_below, codes_above = label_codes(below, above)
+    codes_below, codes_above = label_codes(below), label_codes(above)
     room = np.full(len(above), MAX_CHILDREN) - np.bincount(parent[parent >= 0], minlength=len(above))
     made: list[Layer] = []
     count = len(above)
@@ -119,10 +115,9 @@ def with_parents(below: Layer, above: Layer, parent: Ints, tries: int) -> tuple[
     return concatenated_layers([above, *made]), parent
 
 
-def label_codes(below: Layer, above: Layer) -> tuple[Ints, Ints]:
-    """One number per node of each layer, equal for nodes with the same labels."""
-    codes = [2 * layer.semantic.numpy().astype(np.int64) + layer.dynamic.numpy() for layer in (below, above)]
-    return codes[0], codes[1]
+def label_codes(layer: Layer) -> Ints:
+    """(N,) one number per node, equal for nodes with the same labels."""
+    return 2 * layer.semantic.numpy().astype(np.int64) + layer.dynamic.numpy()
 
 
 class _ParentSearch:
@@ -206,10 +201,8 @@ def _made_parents(below: Layer, children: Ints, number: Ints) -> Layer:
 def build_forest(finest: Layer, pixel: float, layers: int) -> list[Layer]:
     """Builds trees over the Gaussians of one trained set, which becomes layer L unchanged (Algorithm 1).
 
-    The layers, coarsest first, do not depend on the order of the set in memory.
-
-    Args:
-        pixel: size in world space of a pixel of the training frames at their mean depth.
+    The layers, coarsest first, do not depend on the order of the set in memory. `pixel` is the size in world
+    space of a pixel of the training frames at their mean depth.
     """
     # The sky is huge, and yet its Gaussians are as small in a frame as others.
     size = finest.gaussians.longest.numpy() / remoteness(finest.gaussians.means).numpy()
@@ -277,7 +270,7 @@ def _kept_parents(below: Layer, above: Layer) -> Ints:
     turn = Rotation.from_quat(quaternions_xyzw(above.gaussians)[of])
     local = turn.inv().apply(offset) if len(known) else offset
     inside = (local / np.exp(rows_of(above.gaussians.log_scales))[of]) ** 2
-    codes_below, codes_above = label_codes(below, above)
+    codes_below, codes_above = label_codes(below), label_codes(above)
     stays = (inside.sum(axis=1) <= 1) & (codes_below[known] == codes_above[of])
     kept = np.full(len(below), NO_PARENT, dtype=np.int64)
     kept[known[stays]] = of[stays]
@@ -303,7 +296,7 @@ def _with_children(below: Layer, above: Layer, parent: Ints) -> tuple[Layer, Int
     """
     parent = parent.copy()
     count = np.bincount(parent, minlength=len(above))
-    codes_below, codes_above = label_codes(below, above)
+    codes_below, codes_above = label_codes(below), label_codes(above)
     childless = np.flatnonzero(count == 0)
     near = Neighbours(means_of(below.gaussians), means_of(above.gaussians)[childless], NEIGHBOURS)
     without = []

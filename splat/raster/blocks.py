@@ -37,11 +37,7 @@ _ROUNDING = 12582912.0  # 1.5 * 2^23: adding it rounds a float to an integer in 
 
 
 class Blocks:
-    """Lanes that own a block of pixels each.
-
-    Args:
-        tile: UInt (M,), tile of each lane.
-        number: UInt (M,), of its block in the tile, row by row.
+    """Lanes that own a block of pixels each: UInts (M,), the tile, and the block's number in it, row by row.
 
     Attributes:
         side, pixels: of a block in pixels, and their number.

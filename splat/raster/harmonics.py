@@ -15,12 +15,7 @@ _LARGEST_PERCEPTUAL = 1.055 * LARGEST_RADIANCE ** (1 / 2.4) - 0.055
 
 
 def perceptual_radiance(sh: list[list[Any]], direction: list[Any]) -> list[Any]:
-    """Perceptual radiance of the three channels, each (N,).
-
-    Args:
-        sh: for each spherical harmonic its three channels, each (N,).
-        direction: x, y, z of the unit vector from the camera to the Gaussian, each (N,).
-    """
+    """Perceptual radiance, three channels (N,), from those of each harmonic, along unit vectors to Gaussians."""
     return [0.5 + channel for channel in sh_sums(sh, sh_basis(len(sh), direction))]
 
 

@@ -55,8 +55,7 @@ class RecordLayout:
         slots: width of each slot in floats, in the order in which they lie in memory.
 
     Attributes:
-        slots: which of a record's floats each slot is.
-        packets: one per load.
+        slots, packets: which of a record's floats each slot is, and what each load brings.
         spare: number of floats that no slot uses.
 
     Raises:

@@ -52,10 +52,8 @@ class Parallax:
     def __init__(self, views: list[TrainingView], nearest: float, farthest: float, distance: float):
         self._factor = max(1, round(float(np.sqrt(views[0].distance.size / _PIXELS))))
         self._views = [reduced(view, self._factor) for view in views]
-        self._colours = [
-            perceptual_from_radiance(torch.from_numpy(v.radiance)).numpy().astype(np.float32)
-            for v in self._views
-        ]
+        images = (torch.from_numpy(view.radiance) for view in self._views)
+        self._colours = [perceptual_from_radiance(image).numpy().astype(np.float32) for image in images]
         self._widths = [view.camera.width for view in views]
         self._positions = np.stack([view.camera.position for view in views])
         self._tried = 1 / np.linspace(1 / farthest, 1 / max(nearest, _LEAST * farthest), _TRIED)

@@ -74,10 +74,8 @@ class LayerTraining:
         all_harmonics: as in `TrainingSettings`.
 
     Attributes:
-        done: steps so far.
-        skipped: those of them that changed nothing, because their loss or its gradient was not finite.
-        stepped: whether the last one changed something.
-        begun: whether the layer has nodes.
+        done, skipped: steps so far, and those that changed nothing: their loss or gradient was not finite.
+        stepped, begun: whether the last one changed something, and whether the layer has nodes.
     """
 
     _tree: Layer

@@ -155,14 +155,12 @@ def _difference(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """(H, W) where patches of two images (H, W, 3) tell whether they are alike, and where they are not.
 
-    Args:
-        seen: (H, W) 1 where both show a surface at the same place, else 0.
-        is_albedo: whether a change of brightness is one of the surface.
+    `seen` (H, W) is 1 where both show a surface at the same place, else 0. Of albedo, a change of brightness
+    is one of the surface.
     """
     squares = [(image * other).sum(axis=-1) for image, other in ((a, a), (b, b), (a, b))]
-    weight, *means = _patch_means(
-        [np.ones_like(seen), *np.moveaxis(a, -1, 0), *np.moveaxis(b, -1, 0), *squares], seen
-    )
+    channels = (*np.moveaxis(a, -1, 0), *np.moveaxis(b, -1, 0))
+    weight, *means = _patch_means([np.ones_like(seen), *channels, *squares], seen)
     mean_a, mean_b = np.stack(means[:3], axis=-1), np.stack(means[3:6], axis=-1)
     variance_a = np.maximum(means[6] - (mean_a**2).sum(axis=-1), 0)
     variance_b = np.maximum(means[7] - (mean_b**2).sum(axis=-1), 0)
