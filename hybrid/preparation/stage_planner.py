@@ -169,10 +169,8 @@ class Planner:
         """Notes that the last stage has done one of PARTS; returns the seconds that it took, in all runs."""
         number = self.number
         before = sum(self.journal[f"{one} seconds {number}"] for one in PARTS[: PARTS.index(part)])
-        return self.journal.once(
-            f"{part} seconds {number}",
-            lambda: self.clock.seconds() - self.journal[f"began {number}"] - before,
-        )
+        taken = lambda: self.clock.seconds() - self.journal[f"began {number}"] - before  # noqa: E731
+        return self.journal.once(f"{part} seconds {number}", taken)
 
     @property
     def is_finished(self) -> bool:
@@ -222,12 +220,10 @@ class Planner:
         finished = [n for n in range(len(self.stages)) if f"training seconds {n}" in self.journal]
         if not finished:
             return AS_EXPECTED
+        stages = (replace(self.stages[n], steps=self.journal[f"steps {n}"]) for n in finished)
         expected = [
-            expected_seconds(replace(self.stages[n], steps=self.journal[f"steps {n}"]), self.stages[:n])
-            for n in finished
+            expected_seconds(stage, self.stages[:n]) for n, stage in zip(finished, stages, strict=True)
         ]
-        frames, training = (
-            sum(self.journal[f"{part} seconds {n}"] for n in finished) for part in ("frame", "training")
-        )
-        of_frames, of_training = (sum(part) for part in zip(*map(astuple, expected), strict=True))
-        return Seconds(frames / of_frames, training / of_training)
+        taken = (sum(self.journal[f"{part} seconds {n}"] for n in finished) for part in (PARTS[0], PARTS[2]))
+        pairs = zip(taken, zip(*map(astuple, expected), strict=True), strict=True)
+        return Seconds(*(seconds / sum(of) for seconds, of in pairs))

@@ -285,20 +285,13 @@ def decoded(tensors: dict[str, torch.Tensor]) -> Layer:
     """
     codes = {name: _codes(tensors, name, *kind) for name, kind in _KINDS.items()}
     boxes = Boxes(**{field.name: codes[_BOXES + field.name] for field in fields(Boxes)})
-    directional = harmonics_of_codes(codes["sh.directional"]).transpose(1, 2, 0)
-    further = Directional(
-        torch.from_numpy(np.flatnonzero(codes["sh.turning"])),
-        torch.from_numpy(np.ascontiguousarray(directional, dtype=np.float32)),
-    )
-    values = (
-        unboxed(boxes),
-        log_scales_of_codes(codes["log_scales"]),
-        rotations_of_codes(codes["rotations.largest"], codes["rotations.others"]),
-        logits_of_codes(codes["opacities"]),
-        constants_of_codes(codes["sh.constant"])[None],
-    )
-    exact = (torch.from_numpy(np.ascontiguousarray(part, dtype=np.float32)) for part in values)
-    gaussians = Gaussians(*exact, directional=further)
+    exact = lambda values: torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))  # noqa: E731
+    directional = exact(harmonics_of_codes(codes["sh.directional"]).transpose(1, 2, 0))
+    further = Directional(torch.from_numpy(np.flatnonzero(codes["sh.turning"])), directional)
+    means, log_scales = unboxed(boxes), log_scales_of_codes(codes["log_scales"])
+    rotations = rotations_of_codes(codes["rotations.largest"], codes["rotations.others"])
+    shown = logits_of_codes(codes["opacities"]), constants_of_codes(codes["sh.constant"])[None]
+    gaussians = Gaussians(*map(exact, (means, log_scales, rotations, *shown)), directional=further)
     parent = np.cumsum(codes["parent"], dtype=np.int32)
     return Layer(gaussians, *map(torch.from_numpy, (parent, codes["semantic"], codes["dynamic"])))
 

@@ -21,7 +21,6 @@ from splat.io.tensors import (
     COMPACT_VERSION,
     FORMAT_VERSION,
     PLACED_VERSION,
-    load_metadata,
     load_tensors,
     packed,
     save_tensors,
@@ -158,7 +157,7 @@ def scene_of_forest(path: Path) -> tuple[str, str]:
     Raises:
         UserError: it is no forest file, or its header is damaged.
     """
-    metadata = load_metadata(path)
+    _, metadata = load_tensors(path, with_tensors=False)
     _require_forest(path, metadata)
     try:
         return claimed_scene(metadata["scene_name"], metadata["scene_hash"])

@@ -53,26 +53,17 @@ def save_tensors(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[st
     write_whole(path, lambda part: part.write_bytes(content))
 
 
-def load_tensors(path: Path, advice: str = "make it again") -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+def load_tensors(
+    path: Path, advice: str = "make it again", with_tensors: bool = True
+) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     """Reads the tensors and the metadata of a file written by `save_tensors`.
+
+    Both are of one and the same file, also if another process replaces it meanwhile. The metadata alone takes
+    no longer for a large file.
 
     Raises:
         UserError: the file is missing, corrupt (`advice` says what to do then) or of another version.
     """
-    return _load(path, advice, with_tensors=True)
-
-
-def load_metadata(path: Path) -> dict[str, Any]:
-    """Reads the metadata alone, which takes no longer for a large file.
-
-    Raises:
-        UserError: the file is missing, its header is damaged, or it is of another version.
-    """
-    return _load(path, "make it again", with_tensors=False)[1]
-
-
-def _load(path: Path, advice: str, with_tensors: bool) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-    """Tensors and metadata of one and the same file, also if another process replaces it meanwhile."""
     for _ in range(_MOST_TRIES):
         before = _version(path)
         try:

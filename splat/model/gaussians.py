@@ -178,6 +178,11 @@ class Gaussians:
             further = none.index_copy(2, self.directional.index, further)
         return replace(self, sh=torch.cat([self.sh, further]), directional=None)
 
+    def replaced(self, index: torch.Tensor, **tensors: torch.Tensor) -> Gaussians:
+        """The same Gaussians, of which those at an index (M,) have other tensors (..., M), given by name."""
+        whole = {name: getattr(self, name).index_copy(-1, index, part) for name, part in tensors.items()}
+        return replace(self, **whole)
+
     def is_finite(self) -> bool:
         """Whether every number is finite."""
         # An infinity is an extreme and NaN becomes both extremes, so that no tensor of flags is needed.
@@ -209,9 +214,7 @@ def written(gaussians: Gaussians, index: torch.Tensor, part: Gaussians) -> Gauss
         sh = torch.cat([gaussians.directional.sh, part.directional.sh], dim=-1)
         order = torch.argsort(which)
         gaussians = replace(gaussians, directional=Directional(which[order], sh[..., order]))
-    pairs = zip(gaussians.tensors(), part.tensors(), strict=True)
-    copied = (own.index_copy(-1, index, other) for (_, own), (_, other) in pairs)
-    return Gaussians(*copied, directional=gaussians.directional)
+    return gaussians.replaced(index, **dict(part.tensors()))
 
 
 def apart(gaussians: Gaussians) -> Gaussians:

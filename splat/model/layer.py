@@ -73,10 +73,8 @@ def without_parents(layer: Layer) -> Layer:
 
 def concatenated_layers(parts: list[Layer]) -> Layer:
     """All nodes of several parts of one layer, in order."""
-    return Layer(
-        concatenated([p.gaussians for p in parts]),
-        *(torch.cat([getattr(p, name) for p in parts]) for name in LABELS),
-    )
+    labels = (torch.cat([getattr(p, name) for p in parts]) for name in LABELS)
+    return Layer(concatenated([p.gaussians for p in parts]), *labels)
 
 
 def check_forest(layers: list[Layer]) -> None:

@@ -30,13 +30,9 @@ class Deformation:
         D-GS adds growths after the exponential, where they can make scales negative; here they are added
         before it.
         """
-        unit = gaussians.rotations / gaussians.rotations.norm(dim=0, keepdim=True)
-        return replace(
-            gaussians,
-            means=gaussians.means + self.shifts,
-            rotations=unit + self.turns,
-            log_scales=gaussians.log_scales + self.growths,
-        )
+        turned = gaussians.rotations / gaussians.rotations.norm(dim=0, keepdim=True) + self.turns
+        moved, grown = gaussians.means + self.shifts, gaussians.log_scales + self.growths
+        return replace(gaussians, means=moved, rotations=turned, log_scales=grown)
 
 
 class Heads(torch.nn.Module):
@@ -197,23 +193,21 @@ class LearnedMotion:
         self.field.load_state_dict({name.split(".", 1)[1]: tensor for name, tensor in tensors.items()})
 
     def shown(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """See `Dynamics`."""
         moving = torch.nonzero(instance >= 0)[:, 0]
         if len(moving) == len(gaussians):
             return self.field(gaussians.means, time).applied(gaussians)
         if not len(moving):
             return gaussians
         deformed = self.field(gaussians.means[:, moving], time).applied(gaussians.select(moving))
-        pairs = ((name, getattr(gaussians, name)) for name in ("means", "rotations", "log_scales"))
-        moved = {name: own.index_copy(1, moving, getattr(deformed, name)) for name, own in pairs}
-        return replace(gaussians, **moved)
+        parts = {name: getattr(deformed, name) for name in ("means", "rotations", "log_scales")}
+        return gaussians.replaced(moving, **parts)
 
     def course(self, gaussians: Gaussians, instance: torch.Tensor) -> Callable[[float], Gaussians]:
-        """See `Dynamics`; a field knows nothing that all times share."""
+        # A field knows nothing that all times share.
         return partial(self.shown, gaussians, instance)
 
     def at_rest(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """See `Dynamics`; as turned and as large as they are shown.
+        """The way back: as turned and as large as they are shown.
 
         Nodes are as far from rest as the nearest anchor of their instance; without anchors, as they would be
         if they were at rest where they are shown (first order).

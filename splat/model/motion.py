@@ -118,7 +118,6 @@ class NodeMotion:
             raise ValueError(f"instances of {self.pieces.tolist()} pieces; there are poses of {count}")
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """All numbers, by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __len__(self) -> int:
@@ -133,17 +132,15 @@ class NodeMotion:
         return Poses(rotations, offsets, self.centres, self.pieces)
 
     def shown(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """See `Dynamics`."""
         return self.course(gaussians, instance)(time)
 
     def course(self, gaussians: Gaussians, instance: torch.Tensor) -> Callable[[float], Gaussians]:
-        """See `Dynamics`."""
         # Which pieces a node follows is told at rest, whatever the time.
         followed = _followed(gaussians, instance, self.at(0.0))
         return lambda time: _posed(gaussians, followed, self.at(time))
 
     def at_rest(self, gaussians: Gaussians, instance: torch.Tensor, time: float) -> Gaussians:
-        """See `Dynamics`; exact for instances of one piece."""
+        """Exact for instances of one piece."""
         return posed(gaussians, instance, self.at(time).inverse())
 
     def placed(self, place: Place) -> NodeMotion:
@@ -175,11 +172,7 @@ def _posed(gaussians: Gaussians, followed: _Followed, poses: Poses) -> Gaussians
         return gaussians
     means, rotations = _blended(poses, pieces, weights, gaussians.means[:, moving])
     orientations = multiplied(rotations, gaussians.rotations[:, moving])
-    return replace(
-        gaussians,
-        means=gaussians.means.index_copy(1, moving, means),
-        rotations=gaussians.rotations.index_copy(1, moving, orientations),
-    )
+    return gaussians.replaced(moving, means=means, rotations=orientations)
 
 
 def _blended(

@@ -15,7 +15,7 @@ _LARGEST_PERCEPTUAL = 1.055 * LARGEST_RADIANCE ** (1 / 2.4) - 0.055
 
 
 def perceptual_radiance(sh: list[list[Any]], direction: list[Any]) -> list[Any]:
-    """Perceptual radiance, three channels (N,), from those of each harmonic, along unit vectors to Gaussians."""
+    """Perceptual radiance, three channels (N,), from those of each harmonic, along unit vectors x, y, z."""
     return [0.5 + channel for channel in sh_sums(sh, sh_basis(len(sh), direction))]
 
 

@@ -172,12 +172,8 @@ def _guessed(view: TrainingView, guess: Callable[[NDArray[np.int64]], Floats]) -
     found = guess((rows[:, None] * width + columns).ravel()).reshape(len(rows), len(columns))
     whole = np.repeat(np.repeat(found, stride, axis=0), stride, axis=1)[:height, :width]
     rays = view.rays(np.arange(height * width)).reshape(height, width, 3)
-    return replace(
-        view,
-        distance=np.where(np.isnan(view.distance), whole, view.distance).astype(np.float32),
-        normal=(-rays).astype(np.float32),
-        guessed=True,
-    )
+    distance = np.where(np.isnan(view.distance), whole, view.distance).astype(np.float32)
+    return replace(view, distance=distance, normal=(-rays).astype(np.float32), guessed=True)
 
 
 def _among_points(

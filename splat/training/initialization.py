@@ -78,11 +78,9 @@ def _covering(seeds: Gaussians) -> Gaussians:
     gap = np.sqrt(np.mean(gaps[:, 1:] ** 2, axis=1))
     log_scales = seeds.log_scales.numpy()
     change = np.log(np.clip(_COVERING * gap / np.exp(log_scales[0]), _NARROWEST, _WIDEST))
-    return replace(
-        seeds,
-        log_scales=torch.from_numpy((log_scales + change).astype(np.float32)),
-        opacity_logits=torch.full_like(seeds.opacity_logits, opacity_logit(_COVERING_OPACITY)),
-    )
+    wide = torch.from_numpy((log_scales + change).astype(np.float32))
+    opaque = torch.full_like(seeds.opacity_logits, opacity_logit(_COVERING_OPACITY))
+    return replace(seeds, log_scales=wide, opacity_logits=opaque)
 
 
 def _sky_around(views: list[TrainingView], degree: int) -> Gaussians:

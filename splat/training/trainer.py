@@ -150,17 +150,12 @@ class Trainer:
         focal = finest_focal(views) / _ABOUT_AS_FINE
         self._pixel = pixel_footprint([view for view in views if view.camera.fy >= focal])
         self._schedule = training_schedule(settings, _ALONE if start is None else _ALONE_AGAIN)
+        steps = np.bincount(self._schedule, minlength=settings.layers).clip(min=1).tolist()
+        images = [at_resolution(views, settings.layers - 1 - index) for index in range(settings.layers)]
+        further = self.motion, self.light, settings.all_harmonics
         self._layers = [
-            LayerTraining(
-                arrays,
-                at_resolution(views, settings.layers - 1 - index),
-                max(1, int(np.count_nonzero(self._schedule == index))),
-                [settings.seed, index],
-                self.motion,
-                self.light,
-                settings.all_harmonics,
-            )
-            for index in range(settings.layers)
+            LayerTraining(arrays, images[index], count, [settings.seed, index], *further)
+            for index, count in enumerate(steps)
         ]
         self.iteration = 0
         self._settling = int(_SETTLED * settings.iterations)
