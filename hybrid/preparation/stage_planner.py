@@ -220,10 +220,12 @@ class Planner:
         finished = [n for n in range(len(self.stages)) if f"training seconds {n}" in self.journal]
         if not finished:
             return AS_EXPECTED
-        stages = (replace(self.stages[n], steps=self.journal[f"steps {n}"]) for n in finished)
-        expected = [
-            expected_seconds(stage, self.stages[:n]) for n, stage in zip(finished, stages, strict=True)
+        done = [
+            (replace(self.stages[n], steps=self.journal[f"steps {n}"]), self.stages[:n]) for n in finished
         ]
-        taken = (sum(self.journal[f"{part} seconds {n}"] for n in finished) for part in (PARTS[0], PARTS[2]))
-        pairs = zip(taken, zip(*map(astuple, expected), strict=True), strict=True)
-        return Seconds(*(seconds / sum(of) for seconds, of in pairs))
+        expected = (astuple(expected_seconds(*one)) for one in done)
+        of_frames, of_training = (sum(part) for part in zip(*expected, strict=True))
+        frames, training = (
+            sum(self.journal[f"{part} seconds {n}"] for n in finished) for part in ("frame", "training")
+        )
+        return Seconds(frames / of_frames, training / of_training)
