@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -98,7 +99,8 @@ def restore_checkpoint(trainer: Trainer, path: Path, frames: Frames) -> None:
 _CHECKPOINT_SECONDS = 30.0
 
 
-class LeftOut(NamedTuple):
+@dataclass(frozen=True)
+class LeftOut:
     """How many frames and optimizer steps a training did not learn from, because they were not finite."""
 
     frames: int
@@ -107,7 +109,7 @@ class LeftOut(NamedTuple):
 
 def say_left_out(left_out: LeftOut) -> None:
     """Says in one line what a training did not learn from; nothing if it learnt from all."""
-    if any(left_out):
+    if left_out.frames or left_out.steps:
         _LOG.warning(
             f"Left out of the training: {left_out.frames} frames with numbers that are not finite, and "
             f"{left_out.steps} steps whose gradient was not."

@@ -94,8 +94,9 @@ def load_forest(path: str | Path) -> Forest:
         nodes = decoded(tensors) if is_packed else _exact(tensors)
         counts, focal = _counts(metadata["layers"]), float(metadata["trained_focal"])
         scene = claimed_scene(metadata["scene_name"], metadata["scene_hash"])
-        further = _place(metadata), _motion(tensors), _light(tensors)
-        forest = Forest(nodes, counts, focal, *scene, under(_ATTACHED, tensors), *further)
+        attached, place = under(_ATTACHED, tensors), _place(metadata)
+        motion, light = _motion(tensors), _light(tensors)
+        forest = Forest(nodes, counts, focal, *scene, attached, place, motion, light)
         check_forest(forest.layers)
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path}: damaged forest file ({one_line(error)}); train it again") from error

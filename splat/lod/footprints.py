@@ -89,7 +89,7 @@ class LayerChanges:
 
 
 # One float is spare.
-_FOOTPRINT = RecordLayout((8, 4), **{field.name: 1 for field in fields(Footprints)})
+_FOOTPRINT = RecordLayout((8, 4), (), **{field.name: 1 for field in fields(Footprints)})
 # Floats per load of a node's parameters.
 _NODE_LOAD = 8
 

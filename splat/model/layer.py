@@ -62,8 +62,8 @@ class Layer:
 def static_layer(gaussians: Gaussians) -> Layer:
     """Gaussians without parents, all of them static background."""
     n = len(gaussians)
-    labels = (torch.full((n,), none, dtype=torch.int32) for none in (NO_PARENT, BACKGROUND))
-    return Layer(gaussians, *labels, torch.zeros(n, dtype=torch.bool))
+    parent, semantic = (torch.full((n,), none, dtype=torch.int32) for none in (NO_PARENT, BACKGROUND))
+    return Layer(gaussians, parent, semantic, torch.zeros(n, dtype=torch.bool))
 
 
 def without_parents(layer: Layer) -> Layer:

@@ -83,8 +83,8 @@ def discs(
     sh = torch.zeros(sh_count(degree), 3, len(means))
     sh[0] = (colour - 0.5) / SH_DC
     parts = means, log_scales, rotation_to(normals)
-    rows = (torch.from_numpy(np.ascontiguousarray(part.T, dtype=np.float32)) for part in parts)
-    return Gaussians(*rows, torch.full((len(means),), opacity_logit(opacity)), sh)
+    rows = [torch.from_numpy(np.ascontiguousarray(part.T, dtype=np.float32)) for part in parts]
+    return Gaussians(*[*rows, torch.full((len(means),), opacity_logit(opacity)), sh])
 
 
 def opacity_logit(opacity: float) -> float:

@@ -118,8 +118,8 @@ def placed(view: TrainingView, place: Place) -> TrainingView:
     if far.any():
         rays = view.camera.rays(view.camera.pixel_centres()).reshape(normal.shape)
         normal = np.where(far[..., None], -rays, normal).astype(normal.dtype)
-    camera, distance = place.camera(view.camera), np.where(far, SKY_DISTANCE, distance).astype(np.float32)
-    return replace(view, camera=camera, distance=distance, normal=normal, sky=SKY_DISTANCE)
+    camera, shown = place.camera(view.camera), np.where(far, SKY_DISTANCE, distance).astype(np.float32)
+    return replace(view, camera=camera, distance=shown, normal=normal, sky=SKY_DISTANCE)
 
 
 def pixel_footprint(views: list[TrainingView]) -> float:
@@ -154,7 +154,11 @@ def reduced(view: TrainingView, factor: int) -> TrainingView:
     radiance = radiance.reshape(height, factor, width, factor, 3).mean(axis=(1, 3))
     # A mean of distances would lie between a table's edge and the floor; the middle one lies on one of them.
     middle = np.s_[factor // 2 : height * factor : factor, factor // 2 : width * factor : factor]
-    images = {"distance": view.distance, "normal": view.normal, "instance": view.instance}
-    taken = {name: image if image is None else image[middle].copy() for name, image in images.items()}
-    camera = replace(camera, width=width, height=height, **intrinsics)
-    return replace(view, camera=camera, radiance=np.ascontiguousarray(radiance), **taken)
+    return replace(
+        view,
+        camera=replace(camera, width=width, height=height, **intrinsics),
+        radiance=np.ascontiguousarray(radiance),
+        distance=np.ascontiguousarray(view.distance[middle]),
+        normal=np.ascontiguousarray(view.normal[middle]),
+        instance=None if view.instance is None else np.ascontiguousarray(view.instance[middle]),
+    )
