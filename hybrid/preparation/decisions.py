@@ -188,10 +188,8 @@ def sample_decisions(look: Look) -> list[Decision]:
     frame denoised from both as in pathtrace.dataset.frame_error. Squared noise falls with the samples, which
     tells how many raw frames take to be as close to the truth.
     """
-    apart = [
-        srgb_from_radiance(one.radiance) - srgb_from_radiance(other.radiance) for one, other in look.halves
-    ]
-    raw = float(np.mean(np.square(apart))) / 2
+    pairs = [[srgb_from_radiance(half.radiance) for half in halves] for halves in look.halves]
+    raw = float(np.mean(np.square([one - other for one, other in pairs]))) / 2
     frames = zip(look.halves, look.denoised, strict=True)
     denoised = mean_frame_error([frame_error(*halves, denoised) for halves, denoised in frames]).mse
     gain = max(raw / 2, _LEAST_ERROR) / max(denoised, _LEAST_ERROR)

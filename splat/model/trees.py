@@ -144,7 +144,11 @@ class _ParentSearch:
         for child in range(len(self._children)):
             chosen = next((parent for parent in self._nearest(child) if self._room[parent] > 0), None)
             if chosen is None:
-                chosen = self._make(child)
+                chosen = self._given + self._count
+                self._made_for[child] = self._count
+                self._made[self._count] = self._children[child]
+                self._count += 1
+                self._room.append(MAX_CHILDREN)
             self._room[chosen] -= 1
             result[child] = chosen
         return result
@@ -171,13 +175,6 @@ class _ParentSearch:
             candidates += [(float(distances[k]), self._given + int(k)) for k in nearest]
             candidates.sort()
         return [parent for _, parent in candidates[:tries]]
-
-    def _make(self, child: int) -> int:
-        self._made_for[child] = self._count
-        self._made[self._count] = self._children[child]
-        self._count += 1
-        self._room.append(MAX_CHILDREN)
-        return self._given + self._count - 1
 
 
 def _made_parents(below: Layer, children: Ints, number: Ints) -> Layer:
