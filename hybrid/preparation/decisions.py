@@ -219,6 +219,6 @@ REGION = "region"
 
 
 def region_decision(region: str, look: Look, breadth: float) -> Decision:
-    """Where viewers are, as was asked for; frames and Gaussians follow from its `breadth` (`breadth_of`)."""
+    """Where viewers are, in a region of some breadth (`breadth_of`); frames and Gaussians follow from it."""
     evidence = {"parallax": look.parallax, "is_one_point": look.is_one_point, "breadth": breadth}
     return Decision(REGION, region, NEAR, evidence, 1 / breadth, "views to train on")

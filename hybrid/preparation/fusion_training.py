@@ -111,7 +111,8 @@ def _examples(frames: Frames, forest: Forest, rng: np.random.Generator) -> Itera
         for spp, file in entry.estimates.items():
             found = read_estimate(file, entry.size)
             count = np.full((*found.radiance.shape[:2], 1), spp, dtype=np.float32)
-            if _is_finite(*(images := (found.radiance, found.albedo, found.normal))):
+            images = found.radiance, found.albedo, found.normal
+            if _is_finite(*images):
                 traced.append(_Estimate(*images, count))
         if len(traced) > 1:
             traced += [_mixed(traced, rng) for _ in range(_MIXED)]

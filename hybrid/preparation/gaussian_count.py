@@ -55,7 +55,7 @@ def gaussians_decision(look: Look, breadth: float) -> Decision:
 def planned_needs(plan: Mapping[str, Value], region: str, breadth: float) -> Needs:
     """What a region takes, as planned for it or for the default one; as `room` does if neither is planned.
 
-    A plan has values by name, and may be empty; a region is as it was asked for, its breadth of `breadth_of`.
+    The plan, values by name, may be empty; `region` is as it was asked for, `breadth` that of `breadth_of`.
     """
     if GAUSSIANS not in plan or plan[REGION] not in (region, NEAR):
         return Needs(breadth)

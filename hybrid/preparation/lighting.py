@@ -48,7 +48,7 @@ _LIFT = 0.01
 def light_over_time(
     scene: Scene, cache: IrradianceCache, frames: FrameSet, gaussians: int, seed: int, bars: Bars
 ) -> SurfaceLight | None:
-    """Light at points that the training frames of a scene that moves show; None if they show no surface.
+    """Light at points that the training frames of a moving scene show; None if they show no surface.
 
     The scene shows its last time afterwards. `cache` is of its irradiance at time 0; the number of points
     follows that of the Gaussians in the finest layer.

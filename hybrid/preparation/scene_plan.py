@@ -135,7 +135,7 @@ def _light_decision(scene: Scene) -> Decision:
 
 
 def require_plan(values: Mapping[str, Any], scene: Scene, source: object) -> None:
-    """Checks that what a plan from some source decides does not contradict the scene that it is used with.
+    """Checks that a plan's values do not contradict the scene it is used with; the message names its source.
 
     Raises:
         UserError: something moves in a scene planned as still, or the other way round.
@@ -156,7 +156,7 @@ def scene_as_stored(
     thin_glass: bool = False,
     motion: Path | None = None,
 ) -> Scene:
-    """Loads a scene, as `load_scene` does, as its stored plan has it, if any; a depth that is given stays.
+    """Loads a scene like `load_scene`, and as its stored plan has it if there is one; a given depth stays.
 
     Raises:
         UserError: as in `load_scene`, or the stored plan contradicts the scene.

@@ -66,7 +66,7 @@ def next_stage(before: Sequence[Stage], needs: Needs, pace: Seconds, left: float
     """The stage to do next; None if there is no time for one.
 
     It is stretched over the time that would be left without use: a stage that has too little time is worse
-    than none, since each begins with large steps again. `left` are seconds, None if they do not matter.
+    than none, since each begins with large steps again. `left` is in seconds; None if time does not matter.
     """
     stage = planned_stage(len(before), needs)
     if left is None or not before:

@@ -80,7 +80,7 @@ def constants_of_codes(codes: Codes) -> Floats:
 def codes_of_harmonics(coefficients: Floats) -> Codes:
     """Codes, int16, of spherical harmonics that depend on direction.
 
-    0, -1, 1, -2, ... steps are 0, 1, 2, 3, ...: small ones of both signs then have the same upper byte, 0.
+    Steps 0, -1, 1, -2, ... become 0, 1, 2, 3, ...: small ones of both signs then have the same upper byte, 0.
     """
     # There are fewer than 2^15 steps of each sign.
     most = np.floor(_companded(np.array(_LARGEST)) * _PER_COLOUR)

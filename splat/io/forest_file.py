@@ -63,7 +63,8 @@ def save_forest(path: str | Path, forest: Forest) -> None:
         metadata |= {"format_version": PLACED_VERSION, **place}
     groups = {_ATTACHED: forest.attached}
     for prefix, part in ((_MOTION, forest.motion), (_LIGHT, forest.light)):
-        groups |= {} if part is None else {prefix: part.tensors()}
+        if part is not None:
+            groups[prefix] = part.tensors()
     tensors = {prefix + name: t for prefix, group in groups.items() for name, t in group.items()}
     codes = exactly_encoded(forest)
     if codes is not None:
@@ -89,8 +90,8 @@ def load_forest(path: str | Path) -> Forest:
     tensors, metadata = load_tensors(path, "train it again")
     _require_forest(path, metadata)
     try:
-        if is_packed := _PACKED in metadata:
-            tensors = unpacked(tensors, metadata[_PACKED])
+        is_packed = _PACKED in metadata
+        tensors = unpacked(tensors, metadata[_PACKED]) if is_packed else tensors
         nodes = decoded(tensors) if is_packed else _exact(tensors)
         counts, focal = _counts(metadata["layers"]), float(metadata["trained_focal"])
         scene = claimed_scene(metadata["scene_name"], metadata["scene_hash"])

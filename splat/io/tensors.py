@@ -58,8 +58,8 @@ def load_tensors(
 ) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     """Reads the tensors and the metadata of a file written by `save_tensors`.
 
-    Both are of one and the same file, also if another process replaces it meanwhile. The metadata alone takes
-    no longer for a large file.
+    Both are of one and the same file, also if another process replaces it meanwhile. Without its tensors, a
+    large file takes no longer than a small one.
 
     Raises:
         UserError: the file is missing, corrupt (`advice` says what to do then) or of another version.

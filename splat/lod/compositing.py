@@ -34,9 +34,10 @@ def composite(
     camera: Camera,
     frame: SplatImage | None = None,
 ) -> SplatImage:
-    """The frame, black in cells in which no entry, of one or more, has a weight; in others, weights sum to 1.
+    """The frame, black in cells in which no entry has a weight; in all others, the weights must sum to 1.
 
-    `frame`, which is changed, is the rasterizer's: black cells keep what it shows. A new one by default.
+    There is at least one entry. Instead of being black, cells keep what they show in the rasterizer's
+    `frame`, if that is given; it is changed.
     """
     Float, grid = arrays.plain.Float, TileGrid(camera.width, camera.height)
     covered = np.stack([entry.cells.ravel() for entry in entries])

@@ -227,7 +227,7 @@ class CachedLayerImages:
     def composite(self, weights: Sequence[Lattice], wanted: NDArray[np.bool_]) -> SplatImage:
         """The wanted cells (rows, columns) of TILE pixels of the frame.
 
-        Weights (rows + 1, columns + 1), of each image, at the corners of cells, sum to 1 in wanted ones.
+        The weights of the images, (rows + 1, columns + 1) at the corners of cells, sum to 1 in wanted cells.
         """
         entries = [
             replace(entry, image=replace(entry.image, weight=weight), cells=cells)

@@ -220,9 +220,10 @@ class SurfaceLight:
         return nearest, away <= _REACH * self._around[0][nearest]
 
     def near(self, means: torch.Tensor, instance: torch.Tensor) -> torch.Tensor:
-        """(2, N) int64 points that light nodes, at centres (3, N) at rest, of instances (N,): front and back.
+        """(2, N) int64 points that nodes have their light from, seen from in front and from behind.
 
-        -1 for nodes whose light does not change; the same point twice for what has one side only.
+        -1 for nodes whose light does not change; the same point twice for what has one side only. The nodes'
+        centres (3, N) are those at rest.
         """
         nearest, within = self._nearest(means, instance)
         front = torch.from_numpy(nearest)

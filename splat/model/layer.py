@@ -55,7 +55,7 @@ class Layer:
         return Layer(self.gaussians.part(start, end), *(tensor[start:end] for _, tensor in self.labels()))
 
     def under(self, parent: NDArray[np.integer]) -> Layer:
-        """The same nodes with other parents (N,)."""
+        """The same nodes under other parents (N,), indices in the layer above."""
         return replace(self, parent=torch.from_numpy(parent.astype(np.int32)))
 
 

@@ -90,8 +90,8 @@ NEIGHBOURS = 16
 def with_parents(below: Layer, above: Layer, parent: Ints, tries: int) -> tuple[Layer, Ints]:
     """Gives a parent to every node of a layer that has none, if necessary a new one.
 
-    Each tries so many; the paper's algorithm tries one. Parents (N,) are indices in the layer above, -1 for
-    none. Returns that layer with the new parents after the given nodes, and the parent (N,) of every node.
+    A node tries so many; the paper's algorithm tries one. Parents (N,) are indices in the layer above, -1 for
+    none. Returns that layer, the new parents after the given nodes, and the parent (N,) of every node below.
     """
     parent = parent.copy()
     codes_below, codes_above = label_codes(below), label_codes(above)

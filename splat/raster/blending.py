@@ -43,7 +43,7 @@ def rasterize(
     images: list[Any] | None = None,
     heights: Sequence[int] | None = None,
 ) -> list[Any]:
-    """Renders linear radiance and opacity of the wanted tiles of splats without derivatives; others are 0.
+    """Renders linear radiance and opacity of the wanted tiles, from splats without derivatives; others are 0.
 
     Args:
         images: what the tiles are drawn into, flat Floats: padded height x padded width x 4, rows from the

@@ -53,9 +53,11 @@ def seed_from_views(
     shares[: count % len(views)] += 1
     size = spacing * _COVERING
     seeded = lambda view, pixels: seed_at(view, pixels, size, degree, motion, light)  # noqa: E731
-    some = lambda total, share: rng.choice(total, min(int(share), total), replace=False)  # noqa: E731
-    pairs = zip(views, shares, strict=True)
-    seeds = concatenated_layers([seeded(view, some(view.distance.size, share)) for view, share in pairs])
+    parts = []
+    for view, share in zip(views, shares, strict=True):
+        total = view.distance.size
+        parts.append(seeded(view, rng.choice(total, min(int(share), total), replace=False)))
+    seeds = concatenated_layers(parts)
     seeds = replace(seeds, gaussians=_covering(seeds.gaussians))
     seeds = concatenated_layers([seeds, static_layer(_sky_around(views, degree))])
     if len(seeds):

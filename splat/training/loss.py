@@ -188,7 +188,7 @@ atexit.register(_recorded.cache_clear)
 
 
 class _Similarity:
-    """An image compared with a frame, with zero (3,) per channel.
+    """An image compared with a frame, both counted from a `zero` (3,) of each channel.
 
     `shares` are what each number's distance adds to the loss, and each window's similarity.
     """

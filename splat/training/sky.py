@@ -75,7 +75,7 @@ def whole_sky(sky: Floats, radiance: NDArray[np.float32], surface: Floats, degre
 def discs(
     means: Floats, log_scales: Floats, normals: Floats, colour: torch.Tensor, opacity: float, degree: int
 ) -> Gaussians:
-    """N Gaussians that look alike from everywhere and are flat across their normals, along the third axis.
+    """N Gaussians that look alike from everywhere and are flat: their third axis lies along the normal.
 
     Means, log-scales and normals are (N, 3), the colour is perceptual radiance (3, N); of the spherical
     harmonics, only the constant one is set.

@@ -229,7 +229,8 @@ class Trainer:
         """Everything that the next step depends on: tensors, and numbers."""
         parts, numbers = zip(*(training.state() for training in self._layers), strict=True)
         groups = {f"{index}.": part for index, part in enumerate(parts)}
-        groups |= {} if self._field is None else {_FIELD: self._field.state()}
+        if self._field is not None:
+            groups[_FIELD] = self._field.state()
         tensors = {prefix + name: tensor for prefix, part in groups.items() for name, tensor in part.items()}
         run = {"settings": asdict(self.settings), "origin": list(self.place.origin), "unit": self.place.unit}
         return tensors, {"iteration": self.iteration, **run, "layers": list(numbers)}

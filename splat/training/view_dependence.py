@@ -30,8 +30,8 @@ def turning_of(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """How those M Gaussians turn that have harmonics above the constant one; 0 of what no view shows.
 
-    (3, M) what these harmonics add, mean over views, by what each view shows; and (M,) the root of its
-    variance over views, of the channel that varies most. `shown` gives the Gaussians as they are at a time.
+    Returns (3, M) what these harmonics add, mean over views, by what each view shows; and (M,) the root of
+    its variance over views, of the channel that varies most. `shown` gives the Gaussians as at some time.
     """
     further = gaussians.directional
     assert further is not None
