@@ -16,25 +16,19 @@ _LARGEST_PERCEPTUAL = srgb_power(LARGEST_RADIANCE)
 
 
 def perceptual_radiance(sh: list[list[Any]], direction: list[Any]) -> list[Any]:
-    """Perceptual radiance of the three channels, each (N,).
+    """Perceptual radiance, three channels (N,), from those of each harmonic, along unit vectors x, y, z."""
+    return [0.5 + channel for channel in sh_sums(sh, sh_basis(len(sh), direction))]
 
-    Args:
-        sh: for each spherical harmonic its three channels, each (N,).
-        direction: x, y, z of the unit vector from the camera to the Gaussian, each (N,).
-    """
-    basis = sh_basis(len(sh), direction)
-    return [
-        0.5 + sum(coefficient[c] * value for coefficient, value in zip(sh, basis, strict=True))
-        for c in range(3)
-    ]
+
+def sh_sums(sh: list[list[Any]], basis: list[Any]) -> list[Any]:
+    """Sums of coefficients, three channels each, times their harmonics: three channels."""
+    return [sum(row[c] * value for row, value in zip(sh, basis, strict=True)) for c in range(3)]
 
 
 def sh_basis(count: int, direction: list[Any]) -> list[Any]:
-    """The first `count` real spherical harmonics, with the signs of 3D Gaussian splatting's files.
+    """The first 1, 4, 9 or 16 real spherical harmonics, with the signs of 3D Gaussian splatting's files.
 
-    Args:
-        count: 1, 4, 9 or 16.
-        direction: x, y, z of unit vectors, numbers of any kind.
+    The direction is x, y, z of unit vectors, numbers of any kind.
     """
     x, y, z = direction
     basis: list[Any] = [SH_DC]

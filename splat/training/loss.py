@@ -79,13 +79,10 @@ def blur(
     """Applies the window along one axis to several maps at once.
 
     Args:
-        axis: where.
         sizes: those of the axis; recorded functions take them as arguments.
         load: the maps' numbers at an index into an image of `before` pixels per line, under a mask.
-        finish: what is stored at an index into the result, from the maps' blurred numbers there.
-
-    Returns:
-        What `finish` gave, each flat, `after` pixels per line.
+        finish: what is stored at an index into the results, flat with `after` pixels per line, from the maps'
+            blurred numbers there.
     """
     Float, UInt, Int = arrays.plain.Float, arrays.plain.UInt, arrays.plain.Int
     lane = dr.arange(UInt, axis.runs * axis.lines * CHANNELS)
@@ -136,9 +133,7 @@ class FrameTarget:
     What depends on the frame alone is computed again each time: kept, it would take three times the memory of
     the frame, of every frame of a training, and save a fiftieth of a step.
 
-    Args:
-        arrays: the backend's array types, on whose device the loss is computed.
-        radiance: (H, W, 3) linear, float32 or float16, both sides at least 11 pixels; kept, not copied.
+    The radiance, (H, W, 3) linear, float32 or float16, both sides at least 11 pixels, is kept, not copied.
     """
 
     def __init__(self, arrays: Arrays, radiance: torch.Tensor):
@@ -192,11 +187,9 @@ atexit.register(_recorded.cache_clear)
 
 
 class _Similarity:
-    """An image compared with a frame.
+    """An image compared with a frame, both counted from a `zero` (3,) of each channel.
 
-    Args:
-        zero: (3,) where zero is, per channel.
-        shares: what each number's distance adds to the loss, and each window's similarity.
+    `shares` are what each number's distance adds to the loss, and each window's similarity.
     """
 
     def __init__(
