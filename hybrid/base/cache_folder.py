@@ -28,10 +28,9 @@ def home() -> Path:
 
 
 def scene_folder(name: str, digest: str) -> Path:
-    """Folder of everything made for one version of a scene, which has that name and hash.
+    """Folder of everything made for one version of a scene.
 
-    Raises:
-        UserError: name or hash cannot be those of a scene: they become the name of a folder.
+    UserError if name or hash cannot be those of a scene: they become the name of a folder.
     """
     try:
         name, digest = claimed_scene(name, digest)
@@ -43,8 +42,7 @@ def scene_folder(name: str, digest: str) -> Path:
 def store_forest(forest: Forest, name: str) -> None:
     """Stores a copy of a forest in the cache, as NAME.safetensors, the newest one of its scene.
 
-    Raises:
-        UserError: the cache folder cannot be written, or the forest names no scene.
+    UserError if the cache folder cannot be written, or if the forest names no scene.
     """
     # The digits of a complete SHA-256.
     if len(forest.scene_hash) != 64:
@@ -59,7 +57,7 @@ def newest_forest(scene: Scene) -> Path | None:
 
 
 def newest_forest_of(name: str, digest: str) -> Path | None:
-    """File of the forest that was stored last for a scene with that name and hash; None if none was stored.
+    """File of the forest that was stored last for a scene with that name and hash; None if there is none.
 
     Files whose header is damaged or names another scene are skipped: the folder's name has only the first
     digits of the hash.
@@ -81,11 +79,7 @@ def _is_of(path: Path, name: str, digest: str) -> bool:
 
 
 def keep_receipt(frames: FrameSet) -> None:
-    """Notes that a frame set was captured here, as its files are now.
-
-    Raises:
-        UserError: the cache folder cannot be written.
-    """
+    """Notes that a frame set was captured here, as its files are now; UserError if it cannot be noted."""
     text = f"{frames.folder.resolve()}\n"
     write_whole(_receipt(frames), lambda part: part.write_text(text))
 

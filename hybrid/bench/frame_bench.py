@@ -18,6 +18,7 @@ from compose.base.errors import MOST_SEED
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import FoveaMode
 from hybrid.base.compute_device import device_arrays
+from hybrid.base.progress import Steps
 from hybrid.measure.frame_times import gaze_path, percentiles
 from hybrid.render.frame_renderer import LiveRenderer, Renderer
 from hybrid.render.frame_settings import FrameSettings
@@ -35,7 +36,7 @@ _TO_HOST = ("numpy", "to_numpy", "__array__")
 
 
 class HostBytes:
-    """Counts the bytes that pass through the host while the context is open.
+    """Counts the bytes that pass through the host while the context is open, and those of the largest array.
 
     Counted are, whoever causes them:
 
@@ -47,14 +48,7 @@ class HostBytes:
 
     Not counted are views, such as the NumPy arrays of Dr.Jit's on the CPU; single numbers (`array[0]`);
     uploads of memory that was allocated before, or by torch; and memory of torch, Dr.Jit, Mitsuba and OIDN on
-    the CPU.
-
-    Args:
-        remote: the backend whose arrays lie out of the host's reach.
-
-    Attributes:
-        count: bytes so far.
-        largest: bytes of the largest array so far.
+    the CPU. Arrays of the remote backend lie out of the host's reach.
     """
 
     def __init__(self, remote: Any = dr.JitBackend.CUDA):
@@ -121,8 +115,7 @@ class _Allocator:
     Attributes:
         allocated: bytes since the process began, while it was in use.
         largest: bytes of the largest piece of memory since this was last set to 0.
-        handler: this allocator, for `use`.
-        use: makes NumPy allocate through a handler on this thread; returns the one before.
+        use: makes NumPy allocate through a handler, such as its own, on this thread; returns the one before.
     """
 
     _NAME = b"mem_handler"
@@ -194,17 +187,13 @@ def bench_frame(
     repeats: int,
     warm_up: int,
     seed: int,
-    progress: Callable[[int, int], None],
+    progress: Steps,
 ) -> list[dict[str, Any]]:
     """One row per size, fovea mode and renderer; all take turns, the gaze moving and the camera still.
 
-    Args:
-        settings: of the frames, apart from gaze, mode and size.
-        sizes: width and height of the frames, in pixels.
-        repeats: timed frames per row; a few more are profiled afterwards.
-        warm_up: frames before these, not measured.
-        seed: of the first frame; each frame has the next one.
-        progress: called with rounds done and rounds in total.
+    The settings are those of the frames, apart from gaze, mode and size. Warm-up frames come before the
+    `repeats` timed ones, of which each row has a few more afterwards that are profiled. Each frame has the
+    next seed.
 
     Returns:
         Rows with mode; live, whether by the renderer of the window or that of single frames; width, height;

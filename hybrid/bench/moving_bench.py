@@ -19,6 +19,7 @@ from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from compose.image.colour import Image, luminance, srgb_from_radiance
 from hybrid.base.identity import require_scene
+from hybrid.base.progress import Steps
 from hybrid.bench.last_frame import LastFrameRenderer
 from hybrid.evaluation.baselines import enlarged
 from hybrid.evaluation.equal_cost import at_equal_time
@@ -69,16 +70,13 @@ def bench_moving(
     forest: Forest,
     settings: FrameSettings,
     reference_spp: int,
-    progress: Callable[[int, int], None],
+    progress: Steps,
     against: Mapping[str, Forest] | None = None,
 ) -> list[dict[str, Any]]:
     """One row per method and region of a scene that plays, with the gaze on what moves most visibly.
 
-    Args:
-        settings: of the frames, apart from gaze and time; with its camera.
-        reference_spp: samples per pixel of the references.
-        progress: called with clips done and clips in total.
-        against: further forests of the scene by their names, drawn as splats alone.
+    The settings are those of the frames, with their camera, apart from gaze and time. References have
+    `reference_spp` samples per pixel. The forests in `against`, by their names, are drawn as splats alone.
 
     Returns:
         Rows of `method`, `region`, `psnr` of the pixels of all clips together, `pixels`, `ms` per frame
@@ -189,11 +187,7 @@ class _Found:
 
 
 class _Methods:
-    """Methods that show a clip.
-
-    Args:
-        forests: of the renderer's scene, drawn as splats alone, by their names; its own one as SPLATS.
-    """
+    """Methods that show a clip; the forests are drawn as splats alone, the scene's own one as SPLATS."""
 
     def __init__(self, renderer: LiveRenderer, forests: Mapping[str, Forest], settings: FrameSettings):
         self._renderer, self._settings = renderer, settings

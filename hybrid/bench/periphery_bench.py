@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +15,7 @@ from compose.eye.acuity import ACUITY_MODELS
 from compose.eye.display import Display
 from compose.eye.gaze import Gaze
 from hybrid.base.compute_device import device_arrays
+from hybrid.base.progress import Steps
 from hybrid.measure.frame_times import percentiles
 from hybrid.measure.image_metrics import ssim
 from hybrid.measure.perceptual_metrics import jod
@@ -44,19 +45,14 @@ def bench_periphery(
     settings: FrameSettings,
     repeats: int,
     warm_up: int,
-    progress: Callable[[int, int], None],
+    progress: Steps,
 ) -> list[dict[str, Any]]:
     """One row per gaze and acuity model, whose passes are interleaved with those at full level and rate.
 
     A pass is everything from the gaze to the composited image of what lies outside fov-b. Footprints depend
     on the camera alone and are kept while it stands still; saliency is kept as in the window, where a moving
-    camera has that of an earlier view which showed nearly the same.
-
-    Args:
-        settings: fov_b and display.
-        repeats: measured passes per acuity model and gaze.
-        warm_up: passes before that, which are not measured.
-        progress: called with rounds done and rounds in total.
+    camera has that of an earlier view which showed nearly the same. Of the settings, fov_b and display
+    matter.
 
     Returns:
         Rows with percentiles of periphery_ms and full_ms, with a still camera, and of moving_ms and

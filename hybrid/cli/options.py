@@ -170,9 +170,7 @@ def user_errors() -> Iterator[None]:
 def option_names(*settings: str, **options: str) -> Iterator[None]:
     """Names options in place of settings in front of the colon of a UserError.
 
-    Args:
-        settings: those whose options have the same name.
-        options: names of other options, by setting.
+    Settings have options of the same name; others are given by setting.
     """
     try:
         yield

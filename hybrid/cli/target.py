@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 class TradeTarget:
     """The milliseconds that a frame may take and the JOD that it must reach; None for any.
 
-    Attributes:
-        command: measures the settings to choose from.
+    The command measures the settings to choose from.
     """
 
     milliseconds: float | None
@@ -42,8 +41,7 @@ class TradeTarget:
     def applied(self, scene: Scene, forest: Forest, settings: FrameSettings) -> FrameSettings:
         """The settings that meet the target, or the given ones if there is none.
 
-        Raises:
-            UserError: nothing was measured, or nothing measured meets the target.
+        UserError if nothing was measured, or nothing measured meets the target.
         """
         if not self.is_set:
             return settings

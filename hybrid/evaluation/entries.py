@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,6 +15,7 @@ from compose.camera.camera import View
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import FoveaMode
 from hybrid.base.journal import Journal
+from hybrid.base.progress import Steps
 from hybrid.evaluation.baselines import Tuning, families
 from hybrid.evaluation.equal_cost import TOLERANCE, at_equal_time
 from hybrid.evaluation.evaluation_settings import EvaluationSettings
@@ -60,11 +61,7 @@ _ENOUGH_FOR = {50: 1, 95: 20, 99: 100}
 
 @dataclass(frozen=True)
 class Entry:
-    """A method at one budget: EQUAL_RAYS, EQUAL_TIME or FIXED.
-
-    Attributes:
-        briefly: whether a few frames are enough to time it.
-    """
+    """A method at one budget: EQUAL_RAYS, EQUAL_TIME or FIXED; `briefly` if few frames suffice to time it."""
 
     name: str
     budget: str
@@ -107,13 +104,13 @@ def baseline_entries(
     views: Sequence[View],
     gaze: Gaze,
     costs: Journal,
-    progress: Callable[[int, int], None],
+    progress: Steps,
 ) -> list[Entry]:
     """Path-traced baselines with the rays of our entry in the first view, and with its time.
 
     A baseline that takes more rays even at its cheapest is included as FIXED, with more than ours. One whose
     settings meet both budgets is included twice. `costs` stores the rays of equal time, so that later
-    evaluations compare the same frames; `progress` is called with baselines done and in total.
+    evaluations compare the same frames.
     """
     rays = ours.method.rays(views[0].camera, gaze)
     known = families(tracer, tuning)
@@ -131,11 +128,9 @@ def baseline_entries(
 
 @dataclass(frozen=True)
 class EvaluatedView:
-    """One of the evaluated views, numbered from 0. An entry of None stands for its reference.
+    """One of the evaluated views, numbered from 0, with the frame's regions by name and a folder for images.
 
-    Attributes:
-        regions: of the frame, by name.
-        folder: for images.
+    An entry of None stands for its reference.
     """
 
     number: int
@@ -180,12 +175,11 @@ def evaluated_views(
 
 
 def quality_rows(
-    entries: list[Entry], views: list[EvaluatedView], journal: Journal, progress: Callable[[int, int], None]
+    entries: list[Entry], views: list[EvaluatedView], journal: Journal, progress: Steps
 ) -> list[dict[str, Any]]:
     """Rows of view, method, budget, region, metric and value, of references as well; writes the images.
 
-    Images whose rows the journal holds are not rendered again. `progress` is called with images scored and
-    images in total.
+    Images whose rows the journal holds are not rendered again.
     """
     wanted = [(view, entry) for view in views for entry in (None, *entries)]
     missing = [(view, entry) for view, entry in wanted if view.title(entry) not in journal]
@@ -249,7 +243,7 @@ def time_rows(
     gaze: Gaze,
     repeats: int,
     journal: Journal,
-    progress: Callable[[int, int], None],
+    progress: Steps,
 ) -> list[dict[str, Any]]:
     """One row per entry: p50, p95 and p99 of whole frames, and the median of each pass, in milliseconds.
 
@@ -264,7 +258,6 @@ def time_rows(
         repeats: frames per entry; 20 for those that are timed briefly, and fewer for those that would take
             over 80 seconds.
         journal: stores the times; those it holds are not measured again.
-        progress: called with rounds done and rounds in total.
     """
     times: dict[str, dict[str, list[float]]] = journal.once("times", dict)
     timings = [Timing(entry, times.setdefault(entry.title, {})) for entry in entries]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
@@ -13,6 +13,7 @@ from compose.camera.camera import View
 from compose.eye.gaze import Gaze
 from compose.fovea.foveation import Foveation
 from compose.image.colour import Image
+from hybrid.base.progress import Steps
 from hybrid.evaluation.baselines import Family, Tuning, WarpTuning, enlarged, warped
 from hybrid.evaluation.methods import Method
 from hybrid.measure.frame_times import jittered_view, path_around, ratio_interval, ratio_of_medians
@@ -41,15 +42,8 @@ def at_equal_time(
 ) -> float | None:
     """Rays per pixel at which a baseline comes closest to our time without exceeding it by over 3 %.
 
-    Args:
-        family: of the baseline; its time must grow with its rays.
-        ours: the method whose time is to be met.
-        views: through which frames go in turn.
-        gaze: centre of the path that gazes follow.
-        rays: to start from.
-
-    Returns:
-        The rays; None if every trial took longer.
+    The time of the baseline's family must grow with its rays, of which `rays` are tried first. Frames go
+    through the views in turn, their gazes along a path around `gaze`. None if every trial took longer.
     """
     known: dict[str, float] = {}
     within: Trial | None = None
@@ -113,14 +107,11 @@ def tuned(
     references: list[Image],
     foveation: Foveation,
     rays: float,
-    progress: Callable[[int, int], None],
+    progress: Steps,
 ) -> Tuning:
     """The settings with the highest mean SSIM, of the whole frame and of the fovea, at a number of rays.
 
-    Args:
-        views, references: to tune on; references are (H, W, 3) radiance.
-        rays: per pixel of the frame.
-        progress: called with settings tried and settings in total.
+    They are tuned on views with references (H, W, 3), linear radiance; rays are per pixel of the frame.
     """
     counts = _sample_counts(rays)
     warps = [WarpTuning(*settings) for settings in product(_F, counts, (False, True))]

@@ -18,6 +18,7 @@ from hybrid.base.cache_folder import scene_folder
 from hybrid.base.compute_device import device_arrays
 from hybrid.base.identity import machine, measured_identity, short_hash
 from hybrid.base.journal import Journal
+from hybrid.base.progress import Steps
 from hybrid.evaluation.baselines import Tuning
 from hybrid.evaluation.entries import (
     Entry,
@@ -52,9 +53,7 @@ _COSTS = {"references": 4e-3, "tuning": 44e3, "costs": 72e3, "quality": 63e3, "t
 class Evaluation:
     """Evaluates one scene with one forest; resumes if interrupted.
 
-    Args:
-        folder: of the report, for images and the journal.
-        flat: Gaussians without trees as a further baseline; None leaves it out.
+    The report's folder gets images and the journal. `flat`, Gaussians without trees, are a further baseline.
 
     Raises:
         UserError: a forest belongs to another scene, or the folder holds another evaluation.
@@ -180,7 +179,7 @@ class WorkProgress:
         self._done = dict.fromkeys(_COSTS, 0.0)
         self._report = report
 
-    def of(self, kind: str) -> Callable[[int, int], None]:
+    def of(self, kind: str) -> Steps:
         """The progress callback of one kind of work: called with steps done and steps in total."""
 
         def progress(done: int, total: int) -> None:

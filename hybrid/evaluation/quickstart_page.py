@@ -28,15 +28,9 @@ _IMAGES = (
 
 
 def write_page(path: Path, folder: Path, result: dict[str, Any]) -> None:
-    """Writes the page.
+    """Writes the page from the content of result.json; UserError if that fails.
 
-    Args:
-        path: HTML file to write.
-        folder: with the images hybrid.png, reference.png, splat.png and weights.png, which are embedded.
-        result: the content of result.json.
-
-    Raises:
-        UserError: the file cannot be written.
+    The images hybrid.png, reference.png, splat.png and weights.png of the folder are embedded.
     """
     machine = result["machine"]
     page = rendered(

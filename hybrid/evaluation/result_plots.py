@@ -110,8 +110,7 @@ def quality_over_time_plot(results: Results, region: str, metric: str) -> str | 
 def samples_plot(results: Results, metric: str) -> str | None:
     """Foveal quality of fused frames over samples per pixel, with that of the splats as a line.
 
-    Returns:
-        None if the metric was not measured for all of them.
+    None if the metric was not measured for all of them.
     """
     splats = results.mean(Key("splats alone", FIXED), "foveal", metric)
     by_spp = {spp: value for spp, value in results.fused_by_spp(metric).items() if value is not None}

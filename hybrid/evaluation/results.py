@@ -23,10 +23,9 @@ def is_better(metric: str, ours: float, theirs: float) -> bool:
 
 
 class Results:
-    """The content of evaluation.json, with its values by method and budget, region, and metric.
+    """The content of evaluation.json (`found`), with its values by method and budget, region, and metric.
 
     Attributes:
-        found: the content.
         keys: methods and budgets, in the order in which they were measured.
         times: median milliseconds of the methods and budgets that were timed.
     """
@@ -78,8 +77,7 @@ class Results:
     def outcomes(self, key: Key, region: str, metric: str) -> list[bool | None]:
         """Whether our frame is better than another method, view by view.
 
-        Returns:
-            None for a view where the two differ by no more than twice the noise.
+        None for a view where the two differ by no more than twice the noise.
         """
         least = 2 * self.noise(key, region, metric)
         differences = self._differences(key, region, metric).values()
@@ -93,8 +91,7 @@ class Results:
     def is_ahead(self, key: Key, region: str, metric: str) -> bool | None:
         """Whether our frame is better than a baseline on the mean over the views.
 
-        Returns:
-            None if they do not differ, or if either half of the references says otherwise than the whole.
+        None if they do not differ, or if either half of the references says otherwise than the whole.
         """
         outcomes: set[bool | None] = set()
         for name in (metric, half_name(metric, 1), half_name(metric, 2)):
@@ -167,8 +164,7 @@ def verdicts(found: dict[str, Any]) -> list[str]:
 def _compared(results: Results, region: str, metric: str) -> tuple[str, dict[bool | None, list[str]]]:
     """Our frame against the affordable baselines, by one metric of one region.
 
-    Returns:
-        The beginning of each sentence; and texts about the baselines by whether our frame is ahead of them.
+    The beginning of each sentence; and texts about the baselines by whether our frame is ahead of them.
     """
     by_outcome: dict[bool | None, list[str]] = {True: [], False: [], None: []}
     where = "In the fovea" if region == "foveal" else "Over the whole frame"

@@ -30,15 +30,9 @@ Rows = list[dict[str, Any]]
 
 @dataclass(frozen=True)
 class ScoringTask:
-    """An image to score.
+    """An image to score: the method that made it, and what it is compared with, (H, W, 3) linear radiance.
 
-    Attributes:
-        method: that made it.
-        image, reference: (H, W, 3) linear radiance.
-        halves: of the reference, (H, W, 3) each, to which the image is compared as well.
-        regions: of the frame, by name.
-        viewer: display and gaze.
-        flip_file: where to write the FLIP map; None does not write it.
+    It is compared with the reference's halves as well. The FLIP map goes to a file unless that is None.
     """
 
     method: str

@@ -61,14 +61,10 @@ def metric_rows(
     LPIPS and FovVideoVDP of those too small for them.
 
     Args:
-        image, reference: (H, W, 3) linear radiance.
+        image, reference: (H, W, 3) linear radiance; UserError if they cannot be compared.
         regions: of the frame, by name.
-        viewer: for FLIP, FovVideoVDP and `fssim`.
         name: of the image, for messages.
         whole_flip: (H, W) FLIP map, if known already.
-
-    Raises:
-        UserError: the two images cannot be compared.
     """
     checked_pair(image, reference, name)
     return [
@@ -81,10 +77,10 @@ def metric_rows(
 def tie_metrics(
     image: Image, half: Image, regions: dict[str, ImageRegion], viewer: Viewer
 ) -> list[dict[str, float | str]]:
-    """Rows of region, metric and value against half of a reference's samples, from which ties are told.
+    """Rows as of `metric_rows`, against half of a reference's samples, from which ties are told.
 
     These are the metrics that methods are compared by: JOD and FLIP of the fovea, PSNR and SSIM if neither is
-    installed, and SSIM of the whole frame. Arguments are those of `metric_rows`.
+    installed, and SSIM of the whole frame.
     """
     fovea = regions["foveal"]
     whole = ImageRegion.of("whole", np.ones_like(fovea.mask))
@@ -106,10 +102,7 @@ def region_metrics(
     wanted: Iterable[str] = METRICS,
     whole_flip: Map | None = None,
 ) -> dict[str, float]:
-    """The wanted metrics of one region, in that order, as far as they are installed and have a value there.
-
-    Arguments are those of `metric_rows`.
-    """
+    """The wanted metrics of one region, in that order, as far as `metric_rows` has them."""
     alone, density = region.alone(image, reference), viewer.display.pixels_per_degree
     cropped = region.name == "foveal"
     box = region.box if cropped else np.s_[:, :]

@@ -72,8 +72,7 @@ class Reference:
 def reference(tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed: int) -> Reference:
     """Traces a reference of a view with `spp` samples per pixel in total, one number or (H * W,).
 
-    Raises:
-        ValueError: there are fewer than 4 samples, one per independent part.
+    ValueError if there are fewer than 4 samples, one per independent part.
     """
     if np.min(spp) < _PARTS:
         raise ValueError(f"a reference needs at least {_PARTS} samples per pixel")

@@ -46,10 +46,7 @@ class Underlay:
 
 
 def parents_of(disc: Disc, samples: Samples, underlay: Underlay, quick: bool = False) -> Parents:
-    """The images that are fused, cropped to the rectangle around the disc.
-
-    `quick` is for the quicker denoiser.
-    """
+    """The images that are fused, cropped to the disc's rectangle; `quick` for the quicker denoiser."""
     assert disc.box is not None, "a disc without pixels has no images"
     splats = underlay.radiance.of_box(disc.box)
     images = DiscImages.of(disc, samples, splats)
@@ -65,10 +62,8 @@ def parents_of(disc: Disc, samples: Samples, underlay: Underlay, quick: bool = F
 class DiscImages:
     """Samples and their auxiliary features as images of the rectangle around a disc, Floats (h * w,).
 
-    Attributes:
-        radiance: three channels, linear, mean of the samples.
-        albedo, normal: three channels each.
-        count: samples per pixel.
+    Radiance, linear, is the mean of the samples; it, albedo and normal have three channels each. The count is
+    that of samples per pixel.
     """
 
     disc: Disc

@@ -80,9 +80,8 @@ class Fovea:
     ) -> tuple[Disc, Samples]:
         """Traces the disc with `spp` samples per pixel, for a fovea that will be made in a mode.
 
-        Args:
-            underlay: the splats under the disc, for a fused fovea.
-            quick: whether samples are distributed evenly, which takes less time.
+        A fused fovea requires the underlay, the splats under the disc. If `quick`, samples are distributed
+        evenly, which takes less time.
 
         Returns:
             The pixels that have samples, with the weights of the blend; and the samples.
@@ -104,13 +103,9 @@ class Fovea:
     ) -> FoveaImage:
         """Makes the fovea from the samples of the disc's pixels, with the quicker denoiser if `quick`.
 
-        Args:
-            surroundings: radiance that fills the corners of the rectangle around the disc; required for a
-                denoised fovea only.
-            underlay: the splats under the disc, in the same view; required for a fused fovea only.
-
-        Raises:
-            ValueError: what the mode requires is missing.
+        A denoised fovea requires the surroundings, radiance that fills the corners of the rectangle around
+        the disc; a fused one requires the underlay, the splats under the disc, in the same view. ValueError
+        if they are missing.
         """
         if mode is FoveaMode.RAW or not disc.count:
             return FoveaImage(disc, samples.radiance, samples)

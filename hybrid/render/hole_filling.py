@@ -154,10 +154,9 @@ _STREAM = 0x3F110000
 
 @dataclass(frozen=True)
 class FillEffort:
-    """How well a fill is traced.
+    """How well a fill is traced, with the quicker denoiser if `quick`.
 
-    Radiance has `light_spp` samples per 4 x 4 pixels of the frame, albedo `albedo_spp` per pixel; `quick` is
-    for the quicker denoiser.
+    Radiance has `light_spp` samples per 4 x 4 pixels of the frame, albedo `albedo_spp` per pixel.
     """
 
     light_spp: int
@@ -171,11 +170,9 @@ MOVING, STILL = FillEffort(1, 1, True), FillEffort(4, 4, False)
 
 @dataclass(frozen=True)
 class Fill:
-    """What is filled of a frame.
+    """What is filled of a frame: the D pixels of `disc`, with the weight of the filled radiance in each.
 
-    Attributes:
-        disc: the D pixels, and the weight of the filled radiance in each.
-        radiance: three Floats (D,), linear.
+    The radiance is linear, three Floats (D,).
     """
 
     disc: Disc
@@ -216,10 +213,8 @@ class Filler:
     ) -> Fill | None:
         """What is filled of a camera's frame; None if the forest knows all of it.
 
-        Args:
-            probe: traces rays to surfaces.
-            light: makes what traces radiance; called only if some is needed.
-            key: unless None, the fill is traced once until the camera or the key changes.
+        The probe traces rays to surfaces; `light` makes what traces radiance, and is called only if some is
+        needed. Unless the key is None, the fill is traced once until the camera or the key changes.
         """
         if key is None:
             return self._filled(camera, probe, light, effort, seed)

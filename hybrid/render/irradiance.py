@@ -13,7 +13,7 @@ from safetensors.numpy import save
 from compose.base.errors import UserError
 from compose.base.files import checksum, write_whole
 from hybrid.base.cache_folder import scene_folder
-from hybrid.base.progress import Bars, no_bars, no_progress
+from hybrid.base.progress import Bars, Steps, no_bars, no_progress
 from pathtrace.cache.cells import SIDES, Cells, Grid, Points
 from pathtrace.cache.irradiance_cache import IrradianceCache
 from pathtrace.cache.light_selection import LightChoice
@@ -31,8 +31,7 @@ _CHECKSUM = "crc32"
 def stored_cache(path: Path, fill: Callable[[], IrradianceCache]) -> IrradianceCache:
     """The cache in a file; if there is none or it is damaged, one that is filled and stored now.
 
-    Raises:
-        UserError: the file cannot be written.
+    UserError if the file cannot be written.
     """
     try:
         with safe_open(path, framework="np") as file:
@@ -125,8 +124,7 @@ _VIEWS = 8
 def cache_for(scene: Scene, bars: Bars = no_bars) -> IrradianceCache:
     """The stored cache of a scene; if there is none, it is filled in seconds and stored.
 
-    Raises:
-        UserError: the cache folder cannot be written.
+    UserError if the cache folder cannot be written.
     """
     file = scene_folder(scene.name, scene.hash) / "irradiance.safetensors"
 
@@ -137,9 +135,7 @@ def cache_for(scene: Scene, bars: Bars = no_bars) -> IrradianceCache:
     return stored_cache(file, filled)
 
 
-def filled_cache(
-    scene: Scene, progress: Callable[[int, int], None] = no_progress, seed: int = 0
-) -> IrradianceCache:
+def filled_cache(scene: Scene, progress: Steps = no_progress, seed: int = 0) -> IrradianceCache:
     """A cache filled for views around the scene's own camera; of a scene that moves, at time 0.
 
     The same seed yields the same cache on the same machine.
@@ -158,10 +154,8 @@ def filled_cache(
 class CachedTracer:
     """Traces a scene by paths that end in its cache, whose light follows the lights of the scene.
 
-    Russian roulette ends paths from a path depth on, by default that of the scene.
-
-    Attributes:
-        tracer: traces, with what is known of the light now.
+    Russian roulette ends paths from a path depth on, by default that of the scene. `tracer` traces with what
+    is known of the light now.
     """
 
     def __init__(self, scene: Scene, cache: IrradianceCache, roulette_depth: int | None):

@@ -109,9 +109,7 @@ class Periphery:
         """The detail that the viewer resolves in each part of a frame.
 
         While the camera is moving, the saliency of an earlier view will do that shows nearly the same.
-
-        Raises:
-            UserError: the forest does not have the layers that the settings ask for.
+        UserError if the forest does not have the layers that the settings ask for.
         """
         low, high = self.layers_of(settings)
         unlimited = settings.acuity_model == "none"

@@ -20,7 +20,7 @@ from compose.camera.camera import View, camera_from_pose
 from compose.eye.gaze import GazeTrace
 from compose.image.colour import bytes_from_radiance
 from hybrid.base.identity import require_same
-from hybrid.base.progress import interrupts_between_steps
+from hybrid.base.progress import Steps, interrupts_between_steps
 from hybrid.render.frame_renderer import Renderer
 from hybrid.render.frame_settings import FrameSettings
 from hybrid.render.image_files import write_mp4, write_srgb
@@ -45,10 +45,7 @@ class VideoFrames:
     """The rendered frames of a video, in a folder, and the fovea's history after the last of them.
 
     The folder is created with the first frame. The identity is everything that the frames depend on, in types
-    that JSON has.
-
-    Attributes:
-        milliseconds: per pass, of each rendered frame.
+    that JSON has. `milliseconds` are per pass, of each rendered frame.
 
     Raises:
         UserError: the folder is damaged, or holds another video.
@@ -128,23 +125,20 @@ def render_video(
     fps: int,
     seed: int,
     identity: dict[str, Any],
-    progress: Callable[[int, int], None],
+    progress: Steps,
 ) -> list[dict[str, float]]:
     """Renders a video along a gaze trace; the file appears complete or not at all.
 
-    A scene that moves does so at its own speed, and begins anew when its time is over.
-
-    Until it is complete, its frames are kept in a folder beside it, from which an interrupted video resumes.
+    A scene that moves does so at its own speed, and begins anew when its time is over. Until it is complete,
+    its frames are kept in a folder beside it, from which an interrupted video resumes.
 
     Args:
         path: MP4 file to write.
         renderer: with a history, frames are those that the window shows.
         settings: of the frames, except for the gaze; `time` is that of the first frame.
-        trace: where the viewer looks.
         fps: frames per second.
         seed: of the first frame; each further one has the next seed, and after MOST_SEED comes 0.
         identity: everything that the frames depend on, in types that JSON has.
-        progress: called with frames done and frames in total.
 
     Returns:
         Milliseconds per pass, of each frame.
@@ -216,7 +210,7 @@ def render_splat_video(
     views: ViewPath,
     seconds: float,
     fps: int,
-    progress: Callable[[int, int], None],
+    progress: Steps,
     trace: GazeTrace | None = None,
 ) -> list[dict[str, float]]:
     """Renders a video that passes all views once; the file appears complete or not at all.
@@ -226,14 +220,11 @@ def render_splat_video(
         settings: of the frames, except for camera and time.
         seconds: that the way through the views takes.
         fps: frames per second.
-        progress: called with frames done and frames in total.
         trace: where the viewer looks; None for the gaze of the settings.
 
     Returns:
-        Milliseconds per pass, of each frame.
-
-    Raises:
-        UserError: the video would have too many frames, or the file cannot be written.
+        Milliseconds per pass, of each frame; UserError if there would be too many, or the file cannot be
+        written.
     """
     count = frame_count(seconds, fps)
     times: list[dict[str, float]] = []

@@ -103,10 +103,8 @@ _ACTIVITY = "measuring settings"
 def ladder_for(source: FrameSource, like: Request, report: Progress) -> list[MeasuredSettings]:
     """The Pareto-optimal settings of the window, each slower and better than the one before it.
 
-    The request has the window's size, acuity model and display.
-
-    Raises:
-        UserError: the cache folder cannot be written, or a file in it is damaged.
+    The request has the window's size, acuity model and display. UserError if the cache folder cannot be
+    written, or if a file in it is damaged.
     """
     window = like.settings.camera or source.camera
     camera = source.camera.resized(window.width, window.height)

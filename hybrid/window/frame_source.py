@@ -106,8 +106,7 @@ class FrameSource:
     def save(self, png: Path) -> None:
         """Writes what was shown last: the image as PNG and, beside it, the AOVs of its frame as EXR.
 
-        Raises:
-            UserError: a file cannot be written.
+        UserError if a file cannot be written.
         """
         if self._last is not None:
             write_srgb(png, self._last.image)
@@ -144,14 +143,10 @@ def prepared(
     report: Progress,
     thin_glass: bool = False,
 ) -> FrameSource:
-    """The source of a scene's frames; see `run_window` for the arguments.
+    """The source of a scene's frames, the first of which has these settings; arguments as in `run_window`.
 
-    Args:
-        trains: whether to train a forest if there is none.
-        settings: of the first frame.
-
-    Raises:
-        UserError: the scene or the forest is missing, or they do not belong together.
+    If there is no forest, one is trained if `trains`. UserError if the scene or the forest is missing, or if
+    they do not belong together.
     """
     # Before the scene is loaded, since the backend decides what it is loaded into.
     select_backend(backend)

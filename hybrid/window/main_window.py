@@ -58,17 +58,9 @@ class WindowOptions:
 
 
 class MainWindow(QMainWindow):
-    """Shows one scene.
-
-    Args:
-        thread: renders; not started yet.
-        settings: initial settings; gaze and camera are the window's.
-        gaze: where it comes from.
-        options: how the window runs; a bench keeps the times of all frames.
+    """Shows one scene, which a thread that is not started yet renders; a bench keeps the times of all frames.
 
     Attributes:
-        canvas: shows the frame.
-        meter: times of the shown frames.
         panel, walker: controls and viewer; None until the scene is loaded.
         request: the newest one that was sent to the renderer.
         shown: the frame on the screen.

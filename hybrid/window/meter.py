@@ -94,10 +94,9 @@ _RECOVERY = 2.0
 def figures(meter: Meter, size: tuple[int, int], start: float) -> dict[str, Any]:
     """Frame times, latencies and passes of a window of that width and height, since a time.perf_counter.
 
-    Returns:
-        `width`, `height`; `fps` and `ms`, median and percentiles of the frame times; `latency_ms`,
-        percentiles from mouse to screen; `passes`, median milliseconds of each; `frames`, the seconds from
-        the start and the milliseconds of each; `machine`. Absent where nothing was measured.
+    `width`, `height`; `fps` and `ms`, median and percentiles of the frame times; `latency_ms`, percentiles
+    from mouse to screen; `passes`, median milliseconds of each; `frames`, the seconds from the start and the
+    milliseconds of each; `machine`. Absent where nothing was measured.
     """
     frames = [(at - start, seconds * 1000) for at, seconds in meter.intervals if at > start]
     latencies = [seconds * 1000 for at, seconds in meter.latencies if at > start]

@@ -19,8 +19,7 @@ _LIBRARIES = (
 def require_window() -> None:
     """Checks that Qt can open a window, before Qt itself ends the process because it cannot.
 
-    Raises:
-        UserError: Qt is not installed, there is no display, or Qt cannot use it.
+    UserError if Qt is not installed, there is no display, or Qt cannot use it.
     """
     try:
         import PySide6  # noqa: F401
@@ -39,10 +38,6 @@ def require_window() -> None:
 
 
 def tried(environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
-    """Lets another process connect to the display; the outcome of that process.
-
-    Args:
-        environment: of the process; None for that of this one.
-    """
+    """Lets another process connect to the display, in this environment by default; how that process ended."""
     trial = [sys.executable, "-c", "from PySide6.QtWidgets import QApplication; QApplication([])"]
     return subprocess.run(trial, env=environment, capture_output=True, text=True, check=False)

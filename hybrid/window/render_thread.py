@@ -21,15 +21,11 @@ _POLL = 0.1
 
 
 class RenderThread(QThread):
-    """Renders the newest request, again and again as long as that makes the frame better.
+    """Renders the newest of the requests, again and again as long as that makes the frame better.
 
     Args:
-        prepare: makes the source of frames, on this thread. It is given a function that reports progress,
-            and that raises KeyboardInterrupt once the window is closed.
-
-    Attributes:
-        requests: what the window asks for.
-        frames: what it receives.
+        prepare: makes the source of frames, on this thread. It is given a function that reports progress, and
+            that raises KeyboardInterrupt once the window is closed.
     """
 
     # Activity, steps done, steps in total.

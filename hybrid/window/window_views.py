@@ -98,8 +98,7 @@ _STRONGEST = 0.25
 def image_of(view: ShownView, frame: Frame, path_traced: ConvergingFrame | None) -> NDArray[np.uint8]:
     """(H, W, 3) sRGB image of a view of a hybrid frame, with the path-traced frame for views that need it.
 
-    Raises:
-        ValueError: the view needs the path-traced frame, and there is none.
+    ValueError if the view needs the path-traced frame, and there is none.
     """
     if view is ShownView.LEVELS:
         return levels_picture(frame.composite, frame.detail, frame.region)
