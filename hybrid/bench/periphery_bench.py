@@ -40,12 +40,7 @@ def display_camera(scene_camera: Camera, display: Display) -> Camera:
 
 
 def bench_periphery(
-    forest: Forest,
-    camera: Camera,
-    settings: FrameSettings,
-    repeats: int,
-    warm_up: int,
-    progress: Steps,
+    forest: Forest, camera: Camera, settings: FrameSettings, repeats: int, warm_up: int, progress: Steps
 ) -> list[dict[str, Any]]:
     """One row per gaze and acuity model, whose passes are interleaved with those at full level and rate.
 

@@ -20,12 +20,7 @@ from splat.raster.tiles import TileGrid
 
 
 def bench_raster(
-    gaussians: int,
-    size: tuple[int, int],
-    seed: int,
-    repeats: int,
-    warm_up: int,
-    progress: Steps,
+    gaussians: int, size: tuple[int, int], seed: int, repeats: int, warm_up: int, progress: Steps
 ) -> dict[str, Any]:
     """Times of binning and blending (forward) and of the gradient (backward), with all data on the device.
 

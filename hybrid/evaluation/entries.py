@@ -238,12 +238,7 @@ class Timing:
 
 
 def time_rows(
-    entries: list[Entry],
-    views: Sequence[View],
-    gaze: Gaze,
-    repeats: int,
-    journal: Journal,
-    progress: Steps,
+    entries: list[Entry], views: Sequence[View], gaze: Gaze, repeats: int, journal: Journal, progress: Steps
 ) -> list[dict[str, Any]]:
     """One row per entry: p50, p95 and p99 of whole frames, and the median of each pass, in milliseconds.
 

@@ -151,11 +151,7 @@ def swept(
 
 
 def _group(
-    renderer: Renderer,
-    same: list[Setting],
-    with_quality: bool,
-    effort: SweepEffort,
-    progress: Steps,
+    renderer: Renderer, same: list[Setting], with_quality: bool, effort: SweepEffort, progress: Steps
 ) -> list[dict[str, Any]]:
     """Rows of the same views, which take turns."""
     camera, views, tracer = same[0].camera, same[0].seen, renderer.tracer

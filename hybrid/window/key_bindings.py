@@ -20,12 +20,7 @@ _WALK = {
     _Key.Key_E: (0, -1, 0),
 }
 # Right and down.
-_LOOK = {
-    _Key.Key_Left: (-1, 0),
-    _Key.Key_Right: (1, 0),
-    _Key.Key_Up: (0, -1),
-    _Key.Key_Down: (0, 1),
-}
+_LOOK = {_Key.Key_Left: (-1, 0), _Key.Key_Right: (1, 0), _Key.Key_Up: (0, -1), _Key.Key_Down: (0, 1)}
 # Walking speed in median distances per second, and turning speed in degrees per second.
 _PACE, _TURN = 0.3, 60.0
 
