@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from typing import Any
 
@@ -130,34 +131,24 @@ class _Allocator:
         table = ctypes.cast(pointer(api, None), ctypes.POINTER(ctypes.c_void_p))
         self.use = _SetHandler(table[_SET_HANDLER] or 0)
         own = _GetHandler(table[_GET_HANDLER] or 0)()
-        counting = self._counting(_Handler.from_address(pointer(own, self._NAME)))
+        found = _Handler.from_address(pointer(own, self._NAME))
+        counting = _Handler.from_buffer_copy(found)
+        # Freeing stays as it is. The sizes are the last arguments.
+        for name, kind, sizes in (
+            ("malloc", _Allocate, 1),
+            ("calloc", _AllocateZeros, 2),
+            ("realloc", _Reallocate, 1),
+        ):
+            setattr(counting, name, kind(partial(self._counted, getattr(found, name), sizes)))
         # Arrays are freed through it until the very end of the process.
         python.Py_IncRef(ctypes.py_object(counting))
         self.handler = capsule(ctypes.addressof(counting), self._NAME, None)
 
-    def _counting(self, own: _Handler) -> _Handler:
-        """NumPy's handler with functions that count; freeing stays as it is."""
-
-        def count(size: int) -> None:
-            self.allocated += size
-            self.largest = max(self.largest, size)
-
-        def malloc(context: int, size: int) -> Any:
-            count(size)
-            return own.malloc(context, size)
-
-        def calloc(context: int, number: int, size: int) -> Any:
-            count(number * size)
-            return own.calloc(context, number, size)
-
-        def realloc(context: int, memory: int, size: int) -> Any:
-            count(size)
-            return own.realloc(context, memory, size)
-
-        counting = _Handler.from_buffer_copy(own)
-        counting.malloc, counting.calloc = _Allocate(malloc), _AllocateZeros(calloc)
-        counting.realloc = _Reallocate(realloc)
-        return counting
+    def _counted(self, allocate: Callable[..., Any], sizes: int, *args: int) -> Any:
+        size = math.prod(args[-sizes:])
+        self.allocated += size
+        self.largest = max(self.largest, size)
+        return allocate(*args)
 
 
 @cache

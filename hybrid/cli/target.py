@@ -48,7 +48,7 @@ class TradeTarget:
         from hybrid.evaluation.measured_settings import MeasuredStore, chosen
 
         camera, _ = settings.resolved(scene.camera)
-        found = MeasuredStore.of("trade", scene, forest, (camera.width, camera.height), settings).load()
+        found = MeasuredStore("trade", scene, forest, (camera.width, camera.height), settings).load()
         if found is None:
             raise self._not_measured()
         choice, metric = chosen(*found, self.milliseconds, self.jod), found[0].upper()

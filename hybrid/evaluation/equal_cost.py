@@ -90,15 +90,11 @@ def relative_time(method: Method, ours: Method, views: Sequence[View], gaze: Gaz
         for number, (one, found) in enumerate(zip((method, ours), times, strict=True)):
             found.append(one.render(jittered_view(view, 2 * seed + number), at, seed).milliseconds["total"])
         # The first frames warm up.
-        if seed and seed % _STEP == 0 and _is_decided(*ratio_interval(times[0][1:], times[1][1:])):
-            break
+        if seed and seed % _STEP == 0:
+            low, high = ratio_interval(times[0][1:], times[1][1:])
+            if low > 1 + TOLERANCE or high < 1 - TOLERANCE or high - low <= TOLERANCE:
+                break
     return ratio_of_medians(times[0][1:], times[1][1:])
-
-
-def _is_decided(low: float, high: float) -> bool:
-    """Whether an interval of ratios tells if times are equal."""
-    outside = low > 1 + TOLERANCE or high < 1 - TOLERANCE
-    return outside or high - low <= TOLERANCE
 
 
 def tuned(
@@ -113,7 +109,8 @@ def tuned(
 
     They are tuned on views with references (H, W, 3), linear radiance; rays are per pixel of the frame.
     """
-    counts = _sample_counts(rays)
+    # With fewer samples per pixel than `rays`, the smaller image would be larger than the frame.
+    counts = [spp for spp in _SPP if spp >= rays] or [math.ceil(rays)]
     warps = [WarpTuning(*settings) for settings in product(_F, counts, (False, True))]
     baselines: list[Method] = [warped(tracer, tuning, rays) for tuning in warps]
     baselines += [enlarged(tracer, spp, rays, denoised=True) for spp in counts]
@@ -133,8 +130,3 @@ def _foveal(foveation: Foveation, truth: Image) -> NDArray[np.float32] | None:
     """(H, W) the fovea's pixels as weights of SSIM; None, for all pixels, if SSIM has no value there."""
     mask = regions(foveation, truth)["foveal"].mask.astype(np.float32)
     return mask if has_valid(mask) else None
-
-
-def _sample_counts(rays: float) -> list[int]:
-    """Samples per pixel to try; with fewer than `rays`, the smaller image would be larger than the frame."""
-    return [spp for spp in _SPP if spp >= rays] or [math.ceil(rays)]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compose.base.errors import UserError
-from compose.camera.camera import Camera, View
+from compose.camera.camera import View
 from compose.image.colour import Image
 from hybrid.base.cache_folder import scene_folder
 from hybrid.base.compute_device import device_arrays
@@ -119,7 +119,15 @@ class Evaluation:
                 for number, found in enumerate(references)
                 for row in reference_errors(settings, number, found)
             ],
-            "methods": [self._method_row(entry, views[0].camera) for entry in entries],
+            "methods": [
+                {
+                    "method": entry.name,
+                    "budget": entry.budget,
+                    "rays": entry.method.rays(views[0].camera, gaze),
+                    **entry.method.settings,
+                }
+                for entry in entries
+            ],
             "quality": quality,
             "time": times,
             "plan": plan_of_forest(self.forest),
@@ -159,11 +167,6 @@ class Evaluation:
             truth = reference(self.tracer, view.camera, settings.reference_spp, seed + number)
             truths.append(truth.radiance)
         return tuned(self.baseline_tracer, small, truths, settings.frame.foveation, rays, work.of("tuning"))
-
-    def _method_row(self, entry: Entry, camera: Camera) -> dict[str, Any]:
-        """An entry with its rays and settings."""
-        rays = entry.method.rays(camera, self.settings.frame.gaze)
-        return {"method": entry.name, "budget": entry.budget, "rays": rays, **entry.method.settings}
 
 
 class WorkProgress:

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from compose.image.colour import Image
 from hybrid.evaluation.result_keys import half_name
@@ -50,7 +49,10 @@ def score(task: ScoringTask) -> Rows:
     if task.flip_file is not None:
         error = flip_map(task.image, task.reference, task.viewer.display.pixels_per_degree)
         if error is not None:
-            write_srgb(task.flip_file, _coloured(error))
+            from matplotlib import colormaps
+
+            # The colours of FLIP's authors.
+            write_srgb(task.flip_file, np.asarray(colormaps["magma"](error, bytes=True)[..., :3]))
     rows: Rows = metric_rows(
         task.image, task.reference, task.regions, task.viewer, task.method, whole_flip=error
     )
@@ -93,10 +95,3 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
-
-
-def _coloured(error: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """(H, W, 3) an error map (H, W) in 0..1, in the colours of FLIP's authors."""
-    from matplotlib import colormaps
-
-    return np.asarray(colormaps["magma"](error, bytes=True)[..., :3])

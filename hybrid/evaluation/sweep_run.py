@@ -109,7 +109,7 @@ def _store(scene: Scene, forest: Forest, settings: list[Setting], rows: list[dic
         for setting, row in zip(settings, rows, strict=True)
     ]
     camera, frame = settings[0].camera, replace(settings[0].frame, camera=None)
-    MeasuredStore.of("trade", scene, forest, (camera.width, camera.height), frame).save(metric, measured)
+    MeasuredStore("trade", scene, forest, (camera.width, camera.height), frame).save(metric, measured)
 
 
 def swept(

@@ -17,7 +17,7 @@ from compose.fusion.parents import Parents
 from compose.image.colour import Image
 from compose.image.device_image import DeviceImage
 from compose.image.outliers import MOST, all_plain, filled, outliers
-from hybrid.base.compute_device import torch_device
+from hybrid.base.compute_device import device_arrays
 from pathtrace.trace.denoise import denoise, denoise_coarsely
 
 
@@ -143,8 +143,7 @@ def _torch(tensor: Any) -> torch.Tensor:
 
     On a card, Dr.Jit's queue and torch's default one wait for each other.
     """
-    on_card = dr.backend_v(tensor) is dr.JitBackend.CUDA
-    if on_card and torch_device().type != "cuda":
+    if dr.backend_v(tensor) is dr.JitBackend.CUDA and device_arrays().device.type != "cuda":
         return torch.from_numpy(tensor.numpy())
     shared: torch.Tensor = tensor.torch()
     return shared

@@ -14,7 +14,7 @@ from compose.fovea.samples import Samples
 from compose.fusion.combination import fuse
 from compose.fusion.network import Fusion
 from compose.image.device_image import DeviceImage
-from hybrid.base.compute_device import torch_device, torch_working_on
+from hybrid.base.compute_device import device_arrays, torch_working_on
 from hybrid.render.disc_images import DiscImages, Underlay, channels_of, parents_of
 from hybrid.render.disc_tracer import DiscRequest, DiscTracer
 from pathtrace.trace.tracer import Tracer
@@ -56,7 +56,7 @@ class Fovea:
 
     def __init__(self, tracer: Tracer, fusion: Fusion | None = None, history: bool = False):
         self.disc = DiscTracer(tracer, history)
-        self._fusion = None if fusion is None else fusion.to(torch_device())
+        self._fusion = None if fusion is None else fusion.to(device_arrays().device)
 
     def thins_band(self, mode: FoveaMode) -> bool:
         """Whether fewer samples are traced in the band; only possible if no other pixel depends on them."""

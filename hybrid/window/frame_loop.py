@@ -110,13 +110,12 @@ def ladder_for(source: FrameSource, like: Request, report: Progress) -> list[Mea
     camera = source.camera.resized(window.width, window.height)
     settings = replace(like.settings, camera=camera, gaze=Gaze(), scale=1.0)
     renderer, size = source.renderer, (camera.width, camera.height)
-    store = MeasuredStore.of("window", renderer.scene, renderer.periphery.forest, size, settings)
+    store = MeasuredStore("window", renderer.scene, renderer.periphery.forest, size, settings)
     found = store.load()
-    if found is not None:
-        return front_of(found[1])
-    measured = _measured(source, camera, settings, report)
-    store.save("quality", measured)
-    return front_of(measured)
+    if found is None:
+        found = "quality", _measured(source, camera, settings, report)
+        store.save(*found)
+    return front_of(found[1])
 
 
 def candidates(base: FrameSettings, layers: int) -> list[FrameSettings]:
