@@ -28,10 +28,7 @@ def home() -> Path:
 
 
 def scene_folder(name: str, digest: str) -> Path:
-    """Folder of everything made for one version of a scene.
-
-    UserError if name or hash cannot be those of a scene: they become the name of a folder.
-    """
+    """Folder of one version of a scene; UserError if name or hash cannot be those of a scene."""
     try:
         name, digest = claimed_scene(name, digest)
     except ValueError as error:
@@ -40,10 +37,7 @@ def scene_folder(name: str, digest: str) -> Path:
 
 
 def store_forest(forest: Forest, name: str) -> None:
-    """Stores a copy of a forest in the cache, as NAME.safetensors, the newest one of its scene.
-
-    UserError if the cache folder cannot be written, or if the forest names no scene.
-    """
+    """Stores a forest as NAME.safetensors, the newest one of its scene; UserError if it cannot be."""
     # The digits of a complete SHA-256.
     if len(forest.scene_hash) != 64:
         raise UserError(f"scene hash {forest.scene_hash!r}: only forests of a scene are stored")

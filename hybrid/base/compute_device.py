@@ -78,10 +78,7 @@ def torch_working_on(pixels: int) -> Iterator[None]:
 
 
 def release_memory() -> None:
-    """Releases the memory that Dr.Jit and the C library keep for reuse.
-
-    This takes a few milliseconds, and about as many again when the memory is next needed.
-    """
+    """Releases, in a few milliseconds, the memory that Dr.Jit and the C library keep for reuse."""
     dr.flush_malloc_cache()
     # Specific to glibc; other C libraries release memory by themselves.
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)

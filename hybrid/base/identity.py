@@ -70,10 +70,7 @@ def measured_identity(scene: Scene, forest: Forest, **settings: Any) -> dict[str
 
 @cache
 def code() -> dict[str, str | None]:
-    """What measures: a digest of this project's source files, and the denoiser's version.
-
-    The version of the project and of the other packages are part of `machine`.
-    """
+    """Digest of this project's source, and the denoiser's version; `machine` has those of other packages."""
     root, digest = Path(__file__).parents[2], hashlib.sha256()
     for file in sorted(file for package in _PACKAGES for file in (root / package).rglob("*.py")):
         digest.update(f"{file.relative_to(root).as_posix()}\0".encode() + file.read_bytes() + b"\0")

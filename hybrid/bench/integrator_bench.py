@@ -113,10 +113,7 @@ def _rows(
 
 
 def block_errors(image: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Relative errors of the blocks of an (H, W, 3) image that are not black; a single 0 if all are.
-
-    Blocks that are cut by the frame's border count as well.
-    """
+    """Relative errors of the blocks of an (H, W, 3) image that are not black; a single 0 if all are."""
     found, expected = _block_sums(image), _block_sums(truth)
     lit = expected > 0
     return found[lit] / expected[lit] - 1 if lit.any() else np.zeros(1)

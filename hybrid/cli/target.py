@@ -39,10 +39,7 @@ class TradeTarget:
             raise self._not_measured()
 
     def applied(self, scene: Scene, forest: Forest, settings: FrameSettings) -> FrameSettings:
-        """The settings that meet the target, or the given ones if there is none.
-
-        UserError if nothing was measured, or nothing measured meets the target.
-        """
+        """The settings that meet the target, or the given ones without one; UserError if none does."""
         if not self.is_set:
             return settings
         from hybrid.evaluation.measured_settings import MeasuredStore, chosen

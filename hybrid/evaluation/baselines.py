@@ -123,10 +123,7 @@ class Warp:
         return Warp(*(Axis(at, f, size, max(1, round(size / sigma))) for at, size in sides))
 
     def boxes(self) -> tuple[Array, Array, Array, Array]:
-        """Left edges, top edges, widths and heights, (N,) each, of what buffer pixels cover of the frame.
-
-        In frame pixels, row by row.
-        """
+        """(N,) each: left, top, width and height of what buffer pixels cover, in frame pixels."""
         edges = [axis.frame_of(np.arange(axis.buffer + 1.0)) for axis in (self.across, self.down)]
         left, top = np.meshgrid(edges[0][:-1], edges[1][:-1])
         width, height = np.meshgrid(np.diff(edges[0]), np.diff(edges[1]))

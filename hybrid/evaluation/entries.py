@@ -128,10 +128,7 @@ def baseline_entries(
 
 @dataclass(frozen=True)
 class EvaluatedView:
-    """One of the evaluated views, numbered from 0, with the frame's regions by name and a folder for images.
-
-    An entry of None stands for its reference.
-    """
+    """An evaluated view, numbered from 0, and its regions by name; an entry of None is its reference."""
 
     number: int
     view: View
@@ -177,10 +174,7 @@ def evaluated_views(
 def quality_rows(
     entries: list[Entry], views: list[EvaluatedView], journal: Journal, progress: Steps
 ) -> list[dict[str, Any]]:
-    """Rows of view, method, budget, region, metric and value, of references as well; writes the images.
-
-    Images whose rows the journal holds are not rendered again.
-    """
+    """Rows of view, method, budget, region, metric and value; writes images unless the journal has them."""
     wanted = [(view, entry) for view in views for entry in (None, *entries)]
     missing = [(view, entry) for view, entry in wanted if view.title(entry) not in journal]
     tasks = ((view.title(entry), view.task(entry)) for view, entry in missing)

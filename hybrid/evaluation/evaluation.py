@@ -170,10 +170,7 @@ class Evaluation:
 
 
 class WorkProgress:
-    """Adds up the progress of all kinds of work, weighted by what they take.
-
-    `report` is called with the kind of work, work done and work in total.
-    """
+    """Adds up the progress of all kinds of work, weighted by what they take, and reports it."""
 
     def __init__(self, settings: EvaluationSettings, report: Callable[[str, float, float], None]):
         views, samples = settings.views, settings.width * settings.height * settings.reference_spp

@@ -63,10 +63,7 @@ def score(task: ScoringTask) -> Rows:
 
 
 def scored_in_parallel(tasks: Iterator[tuple[str, ScoringTask]]) -> Iterator[tuple[str, Rows]]:
-    """Names of tasks and the results of `score`, in the order of the tasks.
-
-    Tasks are consumed one by one, a few ahead of those that are being scored.
-    """
+    """Names of tasks, which are consumed a few ahead, and the results of `score`, in the same order."""
     workers = len(os.sched_getaffinity(0))
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _start_worker)
     waiting: deque[tuple[str, Future[Rows]]] = deque()

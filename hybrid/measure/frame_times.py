@@ -51,10 +51,7 @@ def medians_by_view(milliseconds: Sequence[float], views: int) -> list[float]:
 
 
 def ratio_interval(of_full: Sequence[float], ours: Sequence[float]) -> tuple[float, float]:
-    """Interval that contains the ratio of two medians with 95 % confidence (bootstrap over pairs).
-
-    The times are those of frames that were rendered in turns, in pairs.
-    """
+    """95 % confidence interval of the ratio of two medians, by a bootstrap over pairs rendered in turns."""
     pairs = np.array([of_full, ours])
     picks = np.random.default_rng(0).integers(pairs.shape[1], size=(_RESAMPLINGS, pairs.shape[1]))
     medians = np.median(pairs[:, picks], axis=2)

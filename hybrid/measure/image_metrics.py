@@ -49,10 +49,7 @@ def psnr(image: Image, reference: Image, where: NDArray[np.bool_] | None = None)
 
 
 def psnr_of_error(squared_error: float) -> float:
-    """Peak signal-to-noise ratio in dB of a mean squared error of values in 0..1; at most 120.
-
-    UserError if the error is not finite.
-    """
+    """PSNR in dB, at most 120, of a mean squared error of values in 0..1; UserError if not finite."""
     if not np.isfinite(squared_error):
         raise UserError(f"squared error {squared_error}: must be finite to have a PSNR")
     return float(-10 * np.log10(max(squared_error, _LEAST_ERROR)))
@@ -99,10 +96,7 @@ def ssim(image: Image, reference: Image, weight: NDArray[np.float32] | None = No
 
 
 def valid_mean(similarity: NDArray[np.float32], weight: NDArray[np.float32] | None = None) -> float:
-    """Mean of an SSIM map (H, W) over its valid pixels, weighted by (H, W) or equally.
-
-    UserError if no valid pixel has any weight.
-    """
+    """Mean of an SSIM map (H, W), weighted by (H, W) or equally; UserError if no valid pixel has weight."""
     if weight is not None and not has_valid(weight):
         raise UserError(f"SSIM: every pixel that counts is within {SSIM_MARGIN} pixels of the border")
     return float(np.average(similarity[_VALID], weights=None if weight is None else weight[_VALID]))

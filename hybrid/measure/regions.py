@@ -25,10 +25,7 @@ _COARSE = 64
 
 @dataclass(frozen=True)
 class ImageRegion:
-    """Some pixels of a frame: `mask` (H, W), and rows and columns of the `box` around them.
-
-    The name is one of REGIONS.
-    """
+    """Some pixels of a frame, (H, W), with a name of REGIONS, and the rows and columns of their box."""
 
     name: str
     mask: NDArray[np.bool_]

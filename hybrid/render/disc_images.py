@@ -107,10 +107,7 @@ class DiscImages:
 
 
 def denoised_for_fusion(tensors: list[Any], quick: bool) -> Any:
-    """(h, w, 3) tensor of denoised radiance, as one parent of several, from radiance, albedo and normal.
-
-    If `quick`, it is denoised at half the resolution.
-    """
+    """(h, w, 3) tensor of denoised radiance as one parent of several; at half the resolution if quick."""
     radiance, albedo, normal = tensors
     if not all_plain([radiance.array]):
         image: Image = np.asarray(radiance)

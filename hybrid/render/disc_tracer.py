@@ -37,10 +37,7 @@ _WINDOW = 5
 
 @dataclass(frozen=True)
 class DiscRequest:
-    """The samples that a frame requires, `spp` per pixel on average over the disc.
-
-    The same seed yields the same samples. Albedo and normal are required if `auxiliary`.
-    """
+    """The samples that a frame requires, `spp` per pixel on average, with or without auxiliary features."""
 
     camera: Camera
     disc: Disc

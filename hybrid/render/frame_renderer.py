@@ -327,10 +327,7 @@ class LiveRenderer(Renderer):
         return detail, drawn, whole if settings.fovea is FoveaMode.FUSED else None
 
     def refined(self, frame: Frame, spp: int, seed: int, quick: bool) -> Frame:
-        """The last frame of this renderer with `spp` further samples per pixel in its disc.
-
-        The fovea is made with the quicker denoiser if `quick`.
-        """
+        """The last frame with `spp` more samples per pixel in its disc; `quick` for the quicker denoiser."""
         clock, settings = PassClock(), replace(frame.settings, spp=spp)
         self._relight(settings)
         shown = frame.fovea.disc, seed, frame.splats, frame.underlay

@@ -154,10 +154,7 @@ _STREAM = 0x3F110000
 
 @dataclass(frozen=True)
 class FillEffort:
-    """How well a fill is traced, with the quicker denoiser if `quick`.
-
-    Radiance has `light_spp` samples per 4 x 4 pixels of the frame, albedo `albedo_spp` per pixel.
-    """
+    """How well a fill is traced: samples of light per 4 x 4 pixels, of albedo per pixel, and the denoiser."""
 
     light_spp: int
     albedo_spp: int
@@ -170,10 +167,7 @@ MOVING, STILL = FillEffort(1, 1, True), FillEffort(4, 4, False)
 
 @dataclass(frozen=True)
 class Fill:
-    """What is filled of a frame: the D pixels of `disc`, with the weight of the filled radiance in each.
-
-    The radiance is linear, three Floats (D,).
-    """
+    """What is filled of a frame: D pixels with weights, and linear radiance, three Floats (D,)."""
 
     disc: Disc
     radiance: list[Any]

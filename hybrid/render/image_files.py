@@ -17,10 +17,7 @@ from compose.image.exr import read_channels, write_channels
 
 
 def check_writable(path: Path) -> None:
-    """Checks, before long work begins, that a file can be written; creates its folder.
-
-    UserError if the folder cannot be created or written to, or if the path is a folder itself.
-    """
+    """Creates a file's folder; UserError, before long work begins, if the file cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -73,10 +70,7 @@ _QUALITY = "16"
 
 
 def check_video(width: int, height: int) -> None:
-    """Checks, before long work begins, that a video with that frame size can be written.
-
-    UserError if PyAV is not installed, or if a side of the frame is odd.
-    """
+    """UserError, before long work begins, if PyAV is not installed or a side of the frame is odd."""
     try:
         import av  # noqa: F401
     except ImportError as error:

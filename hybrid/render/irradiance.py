@@ -29,10 +29,7 @@ _CHECKSUM = "crc32"
 
 
 def stored_cache(path: Path, fill: Callable[[], IrradianceCache]) -> IrradianceCache:
-    """The cache in a file; if there is none or it is damaged, one that is filled and stored now.
-
-    UserError if the file cannot be written.
-    """
+    """The cache in a file; if there is none or it is damaged, one that is filled and stored now."""
     try:
         with safe_open(path, framework="np") as file:
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
@@ -122,10 +119,7 @@ _VIEWS = 8
 
 
 def cache_for(scene: Scene, bars: Bars = no_bars) -> IrradianceCache:
-    """The stored cache of a scene; if there is none, it is filled in seconds and stored.
-
-    UserError if the cache folder cannot be written.
-    """
+    """The stored cache of a scene; if there is none, it is filled in seconds and stored."""
     file = scene_folder(scene.name, scene.hash) / "irradiance.safetensors"
 
     def filled() -> IrradianceCache:
@@ -136,10 +130,7 @@ def cache_for(scene: Scene, bars: Bars = no_bars) -> IrradianceCache:
 
 
 def filled_cache(scene: Scene, progress: Steps = no_progress, seed: int = 0) -> IrradianceCache:
-    """A cache filled for views around the scene's own camera; of a scene that moves, at time 0.
-
-    The same seed yields the same cache on the same machine.
-    """
+    """A cache filled for views around the scene's own camera; of a scene that moves, at time 0."""
     scene.show(0.0)
     camera = scene.camera
     try:

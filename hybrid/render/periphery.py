@@ -81,10 +81,7 @@ assert CELL == TILE
 
 
 class Periphery:
-    """Draws the periphery of frames with one forest.
-
-    Results that depend on the camera alone are kept until it changes.
-    """
+    """Draws the periphery of frames with one forest, and keeps what depends on the camera alone."""
 
     def __init__(self, arrays: Arrays, forest: Forest):
         self.forest = forest

@@ -77,10 +77,7 @@ class VideoFrames:
     def add(
         self, image: NDArray[np.uint8], milliseconds: dict[str, float], history: Callable[[], State]
     ) -> None:
-        """Stores the next frame, (H, W, 3) in sRGB, with its milliseconds per pass.
-
-        Once in a while, `history` is called for the fovea's history, which is then stored as well.
-        """
+        """Stores the next frame, (H, W, 3) in sRGB, and once in a while the fovea's history."""
         write_srgb(self._file(len(self.milliseconds)), image)
         self.milliseconds.append(milliseconds)
         if time.monotonic() - self._saved > _EVERY:
@@ -178,10 +175,7 @@ def render_video(
 
 
 class ViewPath:
-    """A way through one or more views at equal steps, straight and evenly turning between them.
-
-    All frames have the size of the first view.
-    """
+    """A way through views at equal steps, straight and evenly turning, in frames of the first one's size."""
 
     def __init__(self, views: Sequence[View]):
         self._size = views[0].camera.width, views[0].camera.height

@@ -175,10 +175,7 @@ def _held_out(source: FrameSource, camera: Camera) -> list[tuple[View, Image]]:
 
 
 def _quality(source: FrameSource, settings: FrameSettings, view: View, truth: Image) -> float:
-    """Quality of a view's first frame, without any history, to a viewer who looks at the settings' gaze.
-
-    In JOD, or SSIM where FovVideoVDP is not installed.
-    """
+    """JOD, or SSIM without FovVideoVDP, of a view's first frame for a viewer with the settings' gaze."""
     source.forget()
     own = replace(settings, camera=view.camera, time=view.time)
     composite = _enlarged(source.show(Request(own), quick=True).frame.composite, view.camera)

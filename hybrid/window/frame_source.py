@@ -63,10 +63,7 @@ class FrameSource:
         return Ready(scene.name, scene.camera, distance, self.layers, seconds)
 
     def show(self, request: Request, quick: bool) -> ShownFrame:
-        """The requested image; the same request again yields a slightly better one each time.
-
-        If `quick`, the frame must not take longer for more samples.
-        """
+        """The requested image, a little better with each call; if `quick`, frames stay as fast as they are."""
         self._seed += 1
         # What frames of another size or kind needed.
         if time.monotonic() - self._released > _RELEASE_EVERY:
@@ -104,10 +101,7 @@ class FrameSource:
         self.renderer.forget()
 
     def save(self, png: Path) -> None:
-        """Writes what was shown last: the image as PNG and, beside it, the AOVs of its frame as EXR.
-
-        UserError if a file cannot be written.
-        """
+        """Writes what was shown last: the image as PNG and, beside it, the AOVs of its frame as EXR."""
         if self._last is not None:
             write_srgb(png, self._last.image)
             self.renderer.with_aovs(self._last.frame).save(png.with_suffix(".exr"))

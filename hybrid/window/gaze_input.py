@@ -57,10 +57,7 @@ class GazeInput:
 
 
 def unused_file(folder: Path, name: str, suffix: str) -> Path:
-    """FOLDER/NAME-001SUFFIX, with the lowest number that no file there has yet.
-
-    UserError if the folder cannot be read.
-    """
+    """FOLDER/NAME-001SUFFIX, or the next number without a file; UserError if the folder cannot be read."""
     files = (folder / f"{name}-{number:03d}{suffix}" for number in itertools.count(1))
     try:
         return next(file for file in files if not file.exists())

@@ -100,10 +100,7 @@ class HeldKeys:
         return seconds
 
     def move(self, walker: Walker, distance: float, seconds: float) -> None:
-        """Walks and looks around as far as the keys do that were held for some seconds.
-
-        The distance is the median one to what is visible, in units of the scene.
-        """
+        """Walks, in median distances to what is visible, and looks around as far as held keys do."""
         for key in self._held:
             if key in _WALK:
                 step = _PACE * distance * seconds

@@ -17,10 +17,7 @@ _LIBRARIES = (
 
 
 def require_window() -> None:
-    """Checks that Qt can open a window, before Qt itself ends the process because it cannot.
-
-    UserError if Qt is not installed, there is no display, or Qt cannot use it.
-    """
+    """UserError if Qt cannot open a window, raised before Qt itself ends the process for that reason."""
     try:
         import PySide6  # noqa: F401
     except ImportError as error:

@@ -30,10 +30,7 @@ _MOST_SAMPLES = 1024
 
 
 class ConvergingFrame:
-    """Path-traced radiance of one view, which gets better with every step.
-
-    Pixels that have no sample yet show a stand-in, radiance (H, W, 3).
-    """
+    """Path-traced radiance of one view, which gets better with every step, from a stand-in (H, W, 3)."""
 
     def __init__(self, tracer: Tracer, camera: Camera, stand_in: Image):
         self._tracer, self.camera = tracer, camera
