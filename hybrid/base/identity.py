@@ -91,13 +91,9 @@ def short_hash(identity: dict[str, Any]) -> str:
 
 
 def require_same(found: dict[str, Any], expected: dict[str, Any], what: str, advice: str) -> None:
-    """Checks that cached results belong to the work that would use them; UserError names what differs.
+    """Checks that cached results, as read from JSON, belong to the work that would use them.
 
-    Args:
-        found: identity of the cached results, as read from JSON.
-        expected: identity of the work.
-        what: the cached results and where they are, for the message.
-        advice: what the user can do, for the message.
+    UserError says what they are and where, which entries differ, and what the user can do.
     """
     # JSON turns tuples into lists.
     expected = json.loads(json.dumps(expected))

@@ -20,10 +20,8 @@ _MOST_BYTES = 1 << 30
 class Journal:
     """Named results in one JSON file, which is created when the first one is saved.
 
-    The identity is everything that the results depend on, in types that JSON has.
-
-    Raises:
-        UserError: the file is damaged, or belongs to another identity.
+    The identity is everything that the results depend on, in types that JSON has. UserError if the file is
+    damaged, or belongs to another identity.
     """
 
     def __init__(self, path: Path, identity: dict[str, Any]):

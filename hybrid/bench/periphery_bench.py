@@ -46,13 +46,10 @@ def bench_periphery(
 
     A pass is everything from the gaze to the composited image of what lies outside fov-b. Footprints depend
     on the camera alone and are kept while it stands still; saliency is kept as in the window, where a moving
-    camera has that of an earlier view which showed nearly the same. Of the settings, fov_b and display
-    matter.
-
-    Returns:
-        Rows with percentiles of periphery_ms and full_ms, with a still camera, and of moving_ms and
-        moving_full_ms, with another camera in each pass; their ratios (full over periphery); and jod and ssim
-        against a frame that differs only in having a full periphery.
+    camera has that of an earlier view which showed nearly the same. Rows have percentiles of periphery_ms and
+    full_ms, with a still camera, and of moving_ms and moving_full_ms, with another camera in each pass; their
+    ratios (full over periphery); and jod and ssim against a frame that differs only in having a full
+    periphery.
     """
     models = [replace(settings, acuity_model=name) for name in ACUITY_MODELS]
     # One per model, so that none reuses what another one has kept.

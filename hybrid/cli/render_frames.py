@@ -41,11 +41,8 @@ def write_frames(
 ) -> dict[str, Any]:
     """Renders and writes a frame, and a picture of its levels if `detail` names a file; or one per eye.
 
-    The camera is the view, or what lies between the eyes, whose distance is in its units; None for a single
-    frame.
-
-    Returns:
-        What `facts_of` says of the frame; of two eyes, by "left" and "right".
+    The camera is the view or, unless their distance in its units is None, between the eyes. Returns what
+    `facts_of` says of the frame; of two eyes, by "left" and "right".
     """
     from compose.camera.camera import EYES, eyes
     from hybrid.render.false_colours import detail_picture

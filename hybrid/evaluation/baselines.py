@@ -72,10 +72,7 @@ class Axis:
     """The mapping along one axis, from `size` pixels of the frame to `buffer` pixels of the buffer.
 
     The gaze is a position in 0..1. The smaller f, above 0, the more of the buffer goes to the surroundings of
-    the gaze.
-
-    Raises:
-        ValueError: the gaze lies outside the frame, f is not positive, or a side has no pixel.
+    the gaze. ValueError if anything is out of range.
     """
 
     gaze: float

@@ -84,11 +84,11 @@ def hybrid_entries(renderer: Renderer, settings: EvaluationSettings) -> list[Ent
     def hybrid(mode: FoveaMode, spp: int) -> HybridMethod:
         return HybridMethod(renderer, replace(settings.frame, fovea=mode, spp=spp))
 
-    entries = [Entry(f"hybrid, {mode.value}", FIXED, hybrid(mode, settings.frame.spp)) for mode in FoveaMode]
-    for spp in OTHER_SPP:
-        if spp != settings.frame.spp:
-            entries.append(Entry(f"{OURS}, {spp} spp", FIXED, hybrid(FoveaMode.FUSED, spp), briefly=True))
-    return entries
+    other = [spp for spp in OTHER_SPP if spp != settings.frame.spp]
+    return [
+        *(Entry(f"hybrid, {mode.value}", FIXED, hybrid(mode, settings.frame.spp)) for mode in FoveaMode),
+        *(Entry(f"{OURS}, {spp} spp", FIXED, hybrid(FoveaMode.FUSED, spp), briefly=True) for spp in other),
+    ]
 
 
 def splat_entries(splats: SplatsAlone, flat: SplatsAlone | None) -> list[Entry]:
@@ -236,17 +236,12 @@ def time_rows(
 ) -> list[dict[str, Any]]:
     """One row per entry: p50, p95 and p99 of whole frames, and the median of each pass, in milliseconds.
 
-    All entries take turns along one gaze path and through the views, after a warm-up. The camera turns a
-    little from frame to frame, so that no frame reuses what another one, even of another entry, has computed
-    for its view. `ms_range` has the least and the greatest median of a view, and `over_ours` the median over
-    that of OURS, of frames that were rendered in turns.
-
-    Args:
-        views: of one size.
-        gaze: centre of the path.
-        repeats: frames per entry; 20 for those that are timed briefly, and fewer for those that would take
-            over 80 seconds.
-        journal: stores the times; those it holds are not measured again.
+    All entries take turns along one gaze path around `gaze` and through the views, of one size, after a
+    warm-up. The camera turns a little from frame to frame, so that no frame reuses what another one, even of
+    another entry, has computed for its view. An entry that is timed briefly has 20 frames instead of
+    `repeats`, and one that would take over 80 seconds fewer. Times that the journal holds are not measured
+    again. `ms_range` has the least and the greatest median of a view, and `over_ours` the median over that of
+    OURS, of frames that were rendered in turns.
     """
     times: dict[str, dict[str, list[float]]] = journal.once("times", dict)
     timings = [Timing(entry, times.setdefault(entry.title, {})) for entry in entries]

@@ -54,9 +54,7 @@ class Evaluation:
     """Evaluates one scene with one forest; resumes if interrupted.
 
     The report's folder gets images and the journal. `flat`, Gaussians without trees, are a further baseline.
-
-    Raises:
-        UserError: a forest belongs to another scene, or the folder holds another evaluation.
+    UserError if a forest belongs to another scene, or the folder holds another evaluation.
     """
 
     def __init__(

@@ -41,13 +41,10 @@ def pareto_front(items: Iterable[T], cost_and_quality: Callable[[T], tuple[float
 
 @dataclass(frozen=True)
 class MeasuredSettings:
-    """Frame settings with the time and quality measured for them.
+    """Frame settings with the median time of a frame, and the quality, measured for them.
 
-    Attributes:
-        settings: of the frame; its gaze and camera have no meaning here.
-        milliseconds: median time of a frame.
-        quality: JOD, or SSIM if FovVideoVDP is not installed; mean over the views in which it was measured.
-        spread: its least and its greatest value over these views; None for a single view.
+    Quality is in JOD, or SSIM without FovVideoVDP: the mean over views, and the spread from the least to the
+    greatest value, None for a single view. The settings' gaze and camera have no meaning here.
 
     Raises:
         ValueError: the time or the quality is not finite, or the time is not positive: such settings could

@@ -56,20 +56,18 @@ def sweep(
     write: Callable[[dict[str, Any]], None],
     progress: Steps,
 ) -> dict[str, Any]:
-    """Times hybrid frames and full path tracing in turns, over one quantity.
+    """Times hybrid frames and full path tracing in turns, over one quantity, from a base setting.
 
     Frames are timed, and their quality is measured, in three views that nothing was fitted to; the scene's
-    own view is one of those that splats are trained on. A row of the sweep over views is one such view.
-
-    Args:
-        over: name of the sweep; UserError if there is none, or if a region that it judges is empty.
-        base: the setting that it varies.
-        write: called with the result before the intermediate results are deleted.
-        progress: counts in thousandths of a row.
+    own view is one of those that splats are trained on. A row of the sweep over views is one such view. The
+    result is written before the intermediate results are deleted. Progress counts in thousandths of a row.
 
     Returns:
         scene, forest, over, title, views (in how many each row was measured), rows, break_even (of the sweep
         over the radius), the settings that all rows have in common, and machine.
+
+    Raises:
+        UserError: there is no such sweep, or a region whose quality is measured is empty.
     """
     chosen = sweep_named(over, forest.counts)
     views = unseen_views(scene, _VIEWS, base.camera.width, base.camera.height)

@@ -24,12 +24,10 @@ _STEP = 1e-3
 
 @dataclass(frozen=True)
 class Reference:
-    """What frames of a view are compared with.
+    """What frames of a view are compared with: the mean, (H, W, 3) linear, of two independent halves.
 
-    Attributes:
-        radiance: (H, W, 3) linear, mean of `halves`.
-        halves: two independent estimates (H, W, 3), each denoised on its own.
-        errors: (H, W) unbiased estimate of the radiance's squared error in sRGB; noisy, at times negative.
+    Each half is denoised on its own. The errors (H, W) are an unbiased estimate of the radiance's squared
+    error in sRGB; noisy, at times negative.
     """
 
     radiance: Image

@@ -81,10 +81,8 @@ class Fovea:
         """Traces the disc with `spp` samples per pixel, for a fovea that will be made in a mode.
 
         A fused fovea requires the underlay, the splats under the disc. If `quick`, samples are distributed
-        evenly, which takes less time.
-
-        Returns:
-            The pixels that have samples, with the weights of the blend; and the samples.
+        evenly, which takes less time. Returns the pixels that have samples, with the weights of the blend;
+        and the samples.
         """
         if self.thins_band(mode):
             thin, counts = thinned(disc, spp, seed)

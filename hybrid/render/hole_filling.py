@@ -210,18 +210,8 @@ class Filler:
         The probe traces rays to surfaces; `light` makes what traces radiance, and is called only if some is
         needed. Unless the key is None, the fill is traced once until the camera or the key changes.
         """
-        if key is None:
-            return self._filled(camera, probe, light, effort, seed)
-        if self._kept is None or self._kept[0] != (camera, key):
-            made = self._filled(camera, probe, light, effort, seed)
-            if made is None:
-                return None
-            self._kept = (camera, key), made
-        return self._kept[1]
-
-    def _filled(
-        self, camera: Camera, probe: Tracer, light: Callable[[], Tracer], effort: FillEffort, seed: int
-    ) -> Fill | None:
+        if key is not None and self._kept is not None and self._kept[0] == (camera, key):
+            return self._kept[1]
         if self._known is None or self._known[0] != camera:
             self._known = camera, self._coverage.of(camera, probe)
         unknown = np.float32(1) - self._known[1]
@@ -235,7 +225,10 @@ class Filler:
         albedo = probe.auxiliary(
             camera, pixel_positions(mi.UInt32(disc.pixels), camera.width), effort.albedo_spp, seed
         ).albedo
-        return Fill(disc, self._lit(disc, albedo, traced, known))
+        fill = Fill(disc, self._lit(disc, albedo, traced, known))
+        if key is not None:
+            self._kept = (camera, key), fill
+        return fill
 
     def _lit(self, disc: Disc, albedo: list[Any], light: Any, known: Disc) -> list[Any]:
         """Radiance of the D pixels with an albedo in a light that is linear between its pixels.

@@ -126,23 +126,15 @@ def render_video(
 ) -> list[dict[str, float]]:
     """Renders a video along a gaze trace; the file appears complete or not at all.
 
-    A scene that moves does so at its own speed, and begins anew when its time is over. Until it is complete,
-    its frames are kept in a folder beside it, from which an interrupted video resumes.
+    A scene that moves does so at its own speed, from the time of the settings on, and begins anew when its
+    time is over. With a history, the renderer's frames are those that the window shows. The seed is that of
+    the first frame; each further one has the next seed, and after MOST_SEED comes 0.
 
-    Args:
-        path: MP4 file to write.
-        renderer: with a history, frames are those that the window shows.
-        settings: of the frames, except for the gaze; `time` is that of the first frame.
-        fps: frames per second.
-        seed: of the first frame; each further one has the next seed, and after MOST_SEED comes 0.
-        identity: everything that the frames depend on, in types that JSON has.
+    Until it is complete, the frames are kept in a folder beside it, from which an interrupted video resumes
+    if its identity is the same: everything that frames depend on, in types that JSON has.
 
-    Returns:
-        Milliseconds per pass, of each frame.
-
-    Raises:
-        UserError: the video would have too many frames, the seed is out of range, the folder is damaged or
-            holds another video, or the file cannot be written.
+    Returns milliseconds per pass, of each frame. UserError if the video would have too many frames, the seed
+    is out of range, the folder is damaged or holds another video, or the file cannot be written.
     """
     require_seed(seed)
     count = frame_count(trace.duration, fps)
@@ -209,16 +201,9 @@ def render_splat_video(
 ) -> list[dict[str, float]]:
     """Renders a video that passes all views once; the file appears complete or not at all.
 
-    Args:
-        path: MP4 file to write.
-        settings: of the frames, except for camera and time.
-        seconds: that the way through the views takes.
-        fps: frames per second.
-        trace: where the viewer looks; None for the gaze of the settings.
-
-    Returns:
-        Milliseconds per pass, of each frame; UserError if there would be too many, or the file cannot be
-        written.
+    The way through the views takes so many seconds; without a trace, the gaze is that of the settings.
+    Returns milliseconds per pass, of each frame. UserError if there would be too many, or the file cannot be
+    written.
     """
     count = frame_count(seconds, fps)
     times: list[dict[str, float]] = []

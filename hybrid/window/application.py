@@ -119,14 +119,9 @@ def run_window(
     options: WindowOptions,
     thin_glass: bool = False,
 ) -> tuple[dict[str, Any], str]:
-    """Runs the window until it is closed.
+    """Runs the window until it is closed; arguments are those of commands.
 
-    Args:
-        scene: name of a bundled scene, or a Mitsuba XML file.
-        forest: forest file; None for the newest one of the scene.
-        settings: initial settings of the frames.
-        trace: replayed instead of the mouse; None for the mouse.
-        thin_glass: whether panes of glass let shadow rays pass.
+    The trace is replayed instead of the mouse.
 
     Returns:
         What was measured (see `figures`; `target`, see `steadiness`), and a summary of it for people.

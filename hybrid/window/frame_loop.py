@@ -36,9 +36,8 @@ _QUICK_FOR = 1.0
 class FrameLoop:
     """Renders frame after frame; `ladder` measures the settings to choose from for frames like a request.
 
-    Attributes:
-        due: time.perf_counter before which the next frame should not begin.
-        idle: whether there is nothing to do until another frame is requested.
+    The next frame should not begin before `due`, a time.perf_counter. While `idle`, there is nothing to do
+    until another frame is requested.
     """
 
     def __init__(self, source: FrameSource, ladder: Callable[[Request], Sequence[MeasuredSettings]]):

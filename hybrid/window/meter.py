@@ -27,10 +27,8 @@ class Timed(NamedTuple):
 class Meter:
     """Collects the times, of time.perf_counter, of all shown frames or of the last hundred.
 
-    Attributes:
-        intervals: from each frame to the next one.
-        latencies: from each gaze movement to the first frame that includes it or a newer one.
-        passes: milliseconds of each pass, by name, of each frame.
+    Intervals are from each frame to the next one; latencies from each gaze movement to the first frame that
+    includes it or a newer one; passes the milliseconds of each pass, by name, of each frame.
     """
 
     def __init__(self, keeps_all: bool = False):
@@ -115,12 +113,10 @@ def figures(meter: Meter, size: tuple[int, int], start: float) -> dict[str, Any]
 def steadiness(
     frames: Sequence[tuple[float, float]], fps: float, loaded: tuple[float, float] | None
 ) -> dict[str, Any]:
-    """How well a frame time was kept.
+    """How well a target of frames per second was kept.
 
-    Args:
-        frames: of each, the seconds at which it came, and the milliseconds since the one before.
-        fps: the target.
-        loaded: seconds at which another process began and ended to keep a core busy.
+    Frames are the seconds at which each came, and the milliseconds since the one before; `loaded` the seconds
+    at which another process began and ended to keep a core busy.
 
     Returns:
         `fps`, `tolerance`; `kept`, the share of frames within 20 % of the target, without those under load
