@@ -186,12 +186,11 @@ def bench_frame(
     `repeats` timed ones, of which each row has a few more afterwards that are profiled. Each frame has the
     next seed.
 
-    Returns:
-        Rows with mode; live, whether by the renderer of the window or that of single frames; width, height;
-        wall_ms, percentiles of the milliseconds until a frame is complete; launches, median number of
-        operations in Dr.Jit's history (kernels, reductions, sorts and, on the CPU, copies inside Dr.Jit);
-        kernels_ms, median of the sum of their times; host_bytes, median, as `HostBytes` counts; passes,
-        percentiles of each pass in milliseconds; and backend, llvm or cuda.
+    Rows have mode; live, whether by the renderer of the window or that of single frames; width, height;
+    wall_ms, percentiles of the milliseconds until a frame is complete; launches, median number of operations
+    in Dr.Jit's history (kernels, reductions, sorts and, on the CPU, copies inside Dr.Jit); kernels_ms, median
+    of the sum of their times; host_bytes, median, as `HostBytes` counts; passes, percentiles of each pass in
+    milliseconds; and backend, llvm or cuda.
     """
     cases = [
         _Case(kind(scene, forest), replace(settings, fovea=mode, camera=scene.camera.resized(*size)))

@@ -65,10 +65,7 @@ def write_frames(
 
 
 def refuse_tracing(context: typer.Context, folder: Path, is_path: bool) -> None:
-    """Refuses options that say how a scene is path-traced: frames in a folder have none.
-
-    On a path, a video shows all of them, each at its own time.
-    """
+    """Refuses options of path tracing and, for a video of all views on their path, of a single view."""
     if is_path and any(o.given(context, name) for name in ("view", "camera", "time")):
         raise UserError(f"--view, --camera, --time: a video of {folder} shows all its views at their times")
     for name in _OF_SCENES:

@@ -110,10 +110,7 @@ class Warp:
 
     @staticmethod
     def of(gaze: Gaze, width: int, height: int, f: float, sigma: float) -> Warp:
-        """The mapping of a frame of that size in pixels into a buffer with sides smaller by sigma.
-
-        ValueError if the gaze lies outside the frame, or if f or sigma is not positive.
-        """
+        """The mapping into a buffer with sides smaller by sigma; ValueError if anything is out of range."""
         if not (np.isfinite(sigma) and sigma > 0):
             raise ValueError(f"sigma {sigma} must be positive")
         sides = ((gaze.x, width), (gaze.y, height))

@@ -208,10 +208,7 @@ class Timing:
             self.passes.setdefault(name, []).append(value)
 
     def row(self, views: Sequence[View], ours: Timing | None) -> dict[str, Any]:
-        """The row of the results, without percentiles for which there are too few frames.
-
-        It is compared with `ours`, if there is one, over the frames that both have.
-        """
+        """The row of the results, compared with `ours`, if there is one, over the frames that both have."""
         known = [percent for percent, least in _ENOUGH_FOR.items() if len(self.totals) >= least]
         row = {
             "method": self.entry.name,

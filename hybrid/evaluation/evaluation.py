@@ -89,10 +89,7 @@ class Evaluation:
         self.costs = Journal(file, identity)
 
     def run(self, progress: Callable[[str, float, float], None]) -> dict[str, Any]:
-        """Measures what is not measured yet, and returns the content of evaluation.json.
-
-        `progress` is called with the current activity, work done and work in total.
-        """
+        """The content of evaluation.json; `progress` gets the activity, work done and work in total."""
         settings = self.settings
         # First of all, so that whatever is written to the folder belongs to an evaluation.
         self.journal.write()
@@ -143,7 +140,6 @@ class Evaluation:
         return found
 
     def _entries(self, views: list[View], work: WorkProgress) -> list[Entry]:
-        """All methods at all budgets."""
         gaze = self.settings.frame.gaze
         hybrid = hybrid_entries(self.renderer, self.settings)
         ours = next(entry for entry in hybrid if entry.name == OURS)

@@ -44,13 +44,10 @@ _TIMES = (
 def quickstart(
     scene: Scene, folder: Path, settings: FrameSettings, seed: int, bars: Bars = no_bars
 ) -> dict[str, Any]:
-    """Captures, trains, renders and measures; writes images and a page.
+    """Captures, trains, renders and measures; writes images and a page; returns result.json's content.
 
     All figures of frames are those of views that nothing was fitted to; the images are of the first of them.
     The disc of the settings must contain a pixel of a frame of SIZE x SIZE.
-
-    Returns:
-        The content of result.json.
     """
     start = time.perf_counter()
     forest, frames = make_quick_forest(scene, folder, seed, bars)

@@ -59,7 +59,6 @@ def write_page(path: Path, folder: Path, result: dict[str, Any]) -> None:
 
 
 def _rows(result: dict[str, Any]) -> list[tuple[str, str]]:
-    """Names and values of the measurements."""
     seconds = ", ".join(f"{name} {value:.0f} s" for name, value in result["seconds"].items())
     ceiling = f"at most {result['ceiling']:.2f}×, if splats took no time"
     speed_up = with_range(result["ratio"], result.get("ratio_range"), ".2f", "×")

@@ -62,12 +62,9 @@ def sweep(
     own view is one of those that splats are trained on. A row of the sweep over views is one such view. The
     result is written before the intermediate results are deleted. Progress counts in thousandths of a row.
 
-    Returns:
-        scene, forest, over, title, views (in how many each row was measured), rows, break_even (of the sweep
-        over the radius), the settings that all rows have in common, and machine.
-
-    Raises:
-        UserError: there is no such sweep, or a region whose quality is measured is empty.
+    Returns scene, forest, over, title, views (in how many each row was measured), rows, break_even (of the
+    sweep over the radius), the settings that all rows have in common, and machine. UserError if there is no
+    such sweep, or if a region whose quality is measured is empty.
     """
     chosen = sweep_named(over, forest.counts)
     views = unseen_views(scene, _VIEWS, base.camera.width, base.camera.height)

@@ -25,20 +25,14 @@ _RESAMPLINGS, _OUTSIDE = 1000, 0.05
 
 
 def percentiles(milliseconds: list[float], wanted: Sequence[int] = (50, 95)) -> dict[str, float]:
-    """Percentiles by name, such as p50 for the median; of few frames, interpolated between two of them.
-
-    ValueError if there are no frames, or if a time is negative or not finite.
-    """
+    """Percentiles by name, such as p50; ValueError without times, or if one is negative or not finite."""
     if not milliseconds or not all(0 <= time < math.inf for time in milliseconds):
         raise ValueError(f"{len(milliseconds)} frames: there must be some, all of finite times")
     return {f"p{percent}": float(np.percentile(milliseconds, percent)) for percent in wanted}
 
 
 def ratio_of_medians(over: Sequence[float], under: Sequence[float]) -> float:
-    """Median of the first times over that of the second ones.
-
-    ValueError if there are no times, or if a median is not positive and finite: no frame takes no time.
-    """
+    """Ratio of two medians; ValueError without times, or if a median is not positive and finite."""
     upper, lower = (float(np.median(times)) if len(times) else math.nan for times in (over, under))
     if not (0 < upper < math.inf and 0 < lower < math.inf):
         raise ValueError(f"medians of {upper} and {lower} ms: both must be positive and finite")

@@ -68,10 +68,7 @@ class Reference:
 
 
 def reference(tracer: Tracer, camera: Camera, spp: int | NDArray[np.int64], seed: int) -> Reference:
-    """Traces a reference of a view with `spp` samples per pixel in total, one number or (H * W,).
-
-    ValueError if there are fewer than 4 samples, one per independent part.
-    """
+    """A reference of `spp` samples per pixel in total, one number or (H * W,); ValueError below 4."""
     if np.min(spp) < _PARTS:
         raise ValueError(f"a reference needs at least {_PARTS} samples per pixel")
     (first, its_parts), (second, others) = (_half(tracer, camera, spp, seed, n) for n in range(2))

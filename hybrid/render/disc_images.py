@@ -25,12 +25,8 @@ from pathtrace.trace.denoise import denoise, denoise_coarsely
 class Underlay:
     """The splats rendered under the disc, one of the images from which a fused fovea is made.
 
-    Attributes:
-        radiance: linear, of the whole frame; only the rectangle around the disc is used.
-        enlargement: side of the pixels that the splats were trained on, in pixels of this image.
-
-    Raises:
-        ValueError: the size of the image is not that of the camera's frame.
+    The radiance is linear, of the whole frame, or else a ValueError; only the rectangle around the disc is
+    used. The enlargement is the side of the pixels that the splats were trained on, in pixels of this image.
     """
 
     camera: Camera

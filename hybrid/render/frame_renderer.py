@@ -298,9 +298,6 @@ class LiveRenderer(Renderer):
     """Renders frames in sequence, with a fovea that reuses the samples of earlier frames.
 
     While the camera moves, what is filled is traced quickly; when it stands still, once.
-
-    Raises:
-        UserError: the forest belongs to another scene.
     """
 
     _is_quick, _effort = True, MOVING

@@ -240,8 +240,7 @@ class Filler:
         top, left = (arrays.constant(side.start) for side in known.box)
         height, width = (arrays.constant(side) for side in known.shape)
         rows, columns = (plain.Int(arrays.constant(side)) for side in (known.height, known.width))
-        row = pixel // arrays.constant(disc.width)
-        column = pixel - row * arrays.constant(disc.width)
+        row, column = arrays.rows_columns(pixel, disc.width)
         x, y = ((plain.Float(at) + 0.5) * (1 / _SIDE) - 0.5 for at in (column, row))
         first_x, first_y = plain.Int(dr.floor(x)), plain.Int(dr.floor(y))
         total = [plain.Float(0) for _ in range(3)]
@@ -262,12 +261,10 @@ class Filler:
 def _disc(arrays: Arrays, camera: Camera, unknown: NDArray[np.float32], side: int) -> Disc:
     """The pixels with a share of what is unknown, given for cells; it is linear between their centres."""
     plain, height, width = arrays.plain, camera.height, camera.width
-    across, columns = arrays.constant(width), arrays.constant(unknown.shape[1])
-    shares = uploaded(plain.Float, unknown)
+    columns, shares = arrays.constant(unknown.shape[1]), uploaded(plain.Float, unknown)
     pixel = dr.arange(plain.UInt, height * width)
-    row = pixel // across
     taps = []
-    for at, count in zip((row, pixel - row * across), unknown.shape, strict=True):
+    for at, count in zip(arrays.rows_columns(pixel, width), unknown.shape, strict=True):
         last = arrays.constant(count - 1)
         place = dr.clip((plain.Float(at) + 0.5) * (1 / side) - 0.5, 0, plain.Float(last))
         first = plain.UInt(place)
@@ -319,9 +316,8 @@ def _light(
 def _known(arrays: Arrays, camera: Camera, cells: NDArray[np.bool_], times: int) -> Disc:
     """The light's pixels in some cells, of which each has `times` along a side."""
     plain, (height, width) = arrays.plain, _grid(camera, _SIDE)
-    pixel, across = dr.arange(plain.UInt, height * width), arrays.constant(width)
-    row = pixel // across
-    cell = row // times * arrays.constant(cells.shape[1]) + (pixel - row * across) // times
+    row, column = arrays.rows_columns(dr.arange(plain.UInt, height * width), width)
+    cell = row // times * arrays.constant(cells.shape[1]) + column // times
     pixels = dr.compress(dr.gather(plain.Bool, uploaded(plain.Bool, cells), cell))
     # Denoising takes as long as the rectangle is large.
     rows, columns = (

@@ -73,7 +73,6 @@ _FIELDS: dict[str, tuple[str, type]] = {
 
 
 def _arrays(cache: IrradianceCache) -> dict[str, NDArray[np.generic]]:
-    """A cache as arrays by name."""
     cells = cache.cells
     arrays = {name: attrgetter(place)(cache) for name, (place, _) in _FIELDS.items()}
     arrays["scale"] = np.array([cells.grid.scale])

@@ -45,10 +45,8 @@ class VideoFrames:
     """The rendered frames of a video, in a folder, and the fovea's history after the last of them.
 
     The folder is created with the first frame. The identity is everything that the frames depend on, in types
-    that JSON has. `milliseconds` are per pass, of each rendered frame.
-
-    Raises:
-        UserError: the folder is damaged, or holds another video.
+    that JSON has. `milliseconds` are per pass, of each rendered frame. UserError if the folder is damaged, or
+    holds another video.
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any]):

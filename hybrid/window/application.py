@@ -121,13 +121,8 @@ def run_window(
 ) -> tuple[dict[str, Any], str]:
     """Runs the window until it is closed; arguments are those of commands.
 
-    The trace is replayed instead of the mouse.
-
-    Returns:
-        What was measured (see `figures`; `target`, see `steadiness`), and a summary of it for people.
-
-    Raises:
-        UserError: the scene or the forest cannot be used.
+    The trace is replayed instead of the mouse. Returns what was measured (see `figures`; `target`, see
+    `steadiness`), and a summary of it for people. UserError if the scene or the forest cannot be used.
     """
     application = QApplication(sys.argv[:1])
     # Training would take minutes of a measurement that is expected to take seconds.

@@ -138,7 +138,6 @@ def candidates(base: FrameSettings, layers: int) -> list[FrameSettings]:
 def _measured(
     source: FrameSource, camera: Camera, base: FrameSettings, report: Progress
 ) -> list[MeasuredSettings]:
-    """All candidates with their time and quality."""
     wanted = candidates(base, source.layers)
     report(0, len(wanted) + 1, _ACTIVITY)
     views = _held_out(source, camera)

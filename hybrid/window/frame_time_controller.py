@@ -25,14 +25,10 @@ _LEAST_LOAD = 1e-3
 
 
 class FrameTimeController:
-    """Chooses settings from a ladder so that frames take the target time.
+    """Chooses settings from a ladder so that frames take the target time, in milliseconds.
 
-    Attributes:
-        target: milliseconds per frame.
-        load: time of a frame over the time measured for its settings, averaged over recent frames.
-
-    Raises:
-        ValueError: the ladder is empty, its times do not increase, or the target is not positive.
+    The load is the time of a frame over the time measured for its settings, averaged over recent frames.
+    ValueError if the ladder is empty, its times do not increase, or the target is not positive.
     """
 
     def __init__(self, ladder: Sequence[MeasuredSettings], target: float):

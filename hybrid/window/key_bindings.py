@@ -66,33 +66,21 @@ _HELP = {
 HELP = [f"{keys:<14}{effect}" for keys, effect in _HELP.items()]
 
 
-class HeldKeys:
+class HeldKeys(set[int]):
     """Keys that walk or look around for as long as they are held; times are seconds on one clock."""
 
     def __init__(self, now: float):
-        self._held: set[int] = set()
+        super().__init__()
         self._before = now
-
-    def __bool__(self) -> bool:
-        """Whether any key is held."""
-        return bool(self._held)
 
     def press(self, key: int, now: float) -> bool:
         """Notes that a key is pressed, if it walks or looks around; whether it does."""
         if key not in _WALK and key not in _LOOK:
             return False
-        if key not in self._held:
+        if key not in self:
             self._before = now
-        self._held.add(key)
+        self.add(key)
         return True
-
-    def release(self, key: int) -> None:
-        """Notes that a key is no longer held."""
-        self._held.discard(key)
-
-    def clear(self) -> None:
-        """Notes that no key is held."""
-        self._held.clear()
 
     def elapsed(self, now: float) -> float:
         """Seconds since the last call, or since a key was pressed."""
@@ -101,7 +89,7 @@ class HeldKeys:
 
     def move(self, walker: Walker, distance: float, seconds: float) -> None:
         """Walks, in median distances to what is visible, and looks around as far as held keys do."""
-        for key in self._held:
+        for key in self:
             if key in _WALK:
                 step = _PACE * distance * seconds
                 walker.walk(*(step * way for way in _WALK[_Key(key)]))

@@ -72,7 +72,6 @@ class RenderThread(QThread):
         self.progress.emit(label, done, total)
 
     def _serve(self, source: FrameSource, loop: FrameLoop) -> None:
-        """Renders until the window is closed."""
         request: Request | None = None
         while not self._stopping.is_set():
             # Wait first, then take the request, so that its gaze is as new as can be.

@@ -93,10 +93,7 @@ _STRONGEST = 0.25
 
 
 def image_of(view: ShownView, frame: Frame, path_traced: ConvergingFrame | None) -> NDArray[np.uint8]:
-    """(H, W, 3) sRGB image of a view of a hybrid frame, with the path-traced frame for views that need it.
-
-    ValueError if the view needs the path-traced frame, and there is none.
-    """
+    """(H, W, 3) sRGB image of a view; ValueError if it needs the path-traced frame, and there is none."""
     if view is ShownView.LEVELS:
         return levels_picture(frame.composite, frame.detail, frame.region)
     if view is ShownView.FOVEA:
