@@ -203,10 +203,6 @@ class Timing:
         few = len(self.totals) < _LEAST_REPEATS
         return not few and (self.entry.briefly or sum(self.totals) > 1000 * _MOST_SECONDS)
 
-    def add(self, milliseconds: dict[str, float]) -> None:
-        for name, value in milliseconds.items():
-            self.passes.setdefault(name, []).append(value)
-
     def row(self, views: Sequence[View], ours: Timing | None) -> dict[str, Any]:
         """The row of the results, compared with `ours`, if there is one, over the frames that both have."""
         known = [percent for percent, least in _ENOUGH_FOR.items() if len(self.totals) >= least]
@@ -255,7 +251,8 @@ def time_rows(
             at = path[_step(timing, number, repeats)]
             milliseconds = timing.entry.method.render(own, at, number).milliseconds
             if turn >= 0:
-                timing.add(milliseconds)
+                for name, value in milliseconds.items():
+                    timing.passes.setdefault(name, []).append(value)
         if turn >= 0 and number % _ROUNDS == _ROUNDS - 1:
             journal.write()
         progress(number + 1, repeats)

@@ -28,10 +28,7 @@ _IMAGES = (
 
 
 def write_page(path: Path, folder: Path, result: dict[str, Any]) -> None:
-    """Writes the page from the content of result.json; UserError if that fails.
-
-    The images hybrid.png, reference.png, splat.png and weights.png of the folder are embedded.
-    """
+    """Writes the page, which embeds the folder's four images; UserError if it cannot be written."""
     machine = result["machine"]
     page = rendered(
         "quickstart.html",

@@ -86,10 +86,7 @@ class Results:
         return {view: ours[view] - theirs[view] for view in sorted(ours.keys() & theirs.keys())}
 
     def is_ahead(self, key: Key, region: str, metric: str) -> bool | None:
-        """Whether our frame is better than a baseline on the mean over the views.
-
-        None if they do not differ, or if either half of the references says otherwise than the whole.
-        """
+        """Whether our frame is better on average; None if equal, or if the references' halves disagree."""
         outcomes: set[bool | None] = set()
         for name in (metric, half_name(metric, 1), half_name(metric, 2)):
             ours, theirs = (self.mean(k, region, name) for k in (OURS_KEY, key))

@@ -51,10 +51,7 @@ def flip_map(image: Image, reference: Image, pixels_per_degree: float) -> NDArra
 
 
 def hdr_flip_map(image: Image, reference: Image, pixels_per_degree: float) -> NDArray[np.float32] | None:
-    """(H, W) HDR-FLIP, the largest FLIP over a range of exposures, which the reference alone determines.
-
-    None also if the reference is black, so that it determines no exposure.
-    """
+    """(H, W) HDR-FLIP, the largest FLIP over the reference's exposures; None also if that is black."""
     checked_pair(image, reference)
     if float(luminance(reference).max()) < _LEAST_LUMINANCE:
         return None

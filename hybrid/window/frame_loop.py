@@ -118,10 +118,7 @@ def ladder_for(source: FrameSource, like: Request, report: Progress) -> list[Mea
 
 
 def candidates(base: FrameSettings, layers: int) -> list[FrameSettings]:
-    """Settings from very coarse to very fine, for a forest with a number of layers.
-
-    Acuity model, display, and the share of the radius that the band takes are those of the base.
-    """
+    """Settings from very coarse to very fine, with the base's acuity model, display and share of the band."""
     plain = replace(base, spp=1, layers=(1, layers), rate=0, scale=1.0)
 
     def made(fov_a: float, **other: Any) -> FrameSettings:
