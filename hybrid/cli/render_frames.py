@@ -41,7 +41,7 @@ def write_frames(
 ) -> dict[str, Any]:
     """Renders and writes a frame, and a picture of its levels if `detail` names a file; or one per eye.
 
-    The camera is the view or, unless their distance in its units is None, between the eyes. Returns what
+    The camera is the view or, if there is a distance in its units, lies between the eyes. Returns what
     `facts_of` says of the frame; of two eyes, by "left" and "right".
     """
     from compose.camera.camera import EYES, eyes
@@ -65,7 +65,7 @@ def write_frames(
 
 
 def refuse_tracing(context: typer.Context, folder: Path, is_path: bool) -> None:
-    """Refuses options of path tracing and, for a video of all views on their path, of a single view."""
+    """Refuses options of path tracing; for a video along all views, those of a single view as well."""
     if is_path and any(o.given(context, name) for name in ("view", "camera", "time")):
         raise UserError(f"--view, --camera, --time: a video of {folder} shows all its views at their times")
     for name in _OF_SCENES:

@@ -39,7 +39,7 @@ class TradeTarget:
             raise self._not_measured()
 
     def applied(self, scene: Scene, forest: Forest, settings: FrameSettings) -> FrameSettings:
-        """The settings that meet the target, or the given ones without one; UserError if none does."""
+        """The settings that meet the target, the given ones without one; UserError if none meets it."""
         if not self.is_set:
             return settings
         from hybrid.evaluation.measured_settings import MeasuredStore, chosen

@@ -254,7 +254,7 @@ class Rmfr(_PathTraced):
 
 @dataclass(frozen=True)
 class WarpTuning:
-    """Settings of RMFR that remain free at a given number of rays; `spp` are the least per buffer pixel."""
+    """Settings of RMFR that remain free at a given number of rays, with at least `spp` per buffer pixel."""
 
     f: float
     spp: int

@@ -33,7 +33,10 @@ class Method(Protocol):
         """Expected number of paths per pixel of the frame."""
 
     def render(self, view: View, gaze: Gaze, seed: int) -> TimedImage:
-        """One frame, without the scene's step to its time in the milliseconds: it is the same for all."""
+        """One frame; same seed, same frame on the same machine.
+
+        The scene's step to the view's time is not a part of the milliseconds: it is the same for all.
+        """
 
 
 @dataclass(frozen=True)

@@ -221,7 +221,7 @@ def layer_sweep(counts: tuple[int, ...]) -> Sweep:
 
 
 def sweep_named(name: str, counts: tuple[int, ...]) -> Sweep:
-    """The sweep with that name, of a forest with so many nodes per layer, coarsest first, or UserError."""
+    """The sweep of that name, for nodes per layer of a forest, coarsest first; UserError if there is none."""
     known = {**SWEEPS, "layers": layer_sweep(counts)}
     if name not in known:
         names = list(known)

@@ -230,8 +230,8 @@ def quality_of(
 ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
     """Metrics of a row's frames by region and metric, such as "foveal jod", against those of its views.
 
-    Means over the views, and the least and the greatest value. A metric that has no value in one of the views
-    is left out: its mean would be of other views than those of other rows.
+    They are means over the views, with the least and the greatest value. A metric that has no value in one of
+    the views is left out: its mean would be of other views than those of other rows.
     """
     viewer, parts = Viewer(setting.frame.display, Gaze()), regions_of(setting)
     found: dict[str, list[float]] = {}

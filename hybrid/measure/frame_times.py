@@ -93,7 +93,7 @@ def interleaved(
     """Milliseconds of each method at each step of the gaze path; at each step, all methods take turns.
 
     Methods are functions of gaze and seed that return when their frame is complete. Warm-up frames come
-    before the `repeats` measured ones; the path reaches `reach`.
+    before the `repeats` measured ones.
     """
 
     def total(method: Callable[[Gaze, int], Any], gaze: Gaze, seed: int) -> dict[str, float]:

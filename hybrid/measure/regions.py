@@ -25,7 +25,7 @@ _COARSE = 64
 
 @dataclass(frozen=True)
 class ImageRegion:
-    """Some pixels of a frame, (H, W), with a name of REGIONS, and the rows and columns of their box."""
+    """Some pixels (H, W) of a frame, named as in REGIONS, and rows and columns of the box around them."""
 
     name: str
     mask: NDArray[np.bool_]

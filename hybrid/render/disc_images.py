@@ -25,8 +25,9 @@ from pathtrace.trace.denoise import denoise, denoise_coarsely
 class Underlay:
     """The splats rendered under the disc, one of the images from which a fused fovea is made.
 
-    The radiance is linear, of the whole frame, or else a ValueError; only the rectangle around the disc is
-    used. The enlargement is the side of the pixels that the splats were trained on, in pixels of this image.
+    The radiance is linear and of the whole frame (ValueError if it is not); only the rectangle around the
+    disc is used. The enlargement is the side of the pixels that the splats were trained on, in pixels of this
+    image.
     """
 
     camera: Camera
@@ -58,8 +59,8 @@ def parents_of(disc: Disc, samples: Samples, underlay: Underlay, quick: bool = F
 class DiscImages:
     """Samples and their auxiliary features as images of the rectangle around a disc, Floats (h * w,).
 
-    Radiance, linear, is the mean of the samples; it, albedo and normal have three channels each. The count is
-    that of samples per pixel.
+    Radiance (linear, the mean of the samples), albedo and normal have three channels each; the count is that
+    of samples per pixel.
     """
 
     disc: Disc

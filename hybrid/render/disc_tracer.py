@@ -37,7 +37,7 @@ _WINDOW = 5
 
 @dataclass(frozen=True)
 class DiscRequest:
-    """The samples that a frame requires, `spp` per pixel on average, with or without auxiliary features."""
+    """Samples that a frame requires: `spp` per pixel on average, the same for the same seed."""
 
     camera: Camera
     disc: Disc

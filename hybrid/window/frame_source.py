@@ -63,7 +63,7 @@ class FrameSource:
         return Ready(scene.name, scene.camera, distance, self.layers, seconds)
 
     def show(self, request: Request, quick: bool) -> ShownFrame:
-        """The requested image, a little better with each call; if `quick`, none takes any longer."""
+        """The requested image, a little better with each call; if `quick`, in no more time."""
         self._seed += 1
         # What frames of another size or kind needed.
         if time.monotonic() - self._released > _RELEASE_EVERY:

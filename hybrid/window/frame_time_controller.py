@@ -88,7 +88,7 @@ class FrameTimeController:
 
 
 def applied(choice: MeasuredSettings, requested: FrameSettings) -> FrameSettings:
-    """The requested settings with the chosen radius, of which the band keeps its share, samples and so on."""
+    """The requested settings with the chosen radius (the band keeps its share), samples and so on."""
     settings = choice.settings
     return replace(
         requested.with_radius(settings.fov_a),

@@ -88,7 +88,7 @@ class HeldKeys(set[int]):
         return seconds
 
     def move(self, walker: Walker, distance: float, seconds: float) -> None:
-        """Walks, in median distances to what is visible, and looks around as far as held keys do."""
+        """Walks and looks around for some seconds; the pace is in median distances to what is visible."""
         for key in self:
             if key in _WALK:
                 step = _PACE * distance * seconds

@@ -35,6 +35,6 @@ def require_window() -> None:
 
 
 def tried(environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
-    """Lets another process connect to the display, in this environment by default; how that process ended."""
+    """Lets another process connect to the display, in this environment by default; returns how it ended."""
     trial = [sys.executable, "-c", "from PySide6.QtWidgets import QApplication; QApplication([])"]
     return subprocess.run(trial, env=environment, capture_output=True, text=True, check=False)
