@@ -42,7 +42,7 @@ def frame_count(seconds: float, fps: int) -> int:
 
 
 class VideoFrames:
-    """The rendered frames of a video, in a folder, and the fovea's history after the last of them.
+    """The rendered frames of a video, in a folder, and the fovea's history as it was stored, if it was.
 
     The folder is created with the first frame. The identity is everything that the frames depend on, in types
     that JSON has. `milliseconds` are per pass, of each rendered frame. UserError if the folder is damaged, or
@@ -53,11 +53,12 @@ class VideoFrames:
         self._folder, self._identity = folder, identity
         self._state = folder / "state.safetensors"
         self._saved = time.monotonic()
-        self._history: dict[str, torch.Tensor] = {}
+        self.history: State = {}
         self.milliseconds: list[dict[str, float]] = []
         if self._state.is_file():
             again = "delete the folder to start again"
-            self._history, found = load_tensors(self._state, again)
+            tensors, found = load_tensors(self._state, again)
+            self.history = {name: tensor.numpy() for name, tensor in tensors.items()}
             require_same(
                 found.get("identity", {}),
                 identity,
@@ -67,10 +68,6 @@ class VideoFrames:
             self.milliseconds = list(found.get("milliseconds") or [])
             for number in range(len(self.milliseconds)):
                 self._check(self._file(number))
-
-    def history(self) -> State:
-        """The fovea's history after the last frame; empty if there is none."""
-        return {name: tensor.numpy() for name, tensor in self._history.items()}
 
     def add(
         self, image: NDArray[np.uint8], milliseconds: dict[str, float], history: Callable[[], State]
@@ -140,7 +137,7 @@ def render_video(
     disc = renderer.fovea_of(settings).disc
     moving = renderer.scene.moving
     frames = VideoFrames(path.with_name(path.name + ".frames"), identity)
-    disc.restore_history(camera, frames.history())
+    disc.restore_history(camera, frames.history)
     with interrupts_between_steps() as interrupted:
         try:
             for number in range(len(frames.milliseconds), count):
