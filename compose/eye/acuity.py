@@ -17,7 +17,7 @@ from compose.base.errors import UserError
 
 Array = NDArray[np.float64]
 
-# Models of frames that must look right, and that must be quick, as compared in docs/measured/periphery.md.
+# Models of frames that must look right, and that must be quick, as compared in docs/measured.
 DEFAULT_ACUITY_MODEL, QUICK_ACUITY_MODEL = "fovvideovdp", "geisler-perry"
 COARSEST_RATE = 4  # log2 of pixels per sample along each axis
 # How much more is resolved where the image draws attention (Fov-GS, Eq. 9).

@@ -80,7 +80,7 @@ def motion_for(frames: Frames, asked: MotionModel | None, labels: Labels | None 
         )
     if labels is Labels.MASKS and any(image.labels is None for image in frames.training):
         raise UserError(f"labels {labels.value}: {frames.folder} has no label images that show what moves")
-    # Of both fields, the one that is better and faster in as many steps (docs/measured/moving.md).
+    # Of both fields, the one that is better and faster in as many steps.
     return asked or (MotionModel.HEX_PLANE if frames.moves else MotionModel.KNOWN)
 
 

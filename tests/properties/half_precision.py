@@ -1,7 +1,6 @@
 """Measures what half-precision albedo and normals in captured frames cost.
 
-`python -m tests.properties.half_precision [SCENE ...] [--size N] [--json FILE]` prints the table of
-docs/measured/rounding.md.
+`python -m tests.properties.half_precision [SCENE ...] [--size N] [--json FILE]` prints a table.
 """
 
 from __future__ import annotations

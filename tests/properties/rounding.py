@@ -1,7 +1,6 @@
 """Measures what float32 costs: composites and gradients of random scenes against their float64 twins.
 
-`python -m tests.properties.rounding [--scenes N] [--gradients N] [--json FILE]` prints the tables of
-docs/measured/rounding.md.
+`python -m tests.properties.rounding [--scenes N] [--gradients N] [--json FILE]` prints tables.
 """
 
 from __future__ import annotations

@@ -9,8 +9,8 @@ from tests.extremes import extreme
 from tests.properties import rounding
 from tests.properties.half_precision import halved, normal_errors
 
-# Largest error seen over 1,000 scenes stands in docs/measured/rounding.md; 20 scenes must stay below these,
-# relative to radiance where that is above 1, wherever the definition does not jump.
+# 20 scenes must stay below these, relative to radiance where that is above 1, wherever the definition
+# does not jump.
 BOUNDS = {0.0: 2e-4, 2.0: 2e-4}
 
 
@@ -47,7 +47,7 @@ def test_rounding_of_a_thousand_composites():
 
 
 def test_rounding_of_gradients():
-    """Relative to the length of each gradient; worst seen over 100 scenes: docs/measured/rounding.md."""
+    """Relative to the length of each gradient; `python -m tests.properties.rounding` tries more scenes."""
     errors = rounding.gradient_errors(range(12), 0.0)
     assert set(errors) == {"means", "log_scales", "rotations", "opacity_logits", "sh"}
     for name, values in errors.items():

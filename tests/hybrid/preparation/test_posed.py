@@ -24,7 +24,7 @@ from tests import posed
 from tests.hybrid.preparation.conftest import ignore
 
 pytestmark = pytest.mark.usefixtures("backend")
-SETTINGS = TrainingSettings(iterations=150, gaussians=900, layers=2, degree=0)
+SETTINGS = TrainingSettings(iterations=80, gaussians=900, layers=2, degree=0)
 
 
 @pytest.fixture(scope="module")

@@ -35,13 +35,24 @@ def scene(monkeypatch):
     return load_scene("cornell")
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A scene, its preparation in one go, the folder of that, and the newest forest thereafter."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HYBRID_HOME", str(tmp_path_factory.mktemp("home")))
+        make_tiny(patch.setattr)
+        scene, folder = load_scene("cornell"), tmp_path_factory.mktemp("whole")
+        prepared = prepare(scene, DRAFT, no_bars, folder)
+        return scene, prepared, folder, newest_forest(scene)
+
+
 def facts_without_times(facts):
     rows = [{name: row[name] for name in row if name != "seconds"} for row in facts["curve"]]
     return {**facts, "seconds": 0, "converging_seconds": 0, "curve": rows, "forest": ""}
 
 
-def test_from_nothing_to_a_forest(scene, tmp_path):
-    prepared = prepare(scene, DRAFT, no_bars, tmp_path)
+def test_from_nothing_to_a_forest(whole):
+    _, prepared, folder, newest = whole
     facts = prepared.facts
     assert (facts["scene"], facts["region"]) == ("cornell", "near")
     assert facts["spp"] == {"mean": 8, "least": 8, "most": 8}
@@ -50,10 +61,10 @@ def test_from_nothing_to_a_forest(scene, tmp_path):
     assert facts["splat"] == {name: facts["curve"][-1][name] for name in ("psnr", "ssim", "least_psnr")}
     assert facts["curve"][0]["psnr"] < facts["curve"][1]["psnr"]
     assert 10 < facts["frame_error_db"] < 60
-    assert len(read_frame_set(tmp_path / "frames").training) == 6
-    assert newest_forest(scene) is not None
-    assert len(read_frame_set(tmp_path / "fusion").held_out) == 3
-    assert prepared.forest.digest() == load_forest(tmp_path / "forest.safetensors").digest()
+    assert len(read_frame_set(folder / "frames").training) == 6
+    assert newest is not None
+    assert len(read_frame_set(folder / "fusion").held_out) == 3
+    assert prepared.forest.digest() == load_forest(folder / "forest.safetensors").digest()
 
 
 @pytest.mark.parametrize(("region", "least", "most"), [("near", 250, 250), ("reachable", 251, 12 * 250)])
@@ -91,8 +102,7 @@ def test_further_stages_have_frames_of_a_higher_resolution(scene, tmp_path):
     given="Ctrl-C while frames are traced, while a forest is trained, and while the fusion is fitted",
     expected="the files of a preparation that was not interrupted",
 )
-def test_an_interrupted_preparation_resumes(scene, tmp_path, monkeypatch, got):
-    whole = prepare(scene, DRAFT, no_bars, tmp_path / "whole")
+def test_an_interrupted_preparation_resumes(scene, tmp_path, monkeypatch, whole, got):
     grow, train, fit = module.GrowingFrames.grow, module.train, module.with_fusion
     interruptions = 0
 
@@ -115,8 +125,8 @@ def test_an_interrupted_preparation_resumes(scene, tmp_path, monkeypatch, got):
             prepare(scene, DRAFT, no_bars, tmp_path / "other")
     resumed = prepare(scene, DRAFT, no_bars, tmp_path / "other")
     assert got(interruptions) == 3
-    assert facts_without_times(resumed.facts) == facts_without_times(whole.facts)
-    assert resumed.forest.digest() == whole.forest.digest()
+    assert facts_without_times(resumed.facts) == facts_without_times(whole[1].facts)
+    assert resumed.forest.digest() == whole[1].forest.digest()
 
 
 @extreme(
@@ -160,19 +170,14 @@ def test_bounded_light_is_missing_in_the_frames_and_stated(scene, tmp_path, monk
     monkeypatch.setattr(planner, "_MOST_STAGES", 1)
     settings = replace(DRAFT, held_out=0, minutes=0.01)
     free = prepare(scene, settings, no_bars, tmp_path / "free")
+    assert free.facts["splat"] == {}  # without held-out views, nothing is judged
+    assert [set(row) for row in free.facts["curve"]] == [{"seconds", "gaussians"}]
     bounded = prepare(scene, replace(settings, most_indirect=1e-6), no_bars, tmp_path / "bounded")
     assert free.facts["clamping_bias"] is None
     assert 0 < got(bounded.facts["clamping_bias"]) < 1
     frames = {name: (tmp_path / name / "frames").rglob("*-1.exr") for name in ("free", "bounded")}
     means = [np.mean([read_frame(file).radiance.mean() for file in files]) for files in frames.values()]
     assert means[1] < means[0]
-
-
-def test_without_held_out_views_nothing_is_judged(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(planner, "_MOST_STAGES", 1)
-    facts = prepare(scene, replace(DRAFT, held_out=0, minutes=0.01), no_bars, tmp_path).facts
-    assert facts["splat"] == {}
-    assert [set(row) for row in facts["curve"]] == [{"seconds", "gaussians"}]
 
 
 def test_a_scene_that_moves_is_prepared_for_all_times(monkeypatch, tmp_path):

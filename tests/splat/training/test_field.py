@@ -19,7 +19,7 @@ from tests.extremes import extreme
 from tests.splat.training.test_moving import VIEWS, scene
 
 LEARNED = [model for model in MotionModel if model.field is not None]
-SETTINGS = TrainingSettings(iterations=250, gaussians=900, layers=1, degree=0, seed=3)
+SETTINGS = TrainingSettings(iterations=150, gaussians=900, layers=1, degree=0, seed=3)
 
 
 def error(arrays, trainer: Trainer, view: TrainingView) -> float:
@@ -36,7 +36,7 @@ def error(arrays, trainer: Trainer, view: TrainingView) -> float:
 def test_a_field_learns_a_course(kind):
     """Where points are at some times, and with it where they are between these."""
     motion = LearnedMotion.begun(kind, torch.full((3,), -1.0), torch.full((3,), 2.0), 0)
-    steps, generator = 600, torch.Generator().manual_seed(0)
+    steps, generator = 400, torch.Generator().manual_seed(0)
     optimizer = FieldOptimizer(motion, steps)
     points = torch.rand(3, 50, generator=generator)
 

@@ -56,7 +56,7 @@ def scene(x: float, time: float) -> TrainingView:
 
 TIMES = np.linspace(0, 1, 12)
 VIEWS = [scene(x, time) for time, x in zip(TIMES, np.tile([-0.4, 0.1, 0.4], 4), strict=True)]
-SETTINGS = TrainingSettings(iterations=400, gaussians=900, layers=2, degree=0, seed=3)
+SETTINGS = TrainingSettings(iterations=200, gaussians=900, layers=2, degree=0, seed=3)
 
 
 def error(arrays, trainer: Trainer, view: TrainingView, moves: bool) -> float:

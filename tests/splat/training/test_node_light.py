@@ -57,11 +57,16 @@ def trained(arrays, known: bool, settings: TrainingSettings = SETTINGS) -> Train
     return trainer
 
 
-def test_known_light_is_learnt_out_of_the_frames(arrays):
+@pytest.fixture(scope="module")
+def whole(arrays) -> Trainer:
+    return trained(arrays, True)
+
+
+def test_known_light_is_learnt_out_of_the_frames(arrays, whole):
     """The darkest time, of the half that gets dark, is farthest from what training has seen most."""
     found = []
     for known in (False, True):
-        trainer = trained(arrays, known)
+        trainer = whole if known else trained(arrays, False)
         layer = trainer.forest()[-1]
         gaussians = layer.gaussians
         if known:
@@ -76,8 +81,7 @@ def test_known_light_is_learnt_out_of_the_frames(arrays):
 
 
 @pytest.mark.parametrize("stop", [30, 110])
-def test_an_interrupted_training_ends_with_the_same_bits(arrays, stop):
-    whole = trained(arrays, True)
+def test_an_interrupted_training_ends_with_the_same_bits(arrays, whole, stop):
     first, second = (Trainer(arrays, VIEWS, SETTINGS, light=light()) for _ in range(2))
     first.run(until=stop)
     second.restore(*first.state())

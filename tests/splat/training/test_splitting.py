@@ -11,14 +11,23 @@ import torch
 from splat.model.dynamic_light import SurfaceLight
 from splat.model.motion import turned
 from splat.raster.differentiable import render_differentiable
-from splat.training.density import LEAST_STEPS, halves, too_large
+from splat.training import density, layer_training
+from splat.training.density import halves, too_large
 from splat.training.trainer import Trainer, TrainingSettings
 from splat.training.training_view import TrainingView
 from tests.splat.model.test_surface_light import floor, nodes
 from tests.splat.training.frames import SIZE, WALLS, wall
 
 TIMES = np.linspace(0, 1, 21)
-SETTINGS = TrainingSettings(iterations=LEAST_STEPS, gaussians=400, layers=1, degree=0, seed=3)
+STEPS = 120
+SETTINGS = TrainingSettings(iterations=STEPS, gaussians=400, layers=1, degree=0, seed=3)
+
+
+@pytest.fixture
+def enough(monkeypatch) -> None:
+    """Trainings of STEPS steps are long enough to split nodes."""
+    for module in (density, layer_training):
+        monkeypatch.setattr(module, "LEAST_STEPS", STEPS)
 
 
 def sweeping(changes: bool = True) -> SurfaceLight:
@@ -134,7 +143,7 @@ def test_halves_look_like_the_whole(arrays, logit: float, tolerance: float):
     assert np.abs(images[1] - images[0]).max() < tolerance * images[0].max()
 
 
-def test_training_has_more_and_smaller_nodes_under_shadows(arrays):
+def test_training_has_more_and_smaller_nodes_under_shadows(arrays, enough):
     """None are split where the same light does not change."""
     counts, sizes = [], []
     for changes in (False, True):
@@ -149,8 +158,8 @@ def test_training_has_more_and_smaller_nodes_under_shadows(arrays):
     assert sizes[1] < sizes[0]
 
 
-def test_short_trainings_split_nothing(arrays):
-    settings = replace(SETTINGS, iterations=LEAST_STEPS - 1)
+def test_short_trainings_split_nothing(arrays, enough):
+    settings = replace(SETTINGS, iterations=STEPS - 1)
     trainer = Trainer(arrays, [_at(0.0), _at(0.9)], settings, light=sweeping())
     trainer.run()
     assert len(trainer.forest()[-1]) == SETTINGS.gaussians

@@ -19,11 +19,11 @@ from splat.training.training_view import reduced
 from tests.splat.samples import equal
 from tests.splat.training.frames import WALLS, closed_sphere, wall
 
-SETTINGS = TrainingSettings(iterations=400, gaussians=900, layers=2, degree=1)
+SETTINGS = TrainingSettings(iterations=200, gaussians=900, layers=2, degree=1)
 
 
-# With density control every 10 steps, both layers change: see `often`.
-SHORT = TrainingSettings(iterations=120, gaussians=400, layers=2, degree=1)
+# With density control every 5 steps, both layers change: see `often`.
+SHORT = TrainingSettings(iterations=60, gaussians=400, layers=2, degree=1)
 
 
 @pytest.fixture(scope="module")
@@ -35,15 +35,15 @@ def trained(arrays) -> Trainer:
 
 @pytest.fixture
 def often(monkeypatch) -> None:
-    """Density control every 10 steps."""
-    monkeypatch.setattr(density, "_EVERY", 10)
+    """Density control every 5 steps."""
+    monkeypatch.setattr(density, "_EVERY", 5)
     monkeypatch.setattr(density, "_CHANGES", 1)
 
 
 @pytest.fixture(scope="module")
 def short(arrays) -> Trainer:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(density, "_EVERY", 10)
+        patch.setattr(density, "_EVERY", 5)
         patch.setattr(density, "_CHANGES", 1)
         trainer = Trainer(arrays, WALLS, SHORT)
         trainer.run()
@@ -91,9 +91,9 @@ def test_density_control_reaches_the_requested_number(trained):
 
 def test_trees_are_complete_at_any_time(arrays, trained, often):
     check_forest(trained.forest())
-    # Before the forest is built at about 48, after that, and around 96, when the trees are settled.
+    # Before the forest is built at about 24, after that, and around 48, when the trees are settled.
     trainer = Trainer(arrays, WALLS, SHORT)
-    for stop in (10, 55, 70, 95, 96, 97, 120):
+    for stop in (5, 28, 35, 47, 48, 49, 60):
         trainer.run(until=stop)
         assert trainer.iteration == stop
         check_forest(trainer.forest())
@@ -103,8 +103,8 @@ def test_children_follow_their_parents_through_a_change_of_density(arrays, often
     """Children of removed nodes are left without a parent; the others keep theirs, wherever it is now."""
     trainer = Trainer(arrays, WALLS, SHORT)
     coarse, fine = trainer._layers
-    # The coarse layer changes after its 10th step.
-    while coarse.done < 9 or trainer._schedule[trainer.iteration] != 0:
+    # The coarse layer changes after its 5th step.
+    while coarse.done < 4 or trainer._schedule[trainer.iteration] != 0:
         trainer.run(until=trainer.iteration + 1)
     coarse._optimizer.on_device.opacity_logits[[0, 5, 6]] = -50.0
     means, old = coarse.layer.gaussians.means.clone(), fine.layer.parent.long()
@@ -128,7 +128,7 @@ def test_the_coarse_layer_looks_right_at_its_own_resolution(arrays, trained):
     assert float(((image - target) ** 2).mean()) < 0.15 * float(target.var())
 
 
-@pytest.mark.parametrize("stop", [20, 66, 102])
+@pytest.mark.parametrize("stop", [10, 33, 51])
 def test_an_interrupted_training_ends_with_the_same_bits(arrays, short, often, stop):
     """Interrupted when density control is due, amid all layers, and after the trees are settled.
 
@@ -200,7 +200,7 @@ def test_the_coarsest_layer_holds_the_similaritys_window():
     assert [most_layers(*size) for size in sizes] == [0, 1, 1, 2, 2, 3, 0]
 
 
-@pytest.mark.parametrize("iterations", [12, 40, 120])
+@pytest.mark.parametrize("iterations", [12, 30, 60])
 def test_a_training_goes_on_from_a_forest(arrays, short, monkeypatch, iterations):
     """Trees stay whole, though nodes vanish after they settled, and density control acts at every step."""
     monkeypatch.setattr(density, "_EVERY", 1)

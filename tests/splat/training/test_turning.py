@@ -99,7 +99,7 @@ def test_training_keeps_them_where_the_scene_turns(arrays, trained):
 
 
 def test_a_scene_that_does_not_turn_has_hardly_any(arrays):
-    settings = TrainingSettings(iterations=200, gaussians=400, layers=1, degree=2)
+    settings = TrainingSettings(iterations=120, gaussians=400, layers=1, degree=2)
     views = [replace(wall(x), radiance=np.full((SIZE, SIZE, 3), 0.4, np.float32)) for x in EYES]
     trainer = Trainer(arrays, views, settings)
     trainer.run()

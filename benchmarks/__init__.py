@@ -1,0 +1,1 @@
+"""Measures every figure that the documentation states, and writes its tables."""

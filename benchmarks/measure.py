@@ -1,0 +1,136 @@
+"""Measures the figures of the documentation again and keeps them as JSON; one machine, otherwise idle.
+
+    python -m benchmarks.measure [--scenes FOLDER] [NAME ...]
+
+What was measured by the same code on the same machine is not measured again, so that an interrupted run
+resumes. `python -m benchmarks.tables` then writes the tables.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT / "docs" / "measured" / "data"
+STAIRCASE = "staircase2/scene.xml"
+_MODULES = {"hybrid": "hybrid.cli.main", "pytest": "pytest"}
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """A command whose JSON is kept.
+
+    Attributes:
+        command: its words. Forests lie in the working folder; STAIRCASE stands for the scene file of
+            staircase2.
+        requires: the measurement that makes its forest.
+        option: the one that makes it write JSON.
+    """
+
+    command: str
+    requires: str | None = None
+    option: str = "--json"
+
+
+_FRAMES = "--forest room.forest"
+MEASUREMENTS = {
+    "quickstart": Measurement("hybrid quickstart room --out out"),
+    "prepare-room": Measurement("hybrid prepare room -o room.forest --held-out 4 --minutes 1.5 --seed 5"),
+    "prepare-staircase2": Measurement(
+        "hybrid prepare STAIRCASE -o staircase2.forest --held-out 4 --minutes 1.5 --seed 5"
+    ),
+    "prepare-room-moving": Measurement(
+        "hybrid prepare room-moving -o moving.forest --held-out 4 --minutes 3 --seed 5"
+    ),
+    "frame": Measurement(f"hybrid bench frame room {_FRAMES}", "prepare-room"),
+    "resolution": Measurement(f"hybrid sweep room --over resolution --repeats 9 {_FRAMES}", "prepare-room"),
+    "radius": Measurement(f"hybrid sweep room --over radius --repeats 5 {_FRAMES}", "prepare-room"),
+    "denoiser": Measurement(f"hybrid sweep room --over denoiser --size 512 512 {_FRAMES}", "prepare-room"),
+    "evaluation": Measurement(f"hybrid evaluate room --report report {_FRAMES}", "prepare-room"),
+    "periphery": Measurement(f"hybrid bench periphery room {_FRAMES}", "prepare-room"),
+    "window": Measurement(f"hybrid demo room --bench 20 {_FRAMES}", "prepare-room"),
+    "moving": Measurement("hybrid bench moving room-moving --forest moving.forest", "prepare-room-moving"),
+    "integrator-room": Measurement("hybrid bench integrator room --reference-spp 512"),
+    "integrator-staircase2": Measurement("hybrid bench integrator STAIRCASE --reference-spp 512"),
+    "raster": Measurement("hybrid bench raster"),
+    "extremes": Measurement("pytest -m extremes", option="--extremes-json"),
+}
+
+
+def measure(name: str, work: Path, scenes: Path) -> None:
+    """Runs a measurement in the working folder, and keeps its JSON with command, date, machine and code.
+
+    Raises:
+        CalledProcessError: the command failed.
+    """
+    from hybrid.base.identity import code, machine
+    from pathtrace.scene.backend import select_backend
+
+    select_backend()
+    file = DATA / f"{name}.json"
+    chosen = MEASUREMENTS[name]
+    current = {"machine": machine(), "source": code()["source"]}
+    if file.exists():
+        known = json.loads(file.read_text())
+        if all(known[key] == value for key, value in current.items()) and _has_forest(chosen, work):
+            return
+    if chosen.requires:
+        measure(chosen.requires, work, scenes)
+    with tempfile.TemporaryDirectory() as folder:
+        result = Path(folder) / "result.json"
+        program, *words = chosen.command.replace("STAIRCASE", str(scenes / STAIRCASE)).split()
+        start = time.perf_counter()
+        subprocess.run(
+            [sys.executable, "-m", _MODULES[program], *words, chosen.option, str(result)],
+            cwd=ROOT if program == "pytest" else work,
+            # Nothing prepared before is taken; compiled kernels are.
+            env={**os.environ, "HYBRID_HOME": str(work / "home")},
+            check=True,
+        )
+        found: dict[str, Any] = {
+            "command": chosen.command.replace("STAIRCASE", STAIRCASE),
+            "date": datetime.now(timezone.utc).date().isoformat(),
+            "seconds": round(time.perf_counter() - start, 1),
+            **current,
+            "result": json.loads(result.read_text()),
+        }
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(json.dumps(found, indent=1) + "\n")
+
+
+def _has_forest(chosen: Measurement, work: Path) -> bool:
+    """Whether the forest that a measurement makes is still there for those that require it."""
+    words = chosen.command.split()
+    return "-o" not in words or (work / words[words.index("-o") + 1]).exists()
+
+
+def main() -> None:
+    """Measures what is named, or everything."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(MEASUREMENTS))
+    parser.add_argument("--scenes", type=Path, default=Path("../shared/scenes"), help="where staircase2 lies")
+    parser.add_argument("--work", type=Path, default=Path("out/measure"), help="working folder")
+    options = parser.parse_args()
+    unknown = [name for name in options.names if name not in MEASUREMENTS]
+    if unknown:
+        parser.error(f"{unknown[0]}: must be one of {', '.join(MEASUREMENTS)}")
+    options.work.mkdir(parents=True, exist_ok=True)
+    for name in options.names or MEASUREMENTS:
+        print(f"{name}: {MEASUREMENTS[name].command}", flush=True)
+        measure(name, options.work.resolve(), options.scenes.resolve())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,442 @@
+"""Writes the tables of README.md and docs/measured from the JSON in docs/measured/data.
+
+    python -m benchmarks.tables
+
+A table stands between `<!-- figures NAME -->` and `<!-- end -->`; what is between them is replaced.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT / "docs" / "measured" / "data"
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs" / "measured").glob("*.md")))
+_BLOCK = re.compile(r"(<!-- figures (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
+# Scene and size of the frames of Table 4 of Foveated Path Culling.
+_MODES = ("raw", "denoised", "fused")
+
+
+def measured(name: str) -> dict[str, Any]:
+    """What `benchmarks.measure` kept under that name: command, date, machine and result."""
+    found: dict[str, Any] = json.loads((DATA / f"{name}.json").read_text())
+    return found
+
+
+def result(name: str) -> Any:
+    """The result of a measurement: what its command writes with --json."""
+    return measured(name)["result"]
+
+
+def filled(text: str) -> str:
+    """A page with its tables written anew.
+
+    Raises:
+        KeyError: the page names a table that does not exist.
+    """
+    return _BLOCK.sub(lambda found: f"{found[1]}{TABLES[found[2]]()}\n{found[3]}", text)
+
+
+def markdown(header: list[str], rows: list[list[str]]) -> str:
+    """A table in Markdown."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def provenance(*names: str) -> str:
+    """The commands that measured a table, and when and where."""
+    first = measured(names[0])
+    machine = first["machine"]
+    where = machine["gpu"] or f"{machine['cores']} cores of {machine['cpu']}"
+    commands = ", ".join(f"`{measured(name)['command']}`" for name in names)
+    return f"{commands}: {where}, {first['date']}."
+
+
+def _with_provenance(table: str, *names: str) -> str:
+    return f"{provenance(*names)}\n\n{table}"
+
+
+def _range(between: list[float], form: str) -> str:
+    return f"{between[0]:{form}} to {between[1]:{form}}"
+
+
+def quickstart() -> str:
+    """The main job: quality, registration and time."""
+    found = result("quickstart")
+    ours, splats = (
+        f"{found[name]['psnr']:.2f} dB ({_range(found[f'{name}_range']['psnr'], '.2f')}), "
+        f"SSIM {found[name]['ssim']:.3f}"
+        for name in ("hybrid", "splats_alone")
+    )
+    times = " / ".join(f"{found[f'{name}_ms']:.0f}" for name in ("hybrid", "disc", "path_traced"))
+    rows = [
+        [
+            "whole job",
+            f"{found['seconds']['total']:.0f} s, {found['seconds']['prepare']:.0f} of them to prepare",
+        ],
+        ["hybrid frame", ours],
+        ["splats alone, same views", splats],
+        ["registration error of the splats", f"{found['registration_px']:.3f} px"],
+        ["hybrid frame / disc alone / full path tracing, denoised as well", f"{times} ms"],
+        [
+            "hybrid frame against full path tracing",
+            f"{found['ratio']:.1f}x ({_range(found['ratio_range'], '.1f')})",
+        ],
+    ]
+    return _with_provenance(markdown(["", ""], rows), "quickstart")
+
+
+def prepare() -> str:
+    """Held-out quality after each stage of a preparation."""
+    names = ("prepare-room", "prepare-staircase2", "prepare-room-moving")
+    rows = [
+        [
+            result(name)["scene"],
+            f"{stage['seconds']:.0f} s",
+            f"{stage['gaussians']:,}",
+            f"{stage['psnr']:.1f} ({stage['least_psnr']:.1f})",
+            f"{stage['ssim']:.3f}",
+        ]
+        for name in names
+        for stage in result(name)["curve"]
+    ]
+    header = ["scene", "after", "Gaussians", "PSNR, dB (worst view)", "SSIM"]
+    return _with_provenance(markdown(header, rows), *names)
+
+
+def resolution(name: str = "resolution") -> str:
+    """Hybrid frames against full path tracing by resolution, beside FPC's Table 4."""
+    rows = [
+        [
+            f"{row['width']}x{row['height']}",
+            f"{row['ms']['p50']:.0f}",
+            f"{row['full_ms']['p50']:.0f}",
+            f"{row['ratio']:.2f}",
+            f"{row['paper']['ratio']:.2f}",
+        ]
+        for row in result(name)["rows"]
+    ]
+    table = markdown(["size", "hybrid, ms", "full, ms", "ratio", "FPC's ratio"], rows)
+    return _with_provenance(table, name)
+
+
+def radius() -> str:
+    """Ratio of full path tracing to hybrid frames by radius and resolution, and where it reaches 1."""
+    found = result("radius")
+    sizes = [(row["width"], row["height"]) for row in found["break_even"]]
+    by_place = {((row["width"], row["height"]), row["radius"]): row for row in found["rows"]}
+    radii = dict.fromkeys(row["radius"] for row in found["rows"])
+    rows = [[f"{one:g}", *(_of_radius(by_place[size, one]) for size in sizes)] for one in radii]
+    ends = [row["radius"] for row in found["break_even"]]
+    rows.append(["as fast up to", *("over 90 %" if end is None else f"{end:.0f} %" for end in ends)])
+    rows.append(["FPC, its own scene", *(f"{row['paper']:.0f} %" for row in found["break_even"])])
+    header = ["radius, % of the height", *(f"{width}x{height}" for width, height in sizes)]
+    return _with_provenance(markdown(header, rows), "radius")
+
+
+def _of_radius(row: dict[str, Any]) -> str:
+    return f"{row['ratio']:.2f} ({100 * row['covered']:.0f} %)"
+
+
+def denoiser() -> str:
+    """Foveal quality and time by the way the fovea is made."""
+    metrics = [name for name in ("psnr", "ssim", "flip", "jod") if f"foveal {name}" in _first("denoiser")]
+    rows = [
+        [
+            str(row["spp"]),
+            row["fovea"],
+            f"{row['ms']['p50']:.0f}",
+            *(f"{row['quality'][f'foveal {name}']:.{_DIGITS[name]}f}" for name in metrics),
+        ]
+        for row in result("denoiser")["rows"]
+    ]
+    header = ["spp", "fovea", "ms", *(_METRICS[name] for name in metrics)]
+    return _with_provenance(markdown(header, rows), "denoiser")
+
+
+_METRICS = {"psnr": "PSNR, dB", "ssim": "SSIM", "flip": "FLIP", "jod": "FovVideoVDP, JOD"}
+_DIGITS = {"psnr": 2, "ssim": 3, "flip": 3, "jod": 2}
+
+
+def _first(name: str) -> dict[str, Any]:
+    quality: dict[str, Any] = result(name)["rows"][0]["quality"]
+    return quality
+
+
+def evaluation() -> str:
+    """Means over the views of each method, whole frame and fovea, and the verdicts in words."""
+    from hybrid.evaluation.results import Results, verdicts
+
+    found = Results(result("evaluation"))
+    columns = [("whole", "ssim"), ("whole", "jod"), ("foveal", "psnr"), ("foveal", "flip"), ("foveal", "jod")]
+    rows = []
+    for key in found.keys:
+        values = [(found.mean(key, *column), _DIGITS[column[1]]) for column in columns]
+        time = found.times.get(key)
+        cells = ["" if value is None else f"{value:.{digits}f}" for value, digits in values]
+        rows.append([found.label(key), "" if time is None else f"{time:.0f}", *cells])
+    header = ["method", "ms", *(f"{region} {_METRICS[metric]}" for region, metric in columns)]
+    table = _with_provenance(markdown(header, rows), "evaluation")
+    return "\n\n".join([table, "\n".join(f"- {line}" for line in verdicts(found.found))])
+
+
+def integrators() -> str:
+    """Efficiency and bias of the cached integrator."""
+    rows = []
+    for name in ("integrator-room", "integrator-staircase2"):
+        found = result(name)
+        for bias in found["bias"]:
+            one, four = (row for row in found["rows"] if row["integrator"] == bias["integrator"])
+            rows.append(
+                [
+                    found["scene"],
+                    bias["integrator"],
+                    f"{one['squared_error']:.3g} / {four['squared_error']:.3g}",
+                    f"{one['ms']['p50']:.0f} / {four['ms']['p50']:.0f}",
+                    f"{one['efficiency']:.1f} / {four['efficiency']:.1f}",
+                    f"{bias['mean']:+.1%}",
+                    f"{bias['worst_block']:.1%}",
+                    f"{bias['p95_block']:.1%}",
+                ]
+            )
+    header = ["scene", "integrator", "squared error, 1 / 4 spp", "ms", "efficiency"]
+    header += ["bias of the mean", "worst block", "95 % of blocks below"]
+    return _with_provenance(markdown(header, rows), "integrator-room", "integrator-staircase2")
+
+
+def periphery() -> str:
+    """The time that each acuity model saves in the periphery, and what a viewer notices of it."""
+    rows = [
+        [
+            f"{row['gaze'][0]:g}, {row['gaze'][1]:g}",
+            row["acuity_model"],
+            f"{row['periphery_ms']['p50']:.0f} of {row['full_ms']['p50']:.0f}",
+            f"{row['moving_ms']['p50']:.0f} of {row['moving_full_ms']['p50']:.0f}",
+            f"{row['nodes_drawn']:,}",
+            "" if row["jod"] is None else f"{row['jod']:.2f}",
+            f"{row['ssim']:.4f}",
+        ]
+        for row in result("periphery")
+    ]
+    header = ["gaze", "acuity model", "ms, camera still", "ms, camera moving", "nodes", "JOD", "SSIM"]
+    return _with_provenance(markdown(header, rows), "periphery")
+
+
+def frames(name: str = "frame") -> str:
+    """Whole frames: wall clock, kernels, launches, bytes on the host."""
+    found = result(name)
+    sizes = dict.fromkeys((row["width"], row["height"]) for row in found)
+    rows = []
+    for width, height in sizes:
+        for mode in _MODES:
+            pair = [
+                row for row in found if (row["width"], row["height"], row["mode"]) == (width, height, mode)
+            ]
+            rows.append(
+                [
+                    f"{width}x{height}",
+                    mode,
+                    ", ".join(f"{row['wall_ms']['p50']:.1f} / {row['wall_ms']['p95']:.1f}" for row in pair),
+                    ", ".join(f"{row['kernels_ms']:.1f}" for row in pair),
+                    ", ".join(str(row["launches"]) for row in pair),
+                    ", ".join(f"{row['host_bytes'] / 1e6:.1f}" for row in pair),
+                ]
+            )
+    header = ["size", "fovea", "wall, ms, p50 / p95", "kernels, ms", "launches", "host, MB"]
+    return _with_provenance(markdown(header, rows), name)
+
+
+def raster() -> str:
+    """The rasterizer and its gradient alone."""
+    found = result("raster")
+    rows = [
+        [name, f"{found[f'{name}_ms']['p50']:.1f}", f"{found[f'{name}_ms']['p95']:.1f}"]
+        for name in ("forward", "backward")
+    ]
+    return _with_provenance(markdown(["", "median, ms", "p95, ms"], rows), "raster")
+
+
+def window() -> str:
+    """Frame rate and latency of the window."""
+    found = result("window")
+    latency = found["latency_ms"]
+    row = [
+        f"{found['width']}x{found['height']}",
+        f"{found['fps']:.1f}",
+        f"{found['ms']['p50']:.0f} / {found['ms']['p95']:.0f}",
+        f"{latency['p50']:.0f} / {latency['p95']:.0f}",
+    ]
+    header = ["size", "FPS, median", "frame, ms, p50 / p95", "mouse to screen, ms, p50 / p95"]
+    return _with_provenance(markdown(header, [row]), "window")
+
+
+def moving() -> str:
+    """A scene that moves, by method and region."""
+    found = result("moving")
+    regions = list(dict.fromkeys(row["region"] for row in found["rows"]))
+    by_method: dict[str, dict[str, dict[str, Any]]] = {}
+    for row in found["rows"]:
+        by_method.setdefault(row["method"], {})[row["region"]] = row
+    rows = []
+    for method, own in by_method.items():
+        cells = [f"{own[name]['psnr']:.1f}" if name in own else "" for name in regions]
+        first = next(iter(own.values()))
+        rows.append([method, *cells, f"{first['ms']['p50']:.0f} / {first['ms']['p95']:.0f}"])
+    header = ["method", *(f"{name}, dB" for name in regions), "ms, p50 / p95"]
+    return _with_provenance(markdown(header, rows), "moving")
+
+
+def extremes() -> str:
+    """The table of extremes."""
+    rows = [
+        [
+            *(str(row[name]).replace("|", "\\|") for name in ("name", "input", "expected", "got", "backend")),
+            _yes(row),
+        ]
+        for row in result("extremes")
+    ]
+    header = ["row", "input", "expected", "got", "backend", "passed"]
+    return _with_provenance(markdown(header, rows), "extremes")
+
+
+def _yes(row: dict[str, Any]) -> str:
+    return "yes" if row["passed"] else "**no**"
+
+
+def headlines() -> str:
+    """README's figures, one line each."""
+    lines = [line() for line in _HEADLINES]
+    return markdown(["what", "figure"], [list(line) for line in lines])
+
+
+def _speed() -> tuple[str, str]:
+    rows = result("resolution")["rows"]
+    ratios = ", ".join(f"{row['ratio']:.1f}x at {row['width']}x{row['height']}" for row in rows)
+    return "`room`, 1 spp, radius 20 %: hybrid against full path tracing, gaze and camera moving", ratios
+
+
+def _break_even() -> tuple[str, str]:
+    found = [
+        f"{'over 90' if row['radius'] is None else format(row['radius'], '.0f')} % at "
+        f"{row['width']}x{row['height']}"
+        for row in result("radius")["break_even"]
+    ]
+    return "radius up to which a hybrid frame is as fast as full path tracing", ", ".join(found)
+
+
+def _against_baselines() -> tuple[str, str]:
+    from hybrid.evaluation.result_keys import OURS_KEY
+    from hybrid.evaluation.results import Results
+
+    found = Results(result("evaluation"))
+    texts = []
+    for region, metric in (("whole", "ssim"), ("foveal", "flip"), ("foveal", "jod")):
+        ours = found.mean(OURS_KEY, region, metric)
+        others = {key: found.mean(key, region, metric) for key in found.affordable_baselines()}
+        known = {key: value for key, value in others.items() if value is not None}
+        if ours is None or not known:
+            continue
+        best = (min if metric == "flip" else max)(known, key=lambda key: known[key])
+        form = f".{_DIGITS[metric]}f"
+        texts.append(
+            f"{region} {metric.upper()} {ours:{form}}, best baseline ({best.method}) {known[best]:{form}}"
+        )
+    return "the same, 512x512, means over the views, against baselines at equal time", "; ".join(texts)
+
+
+def _fused() -> tuple[str, str]:
+    rows = {(row["spp"], row["fovea"]): row["quality"]["foveal psnr"] for row in result("denoiser")["rows"]}
+    gains = [
+        f"{rows[spp, 'fused'] - rows[spp, 'denoised']:+.1f} dB at {spp} spp"
+        for spp, mode in rows
+        if mode == "raw"
+    ]
+    return "fused fovea against a denoised one, 512x512, three views that nothing was fitted to", ", ".join(
+        gains
+    )
+
+
+def _window() -> tuple[str, str]:
+    found = result("window")
+    text = f"{found['fps']:.0f} frames per second, {found['latency_ms']['p50']:.0f} ms from mouse to screen"
+    size = f"{found['width']}x{found['height']}"
+    return f"the window, `room`, {size}, radius 15 %, 1 spp, mouse moving", text
+
+
+def _prepared() -> tuple[str, str]:
+    texts = []
+    for name in ("prepare-room", "prepare-staircase2"):
+        found = result(name)
+        stages = ", ".join(f"{row['psnr']:.1f} dB in {row['seconds']:.0f} s" for row in found["curve"])
+        texts.append(f"{found['scene']}: {stages}")
+    return "from nothing to a forest, held-out views of 256x256", "; ".join(texts)
+
+
+def _periphery() -> tuple[str, str]:
+    row = next(row for row in result("periphery") if row["acuity_model"] == "geisler-perry")
+    quality = "" if row["jod"] is None else f" ({row['jod']:.2f} JOD)"
+    full, ours = (f"{row[name]['p50']:.0f} ms" for name in ("full_ms", "periphery_ms"))
+    text = f"{full} at full detail, {ours}{quality} with `geisler-perry`"
+    return f"periphery of `room`, {row['width']}x{row['height']} across 55 degrees, camera still", text
+
+
+def _integrator() -> tuple[str, str]:
+    texts = []
+    for name in ("integrator-room", "integrator-staircase2"):
+        found = result(name)
+        gains = " / ".join(
+            f"{row['efficiency']:.1f}x" for row in found["rows"] if row["integrator"] == "cached"
+        )
+        bias = next(row["mean"] for row in found["bias"] if row["integrator"] == "cached")
+        texts.append(f"{found['scene']} {gains} at a bias of {bias:+.1%}")
+    return "efficiency of the cached integrator against `path`, raw frames, 1 / 4 spp", "; ".join(texts)
+
+
+def _registration() -> tuple[str, str]:
+    return (
+        "registration of splats with the path-traced frame",
+        f"{result('quickstart')['registration_px']:.2f} px",
+    )
+
+
+def _rasterizer() -> tuple[str, str]:
+    found = result("raster")
+    text = f"{found['forward_ms']['p50']:.0f} ms forward, {found['backward_ms']['p50']:.0f} ms backward"
+    return f"rasterizing {found['gaussians']:,} Gaussians at {found['width']}x{found['height']}", text
+
+
+def _card() -> tuple[str, str]:
+    rows = {(row["width"], row["mode"], row["live"]): row["wall_ms"]["p50"] for row in result("card-frame")}
+    text = f"{rows[1920, 'fused', False]:.0f} ms, in the window {rows[1920, 'fused', True]:.0f} ms"
+    card = measured("card-frame")["machine"]["gpu"]
+    return (
+        f"fused frame of `room`, 1920x1080, 1 spp, on a card ({card}, {measured('card-frame')['date']})",
+        text,
+    )
+
+
+_HEADLINES: tuple[Callable[[], tuple[str, str]], ...] = (
+    *(_speed, _break_even, _against_baselines, _fused, _window, _prepared),
+    *(_periphery, _integrator, _registration, _rasterizer, _card),
+)
+TABLES: dict[str, Callable[[], str]] = {
+    **{made.__name__: made for made in (headlines, quickstart, prepare, resolution, radius, denoiser)},
+    **{made.__name__: made for made in (evaluation, integrators, periphery, frames, raster, window, moving)},
+    "extremes": extremes,
+    "card-frames": lambda: frames("card-frame"),
+    "card-resolution": lambda: resolution("card-resolution"),
+}
+
+
+def main() -> None:
+    """Writes all tables anew."""
+    for page in PAGES:
+        page.write_text(filled(page.read_text()))
+
+
+if __name__ == "__main__":
+    main()
